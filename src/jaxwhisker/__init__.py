@@ -1,0 +1,14 @@
+"""jaxwhisker: exact, fast, differentiable scans with artificial tactile whiskers."""
+
+from jaxwhisker.contact import Phase
+from jaxwhisker.deflect import Deflection, PointForce, PointMoment, deflect
+from jaxwhisker.path import EventKind, Status
+from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
+from jaxwhisker.result import Event, Events, Result, State
+from jaxwhisker.scan import scan
+from jaxwhisker.scene import Scene
+from jaxwhisker.shape import Shapes, shapes
+from jaxwhisker.support import Spring, Support
+from jaxwhisker.whisker import Whisker
+
+__version__ = "0.1.0"

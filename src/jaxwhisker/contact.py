@@ -1,0 +1,147 @@
+"""One whisker in contact: from the unknowns at the contact to pose and reaction at the base.
+
+A contact is described by z = (force, parameter, slack): the force's magnitude f >= 0, the profile's parameter where it
+acts, and the slack: the arc of the whisker beyond the contact (> 0, tangential contact) or minus the angle between
+whisker and object (< 0, tip contact). Both phases are one system, smooth within each, and regular at first touch
+(f = 0) and across the phases. The rod is integrated in the frame of the contact; whiskers on the far side (side = -1),
+bent the other way, are its mirror image.
+"""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker import rod
+from jaxwhisker.profile import AbstractProfile
+from jaxwhisker.rod import Scalar
+
+ROD_STEPS = 8  # constant steps of the default solver: 1e-9 L in the base's position for the hardest bends of a scan
+
+
+class Phase(IntEnum):
+    """How a whisker touches the object."""
+
+    free = 0
+    tip = 1
+    tangential = 2
+
+
+class Body(NamedTuple):
+    """What a contact needs to know of its whisker and object; dimensionless."""
+
+    length: Scalar
+    bending_stiffness: Scalar
+    profile: AbstractProfile
+
+
+class Base(NamedTuple):
+    """Pose of the base and what the contact does to it."""
+
+    x: Scalar
+    y: Scalar
+    cos: Scalar  # direction of the whisker at its base
+    sin: Scalar
+    force_x: Scalar  # of the object on the whisker
+    force_y: Scalar
+    bend: Scalar  # EI (kappa - kappa0) at the base
+    slope_sin: Scalar  # of the object at the contact
+    slope_cos: Scalar
+    contact_x: Scalar
+    contact_y: Scalar
+
+
+class Linear(NamedTuple):
+    """Values and gradients by z of what the equilibrium is made of."""
+
+    x: Scalar
+    y: Scalar
+    cos: Scalar
+    force_x: Scalar
+    slope_sin: Scalar
+
+
+def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Scalar:
+    """Arc length from base to contact."""
+    return body.length - jnp.where(phase == Phase.tangential, slack, 0.0)
+
+
+def _rod_end(body: Body, force: Scalar, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, "4"]:
+    angle = jnp.where(phase == Phase.tip, -slack, 0.0)
+    start = (jnp.zeros_like(angle), jnp.zeros_like(angle), jnp.cos(angle), jnp.sin(angle))
+    load = rod.Load(jnp.zeros_like(force), -force, jnp.zeros_like(force))
+    end = rod.integrate(
+        start, arc(body, slack, phase), load, body.bending_stiffness, steps=ROD_STEPS, solver=rod.NystromSplitting()
+    )
+    return jnp.stack(end)
+
+
+def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Scalar) -> Base:
+    force, parameter, _ = z
+    x, y, cos, sin = end
+    x, cos = side * x, side * cos
+    at = body.profile.point(parameter)
+    return Base(
+        x=at.x + x * at.cos - y * at.sin,
+        y=at.y + x * at.sin + y * at.cos,
+        cos=cos * at.cos - sin * at.sin,
+        sin=cos * at.sin + sin * at.cos,
+        force_x=force * at.sin,
+        force_y=-force * at.cos,
+        bend=force * x,
+        slope_sin=at.sin,
+        slope_cos=at.cos,
+        contact_x=at.x,
+        contact_y=at.y,
+    )
+
+
+def base(body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar) -> Base:
+    """Pose and reaction of the base for the contact z."""
+    return _in_scene(body, _rod_end(body, z[0], z[2], phase), z, side)
+
+
+def linearise(
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar
+) -> tuple[Base, Linear, Linear]:
+    """Pose at z; the equations' values and their gradients by z, each (3,).
+
+    The rod in the contact's frame knows nothing of the profile: two of three tangents go through the integration.
+    """
+
+    def end_twice(loaded):
+        end = _rod_end(body, loaded[0], loaded[1], phase)
+        return end, end
+
+    loaded = z[jnp.array([0, 2])]
+    by_loaded, end = jax.jacfwd(end_twice, has_aux=True)(loaded)
+
+    def equations(z_near):
+        near = end + by_loaded[:, 0] * (z_near[0] - z[0]) + by_loaded[:, 1] * (z_near[2] - z[2])
+        b = _in_scene(body, near, z_near, side)
+        return Linear(b.x, b.y, b.cos, b.force_x, b.slope_sin), b
+
+    gradient, at = jax.jacfwd(equations, has_aux=True)(z)
+    return at, Linear(at.x, at.y, at.cos, at.force_x, at.slope_sin), gradient
+
+
+def touching(body: Body, touch, side: Scalar) -> tuple[Float[Array, "3"], Int[Array, ""]]:
+    """Contact (z, phase) of an unloaded vertical whisker at its first touch from that side."""
+    at = body.profile.point(touch.parameter)
+    # Angle between the whisker, which points up, and the tangent, as seen from the side it comes from.
+    angle = jnp.arctan2(jnp.abs(at.cos), side * at.sin)
+    beyond = body.length - touch.y
+    by_shaft = beyond > SHAFT_FIRST * body.length
+    slack = jnp.where(by_shaft, beyond, -angle)
+    phase = jnp.where(by_shaft, Phase.tangential, Phase.tip)
+    return jnp.stack([jnp.zeros_like(slack), touch.parameter, slack]), phase
+
+
+SHAFT_FIRST = 1e-12  # share of the length that must stand above the first contact to call it tangential
+
+
+def clear(x: Float[Array, " whiskers"], right: Scalar, left: Scalar) -> Bool[Array, " whiskers"]:
+    """Whether an unloaded whisker at x stands clear of the object."""
+    return (x > right) | (x < left)

@@ -1,0 +1,230 @@
+"""Deflection of one clamped whisker under given loads: forces and moments at points along it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker import _checks, rod
+from jaxwhisker.path import Status
+from jaxwhisker.rod import Scalar
+from jaxwhisker.whisker import Whisker
+
+LOAD_STEPS = 32  # from rest to the full load: the state that grows out of rest is found, not just any
+STEPS = 32  # of the rod between two loads
+RESIDUAL = 1e-8  # of the base's direction, with twice the steps
+
+
+class PointForce(eqx.Module):
+    """A force at one point of the whisker.
+
+    Args:
+        force: its size, a force (EI/L^2 with the default whisker).
+        position: arc length of the point from the base; the tip by default.
+        follower: whether the force turns with the whisker, or keeps its direction (a dead load).
+        direction: angle to +x at rest, rad; pi by default, towards -x: across the upright whisker.
+    """
+
+    force: Scalar
+    position: Scalar | None = None
+    follower: bool = eqx.field(static=True, default=False)
+    direction: Scalar = float(np.pi)
+
+    def __check_init__(self):
+        _checks.number("force", self.force)
+        _checks.number("direction", self.direction)
+        if self.position is not None:
+            _checks.number("position", self.position, positive=True)
+
+
+class PointMoment(eqx.Module):
+    """A moment at one point of the whisker, counter-clockwise positive.
+
+    Args:
+        moment: its size, force times length (EI/L with the default whisker).
+        position: arc length of the point from the base; the tip by default.
+    """
+
+    moment: Scalar
+    position: Scalar | None = None
+
+    def __check_init__(self):
+        _checks.number("moment", self.moment)
+        if self.position is not None:
+            _checks.number("position", self.position, positive=True)
+
+
+class Deflection(eqx.Module):
+    """A deflected whisker: support reaction, and shape at arc lengths s from the base at (0, 0).
+
+    Everything is NaN unless `status` is `Status.ok`.
+    """
+
+    fx: Scalar  # support reaction on the whisker
+    fy: Scalar
+    mz: Scalar  # counter-clockwise positive
+    s: Float[Array, " points"]
+    x: Float[Array, " points"]
+    y: Float[Array, " points"]
+    angle: Float[Array, " points"]  # of the whisker's direction to +x, rad; pi/2 at the base
+    curvature: Float[Array, " points"]
+    status: Int[Array, ""]
+
+
+class _Loads(eqx.Module):
+    # All loads as one kind, sorted from the tip to the base; dimensionless.
+    force: Float[Array, " loads"]
+    direction: Float[Array, " loads"]
+    follower: Float[Array, " loads"]
+    moment: Float[Array, " loads"]
+    position: Float[Array, " loads"]
+
+
+def _collect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> _Loads:
+    length, stiffness = whisker.length, whisker.bending_stiffness
+    rows = []
+    for load in loads:
+        position = 1.0 if load.position is None else load.position / length
+        if isinstance(load, PointForce):
+            size = load.force * length**2 / stiffness
+            rows.append((size, load.direction, float(load.follower), 0.0, position))
+        else:
+            rows.append((0.0, 0.0, 0.0, load.moment * length / stiffness, position))
+    columns = [jnp.stack([jnp.asarray(value, dtype=float) for value in column]) for column in zip(*rows, strict=True)]
+    order = jnp.argsort(-columns[-1])
+    return _Loads(*(column[order] for column in columns))
+
+
+class _Stretch(eqx.Module):
+    """A stretch of the rod between two loads (or load and base), from its outer end."""
+
+    start: rod.RodState
+    load: rod.Load
+    arc: Scalar
+
+
+def _stretches(loads: _Loads, tip_angle: Scalar, factor: Scalar, steps: int) -> tuple[list[_Stretch], rod.RodState]:
+    """All stretches from the outermost load to the base, and the state at the base; origin at the outermost load."""
+    zero = jnp.zeros(())
+    state = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle))
+    total = rod.Load(zero, zero, zero)
+    stretches = []
+    ends = jnp.append(loads.position[1:], 0.0)
+    for k in range(loads.force.shape[0]):
+        x, y, cos, sin = state
+        angle = loads.direction[k]
+        turned_cos = jnp.sin(angle) * cos + jnp.cos(angle) * sin  # angle + (phi - pi/2)
+        turned_sin = jnp.sin(angle) * sin - jnp.cos(angle) * cos
+        follower = loads.follower[k] > 0
+        force = factor * loads.force[k]
+        fx = force * jnp.where(follower, turned_cos, jnp.cos(angle))
+        fy = force * jnp.where(follower, turned_sin, jnp.sin(angle))
+        moment = total.moment + x * fy - y * fx + factor * loads.moment[k]
+        total = rod.Load(total.force_x + fx, total.force_y + fy, moment)
+        stretch = _Stretch(state, total, loads.position[k] - ends[k])
+        stretches.append(stretch)
+        state = rod.integrate(state, stretch.arc, total, 1.0, steps=steps, solver=rod.NystromSplitting())
+    return stretches, state
+
+
+def _misdirection(tip_angle: Scalar, args: tuple[_Loads, Scalar]) -> Scalar:
+    loads, factor = args
+    _, (_, _, cos, _) = _stretches(loads, tip_angle, factor, STEPS)
+    return cos
+
+
+def _tip_angle(loads: _Loads) -> Scalar:
+    """Direction of the whisker beyond the outermost load, on the branch that grows out of rest."""
+    newton = optx.Newton(rtol=1e-10, atol=1e-10)
+
+    def grow(carry, factor):
+        angle, slope = carry
+        found = optx.root_find(
+            _misdirection, newton, angle + slope, args=(loads_fixed, factor), max_steps=20, throw=False
+        ).value
+        return (found, found - angle), None
+
+    loads_fixed = jax.lax.stop_gradient(loads)
+    factors = jnp.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:]
+    (guess, _), _ = jax.lax.scan(grow, (jnp.asarray(jnp.pi / 2), jnp.asarray(0.0)), factors)
+    guess = jax.lax.stop_gradient(guess)
+    return optx.root_find(_misdirection, newton, guess, args=(loads, jnp.asarray(1.0)), max_steps=20, throw=False).value
+
+
+def deflect(whisker: Whisker, *loads: PointForce | PointMoment, points: int = 101) -> Deflection:
+    """Reaction and shape of a whisker clamped at (0, 0) along +y under the given loads.
+
+    Dead loads are raised from zero, so that the state found is the one that grows out of rest. The rod is integrated from
+    the outermost load inwards, with the direction there as the only unknown (Steigenberger 2013).
+
+    Args:
+        whisker: the whisker.
+        *loads: at least one PointForce or PointMoment, in any order.
+        points: shape points on each stretch between loads.
+
+    Returns:
+        A Deflection; NaN with status `inexact` where the load is too large for the steps (beyond a few hundred EI/L^2)
+        and `invalid` for a load that is off the whisker.
+
+    Raises:
+        ValueError: if there is no load, or one lies beyond the tip.
+    """
+    _checks.float64_mode()
+    if not isinstance(whisker, Whisker):
+        raise ValueError(f"`whisker` must be a Whisker, but is {whisker!r}.")
+    if not loads or not all(isinstance(load, PointForce | PointMoment) for load in loads):
+        raise ValueError(f"`loads` must be one or more of PointForce and PointMoment, but is {loads!r}.")
+    if not isinstance(points, int) or points < 2:
+        raise ValueError(f"`points` must be an int of at least 2, but is {points!r}.")
+    for load in loads:
+        if not _checks.is_traced((load.position, whisker)) and load.position is not None:
+            if float(load.position) > float(whisker.length):
+                raise ValueError(f"`position` must be at most the length {whisker.length}, but is {load.position}.")
+    return _deflect(*jax.tree.map(_checks.as_float, (whisker, loads)), points)
+
+
+@eqx.filter_jit
+def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], points: int) -> Deflection:
+    collected = _collect(whisker, loads)
+    tip_angle = _tip_angle(collected)
+    one = jnp.asarray(1.0)
+    stretches, (base_x, base_y, base_cos, _) = _stretches(collected, tip_angle, one, STEPS)
+    _, (fine_x, fine_y, fine_cos, fine_sin) = _stretches(collected, tip_angle, one, 2 * STEPS)
+    miss = jnp.max(jnp.abs(jnp.stack([base_cos, fine_cos, fine_x - base_x, fine_y - base_y])))
+    exact = (miss < RESIDUAL) & (fine_sin > 0)
+
+    shapes, bends, arcs = [], [], []
+    for stretch, outer in zip(stretches, collected.position):
+        states = jnp.stack(rod.points(stretch.start, stretch.arc, stretch.load, 1.0, count=points))[:, ::-1]
+        shapes.append(states)
+        bends.append(rod.curvature(states[0], states[1], stretch.load, 1.0))
+        arcs.append(outer - stretch.arc * jnp.linspace(1.0, 0.0, points))
+    # Innermost stretch first; beyond the outermost load the whisker is straight.
+    beyond = 1.0 - collected.position[0]
+    tip = jnp.stack([beyond * jnp.cos(tip_angle), beyond * jnp.sin(tip_angle), jnp.cos(tip_angle), jnp.sin(tip_angle)])
+    x, y, cos, sin = jnp.concatenate([*shapes[::-1], tip[:, None]], axis=1)
+    curvature = jnp.concatenate([*bends[::-1], jnp.zeros(1)])
+    s = jnp.concatenate([*arcs[::-1], jnp.ones(1)])
+
+    load = stretches[-1].load
+    length, stiffness = whisker.length, whisker.bending_stiffness
+    on_whisker = jnp.all((collected.position > 0) & (collected.position <= 1))
+    valid = on_whisker & (length > 0) & (stiffness > 0)
+    status = jnp.where(valid, jnp.where(exact, Status.ok, Status.inexact), Status.invalid)
+
+    def where_ok(value):
+        return jnp.where(status == Status.ok, value, jnp.nan)
+
+    return Deflection(
+        fx=where_ok(-load.force_x * stiffness / length**2),
+        fy=where_ok(-load.force_y * stiffness / length**2),
+        mz=where_ok(-rod.curvature(base_x, base_y, load, 1.0) * stiffness / length),
+        s=where_ok(s * length),
+        x=where_ok((x - base_x) * length),
+        y=where_ok((y - base_y) * length),
+        angle=where_ok(jnp.unwrap(jnp.arctan2(sin, cos))),
+        curvature=where_ok(curvature / length),
+        status=status,
+    )

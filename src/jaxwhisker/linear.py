@@ -1,0 +1,43 @@
+"""Linear algebra of the small dense systems that a network of a few whiskers leads to."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+UNROLLED = 4  # up to this size elimination is written out; beyond, LAPACK's batched calls are faster to compile
+
+
+def solve(matrix: Float[Array, "n n"], right: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    """Solution of matrix @ x = right by elimination with partial pivoting.
+
+    Never raises: a singular matrix gives infinities or NaN in its own lane. Small systems are written out, because a
+    library call for each of a million 2 x 2 systems costs more than the rods that they couple.
+    """
+    n = matrix.shape[0]
+    if n > UNROLLED:
+        return jnp.linalg.solve(matrix, right)
+    rows = [jnp.concatenate([matrix[i], right[i]]) for i in range(n)]
+    for i in range(n):
+        for j in range(i + 1, n):
+            swap = jnp.abs(rows[j][i]) > jnp.abs(rows[i][i])
+            rows[i], rows[j] = jnp.where(swap, rows[j], rows[i]), jnp.where(swap, rows[i], rows[j])
+        for j in range(i + 1, n):
+            rows[j] = rows[j] - rows[i] * (rows[j][i] / rows[i][i])
+    solution: list = [None] * n
+    for i in reversed(range(n)):
+        known = rows[i][n:] - sum(rows[i][j] * solution[j] for j in range(i + 1, n))
+        solution[i] = known / rows[i][i]
+    return jnp.stack(solution)
+
+
+def positive_definite(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
+    """Whether the symmetric matrix is positive definite; False if it holds a NaN."""
+    n = matrix.shape[0]
+    if n > UNROLLED:
+        return jnp.all(jnp.isfinite(jnp.linalg.cholesky(matrix)))
+    rows = [matrix[i] for i in range(n)]
+    definite = rows[0][0] > 0
+    for i in range(n - 1):
+        for j in range(i + 1, n):
+            rows[j] = rows[j] - rows[i] * (rows[j][i] / rows[i][i])
+        definite &= rows[i + 1][i + 1] > 0
+    return definite

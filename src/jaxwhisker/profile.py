@@ -1,0 +1,328 @@
+"""The object: a rigid, strictly convex body above its profile, the curve that whiskers touch."""
+
+import abc
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from jaxwhisker import _checks
+from jaxwhisker.rod import Scalar
+
+
+class ContactPoint(NamedTuple):
+    """A point of the profile and the slope angle alpha of its tangent there."""
+
+    x: Scalar
+    y: Scalar
+    cos: Scalar
+    sin: Scalar
+
+
+class FirstTouch(NamedTuple):
+    """Where an unloaded vertical whisker that comes from one side first meets the object."""
+
+    parameter: Scalar
+    x: Scalar
+    y: Scalar
+
+
+class AbstractProfile(eqx.Module):
+    """A profile is a smooth curve `point(parameter)`, run through from left to right.
+
+    The parameter is each profile's own (slope angle, eccentric angle, abscissa): what keeps the curve smooth and its
+    derivative bounded. The outward normal, on which the contact force acts on the whisker, is (sin alpha, -cos alpha).
+    """
+
+    distance: eqx.AbstractVar[Scalar]
+    position: eqx.AbstractVar[Scalar]
+
+    @abc.abstractmethod
+    def point(self, parameter: Scalar) -> ContactPoint:
+        """Point and slope at a parameter."""
+
+    @abc.abstractmethod
+    def first_touch(self, height: Scalar, side: Scalar) -> FirstTouch:
+        """First contact of a vertical whisker of that height, coming from the right (side = +1) or left (-1).
+
+        Meaningless if the object's lowest point is not below `height`.
+        """
+
+    @abc.abstractmethod
+    def lowest(self) -> Scalar:
+        """Height of the object's lowest point, the vertex."""
+
+    @abc.abstractmethod
+    def in_unit(self, length: Scalar) -> "AbstractProfile":
+        """The same object with lengths measured in `length`."""
+
+    def valid(self) -> Bool[Array, ""]:
+        """Whether traced parameters lie where the constructor would have let them."""
+        leaves = [jnp.asarray(x) for x in jax.tree.leaves(self) if _checks.is_numeric(x)]
+        finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
+        return finite & jnp.all(jnp.stack([jnp.asarray(x) > 0 for x in self._positive()]))
+
+    def convex(self, parameter: Scalar) -> Bool[Array, ""]:
+        """Whether the profile curves away from the whisker at that parameter."""
+        del parameter
+        return jnp.asarray(True)
+
+    @abc.abstractmethod
+    def _positive(self) -> list[Scalar]:
+        """The fields that have to be positive."""
+
+    @abc.abstractmethod
+    def __str__(self) -> str: ...
+
+
+def _mirror(touch: FirstTouch, side: Scalar, position: Scalar) -> FirstTouch:
+    # Symmetric profiles: the left-hand touch is the right-hand one mirrored at the vertex.
+    return FirstTouch(side * touch.parameter, position + side * touch.x, touch.y)
+
+
+class Parabola(AbstractProfile):
+    """y = distance + a (x - position)^2, by slope angle: x = tan(alpha) / (2 a).
+
+    Args:
+        distance: q, height of the vertex above the bases; positive.
+        a: half the curvature at the vertex, 1/length; positive.
+        position: x of the vertex.
+    """
+
+    distance: Scalar
+    a: Scalar = 1.0
+    position: Scalar = 0.0
+
+    def __check_init__(self):
+        _checks.number("distance", self.distance, positive=True)
+        _checks.number("a", self.a, positive=True)
+        _checks.number("position", self.position)
+
+    def point(self, parameter):
+        cos, sin = jnp.cos(parameter), jnp.sin(parameter)
+        x = sin / (2 * self.a * cos)
+        return ContactPoint(self.position + x, self.distance + self.a * x**2, cos, sin)
+
+    def first_touch(self, height, side):
+        x = jnp.sqrt((height - self.distance) / self.a)
+        return _mirror(FirstTouch(jnp.arctan(2 * self.a * x), x, height), side, self.position)
+
+    def lowest(self):
+        return self.distance
+
+    def in_unit(self, length):
+        return Parabola(self.distance / length, self.a * length, self.position / length)
+
+    def _positive(self):
+        return [self.distance, self.a]
+
+    def __str__(self):
+        return f"parabola q = {show(self.distance)}{differs(', a = ', self.a, 1.0)}{differs(', x = ', self.position)}"
+
+
+class Ellipse(AbstractProfile):
+    """Ellipse with horizontal half axis a and vertical half axis b, by eccentric angle t: x = a sin t, y = -b cos t.
+
+    Args:
+        distance: q, height of the lowest point above the bases; positive.
+        a: horizontal half axis, a length; positive.
+        b: vertical half axis, a length; positive.
+        position: x of the centre.
+    """
+
+    distance: Scalar
+    a: Scalar
+    b: Scalar
+    position: Scalar = 0.0
+
+    def __check_init__(self):
+        _checks.number("distance", self.distance, positive=True)
+        _checks.number("a", self.a, positive=True)
+        _checks.number("b", self.b, positive=True)
+        _checks.number("position", self.position)
+
+    def point(self, parameter):
+        return _elliptic_point(self, self.a, self.b, parameter)
+
+    def first_touch(self, height, side):
+        return _elliptic_touch(self, self.a, self.b, height, side)
+
+    def lowest(self):
+        return self.distance
+
+    def in_unit(self, length):
+        return Ellipse(self.distance / length, self.a / length, self.b / length, self.position / length)
+
+    def _positive(self):
+        return [self.distance, self.a, self.b]
+
+    def __str__(self):
+        axes = f"a = {show(self.a)}, b = {show(self.b)}"
+        return f"ellipse q = {show(self.distance)}, {axes}{differs(', x = ', self.position)}"
+
+
+class Circle(AbstractProfile):
+    """Circle above its lowest point (position, distance), by slope angle: x = r sin(alpha), y = r (1 - cos(alpha)).
+
+    Args:
+        distance: q, height of the lowest point above the bases; positive.
+        radius: r, a length; positive.
+        position: x of the centre.
+    """
+
+    distance: Scalar
+    radius: Scalar
+    position: Scalar = 0.0
+
+    def __check_init__(self):
+        _checks.number("distance", self.distance, positive=True)
+        _checks.number("radius", self.radius, positive=True)
+        _checks.number("position", self.position)
+
+    def point(self, parameter):
+        return _elliptic_point(self, self.radius, self.radius, parameter)
+
+    def first_touch(self, height, side):
+        return _elliptic_touch(self, self.radius, self.radius, height, side)
+
+    def lowest(self):
+        return self.distance
+
+    def in_unit(self, length):
+        return Circle(self.distance / length, self.radius / length, self.position / length)
+
+    def _positive(self):
+        return [self.distance, self.radius]
+
+    def __str__(self):
+        return f"circle q = {show(self.distance)}, r = {show(self.radius)}{differs(', x = ', self.position)}"
+
+
+def _elliptic_point(profile: AbstractProfile, a: Scalar, b: Scalar, t: Scalar) -> ContactPoint:
+    cos, sin = jnp.cos(t), jnp.sin(t)
+    norm = jnp.sqrt((a * cos) ** 2 + (b * sin) ** 2)
+    # 1 - cos t loses its digits near the vertex; 2 sin^2(t/2) does not.
+    y = profile.distance + 2 * b * jnp.sin(t / 2) ** 2
+    return ContactPoint(profile.position + a * sin, y, a * cos / norm, b * sin / norm)
+
+
+def _elliptic_touch(profile: AbstractProfile, a: Scalar, b: Scalar, height: Scalar, side: Scalar) -> FirstTouch:
+    # A whisker that stands higher than the widest point meets that with its shaft, otherwise its tip meets the flank.
+    rise = jnp.clip((height - profile.distance) / b, 0.0, 1.0)
+    t = 2 * jnp.arcsin(jnp.sqrt(rise / 2))
+    return _mirror(FirstTouch(t, a * jnp.sin(t), profile.distance + b * rise), side, profile.position)
+
+
+class _Plain(eqx.Module):
+    # A plain function is structure, not data: hidden from jax, which could neither batch nor differentiate it.
+    function: Callable = eqx.field(static=True)
+
+    def __call__(self, x):
+        return self.function(x)
+
+
+class Graph(AbstractProfile):
+    """y = g(x - position) for any strictly convex, twice differentiable g, by abscissa.
+
+    Args:
+        g: height of the profile above the bases, g(x) > 0; traceable by jax. An `equinox.Module` keeps its parameters
+            differentiable; a plain function is taken as it is. Where g is NaN or infinite, the object ends.
+        position: shift along x.
+        extent: half the width, a length, in which the vertex and the first touch are searched.
+
+    Raises:
+        ValueError: if an argument is not of that kind, or if g is found not to be strictly convex.
+    """
+
+    g: Callable
+    position: Scalar
+    extent: Scalar
+    unit: Scalar
+
+    def __init__(self, g: Callable, position: Scalar = 0.0, *, extent: Scalar = 100.0, unit: Scalar = 1.0):
+        if not callable(g):
+            raise ValueError(f"`g` must be a function y = g(x), but is {g!r}.")
+        self.g = g if isinstance(g, eqx.Module) else _Plain(g)
+        self.position = position
+        self.extent = extent
+        self.unit = unit
+
+    def __check_init__(self):
+        _checks.number("position", self.position)
+        _checks.number("extent", self.extent, positive=True)
+
+    @property
+    def distance(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        """q, height of the lowest point above the bases."""
+        return self.lowest()
+
+    def _height(self, x):
+        return self.g(x * self.unit) / self.unit
+
+    def point(self, parameter):
+        y, slope = jax.value_and_grad(self._height)(jnp.asarray(parameter, dtype=float))
+        norm = jnp.sqrt(1 + slope**2)
+        return ContactPoint(self.position + parameter, y, 1 / norm, slope / norm)
+
+    def convex(self, parameter):
+        bend = jax.grad(jax.grad(self._height))(jnp.asarray(parameter, dtype=float))
+        return bend > 0
+
+    def _vertex(self):
+        extent = self.extent / self.unit
+
+        def falls(x):
+            # Left of the vertex g falls; outside its domain (NaN) the object ends, as a wall would.
+            slope = jax.grad(self._height)(x)
+            return jnp.where(jnp.isfinite(slope), slope < 0, x < 0)
+
+        return _bisect(falls, -extent, extent)
+
+    def first_touch(self, height, side):
+        vertex = self._vertex()
+
+        def below(x):
+            return self._height(x) < height  # False outside the domain
+
+        reach = self.extent / self.unit
+        x = vertex + side * _bisect(lambda d: below(vertex + side * d), 0.0, reach)
+        return FirstTouch(x, self.position + x, self._height(x))
+
+    def lowest(self):
+        return self._height(self._vertex())
+
+    def in_unit(self, length):
+        return Graph(self.g, self.position / length, extent=self.extent, unit=self.unit * length)
+
+    def _positive(self):
+        return [self.lowest(), self.extent]
+
+    def __str__(self):
+        name = getattr(getattr(self.g, "function", self.g), "__name__", type(self.g).__name__)
+        return f"graph y = {name}(x){differs(', x = ', self.position)}"
+
+
+def _bisect(inside: Callable, low: Scalar, high: Scalar) -> Scalar:
+    # The last point from `low` on at which `inside` still holds, to rounding; derivatives are attached elsewhere.
+    def halve(_, bracket):
+        low, high = bracket
+        middle = (low + high) / 2
+        yes = inside(middle)
+        return jnp.where(yes, middle, low), jnp.where(yes, high, middle)
+
+    low = jnp.asarray(low, dtype=float)
+    return jax.lax.fori_loop(0, 80, halve, (low, jnp.asarray(high, dtype=float)))[0]
+
+
+def show(value) -> str:
+    """A field as a person would write it; `?` while traced."""
+    return "?" if isinstance(value, jax.core.Tracer) else f"{float(value):.6g}" if jnp.ndim(value) == 0 else "..."
+
+
+def differs(prefix: str, value, usual=0.0) -> str:
+    """`prefix` and value, or nothing where the value is the usual one."""
+    shown = show(value)
+    return "" if shown == show(usual) else prefix + shown

@@ -1,0 +1,181 @@
+"""Relaxation: the overdamped flow of the bases at a fixed drive, which decides what follows a loss of stability.
+
+Base i moves with the velocity force_x_i - [K (base_x - rest)]_i. Its whisker stays on its clamped branch, slips when it
+passes the branch's fold, and is then free if its unloaded shape clears the object; else it lands on the far side, bent
+the other way. Written with the flexibility C = K^-1 and one implicit step of pseudo-time dt,
+
+    (1 + C / dt - C min(D, 0)) dx = rest + C force_x - base_x,        D = d force_x / d base_x,
+
+which holds for rigid springs too. What destabilises (D > 0) is taken explicitly, so that the matrix stays definite.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from jaxwhisker import contact
+from jaxwhisker.contact import Phase
+from jaxwhisker.equilibrium import (
+    BRANCH_SIGN,
+    Contacts,
+    Mode,
+    PerWhisker,
+    Point,
+    Solution,
+    bodies,
+    rest,
+    scale_of,
+    stable,
+    yielding,
+)
+from jaxwhisker.linear import solve
+from jaxwhisker.profile import FirstTouch
+from jaxwhisker.rod import Scalar
+from jaxwhisker.scene import Problem
+
+STEP = 0.02  # largest change of any contact, in its scale, or of a free base; first order in it
+NEAR = 0.02  # Newton takes over where it would go less than this
+ITERATIONS = 3000
+NO_FORCE = 1e-9  # a contact that has just begun has none but rounding
+
+
+class Flow(NamedTuple):
+    """State of the relaxation between two iterations of the march."""
+
+    base_x: PerWhisker
+    guess: Contacts
+    tangent: Contacts  # each whisker's branch, and how base and force move along it
+    by_x: PerWhisker
+    by_force: PerWhisker
+    force_x: PerWhisker
+    time_step: Scalar
+    slipped: Bool[Array, " whiskers"]
+    landing: Bool[Array, " whiskers"]
+    landing_x: PerWhisker
+    iterations: Int[Array, ""]
+    exhausted: Bool[Array, ""]
+
+
+def start(mode: Mode, base_x: PerWhisker) -> Flow:
+    """A flow about to begin."""
+    none = jnp.zeros_like(base_x)
+    no = jnp.zeros(base_x.shape, bool)
+    z = jnp.zeros((*base_x.shape, 3))
+    return Flow(
+        base_x, z, z, none + 1.0, none, none, jnp.asarray(1e-3), no, no, none, jnp.asarray(0), jnp.asarray(False)
+    )
+
+
+def kick(flow: Flow, point: Point, tangent: Point, tangent_x: PerWhisker, size: float) -> Flow:
+    """The first step: on along the path that has just turned unstable, the drive at rest."""
+    length = jnp.sqrt(jnp.sum((tangent.z / scale_of(point.z)) ** 2))
+    size = size / jnp.maximum(length, 1e-3)
+    return flow._replace(guess=point.z + size * tangent.z, base_x=flow.base_x + size * tangent_x)
+
+
+def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
+    """The next step of the bases, and where it takes the contacts."""
+    n = flow.base_x.shape[0]
+    free = mode.phase == Phase.free
+    slope = jnp.where(free, 0.0, flow.by_force / _nonzero(flow.by_x))
+    pull = rest(problem, point.u) + yielding(problem, flow.force_x) - flow.base_x
+    if problem.flexibility is None:
+        dx = jnp.zeros(n)
+    else:
+        matrix = problem.flexibility.matrix
+        system = jnp.eye(n) + matrix / flow.time_step - matrix * jnp.minimum(slope, 0.0)
+        dx = solve(system, pull[:, None])[:, 0]
+    # While a whisker lands, slipping at once to its new branch, the others wait.
+    landing_now = jnp.any(flow.landing)
+    along = jnp.where(free, 0.0, dx / _nonzero(flow.by_x))
+    size = jnp.max(jnp.maximum(jnp.abs(along), jnp.where(free, jnp.abs(dx), 0.0)))
+    share = jnp.minimum(1.0, STEP / jnp.maximum(size, 1e-300))
+    to_land = jnp.clip((flow.landing_x - flow.base_x) / _nonzero(flow.by_x), -STEP, STEP)
+    along = jnp.where(landing_now, jnp.where(flow.landing, to_land, 0.0), share * along)
+    dx = jnp.where(landing_now, 0.0, share * dx)
+    return flow._replace(
+        guess=point.z + flow.tangent * along[:, None],
+        base_x=flow.base_x + jnp.where(free, dx, 0.0),
+        time_step=jnp.where(landing_now, flow.time_step, flow.time_step * jnp.where(share < 1, 0.7, 1.4)),
+    )
+
+
+def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tuple[Flow, Mode, Contacts]:
+    """Take the solved step: phases that change, contacts that end or begin, whiskers that slip."""
+    newton, z = solution.newton, solution.point.z
+    free = mode.phase == Phase.free
+    base_x = jnp.where(free, flow.base_x, newton.base_x)
+    phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
+    turned = (phase != mode.phase) & ~free
+
+    ends = ~free & ~flow.landing & (z[:, 0] < -NO_FORCE)
+    slips = ~free & ~flow.landing & ~ends & (mode.side * newton.local.by_x * BRANCH_SIGN <= 0)
+    right, left = problem.touch_right.x, problem.touch_left.x
+    clears = contact.clear(base_x, right, left)
+    freed = ends | (slips & clears)
+    lands = slips & ~clears
+    begins = free & problem.reaches & (mode.side * (base_x - jnp.where(mode.side > 0, right, left)) < 0)
+
+    side = jnp.where(slips & clears, jnp.where(base_x > right, 1.0, -1.0), jnp.where(lands, -mode.side, mode.side))
+    z, phase = jnp.where(freed[:, None], 0.0, z), jnp.where(freed, Phase.free, phase)
+    fresh = begins | lands
+    z, phase = enter_contact(problem, side, fresh, z, phase)
+    first = jnp.where(side > 0, right, left)
+    landing_x = jnp.where(lands, base_x, flow.landing_x)
+    base_x = jnp.where(fresh, first, base_x)
+    landing = (flow.landing & (jnp.abs(landing_x - base_x) > LANDED)) | lands
+    changed = freed | fresh | turned
+
+    unsolved = ~solution.converged
+    iterations = flow.iterations + 1
+    missed = jnp.any(flow.landing & (mode.side * newton.local.by_x * BRANCH_SIGN <= 0) & ~fresh & (z[:, 0] > 0))
+    flow = flow._replace(
+        base_x=base_x,
+        tangent=jnp.where(fresh[:, None], 0.0, newton.local.tangent),
+        by_x=jnp.where(fresh | freed, 1.0, newton.local.by_x),
+        by_force=jnp.where(fresh | freed, 0.0, newton.local.by_force),
+        force_x=jnp.where(fresh | freed, 0.0, newton.force_x),
+        slipped=flow.slipped | slips,
+        landing=landing,
+        landing_x=landing_x,
+        iterations=iterations,
+        # A step that a whisker could not follow, a far side that ends before it is reached.
+        exhausted=(iterations > ITERATIONS) | unsolved | missed,
+        time_step=jnp.where(jnp.any(changed), 1e-3, flow.time_step),
+    )
+    return flow, Mode(phase, side, jnp.asarray(False)), z
+
+
+LANDED = 1e-6
+
+
+def at_rest(problem: Problem, flow: Flow, mode: Mode, solution: Solution, u: Scalar) -> Bool[Array, ""]:
+    """Whether a stable equilibrium is near enough for Newton's method."""
+    free = mode.phase == Phase.free
+    known = jnp.all(free | jnp.any(flow.tangent != 0, axis=-1))
+    slope = jnp.where(free, 0.0, flow.by_force / _nonzero(flow.by_x))
+    pull = rest(problem, u) + yielding(problem, flow.force_x) - flow.base_x
+    if problem.flexibility is None:
+        dx = pull
+    else:
+        n = pull.shape[0]
+        dx = solve(jnp.eye(n) - problem.flexibility.matrix * slope, pull[:, None])[:, 0]
+    near = jnp.max(jnp.maximum(jnp.abs(dx), jnp.abs(jnp.where(free, 0.0, dx / _nonzero(flow.by_x))))) < NEAR
+    local = solution.newton.local._replace(by_x=flow.by_x, by_force=flow.by_force)
+    return near & known & ~jnp.any(flow.landing) & stable(problem, mode, local)
+
+
+def enter_contact(
+    problem: Problem, side: PerWhisker, entering: Bool[Array, " whiskers"], z: Contacts, phase: Int[Array, " whiskers"]
+) -> tuple[Contacts, Int[Array, " whiskers"]]:
+    """Contacts and phases with the entering whiskers at their first touch from their side."""
+    body, axes = bodies(problem)
+    touch = jax.tree.map(lambda r, l: jnp.where(side > 0, r, l), problem.touch_right, problem.touch_left)
+    touched, how = jax.vmap(contact.touching, in_axes=(axes, FirstTouch(0, 0, 0), 0))(body, touch, side)
+    return jnp.where(entering[:, None], touched, z), jnp.where(entering, how, phase)
+
+
+def _nonzero(x: PerWhisker) -> PerWhisker:
+    return jnp.where(x == 0, 1.0, x)

@@ -1,0 +1,103 @@
+"""What a scan returns: signals over the control, and the events."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker.contact import Phase
+from jaxwhisker.path import EventKind, Status
+from jaxwhisker.scene import Scene
+
+
+class State(eqx.Module):
+    """Whiskers in equilibrium; every field (whiskers,), in the scene's units.
+
+    While a whisker is free its reactions and everything about the contact are zero.
+    """
+
+    base_x: Float[Array, "*steps whiskers"]  # position of the base, a length
+    fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along x
+    fy: Float[Array, "*steps whiskers"]  # force along y
+    mz: Float[Array, "*steps whiskers"]  # moment, counter-clockwise positive
+    contact_force: Float[Array, "*steps whiskers"]  # f >= 0
+    contact_slope: Float[Array, "*steps whiskers"]  # alpha of the object at the contact, rad
+    contact_arc: Float[Array, "*steps whiskers"]  # arc length from base to contact
+    contact_x: Float[Array, "*steps whiskers"]
+    contact_y: Float[Array, "*steps whiskers"]
+    phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
+
+
+class Event(NamedTuple):
+    """One event of a scan."""
+
+    kind: EventKind
+    whiskers: tuple[int, ...]  # numbered from 1; of a snap, those that slipped off their branch
+    control: float
+    before: State
+    after: State  # differs from `before` at a snap
+
+    def __str__(self) -> str:
+        named = " ".join(str(w) for w in self.whiskers)
+        return f"u = {self.control:+.9f}  {self.kind.name}{f' of whisker {named}' if named else ''}"
+
+
+class Events(eqx.Module):
+    """The events of a scan in their order: arrays of fixed size, of which the first `count` are filled.
+
+    Iterating over it (outside jit and vmap) yields an `Event` each.
+    """
+
+    kind: Int[Array, " events"]  # EventKind; -1 beyond count
+    whiskers: Bool[Array, "events whiskers"]
+    control: Float[Array, " events"]  # NaN beyond count
+    before: State  # fields (events, whiskers)
+    after: State
+    count: Int[Array, ""]
+
+    def __len__(self) -> int:
+        return min(int(self.count), self.kind.shape[0])
+
+    def __iter__(self) -> Iterator[Event]:
+        return (self[k] for k in range(len(self)))
+
+    def __getitem__(self, index: int) -> Event:
+        if np.ndim(self.count) != 0:
+            raise TypeError(f"events of a batch of shape {np.shape(self.count)}: pick one lane of the result first.")
+        index = range(len(self))[index]
+        before, after = (jax.tree.map(lambda leaf: np.asarray(leaf)[index], s) for s in (self.before, self.after))
+        which = tuple(int(k) + 1 for k in np.flatnonzero(np.asarray(self.whiskers)[index]))
+        return Event(EventKind(int(self.kind[index])), which, float(self.control[index]), before, after)
+
+    def of(self, kind: EventKind, whisker: int | None = None) -> list[Event]:
+        """The events of one kind, of one whisker (numbered from 1) if given."""
+        return [e for e in self if e.kind == kind and (whisker is None or whisker in e.whiskers)]
+
+
+class Result(State):
+    """A scan: the fields of State are (steps, whiskers).
+
+    A step whose status is not `Status.ok` holds NaN; its phase is that of a free whisker.
+    """
+
+    control: Float[Array, " steps"]  # drive position u, a length
+    spring_length: Float[Array, "steps springs"]  # x_second - x_first of every spring
+    status: Int[Array, " steps"]  # Status.ok, or what went wrong there
+    events: Events
+    scene: Scene
+
+    def __str__(self) -> str:
+        bad = {Status(int(s)).name: int(n) for s, n in zip(*np.unique(np.asarray(self.status), return_counts=True))}
+        ok = bad.pop("ok", 0)
+        lines = [f"{self.scene}", f"{ok} of {np.size(self.status)} steps ok" + "".join(f"; {n}: {s}" for s, n in bad.items())]
+        return "\n".join([*lines, *map(str, self.events)])
+
+    __repr__ = __str__
+
+
+def free(state: State) -> Bool[Array, "*steps whiskers"]:
+    """Whether the whisker touches nothing."""
+    return state.phase == Phase.free

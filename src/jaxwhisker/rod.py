@@ -1,0 +1,175 @@
+"""The rod: a planar elastica integrated from a loaded point back to its base.
+
+With the load known where the integration starts, the internal moment is an affine function of position, so that the
+state is (x, y, cos phi, sin phi) and the right-hand side a polynomial:
+
+    dx/ds = cos phi,  dy/ds = sin phi,  dphi/ds = kappa = kappa0 + (M0 - x Fy + y Fx) / EI.
+
+Position and angle alone drive each other (x, y turn with the angle, the angle with the moment), which is what a
+Runge-Kutta-Nystroem splitting needs: shifts with the direction frozen, rotations with the moment frozen.
+"""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from typing_extensions import TypeAlias
+
+Scalar: TypeAlias = Float[Array, ""] | float
+RodState: TypeAlias = tuple[Scalar, Scalar, Scalar, Scalar]  # x, y, cos phi, sin phi
+
+
+class Load(eqx.Module):
+    """What acts on the rod beyond the integrated stretch: force (x, y) and moment about the origin."""
+
+    force_x: Scalar
+    force_y: Scalar
+    moment: Scalar
+
+
+class _RodArgs(eqx.Module):
+    arc: Scalar
+    load: Load
+    bending_stiffness: Scalar
+
+
+def curvature(x: Scalar, y: Scalar, load: Load, bending_stiffness: Scalar) -> Scalar:
+    """Curvature (1/length) that the internal moment M0 - x Fy + y Fx bends the rod to at the point (x, y)."""
+    return (load.moment - x * load.force_y + y * load.force_x) / bending_stiffness
+
+
+def _towards_base(_, state: RodState, args: _RodArgs) -> RodState:
+    x, y, cos, sin = state
+    turn = args.arc * curvature(x, y, args.load, args.bending_stiffness)
+    return -args.arc * cos, -args.arc * sin, turn * sin, -turn * cos
+
+
+def _cos_sin(angle: Scalar) -> tuple[Scalar, Scalar]:
+    # Taylor polynomials: a stage turns by at most a few tenths of a radian, where they are exact to rounding, and three
+    # times cheaper than the library functions inside a fused loop.
+    u = angle * angle
+    cos = 1 + u * (-1 / 2 + u * (1 / 24 + u * (-1 / 720 + u * (1 / 40320 + u * (-1 / 3628800 + u / 479001600)))))
+    sin = angle * (1 + u * (-1 / 6 + u * (1 / 120 + u * (-1 / 5040 + u * (1 / 362880 - u / 39916800)))))
+    return cos, sin
+
+
+def _symmetric(half: list[float], total: float, middle: bool) -> list[float]:
+    # `half` is one side of a palindrome whose sum is `total`; its innermost entry follows from the sum.
+    inner = total - 2 * sum(half) if middle else total / 2 - sum(half)
+    return [*half, inner, *([] if middle else [inner]), *half[::-1]]
+
+
+class NystromSplitting(diffrax.AbstractSolver):
+    """Sixth-order splitting for rods: shift, rotate, shift, ..., 11 rotations a step.
+
+    One stage is a dozen operations on a state that stays in registers, and the stages run as a loop, so that it
+    compiles ten times faster and runs two to four times faster at the same error than an eighth-order Runge-Kutta
+    step with its stages unrolled. Rotations keep cos^2 + sin^2 = 1.
+
+    Source: Blanes and Moan (2002), J. Comput. Appl. Math. 142, 313, method SRKN 11, order 6.
+    """
+
+    term_structure: ClassVar = diffrax.ODETerm
+    interpolation_cls: ClassVar[Callable[..., Any]] = diffrax.LocalLinearInterpolation
+
+    _shifts: ClassVar = _symmetric(
+        [0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879],
+        total=1.0,
+        middle=False,
+    )
+    _rotations: ClassVar = _symmetric(
+        [0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928],
+        total=1.0,
+        middle=True,
+    )
+
+    def order(self, terms):
+        del terms
+        return 6
+
+    def init(self, terms, t0, t1, y0, args):
+        del terms, t0, t1, y0, args
+        return None
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        del solver_state, made_jump
+        h = t1 - t0
+
+        def shift(state, fraction):
+            x, y, cos, sin = state
+            dx, dy, _, _ = terms.vf(t0, state, args)
+            return x + fraction * h * dx, y + fraction * h * dy, cos, sin
+
+        def rotate(state, fraction):
+            x, y, cos, sin = state
+            _, _, dcos, dsin = terms.vf(t0, state, args)
+            c, s = _cos_sin(fraction * h * (cos * dsin - sin * dcos))
+            return x, y, cos * c - sin * s, sin * c + cos * s
+
+        def stage(state, fractions):
+            rotation, next_shift = fractions
+            return shift(rotate(state, rotation), next_shift), None
+
+        stages = jnp.asarray(self._rotations), jnp.asarray(self._shifts[1:])
+        y1, _ = jax.lax.scan(stage, shift(y0, self._shifts[0]), stages)
+        return y1, None, dict(y0=y0, y1=y1), None, diffrax.RESULTS.successful
+
+
+def integrate(
+    start: RodState,
+    arc: Scalar,
+    load: Load,
+    bending_stiffness: Scalar,
+    *,
+    steps: int,
+    solver: diffrax.AbstractSolver,
+) -> RodState:
+    """State of the rod an arc length `arc` nearer to the base than `start`.
+
+    `start` is the state (x, y, cos phi, sin phi) at the loaded point; `load` acts there and beyond. Constant steps: an
+    adaptive controller would wait for the slowest lane of a batch and put noise into the residual of a Newton solve.
+    """
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(_towards_base),
+        solver,
+        t0=0.0,
+        t1=1.0,
+        dt0=1.0 / steps,
+        y0=start,
+        args=_RodArgs(arc, load, bending_stiffness),
+        stepsize_controller=diffrax.ConstantStepSize(),
+        saveat=diffrax.SaveAt(t1=True),
+        adjoint=diffrax.DirectAdjoint(),
+        max_steps=steps,
+        throw=False,
+    )
+    x, y, cos, sin = solution.ys  # pyright: ignore[reportGeneralTypeIssues]
+    return x[-1], y[-1], cos[-1], sin[-1]
+
+
+def points(start: RodState, arc: Scalar, load: Load, bending_stiffness: Scalar, *, count: int):
+    """The rod's states at `count` equidistant points from `start` back to `arc` before it: a tuple of (count,) arrays."""
+    fractions = np.linspace(0.0, 1.0, count)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(_towards_base),
+        NystromSplitting(),
+        t0=0.0,
+        t1=1.0,
+        dt0=None,
+        y0=start,
+        args=_RodArgs(arc, load, bending_stiffness),
+        stepsize_controller=diffrax.StepTo(jnp.asarray(fractions)),
+        saveat=diffrax.SaveAt(steps=True, t0=True),
+        adjoint=diffrax.DirectAdjoint(),
+        max_steps=count - 1,
+        throw=False,
+    )
+    return solution.ys

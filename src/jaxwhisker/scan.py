@@ -1,0 +1,290 @@
+"""The scan: drag whiskers past an object, quasi-statically, and read the signals at their bases.
+
+A scan has two parts. The march (march.py) follows the path of equilibria from free to the end of the control, with
+steps of its own, and finds all events: what is stable, what snaps and where to does not depend on the caller's grid.
+Then every control position is solved for on its own, from the path's interpolation, all at once.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker import _checks, contact, equilibrium
+from jaxwhisker.contact import Phase
+from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, at_control, find, scale_of
+from jaxwhisker.march import march
+from jaxwhisker.path import EventKind, Path, Status, dot
+from jaxwhisker.result import Events, Result, State
+from jaxwhisker.rod import Scalar
+from jaxwhisker.scene import Problem, Scene, Units, problem, units
+
+STEP = 0.001  # of the default control, in lengths of the first whisker
+MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free
+TRACED_STEPS = 2048  # of the default control where its length has to be known before its ends
+BLOCK = 512  # steps computed by one call; a control is padded to a multiple
+BATCH = 128  # steps of a block solved for at once
+RESIDUAL = 1e-8  # of a step that is called ok: positions and directions at the base
+JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
+
+
+def scan(scene: Scene, control: Float[Array, " steps"] | None = None) -> Result:
+    """Scan the object quasi-statically with the drive at every position of `control`.
+
+    Args:
+        scene: whiskers, object and support.
+        control: drive positions u, a length each, any spacing, reversing if you like; shape (steps,). The drive comes
+            from the right of the object, all whiskers free, to control[0] and then moves as told. Default: from just
+            before the first touch to just after the last whisker is free, in steps of 0.001 whisker lengths (while
+            traced, 2048 equal steps over that range).
+
+    Returns:
+        A Result. What fails is NaN with a status at that step: `invalid` (a parameter outside its domain), `lost`,
+        `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`.
+
+    Raises:
+        ValueError: if an argument is wrong before tracing, or JAX is in float32 mode.
+
+    Goes through jax.jit, vmap and grad in every numeric field of the scene.
+    """
+    _checks.float64_mode()
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`scene` must be a Scene, but is {scene!r}.")
+    if control is not None:
+        _checks.vector("control", control)
+    scene = jax.tree.map(_checks.as_float, scene)
+    if _checks.is_traced((scene, control)):
+        return _traced(scene, control)
+    if control is None:
+        stops, last = np.full(STOPS, np.nan), 1
+    else:
+        control = np.asarray(control, dtype=float)
+        stops, last = _stops(control)
+    way = _travelled(scene, jnp.asarray(stops), jnp.asarray(last))
+    if control is None:
+        start, stop = float(way.start), float(way.stop)
+        step = STEP * float(scene.whiskers[0].length)
+        control = start - step * np.arange(max(2, int(np.ceil((start - stop) / step)) + 1))
+    # Blocks of one size: one compilation serves scans of every length.
+    padded = np.concatenate([control, np.full(-control.size % BLOCK, control[-1])]).reshape(-1, BLOCK)
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(padded.ravel())))]).reshape(-1, BLOCK)
+    blocks = [_steps(scene, way, u, s) for u, s in zip(padded, travel)]
+    joined = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[: control.size]), *blocks)
+    return _result(scene, way, jnp.asarray(control), *joined)
+
+
+def _stops(control: np.ndarray) -> tuple[np.ndarray, int]:
+    """First position, turning points and last position, padded; and the index of the last."""
+    moves = np.flatnonzero(np.diff(control))
+    signs = np.sign(np.diff(control)[moves])
+    turns = moves[1:][signs[1:] != signs[:-1]]
+    stops = np.concatenate([control[:1], control[turns], control[-1:]])
+    return np.concatenate([stops, np.full(-stops.size % STOPS, stops[-1])]), stops.size - 1
+
+
+class _Way(NamedTuple):
+    """A path, its events, and the range of control in which they lie."""
+
+    path: Path
+    events: Events
+    start: Scalar
+    stop: Scalar
+
+
+@eqx.filter_jit
+def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]) -> _Way:
+    """March to all stops; with NaN for the first, right across the object."""
+    dimensionless, unit = problem(scene), units(scene)
+    offset = equilibrium.rest(dimensionless, jnp.asarray(0.0))
+    touches = jnp.where(dimensionless.reaches, dimensionless.touch_right.x - offset, -jnp.inf)
+    middle = dimensionless.profile.position - jnp.mean(offset)
+    start = jnp.where(jnp.any(dimensionless.reaches), jnp.max(touches), middle + 1.0) + MARGIN
+    across = jnp.full_like(stops, start - FAR).at[0].set(start)
+    n = scene.support.whiskers
+    capacity = 256 + 128 * n + 64 * n * max(stops.shape[0] - 2, 0)
+    path = march(dimensionless, jnp.where(jnp.isnan(stops[0]), across, stops / unit.length), last, capacity=capacity)
+    event = path.nodes.kind >= 0
+    known = (jnp.arange(capacity) < path.count) & (event | (path.status != Status.ok))
+    end = jnp.min(jnp.where(known, path.nodes.point.u, jnp.inf))
+    stop = jnp.where(jnp.any(known), end, middle - 1.0) - MARGIN
+    return _Way(path, _events(dimensionless, unit, path), start * unit.length, stop * unit.length)
+
+
+FAR = 1e4  # lengths beyond the start; a march past the object ends long before
+
+
+def _traced(scene: Scene, control: Float[Array, " steps"] | None) -> Result:
+    if control is None:
+        way = _travelled(scene, jnp.full(STOPS, jnp.nan), jnp.asarray(1))
+        control = way.start + (way.stop - way.start) * jnp.linspace(0.0, 1.0, TRACED_STEPS)
+    else:
+        control = jnp.asarray(control, dtype=float)
+        moves = jnp.sign(jnp.diff(control))
+        # A turn is where a move has the other sign than the last one; standing still carries the last sign on.
+        carried = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
+        turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
+        turns = turns[-control.size :].at[0].set(True)
+        index = jnp.nonzero(turns, size=min(2 * STOPS, control.size), fill_value=control.size - 1)[0]
+        way = _travelled(scene, control[index], jnp.sum(turns) - 1)
+    travel = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
+    return _result(scene, way, control, *_steps(scene, way, control, travel))
+
+
+STOPS = 8  # turning points are padded to a multiple of this; a traced control may have twice as many
+
+
+class _Solved(NamedTuple):
+    z: Contacts
+    u: Scalar
+    mode: Mode
+    residual: Scalar
+    stable: Bool[Array, ""]
+
+
+def _guess(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
+    """The path between a node and the next, at a control in between: cubic in arc length."""
+    here = jax.tree.map(lambda leaf: leaf[index], path.nodes)
+    there = jax.tree.map(lambda leaf: leaf[jnp.minimum(index + 1, path.count - 1)], path.nodes)
+    end = Point(there.z_before, there.point.u)
+    scale = scale_of(here.point.z)
+    chord = Point(end.z - here.point.z, end.u - here.point.u)
+    length = dot(here.leaving, chord, scale)
+    apart = length > 0
+    length = jnp.where(apart, length, 1.0)
+    into = dot(here.leaving, there.arriving, scale)
+    into = jnp.where(into > 0, into, 1.0)
+
+    def cubic(start, end, leaving, arriving, t):
+        leaving, arriving = leaving * length, arriving * length / into
+        bend = 3 * (end - start) - 2 * leaving - arriving
+        twist = leaving + arriving - 2 * (end - start)
+        return start + t * (leaving + t * (bend + t * twist)), leaving + t * (2 * bend + t * 3 * twist)
+
+    def towards(_, t):
+        value, slope = cubic(here.point.u, end.u, here.leaving.u, there.arriving.u, t)
+        return jnp.clip(t - (value - u) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
+
+    span = end.u - here.point.u
+    t = jnp.clip((u - here.point.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
+    t = jax.lax.fori_loop(0, 6, towards, t)
+    z, _ = cubic(here.point.z, end.z, here.leaving.z, there.arriving.z, t)
+    return Point(jnp.where(apart, z, here.point.z), u)
+
+
+def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar) -> _Solved:
+    mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
+    guess = _guess(path, index, u)
+    solution = find(problem, mode, at_control(u, guess.z), guess)
+    z = solution.point.z
+    near = jnp.max(jnp.abs(z - guess.z) / scale_of(z)) < JUMP
+    stable = equilibrium.stable(problem, mode, solution.newton.local)
+    residual = jnp.where(solution.converged & near, 0.0, jnp.inf)
+    return _Solved(z, u, mode, residual, stable)
+
+
+def _outputs(problem: Problem, unit: Units, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
+    """Everything about an equilibrium in the scene's units, and by how much it misses its equations."""
+    body, axes = equilibrium.bodies(problem)
+    base = jax.vmap(contact.base, in_axes=(axes, 0, 0, 0))(body, z, mode.phase, mode.side)
+    arc = jax.vmap(contact.arc, in_axes=(axes, 0, 0))(body, z[:, 2], mode.phase)
+    touching = mode.phase != Phase.free
+
+    def of_touching(values: PerWhisker) -> PerWhisker:
+        return jnp.where(touching, values, 0.0)
+
+    force_x = of_touching(base.force_x)
+    wanted = equilibrium.rest(problem, u) + equilibrium.yielding(problem, force_x)
+    misses = jnp.stack([base.x - wanted, base.y, base.cos, jnp.where(base.sin > 0, 0.0, jnp.inf)])
+    # Complementarity: the object only pushes, and the phase is what the slack says.
+    excess = jnp.where(mode.phase == Phase.tip, z[:, 2], -z[:, 2])
+    misses = jnp.concatenate([jnp.abs(misses), jnp.maximum(jnp.stack([-z[:, 0], excess]), 0.0)])
+    state = State(
+        base_x=jnp.where(touching, base.x, wanted) * unit.length,
+        fx=-force_x * unit.force,
+        fy=of_touching(-base.force_y) * unit.force,
+        mz=of_touching(-base.bend) * unit.moment,
+        contact_force=of_touching(z[:, 0]) * unit.force,
+        contact_slope=of_touching(jnp.arctan2(base.slope_sin, base.slope_cos)),
+        contact_arc=of_touching(arc) * unit.length,
+        contact_x=of_touching(base.contact_x) * unit.length,
+        contact_y=of_touching(base.contact_y) * unit.length,
+        phase=mode.phase,
+    )
+    return state, jnp.max(jnp.where(touching, misses, 0.0))
+
+
+@eqx.filter_jit
+def _steps(
+    scene: Scene, way: _Way, control: Float[Array, " steps"], travel: Float[Array, " steps"]
+) -> tuple[State, Int[Array, " steps"]]:
+    """States at control positions that the drive passes after `travel`."""
+    dimensionless, unit, path = problem(scene), units(scene), way.path
+    u, travel = control / unit.length, travel / unit.length
+    node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
+    index = jnp.clip(jnp.searchsorted(node_travel, travel, side="right") - 1, 0, path.count - 1)
+    end = node_travel[path.count - 1]
+    beyond = (travel > end + TRAVEL_NOISE * (1 + end)) | (path.count == 0)
+
+    def one(index_and_u):
+        solved = _solve(dimensionless, path, *index_and_u)
+        state, residual = _outputs(dimensionless, unit, solved.z, solved.u, solved.mode)
+        wrong = jnp.where(solved.stable, Status.ok, Status.unstable)
+        return state, jnp.where(residual + solved.residual < RESIDUAL, wrong, Status.inexact)
+
+    state, status = jax.lax.map(one, (index, u), batch_size=min(BATCH, control.shape[0]))
+    status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
+    status = jnp.where(dimensionless.valid, status, Status.invalid)
+    ok = (status == Status.ok)[:, None]
+    return jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), state), status
+
+
+def _result(scene: Scene, way: _Way, control: Float[Array, " steps"], state: State, status: Int[Array, " steps"]):
+    fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
+    length = scene.support.spring_length(state.base_x, control)
+    return Result(**fields, control=control, spring_length=length, status=status, events=way.events, scene=scene)
+
+
+TRAVEL_NOISE = 1e-12
+
+
+def _events(problem: Problem, unit: Units, path: Path) -> Events:
+    """The public events among the nodes: those after the drive has reached the first position of its control."""
+    nodes = path.nodes
+    room, n = nodes.phase.shape
+    index = jnp.arange(room)
+    reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
+    public = (nodes.kind >= 0) & reached & (index < path.count)
+    size = min(room, 32 + 16 * n)
+    at = jnp.nonzero(public, size=size, fill_value=room - 1)[0]
+    filled = jnp.arange(size) < jnp.sum(public)
+    node = jax.tree.map(lambda leaf: leaf[at], nodes)
+    previous = jax.tree.map(lambda leaf: leaf[at - 1], nodes)
+    snap = node.kind >= EventKind.snap_through
+    z_before = jnp.where(snap[:, None, None], previous.point.z, node.z_before)
+    phase_before = jnp.where(snap[:, None], previous.phase, node.phase_before)
+    side_before = jnp.where(snap[:, None], previous.side, node.side_before)
+
+    mode = Mode(
+        jnp.concatenate([phase_before, node.phase]),
+        jnp.concatenate([side_before, node.side]),
+        jnp.zeros(2 * size, bool),
+    )
+    z, u = jnp.concatenate([z_before, node.point.z]), jnp.tile(node.point.u, 2)
+    states, _ = jax.vmap(lambda z, u, mode: _outputs(problem, unit, z, u, mode))(z, u, mode)
+
+    def filled_with(leaves):
+        return jax.tree.map(
+            lambda leaf: jnp.where(filled[:, None], leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), leaves
+        )
+
+    return Events(
+        kind=jnp.where(filled, node.kind, -1),
+        whiskers=node.whiskers & filled[:, None],
+        control=jnp.where(filled, node.point.u * unit.length, jnp.nan),
+        before=filled_with(jax.tree.map(lambda leaf: leaf[:size], states)),
+        after=filled_with(jax.tree.map(lambda leaf: leaf[size:], states)),
+        count=jnp.sum(public),
+    )
