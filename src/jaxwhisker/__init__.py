@@ -11,4 +11,30 @@ from jaxwhisker.shape import Shapes, shapes
 from jaxwhisker.support import Spring, Support
 from jaxwhisker.whisker import Whisker
 
+__all__ = [
+    "AbstractProfile",
+    "Circle",
+    "Deflection",
+    "Ellipse",
+    "Event",
+    "EventKind",
+    "Events",
+    "Graph",
+    "Parabola",
+    "Phase",
+    "PointForce",
+    "PointMoment",
+    "Result",
+    "Scene",
+    "Shapes",
+    "Spring",
+    "State",
+    "Status",
+    "Support",
+    "Whisker",
+    "deflect",
+    "scan",
+    "shapes",
+]
+
 __version__ = "0.1.0"

@@ -1,15 +1,16 @@
 """What can be known before tracing: a bad argument is a ValueError that names it, its value and what is allowed."""
 
-from typing import Any
+from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 
 def is_traced(tree: Any) -> bool:
     """Whether any leaf of `tree` is an abstract value, about which nothing can be said yet."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def is_numeric(leaf: Any) -> bool:
@@ -22,14 +23,14 @@ def as_float(leaf: Any) -> Any:
     return jnp.asarray(leaf, dtype=float) if is_numeric(leaf) else leaf
 
 
-def _fail(name: str, value: Any, allowed: str):
+def _fail(name: str, value: Any, allowed: str) -> NoReturn:
     raise ValueError(f"`{name}` must be {allowed}, but is {value}.")
 
 
 def number(name: str, value: Any, *, positive: bool = False, finite: bool = True) -> None:
     """Check that `value` is a real number; positive, finite if asked. Traced values pass: they get a status later."""
     allowed = " ".join(["a", *["positive"] * positive, *["finite"] * finite, "number"])
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         shape, kind = value.shape, value.dtype.kind
     else:
         try:
@@ -39,7 +40,7 @@ def number(name: str, value: Any, *, positive: bool = False, finite: bool = True
         shape, kind = array.shape, array.dtype.kind
     if shape != () or kind not in "iuf":
         _fail(name, repr(value) if shape == () else f"an array of shape {shape}", allowed)
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return
     v = float(array)
     if np.isnan(v) or (finite and np.isinf(v)) or (positive and not v > 0):
@@ -49,7 +50,7 @@ def number(name: str, value: Any, *, positive: bool = False, finite: bool = True
 def vector(name: str, value: Any) -> None:
     """Check that `value` is a finite, non-empty, one-dimensional array of real numbers."""
     allowed = "a non-empty one-dimensional array of finite numbers"
-    if not isinstance(value, jax.core.Tracer):
+    if not isinstance(value, Tracer):
         try:
             value = np.asarray(value)
         except (TypeError, ValueError):
@@ -58,7 +59,7 @@ def vector(name: str, value: Any) -> None:
         _fail(name, f"of shape {value.shape}", allowed)
     if value.dtype.kind not in "iuf":
         _fail(name, f"of type {value.dtype}", allowed)
-    if not isinstance(value, jax.core.Tracer):
+    if not isinstance(value, Tracer):
         bad = value[~np.isfinite(value)]
         if bad.size:
             _fail(name, f"not: it holds {bad[0]} at index {int(np.argmax(~np.isfinite(value)))}", allowed)

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker import rod
+from jaxwhisker._types import Scalar
 from jaxwhisker.profile import AbstractProfile
-from jaxwhisker.rod import Scalar
 
 ROD_STEPS = 8  # constant steps of the default solver: 1e-9 L in the base's position for the hardest bends of a scan
 
@@ -32,38 +32,38 @@ class Phase(IntEnum):
 class Body(NamedTuple):
     """What a contact needs to know of its whisker and object; dimensionless."""
 
-    length: Scalar
-    bending_stiffness: Scalar
+    length: Float[Array, "*batch"]
+    bending_stiffness: Float[Array, "*batch"]
     profile: AbstractProfile
 
 
 class Base(NamedTuple):
     """Pose of the base and what the contact does to it."""
 
-    x: Scalar
-    y: Scalar
-    cos: Scalar  # direction of the whisker at its base
-    sin: Scalar
-    force_x: Scalar  # of the object on the whisker
-    force_y: Scalar
-    bend: Scalar  # EI (kappa - kappa0) at the base
-    slope_sin: Scalar  # of the object at the contact
-    slope_cos: Scalar
-    contact_x: Scalar
-    contact_y: Scalar
+    x: Float[Array, "*batch"]
+    y: Float[Array, "*batch"]
+    cos: Float[Array, "*batch"]  # direction of the whisker at its base
+    sin: Float[Array, "*batch"]
+    force_x: Float[Array, "*batch"]  # of the object on the whisker
+    force_y: Float[Array, "*batch"]
+    bend: Float[Array, "*batch"]  # EI (kappa - kappa0) at the base
+    slope_sin: Float[Array, "*batch"]  # of the object at the contact
+    slope_cos: Float[Array, "*batch"]
+    contact_x: Float[Array, "*batch"]
+    contact_y: Float[Array, "*batch"]
 
 
 class Linear(NamedTuple):
     """Values and gradients by z of what the equilibrium is made of."""
 
-    x: Scalar
-    y: Scalar
-    cos: Scalar
-    force_x: Scalar
-    slope_sin: Scalar
+    x: Float[Array, "*batch"]
+    y: Float[Array, "*batch"]
+    cos: Float[Array, "*batch"]
+    force_x: Float[Array, "*batch"]
+    slope_sin: Float[Array, "*batch"]
 
 
-def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Scalar:
+def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
     """Arc length from base to contact."""
     return body.length - jnp.where(phase == Phase.tangential, slack, 0.0)
 
@@ -103,9 +103,7 @@ def base(body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar) 
     return _in_scene(body, _rod_end(body, z[0], z[2], phase), z, side)
 
 
-def linearise(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar
-) -> tuple[Base, Linear, Linear]:
+def linearise(body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar) -> tuple[Base, Linear, Linear]:
     """Pose at z; the equations' values and their gradients by z, each (3,).
 
     The rod in the contact's frame knows nothing of the profile: two of three tangents go through the integration.
@@ -142,6 +140,8 @@ def touching(body: Body, touch, side: Scalar) -> tuple[Float[Array, "3"], Int[Ar
 SHAFT_FIRST = 1e-12  # share of the length that must stand above the first contact to call it tangential
 
 
-def clear(x: Float[Array, " whiskers"], right: Scalar, left: Scalar) -> Bool[Array, " whiskers"]:
+def clear(
+    x: Float[Array, " whiskers"], right: Float[Array, " whiskers"], left: Float[Array, " whiskers"]
+) -> Bool[Array, " whiskers"]:
     """Whether an unloaded whisker at x stands clear of the object."""
     return (x > right) | (x < left)

@@ -8,8 +8,8 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker import _checks, rod
+from jaxwhisker._types import Scalar
 from jaxwhisker.path import Status
-from jaxwhisker.rod import Scalar
 from jaxwhisker.whisker import Whisker
 
 LOAD_STEPS = 32  # from rest to the full load: the state that grows out of rest is found, not just any
@@ -156,8 +156,8 @@ def _tip_angle(loads: _Loads) -> Scalar:
 def deflect(whisker: Whisker, *loads: PointForce | PointMoment, points: int = 101) -> Deflection:
     """Reaction and shape of a whisker clamped at (0, 0) along +y under the given loads.
 
-    Dead loads are raised from zero, so that the state found is the one that grows out of rest. The rod is integrated from
-    the outermost load inwards, with the direction there as the only unknown (Steigenberger 2013).
+    Dead loads are raised from zero, so that the state found is the one that grows out of rest. The rod is integrated
+    from the outermost load inwards, with the direction there as the only unknown (Steigenberger 2013).
 
     Args:
         whisker: the whisker.
@@ -179,10 +179,12 @@ def deflect(whisker: Whisker, *loads: PointForce | PointMoment, points: int = 10
     if not isinstance(points, int) or points < 2:
         raise ValueError(f"`points` must be an int of at least 2, but is {points!r}.")
     for load in loads:
-        if not _checks.is_traced((load.position, whisker)) and load.position is not None:
-            if float(load.position) > float(whisker.length):
-                raise ValueError(f"`position` must be at most the length {whisker.length}, but is {load.position}.")
-    return _deflect(*jax.tree.map(_checks.as_float, (whisker, loads)), points)
+        if load.position is None or _checks.is_traced((load.position, whisker)):
+            continue
+        if float(load.position) > float(whisker.length):
+            raise ValueError(f"`position` must be at most the length {whisker.length}, but is {load.position}.")
+    whisker, loads = jax.tree.map(_checks.as_float, (whisker, loads))
+    return _deflect(whisker, loads, points)
 
 
 @eqx.filter_jit
@@ -196,7 +198,7 @@ def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], poin
     exact = (miss < RESIDUAL) & (fine_sin > 0)
 
     shapes, bends, arcs = [], [], []
-    for stretch, outer in zip(stretches, collected.position):
+    for stretch, outer in zip(stretches, collected.position, strict=True):
         states = jnp.stack(rod.points(stretch.start, stretch.arc, stretch.load, 1.0, count=points))[:, ::-1]
         shapes.append(states)
         bends.append(rod.curvature(states[0], states[1], stretch.load, 1.0))

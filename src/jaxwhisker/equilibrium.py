@@ -17,9 +17,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker import contact
+from jaxwhisker._types import Scalar
 from jaxwhisker.contact import Body, Phase
 from jaxwhisker.linear import positive_definite, solve
-from jaxwhisker.rod import Scalar
 from jaxwhisker.scene import Problem
 
 Contacts = Float[Array, "whiskers 3"]

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker import relax
+from jaxwhisker._types import Scalar
 from jaxwhisker.contact import Phase
 from jaxwhisker.equilibrium import (
     Contacts,
@@ -37,8 +38,7 @@ from jaxwhisker.equilibrium import (
     scale_of,
     stable,
 )
-from jaxwhisker.path import NO_EVENT, STOP, EventKind, Margins, Node, Path, Status, along, dot, margins, unit
-from jaxwhisker.rod import Scalar
+from jaxwhisker.path import NO_EVENT, STOP, EventKind, Margins, Node, Path, Status, along, dot, margins, rates, unit
 from jaxwhisker.scene import Problem
 
 PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
@@ -153,6 +153,21 @@ def _first_violated(front: Front, here: Margins, there: Margins, distance: Scala
     return jnp.any(violated), target
 
 
+def _dip(front: Front, trial: "_Trial", here: Margins, there: Margins) -> tuple[Bool[Array, ""], Scalar]:
+    """Whether a margin is negative on the way though not at its ends, and at which share of the way most."""
+    now, then = jnp.concatenate(here), jnp.concatenate(there)
+    start = front.step * jnp.concatenate(rates(front.mode, front.tangent, front.tangent_x))
+    end = front.step * jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_x))
+    t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
+    within = now + t * (start + t * ((3 * (then - now) - 2 * start - end) + t * (start + end - 2 * (then - now))))
+    # A margin that has just been left is zero at the start; rounding is no dip.
+    within = jnp.where((start < 0) & (end > 0) & jnp.isfinite(within), within, 0.0)
+    return jnp.any(within < -MARGIN_NOISE), t[jnp.argmin(jnp.min(within, axis=1)), 0]
+
+
+DIP_POINTS = 7
+
+
 def _public_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
     tip = jnp.any(target.whisker & (phase == Phase.tip))
     change = jnp.where(tip, EventKind.tip_to_tangential, EventKind.tangential_to_tip)
@@ -246,12 +261,15 @@ def _after_advance(problem: Problem, front: Front, trial: _Trial, guess: Point, 
     error = jnp.sqrt(dot(miss, miss, scale))
     straight = dot(front.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
     good = solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
-    short = front._replace(step=0.4 * front.step)
-    short = _select(short.step < SHORTEST_STEP, _stopped(front, Status.lost), short)
-
     here = _margins(problem, front, front.point, front.base_x, stop_u)
     there = _margins(problem, front, solution.point, solution.newton.base_x, stop_u)
     violated, target = _first_violated(front, here, there, front.step)
+    dips, share = _dip(front, trial, here, there)
+    dips &= good & ~violated
+    good &= ~dips
+    short = front._replace(step=jnp.where(dips, share, 0.4) * front.step)
+    short = _select(short.step < SHORTEST_STEP, _stopped(front, Status.lost), short)
+
     to_event = front._replace(task=jnp.asarray(int(Task.event)), target=target)
 
     turn = _turn(front, trial.tangent)
@@ -270,9 +288,7 @@ def _after_advance(problem: Problem, front: Front, trial: _Trial, guess: Point, 
     all_free = jnp.all(front.mode.phase == Phase.free)
     longest = jnp.where(all_free, jnp.inf, LONGEST_STEP)
     left = front.unstable_at - front.step
-    bend = Point(
-        (trial.tangent.z - front.tangent.z) / front.step, (trial.tangent.u - front.tangent.u) / front.step
-    )
+    bend = Point((trial.tangent.z - front.tangent.z) / front.step, (trial.tangent.u - front.tangent.u) / front.step)
     onwards = moved._replace(
         bend=bend,
         unstable_at=left,
@@ -384,9 +400,24 @@ def _after_arrive(problem: Problem, front: Front, trial: _Trial, stops: Float[Ar
     result = _select(settled & falls, _stopped(front, Status.unsettled), result)
     over = (stop_kind & (front.goal > last)) | _passed(problem, front, last)
     result = _select(over, _stopped(front, Status.ok), result)
-    moved = Point(trial.solution.point.z - front.point.z, trial.solution.point.u - front.point.u)
+    # The flow hands over near its end, perhaps on the wrong side of a corner: then the other mode is tried.
+    z = trial.solution.point.z
+    found = _margins(problem, front, trial.solution.point, trial.solution.newton.base_x, front.point.u)
+    begins, ends, changes = (settled & (m < -MARGIN_NOISE) for m in (found.touch, found.release, found.phase))
+    tip = front.mode.phase == Phase.tip
+    phase = jnp.where(changes, jnp.where(tip, Phase.tangential, Phase.tip), front.mode.phase)
+    phase = jnp.where(ends, Phase.free, phase)
+    near, phase = relax.enter_contact(problem, front.mode.side, begins, jnp.where(ends[:, None], 0.0, z), phase)
+    wrong = begins | ends | changes
+    other = front._replace(
+        mode=front.mode._replace(phase=phase),
+        point=Point(near, front.point.u),
+        pending=front.pending._replace(phase=phase),
+    )
+    result = _select(jnp.any(wrong), other, result)
+    moved = Point(z - front.point.z, trial.solution.point.u - front.point.u)
     good = trial.solution.converged & (dot(moved, moved, scale_of(front.point.z)) < ARRIVAL_MISS**2)
-    return _select(good, result, _stopped(front, Status.lost)), good, node
+    return _select(good, result, _stopped(front, Status.lost)), good & ~jnp.any(wrong), node
 
 
 ARRIVAL_MISS = 0.1  # a flow ends nearer than this to its equilibrium
@@ -502,8 +533,8 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> Front:
 def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], *, capacity: int) -> Path:
     """Follow the path from beyond the first touch to stops[0], stops[1], ..., stops[last].
 
-    The drive comes from the right, all whiskers free. The march ends at the last stop, when all whiskers have passed the
-    object for good, or where the path is lost; the status then tells why.
+    The drive comes from the right, all whiskers free. The march ends at the last stop, when all whiskers have passed
+    the object for good, or where the path is lost; the status then tells why.
     """
     front = _start(problem, stops)
     front = _select(problem.valid, front, _stopped(front, Status.invalid))

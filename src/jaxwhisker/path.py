@@ -10,9 +10,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._types import Scalar
 from jaxwhisker.contact import Phase
 from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, scale_of
-from jaxwhisker.rod import Scalar
 from jaxwhisker.scene import Problem
 
 
@@ -54,7 +54,7 @@ class Node(NamedTuple):
     leaving: Point
     phase: Int[Array, " whiskers"]  # from here on
     side: PerWhisker
-    travel: Scalar  # way of the drive since the first step; negative on the approach to it
+    travel: Float[Array, ""]  # way of the drive since the first step; negative on the approach to it
     kind: Int[Array, ""]
     whiskers: Bool[Array, " whiskers"]  # which the event concerns
     phase_before: Int[Array, " whiskers"]
@@ -111,3 +111,16 @@ def unit(direction: Point, z: Contacts) -> tuple[Point, Scalar]:
     scale = scale_of(z)
     length = jnp.sqrt(dot(direction, direction, scale))
     return Point(direction.z / length, direction.u / length), length
+
+
+def rates(mode: Mode, direction: Point, base_x: PerWhisker) -> Margins:
+    """How the margins change along a direction of the path, but for the vertex and the stop, which are passed once."""
+    free = mode.phase == Phase.free
+    none = jnp.zeros_like(base_x)
+    return Margins(
+        touch=jnp.where(free, mode.side * base_x, 0.0),
+        release=jnp.where(free, 0.0, direction.z[:, 0]),
+        phase=jnp.where(free, 0.0, jnp.where(mode.phase == Phase.tip, -1.0, 1.0) * direction.z[:, 2]),
+        vertex=none,
+        stop=jnp.zeros(1),
+    )

@@ -7,27 +7,28 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker import _checks
-from jaxwhisker.rod import Scalar
+from jaxwhisker._types import Scalar
 
 
 class ContactPoint(NamedTuple):
     """A point of the profile and the slope angle alpha of its tangent there."""
 
-    x: Scalar
-    y: Scalar
-    cos: Scalar
-    sin: Scalar
+    x: Float[Array, "*batch"]
+    y: Float[Array, "*batch"]
+    cos: Float[Array, "*batch"]
+    sin: Float[Array, "*batch"]
 
 
 class FirstTouch(NamedTuple):
     """Where an unloaded vertical whisker that comes from one side first meets the object."""
 
-    parameter: Scalar
-    x: Scalar
-    y: Scalar
+    parameter: Float[Array, "*batch"]
+    x: Float[Array, "*batch"]
+    y: Float[Array, "*batch"]
 
 
 class AbstractProfile(eqx.Module):
@@ -36,9 +37,6 @@ class AbstractProfile(eqx.Module):
     The parameter is each profile's own (slope angle, eccentric angle, abscissa): what keeps the curve smooth and its
     derivative bounded. The outward normal, on which the contact force acts on the whisker, is (sin alpha, -cos alpha).
     """
-
-    distance: eqx.AbstractVar[Scalar]
-    position: eqx.AbstractVar[Scalar]
 
     @abc.abstractmethod
     def point(self, parameter: Scalar) -> ContactPoint:
@@ -52,8 +50,8 @@ class AbstractProfile(eqx.Module):
         """
 
     @abc.abstractmethod
-    def lowest(self) -> Scalar:
-        """Height of the object's lowest point, the vertex."""
+    def vertex(self) -> tuple[Scalar, Scalar]:
+        """The object's lowest point (x, y)."""
 
     @abc.abstractmethod
     def in_unit(self, length: Scalar) -> "AbstractProfile":
@@ -108,10 +106,10 @@ class Parabola(AbstractProfile):
 
     def first_touch(self, height, side):
         x = jnp.sqrt((height - self.distance) / self.a)
-        return _mirror(FirstTouch(jnp.arctan(2 * self.a * x), x, height), side, self.position)
+        return _mirror(FirstTouch(jnp.arctan(2 * self.a * x), x, jnp.asarray(height, dtype=float)), side, self.position)
 
-    def lowest(self):
-        return self.distance
+    def vertex(self):
+        return self.position, self.distance
 
     def in_unit(self, length):
         return Parabola(self.distance / length, self.a * length, self.position / length)
@@ -150,8 +148,8 @@ class Ellipse(AbstractProfile):
     def first_touch(self, height, side):
         return _elliptic_touch(self, self.a, self.b, height, side)
 
-    def lowest(self):
-        return self.distance
+    def vertex(self):
+        return self.position, self.distance
 
     def in_unit(self, length):
         return Ellipse(self.distance / length, self.a / length, self.b / length, self.position / length)
@@ -188,8 +186,8 @@ class Circle(AbstractProfile):
     def first_touch(self, height, side):
         return _elliptic_touch(self, self.radius, self.radius, height, side)
 
-    def lowest(self):
-        return self.distance
+    def vertex(self):
+        return self.position, self.distance
 
     def in_unit(self, length):
         return Circle(self.distance / length, self.radius / length, self.position / length)
@@ -201,7 +199,7 @@ class Circle(AbstractProfile):
         return f"circle q = {show(self.distance)}, r = {show(self.radius)}{differs(', x = ', self.position)}"
 
 
-def _elliptic_point(profile: AbstractProfile, a: Scalar, b: Scalar, t: Scalar) -> ContactPoint:
+def _elliptic_point(profile: "Circle | Ellipse", a: Scalar, b: Scalar, t: Scalar) -> ContactPoint:
     cos, sin = jnp.cos(t), jnp.sin(t)
     norm = jnp.sqrt((a * cos) ** 2 + (b * sin) ** 2)
     # 1 - cos t loses its digits near the vertex; 2 sin^2(t/2) does not.
@@ -209,7 +207,7 @@ def _elliptic_point(profile: AbstractProfile, a: Scalar, b: Scalar, t: Scalar) -
     return ContactPoint(profile.position + a * sin, y, a * cos / norm, b * sin / norm)
 
 
-def _elliptic_touch(profile: AbstractProfile, a: Scalar, b: Scalar, height: Scalar, side: Scalar) -> FirstTouch:
+def _elliptic_touch(profile: "Circle | Ellipse", a: Scalar, b: Scalar, height: Scalar, side: Scalar) -> FirstTouch:
     # A whisker that stands higher than the widest point meets that with its shaft, otherwise its tip meets the flank.
     rise = jnp.clip((height - profile.distance) / b, 0.0, 1.0)
     t = 2 * jnp.arcsin(jnp.sqrt(rise / 2))
@@ -245,7 +243,9 @@ class Graph(AbstractProfile):
     def __init__(self, g: Callable, position: Scalar = 0.0, *, extent: Scalar = 100.0, unit: Scalar = 1.0):
         if not callable(g):
             raise ValueError(f"`g` must be a function y = g(x), but is {g!r}.")
-        self.g = g if isinstance(g, eqx.Module) else _Plain(g)
+        self.g = g
+        if not isinstance(g, eqx.Module):
+            self.g = _Plain(g)
         self.position = position
         self.extent = extent
         self.unit = unit
@@ -254,24 +254,20 @@ class Graph(AbstractProfile):
         _checks.number("position", self.position)
         _checks.number("extent", self.extent, positive=True)
 
-    @property
-    def distance(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        """q, height of the lowest point above the bases."""
-        return self.lowest()
-
     def _height(self, x):
         return self.g(x * self.unit) / self.unit
 
     def point(self, parameter):
-        y, slope = jax.value_and_grad(self._height)(jnp.asarray(parameter, dtype=float))
+        x = jnp.asarray(parameter, dtype=float)
+        y, slope = jax.value_and_grad(self._height)(x)
         norm = jnp.sqrt(1 + slope**2)
-        return ContactPoint(self.position + parameter, y, 1 / norm, slope / norm)
+        return ContactPoint(self.position + x, y, 1 / norm, slope / norm)
 
     def convex(self, parameter):
         bend = jax.grad(jax.grad(self._height))(jnp.asarray(parameter, dtype=float))
         return bend > 0
 
-    def _vertex(self):
+    def _lowest(self):
         extent = self.extent / self.unit
 
         def falls(x):
@@ -282,7 +278,7 @@ class Graph(AbstractProfile):
         return _bisect(falls, -extent, extent)
 
     def first_touch(self, height, side):
-        vertex = self._vertex()
+        vertex = self._lowest()
 
         def below(x):
             return self._height(x) < height  # False outside the domain
@@ -291,21 +287,22 @@ class Graph(AbstractProfile):
         x = vertex + side * _bisect(lambda d: below(vertex + side * d), 0.0, reach)
         return FirstTouch(x, self.position + x, self._height(x))
 
-    def lowest(self):
-        return self._height(self._vertex())
+    def vertex(self):
+        x = self._lowest()
+        return self.position + x, self._height(x)
 
     def in_unit(self, length):
         return Graph(self.g, self.position / length, extent=self.extent, unit=self.unit * length)
 
     def _positive(self):
-        return [self.lowest(), self.extent]
+        return [self.vertex()[1], self.extent]
 
     def __str__(self):
         name = getattr(getattr(self.g, "function", self.g), "__name__", type(self.g).__name__)
         return f"graph y = {name}(x){differs(', x = ', self.position)}"
 
 
-def _bisect(inside: Callable, low: Scalar, high: Scalar) -> Scalar:
+def _bisect(inside: Callable, low: Scalar, high: Scalar) -> Float[Array, ""]:
     # The last point from `low` on at which `inside` still holds, to rounding; derivatives are attached elsewhere.
     def halve(_, bracket):
         low, high = bracket
@@ -319,7 +316,7 @@ def _bisect(inside: Callable, low: Scalar, high: Scalar) -> Scalar:
 
 def show(value) -> str:
     """A field as a person would write it; `?` while traced."""
-    return "?" if isinstance(value, jax.core.Tracer) else f"{float(value):.6g}" if jnp.ndim(value) == 0 else "..."
+    return "?" if isinstance(value, Tracer) else f"{float(value):.6g}" if jnp.ndim(value) == 0 else "..."
 
 
 def differs(prefix: str, value, usual=0.0) -> str:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from jaxwhisker import contact
+from jaxwhisker._types import Scalar
 from jaxwhisker.contact import Phase
 from jaxwhisker.equilibrium import (
     BRANCH_SIGN,
@@ -31,11 +32,9 @@ from jaxwhisker.equilibrium import (
     yielding,
 )
 from jaxwhisker.linear import solve
-from jaxwhisker.profile import FirstTouch
-from jaxwhisker.rod import Scalar
 from jaxwhisker.scene import Problem
 
-STEP = 0.02  # largest change of any contact, in its scale, or of a free base; first order in it
+STEP = 0.02  # largest change of any contact, in its scale; the flow is first order in it
 NEAR = 0.02  # Newton takes over where it would go less than this
 ITERATIONS = 3000
 NO_FORCE = 1e-9  # a contact that has just begun has none but rounding
@@ -71,8 +70,8 @@ def start(mode: Mode, base_x: PerWhisker) -> Flow:
 def kick(flow: Flow, point: Point, tangent: Point, tangent_x: PerWhisker, size: float) -> Flow:
     """The first step: on along the path that has just turned unstable, the drive at rest."""
     length = jnp.sqrt(jnp.sum((tangent.z / scale_of(point.z)) ** 2))
-    size = size / jnp.maximum(length, 1e-3)
-    return flow._replace(guess=point.z + size * tangent.z, base_x=flow.base_x + size * tangent_x)
+    step = size / jnp.maximum(length, 1e-3)
+    return flow._replace(guess=point.z + step * tangent.z, base_x=flow.base_x + step * tangent_x)
 
 
 def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
@@ -90,8 +89,11 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     # While a whisker lands, slipping at once to its new branch, the others wait.
     landing_now = jnp.any(flow.landing)
     along = jnp.where(free, 0.0, dx / _nonzero(flow.by_x))
-    size = jnp.max(jnp.maximum(jnp.abs(along), jnp.where(free, jnp.abs(dx), 0.0)))
-    share = jnp.minimum(1.0, STEP / jnp.maximum(size, 1e-300))
+    # A free base may go half-way to where its whisker would touch.
+    first = jnp.where(mode.side > 0, problem.touch_right.x, problem.touch_left.x)
+    reach = STEP + jnp.where(problem.reaches, 0.5 * jnp.abs(flow.base_x - first), jnp.inf)
+    size = jnp.max(jnp.where(free, jnp.abs(dx) / reach, jnp.abs(along) / STEP))
+    share = jnp.minimum(1.0, 1 / jnp.maximum(size, 1e-300))
     to_land = jnp.clip((flow.landing_x - flow.base_x) / _nonzero(flow.by_x), -STEP, STEP)
     along = jnp.where(landing_now, jnp.where(flow.landing, to_land, 0.0), share * along)
     dx = jnp.where(landing_now, 0.0, share * dx)
@@ -172,8 +174,8 @@ def enter_contact(
 ) -> tuple[Contacts, Int[Array, " whiskers"]]:
     """Contacts and phases with the entering whiskers at their first touch from their side."""
     body, axes = bodies(problem)
-    touch = jax.tree.map(lambda r, l: jnp.where(side > 0, r, l), problem.touch_right, problem.touch_left)
-    touched, how = jax.vmap(contact.touching, in_axes=(axes, FirstTouch(0, 0, 0), 0))(body, touch, side)
+    touch = jax.tree.map(lambda right, left: jnp.where(side > 0, right, left), problem.touch_right, problem.touch_left)
+    touched, how = jax.vmap(contact.touching, in_axes=(axes, 0, 0))(body, touch, side)
     return jnp.where(entering[:, None], touched, z), jnp.where(entering, how, phase)
 
 

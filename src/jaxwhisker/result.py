@@ -59,14 +59,14 @@ class Events(eqx.Module):
     count: Int[Array, ""]
 
     def __len__(self) -> int:
+        if np.ndim(self.count) != 0:
+            raise TypeError(f"events of a batch of shape {np.shape(self.count)}: pick one lane of the result first.")
         return min(int(self.count), self.kind.shape[0])
 
     def __iter__(self) -> Iterator[Event]:
         return (self[k] for k in range(len(self)))
 
     def __getitem__(self, index: int) -> Event:
-        if np.ndim(self.count) != 0:
-            raise TypeError(f"events of a batch of shape {np.shape(self.count)}: pick one lane of the result first.")
         index = range(len(self))[index]
         before, after = (jax.tree.map(lambda leaf: np.asarray(leaf)[index], s) for s in (self.before, self.after))
         which = tuple(int(k) + 1 for k in np.flatnonzero(np.asarray(self.whiskers)[index]))
@@ -90,9 +90,13 @@ class Result(State):
     scene: Scene
 
     def __str__(self) -> str:
-        bad = {Status(int(s)).name: int(n) for s, n in zip(*np.unique(np.asarray(self.status), return_counts=True))}
+        statuses, counts = np.unique(np.asarray(self.status), return_counts=True)
+        bad = {Status(int(s)).name: int(n) for s, n in zip(statuses, counts, strict=True)}
         ok = bad.pop("ok", 0)
-        lines = [f"{self.scene}", f"{ok} of {np.size(self.status)} steps ok" + "".join(f"; {n}: {s}" for s, n in bad.items())]
+        lines = [
+            f"{self.scene}",
+            f"{ok} of {np.size(self.status)} steps ok" + "".join(f"; {n}: {s}" for s, n in bad.items()),
+        ]
         return "\n".join([*lines, *map(str, self.events)])
 
     __repr__ = __str__

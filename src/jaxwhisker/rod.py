@@ -10,7 +10,7 @@ Runge-Kutta-Nystroem splitting needs: shifts with the direction frozen, rotation
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import diffrax
 import equinox as eqx
@@ -18,10 +18,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from typing_extensions import TypeAlias
 
-Scalar: TypeAlias = Float[Array, ""] | float
+from jaxwhisker._types import Scalar
+
 RodState: TypeAlias = tuple[Scalar, Scalar, Scalar, Scalar]  # x, y, cos phi, sin phi
+Along: TypeAlias = Float[Array, " points"]  # a value at points of the rod
 
 
 class Load(eqx.Module):
@@ -38,7 +39,7 @@ class _RodArgs(eqx.Module):
     bending_stiffness: Scalar
 
 
-def curvature(x: Scalar, y: Scalar, load: Load, bending_stiffness: Scalar) -> Scalar:
+def curvature(x: Scalar | Along, y: Scalar | Along, load: Load, bending_stiffness: Scalar) -> Scalar | Along:
     """Curvature (1/length) that the internal moment M0 - x Fy + y Fx bends the rod to at the point (x, y)."""
     return (load.moment - x * load.force_y + y * load.force_x) / bending_stiffness
 
@@ -155,8 +156,10 @@ def integrate(
     return x[-1], y[-1], cos[-1], sin[-1]
 
 
-def points(start: RodState, arc: Scalar, load: Load, bending_stiffness: Scalar, *, count: int):
-    """The rod's states at `count` equidistant points from `start` back to `arc` before it: a tuple of (count,) arrays."""
+def points(
+    start: RodState, arc: Scalar, load: Load, bending_stiffness: Scalar, *, count: int
+) -> tuple[Along, Along, Along, Along]:
+    """The rod's states at `count` equidistant points from `start` back to `arc` before it: (count,) arrays."""
     fractions = np.linspace(0.0, 1.0, count)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_towards_base),
@@ -172,4 +175,5 @@ def points(start: RodState, arc: Scalar, load: Load, bending_stiffness: Scalar, 
         max_steps=count - 1,
         throw=False,
     )
-    return solution.ys
+    x, y, cos, sin = solution.ys  # pyright: ignore[reportGeneralTypeIssues]
+    return x, y, cos, sin

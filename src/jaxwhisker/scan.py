@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker import _checks, contact, equilibrium
+from jaxwhisker._types import Control, Scalar
 from jaxwhisker.contact import Phase
 from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, at_control, find, scale_of
 from jaxwhisker.march import march
 from jaxwhisker.path import EventKind, Path, Status, dot
 from jaxwhisker.result import Events, Result, State
-from jaxwhisker.rod import Scalar
 from jaxwhisker.scene import Problem, Scene, Units, problem, units
 
 STEP = 0.001  # of the default control, in lengths of the first whisker
@@ -31,7 +31,7 @@ RESIDUAL = 1e-8  # of a step that is called ok: positions and directions at the 
 JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
 
 
-def scan(scene: Scene, control: Float[Array, " steps"] | None = None) -> Result:
+def scan(scene: Scene, control: Control | None = None) -> Result:
     """Scan the object quasi-statically with the drive at every position of `control`.
 
     Args:
@@ -59,7 +59,7 @@ def scan(scene: Scene, control: Float[Array, " steps"] | None = None) -> Result:
     if _checks.is_traced((scene, control)):
         return _traced(scene, control)
     if control is None:
-        stops, last = np.full(STOPS, np.nan), 1
+        stops, last = np.full(2, np.nan), 1
     else:
         control = np.asarray(control, dtype=float)
         stops, last = _stops(control)
@@ -71,7 +71,7 @@ def scan(scene: Scene, control: Float[Array, " steps"] | None = None) -> Result:
     # Blocks of one size: one compilation serves scans of every length.
     padded = np.concatenate([control, np.full(-control.size % BLOCK, control[-1])]).reshape(-1, BLOCK)
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(padded.ravel())))]).reshape(-1, BLOCK)
-    blocks = [_steps(scene, way, u, s) for u, s in zip(padded, travel)]
+    blocks = [_steps(scene, way, jnp.asarray(u), jnp.asarray(s)) for u, s in zip(padded, travel, strict=True)]
     joined = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[: control.size]), *blocks)
     return _result(scene, way, jnp.asarray(control), *joined)
 
@@ -82,7 +82,8 @@ def _stops(control: np.ndarray) -> tuple[np.ndarray, int]:
     signs = np.sign(np.diff(control)[moves])
     turns = moves[1:][signs[1:] != signs[:-1]]
     stops = np.concatenate([control[:1], control[turns], control[-1:]])
-    return np.concatenate([stops, np.full(-stops.size % STOPS, stops[-1])]), stops.size - 1
+    room = 2 if stops.size == 2 else TURNS * int(np.ceil(stops.size / TURNS))
+    return np.concatenate([stops, np.full(room - stops.size, stops[-1])]), stops.size - 1
 
 
 class _Way(NamedTuple):
@@ -90,8 +91,8 @@ class _Way(NamedTuple):
 
     path: Path
     events: Events
-    start: Scalar
-    stop: Scalar
+    start: Float[Array, ""]
+    stop: Float[Array, ""]
 
 
 @eqx.filter_jit
@@ -100,11 +101,11 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
     dimensionless, unit = problem(scene), units(scene)
     offset = equilibrium.rest(dimensionless, jnp.asarray(0.0))
     touches = jnp.where(dimensionless.reaches, dimensionless.touch_right.x - offset, -jnp.inf)
-    middle = dimensionless.profile.position - jnp.mean(offset)
+    middle = dimensionless.profile.vertex()[0] - jnp.mean(offset)
     start = jnp.where(jnp.any(dimensionless.reaches), jnp.max(touches), middle + 1.0) + MARGIN
     across = jnp.full_like(stops, start - FAR).at[0].set(start)
     n = scene.support.whiskers
-    capacity = 256 + 128 * n + 64 * n * max(stops.shape[0] - 2, 0)
+    capacity = (256 + 64 * n) * max(1, stops.shape[0] // 2)
     path = march(dimensionless, jnp.where(jnp.isnan(stops[0]), across, stops / unit.length), last, capacity=capacity)
     event = path.nodes.kind >= 0
     known = (jnp.arange(capacity) < path.count) & (event | (path.status != Status.ok))
@@ -116,10 +117,15 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
 FAR = 1e4  # lengths beyond the start; a march past the object ends long before
 
 
-def _traced(scene: Scene, control: Float[Array, " steps"] | None) -> Result:
+def _traced(scene: Scene, control: Control | None) -> Result:
     if control is None:
-        way = _travelled(scene, jnp.full(STOPS, jnp.nan), jnp.asarray(1))
+        way = _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
         control = way.start + (way.stop - way.start) * jnp.linspace(0.0, 1.0, TRACED_STEPS)
+    elif not _checks.is_traced(control):
+        control = np.asarray(control, dtype=float)
+        stops, last = _stops(control)
+        way = _travelled(scene, jnp.asarray(stops), jnp.asarray(last))
+        control = jnp.asarray(control)
     else:
         control = jnp.asarray(control, dtype=float)
         moves = jnp.sign(jnp.diff(control))
@@ -127,13 +133,18 @@ def _traced(scene: Scene, control: Float[Array, " steps"] | None) -> Result:
         carried = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
         turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
         turns = turns[-control.size :].at[0].set(True)
-        index = jnp.nonzero(turns, size=min(2 * STOPS, control.size), fill_value=control.size - 1)[0]
-        way = _travelled(scene, control[index], jnp.sum(turns) - 1)
+        index = jnp.nonzero(turns, size=min(2 * TURNS, control.size), fill_value=control.size - 1)[0]
+        way = _travelled(scene, control[index], jnp.minimum(jnp.sum(turns), index.size) - 1)
+        # Of a path with more turns than there is room for, or with positions that are none, nothing is known.
+        finite, short = jnp.all(jnp.isfinite(control)), jnp.sum(turns) <= index.size
+        status = jnp.where(finite, jnp.where(short, way.path.status, Status.too_long), Status.invalid)
+        count = jnp.where(finite & short, way.path.count, 0)
+        way = way._replace(path=way.path._replace(count=count, status=status))
     travel = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
     return _result(scene, way, control, *_steps(scene, way, control, travel))
 
 
-STOPS = 8  # turning points are padded to a multiple of this; a traced control may have twice as many
+TURNS = 8  # stops of a control that turns are padded to a multiple of this; a traced control may have twice as many
 
 
 class _Solved(NamedTuple):

@@ -20,9 +20,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker import _checks
+from jaxwhisker._types import Scalar
 from jaxwhisker.profile import AbstractProfile, FirstTouch, differs
-from jaxwhisker.rod import Scalar
 from jaxwhisker.support import Flexibility, Support
 from jaxwhisker.whisker import Whisker
 
@@ -122,5 +121,5 @@ def problem(scene: Scene) -> Problem:
     touch_right = jax.vmap(lambda height: profile.first_touch(height, 1.0))(length)
     touch_left = jax.vmap(lambda height: profile.first_touch(height, -1.0))(length)
     return Problem(
-        length, stiffness, profile, flexibility, touch_right, touch_left, length > profile.lowest(), valid
+        length, stiffness, profile, flexibility, touch_right, touch_left, length > profile.vertex()[1], valid
     )

@@ -1,7 +1,5 @@
 """Shapes: the whiskers' centre lines at steps of a scan."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker import _checks, rod
+from jaxwhisker._types import Control
 from jaxwhisker.contact import Phase
 from jaxwhisker.result import Result, State
 
@@ -20,7 +19,7 @@ class Shapes(eqx.Module):
     y: Float[Array, "*at whiskers points"]
 
 
-def shapes(result: Result, at: Sequence[float] | Float[Array, " at"] | None = None, *, points: int = 64) -> Shapes:
+def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Shapes:
     """Centre lines of all whiskers at the scan steps nearest to the controls `at` (default: at every step).
 
     They are integrated from the bases outwards with the scan's reactions.

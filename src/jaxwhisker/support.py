@@ -1,15 +1,15 @@
 """The support: a network of springs between the drive (0) and the bases (1 to N) of the whiskers."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker import _checks
-from jaxwhisker.rod import Scalar
+from jaxwhisker._types import PerSpring, Scalar
 
 
 class Spring(eqx.Module):
@@ -28,7 +28,9 @@ class Spring(eqx.Module):
     def __check_init__(self):
         ends = self.between
         if not (isinstance(ends, tuple) and len(ends) == 2 and all(isinstance(e, int) and e >= 0 for e in ends)):
-            raise ValueError(f"`between` must be a pair of ints, 0 for the drive or 1 to N for a base, but is {ends!r}.")
+            raise ValueError(
+                f"`between` must be a pair of ints, 0 for the drive or 1 to N for a base, but is {ends!r}."
+            )
         if ends[0] == ends[1]:
             raise ValueError(f"`between` must name two different ends, but is {ends!r}.")
         _checks.number("stiffness", self.stiffness, positive=True, finite=False)
@@ -76,6 +78,11 @@ class Support(eqx.Module):
                 f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, but "
                 f"base {min(wanted - reached)} is not connected (springs between {[s.between for s in self.springs]})."
             )
+        rigid = not _checks.is_traced(self.springs) and any(np.isinf(s.stiffness) for s in self.springs)
+        flexibility = self.flexibility() if rigid else None
+        if flexibility is not None and not flexibility.consistent:
+            lengths = [float(s.rest_length) for s in self.springs]
+            raise ValueError(f"`rest_length` must let loops of infinitely stiff springs close, but is {lengths}.")
 
     @property
     def whiskers(self) -> int:
@@ -99,22 +106,22 @@ class Support(eqx.Module):
         return cls.named("FB", stiffness, rest_length)
 
     @classmethod
-    def fbfb(cls, stiffness: Scalar | Sequence[Scalar], rest_length: Scalar | Sequence[Scalar] = 0.2) -> "Support":
+    def fbfb(cls, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
         """Two whiskers in a row: drive -c1- base 1 -c2- base 2."""
         return cls.named("FBFB", stiffness, rest_length)
 
     @classmethod
-    def fbfbr(cls, stiffness: Scalar | Sequence[Scalar], rest_length: Scalar | Sequence[Scalar] = 0.2) -> "Support":
+    def fbfbr(cls, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
         """FBFB with feedback: c3 between drive and base 2."""
         return cls.named("FBFBR", stiffness, rest_length)
 
     @classmethod
-    def fbfbfbr(cls, stiffness: Scalar | Sequence[Scalar], rest_length: Scalar | Sequence[Scalar] = 0.2) -> "Support":
+    def fbfbfbr(cls, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
         """Three whiskers in a row (c1, c2, c3), with feedback c4 to base 2 and c5 to base 3."""
         return cls.named("FBFBFBR", stiffness, rest_length)
 
     @classmethod
-    def named(cls, model: str, stiffness: Scalar | Sequence[Scalar], rest_length: Scalar | Sequence[Scalar] = 0.2):
+    def named(cls, model: str, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
         """A model of the thesis by name: `clamped`, `FB`, `FBFB`, `FBFBR`, `FBFBFBR`.
 
         Args:
@@ -131,7 +138,7 @@ class Support(eqx.Module):
         spans = [second - first for first, second in ends]
         stiffnesses = _per_spring("stiffness", stiffness, [1] * len(ends))
         rest_lengths = _per_spring("rest_length", rest_length, spans)
-        return cls(tuple(Spring(e, c, r) for e, c, r in zip(ends, stiffnesses, rest_lengths)))
+        return cls(tuple(Spring(e, c, r) for e, c, r in zip(ends, stiffnesses, rest_lengths, strict=True)))
 
     def flexibility(self) -> Flexibility | None:
         """Flexibility matrix and rest positions of the bases; None without springs.

@@ -3,7 +3,7 @@
 import equinox as eqx
 
 from jaxwhisker import _checks
-from jaxwhisker.rod import Scalar
+from jaxwhisker._types import Scalar
 
 
 class Whisker(eqx.Module):

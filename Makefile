@@ -1,0 +1,71 @@
+# Everything runs in .venv, which the first target that needs it makes.
+#   make demo                      the results of the thesis, in out/
+#   make test                      the tests
+#   make demo PYTHON=python3.12    with this Python, instead of the newest one found
+
+VENV := .venv
+BIN := $(VENV)/bin
+OUT := out
+PYTHON ?=
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help demo test lint types bench clean distclean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+
+demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (at most 3 minutes on two cores)
+	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
+
+test: $(VENV)/installed-dev ## run the tests
+	@$(BIN)/python -m pytest
+
+lint: $(VENV)/installed-dev ## check style and formatting (ruff)
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+
+types: $(VENV)/installed-dev ## check types (pyright)
+	@$(BIN)/pyright
+
+bench: $(VENV)/installed-dev ## run every benchmark
+	@for script in benchmarks/[a-z]*.py; do \
+	    test -e "$$script" || { echo "no benchmark in benchmarks/"; exit 1; }; \
+	    echo "== $$script"; $(BIN)/python "$$script" || exit 1; \
+	done
+
+clean: ## remove results, caches and build products; .venv stays
+	@rm -rf $(OUT) build dist .pytest_cache .ruff_cache .hypothesis src/*.egg-info
+	@find src tests benchmarks docs notebooks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+
+distclean: clean ## remove .venv, too
+	@rm -rf $(VENV)
+
+# The newest Python that can make an environment. ensurepip is what a fresh Debian lacks.
+CANDIDATES := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
+$(BIN)/python:
+	@recent='import sys; assert sys.version_info >= (3, 11)'; \
+	complete="$$recent; import ensurepip, venv"; \
+	for python in $(CANDIDATES); do \
+	    "$$python" -c "$$complete" >/dev/null 2>&1 || continue; \
+	    echo "making $(VENV) with $$("$$python" --version) ($$python)"; \
+	    "$$python" -m venv $(VENV) && exit 0; \
+	    rm -rf $(VENV); exit 1; \
+	done; \
+	for python in $(CANDIDATES); do \
+	    "$$python" -c "$$recent" >/dev/null 2>&1 || continue; \
+	    echo "$$python cannot make an environment: its venv module is incomplete. On Debian: apt install python3-venv" >&2; \
+	    exit 1; \
+	done; \
+	echo "none of these is a Python 3.11 or later: $(CANDIDATES). On Debian: apt install python3 python3-venv" >&2; exit 1
+
+$(VENV)/installed: pyproject.toml | $(BIN)/python
+	@echo "installing jaxwhisker into $(VENV)"
+	@$(PIP_INSTALL) .
+	@touch $@
+
+$(VENV)/installed-dev: pyproject.toml | $(BIN)/python
+	@echo "installing jaxwhisker and what its tests need into $(VENV)"
+	@$(PIP_INSTALL) '.[dev]'
+	@touch $(VENV)/installed $@

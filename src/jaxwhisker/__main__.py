@@ -1,0 +1,8 @@
+"""`python -m jaxwhisker`: the same as the installed command `jaxwhisker`."""
+
+import sys
+
+from jaxwhisker.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,118 @@
+"""A scan in words and columns: aligned tables of events and peaks, and CSV files."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxwhisker.path import Status
+
+REACTIONS = ("fx", "fy", "mz")
+_COLUMNS = (*REACTIONS, "base_x", "contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y")
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Aligned columns: words to the left, numbers to the right."""
+    columns = list(zip(header, *rows))
+    widths = [max(map(len, column)) for column in columns]
+    numeric = [all(_is_number(cell) for cell in column[1:]) for column in columns]
+
+    def line(cells):
+        aligned = [c.rjust(w) if n else c.ljust(w) for c, w, n in zip(cells, widths, numeric)]
+        return "  ".join(aligned).rstrip()
+
+    return "\n".join([line(header), line(["-" * w for w in widths]), *map(line, rows)])
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return cell in ("", "-")
+    return True
+
+
+def number(value: float, digits: int = 5) -> str:
+    """A number with that many decimals; no minus sign before a zero."""
+    return (
+        f"{float(value) + 0.0:.{digits}f}"
+        if abs(value) >= 0.5 * 10.0**-digits or np.isnan(value)
+        else f"{0:.{digits}f}"
+    )
+
+
+def event_rows(result) -> list[list[str]]:
+    """Header and one row per event and whisker; a snap has one before and one after it."""
+    rows = [["control", "event", "whisker", "", "base_x", "fx", "fy", "mz"]]
+    for event in result.events:
+        # A snap of the network as a whole names no whisker: all of them move.
+        whiskers = event.whiskers or tuple(range(1, np.asarray(event.before.fx).shape[0] + 1))
+        snap = event.kind.name.startswith("snap")
+        for when in ("before", "after") if snap else ("before",):
+            state = getattr(event, when)
+            for whisker in whiskers:
+                values = [number(np.asarray(getattr(state, name))[whisker - 1]) for name in ("base_x", *REACTIONS)]
+                rows.append([number(event.control, 6), event.kind.name, str(whisker), when if snap else "", *values])
+    return rows
+
+
+def peak_rows(result) -> list[list[str]]:
+    """Header and one row per whisker and reaction: extremes and where the drive then is."""
+    control = np.asarray(result.control)
+    rows = [["whisker", "reaction", "minimum", "at control", "maximum", "at control"]]
+    for whisker in range(np.asarray(result.fx).shape[1]):
+        for name in REACTIONS:
+            column = np.asarray(getattr(result, name))[:, whisker]
+            row = [str(whisker + 1), name]
+            known = np.isfinite(column)
+            for pick in (np.nanargmin, np.nanargmax):
+                if known.any():
+                    step = pick(column)
+                    row += [number(column[step]), number(control[step], 3) if column[step] != 0 else "-"]
+                else:
+                    row += ["-", "-"]
+            rows.append(row)
+    return rows
+
+
+def status_line(result) -> tuple[int, str]:
+    """Number of failed steps and a sentence that counts them by status."""
+    status = np.asarray(result.status)
+    kinds, counts = np.unique(status, return_counts=True)
+    failed = int(np.sum(status != Status.ok))
+    parts = [f"{count} {Status(int(kind)).name}" for kind, count in zip(kinds, counts)]
+    return failed, f"{status.size} steps: {', '.join(parts)}"
+
+
+def scan_columns(result) -> dict[str, np.ndarray]:
+    """Every signal of a scan by name: control, fx_1, fy_1, mz_1, base_x_1, ..., spring_1, ..., phase_1, status."""
+    columns = {"control": np.asarray(result.control)}
+    for k in range(np.asarray(result.fx).shape[1]):
+        columns |= {f"{name}_{k + 1}": np.asarray(getattr(result, name))[:, k] for name in _COLUMNS}
+    lengths = np.asarray(result.spring_length)
+    columns |= {f"spring_{k + 1}": lengths[:, k] for k in range(lengths.shape[1])}
+    phase = np.asarray(result.phase)
+    columns |= {f"phase_{k + 1}": phase[:, k] for k in range(phase.shape[1])}
+    return columns | {"status": np.asarray(result.status)}
+
+
+def write_columns(columns: dict[str, np.ndarray], path: Path, comment: str) -> None:
+    """Write columns of one length as CSV below a comment line."""
+    kinds = ["%d" if np.asarray(c).dtype.kind in "iu" else "%.9g" for c in columns.values()]
+    header = f"# {comment}\n{','.join(columns)}"
+    np.savetxt(path, np.column_stack(list(columns.values())), kinds, delimiter=",", header=header, comments="")
+
+
+def write_scan(result, path: Path) -> None:
+    """Write every signal of a scan as CSV, in the scene's own units."""
+    comment = (
+        f"{result.scene}; lengths in the unit of L, forces in EI/L^2, moments in EI/L, slopes in rad; "
+        "phase 0 free, 1 tip, 2 tangential; status 0 ok"
+    )
+    write_columns(scan_columns(result), path, comment)
+
+
+def write_rows(rows: Sequence[Sequence[str]], path: Path) -> None:
+    """Write a table of words as CSV; a cell without a value stays empty."""
+    lines = [",".join("" if cell == "-" else cell for cell in row) for row in rows]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,50 @@
+"""Float64, a compilation cache that workers and runs share, reproducible random scenes."""
+
+import hashlib
+import os
+import platform
+import tempfile
+from pathlib import Path
+
+# Before jax starts: on some processors it logs an error for every cached executable, though this very one wrote it.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+import jax
+import pytest
+from hypothesis import HealthCheck, settings
+
+# By configuration, not JAX_ENABLE_X64: the command line is tested in processes that must switch it on themselves.
+jax.config.update("jax_enable_x64", True)
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+settings.register_profile(
+    "ci",
+    deadline=None,  # the first example compiles
+    derandomize=True,
+    max_examples=25,
+    print_blob=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("ci")
+
+
+def _machine() -> str:
+    """A name for this processor: code compiled for another one may not run here."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    features = sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
+    return hashlib.sha256("\n".join([platform.machine(), *features]).encode()).hexdigest()[:12]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    cache = getattr(config, "cache", None)
+    shared = cache.mkdir("jax") if cache else Path(tempfile.gettempdir()) / "jaxwhisker-tests"
+    directory = shared / _machine()
+    # Through the environment, too: for the processes that tests start.
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(directory)
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
+    jax.config.update("jax_compilation_cache_dir", str(directory))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

@@ -1,0 +1,39 @@
+"""Scenes that tests share, and the exact scans stored beside them."""
+
+import json
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxwhisker as jw
+
+REFERENCE = json.loads((Path(__file__).parent / "data" / "scans.json").read_text())["cases"]
+
+
+def model(name="FB", stiffness=70.0, rest_length=0.2, distance=0.2, a=1.0):
+    """A named model before a parabola."""
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance, a), jw.Support.named(name, stiffness, rest_length))
+
+
+def from_reference(case):
+    """The scene of a stored scan."""
+    p = case["profile"]
+    profile = jw.Parabola(p["distance"], p["a"]) if p["kind"] == "parabola" else jw.Circle(p["distance"], p["radius"])
+    springs = [jw.Spring(tuple(s["between"]), s["stiffness"], s["rest_length"]) for s in case["springs"]]
+    return jw.Scene(jw.Whisker(), profile, jw.Support(tuple(springs)))
+
+
+def step_nearest(result, control):
+    """Index of the step nearest to a control."""
+    return int(np.argmin(np.abs(np.asarray(result.control) - control)))
+
+
+def all_ok(result):
+    """Whether every step of the scan is ok."""
+    return bool(jnp.all(result.status == jw.Status.ok))
+
+
+def told(result):
+    """The events as plain tuples (kind, whiskers, control)."""
+    return [(e.kind.name, e.whiskers, e.control) for e in result.events]

@@ -1,0 +1,117 @@
+"""What is wrong before tracing is a ValueError that names the argument, its value and what is allowed."""
+
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+
+pytestmark = pytest.mark.unchecked
+
+nan, inf = float("nan"), float("inf")
+
+CASES = [
+    ("length", lambda: jw.Whisker(length=-1.0), "positive"),
+    ("length", lambda: jw.Whisker(length=0.0), "positive"),
+    ("length", lambda: jw.Whisker(length=nan), "positive"),
+    ("length", lambda: jw.Whisker(length=inf), "finite"),
+    ("bending_stiffness", lambda: jw.Whisker(bending_stiffness=0.0), "positive"),
+    ("bending_stiffness", lambda: jw.Whisker(bending_stiffness=nan), "positive"),
+    ("length", lambda: jw.Whisker(length=np.ones(3)), "number"),
+    ("length", lambda: jw.Whisker(length="long"), "number"),
+    ("distance", lambda: jw.Parabola(0.0), "positive"),
+    ("distance", lambda: jw.Parabola(-0.2), "positive"),
+    ("distance", lambda: jw.Parabola(nan), "positive"),
+    ("a", lambda: jw.Parabola(0.2, a=0.0), "positive"),
+    ("a", lambda: jw.Parabola(0.2, a=nan), "positive"),
+    ("position", lambda: jw.Parabola(0.2, position=nan), "finite"),
+    ("radius", lambda: jw.Circle(0.2, -1.0), "positive"),
+    ("radius", lambda: jw.Circle(0.2, nan), "positive"),
+    ("a", lambda: jw.Ellipse(0.2, 0.0, 1.0), "positive"),
+    ("b", lambda: jw.Ellipse(0.2, 1.0, -1.0), "positive"),
+    ("g", lambda: jw.Graph(3.0), "function"),
+    ("extent", lambda: jw.Graph(lambda x: x**2 + 1, extent=-1.0), "positive"),
+    ("stiffness", lambda: jw.Support.fb(-3.0, 0.2), "positive"),
+    ("stiffness", lambda: jw.Support.fb(0.0, 0.2), "positive"),
+    ("stiffness", lambda: jw.Spring((0, 1), nan), "positive"),
+    ("rest_length", lambda: jw.Support.fb(70.0, nan), "finite"),
+    ("stiffness", lambda: jw.Support.fbfb([70.0, 70.0, 70.0], 0.2), "per spring"),
+    ("stiffness", lambda: jw.Support.fb([70.0, 50.0], 0.2), "per spring"),
+    ("rest_length", lambda: jw.Support.fbfbr(70.0, [0.2, 0.2]), "per spring"),
+    ("model", lambda: jw.Support.named("BFF", 70.0), "FBFBR"),
+    ("between", lambda: jw.Spring((1, 1), 70.0), "different"),
+    ("between", lambda: jw.Spring((0, -1), 70.0), "pair of ints"),
+    ("between", lambda: jw.Spring((0, 1, 2), 70.0), "pair of ints"),
+    ("between", lambda: jw.Spring((0, 0.5), 70.0), "pair of ints"),
+    ("springs", lambda: jw.Support((jw.Spring((0, 1), 1.0), jw.Spring((2, 3), 1.0))), "connect"),
+    ("springs", lambda: jw.Support((jw.Spring((0, 3), 1.0),)), "connect"),
+    ("springs", lambda: jw.Support((70.0,)), "Spring"),
+    ("whisker", lambda: jw.Scene((jw.Whisker(), jw.Whisker()), jw.Parabola(0.2), jw.Support.fb(70.0)), "FB"),
+    ("whisker", lambda: jw.Scene(1.0, jw.Parabola(0.2)), "Whisker"),
+    ("profile", lambda: jw.Scene(jw.Whisker(), 0.2), "Parabola"),
+    ("support", lambda: jw.Scene(jw.Whisker(), jw.Parabola(0.2), 70.0), "Support"),
+    ("scene", lambda: jw.scan("FB"), "Scene"),
+    ("control", lambda: jw.scan(scene, np.zeros((3, 2))), "one-dimensional"),
+    ("control", lambda: jw.scan(scene, np.zeros(0)), "non-empty"),
+    ("control", lambda: jw.scan(scene, 0.5), "one-dimensional"),
+    ("control", lambda: jw.scan(scene, np.array([0.5, nan, 0.3])), "index 1"),
+    ("control", lambda: jw.scan(scene, [0.5, inf]), "finite"),
+    ("control", lambda: jw.scan(scene, ["left", "right"]), "numbers"),
+    ("loads", lambda: jw.deflect(jw.Whisker()), "PointForce"),
+    ("position", lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0, position=1.5)), "at most"),
+    ("position", lambda: jw.PointForce(1.0, position=-0.5), "positive"),
+    ("force", lambda: jw.PointForce(nan), "finite"),
+    ("points", lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0), points=1), "at least 2"),
+]
+scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0, 0.2))
+
+
+@pytest.mark.parametrize(("name", "make", "allowed"), CASES, ids=[f"{c[0]}-{k}" for k, c in enumerate(CASES)])
+def test_the_argument_is_named(name, make, allowed):
+    with pytest.raises(ValueError, match=f"`{name}`") as error:
+        make()
+    assert allowed in str(error.value)
+    assert "must" in str(error.value)
+
+
+def test_the_value_is_told():
+    with pytest.raises(ValueError, match=r"`stiffness` must be a positive number, but is -3\.0"):
+        jw.Support.fb(-3.0, 0.2)
+
+
+def test_float32_mode_says_how_to_leave_it():
+    code = (
+        "import jaxwhisker as jw\n"
+        "try:\n"
+        "    jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2)))\n"
+        "except ValueError as error:\n"
+        "    assert 'jax_enable_x64' in str(error), error\n"
+        "else:\n"
+        "    raise SystemExit('no error')\n"
+        "import jax\n"
+        "assert not jax.config.jax_enable_x64\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_while_tracing_the_same_is_a_status():
+    @jax.jit
+    def scan(stiffness, distance, length):
+        whisker, profile = jw.Whisker(length), jw.Parabola(distance)
+        return jw.scan(jw.Scene(whisker, profile, jw.Support.fb(stiffness, 0.2)), jnp.linspace(0.7, 0.5, 4))
+
+    assert np.all(np.asarray(scan(70.0, 0.2, 1.0).status) == jw.Status.ok)
+    bad = [(-3.0, 0.2, 1.0), (nan, 0.2, 1.0), (0.0, 0.2, 1.0), (70.0, 0.0, 1.0), (70.0, nan, 1.0), (70.0, 0.2, -1.0)]
+    for values in bad:
+        result = scan(*values)
+        assert np.all(np.asarray(result.status) == jw.Status.invalid), values
+        assert np.all(np.isnan(result.mz))
+
+
+def test_a_traced_control_that_is_not_finite_is_a_status():
+    result = jax.jit(jw.scan)(scene, jnp.array([0.7, nan, 0.5]))
+    assert np.all(np.asarray(result.status) == jw.Status.invalid)

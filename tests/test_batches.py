@@ -1,0 +1,132 @@
+"""Batches: vmap is a loop, jit is eager, and lanes do not know of each other."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import model, told
+
+import jaxwhisker as jw
+
+LOOP = 1e-11  # a batch is compiled differently from one scene: rounding, beside a fold enlarged
+CONTROL = jnp.linspace(0.8, -1.6, 160)
+SIGNALS = ("fx", "fy", "mz", "base_x", "contact_arc")
+
+
+def build(stiffness, distance):
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.fb(stiffness, 0.2))
+
+
+@jax.jit
+@jax.vmap
+def scanned(scene):
+    return jw.scan(scene, CONTROL)
+
+
+def batch_of(stiffness, distance):
+    return jax.vmap(build)(jnp.asarray(stiffness, float), jnp.asarray(distance, float))
+
+
+@pytest.fixture(scope="module")
+def good():
+    rng = np.random.default_rng(3)
+    return rng.uniform(8, 200, 8), rng.uniform(0.1, 0.5, 8)
+
+
+@pytest.fixture(scope="module")
+def batch(good):
+    return scanned(batch_of(*good))
+
+
+def test_vmap_is_a_loop(good, batch):
+    for k in range(8):
+        one = jw.scan(build(float(good[0][k]), float(good[1][k])), CONTROL)
+        for name in SIGNALS:
+            np.testing.assert_allclose(getattr(batch, name)[k], getattr(one, name), atol=LOOP * 100, rtol=LOOP)
+        lane = jax.tree.map(lambda leaf, k=k: leaf[k], batch)
+        assert [e[:2] for e in told(lane)] == [e[:2] for e in told(one)]
+        np.testing.assert_allclose([e[2] for e in told(lane)], [e[2] for e in told(one)], atol=1e-10)
+    kinds = {e[0] for k in range(8) for e in told(jax.tree.map(lambda leaf, k=k: leaf[k], batch))}
+    assert {"snap_off", "snap_through"} <= kinds  # lanes that do different things
+
+
+def test_bad_lanes_leave_their_neighbours_bit_identical(good, batch):
+    # In place of two good lanes: a parameter that is NaN, one that is out of its domain.
+    stiffness, distance = np.array(good[0]), np.array(good[1])
+    stiffness[2], distance[5] = np.nan, -0.3
+    mixed = scanned(batch_of(stiffness, distance))
+    for k in range(8):
+        if k in (2, 5):
+            assert np.all(np.asarray(mixed.status[k]) == jw.Status.invalid)
+            assert np.all(np.isnan(mixed.fx[k]))
+            assert mixed.events.count[k] == 0
+        else:
+            for name in (*SIGNALS, "status", "phase"):
+                assert np.array_equal(getattr(mixed, name)[k], getattr(batch, name)[k]), name
+            assert np.array_equal(mixed.events.control[k], batch.events.control[k], equal_nan=True)
+
+
+def test_a_hopeless_lane_leaves_its_neighbours_bit_identical(good, batch):
+    # An object 1e-12 above the bases needs forces of 1e24: the path is lost there, or followed; nobody else notices.
+    stiffness, distance = np.array(good[0]), np.array(good[1])
+    distance[0], stiffness[7] = 1e-12, 1e-9
+    mixed = scanned(batch_of(stiffness, distance))
+    for k in range(1, 7):
+        for name in (*SIGNALS, "status"):
+            assert np.array_equal(getattr(mixed, name)[k], getattr(batch, name)[k]), name
+    ok = np.asarray(mixed.status) == jw.Status.ok
+    assert np.array_equal(np.isfinite(mixed.fx[:, :, 0]), ok)
+
+
+def test_jit_is_eager():
+    scene = model("FBFBR")
+    eager = jw.scan(scene, CONTROL)
+    jitted = jax.jit(jw.scan)(scene, CONTROL)
+    for name in SIGNALS:
+        np.testing.assert_allclose(getattr(eager, name), getattr(jitted, name), atol=LOOP * 100)
+    assert int(jitted.events.count) == len(eager.events)
+    np.testing.assert_allclose([e[2] for e in told(jitted)], [e[2] for e in told(eager)], atol=1e-10)
+
+
+def test_a_batch_of_one_is_a_batch_of_sixty_four(good):
+    many = scanned(batch_of(np.repeat(good[0], 8), np.repeat(good[1], 8)))
+    one = scanned(batch_of(good[0][:1], good[1][:1]))
+    for name in SIGNALS:
+        np.testing.assert_allclose(getattr(many, name)[0], getattr(one, name)[0], atol=LOOP * 100)
+        assert np.array_equal(getattr(many, name)[0], getattr(many, name)[7])
+
+
+def test_default_control_and_traced_control_go_through_vmap():
+    scenes = batch_of([40.0, 70.0], [0.2, 0.3])
+    default = jax.vmap(jw.scan)(scenes)
+    assert np.all(np.asarray(default.status) == jw.Status.ok)
+    assert default.control.shape == default.fx.shape[:2]
+    alone = jw.scan(build(70.0, 0.3))
+    assert [e[0] for e in told(jax.tree.map(lambda leaf: leaf[1], default))] == [e[0] for e in told(alone)]
+    assert abs(default.control[1, 0] - alone.control[0]) < 1e-12
+    out = np.linspace(0.8, -1.0, 40)
+    there_and_back = jnp.asarray(np.concatenate([out, out[::-1]]))
+    traced = jax.vmap(jw.scan)(scenes, jnp.stack([there_and_back, there_and_back]))
+    np.testing.assert_allclose(traced.fx[1], jw.scan(build(70.0, 0.3), there_and_back).fx, atol=LOOP * 100)
+
+
+def test_a_traced_control_with_too_many_turns_says_so():
+    zigzag = jnp.asarray(np.tile([0.5, 0.4], 20))
+    result = jax.jit(jw.scan)(build(70.0, 0.2), zigzag)
+    assert np.all(np.asarray(result.status) == jw.Status.too_long)
+    eager = jw.scan(build(70.0, 0.2), zigzag)
+    assert np.all(np.asarray(eager.status) == jw.Status.ok)
+
+
+def test_events_of_a_batch_ask_for_a_lane(batch):
+    with pytest.raises(TypeError, match="pick one lane"):
+        next(iter(batch.events))
+
+
+def test_events_have_a_fixed_size(batch):
+    counts = np.asarray(batch.events.count)
+    for k, count in enumerate(counts):
+        assert np.all(np.asarray(batch.events.kind[k][:count]) >= 0)
+        assert np.all(np.asarray(batch.events.kind[k][count:]) == -1)
+        assert np.all(np.isnan(batch.events.control[k][count:]))
+        assert np.all(np.diff(batch.events.control[k][:count]) <= 0)

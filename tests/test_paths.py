@@ -1,0 +1,119 @@
+"""The path decides, not the grid: coarse and fine, out and back, from the middle, past and beside the object."""
+
+import numpy as np
+from scenes import all_ok, model, step_nearest, told
+
+import jaxwhisker as jw
+
+GRID = 1e-9  # states shared by two grids
+EVENT = 1e-8  # events of two grids
+RETRACE = 1e-9  # out and back without a snap
+
+
+def test_coarse_and_fine_agree():
+    for name in ("FB", "FBFBR"):
+        results = [jw.scan(model(name), np.arange(1500, -3500, -k) / 2000.0) for k in (20, 4, 1)]
+        fine = results[-1]
+        for coarse, k in zip(results[:-1], (20, 4), strict=True):
+            assert all_ok(coarse)
+            for field in ("fx", "fy", "mz", "base_x"):
+                np.testing.assert_allclose(getattr(coarse, field), getattr(fine, field)[::k], atol=GRID * 10)
+            np.testing.assert_allclose([e[2] for e in told(coarse)], [e[2] for e in told(fine)], atol=EVENT)
+            assert [e[:2] for e in told(coarse)] == [e[:2] for e in told(fine)]
+
+
+def test_out_and_back_without_a_snap_retraces_itself():
+    out = np.linspace(0.8, -1.2, 201)
+    result = jw.scan(model("FBFBR"), np.concatenate([out, out[-2::-1]]))
+    assert all_ok(result)
+    assert not any(e.kind in (jw.EventKind.snap_off, jw.EventKind.snap_through) for e in result.events)
+    for field in ("fx", "fy", "mz", "base_x"):
+        values = np.asarray(getattr(result, field))
+        np.testing.assert_allclose(values[201:], values[:200][::-1], atol=RETRACE * 10)
+    kinds = [e[0] for e in told(result)]
+    assert kinds.count("touch") == kinds.count("release") == 2
+    assert kinds.count("vertex") % 2 == 0
+
+
+def test_back_after_a_snap_through_stays_on_the_far_branch():
+    # FB q = 0.1, c = 30 snaps through the vertex at u = -0.8505; on the way back it stays beyond it for a while.
+    out = np.linspace(0.8, -0.9, 171)
+    result = jw.scan(model("FB", 30.0, distance=0.1), np.concatenate([out, out[::-1]]))
+    assert all_ok(result)
+    snaps = result.events.of(jw.EventKind.snap_through)
+    assert len(snaps) == 2
+    assert snaps[1].control > snaps[0].control + 0.1
+    between = step_nearest(result, -0.8)
+    back = 341 - between
+    assert result.base_x[between, 0] > 0 > result.base_x[back, 0]
+    assert result.fx[between, 0] < 0 < result.fx[back, 0]
+
+
+def test_back_after_a_snap_off_touches_from_the_other_side():
+    out = np.linspace(1.5, -1.5, 301)
+    result = jw.scan(model("FB"), np.concatenate([out, out[::-1]]))
+    assert all_ok(result)
+    kinds = [e[0] for e in told(result)]
+    assert kinds.count("snap_off") == 2
+    again = result.events.of(jw.EventKind.touch)[1]
+    assert abs(again.after.base_x[0] + np.sqrt(0.8)) < EVENT
+    at = step_nearest(result, -1.2)
+    assert result.phase[at, 0] != jw.Phase.free
+    assert result.phase[601 - at, 0] == jw.Phase.free
+    assert result.mz[601 - step_nearest(result, 0.0), 0] < 0
+
+
+def test_starting_in_the_middle_of_contact():
+    whole = jw.scan(model("FBFB"), np.linspace(0.8, -1.6, 241))
+    part = jw.scan(model("FBFB"), np.linspace(-0.4, -1.6, 121))
+    for field in ("fx", "fy", "mz", "base_x", "phase"):
+        np.testing.assert_allclose(getattr(part, field), getattr(whole, field)[120:], atol=GRID * 10)
+    assert told(part)[0][2] < -0.4
+    assert [e[:2] for e in told(part)] == [e[:2] for e in told(whole) if e[2] < -0.4]
+
+
+def test_one_step_and_standing_still():
+    one = jw.scan(model("FB"), np.array([-0.5]))
+    still = jw.scan(model("FB"), np.array([0.7, -0.5, -0.5, -0.5]))
+    assert all_ok(one) and all_ok(still)
+    np.testing.assert_allclose(still.fy[1:, 0], np.repeat(one.fy[0, 0], 3), atol=GRID)
+
+
+def test_an_object_out_of_reach_is_no_contact():
+    result = jw.scan(model("FBFBR", distance=1.5))
+    assert all_ok(result)
+    assert len(result.events) == 0
+    for field in ("fx", "fy", "mz", "contact_force"):
+        assert np.all(np.asarray(getattr(result, field)) == 0)
+    np.testing.assert_allclose(result.base_x[:, 0] - result.control, 0.2, atol=1e-12)
+
+
+def test_the_default_control_holds_the_whole_story():
+    for name in ("clamped", "FB", "FBFBFBR"):
+        result = jw.scan(model(name))
+        assert np.all(np.asarray(result.phase[0]) == jw.Phase.free)
+        assert np.all(np.asarray(result.phase[-1]) == jw.Phase.free)
+        assert result.control[0] > told(result)[0][2] > told(result)[-1][2] > result.control[-1]
+        np.testing.assert_allclose(np.diff(result.control), -0.001, atol=1e-12)
+
+
+def test_the_far_side():
+    # c = 10 slips at u = -1.0246, lands on the far side bent the other way, and leaves smoothly.
+    result = jw.scan(model("FB", 10.0))
+    landing = result.events.of(jw.EventKind.snap_through)[1]
+    assert landing.whiskers == (1,)
+    assert landing.before.mz[0] > 0 > landing.after.mz[0]
+    assert abs(landing.after.base_x[0] + 0.8400653) < 1e-6
+    assert abs(told(result)[-1][2] + 1.094427191) < EVENT
+    assert told(result)[-1][0] == "release"
+
+
+def test_sixteen_whiskers_in_a_row():
+    springs = tuple(jw.Spring((k, k + 1), 200.0, 0.15) for k in range(16))
+    result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.4), jw.Support(springs)), np.linspace(0.8, -3.8, 300))
+    assert all_ok(result)
+    assert result.fx.shape == (300, 16)
+    kinds = [e[0] for e in told(result)]
+    assert kinds.count("touch") == 16
+    drive = 200.0 * (np.asarray(result.spring_length)[:, 0] - 0.15)
+    np.testing.assert_allclose(-drive, np.asarray(result.fx).sum(axis=1), atol=1e-9 * 200)
