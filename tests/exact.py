@@ -24,6 +24,8 @@ closed forms, and an equilibrium that misses them by RESIDUAL raises.
 """
 
 # ruff: noqa: B023, E731
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false, reportOperatorIssue=false
+# pyright: reportFunctionMemberAccess=false, reportUnhashable=false
 
 import math
 from collections import namedtuple
@@ -32,6 +34,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 from scipy.optimize import brentq
@@ -44,7 +47,7 @@ OVERLAP = 2 * STEP  # how far a piece of the curve continues past its borders
 KICK = 1e-5  # displacement off a lost equilibrium that starts the flow
 FREE, TIP, TANGENTIAL = "free", "tip", "tangential"
 CLAMP = {"between": (0, 1), "stiffness": math.inf, "rest_length": 0.0}
-Profile = Callable  # slope angle -> contact point (xi, eta); strictly convex, symmetric in x
+Profile = Callable[..., tuple]  # slope angle -> contact point (xi, eta); strictly convex, symmetric in x
 
 
 def parabola(distance: float, a: float = 1.0) -> Profile:
@@ -155,15 +158,15 @@ class ClampedBranch:
         changes = [brentq(excess, grid[i], grid[i + 1], xtol=1e-15) for i in changes]
         stop = grid[turn] + 5 * STEP
         self.borders = np.array(sorted({0.0, *changes, min(1.0, stop)} - {stop}))
-        ends = [*self.borders[1:], stop]
-        phases = [TIP if excess((a + b) / 2) > 0 else TANGENTIAL for a, b in zip(self.borders, ends)]
-        self.pieces = [_Piece(self, *piece) for piece in zip(self.borders, ends, phases)] + [_Free(self.touch_x)]
+        spans = zip(self.borders, [*self.borders[1:], stop], strict=True)
+        self.pieces = [_Piece(self, a, b, TIP if excess((a + b) / 2) > 0 else TANGENTIAL) for a, b in spans]
+        self.pieces.append(_Free(self.touch_x))
         self.fold = brentq(lambda p: self.piece(p)(p)[2], grid[turn - 1], grid[turn + 1], xtol=1e-15)
         self.fold_x = self.states(self.fold).base_x.item()
         self._table_p = np.linspace(0, 1, 2001)[::-1] ** 2 * self.fold
         self._table_x = self.states(self._table_p).base_x
 
-    def states(self, p, side=1.0, tip=None) -> State:
+    def states(self, p: ArrayLike, side: ArrayLike = 1.0, tip=None) -> State:
         """Return the exact states at p, mirrored in x where side = -1; tip=True or False prescribes the phase."""
         p, side = np.broadcast_arrays(np.asarray(p, dtype=float), np.asarray(side, dtype=float))
         free, clearance, p = p < 0, -p, np.maximum(p, 1e-300)  # at 0 the ratios below would be 0/0
@@ -244,7 +247,7 @@ class _Path:
 
     def _curve(self, p):
         """Return base_x, F_x and their derivatives by p, each (whiskers,), mirrored where side = -1."""
-        return self.side * np.array([piece(value) for piece, value in zip(self._pieces(), p)]).T
+        return self.side * np.array([piece(value) for piece, value in zip(self._pieces(), p, strict=True)]).T
 
     def _balance(self, y):
         """Return base_x - u - rest - C F_x and its derivatives by p."""
@@ -266,7 +269,7 @@ class _Path:
         return not is_lost and np.all(np.linalg.eigvalsh(self._hessian(y)[0]) > 0)
 
     def _newton(self, y, row, value):
-        """Return the equilibrium with row @ y = value next to y, or None."""
+        """Return the equilibrium with row @ y = value next to y, or NaN."""
         for _ in range(12):
             residual, by_p = self._balance(y)
             matrix = np.vstack([np.column_stack([by_p, -np.ones(self.count)]), row])
@@ -274,7 +277,7 @@ class _Path:
             y = y - change
             if np.abs(change).max() < 1e-11:  # quadratic: y itself is better
                 return y
-        return None
+        return np.full_like(y, np.nan)
 
     def advance(self, control):
         """Go on to the next event, at most by a step; return (control, p, side) for every control passed on the way."""
@@ -287,7 +290,7 @@ class _Path:
                 return 0.0  # on the root but for rounding
             return brentq(lambda tau: value(point(tau)), 0, tau, xtol=1e-15)
 
-        while (end := point(self.step)) is None or np.abs(end - self.y).max() > 1.5 * self.step:
+        while not np.abs((end := point(self.step)) - self.y).max() < 1.5 * self.step:
             self.step /= 2
             if self.step < 1e-10:
                 raise RuntimeError(f"no equilibrium found next to control {self.y[-1]}")
@@ -301,7 +304,7 @@ class _Path:
         if not is_lost and whisker is None and not self._is_stable(end):
             raise RuntimeError(f"several whiskers lose their equilibrium together at control {end[-1]}")
         taus = [root(lambda y: y[-1] - value, tau) for value in control if value >= end[-1]]
-        passed = [(value, point(at)[:-1], self.side.copy()) for value, at in zip(control, taus)]
+        passed = [(value, point(at)[:-1], self.side.copy()) for value, at in zip(control, taus, strict=False)]
         self.y, self.step = end, min(1.5 * self.step, STEP)
         if is_lost or (whisker is not None and self._switch(whisker, border)):
             self._snap()
@@ -368,9 +371,7 @@ class _Path:
         for _ in range(5):
             self.piece = np.searchsorted(self.branch.borders, y[:-1], "right") - 1
             y = self._newton(y, np.append(np.zeros(self.count), 1.0), y[-1])
-            if y is None:
-                break
-            is_inside = all(piece.low <= p <= piece.high for p, piece in zip(y, self._pieces()))
+            is_inside = all(piece.low <= p <= piece.high for p, piece in zip(y[:-1], self._pieces(), strict=True))
             distance = np.abs(self.side * self._curve(y[:-1])[0] - base_x).max()
             if is_inside and distance < 1e-6 and self._is_stable(y):
                 self.y = y
@@ -378,7 +379,7 @@ class _Path:
         return False
 
 
-def exact_scan(profile: Profile, springs: Sequence[dict], control: Sequence[float]) -> Scan:
+def exact_scan(profile: Profile, springs: Sequence[dict], control: ArrayLike) -> Scan:
     """Scan with strictly decreasing control, coming from the right, where all whiskers are free.
 
     springs: {"between": (i, j), "stiffness": c, "rest_length": x_j - x_i} each, node 0 the drive, c = math.inf rigid;

@@ -11,7 +11,7 @@ import jaxwhisker as jw
 REFERENCE = json.loads((Path(__file__).parent / "data" / "scans.json").read_text())["cases"]
 
 
-def model(name="FB", stiffness=70.0, rest_length=0.2, distance=0.2, a=1.0):
+def model(name="FB", stiffness: float | list = 70.0, rest_length=0.2, distance=0.2, a=1.0):
     """A named model before a parabola."""
     return jw.Scene(jw.Whisker(), jw.Parabola(distance, a), jw.Support.named(name, stiffness, rest_length))
 

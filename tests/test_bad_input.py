@@ -1,5 +1,6 @@
 """What is wrong before tracing is a ValueError that names the argument, its value and what is allowed."""
 
+# pyright: reportArgumentType=false
 import subprocess
 import sys
 

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import model, told
 
 import jaxwhisker as jw
+from scenes import model, told
 
 LOOP = 1e-11  # a batch is compiled differently from one scene: rounding, beside a fold enlarged
 CONTROL = jnp.linspace(0.8, -1.6, 160)

@@ -5,10 +5,10 @@ import sys
 
 import jax
 import jax.numpy as jnp
-from scenes import model
 
 from jaxwhisker.equilibrium import Mode, Point, at_control, newton_step
 from jaxwhisker.scene import problem
+from scenes import model
 
 
 def operations(jaxpr):
@@ -31,7 +31,9 @@ def newton_operations(scene):
     z = jnp.ones((n, 3))
     mode = Mode(jnp.full(n, 2), jnp.ones(n), jnp.asarray(False))
     point = Point(z, jnp.asarray(0.0))
-    return operations(jax.make_jaxpr(lambda p, z: newton_step(p, mode, at_control(z.u, z.z), z))(dimensionless, point).jaxpr)
+    return operations(
+        jax.make_jaxpr(lambda p, z: newton_step(p, mode, at_control(z.u, z.z), z))(dimensionless, point).jaxpr
+    )
 
 
 def test_each_rung_costs_more_than_the_last():

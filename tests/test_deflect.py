@@ -100,7 +100,7 @@ def test_a_load_too_large_for_the_steps_says_so():
 def test_derivatives_of_dead_and_follower_loads():
     for follower in (False, True):
 
-        def moment(force, position, stiffness, follower=follower):
+        def moment(force, position, stiffness, *, follower=follower):
             return jw.deflect(jw.Whisker(1.0, stiffness), jw.PointForce(force, position, follower=follower)).mz
 
         at = (3.0, 0.8, 1.2)

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import all_ok, model, told
 
 import jaxwhisker as jw
+from scenes import all_ok, model, told
 
 BALANCE = 1e-9  # of forces and moments, relative to the largest
 SAME = 1e-9  # two ways to the same scan
@@ -42,7 +42,8 @@ def test_every_whisker_and_every_base_is_in_balance(values):
     np.testing.assert_allclose(np.where(touching, moment, 0), 0, atol=BALANCE * size)
     # Springs on each base carry what the support gives to its whisker.
     tension = np.stack(
-        [(result.spring_length[:, k] - s.rest_length) * s.stiffness for k, s in enumerate(scene.support.springs)], axis=1
+        [(result.spring_length[:, k] - s.rest_length) * s.stiffness for k, s in enumerate(scene.support.springs)],
+        axis=1,
     )
     c1, c2, c3 = tension.T
     np.testing.assert_allclose(-c1 + c2, result.fx[:, 0], atol=BALANCE * size * 10)
@@ -103,7 +104,9 @@ def test_uncoupled_whiskers_are_single_ones():
     springs = (jw.Spring((0, 1), 70.0, 0.2), jw.Spring((0, 2), 40.0, 0.5))
     both = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support(springs)), CONTROL)
     for i, spring in enumerate(springs):
-        alone = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(spring.stiffness, spring.rest_length)), CONTROL)
+        alone = jw.scan(
+            jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(spring.stiffness, spring.rest_length)), CONTROL
+        )
         for name in ("fx", "fy", "mz", "base_x", "contact_arc"):
             np.testing.assert_allclose(getattr(both, name)[:, i], getattr(alone, name)[:, 0], atol=SAME * 1e2)
 

@@ -1,9 +1,9 @@
 """The path decides, not the grid: coarse and fine, out and back, from the middle, past and beside the object."""
 
 import numpy as np
-from scenes import all_ok, model, step_nearest, told
 
 import jaxwhisker as jw
+from scenes import all_ok, model, step_nearest, told
 
 GRID = 1e-9  # states shared by two grids
 EVENT = 1e-8  # events of two grids

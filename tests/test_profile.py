@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import all_ok, told
 
 import jaxwhisker as jw
+from scenes import all_ok, told
 
 EXACT = 1e-12
 SAME = 1e-8  # two parametrisations of one object

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scenes import REFERENCE, all_ok, from_reference, told
 
 import jaxwhisker as jw
+from scenes import REFERENCE, all_ok, from_reference, told
 
 SIGNAL = 1e-6  # of a signal's peak, at every listed control: what the reference is asked to confirm
 EVENT = 1e-7  # in u: a hundred times the reference's rounding

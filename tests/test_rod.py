@@ -119,4 +119,4 @@ def test_points_run_from_start_to_end():
     states = rod.points(start, 1.0, load, 1.0, count=9)
     end = rod.integrate(start, 1.0, load, 1.0, steps=8, solver=rod.NystromSplitting())
     np.testing.assert_allclose([s[0] for s in states], [0, 0, 1, 0], atol=1e-15)
-    np.testing.assert_allclose([s[-1] for s in states], end, atol=1e-15)
+    np.testing.assert_allclose([s[-1] for s in states], np.array(end), atol=1e-15)

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,15 +10,17 @@ from pathlib import Path
 import jax
 import numpy as np
 
+import jaxwhisker
 from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Parabola
 from jaxwhisker.report import event_rows, peak_rows, status_line, table, write_scan
+from jaxwhisker.scan import scan
 from jaxwhisker.scene import Scene
 from jaxwhisker.support import Support
 from jaxwhisker.whisker import Whisker
 
 MODELS = ("clamped", "FB", "FBFB", "FBFBR", "FBFBFBR")
 MAX_STEPS = 1_000_000
-OK, NOT_ALL_OK, USAGE = 0, 1, 2  # exit codes
+OK, NOT_ALL_OK, USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 # The options of each profile and their defaults; an option of another profile is refused.
 PROFILES = {
@@ -27,14 +30,16 @@ PROFILES = {
 }
 
 SCAN_HELP = """\
-Scan one object with the whiskers of one model: a table of events, peaks and the count of failed steps go to the
-screen, the signals to --csv, a picture to --plot.
+Scan one object with the whiskers of one model. A table of events, the peaks
+and the count of failed steps go to the screen, the signals to --csv, a picture
+to --plot.
 """
 SCAN_END = """\
-Any consistent system of units will do. With the defaults all is dimensionless: lengths in L, forces in EI/L^2, moments
-in EI/L, stiffnesses in EI/L^3. The drive moves towards -x; reactions are those of the support on the whisker.
+Any consistent system of units will do. With the defaults all is dimensionless:
+lengths in L, forces in EI/L^2, moments in EI/L, stiffnesses in EI/L^3. The
+drive moves towards -x; reactions are those of the support on the whisker.
 
-The CSV begins with a comment line; read it with pandas.read_csv(file, comment="#").
+The CSV begins with a comment line: pandas.read_csv(file, comment="#").
 
 exit codes:
   0  every step is ok
@@ -42,14 +47,20 @@ exit codes:
   2  an option or a parameter is wrong, or a file cannot be written
 
 examples:
-  jaxwhisker scan --model FBFBR --stiffness 70 --distance 0.2 --plot fig.png --csv scan.csv
+  jaxwhisker scan --model FBFBR --stiffness 70 --distance 0.2 \\
+      --plot fig.png --csv scan.csv
   jaxwhisker scan --model FBFB --stiffness 70,inf --rest-length 0.2,0.3
-  jaxwhisker scan --model clamped --profile circle --radius 1 --start 0.5 --stop -1 --step 0.01
+  jaxwhisker scan --model clamped --profile circle --start 0.5 --stop -1
 """
 REPRODUCE_HELP = """\
-Compute and draw the results of the thesis: tables A.1-A.4, figures 5.10-5.16, 6.1-6.24 and 7.4, each as PNG with the
-data behind it as CSV, its claims with numbers (claims.md), and all of it on one page (README.md, index.html).
+Compute and draw the results of the thesis: tables A.1-A.4, figures 5.10-5.16,
+6.1-6.24 and 7.4, each as PNG with the data behind it as CSV, its claims with
+numbers (claims.md), and all of it on one page (README.md, index.html).
 """
+
+
+class _UsageError(Exception):
+    """What the user has to change; its message goes to stderr as one line."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -78,14 +89,8 @@ def _model(text: str) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        installed = version("jaxwhisker")
-    except PackageNotFoundError:
-        installed = "not installed"
     parser = _Parser(prog="jaxwhisker", description="Quasi-static scans with elastically coupled tactile whiskers.")
-    parser.add_argument("--version", action="version", version=f"jaxwhisker {installed}")
+    parser.add_argument("--version", action="version", version=f"jaxwhisker {jaxwhisker.__version__}")
     commands = parser.add_subparsers(dest="command", metavar="command", required=True)
     _add_scan(commands)
     _add_reproduce(commands)
@@ -141,7 +146,10 @@ def _add_scan(commands) -> None:
 
 def _add_reproduce(commands) -> None:
     reproduce = commands.add_parser(
-        "reproduce", help="the thesis's tables, figures and claims", description=REPRODUCE_HELP
+        "reproduce",
+        help="the thesis's tables, figures and claims",
+        description=REPRODUCE_HELP,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     reproduce.add_argument(
         "--out", type=Path, default=Path("out"), metavar="DIR", help="folder for the results (default: %(default)s)"
@@ -178,8 +186,6 @@ def _scene(args: argparse.Namespace) -> Scene:
 
 def _control(args: argparse.Namespace, scene: Scene) -> np.ndarray | None:
     """Positions of the drive, None for the default ones."""
-    from jaxwhisker.scan import default_control
-
     if args.start is None and args.stop is None and args.step is None:
         return None
     for option in ("start", "stop", "step"):
@@ -191,7 +197,7 @@ def _control(args: argparse.Namespace, scene: Scene) -> np.ndarray | None:
         raise ValueError(f"--step must be positive, but is {step}; a scan towards +x has --stop above --start.")
     start, stop = args.start, args.stop
     if start is None or stop is None:
-        usual = np.asarray(default_control(scene))
+        usual = np.asarray(scan(scene).control)
         start, stop = (usual[0] if start is None else start), (usual[-1] if stop is None else stop)
     steps = abs(stop - start) / step
     if steps > MAX_STEPS:
@@ -201,12 +207,15 @@ def _control(args: argparse.Namespace, scene: Scene) -> np.ndarray | None:
 
 
 def _check_writable(path: Path | None) -> None:
+    # Before the work, not after it.
     if path is None:
         return
     if path.is_dir():
-        raise OSError(f"cannot write {path}: it is a folder")
+        raise _UsageError(f"cannot write {path}: it is a folder")
     if not path.absolute().parent.is_dir():
-        raise OSError(f"cannot write {path}: there is no folder {path.parent}")
+        raise _UsageError(f"cannot write {path}: there is no folder {path.parent}")
+    if not os.access(path if path.exists() else path.absolute().parent, os.W_OK):
+        raise _UsageError(f"cannot write {path}: no permission")
 
 
 def _check_picture(path: Path | None) -> None:
@@ -214,19 +223,19 @@ def _check_picture(path: Path | None) -> None:
         return
     from matplotlib.backend_bases import FigureCanvasBase
 
-    kinds = sorted(FigureCanvasBase.get_supported_filetypes())
-    if path.suffix.lstrip(".").lower() not in kinds:
-        raise ValueError(f"--plot must end with one of .{', .'.join(kinds)}, but is {path}.")
+    if path.suffix.lstrip(".").lower() not in FigureCanvasBase.get_supported_filetypes():
+        raise _UsageError(f"--plot must end with .png, .pdf, .svg or another format of matplotlib, but is {path}.")
 
 
 def _scan(args: argparse.Namespace) -> int:
     for path in (args.plot, args.csv):
         _check_writable(path)
     _check_picture(args.plot)
-    from jaxwhisker.scan import scan
-
-    scene = _scene(args)
-    control = _control(args, scene)
+    try:
+        scene = _scene(args)
+        control = _control(args, scene)
+    except ValueError as error:
+        raise _UsageError(str(error)) from None
     print(scene, flush=True)
     result = scan(scene) if control is None else scan(scene, control)
     rows = event_rows(result)
@@ -252,9 +261,12 @@ def _scan(args: argparse.Namespace) -> int:
 def _reproduce(args: argparse.Namespace) -> int:
     from jaxwhisker.reproduce import names, reproduce
 
-    wanted = None if args.only is None else names(args.only)
+    try:
+        wanted = None if args.only is None else names(args.only)
+    except ValueError as error:
+        raise _UsageError(str(error)) from None
     if args.out.exists() and not args.out.is_dir():
-        raise OSError(f"cannot write to {args.out}: it is a file")
+        raise _UsageError(f"cannot write to {args.out}: it is a file")
     reproduce(args.out, wanted)
     return OK
 
@@ -272,7 +284,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)
     try:
         return args.run(args)
-    except (ValueError, OSError) as error:
+    except (_UsageError, OSError) as error:
         message = " ".join(str(error).split())
         print(f"{parser.prog} {args.command}: error: {message}", file=sys.stderr)
         return USAGE
+    except KeyboardInterrupt:
+        return INTERRUPTED

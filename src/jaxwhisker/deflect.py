@@ -62,9 +62,9 @@ class Deflection(eqx.Module):
     Everything is NaN unless `status` is `Status.ok`.
     """
 
-    fx: Scalar  # support reaction on the whisker
-    fy: Scalar
-    mz: Scalar  # counter-clockwise positive
+    fx: Float[Array, ""]  # support reaction on the whisker
+    fy: Float[Array, ""]
+    mz: Float[Array, ""]  # counter-clockwise positive
     s: Float[Array, " points"]
     x: Float[Array, " points"]
     y: Float[Array, " points"]

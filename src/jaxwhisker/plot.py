@@ -8,16 +8,19 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
 from jaxwhisker.contact import Phase
 from jaxwhisker.profile import AbstractProfile, Graph, Parabola
-from jaxwhisker.shape import shapes
 from jaxwhisker.scene import units
+from jaxwhisker.shape import shapes
 
 # Okabe and Ito's colours, told apart with every kind of colour blindness; black stands last.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+LEAST_HEIGHT = 1e-3  # of an axis: what is constant but for rounding looks constant
+FAR = 3.0  # lengths from the vertex to where an endless object is cut off
 _OBJECT, _SUPPORT = "#DDDDDD", "#555555"
 
 _AXIS = {
@@ -48,6 +51,11 @@ def _in_units(result, quantity: str) -> np.ndarray:
     unit = _AXIS[quantity][1]
     size = 1.0 if unit is None else float(getattr(units(result.scene), unit))
     return np.asarray(getattr(result, quantity)) / size
+
+
+def axis_label(quantity: str) -> str:
+    """Symbol and unit of a quantity."""
+    return _AXIS[quantity][0]
 
 
 def _control(result) -> np.ndarray:
@@ -87,6 +95,9 @@ def compare(
     ax.set_xlabel(CONTROL_AXIS)
     ax.set_ylabel(_AXIS[quantity][0])
     ax.grid(alpha=0.3)
+    low, high = ax.get_ylim()
+    if high - low < LEAST_HEIGHT:
+        ax.set_ylim((low + high) / 2 - LEAST_HEIGHT, (low + high) / 2 + LEAST_HEIGHT)
     return ax
 
 
@@ -107,6 +118,9 @@ def signal(result, quantity: str, *, ax: Axes | None = None) -> Axes:
     ax.set_xlabel(CONTROL_AXIS)
     ax.set_ylabel(_AXIS[quantity][0])
     ax.grid(alpha=0.3)
+    low, high = ax.get_ylim()
+    if high - low < LEAST_HEIGHT:
+        ax.set_ylim((low + high) / 2 - LEAST_HEIGHT, (low + high) / 2 + LEAST_HEIGHT)
     return ax
 
 
@@ -131,14 +145,14 @@ def profile(object: AbstractProfile, *, length: float = 1.0, whole: bool = True,
     """
     ax = _new_axes(ax)
     if isinstance(object, Parabola):
-        reach = np.linspace(-1.2, 1.2, 241) * length
-        parameter = np.arctan(2 * float(object.a) * reach)
+        parameter = np.linspace(-1, 1, 481) * np.arctan(2 * float(object.a) * FAR * length)
     elif isinstance(object, Graph):
-        parameter = np.linspace(-1.2, 1.2, 241) * length / float(object.unit)
+        parameter = np.linspace(-1, 1, 481) * FAR * length / float(object.unit)
     else:
         parameter = np.linspace(-1, 1, 241) * (np.pi if whole else np.pi / 2)
-    at = jax.vmap(object.point)(parameter)
-    x, y = np.asarray(at.x) / length, np.asarray(at.y) / length
+    at = jax.vmap(object.point)(jnp.asarray(parameter))
+    known = np.isfinite(np.asarray(at.y))  # a graph may end
+    x, y = np.asarray(at.x)[known] / length, np.asarray(at.y)[known] / length
     ax.fill(x, y, color=_OBJECT, linewidth=0, zorder=0)
     ax.plot(x, y, color=_SUPPORT, linewidth=1, zorder=0.5)
     return ax
@@ -164,7 +178,9 @@ def _springs(support, nodes: np.ndarray, ax: Axes) -> None:
         if np.isinf(float(spring.stiffness)):
             ax.plot(nodes[[first, second]], [height] * 2, color=_SUPPORT, linewidth=2.5, zorder=1)
         else:
-            ax.plot(*_zigzag(nodes[first], nodes[second], height), color=_SUPPORT, linewidth=0.9, zorder=1)
+            ax.plot(
+                *_zigzag(float(nodes[first]), float(nodes[second]), height), color=_SUPPORT, linewidth=0.9, zorder=1
+            )
 
 
 def state(result, at: float, *, whole: bool = True, ax: Axes | None = None) -> Axes:
@@ -202,6 +218,7 @@ def state(result, at: float, *, whole: bool = True, ax: Axes | None = None) -> A
             arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
             ax.annotate("", xy=tuple(point), xytext=tuple(tail), arrowprops=arrow, zorder=5)
     _frame(ax)
+    frame_states([ax], [result], [at])
     return ax
 
 
@@ -250,7 +267,6 @@ def overview(result):
     at = (low + high) / 2 * float(units(result.scene).length)
     scene_axes = state(result, at, ax=figure.add_subplot(grid[:, 0]))
     scene_axes.set_title(f"state at $u/L$ = {(low + high) / 2:.3f}", fontsize=10)
-    frame_states([scene_axes], [result], [at])
     scene_axes.legend(loc="upper left", fontsize=8)
     for row, quantity in enumerate(quantities):
         ax = signal(result, quantity, ax=figure.add_subplot(grid[row, 1]))
@@ -259,19 +275,20 @@ def overview(result):
             ax.tick_params(labelbottom=False)
             ax.set_xlabel("")
         if quantity in ("fx", "spring_length"):
-            ax.legend(fontsize=8, loc="best")
+            ax.legend(fontsize=8, loc="lower left" if quantity == "fx" else "upper left", ncols=5)
     return figure
 
 
 def frame_states(axes: Sequence[Axes], results: Sequence[Any], ats: Sequence[float]) -> None:
     """Give pictures of states one common window that holds drives, whiskers and the object's lower part."""
     left, right, bottom, top = np.inf, -np.inf, -0.1, 1.1
-    for result, at in zip(results, ats):
+    for result, at in zip(results, ats, strict=True):
         size = float(units(result.scene).length)
         step = int(np.argmin(np.abs(np.asarray(result.control) - at)))
         lines = shapes(result, at=[float(result.control[step])])
         x = np.concatenate([np.ravel(np.asarray(lines.x)) / size, [float(result.control[step]) / size]])
         left, right = min(left, np.nanmin(x)), max(right, np.nanmax(x))
+        top = max(top, float(result.scene.profile.vertex()[1]) / size + 0.1)
         top = max(top, float(np.nanmax(np.asarray(lines.y))) / size + 0.1)
         loops = sum(abs(b - a) > 1 for a, b in (s.between for s in result.scene.support.springs))
         bottom = min(bottom, -0.1 - 0.08 * loops)

@@ -1,11 +1,16 @@
 """A scan in words and columns: aligned tables of events and peaks, and CSV files."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from jaxwhisker.path import Status
+from jaxwhisker.result import Result
+from jaxwhisker.scene import Scene, units
+
+NOISE = 1e-9  # share of a unit below which a number is shown as zero
 
 REACTIONS = ("fx", "fy", "mz")
 _COLUMNS = (*REACTIONS, "base_x", "contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y")
@@ -13,12 +18,12 @@ _COLUMNS = (*REACTIONS, "base_x", "contact_force", "contact_slope", "contact_arc
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Aligned columns: words to the left, numbers to the right."""
-    columns = list(zip(header, *rows))
+    columns = list(zip(header, *rows, strict=True))
     widths = [max(map(len, column)) for column in columns]
     numeric = [all(_is_number(cell) for cell in column[1:]) for column in columns]
 
     def line(cells):
-        aligned = [c.rjust(w) if n else c.ljust(w) for c, w, n in zip(cells, widths, numeric)]
+        aligned = [c.rjust(w) if n else c.ljust(w) for c, w, n in zip(cells, widths, numeric, strict=True)]
         return "  ".join(aligned).rstrip()
 
     return "\n".join([line(header), line(["-" * w for w in widths]), *map(line, rows)])
@@ -41,9 +46,25 @@ def number(value: float, digits: int = 5) -> str:
     )
 
 
-def event_rows(result) -> list[list[str]]:
+def _in(unit: float, digits: int = 6) -> Callable[[float], str]:
+    """How to write quantities of a unit's size, in powers of ten where it is very small or large."""
+    decade = math.floor(math.log10(unit))
+    if -3 <= decade <= 5:
+        return lambda value: number(value, digits - 1 - decade)
+    return lambda value: f"{value:.{digits - 1}e}" if abs(value) > NOISE * unit else "0"
+
+
+def _formats(scene: Scene) -> dict[str, Callable[[float], str]]:
+    unit = units(scene)
+    length, force, moment = (_in(float(size)) for size in (unit.length, unit.force, unit.moment))
+    control = _in(float(unit.length), digits=7)  # events are worth another one
+    return {"control": control, "base_x": length, "fx": force, "fy": force, "mz": moment}
+
+
+def event_rows(result: Result) -> list[list[str]]:
     """Header and one row per event and whisker; a snap has one before and one after it."""
-    rows = [["control", "event", "whisker", "", "base_x", "fx", "fy", "mz"]]
+    formats = _formats(result.scene)
+    rows = [["control", "event", "whisker", "", "base_x", *REACTIONS]]
     for event in result.events:
         # A snap of the network as a whole names no whisker: all of them move.
         whiskers = event.whiskers or tuple(range(1, np.asarray(event.before.fx).shape[0] + 1))
@@ -51,40 +72,46 @@ def event_rows(result) -> list[list[str]]:
         for when in ("before", "after") if snap else ("before",):
             state = getattr(event, when)
             for whisker in whiskers:
-                values = [number(np.asarray(getattr(state, name))[whisker - 1]) for name in ("base_x", *REACTIONS)]
-                rows.append([number(event.control, 6), event.kind.name, str(whisker), when if snap else "", *values])
+                values = [
+                    formats[name](float(np.asarray(getattr(state, name))[whisker - 1]))
+                    for name in ("base_x", *REACTIONS)
+                ]
+                at = formats["control"](event.control)
+                rows.append([at, event.kind.name, str(whisker), when if snap else "", *values])
     return rows
 
 
-def peak_rows(result) -> list[list[str]]:
+def peak_rows(result: Result) -> list[list[str]]:
     """Header and one row per whisker and reaction: extremes and where the drive then is."""
+    formats = _formats(result.scene)
     control = np.asarray(result.control)
     rows = [["whisker", "reaction", "minimum", "at control", "maximum", "at control"]]
     for whisker in range(np.asarray(result.fx).shape[1]):
         for name in REACTIONS:
             column = np.asarray(getattr(result, name))[:, whisker]
             row = [str(whisker + 1), name]
-            known = np.isfinite(column)
             for pick in (np.nanargmin, np.nanargmax):
-                if known.any():
+                if np.isfinite(column).any():
                     step = pick(column)
-                    row += [number(column[step]), number(control[step], 3) if column[step] != 0 else "-"]
+                    # A zero is wherever the whisker is free, nowhere in particular.
+                    at = formats["control"](control[step]) if column[step] != 0 else "-"
+                    row += [formats[name](float(column[step])), at]
                 else:
                     row += ["-", "-"]
             rows.append(row)
     return rows
 
 
-def status_line(result) -> tuple[int, str]:
+def status_line(result: Result) -> tuple[int, str]:
     """Number of failed steps and a sentence that counts them by status."""
     status = np.asarray(result.status)
     kinds, counts = np.unique(status, return_counts=True)
     failed = int(np.sum(status != Status.ok))
-    parts = [f"{count} {Status(int(kind)).name}" for kind, count in zip(kinds, counts)]
+    parts = [f"{count} {Status(int(kind)).name}" for kind, count in zip(kinds, counts, strict=True)]
     return failed, f"{status.size} steps: {', '.join(parts)}"
 
 
-def scan_columns(result) -> dict[str, np.ndarray]:
+def scan_columns(result: Result) -> dict[str, np.ndarray]:
     """Every signal of a scan by name: control, fx_1, fy_1, mz_1, base_x_1, ..., spring_1, ..., phase_1, status."""
     columns = {"control": np.asarray(result.control)}
     for k in range(np.asarray(result.fx).shape[1]):
@@ -100,10 +127,11 @@ def write_columns(columns: dict[str, np.ndarray], path: Path, comment: str) -> N
     """Write columns of one length as CSV below a comment line."""
     kinds = ["%d" if np.asarray(c).dtype.kind in "iu" else "%.9g" for c in columns.values()]
     header = f"# {comment}\n{','.join(columns)}"
-    np.savetxt(path, np.column_stack(list(columns.values())), kinds, delimiter=",", header=header, comments="")
+    values = np.column_stack(list(columns.values())) + 0.0  # no minus sign before a zero
+    np.savetxt(path, values, kinds, delimiter=",", header=header, comments="")
 
 
-def write_scan(result, path: Path) -> None:
+def write_scan(result: Result, path: Path) -> None:
     """Write every signal of a scan as CSV, in the scene's own units."""
     comment = (
         f"{result.scene}; lengths in the unit of L, forces in EI/L^2, moments in EI/L, slopes in rad; "

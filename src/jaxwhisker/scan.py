@@ -26,7 +26,7 @@ STEP = 0.001  # of the default control, in lengths of the first whisker
 MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free
 TRACED_STEPS = 2048  # of the default control where its length has to be known before its ends
 BLOCK = 512  # steps computed by one call; a control is padded to a multiple
-BATCH = 128  # steps of a block solved for at once
+BATCH = 32  # steps of a block solved for at once
 RESIDUAL = 1e-8  # of a step that is called ok: positions and directions at the base
 JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
 
@@ -65,15 +65,32 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
         stops, last = _stops(control)
     way = _travelled(scene, jnp.asarray(stops), jnp.asarray(last))
     if control is None:
-        start, stop = float(way.start), float(way.stop)
-        step = STEP * float(scene.whiskers[0].length)
-        control = start - step * np.arange(max(2, int(np.ceil((start - stop) / step)) + 1))
+        control = _across(scene, way)
     # Blocks of one size: one compilation serves scans of every length.
     padded = np.concatenate([control, np.full(-control.size % BLOCK, control[-1])]).reshape(-1, BLOCK)
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(padded.ravel())))]).reshape(-1, BLOCK)
     blocks = [_steps(scene, way, jnp.asarray(u), jnp.asarray(s)) for u, s in zip(padded, travel, strict=True)]
     joined = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[: control.size]), *blocks)
     return _result(scene, way, jnp.asarray(control), *joined)
+
+
+def default_control(scene: Scene) -> np.ndarray:
+    """The drive positions of `scan(scene)`: from just before the first touch to just after the last whisker is free.
+
+    Raises:
+        ValueError: if the scene is traced: the number of positions depends on its values.
+    """
+    _checks.float64_mode()
+    if _checks.is_traced(scene):
+        raise ValueError("`scene` must be concrete, but is traced: the number of positions depends on its values.")
+    scene = jax.tree.map(_checks.as_float, scene)
+    return _across(scene, _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1)))
+
+
+def _across(scene: Scene, way: "_Way") -> np.ndarray:
+    start, stop = float(way.start), float(way.stop)
+    step = STEP * float(scene.whiskers[0].length)
+    return start - step * np.arange(max(2, int(np.ceil((start - stop) / step)) + 1))
 
 
 def _stops(control: np.ndarray) -> tuple[np.ndarray, int]:
@@ -230,8 +247,8 @@ def _outputs(problem: Problem, unit: Units, z: Contacts, u: Scalar, mode: Mode) 
 @eqx.filter_jit
 def _steps(
     scene: Scene, way: _Way, control: Float[Array, " steps"], travel: Float[Array, " steps"]
-) -> tuple[State, Int[Array, " steps"]]:
-    """States at control positions that the drive passes after `travel`."""
+) -> tuple[State, Float[Array, "steps springs"], Int[Array, " steps"]]:
+    """States, spring lengths and status at control positions that the drive passes after `travel`."""
     dimensionless, unit, path = problem(scene), units(scene), way.path
     u, travel = control / unit.length, travel / unit.length
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
@@ -249,13 +266,20 @@ def _steps(
     status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
     status = jnp.where(dimensionless.valid, status, Status.invalid)
     ok = (status == Status.ok)[:, None]
-    return jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), state), status
+    state = jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), state)
+    return state, scene.support.spring_length(state.base_x, control), status
 
 
-def _result(scene: Scene, way: _Way, control: Float[Array, " steps"], state: State, status: Int[Array, " steps"]):
+def _result(
+    scene: Scene,
+    way: _Way,
+    control: Float[Array, " steps"],
+    state: State,
+    spring_length: Float[Array, "steps springs"],
+    status: Int[Array, " steps"],
+) -> Result:
     fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
-    length = scene.support.spring_length(state.base_x, control)
-    return Result(**fields, control=control, spring_length=length, status=status, events=way.events, scene=scene)
+    return Result(**fields, control=control, spring_length=spring_length, status=status, events=way.events, scene=scene)
 
 
 TRAVEL_NOISE = 1e-12

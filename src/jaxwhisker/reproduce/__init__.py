@@ -9,33 +9,38 @@ from tqdm import tqdm
 from jaxwhisker.report import write_rows
 from jaxwhisker.reproduce import page
 from jaxwhisker.reproduce.catalogue import FIGURES
-from jaxwhisker.reproduce.claims import claims
+from jaxwhisker.reproduce.claims import all_claims
 from jaxwhisker.reproduce.figures import draw, table_picture
 from jaxwhisker.reproduce.scans import Scans
 from jaxwhisker.reproduce.tables import TABLES, rows
 
 CLAIMS = "claims"
+ALL_NAMES = "A.1 to A.4, 5.10 to 5.16, 6.1 to 6.24, 7.4 and claims"
 
 TITLE = "Elastically coupled tactile whiskers: results of the thesis"
-ABOUT = (
-    "Quasi-static scans of a rigid convex object by whiskers whose bases sit on springs: what jaxwhisker computes for the "
-    "tables, figures and claims of the thesis. All quantities are dimensionless: lengths in L, forces in EI/L^2, moments "
-    "in EI/L, spring stiffnesses in EI/L^3; u is the position of the drive, which moves towards -x. fx, fy, mz are the "
-    "reactions of the support on the whisker."
-)
-CHOSEN = (
-    "Where the thesis does not print the values that it varies, these were chosen: stiffness c in {30, 50, 70, 100, 200, "
-    "infinity}, object distance q in {0.1, 0.2, 0.3, 0.4}, rest length λ in {0.1, 0.2, 0.3, 0.4} (of every spring of "
-    "the row; a feedback spring rests at the sum of those that it spans), around c = 70, q = 0.2, λ = 0.2, with the "
-    "parabola y = x^2 + q. The semicircle of figures 5.14-5.16 has the radius 1. Where the numbering of the thesis leaves "
-    "it open, figures 6.9 and 6.18 show the scans with these base values. Its infinite stiffness is the clamped whisker. "
-    "At q = 0.1 the base value c = 70 is below the critical stiffness, where the whisker snaps through the vertex: such "
-    "curves jump, and skip their maximum."
-)
-TABLES_ABOUT = (
-    "A force on a clamped whisker; follower forces turn with it. Fx and Fy are fx and fy, Mz is the bending moment at the "
-    "base, -mz. The last column repeats the values of the thesis's multi-body model (ALASKA) for the record."
-)
+ABOUT = """
+Quasi-static scans of a rigid convex object by whiskers whose bases sit on springs: what jaxwhisker computes for the
+tables, figures and claims of the thesis. All quantities are dimensionless: lengths in L, forces in EI/L^2, moments in
+EI/L, spring stiffnesses in EI/L^3; u is the position of the drive, which moves towards -x: curves over u run from right
+to left. fx, fy, mz are the reactions of the support on the whisker.
+"""
+CHOSEN = """
+Where the thesis does not print the values that it varies, these were chosen: stiffness c in {30, 50, 70, 100, 200,
+infinity}, object distance q in {0.1, 0.2, 0.3, 0.4}, rest length λ in {0.1, 0.2, 0.3, 0.4} (of every spring of the row;
+a feedback spring rests at the sum of those that it spans), around c = 70, q = 0.2, λ = 0.2, with the parabola
+y = x^2 + q. All springs have the same stiffness. The semicircle of figures 5.14-5.16 has the radius 1. Figures 6.9 and
+6.18 show the scans with these base values, 6.10 the varied stiffness. Infinite stiffness is the clamped whisker. At
+q = 0.1 the base value c = 70 is below the critical stiffness, where a whisker snaps through the vertex: such curves
+jump and skip their maximum.
+"""
+TABLES_ABOUT = """
+A force on a clamped whisker; follower forces turn with it. Fx and Fy are fx and fy, Mz is the bending moment at the
+base, -mz. The last column repeats the values of the thesis's multi-body model (ALASKA) for the record.
+"""
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
 
 
 def available() -> list[str]:
@@ -55,7 +60,7 @@ def names(text: str) -> list[str]:
         name = f"{chapter}.{int(number)}" if number.isdigit() else word
         name = name.upper() if name.upper() in TABLES else name.lower() if name.lower() == CLAIMS else name
         if name not in available():
-            raise ValueError(f"--only must name some of {', '.join(available())}, but names {word!r}.")
+            raise ValueError(f"--only must name some of {ALL_NAMES}, but names {word!r}.")
         wanted.append(name)
     return wanted
 
@@ -69,18 +74,18 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     """
     wanted = available() if only is None else list(only)
     out.mkdir(parents=True, exist_ok=True)
-    scans = Scans()
     blocks: dict[str, list[page.Block]] = {}
     interactive = sys.stderr.isatty()
-    with tqdm(total=len(wanted), unit="result", disable=not interactive) as bar:
+    with Scans() as scans, tqdm(total=len(wanted), unit="result", disable=not interactive) as bar:
+        scans.compile(case for name in wanted if name in FIGURES for case in FIGURES[name].cases)
         for heading, group, make in _groups(out, scans):
             for name in (name for name in group if name in wanted):
                 bar.set_description(name)
                 blocks.setdefault(heading, []).extend(make(name))
                 bar.update()
             if heading in blocks and not interactive:
-                print(f"{heading}: done", flush=True)
-    parts = [page.Heading(1, TITLE), page.Paragraph(ABOUT), page.Paragraph(CHOSEN)]
+                print(f"done: {heading}", flush=True)
+    parts = [page.Heading(1, TITLE), page.Paragraph(_one_line(ABOUT)), page.Paragraph(_one_line(CHOSEN))]
     for heading, part in blocks.items():
         parts += [page.Heading(2, heading), *part]
     (out / "README.md").write_text(page.markdown(parts), encoding="utf-8")
@@ -116,13 +121,13 @@ def _table(name: str, out: Path) -> list[page.Block]:
     title = f"Table {name}: {table.title}"
     write_rows(cells, out / f"table_{name}.csv")
     table_picture(title, cells, out / f"table_{name}.png")
-    about = [page.Paragraph(TABLES_ABOUT)] if name == next(iter(TABLES)) else []
+    about = [page.Paragraph(_one_line(TABLES_ABOUT))] if name == next(iter(TABLES)) else []
     notes = [page.Paragraph(note) for note in table.notes]
     return [*about, page.Heading(3, title), page.Table(cells, (f"table_{name}.png", f"table_{name}.csv")), *notes]
 
 
 def _claims(scans: Scans, out: Path) -> list[page.Block]:
-    blocks = [block for number, claim in enumerate(claims(scans), 1) for block in claim.page(number)]
+    blocks = [block for number, claim in enumerate(all_claims(scans), 1) for block in claim.page(number)]
     title = page.Heading(1, "Claims of chapter 6, and the numbers")
-    (out / "claims.md").write_text(page.markdown([title, page.Paragraph(ABOUT), *blocks]), encoding="utf-8")
+    (out / "claims.md").write_text(page.markdown([title, page.Paragraph(_one_line(ABOUT)), *blocks]), encoding="utf-8")
     return blocks

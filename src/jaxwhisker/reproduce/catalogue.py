@@ -30,8 +30,17 @@ class Signals:
     cases: Mapping[str, Case]
     quantities: tuple[str, ...]
     indices: tuple[int, ...]
-    around: Moment | None = None  # only the neighbourhood of this event, over all the scans
     overlay: bool = False  # all indices in one column: each panel shows every whisker of a single scan
+
+
+@dataclass(frozen=True)
+class Detail:
+    """One quantity of one whisker around an event of each of several scans."""
+
+    cases: Mapping[str, Case]
+    quantity: str
+    index: int
+    around: Moment
 
 
 @dataclass(frozen=True)
@@ -40,8 +49,14 @@ class Figure:
 
     number: str
     title: str
-    shows: Deflections | States | Signals
-    note: str = ""
+    shows: Deflections | States | Signals | Detail
+
+    @property
+    def cases(self) -> tuple[Case, ...]:
+        """The scans that it needs."""
+        if isinstance(self.shows, States):
+            return (self.shows.case,)
+        return tuple(getattr(self.shows, "cases", {}).values())
 
     @property
     def file(self) -> str:
@@ -123,7 +138,7 @@ FIGURES = {
         Figure(
             "6.10",
             "Detail: fy of whisker 2 when whisker 1 lets go (FBFB, q = 0.2, λ = 0.2)",
-            Signals(vary("stiffness", STIFFNESSES, Case("FBFB")), ("fy",), (2,), around=("snap_off", 1)),
+            Detail(vary("stiffness", STIFFNESSES, Case("FBFB")), "fy", 2, around=("snap_off", 1)),
         ),
         *_family("FBFB", 11),
         Figure(

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxwhisker.path import EventKind
 from jaxwhisker.profile import Circle, Parabola
-from jaxwhisker.result import Event
+from jaxwhisker.result import Event, Result
 from jaxwhisker.scan import scan
 from jaxwhisker.scene import Scene
 from jaxwhisker.support import Support
@@ -23,6 +23,7 @@ RADIUS = 1.0  # of the semicircle
 STEP = 0.001
 CORES = 2  # structures compiled at the same time
 ROUGH = 1e-3  # relative change next to a maximum above which finer steps look for it
+SNAPS = (EventKind.snap_through, EventKind.snap_off)
 WHISKERS = {"FB": 1, "FBFB": 2, "FBFBR": 2, "FBFBFBR": 3}
 
 
@@ -65,8 +66,8 @@ class Scans:
     """Scans by case, each done once; a context, which gives up what it has not begun when it is left."""
 
     def __init__(self):
-        self._results = {}
-        self._peaks = {}
+        self._results: dict[Case, Result] = {}
+        self._peaks: dict[tuple, tuple[float, float]] = {}
         self._compiling: dict[tuple, Future] = {}
         self._pool = ThreadPoolExecutor(CORES)
 
@@ -82,7 +83,7 @@ class Scans:
             if _structure(case) not in self._compiling:
                 self._compiling[_structure(case)] = self._pool.submit(scan, case.scene(), case.control())
 
-    def __call__(self, case: Case):
+    def __call__(self, case: Case) -> Result:
         """The result of scanning `case`."""
         if case not in self._results:
             self.compile([case])
@@ -90,7 +91,40 @@ class Scans:
             self._results[case] = scan(case.scene(), case.control())
         return self._results[case]
 
-    def _peak(result, quantity: str, whisker: int, sign: float) -> tuple[float, float]:
+    def peak(self, case: Case, quantity: str, whisker: int, sign: float = 1.0) -> tuple[float, float]:
+        """Extreme value of a quantity (sign = 1: largest, -1: smallest) and where: (value, control)."""
+        key = (case, quantity, whisker, sign)
+        if key not in self._peaks:
+            self._peaks[key] = _peak(self(case), quantity, whisker, sign)
+        return self._peaks[key]
+
+
+def _structure(case: Case) -> tuple:
+    return case.model, case.semicircle
+
+
+def event(result: Result, kind: str, whisker: int) -> Event | None:
+    """The first event of that kind of that whisker."""
+    return next(iter(result.events.of(EventKind[kind], whisker)), None)
+
+
+def lets_go(result: Result, whisker: int) -> Event | None:
+    """The event at which a whisker loses contact for good."""
+    found = [e for kind in (EventKind.snap_off, EventKind.release) for e in result.events.of(kind, whisker)]
+    return min(found, key=lambda e: e.control, default=None)
+
+
+def snap_through(result: Result) -> Event | None:
+    """The first snap, through or off, of a whisker before it has passed the vertex: what lies on its way is skipped."""
+    for found in result.events:
+        if found.kind in SNAPS:
+            moved = np.abs(np.asarray(found.after.base_x) - np.asarray(found.before.base_x))
+            if np.asarray(found.before.contact_slope)[np.argmax(moved)] > 0:
+                return found
+    return None
+
+
+def _peak(result: Result, quantity: str, whisker: int, sign: float) -> tuple[float, float]:
     """See `Scans.peak`. NaN where the scan failed before its end."""
     column = np.asarray(getattr(result, quantity))[:, whisker - 1]
     control = np.asarray(result.control)
@@ -99,12 +133,13 @@ class Scans:
     k = int(np.argmax(sign * column))
     best = float(column[k]), float(control[k])
     # A snap may cut off a maximum between two steps: the states at its ends count too.
-    for found in result.events:
+    snaps = [e for e in result.events if e.kind in SNAPS]
+    for found in snaps:
         for state in (found.before, found.after):
             value = float(np.asarray(getattr(state, quantity))[whisker - 1])
             if sign * value > sign * best[0]:
                 best = value, found.control
-    if not 0 < k < column.size - 1 or any(control[k + 1] <= e.control <= control[k - 1] for e in result.events):
+    if not 0 < k < column.size - 1 or any(control[k + 1] <= e.control <= control[k - 1] for e in snaps):
         return best
     near = control[k - 1 : k + 2], column[k - 1 : k + 2]
     if np.ptp(near[1]) > ROUGH * abs(column[k]):

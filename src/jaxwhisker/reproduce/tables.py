@@ -22,7 +22,7 @@ class Load:
     force: float
     position: float  # arc length from the base, in L
     thesis: tuple[float, float, float]
-    multibody: tuple[float, float, float] = (math.nan,) * 3
+    multibody: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
     @property
     def label(self) -> str:
@@ -115,11 +115,9 @@ def listed(deflection) -> tuple[float, float, float]:
 def rows(table: Table) -> list[list[str]]:
     """Header and one row per load and reaction: ours, the thesis's, their difference, the multi-body model's."""
     out = [["load", "reaction", "jaxwhisker", "thesis", "difference", "multi-body"]]
-    for load, deflection in zip(table.loads, bend(table).values()):
-        for name, ours, theirs, body in zip(LISTED, listed(deflection), load.thesis, load.multibody):
-            out.append(
-                [load.label, name, number(ours, 6), _cell(theirs), _cell(ours - theirs, "+.6f"), _cell(body)]
-            )
+    for load, deflection in zip(table.loads, bend(table).values(), strict=True):
+        for name, ours, theirs, body in zip(LISTED, listed(deflection), load.thesis, load.multibody, strict=True):
+            out.append([load.label, name, number(ours, 6), _cell(theirs), _cell(ours - theirs, "+.6f"), _cell(body)])
     return out
 
 

@@ -1,0 +1,292 @@
+"""Decisions of the march: what follows from a solved end of a step, for each task.
+
+Each function returns the new front, whether a node is to be written, and the node.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker import relax
+from jaxwhisker._types import Scalar
+from jaxwhisker.contact import Phase
+from jaxwhisker.equilibrium import Point, Solution, scale_of
+from jaxwhisker.front import (
+    MARGIN_NOISE,
+    PHASE,
+    RELEASE,
+    AT_STOP,
+    TOUCH,
+    VERTEX,
+    Front,
+    Lead,
+    Target,
+    Task,
+    Trial,
+    dip,
+    first_violated,
+    margins_at,
+    select,
+    stopped,
+    turn_of,
+)
+from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, dot
+from jaxwhisker.scene import Problem
+
+PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
+FIRST_STEP = 0.02  # after a corner, in units of length; grows at once where the path is smooth
+LONGEST_STEP = 0.25
+SHORTEST_STEP = 1e-10
+FOLD_SLOPE = 2e-6  # du per arc length at which a fold counts as found: u is then exact to about its square
+ARRIVAL_MISS = 0.1  # a flow ends nearer than this to its equilibrium
+
+
+def _public_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
+    tip = jnp.any(target.whisker & (phase == Phase.tip))
+    change = jnp.where(tip, EventKind.tip_to_tangential, EventKind.tangential_to_tip)
+    kinds = jnp.array([EventKind.touch, EventKind.release, 0, EventKind.vertex, STOP])
+    return jnp.where(target.kind == PHASE, change, kinds[target.kind])
+
+
+def _next_step(turn: Scalar, unstable_at: Scalar, unstable_turn: Scalar, otherwise: Scalar) -> Scalar:
+    # du/ds is nearly linear towards a fold, so its zero is a secant away; a loss without a fold is halved in.
+    to_fold = jnp.where(unstable_turn < 0, turn / (turn - unstable_turn), 0.5)
+    inside = unstable_at * jnp.clip(to_fold, 1e-3, 0.999)
+    return jnp.minimum(otherwise, jnp.where(jnp.isfinite(unstable_at), inside, jnp.inf))
+
+
+def _node(front: Front, trial: Trial) -> Node:
+    # A plain node: the path goes on as it came.
+    point = trial.solution.point
+    return Node(
+        point,
+        point.z,
+        trial.tangent,
+        trial.tangent,
+        front.mode.phase,
+        front.mode.side,
+        front.travel + jnp.abs(point.u - front.point.u),
+        jnp.asarray(NO_EVENT),
+        jnp.zeros_like(front.mode.phase, bool),
+        front.mode.phase,
+        front.mode.side,
+    )
+
+
+def _moved(front: Front, trial: Trial, node: Node) -> Front:
+    point = trial.solution.point
+    return front._replace(
+        point=point,
+        base_x=trial.solution.newton.base_x,
+        tangent=trial.tangent,
+        tangent_x=trial.tangent_x,
+        travel=node.travel,
+    )
+
+
+def _to_snap(front: Front) -> Front:
+    return front._replace(
+        task=jnp.asarray(int(Task.kick)),
+        flow=relax.start(front.mode, front.base_x),
+        unstable_at=jnp.asarray(jnp.inf),
+    )
+
+
+def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, stop_u: Scalar):
+    """End of a step along the path: a new node, an event on the way, a loss of stability, or too far."""
+    solution = trial.solution
+    scale = scale_of(front.point.z)
+    miss = Point(solution.point.z - guess.z, solution.point.u - guess.u)
+    error = jnp.sqrt(dot(miss, miss, scale))
+    straight = dot(front.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
+    good = solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
+    here = margins_at(problem, front, front.point, front.base_x, stop_u)
+    there = margins_at(problem, front, solution.point, solution.newton.base_x, stop_u)
+    violated, target = first_violated(front, here, there, front.step)
+    dips, share = dip(front, trial, here, there)
+    dips &= good & ~violated
+    good &= ~dips
+    short = front._replace(step=jnp.where(dips, share, 0.4) * front.step)
+    short = select(short.step < SHORTEST_STEP, stopped(front, Status.lost), short)
+
+    to_event = front._replace(task=jnp.asarray(int(Task.event)), target=target)
+
+    turn = turn_of(front, trial.tangent)
+    found = (jnp.abs(turn) < FOLD_SLOPE) | (front.step < SHORTEST_STEP)
+    node = _node(front, trial)
+    moved = _moved(front, trial, node)
+    fold = _to_snap(moved)
+    closer = front._replace(
+        unstable_at=front.step,
+        unstable_turn=turn,
+        step=_next_step(turn_of(front, front.tangent), front.step, turn, jnp.inf),
+    )
+    lost = select(found, fold, closer)
+
+    factor = jnp.clip((PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3), 0.3, 2.5)
+    all_free = jnp.all(front.mode.phase == Phase.free)
+    longest = jnp.where(all_free, jnp.inf, LONGEST_STEP)
+    left = front.unstable_at - front.step
+    bend = Point((trial.tangent.z - front.tangent.z) / front.step, (trial.tangent.u - front.tangent.u) / front.step)
+    onwards = moved._replace(
+        bend=bend,
+        unstable_at=left,
+        step=_next_step(turn, left, front.unstable_turn, jnp.minimum(factor * front.step, longest)),
+    )
+    at_fold = jnp.isfinite(left) & (turn < FOLD_SLOPE)
+    onwards = select(at_fold, fold, onwards)
+    onwards = select(trial.convex, onwards, stopped(front, Status.not_convex))
+
+    accepted = good & ~violated & (trial.stable | found)
+    result = select(trial.stable, onwards, lost)
+    result = select(violated, to_event, result)
+    return select(good, result, short), accepted & trial.convex, node
+
+
+def after_event(problem: Problem, front: Front, trial: Trial, stop_u: Scalar):
+    """The point where a margin vanishes: into the mode that holds from here on."""
+    solution = trial.solution
+    scale = scale_of(front.point.z)
+    chord = Point(solution.point.z - front.point.z, solution.point.u - front.point.u)
+    distance = dot(front.tangent, chord, scale)
+    reach = jnp.sqrt(dot(chord, chord, scale))
+    good = solution.converged & (distance > -1e-9) & (reach <= 1.5 * front.step + 1e-9)
+    again = front._replace(task=jnp.asarray(int(Task.advance)), step=0.4 * front.step)
+    again = select(again.step < SHORTEST_STEP, stopped(front, Status.lost), again)
+
+    here = margins_at(problem, front, front.point, front.base_x, stop_u)
+    there = margins_at(problem, front, solution.point, solution.newton.base_x, stop_u)
+    violated, earlier = first_violated(front, here, there, distance)
+    to_earlier = front._replace(target=earlier)
+
+    turn = turn_of(front, trial.tangent)
+    unstable = front._replace(
+        task=jnp.asarray(int(Task.advance)),
+        unstable_at=distance,
+        unstable_turn=turn,
+        step=_next_step(turn_of(front, front.tangent), distance, turn, jnp.inf),
+    )
+
+    one, kind = front.target.whisker, front.target.kind
+    touches, released, changes = one & (kind == TOUCH), one & (kind == RELEASE), one & (kind == PHASE)
+    tip = front.mode.phase == Phase.tip
+    z, phase = relax.enter_contact(problem, front.mode.side, touches, solution.point.z, front.mode.phase)
+    z, phase = jnp.where(released[:, None], 0.0, z), jnp.where(released, Phase.free, phase)
+    phase = jnp.where(changes, jnp.where(tip, Phase.tangential, Phase.tip), phase)
+    z = z.at[:, 2].set(jnp.where(changes, 0.0, z[:, 2]))
+    stops = kind == AT_STOP
+    lead_z = jnp.zeros_like(z).at[:, 0].set(touches).at[:, 2].set(changes * jnp.where(tip, 1.0, -1.0))
+    # Where nothing of the mode changes the path goes on as it came.
+    smooth = stops | (kind == VERTEX)
+    lead_z += jnp.where(smooth, front.tangent.z / scale**2, 0.0)
+    lead_u = jnp.where(smooth, front.tangent.u, 0.0)
+    node = _node(front, trial)
+    at_first = stops & (front.goal == 0)
+    node = node._replace(
+        point=Point(z, solution.point.u),
+        phase=phase,
+        travel=jnp.where(at_first, 0.0, node.travel),
+        kind=_public_kind(front.target, front.mode.phase),
+        whiskers=one,
+    )
+    slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(z[:, 1])
+    passed = one & (kind == VERTEX)
+    sign = jnp.where(touches, jnp.where(slope_sin < 0, -1.0, 1.0), front.before_vertex)
+    arrived = _moved(front, trial, node)._replace(
+        task=jnp.asarray(int(Task.arrive)),
+        mode=front.mode._replace(phase=phase),
+        point=node.point,
+        lead=Lead(lead_z, jnp.where(released, front.mode.side, 0.0), lead_u),
+        before_vertex=jnp.where(passed, -sign, sign),
+        pending=node,
+        goal=front.goal + stops,
+    )
+    result = select(trial.stable, arrived, unstable)
+    result = select(violated, to_earlier, result)
+    return select(good, result, again), jnp.asarray(False), node
+
+
+def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]):
+    """An event's point in its new mode: leave along the path, or fall off it."""
+    stop_kind = front.pending.kind == STOP
+    heading = jnp.sign(stops[jnp.minimum(front.goal, last)] - front.point.u)
+    turned = stop_kind & (front.goal <= last) & (heading != 0)
+    direction = jnp.where(turned, heading, front.direction)
+    reversed_ = direction != front.direction
+    lead = front.lead
+    grows = jnp.sum(lead.z * trial.tangent.z) + jnp.sum(lead.x * trial.tangent_x) + lead.u * trial.tangent.u
+    sign = jnp.where(grows < 0, -1.0, 1.0) * jnp.where(reversed_, -1.0, 1.0)
+    tangent = Point(sign * trial.tangent.z, sign * trial.tangent.u)
+    node = front.pending._replace(point=trial.solution.point, leaving=tangent)
+    slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(front.point.z[:, 1])
+    # On the way back the vertex is ahead again if it was behind, but where the path turned on it.
+    front = front._replace(direction=direction)
+    settled = (front.pending.kind == EventKind.snap_off) | (front.pending.kind == EventKind.snap_through)
+    behind = jnp.where(slope_sin < 0, -1.0, 1.0)
+    onwards = front._replace(
+        task=jnp.asarray(int(Task.advance)),
+        point=trial.solution.point,
+        base_x=trial.solution.newton.base_x,
+        tangent=tangent,
+        tangent_x=sign * trial.tangent_x,
+        bend=jax.tree.map(jnp.zeros_like, tangent),
+        step=jnp.asarray(FIRST_STEP),
+        unstable_at=jnp.asarray(jnp.inf),
+        before_vertex=jnp.where(settled, behind, front.before_vertex),
+    )
+    falls = (turn_of(front, tangent) <= 0) | ~trial.stable
+    result = select(falls, _to_snap(onwards), onwards)
+    result = select(settled & falls, stopped(front, Status.unsettled), result)
+    over = (stop_kind & (front.goal > last)) | _passed(problem, front, last)
+    result = select(over, stopped(front, Status.ok), result)
+    # The flow hands over near its end, perhaps on the wrong side of a corner: then the other mode is tried.
+    z = trial.solution.point.z
+    found = margins_at(problem, front, trial.solution.point, trial.solution.newton.base_x, front.point.u)
+    begins, ends, changes = (settled & (m < -MARGIN_NOISE) for m in (found.touch, found.release, found.phase))
+    tip = front.mode.phase == Phase.tip
+    phase = jnp.where(changes, jnp.where(tip, Phase.tangential, Phase.tip), front.mode.phase)
+    phase = jnp.where(ends, Phase.free, phase)
+    near, phase = relax.enter_contact(problem, front.mode.side, begins, jnp.where(ends[:, None], 0.0, z), phase)
+    wrong = begins | ends | changes
+    other = front._replace(
+        mode=front.mode._replace(phase=phase),
+        point=Point(near, front.point.u),
+        pending=front.pending._replace(phase=phase),
+    )
+    result = select(jnp.any(wrong), other, result)
+    moved = Point(z - front.point.z, trial.solution.point.u - front.point.u)
+    good = trial.solution.converged & (dot(moved, moved, scale_of(front.point.z)) < ARRIVAL_MISS**2)
+    return select(good, result, stopped(front, Status.lost)), good & ~jnp.any(wrong), node
+
+
+def _passed(problem: Problem, front: Front, last: Int[Array, ""]) -> Bool[Array, ""]:
+    # On the last way, leftwards, with every whisker free on the left of the object: nothing can happen any more.
+    left = (front.mode.phase == Phase.free) & (front.mode.side < 0) & (front.base_x < problem.touch_left.x)
+    return jnp.all(left) & (front.goal >= last) & (front.direction < 0) & (front.goal > 0)
+
+
+def after_flow(problem: Problem, front: Front, solution: Solution):
+    """A step of the overdamped bases."""
+    flow, mode, z = relax.advance(problem, front.flow, front.mode, solution)
+    rested = relax.at_rest(problem, flow, mode, solution, front.point.u)
+    freed = flow.slipped & (mode.phase == Phase.free)
+    kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
+    n = mode.phase.shape[0]
+    none = jnp.zeros((n, 3))
+    pending = front.pending._replace(
+        phase=mode.phase,
+        side=mode.side,
+        travel=front.travel,
+        kind=kind,
+        whiskers=flow.slipped,
+    )
+    flowing = front._replace(
+        task=jnp.where(rested, Task.arrive, Task.flow),
+        mode=mode,
+        point=Point(z, front.point.u),
+        base_x=flow.base_x,
+        flow=flow,
+        pending=pending,
+        lead=Lead(none, none[:, 0], front.direction),
+    )
+    return select(flow.exhausted, stopped(front, Status.unsettled), flowing), jnp.asarray(False), front.pending
