@@ -2,12 +2,12 @@
 
 import math
 
-import exact
 import numpy as np
 import pytest
-from scenes import all_ok, told
 
+import exact
 import jaxwhisker as jw
+from scenes import all_ok, told
 
 SIGNAL = 1e-6  # of a signal's peak over the scan; beside a fold both solutions lose digits
 EVENT = 1e-8

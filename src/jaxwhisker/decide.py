@@ -12,10 +12,10 @@ from jaxwhisker._types import Scalar
 from jaxwhisker.contact import Phase
 from jaxwhisker.equilibrium import Point, Solution, scale_of
 from jaxwhisker.front import (
+    AT_STOP,
     MARGIN_NOISE,
     PHASE,
     RELEASE,
-    AT_STOP,
     TOUCH,
     VERTEX,
     Front,

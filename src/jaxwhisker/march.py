@@ -24,9 +24,9 @@ from jaxwhisker._types import Scalar
 from jaxwhisker.decide import FIRST_STEP, after_advance, after_arrive, after_event, after_flow
 from jaxwhisker.equilibrium import Mode, Point, Row, at_control, find, rest, scale_of
 from jaxwhisker.front import (
+    AT_STOP,
     PHASE,
     RELEASE,
-    AT_STOP,
     TOUCH,
     VERTEX,
     Front,
