@@ -10,6 +10,7 @@ from pathlib import Path
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax
+import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -17,6 +18,15 @@ from hypothesis import HealthCheck, settings
 jax.config.update("jax_enable_x64", True)
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# Types and shapes of all functions hold while tests run; an int may stand for a float.
+jaxtyping.install_import_hook("jaxwhisker", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Wrong input on purpose has to meet the library's own checks."""
+    jaxtyping.config.update("jaxtyping_disable", item.get_closest_marker("unchecked") is not None)
+
 
 settings.register_profile(
     "ci",

@@ -38,6 +38,7 @@ FIRST_STEP = 0.02  # after a corner, in units of length; grows at once where the
 LONGEST_STEP = 0.25
 SHORTEST_STEP = 1e-10
 FOLD_SLOPE = 2e-6  # du per arc length at which a fold counts as found: u is then exact to about its square
+RESOLVED_STEP = 0.02  # in which du/ds is a parabola to a few percent of its change
 ARRIVAL_MISS = 0.1  # a flow ends nearer than this to its equilibrium
 
 
@@ -92,6 +93,24 @@ def _to_snap(front: Front) -> Front:
     )
 
 
+def _folds_twice(front: Front, trial: Trial, solution: Solution) -> tuple[Bool[Array, ""], Scalar]:
+    """Whether u may have turned back and forth within a step whose ends are stable, and at which share of it.
+
+    du/ds between the ends is a parabola with the ends' values and the step's mean. Near a critical stiffness it dips
+    towards zero: such a dip is gone through in short steps, and one below zero is a pair of folds.
+    """
+    start, end = turn_of(front, front.tangent), turn_of(front, trial.tangent)
+    mean = front.direction * (solution.point.u - front.point.u) / front.step
+    slope, bend = 6 * mean - 4 * start - 2 * end, 3 * start + 3 * end - 6 * mean
+    at = -slope / jnp.where(bend > 0, 2 * bend, 1.0)
+    lowest = start + at * (slope + at * bend)
+    least = jnp.minimum(start, end)
+    dips = trial.stable & (bend > 0) & (at > 0) & (at < 1) & (least > 0)
+    long = front.step > RESOLVED_STEP
+    twice = dips & ((lowest < 0) | (long & (lowest < 0.5 * least))) & (front.step > 100 * SHORTEST_STEP)
+    return twice, jnp.clip(at, 0.2, 0.8)
+
+
 def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, stop_u: Scalar):
     """End of a step along the path: a new node, an event on the way, a loss of stability, or too far."""
     solution = trial.solution
@@ -104,7 +123,10 @@ def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, st
     there = margins_at(problem, front, solution.point, solution.newton.base_x, stop_u)
     violated, target = first_violated(front, here, there, front.step)
     dips, share = dip(front, trial, here, there)
-    dips &= good & ~violated
+    dips &= ~violated
+    twice, turn_share = _folds_twice(front, trial, solution)
+    share = jnp.where(twice, turn_share, share)
+    dips = good & (dips | twice)
     good &= ~dips
     short = front._replace(step=jnp.where(dips, share, 0.4) * front.step)
     short = select(short.step < SHORTEST_STEP, stopped(front, Status.lost), short)

@@ -34,6 +34,8 @@ class PointForce(eqx.Module):
 
     def __check_init__(self):
         _checks.number("force", self.force)
+        if not isinstance(self.follower, bool):
+            raise ValueError(f"`follower` must be True or False, but is {self.follower!r}.")
         _checks.number("direction", self.direction)
         if self.position is not None:
             _checks.number("position", self.position, positive=True)

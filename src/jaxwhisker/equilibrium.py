@@ -88,10 +88,25 @@ def bodies(problem: Problem) -> tuple[Body, Body]:
     return body, Body(0, 0, None)  # pyright: ignore[reportArgumentType]
 
 
+def harmless(
+    problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]
+) -> tuple[Contacts, Int[Array, " whiskers"]]:
+    """Contacts and phases with some bent whisker in place of every free one.
+
+    A free whisker has no contact, but is computed all the same; zeros would be a singular one, whose NaN derivatives
+    reach everybody through a product with zero.
+    """
+    touch = jax.lax.stop_gradient(problem.touch_right.parameter)
+    bent = jnp.stack([jnp.ones_like(touch), jnp.where(jnp.isfinite(touch), touch, 0.0), -jnp.ones_like(touch)], axis=1)
+    free = phase == Phase.free
+    return jnp.where(free[:, None], bent, z), jnp.where(free, Phase.tip, phase)
+
+
 def local(problem: Problem, z: Contacts, mode: Mode) -> Local:
     """Linearise every whisker and eliminate its own two equations."""
     body, axes = bodies(problem)
-    _, value, gradient = jax.vmap(contact.linearise, in_axes=(axes, 0, 0, 0))(body, z, mode.phase, mode.side)
+    at, phase = harmless(problem, z, mode.phase)
+    _, value, gradient = jax.vmap(contact.linearise, in_axes=(axes, 0, 0, 0))(body, at, phase, mode.side)
     touching = mode.phase != Phase.free
     scale = scale_of(z)
     y, cos = gradient.y * scale, gradient.cos * scale
@@ -241,6 +256,9 @@ NEWTON_STEPS = 8  # a rootless lane runs to the limit and stalls its batch; good
 
 def find(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solution:
     """Solve the equations of one point, starting from `guess`. Failure is a flag, never an exception."""
+
+    # Derivatives are attached to the solution (implicit.py), not to how it was found.
+    problem, row, guess = jax.lax.stop_gradient((problem, row, guess))
 
     def equations(point, args):
         problem, mode, row = args

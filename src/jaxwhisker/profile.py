@@ -105,7 +105,8 @@ class Parabola(AbstractProfile):
         return ContactPoint(self.position + x, self.distance + self.a * x**2, cos, sin)
 
     def first_touch(self, height, side):
-        x = jnp.sqrt((height - self.distance) / self.a)
+        rise = jnp.asarray((height - self.distance) / self.a, dtype=float)
+        x = jnp.sqrt(jnp.where(rise > 0, rise, 1.0))  # out of reach the touch means nothing, but must not be NaN
         return _mirror(FirstTouch(jnp.arctan(2 * self.a * x), x, jnp.asarray(height, dtype=float)), side, self.position)
 
     def vertex(self):
@@ -232,7 +233,9 @@ class Graph(AbstractProfile):
         extent: half the width, a length, in which the vertex and the first touch are searched.
 
     Raises:
-        ValueError: if an argument is not of that kind, or if g is found not to be strictly convex.
+        ValueError: if an argument is not of that kind.
+
+    Where the scan touches it and g is not strictly convex, the scan ends with status `not_convex`.
     """
 
     g: Callable
@@ -284,7 +287,11 @@ class Graph(AbstractProfile):
             return self._height(x) < height  # False outside the domain
 
         reach = self.extent / self.unit
-        x = vertex + side * _bisect(lambda d: below(vertex + side * d), 0.0, reach)
+        x = jax.lax.stop_gradient(vertex + side * _bisect(lambda d: below(vertex + side * d), 0.0, reach))
+        # A last Newton step carries the derivative, unless the object ends there.
+        y, slope = jax.value_and_grad(self._height)(x)
+        crosses = jnp.isfinite(slope) & (slope != 0) & (jnp.abs(y - height) < 1e-9)
+        x = x - jnp.where(crosses, (y - height) / jnp.where(crosses, slope, 1.0), 0.0)
         return FirstTouch(x, self.position + x, self._height(x))
 
     def vertex(self):

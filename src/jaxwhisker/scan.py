@@ -13,14 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker import _checks, contact, equilibrium
+from jaxwhisker import _checks, equilibrium
 from jaxwhisker._types import Control, Scalar
-from jaxwhisker.contact import Phase
-from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, at_control, find, scale_of
+from jaxwhisker.equilibrium import Contacts, Mode, Point, at_control, find, scale_of
+from jaxwhisker.implicit import solved
 from jaxwhisker.march import march
-from jaxwhisker.path import EventKind, Path, Status, dot
+from jaxwhisker.path import Path, Status, dot
 from jaxwhisker.result import Events, Result, State
-from jaxwhisker.scene import Problem, Scene, Units, problem, units
+from jaxwhisker.scene import Problem, Scene, problem, units
+from jaxwhisker.signals import events, signals
 
 STEP = 0.001  # of the default control, in lengths of the first whisker
 MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free
@@ -123,12 +124,13 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
     across = jnp.full_like(stops, start - FAR).at[0].set(start)
     n = scene.support.whiskers
     capacity = (256 + 64 * n) * max(1, stops.shape[0] // 2)
-    path = march(dimensionless, jnp.where(jnp.isnan(stops[0]), across, stops / unit.length), last, capacity=capacity)
+    stops = jnp.where(jnp.isnan(stops[0]), across, stops / unit.length)
+    path = march(*jax.lax.stop_gradient((dimensionless, stops)), last, capacity=capacity)
     event = path.nodes.kind >= 0
     known = (jnp.arange(capacity) < path.count) & (event | (path.status != Status.ok))
     end = jnp.min(jnp.where(known, path.nodes.point.u, jnp.inf))
     stop = jnp.where(jnp.any(known), end, middle - 1.0) - MARGIN
-    return _Way(path, _events(dimensionless, unit, path), start * unit.length, stop * unit.length)
+    return _Way(path, events(dimensionless, unit, path), start * unit.length, stop * unit.length)
 
 
 FAR = 1e4  # lengths beyond the start; a march past the object ends long before
@@ -204,44 +206,15 @@ def _guess(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
 
 def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar) -> _Solved:
     mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
-    guess = _guess(path, index, u)
-    solution = find(problem, mode, at_control(u, guess.z), guess)
+    fixed, at = jax.lax.stop_gradient((problem, u))
+    guess = _guess(path, index, at)
+    solution = find(fixed, mode, at_control(at, guess.z), guess)
     z = solution.point.z
     near = jnp.max(jnp.abs(z - guess.z) / scale_of(z)) < JUMP
-    stable = equilibrium.stable(problem, mode, solution.newton.local)
+    stable = equilibrium.stable(fixed, mode, solution.newton.local)
     residual = jnp.where(solution.converged & near, 0.0, jnp.inf)
+    z = solved(solution.point, problem, mode, at_control(u, z)).z
     return _Solved(z, u, mode, residual, stable)
-
-
-def _outputs(problem: Problem, unit: Units, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
-    """Everything about an equilibrium in the scene's units, and by how much it misses its equations."""
-    body, axes = equilibrium.bodies(problem)
-    base = jax.vmap(contact.base, in_axes=(axes, 0, 0, 0))(body, z, mode.phase, mode.side)
-    arc = jax.vmap(contact.arc, in_axes=(axes, 0, 0))(body, z[:, 2], mode.phase)
-    touching = mode.phase != Phase.free
-
-    def of_touching(values: PerWhisker) -> PerWhisker:
-        return jnp.where(touching, values, 0.0)
-
-    force_x = of_touching(base.force_x)
-    wanted = equilibrium.rest(problem, u) + equilibrium.yielding(problem, force_x)
-    misses = jnp.stack([base.x - wanted, base.y, base.cos, jnp.where(base.sin > 0, 0.0, jnp.inf)])
-    # Complementarity: the object only pushes, and the phase is what the slack says.
-    excess = jnp.where(mode.phase == Phase.tip, z[:, 2], -z[:, 2])
-    misses = jnp.concatenate([jnp.abs(misses), jnp.maximum(jnp.stack([-z[:, 0], excess]), 0.0)])
-    state = State(
-        base_x=jnp.where(touching, base.x, wanted) * unit.length,
-        fx=-force_x * unit.force,
-        fy=of_touching(-base.force_y) * unit.force,
-        mz=of_touching(-base.bend) * unit.moment,
-        contact_force=of_touching(z[:, 0]) * unit.force,
-        contact_slope=of_touching(jnp.arctan2(base.slope_sin, base.slope_cos)),
-        contact_arc=of_touching(arc) * unit.length,
-        contact_x=of_touching(base.contact_x) * unit.length,
-        contact_y=of_touching(base.contact_y) * unit.length,
-        phase=mode.phase,
-    )
-    return state, jnp.max(jnp.where(touching, misses, 0.0))
 
 
 @eqx.filter_jit
@@ -249,7 +222,7 @@ def _steps(
     scene: Scene, way: _Way, control: Float[Array, " steps"], travel: Float[Array, " steps"]
 ) -> tuple[State, Float[Array, "steps springs"], Int[Array, " steps"]]:
     """States, spring lengths and status at control positions that the drive passes after `travel`."""
-    dimensionless, unit, path = problem(scene), units(scene), way.path
+    dimensionless, unit, path = problem(scene), units(scene), jax.lax.stop_gradient(way.path)
     u, travel = control / unit.length, travel / unit.length
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
     index = jnp.clip(jnp.searchsorted(node_travel, travel, side="right") - 1, 0, path.count - 1)
@@ -257,10 +230,10 @@ def _steps(
     beyond = (travel > end + TRAVEL_NOISE * (1 + end)) | (path.count == 0)
 
     def one(index_and_u):
-        solved = _solve(dimensionless, path, *index_and_u)
-        state, residual = _outputs(dimensionless, unit, solved.z, solved.u, solved.mode)
-        wrong = jnp.where(solved.stable, Status.ok, Status.unstable)
-        return state, jnp.where(residual + solved.residual < RESIDUAL, wrong, Status.inexact)
+        step = _solve(dimensionless, path, *index_and_u)
+        state, residual = signals(dimensionless, unit, step.z, step.u, step.mode)
+        wrong = jnp.where(step.stable, Status.ok, Status.unstable)
+        return state, jnp.where(residual + step.residual < RESIDUAL, wrong, Status.inexact)
 
     state, status = jax.lax.map(one, (index, u), batch_size=min(BATCH, control.shape[0]))
     status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
@@ -283,43 +256,3 @@ def _result(
 
 
 TRAVEL_NOISE = 1e-12
-
-
-def _events(problem: Problem, unit: Units, path: Path) -> Events:
-    """The public events among the nodes: those after the drive has reached the first position of its control."""
-    nodes = path.nodes
-    room, n = nodes.phase.shape
-    index = jnp.arange(room)
-    reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
-    public = (nodes.kind >= 0) & reached & (index < path.count)
-    size = min(room, 32 + 16 * n)
-    at = jnp.nonzero(public, size=size, fill_value=room - 1)[0]
-    filled = jnp.arange(size) < jnp.sum(public)
-    node = jax.tree.map(lambda leaf: leaf[at], nodes)
-    previous = jax.tree.map(lambda leaf: leaf[at - 1], nodes)
-    snap = node.kind >= EventKind.snap_through
-    z_before = jnp.where(snap[:, None, None], previous.point.z, node.z_before)
-    phase_before = jnp.where(snap[:, None], previous.phase, node.phase_before)
-    side_before = jnp.where(snap[:, None], previous.side, node.side_before)
-
-    mode = Mode(
-        jnp.concatenate([phase_before, node.phase]),
-        jnp.concatenate([side_before, node.side]),
-        jnp.zeros(2 * size, bool),
-    )
-    z, u = jnp.concatenate([z_before, node.point.z]), jnp.tile(node.point.u, 2)
-    states, _ = jax.vmap(lambda z, u, mode: _outputs(problem, unit, z, u, mode))(z, u, mode)
-
-    def filled_with(leaves):
-        return jax.tree.map(
-            lambda leaf: jnp.where(filled[:, None], leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), leaves
-        )
-
-    return Events(
-        kind=jnp.where(filled, node.kind, -1),
-        whiskers=node.whiskers & filled[:, None],
-        control=jnp.where(filled, node.point.u * unit.length, jnp.nan),
-        before=filled_with(jax.tree.map(lambda leaf: leaf[:size], states)),
-        after=filled_with(jax.tree.map(lambda leaf: leaf[size:], states)),
-        count=jnp.sum(public),
-    )

@@ -32,6 +32,8 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
     Raises:
         ValueError: if `at` is not a one-dimensional array of finite numbers, or `points` is below 3.
     """
+    if not isinstance(result, Result):
+        raise ValueError(f"`result` must be the Result of a scan, but is {result!r}.")
     if not isinstance(points, int) or points < 3:
         raise ValueError(f"`points` must be an int of at least 3, but is {points!r}.")
     index = np.arange(result.control.shape[0])

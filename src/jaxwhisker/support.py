@@ -79,8 +79,10 @@ class Support(eqx.Module):
                 f"base {min(wanted - reached)} is not connected (springs between {[s.between for s in self.springs]})."
             )
         rigid = not _checks.is_traced(self.springs) and any(np.isinf(s.stiffness) for s in self.springs)
-        flexibility = self.flexibility() if rigid else None
-        if flexibility is not None and not flexibility.consistent:
+        with jax.ensure_compile_time_eval():  # known values may be checked inside jit, too
+            flexibility = self.flexibility() if rigid else None
+            loose = flexibility is not None and not flexibility.consistent
+        if loose:
             lengths = [float(s.rest_length) for s in self.springs]
             raise ValueError(f"`rest_length` must let loops of infinitely stiff springs close, but is {lengths}.")
 

@@ -47,14 +47,14 @@ def _draw(shows, scans: Scans) -> tuple[Canvas, dict[str, np.ndarray]]:
 def _(shows: Deflections, scans: Scans):
     bent = bend(TABLES[shows.table])
     canvas = Canvas(figsize=(7, 5))
-    ax = plot.deflection(bent, ax=canvas.add_axes((0.1, 0.11, 0.86, 0.8)))
+    ax = plot.deflection(bent, ax=canvas.add_axes((0.09, 0.11, 0.66, 0.8)))
     table = TABLES[shows.table]
     loads = list(table.loads)
     for load, colour, deflection in zip(loads, plot.COLOURS, bent.values(), strict=False):
         _force_arrow(ax, deflection, load.position, table.follower, 0.06 + 0.022 * load.force, colour)
     ax.plot([0, 0], [0, 1], color="0.5", linewidth=1, linestyle="--", zorder=1, label="unloaded")
     ax.set_xlim(right=max(ax.get_xlim()[1], 0.4))
-    ax.legend(fontsize=9, loc="best")
+    ax.legend(fontsize=9, loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
     columns = {}
     for name, deflection in bent.items():
         for quantity in ("s", "x", "y", "angle", "curvature"):
@@ -150,7 +150,7 @@ def _(shows: Signals, scans: Scans):
     handles, labels = axes[0, 0].get_legend_handles_labels()
     legend, titles = 0.27 * (len(handles) > 1), 0.22 * (columns > 1)
     _arrange(canvas, (7, 10, 12)[columns - 1], 3.9 if rows == 1 else 1.75, rows, head=0.45 + legend + titles)
-    canvas.subplots_adjust(wspace=0.14 if lengths else 0.05)
+    canvas.subplots_adjust(wspace=0.2 if lengths else 0.05)
     if legend:
         at = (0.5, 1 - 0.32 / canvas.get_figheight())
         canvas.legend(handles, labels, fontsize=9, loc="upper center", ncols=6, bbox_to_anchor=at, frameon=False)

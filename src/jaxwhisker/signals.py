@@ -1,0 +1,114 @@
+"""Signals: everything about solved points of the path in the scene's units, and the events among them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxwhisker import contact, equilibrium
+from jaxwhisker._types import Scalar
+from jaxwhisker.contact import Phase
+from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, Row, at_control, harmless, scale_of
+from jaxwhisker.implicit import solved
+from jaxwhisker.path import EventKind, Node, Path
+from jaxwhisker.result import Events, State
+from jaxwhisker.scene import Problem, Units
+
+
+def signals(problem: Problem, unit: Units, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
+    """Everything about an equilibrium in the scene's units, and by how much it misses its equations."""
+    touching = mode.phase != Phase.free
+    body, axes = equilibrium.bodies(problem)
+    base = jax.vmap(contact.base, in_axes=(axes, 0, 0, 0))(body, *harmless(problem, z, mode.phase), mode.side)
+    arc = jax.vmap(contact.arc, in_axes=(axes, 0, 0))(body, z[:, 2], mode.phase)
+
+    def of_touching(values: PerWhisker) -> PerWhisker:
+        return jnp.where(touching, values, 0.0)
+
+    force_x = of_touching(base.force_x)
+    wanted = equilibrium.rest(problem, u) + equilibrium.yielding(problem, force_x)
+    misses = jnp.stack([base.x - wanted, base.y, base.cos, jnp.where(base.sin > 0, 0.0, jnp.inf)])
+    # Complementarity: the object only pushes, and the phase is what the slack says.
+    excess = jnp.where(mode.phase == Phase.tip, z[:, 2], -z[:, 2])
+    misses = jnp.concatenate([jnp.abs(misses), jnp.maximum(jnp.stack([-z[:, 0], excess]), 0.0)])
+    state = State(
+        base_x=jnp.where(touching, base.x, wanted) * unit.length,
+        fx=-force_x * unit.force,
+        fy=of_touching(-base.force_y) * unit.force,
+        mz=of_touching(-base.bend) * unit.moment,
+        contact_force=of_touching(z[:, 0]) * unit.force,
+        contact_slope=of_touching(jnp.arctan2(base.slope_sin, base.slope_cos)),
+        contact_arc=of_touching(arc) * unit.length,
+        contact_x=of_touching(base.contact_x) * unit.length,
+        contact_y=of_touching(base.contact_y) * unit.length,
+        phase=mode.phase,
+    )
+    return state, jnp.max(jnp.where(touching, misses, 0.0))
+
+
+def _event_row(problem: Problem, node: Node, fold: Node) -> Row:
+    """The equation whose solution an event is; across the path at a fold."""
+    one = node.whiskers.astype(float)
+    change = (node.kind == EventKind.tip_to_tangential) | (node.kind == EventKind.tangential_to_tip)
+    snap = node.kind >= EventKind.snap_through
+    touch = one * (node.kind == EventKind.touch)
+    weight = jnp.zeros_like(node.z_before)
+    weight = weight.at[:, 0].set(one * (node.kind == EventKind.release)).at[:, 2].set(one * change)
+    across = fold.arriving.z / scale_of(fold.point.z) ** 2
+    first = jnp.where(node.side_before > 0, problem.touch_right.x, problem.touch_left.x)
+    return Row(
+        weight_z=jnp.where(snap, across, weight),
+        z0=jnp.where(snap, fold.point.z, 0.0),
+        weight_u=jnp.where(snap, fold.arriving.u, 0.0),
+        u0=jnp.where(snap, fold.point.u, 0.0),
+        vertex=one * (node.kind == EventKind.vertex),
+        touch=touch,
+        touch_x=jnp.where(touch > 0, first, 0.0),
+    )
+
+
+def _before_and_after(problem: Problem, unit: Units, node: Node, previous: Node) -> tuple[Scalar, State, State]:
+    """Control and states of an event; the node before a snap is the fold from which it starts."""
+    snap = node.kind >= EventKind.snap_through
+    z = jnp.where(snap, previous.point.z, node.z_before)
+    phase = jnp.where(snap, previous.phase, node.phase_before)
+    side = jnp.where(snap, previous.side, node.side_before)
+    no = jnp.asarray(False)
+    before_mode, after_mode = Mode(phase, side, no), Mode(node.phase, node.side, no)
+    before = solved(Point(z, node.point.u), problem, before_mode, _event_row(problem, node, previous))
+    after = solved(Point(node.point.z, before.u), problem, after_mode, at_control(before.u, z)).z
+    before_state, _ = signals(problem, unit, before.z, before.u, before_mode)
+    after_state, _ = signals(problem, unit, after, before.u, after_mode)
+    # A fold's contacts move with the parameters along the path, too, which first derivatives do not tell.
+    fixed = jax.lax.stop_gradient(before_state)
+    before_state = jax.tree.map(lambda a, b: jnp.where(snap, a, b), fixed, before_state)
+    return before.u * unit.length, before_state, after_state
+
+
+def events(problem: Problem, unit: Units, path: Path) -> Events:
+    """The public events among the nodes: those after the drive has reached the first position of its control."""
+    nodes = path.nodes
+    room, n = nodes.phase.shape
+    index = jnp.arange(room)
+    reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
+    public = (nodes.kind >= 0) & reached & (index < path.count)
+    size = min(room, 32 + 16 * n)
+    at = jnp.nonzero(public, size=size, fill_value=0)[0]
+    count = jnp.sum(public)
+    filled = jnp.arange(size) < count
+    # Padding repeats the first event, so that nothing is solved where there is nothing.
+    at = jnp.where(filled, at, at[0])
+    node, previous = (jax.tree.map(lambda leaf, k=k: leaf[at - k], nodes) for k in (0, 1))
+    control, before, after = jax.vmap(lambda n, p: _before_and_after(problem, unit, n, p))(node, previous)
+
+    def filled_with(leaf):
+        keep = filled if leaf.ndim == 1 else filled[:, None]
+        return jnp.where(keep, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0)
+
+    return Events(
+        kind=jnp.where(filled, node.kind, -1),
+        whiskers=node.whiskers & filled[:, None],
+        control=filled_with(control),
+        before=jax.tree.map(filled_with, before),
+        after=jax.tree.map(filled_with, after),
+        count=count,
+    )
