@@ -258,27 +258,21 @@ def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Arra
     )
     falls = (turn_of(front, tangent) <= 0) | ~trial.stable
     result = select(falls, _to_snap(onwards), onwards)
-    result = select(settled & falls, stopped(front, Status.unsettled), result)
     over = (stop_kind & (front.goal > last)) | _passed(problem, front, last)
     result = select(over, stopped(front, Status.ok), result)
-    # The flow hands over near its end, perhaps on the wrong side of a corner: then the other mode is tried.
     z = trial.solution.point.z
-    found = margins_at(problem, front, trial.solution.point, trial.solution.newton.base_x, front.point.u)
-    begins, ends, changes = (settled & (m < -MARGIN_NOISE) for m in (found.touch, found.release, found.phase))
-    tip = front.mode.phase == Phase.tip
-    phase = jnp.where(changes, jnp.where(tip, Phase.tangential, Phase.tip), front.mode.phase)
-    phase = jnp.where(ends, Phase.free, phase)
-    near, phase = relax.enter_contact(problem, front.mode.side, begins, jnp.where(ends[:, None], 0.0, z), phase)
-    wrong = begins | ends | changes
-    other = front._replace(
-        mode=front.mode._replace(phase=phase),
-        point=Point(near, front.point.u),
-        pending=front.pending._replace(phase=phase),
-    )
-    result = select(jnp.any(wrong), other, result)
     moved = Point(z - front.point.z, trial.solution.point.u - front.point.u)
-    good = trial.solution.converged & (dot(moved, moved, scale_of(front.point.z)) < ARRIVAL_MISS**2)
-    return select(good, result, stopped(front, Status.lost)), good & ~jnp.any(wrong), node
+    near = trial.solution.converged & (dot(moved, moved, scale_of(front.point.z)) < ARRIVAL_MISS**2)
+    result = select(near, result, stopped(front, Status.lost))
+    # Newton's method may have left the flow's mode, or found what the flow would not come to: then that goes on.
+    found = margins_at(problem, front, trial.solution.point, trial.solution.newton.base_x, front.point.u)
+    wrong = jnp.any(jnp.stack([found.touch, found.release, found.phase]) < -MARGIN_NOISE)
+    early = settled & (wrong | falls | ~near)
+    flowing = front._replace(
+        task=jnp.asarray(int(Task.flow)),
+        flow=front.flow._replace(near=front.flow.near / 4),
+    )
+    return select(early, flowing, result), near & ~early, node
 
 
 def _passed(problem: Problem, front: Front, last: Int[Array, ""]) -> Bool[Array, ""]:

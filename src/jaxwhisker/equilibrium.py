@@ -88,9 +88,7 @@ def bodies(problem: Problem) -> tuple[Body, Body]:
     return body, Body(0, 0, None)  # pyright: ignore[reportArgumentType]
 
 
-def harmless(
-    problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]
-) -> tuple[Contacts, Int[Array, " whiskers"]]:
+def harmless(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]) -> tuple[Contacts, Int[Array, " whiskers"]]:
     """Contacts and phases with some bent whisker in place of every free one.
 
     A free whisker has no contact, but is computed all the same; zeros would be a singular one, whose NaN derivatives

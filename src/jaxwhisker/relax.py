@@ -35,7 +35,7 @@ from jaxwhisker.linear import solve
 from jaxwhisker.scene import Problem
 
 STEP = 0.02  # largest change of any contact, in its scale; the flow is first order in it
-NEAR = 0.02  # Newton takes over where it would go less than this
+NEAR = 0.02  # Newton's method takes over where it would go less than this
 ITERATIONS = 3000
 NO_FORCE = 1e-9  # a contact that has just begun has none but rounding
 
@@ -53,6 +53,7 @@ class Flow(NamedTuple):
     slipped: Bool[Array, " whiskers"]
     landing: Bool[Array, " whiskers"]
     landing_x: PerWhisker
+    near: Scalar  # step below which Newton's method takes over
     iterations: Int[Array, ""]
     exhausted: Bool[Array, ""]
 
@@ -63,7 +64,19 @@ def start(mode: Mode, base_x: PerWhisker) -> Flow:
     no = jnp.zeros(base_x.shape, bool)
     z = jnp.zeros((*base_x.shape, 3))
     return Flow(
-        base_x, z, z, none + 1.0, none, none, jnp.asarray(1e-3), no, no, none, jnp.asarray(0), jnp.asarray(False)
+        base_x,
+        z,
+        z,
+        none + 1.0,
+        none,
+        none,
+        jnp.asarray(1e-3),
+        no,
+        no,
+        none,
+        jnp.asarray(NEAR),
+        jnp.asarray(0),
+        jnp.asarray(False),
     )
 
 
@@ -164,7 +177,7 @@ def at_rest(problem: Problem, flow: Flow, mode: Mode, solution: Solution, u: Sca
     else:
         n = pull.shape[0]
         dx = solve(jnp.eye(n) - problem.flexibility.matrix * slope, pull[:, None])[:, 0]
-    near = jnp.max(jnp.maximum(jnp.abs(dx), jnp.abs(jnp.where(free, 0.0, dx / _nonzero(flow.by_x))))) < NEAR
+    near = jnp.max(jnp.maximum(jnp.abs(dx), jnp.abs(jnp.where(free, 0.0, dx / _nonzero(flow.by_x))))) < flow.near
     local = solution.newton.local._replace(by_x=flow.by_x, by_force=flow.by_force)
     return near & known & ~jnp.any(flow.landing) & stable(problem, mode, local)
 
