@@ -38,3 +38,12 @@ __all__ = [
 ]
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str):
+    # matplotlib is loaded when the first figure is asked for.
+    if name == "plot":
+        import importlib
+
+        return importlib.import_module("jaxwhisker.plot")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
