@@ -117,3 +117,27 @@ def test_sixteen_whiskers_in_a_row():
     assert kinds.count("touch") == 16
     drive = 200.0 * (np.asarray(result.spring_length)[:, 0] - 0.15)
     np.testing.assert_allclose(-drive, np.asarray(result.fx).sum(axis=1), atol=1e-9 * 200)
+
+
+def test_just_below_the_critical_stiffness_it_snaps_and_just_above_it_does_not():
+    # The steepest slope of the clamped whisker's force at q = 0.3 is 11.4506; the pair of folds below it is tiny.
+    for stiffness, snaps in ((11.40, 1), (11.45, 1), (11.451, 0), (11.5, 0)):
+        result = jw.scan(model("FB", stiffness, distance=0.3))
+        assert all_ok(result)
+        assert len(result.events.of(jw.EventKind.snap_through)) == snaps, stiffness
+
+
+def test_a_snap_at_a_corner_and_a_flow_across_one():
+    # Soft FBFB at q = 0.4: stability is lost at a change of phase, and the flow ends close to another.
+    result = jw.scan(model("FBFB", 11.65, distance=0.4))
+    assert all_ok(result)
+    expected = [
+        ("snap_through", (1,), -1.014952975),
+        ("release", (1,), -1.021197722),
+        ("vertex", (2,), -1.067701473),
+        ("tangential_to_tip", (2,), -1.163606539),
+        ("snap_through", (2,), -1.163606539),
+        ("release", (2,), -1.174596669),
+    ]
+    assert [e[:2] for e in told(result)[-6:]] == [e[:2] for e in expected]
+    np.testing.assert_allclose([e[2] for e in told(result)[-6:]], [e[2] for e in expected], atol=EVENT)
