@@ -113,8 +113,8 @@ def test_sixteen_whiskers_in_a_row():
     result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.4), jw.Support(springs)), np.linspace(0.8, -3.8, 300))
     assert all_ok(result)
     assert result.fx.shape == (300, 16)
-    kinds = [e[0] for e in told(result)]
-    assert kinds.count("touch") == 16
+    # Every whisker meets the object; some that spring back after a snap meet it once more.
+    assert {w for kind, whiskers, _ in told(result) if kind == "touch" for w in whiskers} == set(range(1, 17))
     drive = 200.0 * (np.asarray(result.spring_length)[:, 0] - 0.15)
     np.testing.assert_allclose(-drive, np.asarray(result.fx).sum(axis=1), atol=1e-9 * 200)
 
