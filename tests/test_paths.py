@@ -102,6 +102,9 @@ def test_the_far_side():
     result = jw.scan(model("FB", 10.0))
     landing = result.events.of(jw.EventKind.snap_through)[1]
     assert landing.whiskers == (1,)
+    assert landing.whisker == 1
+    assert result.events[2].whisker is None  # the snap through the vertex, in which nobody slips
+    assert landing.state is landing.after
     assert landing.before.mz[0] > 0 > landing.after.mz[0]
     assert abs(landing.after.base_x[0] + 0.8400653) < 1e-6
     assert abs(told(result)[-1][2] + 1.094427191) < EVENT

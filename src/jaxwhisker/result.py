@@ -40,6 +40,16 @@ class Event(NamedTuple):
     before: State
     after: State  # differs from `before` at a snap
 
+    @property
+    def whisker(self) -> int | None:
+        """The whisker that the event concerns, numbered from 1; None where it is none or several."""
+        return self.whiskers[0] if len(self.whiskers) == 1 else None
+
+    @property
+    def state(self) -> State:
+        """The state there; of a snap, the one that the whiskers come to rest in."""
+        return self.after
+
     def __str__(self) -> str:
         named = " ".join(str(w) for w in self.whiskers)
         return f"u = {self.control:+.9f}  {self.kind.name}{f' of whisker {named}' if named else ''}"
