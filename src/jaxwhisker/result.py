@@ -8,7 +8,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker.contact import Phase
 from jaxwhisker.path import EventKind, Status
 from jaxwhisker.scene import Scene
 
@@ -110,8 +109,3 @@ class Result(State):
         return "\n".join([*lines, *map(str, self.events)])
 
     __repr__ = __str__
-
-
-def free(state: State) -> Bool[Array, "*steps whiskers"]:
-    """Whether the whisker touches nothing."""
-    return state.phase == Phase.free
