@@ -63,7 +63,7 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
         stops, last = np.full(2, np.nan), 1
     else:
         control = np.asarray(control, dtype=float)
-        stops, last = _stops(control)
+        stops, last = stops_of(control)
     way = _travelled(scene, jnp.asarray(stops), jnp.asarray(last))
     if control is None:
         control = _across(scene, way)
@@ -94,7 +94,7 @@ def _across(scene: Scene, way: "_Way") -> np.ndarray:
     return start - step * np.arange(max(2, int(np.ceil((start - stop) / step)) + 1))
 
 
-def _stops(control: np.ndarray) -> tuple[np.ndarray, int]:
+def stops_of(control: np.ndarray) -> tuple[np.ndarray, int]:
     """First position, turning points and last position, padded; and the index of the last."""
     moves = np.flatnonzero(np.diff(control))
     signs = np.sign(np.diff(control)[moves])
@@ -136,31 +136,47 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
 FAR = 1e4  # lengths beyond the start; a march past the object ends long before
 
 
+def along(scene: Scene, control: Float[Array, " steps"], stops: Float[Array, " stops"], last: Int[Array, ""]) -> Result:
+    """Scan a traced scene, the stops of the control known: its ends and turning points, and the index of the last.
+
+    For whoever compiles scans themselves: `stops_of` tells the stops of a concrete control.
+    """
+    return _finished(scene, control, _travelled(scene, stops, last))
+
+
+def _finished(scene: Scene, control: Float[Array, " steps"], way: "_Way") -> Result:
+    travel = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
+    return _result(scene, way, control, *_steps(scene, way, control, travel))
+
+
+def contact_range(scene: Scene) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """First and last position of the drive that the default control of a scene, traced or not, spans."""
+    way = _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
+    return way.start, way.stop
+
+
 def _traced(scene: Scene, control: Control | None) -> Result:
     if control is None:
         way = _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
         control = way.start + (way.stop - way.start) * jnp.linspace(0.0, 1.0, TRACED_STEPS)
-    elif not _checks.is_traced(control):
+        return _finished(scene, control, way)
+    if not _checks.is_traced(control):
         control = np.asarray(control, dtype=float)
-        stops, last = _stops(control)
-        way = _travelled(scene, jnp.asarray(stops), jnp.asarray(last))
-        control = jnp.asarray(control)
-    else:
-        control = jnp.asarray(control, dtype=float)
-        moves = jnp.sign(jnp.diff(control))
-        # A turn is where a move has the other sign than the last one; standing still carries the last sign on.
-        carried = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
-        turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
-        turns = turns[-control.size :].at[0].set(True)
-        index = jnp.nonzero(turns, size=min(2 * TURNS, control.size), fill_value=control.size - 1)[0]
-        way = _travelled(scene, control[index], jnp.minimum(jnp.sum(turns), index.size) - 1)
-        # Of a path with more turns than there is room for, or with positions that are none, nothing is known.
-        finite, short = jnp.all(jnp.isfinite(control)), jnp.sum(turns) <= index.size
-        status = jnp.where(finite, jnp.where(short, way.path.status, Status.too_long), Status.invalid)
-        count = jnp.where(finite & short, way.path.count, 0)
-        way = way._replace(path=way.path._replace(count=count, status=status))
-    travel = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
-    return _result(scene, way, control, *_steps(scene, way, control, travel))
+        stops, last = stops_of(control)
+        return along(scene, jnp.asarray(control), jnp.asarray(stops), jnp.asarray(last))
+    control = jnp.asarray(control, dtype=float)
+    moves = jnp.sign(jnp.diff(control))
+    # A turn is where a move has the other sign than the last one; standing still carries the last sign on.
+    carried = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
+    turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
+    turns = turns[-control.size :].at[0].set(True)
+    index = jnp.nonzero(turns, size=min(2 * TURNS, control.size), fill_value=control.size - 1)[0]
+    way = _travelled(scene, control[index], jnp.minimum(jnp.sum(turns), index.size) - 1)
+    # Of a path with more turns than there is room for, or with positions that are none, nothing is known.
+    finite, short = jnp.all(jnp.isfinite(control)), jnp.sum(turns) <= index.size
+    status = jnp.where(finite, jnp.where(short, way.path.status, Status.too_long), Status.invalid)
+    count = jnp.where(finite & short, way.path.count, 0)
+    return _finished(scene, control, way._replace(path=way.path._replace(count=count, status=status)))
 
 
 TURNS = 8  # stops of a control that turns are padded to a multiple of this; a traced control may have twice as many
