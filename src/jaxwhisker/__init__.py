@@ -2,6 +2,7 @@
 
 from jaxwhisker.contact import Phase
 from jaxwhisker.deflect import Deflection, PointForce, PointMoment, deflect
+from jaxwhisker.energy import stored_energy
 from jaxwhisker.path import EventKind, Status
 from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
 from jaxwhisker.result import Event, Events, Result, State
@@ -35,6 +36,7 @@ __all__ = [
     "deflect",
     "scan",
     "shapes",
+    "stored_energy",
 ]
 
 __version__ = "0.1.0"
