@@ -57,7 +57,7 @@ def test_peaks_are_the_exact_ones(arrays):
         np.testing.assert_allclose(found[name][1], peak, rtol=PEAK, atol=PRINTED)
         steps = getattr(np.asarray(arrays[name[4:]][1]), name[:3])(axis=0)
         assert np.all(np.abs(found[name][1]) >= np.abs(steps))
-    assert np.all(found["max_fy"][0] < 20.9 - np.array([0.0, 4.0]))  # the snap cuts off the second one's
+    assert found["max_fy"][0, 1] < 17.0  # a snap cuts it off
 
 
 def test_peaks_lie_where_finer_steps_have_them(arrays, scans):
@@ -116,7 +116,7 @@ def test_half_width_is_that_of_the_signal(arrays):
 
 
 def test_what_the_control_does_not_show_is_unknown(arrays):
-    steps = slice(700, 1500)  # from within contact to within contact
+    steps = slice(700, 1600)  # from within contact to within contact
     part = {k: v[:, steps] if k in ("fx", "fy", "mz", "status") else v for k, v in arrays.items()}
     found = summarise(part, CONTROL[steps], 2)
     for name in ("first_touch", "last_contact", "contact_width"):
@@ -257,4 +257,4 @@ def test_summary_does_not_depend_on_blocks_or_the_order_of_dimensions(data, tmp_
 def test_other_data_are_refused(data):
     for wrong in (data.fx, {}, xr.Dataset(), data.drop_vars("control"), summary(data)):
         with pytest.raises(ValueError, match="`data` must be the Dataset of a study"):
-            summary(wrong)
+            summary(wrong)  # pyright: ignore[reportArgumentType]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 REACTIONS = {"fx": "force", "fy": "force", "mz": "moment"}
+NOISE = 1e-12  # of the largest value: what a state at an event may have for a zero
 BLOCK = 64e6  # bytes of a dataset read at a time
 _EVENTS = ("event_kind", "event_control", "event_whisker", "event_count")
 _ENERGIES = ("event_energy_before", "event_energy_after")
@@ -192,7 +193,8 @@ class _Scans:
                 event = np.argmax(states, axis=1)
                 top = np.take_along_axis(states, event[:, None, :], axis=1)[:, 0]
                 at = np.take_along_axis(self.at, event, axis=1)
-                best, where = np.where(top > best, top, best), np.where(top > best, at, where)
+                better = top > best + NOISE * np.max(np.abs(values), axis=1)
+                best, where = np.where(better, top, best), np.where(better, at, where)
         failed = self.failed[:, None]
         return np.where(failed, np.nan, sign * best + 0.0), np.where(failed | (best == 0), np.nan, where)
 
