@@ -9,6 +9,7 @@ from jaxwhisker.result import Event, Events, Result, State
 from jaxwhisker.scan import scan
 from jaxwhisker.scene import Scene
 from jaxwhisker.shape import Shapes, shapes
+from jaxwhisker.study import study, summary
 from jaxwhisker.support import Spring, Support
 from jaxwhisker.whisker import Whisker
 
@@ -37,6 +38,8 @@ __all__ = [
     "scan",
     "shapes",
     "stored_energy",
+    "study",
+    "summary",
 ]
 
 __version__ = "0.1.0"

@@ -1,0 +1,46 @@
+"""The control that all points of a study share."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxwhisker.scan import MARGIN, STEP, contact_range
+from jaxwhisker.scene import Scene, problem
+from jaxwhisker.study.parameters import Parameters, padded
+
+MAX_STEPS = 100_000
+
+
+def common_control(build: Callable[..., Scene], parameters: Parameters, lanes: int) -> Float[np.ndarray, " steps"]:
+    """Drive positions from before the first touch to after the last contact of all points.
+
+    Raises:
+        ValueError: if they would be more than `MAX_STEPS`.
+    """
+
+    def point(values):
+        scene = build(**values)
+        valid, length = problem(scene).valid, jnp.asarray(scene.whiskers[0].length, dtype=float)
+        return tuple(jnp.where(valid, x, jnp.nan) for x in (*contact_range(scene), length))
+
+    compiled = jax.jit(jax.vmap(point))
+    total = int(np.prod(parameters.shape))
+    rows = []
+    for first in range(0, total, lanes):
+        numbers = np.arange(first, min(first + lanes, total))
+        rows.append(np.stack(compiled(padded(parameters.numbered(numbers), lanes))))
+    start, stop, length = np.concatenate(rows, axis=1)
+    known = np.isfinite(start) & np.isfinite(stop) & np.isfinite(length)
+    if not known.any():  # every point is bad
+        return np.array([MARGIN, -MARGIN])
+    start, stop, step = start[known].max(), stop[known].min(), STEP * length[known].max()
+    steps = int(np.ceil((start - stop) / step)) + 1
+    if steps > MAX_STEPS:
+        raise ValueError(
+            f"`control` must be given: from {start:.6g}, the first touch of all, to {stop:.6g}, the last contact, "
+            f"in steps of {step:.6g} would be {steps} positions, more than {MAX_STEPS}."
+        )
+    return start - step * np.arange(max(2, steps))
