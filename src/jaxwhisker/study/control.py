@@ -1,6 +1,7 @@
 """The control that all points of a study share."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -9,12 +10,14 @@ from jaxtyping import Float
 
 from jaxwhisker.scan import MARGIN, STEP, contact_range
 from jaxwhisker.scene import Scene, problem
+from jaxwhisker.study.local import threads
 from jaxwhisker.study.parameters import Parameters, padded
 
 MAX_STEPS = 100_000
+LANES = 64
 
 
-def common_control(build: Callable[..., Scene], parameters: Parameters, lanes: int) -> Float[np.ndarray, " steps"]:
+def common_control(build: Callable[..., Scene], parameters: Parameters) -> Float[np.ndarray, " steps"]:
     """Drive positions from before the first touch to after the last contact of all points.
 
     Raises:
@@ -26,13 +29,17 @@ def common_control(build: Callable[..., Scene], parameters: Parameters, lanes: i
         valid, length = problem(scene).valid, jnp.asarray(scene.whiskers[0].length, dtype=float)
         return tuple(jnp.where(valid, x, jnp.nan) for x in (*contact_range(scene), length))
 
-    compiled = jax.jit(jax.vmap(point))
     total = int(np.prod(parameters.shape))
-    rows = []
-    for first in range(0, total, lanes):
-        numbers = np.arange(first, min(first + lanes, total))
-        rows.append(np.stack(compiled(padded(parameters.numbered(numbers), lanes))))
-    start, stop, length = np.concatenate(rows, axis=1)
+    lanes = min(total, LANES)
+    shapes = {name: jax.ShapeDtypeStruct((lanes,), float) for name in parameters.values}
+    compiled = jax.jit(jax.vmap(point)).lower(shapes).compile()
+
+    def block(first: int) -> np.ndarray:
+        values = parameters.numbered(np.arange(first, min(first + lanes, total)))
+        return np.stack(compiled(padded(values, lanes)))
+
+    with ThreadPoolExecutor(threads()) as pool:
+        start, stop, length = np.concatenate(list(pool.map(block, range(0, total, lanes))), axis=1)
     known = np.isfinite(start) & np.isfinite(stop) & np.isfinite(length)
     if not known.any():  # every point is bad
         return np.array([MARGIN, -MARGIN])

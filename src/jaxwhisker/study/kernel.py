@@ -130,9 +130,16 @@ _COMPILING = threading.Lock()
 
 
 def compute(job: Job, values: Arrays) -> tuple[Arrays, np.ndarray]:
-    """Compute a block anywhere; a process compiles the job when it meets it first."""
+    """Compute a block anywhere; a process compiles the job when it meets it first.
+
+    Raises:
+        RuntimeError: if the function is another one here than where the job comes from.
+    """
     jax.config.update("jax_enable_x64", True)  # in a worker nobody else does
     with _COMPILING:
         if job.key not in _KERNELS:
-            _KERNELS[job.key] = Kernel(job)
+            kernel = Kernel(job)
+            if kernel.fingerprint() != job.key:
+                raise RuntimeError("the versions of jax, jaxwhisker or what `build` uses differ between the processes.")
+            _KERNELS[job.key] = kernel
     return _KERNELS[job.key](values)

@@ -1,16 +1,14 @@
 """Blocks computed by threads of this process."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from jaxwhisker.study.kernel import Kernel
-from jaxwhisker.study.parameters import Blocks, Parameters
-
-Index = tuple[int, ...]
+from jaxwhisker.study.parameters import Blocks, Index, Parameters
 
 
 class Computed(NamedTuple):
@@ -23,7 +21,7 @@ class Computed(NamedTuple):
 class Target(Protocol):
     """Where blocks are written."""
 
-    def write(self, blocks: Blocks, index: Index, arrays: dict[str, np.ndarray], worst: np.ndarray) -> None: ...
+    def write(self, index: Index, arrays: dict[str, np.ndarray], worst: np.ndarray) -> None: ...
 
 
 def threads() -> int:
@@ -33,12 +31,12 @@ def threads() -> int:
 
 def computed_here(
     kernel: Kernel, parameters: Parameters, blocks: Blocks, todo: Sequence[Index], target: Target
-) -> Iterator[Computed]:
+) -> Generator[Computed, None, None]:
     """Compute and write blocks, one a processor at a time: XLA alone keeps one processor busy, not two."""
 
     def compute(index: Index) -> Computed:
         arrays, worst = kernel(parameters.at(blocks.region(index)))
-        target.write(blocks, index, arrays, worst)
+        target.write(index, arrays, worst)
         return Computed(index, worst)
 
     kernel.compiled()

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 Region = tuple[slice, ...]  # of the points' dimensions
+Index = tuple[int, ...]  # of a block along them
 
 
 class Parameters(NamedTuple):
@@ -62,16 +63,16 @@ class Blocks(NamedTuple):
         """Points of a whole block."""
         return int(np.prod(self.block))
 
-    def indices(self) -> list[tuple[int, ...]]:
+    def indices(self) -> list[Index]:
         """All blocks, in order."""
         counts = [-(-n // b) for n, b in zip(self.shape, self.block, strict=True)]
         return list(product(*map(range, counts)))
 
-    def region(self, index: tuple[int, ...]) -> Region:
+    def region(self, index: Index) -> Region:
         """The points of a block."""
         return tuple(slice(k * b, min((k + 1) * b, n)) for k, b, n in zip(index, self.block, self.shape, strict=True))
 
-    def numbers(self, index: tuple[int, ...]) -> np.ndarray:
+    def numbers(self, index: Index) -> np.ndarray:
         """The numbers of a block's points among all."""
         inside = [np.arange(part.start, part.stop) for part in self.region(index)]
         return np.ravel_multi_index(np.meshgrid(*inside, indexing="ij"), self.shape).ravel()

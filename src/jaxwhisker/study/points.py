@@ -17,10 +17,11 @@ class Points:
     def __init__(self, build: Callable, parameters: Parameters):
         self._build, self._parameters = build, parameters
         self._failed: dict[int, int] = {}  # status by number of the point
-        self._total = int(np.prod(parameters.shape))
+        self.total, self.seen = int(np.prod(parameters.shape)), 0
 
     def add(self, numbers: np.ndarray, worst: np.ndarray) -> None:
         """Take note of points and the first status of each that is not ok."""
+        self.seen += worst.size
         bad = worst != Status.ok
         self._failed |= dict(zip(numbers[bad].tolist(), worst[bad].tolist(), strict=True))
 
@@ -31,9 +32,11 @@ class Points:
 
     def words(self) -> str:
         """How many points are ok, and what is wrong with how many others."""
-        reasons = Counter(self._reason(n, status, k < ASKED) for k, (n, status) in enumerate(self._failed.items()))
+        reasons = Counter(
+            self._reason(n, status, k < ASKED) for k, (n, status) in enumerate(sorted(self._failed.items()))
+        )
         parts = [f"{count:,}: {reason}" for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item))]
-        return "; ".join([f"{self._total - len(self._failed):,} of {self._total:,} ok", *parts])
+        return "; ".join([f"{self.total - len(self._failed):,} of {self.total:,} ok", *parts])
 
     def _reason(self, number: int, status: int, ask: bool) -> str:
         if status == Status.invalid and ask:

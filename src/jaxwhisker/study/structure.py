@@ -2,11 +2,12 @@
 
 import types
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 
 from jaxwhisker.scene import Scene
 from jaxwhisker.study.parameters import Parameters
@@ -42,7 +43,7 @@ def structure_of(build: Callable, parameters: Parameters) -> Structure:
             )
     first = traced.whiskers[0]
     units = (first.length, first.bending_stiffness)
-    known = not any(isinstance(unit, jax.core.Tracer) for unit in units)
+    known = not any(isinstance(unit, Tracer) for unit in units)
     springs = tuple(s.between for s in traced.support.springs)
     return Structure(traced.support.whiskers, springs, known and all(float(u) == 1.0 for u in units), str(traced))
 
@@ -133,7 +134,7 @@ def _differs(one: Any, other: Any, path: str) -> str | None:
     return None if type(one) is type(other) and one == other else path
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Any) -> TypeGuard[Any]:
     return isinstance(value, int | float | np.ndarray | np.generic | jax.Array) and not isinstance(value, bool)
 
 
