@@ -8,6 +8,7 @@ bent the other way, are its mirror image.
 """
 
 from enum import IntEnum
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -19,6 +20,7 @@ from jaxwhisker._types import Scalar
 from jaxwhisker.profile import AbstractProfile
 
 ROD_STEPS = 8  # constant steps of the default solver: 1e-9 L in the base's position for the hardest bends of a scan
+RATE_STEPS = 12  # ... for derivatives that a user sees: as exact as the values, of which they are a multiple
 
 
 class Phase(IntEnum):
@@ -54,7 +56,7 @@ class Base(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """Values and gradients by z of what the equilibrium is made of."""
+    """What the equilibrium is made of: values, or gradients by z."""
 
     x: Float[Array, "*batch"]
     y: Float[Array, "*batch"]
@@ -68,14 +70,39 @@ def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
     return body.length - jnp.where(phase == Phase.tangential, slack, 0.0)
 
 
-def _rod_end(body: Body, force: Scalar, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, "4"]:
-    angle = jnp.where(phase == Phase.tip, -slack, 0.0)
-    start = (jnp.zeros_like(angle), jnp.zeros_like(angle), jnp.cos(angle), jnp.sin(angle))
-    load = rod.Load(jnp.zeros_like(force), -force, jnp.zeros_like(force))
-    end = rod.integrate(
-        start, arc(body, slack, phase), load, body.bending_stiffness, steps=ROD_STEPS, solver=rod.NystromSplitting()
-    )
-    return jnp.stack(end)
+def _integrated(bend: Scalar, arc: Scalar, angle: Scalar, steps: int) -> Float[Array, "4"]:
+    zero = jnp.zeros_like(bend)
+    start = (zero, zero, jnp.cos(angle), jnp.sin(angle))
+    load = rod.Load(zero, -bend, zero)
+    return jnp.stack(rod.integrate(start, arc, load, 1.0, steps=steps, solver=rod.NystromSplitting()))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(3,))
+def _rod_end(bend: Scalar, arc: Scalar, angle: Scalar, rate_steps: int) -> Float[Array, "4"]:
+    """State (x, y, cos, sin) at the base, in the frame of the contact; bend = force / EI, angle to the object.
+
+    Whatever it is differentiated by, in whichever mode, two tangents go through the integration, and twelve numbers are
+    all that a reverse pass has to keep: a longer rod is the same one with another piece at its base.
+    """
+    del rate_steps
+    return _integrated(bend, arc, angle, ROD_STEPS)
+
+
+@_rod_end.defjvp
+def _(rate_steps, primals, tangents):
+    bend, arc, angle = primals
+
+    def twice(bend_and_angle):
+        end = _integrated(bend_and_angle[0], arc, bend_and_angle[1], rate_steps)
+        return end, end
+
+    by_bend_and_angle, end = jax.jacfwd(twice, has_aux=True)(jnp.stack([bend, angle]))
+    x, _, cos, sin = end
+    turn = bend * x
+    by_arc = jnp.stack([-cos, -sin, turn * sin, -turn * cos])
+    bend_dot, arc_dot, angle_dot = tangents
+    end_dot = by_bend_and_angle[:, 0] * bend_dot + by_arc * arc_dot + by_bend_and_angle[:, 1] * angle_dot
+    return end if rate_steps == ROD_STEPS else _rod_end(*primals, rate_steps), end_dot
 
 
 def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Scalar) -> Base:
@@ -98,31 +125,34 @@ def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Sc
     )
 
 
-def base(body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar) -> Base:
-    """Pose and reaction of the base for the contact z."""
-    return _in_scene(body, _rod_end(body, z[0], z[2], phase), z, side)
+def base(
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rate_steps: int = RATE_STEPS
+) -> Base:
+    """Pose and reaction of the base for the contact z; its derivatives are taken with `rate_steps`."""
+    angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
+    end = _rod_end(z[0] / body.bending_stiffness, arc(body, z[2], phase), angle, rate_steps)
+    return _in_scene(body, end, z, side)
 
 
-def linearise(body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar) -> tuple[Base, Linear, Linear]:
-    """Pose at z; the equations' values and their gradients by z, each (3,).
+def equations(
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rate_steps: int = RATE_STEPS
+) -> Linear:
+    """Values at z of what the equilibrium is made of."""
+    b = base(body, z, phase, side, rate_steps=rate_steps)
+    return Linear(b.x, b.y, b.cos, b.force_x, b.slope_sin)
 
-    The rod in the contact's frame knows nothing of the profile: two of three tangents go through the integration.
-    """
 
-    def end_twice(loaded):
-        end = _rod_end(body, loaded[0], loaded[1], phase)
-        return end, end
+def linearise(
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rate_steps: int
+) -> tuple[Linear, Linear]:
+    """The equations' values and their gradients by z, each (3,)."""
 
-    loaded = z[jnp.array([0, 2])]
-    by_loaded, end = jax.jacfwd(end_twice, has_aux=True)(loaded)
+    def twice(z):
+        value = equations(body, z, phase, side, rate_steps=rate_steps)
+        return value, value
 
-    def equations(z_near):
-        near = end + by_loaded[:, 0] * (z_near[0] - z[0]) + by_loaded[:, 1] * (z_near[2] - z[2])
-        b = _in_scene(body, near, z_near, side)
-        return Linear(b.x, b.y, b.cos, b.force_x, b.slope_sin), b
-
-    gradient, at = jax.jacfwd(equations, has_aux=True)(z)
-    return at, Linear(at.x, at.y, at.cos, at.force_x, at.slope_sin), gradient
+    gradient, value = jax.jacfwd(twice, has_aux=True)(z)
+    return value, gradient
 
 
 def touching(body: Body, touch, side: Scalar) -> tuple[Float[Array, "3"], Int[Array, ""]]:

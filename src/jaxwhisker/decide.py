@@ -26,18 +26,17 @@ from jaxwhisker.front import (
     dip,
     first_violated,
     margins_at,
-    select,
     stopped,
     turn_of,
 )
-from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, dot
+from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, dot, select
 from jaxwhisker.scene import Problem
 
 PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
 FIRST_STEP = 0.02  # after a corner, in units of length; grows at once where the path is smooth
 LONGEST_STEP = 0.25
 SHORTEST_STEP = 1e-10
-FOLD_SLOPE = 2e-6  # du per arc length at which a fold counts as found: u is then exact to about its square
+FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as found: u is then exact to about its square
 RESOLVED_STEP = 0.02  # in which du/ds is a parabola to a few percent of its change
 ARRIVAL_MISS = 0.1  # a flow ends nearer than this to its equilibrium
 

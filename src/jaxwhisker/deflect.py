@@ -8,6 +8,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker import _checks, rod
+from jaxwhisker._lanes import harmless
 from jaxwhisker._types import Scalar
 from jaxwhisker.path import Status
 from jaxwhisker.whisker import Whisker
@@ -137,22 +138,53 @@ def _misdirection(tip_angle: Scalar, args: tuple[_Loads, Scalar]) -> Scalar:
     return cos
 
 
-def _tip_angle(loads: _Loads) -> Scalar:
+@eqx.filter_custom_jvp
+def _balanced(tip_angle: Scalar, loads: _Loads) -> Scalar:
+    """The tip angle, at which the base points up under the loads, with its derivatives by them (see implicit.py)."""
+    del loads
+    return tip_angle
+
+
+@_balanced.def_jvp
+def _(primals, tangents):
+    tip_angle, loads = primals
+    _, loads_dot = tangents
+    here, one = _balanced(tip_angle, loads), jnp.asarray(1.0)
+    slope = jax.jacfwd(_misdirection)(here, (loads, one))
+    _, missed = eqx.filter_jvp(lambda loads: _misdirection(here, (loads, one)), (loads,), (loads_dot,))
+    return here, -missed / slope
+
+
+def _grown(loads: _Loads) -> Scalar:
     """Direction of the whisker beyond the outermost load, on the branch that grows out of rest."""
     newton = optx.Newton(rtol=1e-10, atol=1e-10)
 
+    def solve(guess, factor):
+        return optx.root_find(_misdirection, newton, guess, args=(loads, factor), max_steps=20, throw=False).value
+
     def grow(carry, factor):
-        angle, slope = carry
-        found = optx.root_find(
-            _misdirection, newton, angle + slope, args=(loads_fixed, factor), max_steps=20, throw=False
-        ).value
+        angle, change = carry
+        found = solve(angle + change, factor)
         return (found, found - angle), None
 
-    loads_fixed = jax.lax.stop_gradient(loads)
     factors = jnp.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:]
-    (guess, _), _ = jax.lax.scan(grow, (jnp.asarray(jnp.pi / 2), jnp.asarray(0.0)), factors)
-    guess = jax.lax.stop_gradient(guess)
-    return optx.root_find(_misdirection, newton, guess, args=(loads, jnp.asarray(1.0)), max_steps=20, throw=False).value
+    (angle, _), _ = jax.lax.scan(grow, (jnp.asarray(jnp.pi / 2), jnp.asarray(0.0)), factors)
+    return angle
+
+
+def _found(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> tuple[Scalar, Int[Array, ""]]:
+    """Direction of the tip, and the status."""
+    positive = (jnp.asarray(whisker.length) > 0) & (jnp.asarray(whisker.bending_stiffness) > 0)
+    collected = _collect(whisker, loads)
+    valid = positive & jnp.all((collected.position > 0) & (collected.position <= 1))
+    valid &= jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(collected)]))
+    tip_angle = _grown(collected)
+    one = jnp.asarray(1.0)
+    _, (x, y, cos, _) = _stretches(collected, tip_angle, one, STEPS)
+    _, (fine_x, fine_y, fine_cos, fine_sin) = _stretches(collected, tip_angle, one, 2 * STEPS)
+    miss = jnp.max(jnp.abs(jnp.stack([cos, fine_cos, fine_x - x, fine_y - y])))
+    exact = (miss < RESIDUAL) & (fine_sin > 0)
+    return tip_angle, jnp.where(valid, jnp.where(exact, Status.ok, Status.inexact), Status.invalid)
 
 
 def deflect(whisker: Whisker, *loads: PointForce | PointMoment, points: int = 101) -> Deflection:
@@ -191,13 +223,12 @@ def deflect(whisker: Whisker, *loads: PointForce | PointMoment, points: int = 10
 
 @eqx.filter_jit
 def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], points: int) -> Deflection:
+    tip_angle, status = _found(*jax.lax.stop_gradient((whisker, loads)))
+    ok = status == Status.ok
+    whisker, loads = harmless((whisker, loads), ok)
     collected = _collect(whisker, loads)
-    tip_angle = _tip_angle(collected)
-    one = jnp.asarray(1.0)
-    stretches, (base_x, base_y, base_cos, _) = _stretches(collected, tip_angle, one, STEPS)
-    _, (fine_x, fine_y, fine_cos, fine_sin) = _stretches(collected, tip_angle, one, 2 * STEPS)
-    miss = jnp.max(jnp.abs(jnp.stack([base_cos, fine_cos, fine_x - base_x, fine_y - base_y])))
-    exact = (miss < RESIDUAL) & (fine_sin > 0)
+    tip_angle = _balanced(jnp.where(ok, tip_angle, jnp.pi / 2), collected)
+    stretches, (base_x, base_y, _, _) = _stretches(collected, tip_angle, jnp.asarray(1.0), STEPS)
 
     shapes, bends, arcs = [], [], []
     for stretch, outer in zip(stretches, collected.position, strict=True):
@@ -214,12 +245,9 @@ def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], poin
 
     load = stretches[-1].load
     length, stiffness = whisker.length, whisker.bending_stiffness
-    on_whisker = jnp.all((collected.position > 0) & (collected.position <= 1))
-    valid = on_whisker & (length > 0) & (stiffness > 0)
-    status = jnp.where(valid, jnp.where(exact, Status.ok, Status.inexact), Status.invalid)
 
     def where_ok(value):
-        return jnp.where(status == Status.ok, value, jnp.nan)
+        return jnp.where(ok, value, jnp.nan)
 
     return Deflection(
         fx=where_ok(-load.force_x * stiffness / length**2),

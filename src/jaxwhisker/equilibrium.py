@@ -9,6 +9,7 @@ and one more equation, the row, says where on the path the solution is sought: a
 further, or at an event. What remains to be solved is one (whiskers + 1) square system, regular at folds.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker import contact
 from jaxwhisker._types import Scalar
-from jaxwhisker.contact import Body, Phase
+from jaxwhisker.contact import ROD_STEPS, Body, Linear, Phase
 from jaxwhisker.linear import positive_definite, solve
 from jaxwhisker.scene import Problem
 
@@ -100,11 +101,23 @@ def harmless(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]) -> t
     return jnp.where(free[:, None], bent, z), jnp.where(free, Phase.tip, phase)
 
 
-def local(problem: Problem, z: Contacts, mode: Mode) -> Local:
-    """Linearise every whisker and eliminate its own two equations."""
+def linearised(problem: Problem, z: Contacts, mode: Mode, rate_steps: int) -> tuple[Linear, Linear]:
+    """Values and gradients of every whisker's equations."""
     body, axes = bodies(problem)
     at, phase = harmless(problem, z, mode.phase)
-    _, value, gradient = jax.vmap(contact.linearise, in_axes=(axes, 0, 0, 0))(body, at, phase, mode.side)
+    one = partial(contact.linearise, rate_steps=rate_steps)
+    return jax.vmap(one, in_axes=(axes, 0, 0, 0))(body, at, phase, mode.side)
+
+
+def values(problem: Problem, z: Contacts, mode: Mode) -> Linear:
+    """Values of every whisker's equations."""
+    body, axes = bodies(problem)
+    at, phase = harmless(problem, z, mode.phase)
+    return jax.vmap(contact.equations, in_axes=(axes, 0, 0, 0))(body, at, phase, mode.side)
+
+
+def local(z: Contacts, mode: Mode, value: Linear, gradient: Linear) -> Local:
+    """Eliminate every whisker's own two equations."""
     touching = mode.phase != Phase.free
     scale = scale_of(z)
     y, cos = gradient.y * scale, gradient.cos * scale
@@ -157,21 +170,28 @@ class Step(NamedTuple):
     base_x_tangent: PerWhisker
 
 
-def newton_step(problem: Problem, mode: Mode, row: Row, point: Point) -> Step:
+def missing(problem: Problem, row: Row, point: Point, slope_sin: PerWhisker, force_x: PerWhisker) -> Scalar:
+    """By how much the row's equation misses zero."""
+    free_x = rest(problem, point.u) + yielding(problem, force_x)
+    along = jnp.sum(row.weight_z * (point.z - row.z0)) + row.weight_u * (point.u - row.u0)
+    return along + jnp.sum(row.vertex * slope_sin) + jnp.sum(row.touch * (free_x - row.touch_x))
+
+
+def newton_step(problem: Problem, mode: Mode, row: Row, point: Point, rate_steps: int = ROD_STEPS) -> Step:
     """Solve the linearised equations of all whiskers, network and row."""
-    at = local(problem, point.z, mode)
-    touching = mode.phase != Phase.free
-    n = point.z.shape[0]
+    value, gradient = linearised(problem, point.z, mode, rate_steps)
+    return coupled(problem, mode, row, point, local(point.z, mode, value, gradient))
+
+
+def coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Local) -> Step:
+    """Solve the linearised equations of network and row for what the whiskers leave open."""
+    touching, n = mode.phase != Phase.free, point.z.shape[0]
     network = jnp.where(touching, at.x - rest(problem, point.u) - yielding(problem, at.force_x), 0.0)
     coupling = jnp.diag(at.by_x)
-    row_matrix = row.weight_z
-    row_value = jnp.sum(row.weight_z * (point.z + at.particular - row.z0)) + row.weight_u * (point.u - row.u0)
-    row_value += jnp.sum(row.vertex * (at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)))
-    row_matrix += row.vertex[:, None] * at.slope_sin_gradient
-    along = jnp.sum(row_matrix * at.tangent, axis=-1)
+    slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
+    row_value = missing(problem, row, Point(point.z + at.particular, point.u), slope_sin, at.force_x)
+    along = jnp.sum((row.weight_z + row.vertex[:, None] * at.slope_sin_gradient) * at.tangent, axis=-1)
     row_u = row.weight_u + jnp.sum(row.touch)
-    free_x = rest(problem, point.u) + yielding(problem, at.force_x)
-    row_value += jnp.sum(row.touch * (free_x - row.touch_x))
     if problem.flexibility is not None:
         matrix = problem.flexibility.matrix
         coupling = coupling - jnp.where(touching[:, None], matrix * at.by_force, 0.0)

@@ -67,10 +67,6 @@ class Front(NamedTuple):
     status: Int[Array, ""]
 
 
-def select(condition, yes, no):
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
-
-
 TOUCH, RELEASE, PHASE, VERTEX, AT_STOP = range(len(Margins._fields))  # indices into Margins
 MARGIN_NOISE = 1e-12  # margins are exact to this: two events at once are not each other's violation
 DIP_POINTS = 7  # at which a margin is looked at within a step

@@ -34,10 +34,9 @@ from jaxwhisker.front import (
     Target,
     Task,
     judge,
-    select,
     stopped,
 )
-from jaxwhisker.path import NO_EVENT, Node, Path, Status, along
+from jaxwhisker.path import NO_EVENT, Node, Path, Status, along, select
 from jaxwhisker.scene import Problem
 
 KICK = 0.02  # size of the first step away from an unstable equilibrium

@@ -7,6 +7,7 @@ and behind each. Every corner of the path (an event, a turning point of the driv
 from enum import IntEnum
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -67,6 +68,11 @@ class Path(NamedTuple):
     nodes: Node
     count: Int[Array, ""]
     status: Int[Array, ""]
+
+
+def select(condition, yes, no):
+    """One of two trees of the same structure."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
 def dot(a: Point, b: Point, scale: Contacts) -> Scalar:

@@ -175,7 +175,7 @@ def _springs(support, nodes: np.ndarray, ax: Axes) -> None:
             height = -0.08 * below
             for node in (first, second):
                 ax.plot([nodes[node]] * 2, [0, height], color=_SUPPORT, linewidth=0.8, zorder=1)
-        if np.isinf(float(spring.stiffness)):
+        if spring.softness == 0:
             ax.plot(nodes[[first, second]], [height] * 2, color=_SUPPORT, linewidth=2.5, zorder=1)
         else:
             ax.plot(

@@ -15,12 +15,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker import _checks, equilibrium
 from jaxwhisker._types import Control, Scalar
-from jaxwhisker.equilibrium import Contacts, Mode, Point, at_control, find, scale_of
+from jaxwhisker.contact import Phase
+from jaxwhisker.equilibrium import Mode, Point, at_control, find, scale_of
 from jaxwhisker.implicit import solved
 from jaxwhisker.march import march
 from jaxwhisker.path import Path, Status, dot
 from jaxwhisker.result import Events, Result, State
-from jaxwhisker.scene import Problem, Scene, problem, units
+from jaxwhisker.scene import Problem, Scene, problem
 from jaxwhisker.signals import events, signals
 
 STEP = 0.001  # of the default control, in lengths of the first whisker
@@ -49,7 +50,9 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     Raises:
         ValueError: if an argument is wrong before tracing, or JAX is in float32 mode.
 
-    Goes through jax.jit, vmap and grad in every numeric field of the scene.
+    Goes through jax.jit, vmap and derivatives of any order, in both modes, by every numeric field of the scene and by the
+    control: of signals, states and the events' positions. Derivatives are those of the step's own branch, at fixed
+    control; exactly at a change of phase those of the phase that begins. What failed, or is free, has derivative 0.
     """
     _checks.float64_mode()
     if not isinstance(scene, Scene):
@@ -116,7 +119,8 @@ class _Way(NamedTuple):
 @eqx.filter_jit
 def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]) -> _Way:
     """March to all stops; with NaN for the first, right across the object."""
-    dimensionless, unit = problem(scene), units(scene)
+    dimensionless = problem(scene)
+    unit = dimensionless.unit
     offset = equilibrium.rest(dimensionless, jnp.asarray(0.0))
     touches = jnp.where(dimensionless.reaches, dimensionless.touch_right.x - offset, -jnp.inf)
     middle = dimensionless.profile.vertex()[0] - jnp.mean(offset)
@@ -130,7 +134,7 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
     known = (jnp.arange(capacity) < path.count) & (event | (path.status != Status.ok))
     end = jnp.min(jnp.where(known, path.nodes.point.u, jnp.inf))
     stop = jnp.where(jnp.any(known), end, middle - 1.0) - MARGIN
-    return _Way(path, events(dimensionless, unit, path), start * unit.length, stop * unit.length)
+    return _Way(path, events(dimensionless, path), start * unit.length, stop * unit.length)
 
 
 FAR = 1e4  # lengths beyond the start; a march past the object ends long before
@@ -158,8 +162,8 @@ def contact_range(scene: Scene) -> tuple[Float[Array, ""], Float[Array, ""]]:
 def _traced(scene: Scene, control: Control | None) -> Result:
     if control is None:
         way = _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
-        control = way.start + (way.stop - way.start) * jnp.linspace(0.0, 1.0, TRACED_STEPS)
-        return _finished(scene, control, way)
+        start, stop = jax.lax.stop_gradient((way.start, way.stop))  # derivatives are those at fixed positions
+        return _finished(scene, start + (stop - start) * jnp.linspace(0.0, 1.0, TRACED_STEPS), way)
     if not _checks.is_traced(control):
         control = np.asarray(control, dtype=float)
         stops, last = stops_of(control)
@@ -180,14 +184,6 @@ def _traced(scene: Scene, control: Control | None) -> Result:
 
 
 TURNS = 8  # stops of a control that turns are padded to a multiple of this; a traced control may have twice as many
-
-
-class _Solved(NamedTuple):
-    z: Contacts
-    u: Scalar
-    mode: Mode
-    residual: Scalar
-    stable: Bool[Array, ""]
 
 
 def _guess(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
@@ -220,17 +216,26 @@ def _guess(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
     return Point(jnp.where(apart, z, here.point.z), u)
 
 
-def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar) -> _Solved:
+def _state(
+    problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Bool[Array, ""]
+) -> tuple[State, Int[Array, ""]]:
+    """State and status at a control behind a node of the path, if the path is known there."""
     mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
     fixed, at = jax.lax.stop_gradient((problem, u))
     guess = _guess(path, index, at)
     solution = find(fixed, mode, at_control(at, guess.z), guess)
     z = solution.point.z
     near = jnp.max(jnp.abs(z - guess.z) / scale_of(z)) < JUMP
+    exact = solution.converged & near
     stable = equilibrium.stable(fixed, mode, solution.newton.local)
-    residual = jnp.where(solution.converged & near, 0.0, jnp.inf)
-    z = solved(solution.point, problem, mode, at_control(u, z)).z
-    return _Solved(z, u, mode, residual, stable)
+    sound = known & exact & stable
+    # What is not sound is computed on as if it were free: finite, and so are its derivatives (see _lanes.py).
+    mode = mode._replace(phase=jnp.where(sound, mode.phase, Phase.free))
+    z, u = jnp.where(sound, z, 0.0), jnp.where(jnp.isfinite(u), u, 0.0)
+    z = solved(Point(z, jax.lax.stop_gradient(u)), problem, mode, at_control(u, z)).z
+    state, residual = signals(problem, z, u, mode)
+    exact &= residual < RESIDUAL
+    return state, jnp.where(exact, jnp.where(stable, Status.ok, Status.unstable), Status.inexact)
 
 
 @eqx.filter_jit
@@ -238,20 +243,18 @@ def _steps(
     scene: Scene, way: _Way, control: Float[Array, " steps"], travel: Float[Array, " steps"]
 ) -> tuple[State, Float[Array, "steps springs"], Int[Array, " steps"]]:
     """States, spring lengths and status at control positions that the drive passes after `travel`."""
-    dimensionless, unit, path = problem(scene), units(scene), jax.lax.stop_gradient(way.path)
+    dimensionless, path = problem(scene), jax.lax.stop_gradient(way.path)
+    unit = dimensionless.unit
     u, travel = control / unit.length, travel / unit.length
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
     index = jnp.clip(jnp.searchsorted(node_travel, travel, side="right") - 1, 0, path.count - 1)
     end = node_travel[path.count - 1]
     beyond = (travel > end + TRAVEL_NOISE * (1 + end)) | (path.count == 0)
 
-    def one(index_and_u):
-        step = _solve(dimensionless, path, *index_and_u)
-        state, residual = signals(dimensionless, unit, step.z, step.u, step.mode)
-        wrong = jnp.where(step.stable, Status.ok, Status.unstable)
-        return state, jnp.where(residual + step.residual < RESIDUAL, wrong, Status.inexact)
-
-    state, status = jax.lax.map(one, (index, u), batch_size=min(BATCH, control.shape[0]))
+    known = dimensionless.valid & ~(beyond & (path.status != Status.ok))
+    state, status = jax.lax.map(
+        lambda step: _state(dimensionless, path, *step), (index, u, known), batch_size=min(BATCH, control.shape[0])
+    )
     status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
     status = jnp.where(dimensionless.valid, status, Status.invalid)
     ok = (status == Status.ok)[:, None]

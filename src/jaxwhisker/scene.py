@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._lanes import harmless
 from jaxwhisker._types import Scalar
 from jaxwhisker.profile import AbstractProfile, FirstTouch, differs
 from jaxwhisker.support import Flexibility, Support
@@ -71,6 +72,14 @@ class Scene(eqx.Module):
     __repr__ = __str__
 
 
+class Units(NamedTuple):
+    """Sizes of the dimensionless problem's units in the scene's own."""
+
+    length: Scalar
+    force: Scalar
+    moment: Scalar
+
+
 class Problem(NamedTuple):
     """A scene without dimensions: what the equations see. Whiskers are stacked along the first axis."""
 
@@ -82,14 +91,7 @@ class Problem(NamedTuple):
     touch_left: FirstTouch
     reaches: Bool[Array, " whiskers"]  # whether the whisker is long enough to meet the object at all
     valid: Bool[Array, ""]
-
-
-class Units(NamedTuple):
-    """Sizes of the dimensionless problem's units in the scene's own."""
-
-    length: Scalar
-    force: Scalar
-    moment: Scalar
+    unit: Units
 
 
 def units(scene: Scene) -> Units:
@@ -100,15 +102,14 @@ def units(scene: Scene) -> Units:
 
 def problem(scene: Scene) -> Problem:
     """The scene's dimensionless equations. Derivatives flow through all of it."""
+    valid = _valid(scene)
+    scene = harmless(scene, valid)
     unit = units(scene)
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.bending_stiffness, dtype=float) for w in scene.whiskers])
     stiffness = stiffness / (unit.moment * unit.length)
     profile = scene.profile.in_unit(unit.length)
     flexibility = scene.support.flexibility()
-    valid = scene.profile.valid() & scene.support.valid()
-    valid &= jnp.all(jnp.isfinite(length) & (length > 0) & jnp.isfinite(stiffness) & (stiffness > 0))
-    valid &= (jnp.asarray(unit.length) > 0) & (jnp.asarray(unit.moment) > 0)
     if flexibility is not None:
         spring = unit.force / unit.length
         flexibility = Flexibility(
@@ -120,6 +121,12 @@ def problem(scene: Scene) -> Problem:
         valid &= flexibility.consistent
     touch_right = jax.vmap(lambda height: profile.first_touch(height, 1.0))(length)
     touch_left = jax.vmap(lambda height: profile.first_touch(height, -1.0))(length)
-    return Problem(
-        length, stiffness, profile, flexibility, touch_right, touch_left, length > profile.vertex()[1], valid
-    )
+    reaches = length > profile.vertex()[1]
+    return Problem(length, stiffness, profile, flexibility, touch_right, touch_left, reaches, valid, unit)
+
+
+def _valid(scene: Scene) -> Bool[Array, ""]:
+    # Whether traced parameters lie where the constructors would have let them.
+    own = [jnp.asarray(value) for w in scene.whiskers for value in (w.length, w.bending_stiffness)]
+    positive = jnp.all(jnp.stack([jnp.isfinite(value) & (value > 0) for value in own]))
+    return scene.profile.valid() & scene.support.valid() & positive

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 from jaxwhisker import contact, equilibrium
 from jaxwhisker._types import Scalar
 from jaxwhisker.contact import Phase
-from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, Row, at_control, harmless, scale_of
-from jaxwhisker.implicit import solved
-from jaxwhisker.path import EventKind, Node, Path
+from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, Row, at_control, harmless
+from jaxwhisker.implicit import solved, solved_event
+from jaxwhisker.path import NO_EVENT, EventKind, Node, Path, select
 from jaxwhisker.result import Events, State
-from jaxwhisker.scene import Problem, Units
+from jaxwhisker.scene import Problem
 
 
-def signals(problem: Problem, unit: Units, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
+def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
     """Everything about an equilibrium in the scene's units, and by how much it misses its equations."""
-    touching = mode.phase != Phase.free
+    touching, unit = mode.phase != Phase.free, problem.unit
     body, axes = equilibrium.bodies(problem)
     base = jax.vmap(contact.base, in_axes=(axes, 0, 0, 0))(body, *harmless(problem, z, mode.phase), mode.side)
     arc = jax.vmap(contact.arc, in_axes=(axes, 0, 0))(body, z[:, 2], mode.phase)
@@ -45,46 +45,50 @@ def signals(problem: Problem, unit: Units, z: Contacts, u: Scalar, mode: Mode) -
     return state, jnp.max(jnp.where(touching, misses, 0.0))
 
 
-def _event_row(problem: Problem, node: Node, fold: Node) -> Row:
-    """The equation whose solution an event is; across the path at a fold."""
+def _event_row(problem: Problem, node: Node) -> Row:
+    """The equation whose solution an event is; the control, where the node is none."""
     one = node.whiskers.astype(float)
     change = (node.kind == EventKind.tip_to_tangential) | (node.kind == EventKind.tangential_to_tip)
-    snap = node.kind >= EventKind.snap_through
     touch = one * (node.kind == EventKind.touch)
     weight = jnp.zeros_like(node.z_before)
     weight = weight.at[:, 0].set(one * (node.kind == EventKind.release)).at[:, 2].set(one * change)
-    across = fold.arriving.z / scale_of(fold.point.z) ** 2
     first = jnp.where(node.side_before > 0, problem.touch_right.x, problem.touch_left.x)
     return Row(
-        weight_z=jnp.where(snap, across, weight),
-        z0=jnp.where(snap, fold.point.z, 0.0),
-        weight_u=jnp.where(snap, fold.arriving.u, 0.0),
-        u0=jnp.where(snap, fold.point.u, 0.0),
+        weight_z=weight,
+        z0=jnp.zeros_like(weight),
+        weight_u=(node.kind < 0).astype(float),
+        u0=node.point.u,
         vertex=one * (node.kind == EventKind.vertex),
         touch=touch,
         touch_x=jnp.where(touch > 0, first, 0.0),
     )
 
 
-def _before_and_after(problem: Problem, unit: Units, node: Node, previous: Node) -> tuple[Scalar, State, State]:
-    """Control and states of an event; the node before a snap is the fold from which it starts."""
+def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[Scalar, State, State]:
+    """Control and states of an event; a snap happens where the node before it lies, at a fold or another event."""
     snap = node.kind >= EventKind.snap_through
-    z = jnp.where(snap, previous.point.z, node.z_before)
-    phase = jnp.where(snap, previous.phase, node.phase_before)
-    side = jnp.where(snap, previous.side, node.side_before)
+    at = jax.tree.map(lambda a, b: jnp.where(snap, a, b), previous, node)
     no = jnp.asarray(False)
-    before_mode, after_mode = Mode(phase, side, no), Mode(node.phase, node.side, no)
-    before = solved(Point(z, node.point.u), problem, before_mode, _event_row(problem, node, previous))
-    after = solved(Point(node.point.z, before.u), problem, after_mode, at_control(before.u, z)).z
-    before_state, _ = signals(problem, unit, before.z, before.u, before_mode)
-    after_state, _ = signals(problem, unit, after, before.u, after_mode)
-    # A fold's contacts move with the parameters along the path, too, which first derivatives do not tell.
-    fixed = jax.lax.stop_gradient(before_state)
-    before_state = jax.tree.map(lambda a, b: jnp.where(snap, a, b), fixed, before_state)
-    return before.u * unit.length, before_state, after_state
+    before_mode, after_mode = Mode(at.phase_before, at.side_before, no), Mode(node.phase, node.side, no)
+    fold = snap & (at.kind < 0)
+    before = solved_event(
+        Point(at.z_before, at.point.u), problem, before_mode, at.arriving, _event_row(problem, at), fold
+    )
+    after = solved(Point(node.point.z, before.u), problem, after_mode, at_control(before.u, node.point.z)).z
+    before_state, _ = signals(problem, before.z, before.u, before_mode)
+    after_state, _ = signals(problem, after, before.u, after_mode)
+    return before.u * problem.unit.length, before_state, after_state
 
 
-def events(problem: Problem, unit: Units, path: Path) -> Events:
+def _nothing(node: Node) -> Node:
+    """A node at which all whiskers are free and nothing happens: what is computed where there is no event."""
+    nowhere = jax.tree.map(jnp.zeros_like, node)
+    along = Point(nowhere.point.z, jnp.asarray(-1.0))
+    side = jnp.ones_like(node.side)
+    return nowhere._replace(arriving=along, side=side, side_before=side, kind=jnp.asarray(NO_EVENT))
+
+
+def events(problem: Problem, path: Path) -> Events:
     """The public events among the nodes: those after the drive has reached the first position of its control."""
     nodes = path.nodes
     room, n = nodes.phase.shape
@@ -95,10 +99,14 @@ def events(problem: Problem, unit: Units, path: Path) -> Events:
     at = jnp.nonzero(public, size=size, fill_value=0)[0]
     count = jnp.sum(public)
     filled = jnp.arange(size) < count
-    # Padding repeats the first event, so that nothing is solved where there is nothing.
-    at = jnp.where(filled, at, at[0])
-    node, previous = (jax.tree.map(lambda leaf, k=k: leaf[at - k], nodes) for k in (0, 1))
-    control, before, after = jax.vmap(lambda n, p: _before_and_after(problem, unit, n, p))(node, previous)
+    empty = jax.tree.map(lambda leaf: leaf[0], nodes)
+    node, previous = (
+        jax.vmap(lambda k, is_one: select(is_one, jax.tree.map(lambda leaf: leaf[k], nodes), _nothing(empty)))(
+            at - back, filled
+        )
+        for back in (0, 1)
+    )
+    control, before, after = jax.vmap(lambda n, p: _before_and_after(problem, n, p))(node, previous)
 
     def filled_with(leaf):
         keep = filled if leaf.ndim == 1 else filled[:, None]

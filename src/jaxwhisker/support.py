@@ -5,7 +5,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker import _checks
@@ -19,11 +18,16 @@ class Spring(eqx.Module):
         between: (first, second): 0 is the drive, 1 to N are the bases.
         stiffness: c, force per length; positive, `jnp.inf` for a rigid link.
         rest_length: lambda, a length: where `second` rests to the right of `first`.
+        compliance: 1/c, instead of the stiffness; 0 for a rigid link, with derivatives by it that do not vanish there.
+
+    Raises:
+        ValueError: if a value is out of its domain, or not exactly one of stiffness and compliance is given.
     """
 
     between: tuple[int, int] = eqx.field(static=True)
-    stiffness: Scalar
+    stiffness: Scalar | None = None
     rest_length: Scalar = 0.0
+    compliance: Scalar | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
         ends = self.between
@@ -33,8 +37,30 @@ class Spring(eqx.Module):
             )
         if ends[0] == ends[1]:
             raise ValueError(f"`between` must name two different ends, but is {ends!r}.")
-        _checks.number("stiffness", self.stiffness, positive=True, finite=False)
+        if (self.stiffness is None) == (self.compliance is None):
+            raise ValueError(
+                f"`stiffness` or `compliance` must be given, and not both, but they are {self.stiffness!r} and "
+                f"{self.compliance!r}."
+            )
+        if self.stiffness is not None:
+            _checks.number("stiffness", self.stiffness, positive=True, finite=False)
+        if self.compliance is not None:
+            _checks.number("compliance", self.compliance)
+            if not _checks.is_traced(self.compliance) and self.compliance < 0:
+                raise ValueError(f"`compliance` must be at least 0, but is {self.compliance}.")
         _checks.number("rest_length", self.rest_length)
+
+    @property
+    def softness(self) -> Float[Array, ""]:
+        """1/c, whichever of the two was given."""
+        if self.compliance is not None:
+            return jnp.asarray(self.compliance, dtype=float)
+        return 1 / jnp.asarray(self.stiffness, dtype=float)
+
+    def valid(self) -> Bool[Array, ""]:
+        """Whether traced parameters lie where the constructor would have let them."""
+        positive = self.softness >= 0 if self.stiffness is None else jnp.asarray(self.stiffness) > 0
+        return positive & jnp.isfinite(self.softness) & jnp.isfinite(self.rest_length)
 
 
 class Flexibility(NamedTuple):
@@ -78,8 +104,8 @@ class Support(eqx.Module):
                 f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, but "
                 f"base {min(wanted - reached)} is not connected (springs between {[s.between for s in self.springs]})."
             )
-        rigid = not _checks.is_traced(self.springs) and any(np.isinf(s.stiffness) for s in self.springs)
         with jax.ensure_compile_time_eval():  # known values may be checked inside jit, too
+            rigid = not _checks.is_traced(self.springs) and any(s.softness == 0 for s in self.springs)
             flexibility = self.flexibility() if rigid else None
             loose = flexibility is not None and not flexibility.consistent
         if loose:
@@ -162,7 +188,7 @@ class Support(eqx.Module):
                     rows[new] = {**rows[known], k: sign}
                     loops.remove(k)
                     break
-        softness = [1 / jnp.asarray(s.stiffness, dtype=float) for s in self.springs]
+        softness = [s.softness for s in self.springs]
         rest = [jnp.asarray(s.rest_length, dtype=float) for s in self.springs]
         tree = sorted(set().union(*rows.values()))
         signs = jnp.array([[rows[base].get(k, 0.0) for k in tree] for base in range(1, n + 1)])
@@ -197,7 +223,7 @@ class Support(eqx.Module):
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters lie where the constructors would have let them."""
-        ok = [(jnp.asarray(s.stiffness) > 0) & jnp.isfinite(jnp.asarray(s.rest_length)) for s in self.springs]
+        ok = [spring.valid() for spring in self.springs]
         return jnp.all(jnp.stack(ok)) if ok else jnp.asarray(True)
 
 
