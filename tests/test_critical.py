@@ -1,0 +1,56 @@
+"""The critical stiffness against the closed form, and against scans on both sides of it."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker.critical import softest, steepest
+from scenes import model
+
+# Largest dF_x/dx0 in tangential contact, and x0 there, by distance (a = 1): the closed form's F_x'(alpha) / x0'(alpha),
+# maximised in 40 digits.
+EXACT = {0.1: (129.7212723891506, -0.0888582778568), 0.4: (5.823515964515434, -0.3674412508699)}
+SLOPE = 1e-9  # relative
+PLACE = 1e-7  # a maximum's place is known to the root of what its value is known to
+MARGIN = 1e-3  # relative, on both sides of the critical stiffness
+
+
+@pytest.mark.parametrize("distance", EXACT)
+def test_steepest_slope_is_that_of_the_closed_form(distance):
+    found = steepest(jw.Whisker(), jw.Parabola(distance))
+    slope, base_x = EXACT[distance]
+    assert abs(found.slope / slope - 1) < SLOPE
+    assert abs(found.base_x - base_x) < PLACE
+
+
+def test_steepest_slope_has_the_scenes_unit():
+    length, bending = 37.5, 4.2e4
+    found = steepest(jw.Whisker(length, bending), jw.Parabola(0.1 * length, 1 / length, position=5.0))
+    slope, base_x = EXACT[0.1]
+    assert abs(found.slope * length**3 / bending / slope - 1) < SLOPE
+    assert abs((found.base_x - 5.0) / length - base_x) < PLACE
+
+
+def test_there_is_none_out_of_reach():
+    assert np.all(np.isnan(steepest(jw.Whisker(), jw.Parabola(1.2))))
+
+
+def test_a_scan_snaps_through_below_the_steepest_slope_only():
+    slope, _ = EXACT[0.1]
+    for stiffness, snaps in ((slope * (1 - MARGIN), 1), (slope * (1 + MARGIN), 0)):
+        result = jw.scan(model("FB", stiffness, distance=0.1), np.array([0.9, -0.8]))
+        assert len(result.events.of(jw.EventKind.snap_through)) == snaps
+
+
+def test_softest_base_of_the_models():
+    softness = {"FB": 1.0, "FBFB": 2.0, "FBFBR": 2 / 3, "FBFBFBR": 5 / 8}
+    for name, value in softness.items():
+        assert abs(softest(jw.Support.named(name, 10.0)) - value / 10) < 1e-15
+    assert softest(jw.Support.clamped()) == 0
+
+
+@pytest.mark.unchecked
+def test_a_traced_object_is_refused():
+    with pytest.raises(ValueError, match="must be concrete, but are traced"):
+        jax.jit(lambda q: steepest(jw.Whisker(), jw.Parabola(q)).slope)(0.2)
