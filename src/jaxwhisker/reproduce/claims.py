@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from jaxwhisker.critical import softest, steepest
+from jaxwhisker.profile import Parabola
 from jaxwhisker.reproduce import coupling, shifts
 from jaxwhisker.reproduce.claim import (
     CLAMPED,
@@ -22,7 +24,7 @@ from jaxwhisker.reproduce.claim import (
     shown,
     whiskers,
 )
-from jaxwhisker.reproduce.critical import RELATIVE, critical, softest, steepest
+from jaxwhisker.reproduce.critical import RELATIVE, critical
 from jaxwhisker.reproduce.scans import (
     DISTANCES,
     REST_LENGTHS,
@@ -33,6 +35,8 @@ from jaxwhisker.reproduce.scans import (
     lets_go,
     snap_through,
 )
+from jaxwhisker.support import Support
+from jaxwhisker.whisker import Whisker
 
 
 def all_claims(scans: Scans) -> Iterator[Claim]:
@@ -44,7 +48,7 @@ def all_claims(scans: Scans) -> Iterator[Claim]:
 
 def critical_stiffness(scans: Scans) -> Claim:
     """Where the other claims end."""
-    slopes = {q: steepest(scans, q) for q in DISTANCES}
+    slopes = {q: steepest(Whisker(), Parabola(q)) for q in DISTANCES}
     # Three whiskers are scanned at one distance only.
     scanned = [(model, q) for q in DISTANCES for model in WHISKERS if model in MODELS or q == Case().distance]
     brackets = {(model, q): critical(model, q, slopes[q][0]) for model, q in scanned}
@@ -54,7 +58,7 @@ def critical_stiffness(scans: Scans) -> Claim:
         rows.append([f"{q:g}", cell(slope, 3), cell(at), *(cell(c, 2) for c in middles)])
     ends = [(slope, *brackets["FB", q]) for q, (slope, _) in slopes.items()]
     agree = all(low * (1 - RELATIVE) <= slope <= high * (1 + RELATIVE) for slope, low, high in ends)
-    factors = ", ".join(f"{softest(model):.3f} ({model})" for model in WHISKERS)
+    factors = ", ".join(f"{softest(Support.named(model, 1.0)):.3f} ({model})" for model in WHISKERS)
     return Claim(
         "Below a critical stiffness the scan snaps through the vertex (not in the thesis: it bounds the other claims)",
         """one whisker snaps through where its spring is softer than the steepest slope of the clamped whisker's force,
