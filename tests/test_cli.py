@@ -11,6 +11,7 @@ from matplotlib.image import imread
 
 import jaxwhisker as jw
 from jaxwhisker import cli, reproduce
+from jaxwhisker.cli import scan as command
 from jaxwhisker.critical import steepest
 from jaxwhisker.path import Status
 from jaxwhisker.reproduce import page
@@ -80,7 +81,7 @@ def test_the_module_runs_as_a_command_in_a_process_of_its_own(tmp_path):
     assert "touch" in right.stdout and (tmp_path / "scan.csv").exists()
 
 
-@pytest.mark.parametrize("argv", [["--help"], ["scan", "--help"], ["reproduce", "--help"]])
+@pytest.mark.parametrize("argv", [["--help"], ["scan", "--help"], ["study", "--help"], ["reproduce", "--help"]])
 def test_help_fits_a_terminal(argv, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert cli.main(argv) == cli.OK
@@ -174,7 +175,7 @@ def test_failed_steps_are_counted_and_end_with_exit_code_1(monkeypatch, capsys):
         result = eqx.tree_at(fields, result, tuple(nan(np.asarray(leaf)) for leaf in fields(result)))
         return eqx.tree_at(lambda r: r.status, result, np.where(bad, int(Status.lost), 0))
 
-    monkeypatch.setattr(cli, "scan", failing)
+    monkeypatch.setattr(command, "scan", failing)
     assert cli.main(["scan", "--start", "0.9", "--stop", "0.8", "--step", "0.01"]) == cli.NOT_ALL_OK
     assert "11 steps: 9 ok, 2 lost" in capsys.readouterr().out
 

@@ -1,0 +1,49 @@
+"""The command `jaxwhisker`: `scan` for one scene, `study` for many, `reproduce` for the thesis's results."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import jax
+
+import jaxwhisker
+from jaxwhisker.cli import reproduce, scan, study
+from jaxwhisker.cli.options import INTERRUPTED, NOT_ALL_OK, OK, USAGE, UsageError
+
+__all__ = ["INTERRUPTED", "NOT_ALL_OK", "OK", "USAGE", "main"]
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str):
+        # One line, without the usage, which would bury it.
+        self.exit(USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="jaxwhisker", description="Quasi-static scans with elastically coupled tactile whiskers.")
+    parser.add_argument("--version", action="version", version=f"jaxwhisker {jaxwhisker.__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="command", required=True)
+    for command in (scan, study, reproduce):
+        command.add(commands)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code.
+
+    Wrong options and parameters, and files that cannot be written, end with one line on stderr and exit code 2.
+    """
+    parser = _parser()
+    try:
+        args = parser.parse_args(argv)
+    except SystemExit as stop:  # argparse has printed what there is to say
+        return stop.code if isinstance(stop.code, int) else USAGE
+    jax.config.update("jax_enable_x64", True)
+    try:
+        return args.run(args)
+    except (UsageError, OSError) as error:
+        message = " ".join(str(error).split())
+        print(f"{parser.prog} {args.command}: error: {message}", file=sys.stderr)
+        return USAGE
+    except KeyboardInterrupt:
+        return INTERRUPTED
