@@ -4,7 +4,7 @@ from collections.abc import Generator, Sequence
 from typing import Any
 
 from jaxwhisker.study.kernel import Job, compute
-from jaxwhisker.study.local import Computed, Target
+from jaxwhisker.study.local import Computed, Write
 from jaxwhisker.study.parameters import Blocks, Index, Parameters
 
 AHEAD = 2  # blocks given out for each thread of the cluster: one to compute, one to go on with
@@ -12,7 +12,7 @@ RETRIES = 3  # of a block whose computation fails; one that a worker's death tak
 
 
 def computed_there(
-    client: Any, job: Job, parameters: Parameters, blocks: Blocks, todo: Sequence[Index], target: Target
+    client: Any, job: Job, parameters: Parameters, blocks: Blocks, todo: Sequence[Index], write: Write
 ) -> Generator[Computed, None, None]:
     """Have blocks computed by workers, and write them here."""
     from distributed import as_completed
@@ -32,7 +32,7 @@ def computed_there(
         for future in queue:
             arrays, worst = future.result()
             index = index_of.pop(future)
-            target.write(index, arrays, worst)
+            write(index, arrays, worst)
             for following in rest:
                 queue.add(give_out(following))
                 break

@@ -1,9 +1,9 @@
 """Blocks computed by threads of this process."""
 
 import os
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,10 +18,7 @@ class Computed(NamedTuple):
     worst: np.ndarray  # status of each of its points
 
 
-class Target(Protocol):
-    """Where blocks are written."""
-
-    def write(self, index: Index, arrays: dict[str, np.ndarray], worst: np.ndarray) -> None: ...
+Write = Callable[[Index, dict[str, np.ndarray], np.ndarray], None]  # a block, its variables, its points' status
 
 
 def threads() -> int:
@@ -30,13 +27,13 @@ def threads() -> int:
 
 
 def computed_here(
-    kernel: Kernel, parameters: Parameters, blocks: Blocks, todo: Sequence[Index], target: Target
+    kernel: Kernel, parameters: Parameters, blocks: Blocks, todo: Sequence[Index], write: Write
 ) -> Generator[Computed, None, None]:
     """Compute and write blocks, one a processor at a time: XLA alone keeps one processor busy, not two."""
 
     def compute(index: Index) -> Computed:
         arrays, worst = kernel(parameters.at(blocks.region(index)))
-        target.write(index, arrays, worst)
+        write(index, arrays, worst)
         return Computed(index, worst)
 
     kernel.compiled()

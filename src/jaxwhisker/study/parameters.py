@@ -127,17 +127,17 @@ def _check_names(build: Callable, given: Mapping[str, Any], options: tuple[str, 
     for p in parameters:
         if p.kind is p.POSITIONAL_ONLY and p.default is p.empty:
             raise ValueError(f"`build` must take its parameters by name, but `{p.name}` is positional only.")
+    for name, p in named.items():
+        if name in options and p.default is p.empty:
+            raise ValueError(
+                f"`build` must not name a parameter `{name}`: that is an option of `study`. Rename it, or give `points`."
+            )
     unknown = [name for name in given if name not in named]
     if unknown and not anything:
         allowed = ", ".join(named) or "none"
         raise ValueError(f"`{unknown[0]}` must be a parameter of `build` to be an axis, but `build` takes {allowed}.")
     for name, p in named.items():
         if p.default is p.empty and name not in given:
-            if name in options:
-                raise ValueError(
-                    f"`build` must not name a parameter `{name}`: that is an option of `study`. Rename it, or give "
-                    "`points`."
-                )
             raise ValueError(
                 f"`{name}` must be given as an axis: `build` needs it, but only {', '.join(given)} is there."
             )

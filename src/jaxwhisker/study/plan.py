@@ -9,7 +9,7 @@ from jaxwhisker.study.parameters import Blocks, split
 
 LANES = 128  # points of a block at most: more make nothing faster, and a killed study loses more
 PARTS, FEW = 16, 8  # a smaller study is cut into that many blocks, so that every processor has some, or into fewer of 8
-BASE = 0.8e9  # bytes of a process that has compiled a study but holds no block
+BASE = 1.2e9  # bytes of a process that has compiled a study but holds no block
 COPIES = 3  # of what a block gives: computed, as its variables, on its way to the store
 PATH, STEP = 160e3, 60.0  # bytes a whisker that a point takes besides: for its path, and for each of its steps
 

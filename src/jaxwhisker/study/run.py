@@ -135,10 +135,10 @@ def study(
             found.add(blocks.numbers(index), worst)
         todo = [index for index in blocks.indices() if index not in done]
         if client is None:
-            results = computed_here(kernel, parameters, blocks, todo, target)
+            results = computed_here(kernel, parameters, blocks, todo, target.write)
         else:
             keyed = replace(job, key=description["build"])
-            results = computed_there(client, keyed, parameters, blocks, todo, target)
+            results = computed_there(client, keyed, parameters, blocks, todo, target.write)
         with closing(results), bar(found.total, control.size, found.seen, progress) as shown:
             for index, worst in results:
                 found.add(blocks.numbers(index), worst)

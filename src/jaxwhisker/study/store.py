@@ -63,7 +63,6 @@ class Store:
                     f"`store` must be free, but another process computes the study in {self.path}."
                 ) from None
             if folder == self.path or not self.path.exists():
-                _replace(folder / NOTES / "zarr.json", GROUP)
                 return lock
             os.close(lock)  # another process has made the study in between
 
@@ -106,13 +105,15 @@ class Store:
     def _lay_out(self, layout: Layout, blocks: Blocks, description: Description) -> None:
         """Write the empty Dataset, all or nothing."""
         import zarr
+        from zarr.errors import ZarrUserWarning
 
-        for entry in self._new.iterdir():  # of somebody who was killed here
-            if entry.name != NOTES:
+        for entry in (*self._new.iterdir(), *(self._new / NOTES).iterdir()):  # of somebody who was killed here
+            if entry.name not in (NOTES, LOCK):
                 shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+        _replace(self._new / NOTES / "zarr.json", GROUP)
         with warnings.catch_warnings():
-            # Of consolidated metadata, which other implementations may not read, and of the notes, no part of the Dataset.
-            warnings.simplefilter("ignore", zarr.errors.ZarrUserWarning)
+            # That others may not read consolidated metadata, and that the notes are no part of the Dataset.
+            warnings.simplefilter("ignore", ZarrUserWarning)
             layout.frame().to_zarr(self._new, mode="a", zarr_format=3, consolidated=False)
             group = zarr.open_group(self._new, mode="r+", use_consolidated=False)
             for name, field in layout.variables.items():

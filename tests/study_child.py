@@ -1,0 +1,21 @@
+"""A study as a process of its own, for tests that kill it: python study_child.py STORE."""
+
+import sys
+
+import numpy as np
+
+import jaxwhisker as jw
+
+CONTROL = np.linspace(0.7, -1.5, 30)
+AXES = {"stiffness": np.append(np.linspace(60.0, 200.0, 31), -1.0), "distance": np.array([0.2, 0.25, 0.3, 0.35])}
+
+
+def build(stiffness, distance):
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.fb(stiffness))
+
+
+if __name__ == "__main__":
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    jw.study(build, control=CONTROL, store=sys.argv[1], **AXES)

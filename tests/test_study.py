@@ -1,0 +1,253 @@
+"""Studies: every point is a scan of its own, whatever the blocks; bad points and bad arguments."""
+
+import importlib
+import re
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import jaxwhisker as jw
+
+CONTROL = np.linspace(0.8, -1.6, 61)
+STIFFNESS = np.array([70.0, -1.0, 40.0, np.nan, 200.0])  # two of them are none
+DISTANCE = np.array([0.2, 0.3, 1.5])  # the last out of reach
+ROUNDING = 1e-9  # of a solution whose Newton iteration ends elsewhere, relative to the peak, about 20
+SLOPE = 1e-6  # of central differences with STRETCH, relative to the largest slope
+STRETCH = 1e-3
+
+
+def build(stiffness, distance):
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.fb(stiffness))
+
+
+@pytest.fixture(scope="module")
+def data():
+    return jw.study(build, control=CONTROL, stiffness=STIFFNESS, distance=DISTANCE, outputs="all")
+
+
+class TestPoints:
+    def test_every_point_is_a_scan(self, data):
+        for stiffness in (70.0, 40.0, 200.0):
+            for distance in DISTANCE[:2]:
+                point = data.sel(stiffness=stiffness, distance=distance)
+                result = jw.scan(build(stiffness, distance), CONTROL)
+                for name in ("status", "phase"):
+                    np.testing.assert_array_equal(point[name], getattr(result, name))
+                for name in ("fx", "fy", "mz", "base_x", "spring_length", "contact_arc", "contact_x"):
+                    np.testing.assert_allclose(point[name], getattr(result, name), atol=20 * ROUNDING, err_msg=name)
+                count = int(point.event_count)
+                assert count == len(result.events) > 0
+                np.testing.assert_array_equal(point.event_kind[:count], result.events.kind[:count])
+                np.testing.assert_array_equal(point.event_kind[count:], -1)
+                np.testing.assert_allclose(point.event_control, result.events.control, atol=ROUNDING)
+                np.testing.assert_allclose(point.after_mz, result.events.after.mz, atol=20 * ROUNDING)
+                energy = jw.stored_energy(result.scene, result.events.before)
+                np.testing.assert_allclose(point.event_energy_before, energy, atol=20 * ROUNDING)
+
+    def test_a_bad_point_is_nan_and_has_a_status(self, data):
+        bad = data.isel(stiffness=[1, 3])
+        assert bool((bad.status == jw.Status.invalid).all())
+        assert bool(np.isnan(bad.mz).all())
+        assert bool((bad.event_kind == -1).all())
+
+    def test_out_of_reach_is_no_error(self, data):
+        free = data.sel(distance=1.5).isel(stiffness=[0, 2, 4])
+        assert bool((free.status == jw.Status.ok).all())
+        assert bool((free.mz == 0).all())
+
+    def test_the_points_are_counted_in_words(self, data):
+        assert data.attrs["points"] == "9 of 15 ok; 6: `stiffness` must be a positive number"
+
+    def test_rows_of_a_table(self, data):
+        # As many as in a block of the axes: the compiled function is the same.
+        columns = {"distance": [0.3, 0.2, 0.2, 0.3, 0.3, 0.2], "stiffness": [40.0, 70.0, 40.0, -1.0, 70.0, 200.0]}
+        table = jw.study(build, control=CONTROL, points=pd.DataFrame(columns), outputs="all")
+        assert table.fx.dims == ("point", "control", "whisker")
+        for k, (distance, stiffness) in enumerate(zip(*columns.values(), strict=True)):
+            row = table.isel(point=k)
+            assert (float(row.distance), float(row.stiffness)) == (distance, stiffness)
+            np.testing.assert_allclose(row.mz, data.mz.sel(stiffness=stiffness, distance=distance), atol=20 * ROUNDING)
+
+    def test_default_control_spans_all_contacts(self):
+        points = {"stiffness": [70.0, 200.0, 40.0], "distance": [0.2, 0.3, np.nan]}  # the last tells nothing
+        control = common_control(build, parameters_of(build, points, {}, ()))
+        each = [default_control(build(c, q)) for c, q in ((70.0, 0.2), (200.0, 0.3))]
+        assert control[0] == pytest.approx(max(u[0] for u in each), abs=ROUNDING)
+        assert min(u[-1] for u in each) - 2 * STEP < control[-1] < min(u[-1] for u in each) + STEP
+        np.testing.assert_allclose(np.diff(control), -STEP)
+
+    def test_traced_once_whatever_the_size(self):
+        traced = []
+
+        def counted(stiffness, distance):
+            if isinstance(stiffness, jax.core.Tracer):
+                traced.append(stiffness)
+            return build(stiffness, distance)
+
+        axes = {"stiffness": np.linspace(50.0, 90.0, 7), "distance": DISTANCE}
+        jw.study(counted, control=CONTROL, outputs="all", **axes)
+        assert len(traced) == 2  # for the structure of the scenes, and for all four blocks
+
+    def test_summary_is_that_of_the_signals(self, data):
+        axes = {"stiffness": STIFFNESS, "distance": DISTANCE}
+        brief = jw.study(build, control=CONTROL, outputs="all", summary=True, **axes)
+        assert "mz" not in brief and "event_control" in brief
+        whole = jw.summary(data)
+        for name in whole.data_vars:
+            np.testing.assert_allclose(brief[name], whole[name], atol=20 * ROUNDING, err_msg=name)
+            assert brief[name].dims == whole[name].dims
+            assert brief[name].attrs == whole[name].attrs
+
+
+class TestDerivatives:
+    def test_are_central_differences(self):
+        stiffness = 70.0 + STRETCH * np.array([-1.0, 0.0, 1.0, np.nan])
+        found = jw.study(
+            lambda stiffness: build(stiffness, 0.2),
+            control=CONTROL[:40],  # before it snaps off
+            stiffness=stiffness,
+            outputs=("mz", "base_x", "events"),
+            derivatives="stiffness",
+        )
+        names = ("mz", "base_x", "event_control", "event_energy_after")
+        for name in names:
+            low, _, high, _ = found[name].values
+            slope, central = found[f"d_{name}_d_stiffness"].values[1], (high - low) / (2 * STRETCH)
+            np.testing.assert_allclose(slope, central, atol=SLOPE * np.nanmax(np.abs(slope)), err_msg=name)
+            assert np.isnan(found[f"d_{name}_d_stiffness"].values[3]).all(), name
+            assert np.nanmax(np.abs(slope)) > 0, name
+        assert found.d_mz_d_stiffness.attrs["units"] == "L^2"
+        assert "d_status_d_stiffness" not in found
+
+
+class TestLabels:
+    def test_everything_has_units_and_a_long_name(self, data):
+        for name in data.variables:
+            assert data[name].attrs.get("units") and data[name].attrs.get("long_name"), name
+        assert data.mz.attrs["units"] == "EI/L" and data.stiffness.attrs["units"] == "EI/L^3"
+        assert data.status.attrs["flag_meanings"].split()[1:3] == ["ok", "invalid"]
+        assert list(data.status.attrs["flag_values"])[:3] == [-1, 0, 1]
+        assert data.between.values.tolist() == ["0-1"]
+        for name in ("title", "scene", "signs", "jaxwhisker_version", "jax_version", "python_version", "date"):
+            assert data.attrs[name], name
+
+    @pytest.mark.parametrize("engine", ["netcdf4", "h5netcdf"])
+    def test_netcdf_round_trip(self, data, engine, tmp_path):
+        data.to_netcdf(tmp_path / "study.nc", engine=engine)
+        xr.testing.assert_identical(xr.load_dataset(tmp_path / "study.nc", engine=engine), data)
+
+    @pytest.mark.filterwarnings("ignore:Consolidated metadata is currently not part")
+    def test_zarr_round_trip(self, data, tmp_path):
+        data.to_zarr(tmp_path / "study.zarr")
+        xr.testing.assert_identical(xr.load_dataset(tmp_path / "study.zarr", engine="zarr"), data)
+
+
+def _branches(stiffness, distance):
+    return build(stiffness, distance if distance > 0.2 else 0.2)
+
+
+def _grows(stiffness, distance):
+    return build(stiffness, distance) if stiffness == 70.0 else jw.Scene(jw.Whisker(), jw.Parabola(distance))
+
+
+def _other_object(stiffness, distance):
+    known = not isinstance(stiffness, jax.core.Tracer)
+    profile = jw.Circle(distance, 1.0) if known and stiffness > 50 else jw.Parabola(distance)
+    return jw.Scene(jw.Whisker(), profile, jw.Support.fb(stiffness))
+
+
+def _other_ends(stiffness, distance):
+    known = not isinstance(stiffness, jax.core.Tracer)
+    ends = ((0, 2), (0, 1)) if known and stiffness > 50 else ((0, 1), (0, 2))
+    support = jw.Support(tuple(jw.Spring(between, stiffness) for between in ends))
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance), support)
+
+
+def _positional(stiffness, /, distance):
+    return build(stiffness, distance)
+
+
+def _memory(memory):
+    return build(memory, 0.2)
+
+
+AXES = {"stiffness": [40.0, 70.0], "distance": [0.2, 0.3]}
+
+
+class TestErrors:
+    @pytest.mark.unchecked
+    @pytest.mark.parametrize(
+        ("call", "told"),
+        [
+            (dict(build=3), "`build` must be a function"),
+            (dict(radius=[1.0]), "`radius` must be a parameter of `build`.* stiffness, distance"),
+            (dict(distance=None), "`distance` must be an array of real numbers"),
+            (dict(distance=["a"]), "`distance` must be an array of real numbers"),
+            (dict(distance=0.2), r"`distance` must be one-dimensional .* shape \(\)"),
+            (dict(distance=[[0.2]]), r"`distance` must be one-dimensional .* shape \(1, 1\)"),
+            (dict(distance=[]), "`distance` must hold at least one value"),
+            (dict(points={"stiffness": [1.0]}), "`points` must be left out .*stiffness, distance"),
+            (dict(outputs=("fx", "force")), "`outputs` must be names among reactions.* but one is 'force'"),
+            (dict(derivatives="radius"), "`derivatives` must be among stiffness, distance, but one is 'radius'"),
+            (dict(control=[]), "`control` must be a non-empty"),
+            (dict(control=[0.0, np.nan]), "`control` must be"),
+            (dict(memory=-1.0), "`memory` must be a positive number"),
+            (dict(client=3), "`client` must be a dask.distributed.Client, but is 3"),
+            (dict(store=3), "`store` must be the path of a folder, but is 3"),
+            (dict(store="s3://bucket/study"), "`store` must be the path of a folder"),
+            (dict(store="/nowhere/at/all/study.zarr"), "no /nowhere/at/all"),
+            (dict(build=lambda stiffness, distance: 3), "`build` must return a Scene, but returned 3"),
+            (dict(build=_branches), "`build` must not decide .* by `distance`:"),
+            (dict(build=_grows), "by `stiffness`:"),
+            (dict(build=_other_object), "`scene.profile` changes"),
+            (dict(build=_other_ends), r"`scene.support.springs\[0\].between` changes"),
+            (dict(build=_positional), "`stiffness` is positional only"),
+        ],
+        ids=lambda value: None if isinstance(value, str) else "-".join(value),
+    )
+    def test_are_told_before_anything_is_computed(self, call, told, monkeypatch):
+        monkeypatch.setattr(importlib.import_module("jaxwhisker.study.run"), "Kernel", None)
+        arguments = {"build": build, "control": CONTROL} | AXES | call
+        with pytest.raises(ValueError, match=told):
+            jw.study(**arguments)
+
+    def test_a_missing_axis(self):
+        with pytest.raises(ValueError, match="`distance` must be given as an axis"):
+            jw.study(build, stiffness=[70.0])
+        with pytest.raises(ValueError, match="`axes` must be at least one"):
+            jw.study(build)
+
+    def test_a_parameter_named_like_an_option(self):
+        with pytest.raises(ValueError, match="`build` must not name a parameter `memory`: that is an option"):
+            jw.study(_memory, control=CONTROL, other=[1.0])
+
+    def test_an_axis_named_like_a_variable(self):
+        with pytest.raises(ValueError, match="`whisker` must not be the name of an axis"):
+            jw.study(lambda whisker: build(whisker, 0.2), whisker=[70.0])
+
+    @pytest.mark.unchecked
+    @pytest.mark.parametrize(
+        ("points", "told"),
+        [
+            ({"stiffness": [1.0, 2.0], "distance": [0.2]}, "columns of one length.*'stiffness': 2, 'distance': 1"),
+            ({"stiffness": [1.0]}, "`distance` must be given"),
+            ([1.0, 2.0], "`points` must be a table"),
+        ],
+    )
+    def test_a_bad_table(self, points, told):
+        with pytest.raises(ValueError, match=told):
+            jw.study(build, points=points)
+
+    def test_a_control_too_long(self, monkeypatch):
+        monkeypatch.setattr(importlib.import_module("jaxwhisker.study.control"), "MAX_STEPS", 100)
+        with pytest.raises(ValueError, match=r"`control` must be given: from .* more than 100"):
+            jw.study(build, points={"stiffness": [50.0, 200.0, 70.0], "distance": [0.1, 0.4, 0.2]})
+
+    @pytest.mark.parametrize("package", ["xarray", "tqdm"])
+    def test_a_missing_package(self, package, monkeypatch):
+        monkeypatch.setitem(importlib.import_module("sys").modules, package, None)
+        with pytest.raises(ImportError, match=re.escape(f"`study` needs {package}: pip install jaxwhisker[study]")):
+            jw.study(build, **AXES)

@@ -1,0 +1,186 @@
+"""A study on disk: killed at any moment it goes on where it was, and what is there is never mixed or half-written."""
+
+import json
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import jaxwhisker as jw
+from jaxwhisker.study.store import Store
+from study_child import AXES, CONTROL, build
+
+CHILD = Path(__file__).parent / "study_child.py"
+KILLS = 4
+PATIENCE = 120.0  # seconds for a child to come so far
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """The study as computed in one go, in memory."""
+    return jw.study(build, control=CONTROL, **AXES)
+
+
+@pytest.fixture(scope="module")
+def stored(whole, tmp_path_factory):
+    """The finished study on disk, for tests that leave it as it is."""
+    store = tmp_path_factory.mktemp("stored") / "study.zarr"
+    jw.study(build, control=CONTROL, store=store, **AXES)
+    return store
+
+
+@pytest.fixture
+def copied(stored, tmp_path):
+    """The finished study on disk, for tests that change it."""
+    return Path(shutil.copytree(stored, tmp_path / "study.zarr"))
+
+
+def _identical(found: xr.Dataset, whole: xr.Dataset) -> None:
+    # NaN equals NaN, but nothing else is forgiven: bit for bit.
+    xr.testing.assert_identical(found.load().assign_attrs(date=""), whole.assign_attrs(date=""))
+
+
+def _notes(store: Path) -> list[Path]:
+    return sorted((store / ".study" / "done").glob("*.json"))
+
+
+def _check_unfinished(store: Path, whole: xr.Dataset) -> int:
+    """What is noted as complete is; everything can be read. Returns the number of complete blocks."""
+    found = xr.open_zarr(store, chunks=None).load()
+    block = _block(store)
+    for note in _notes(store):
+        index = [int(k) for k in note.stem.split(".")]
+        region = {dim: slice(k * b, k * b + b) for dim, k, b in zip(AXES, index, block, strict=True)}
+        xr.testing.assert_equal(found.isel(region), whole.isel(region))
+    return len(_notes(store))
+
+
+def _block(store: Path) -> tuple[int, ...]:
+    return tuple(json.loads((store / ".study" / "study.json").read_text())["block"])
+
+
+class TestKilled:
+    def test_goes_on_and_ends_bit_for_bit_the_same(self, whole, tmp_path):
+        store, moments = tmp_path / "study.zarr", random.Random(4)
+        complete = 0
+        for kill in range(KILLS):
+            child = subprocess.Popen([sys.executable, CHILD, store], stderr=subprocess.PIPE)
+            # The first while it lays out the store, the others at any moment after the next block is complete.
+            begun = store.with_name("study.zarr.new")
+            self._wait(child, begun.exists if kill == 0 else lambda n=complete: len(_notes(store)) > n)
+            time.sleep(moments.uniform(0.0, 0.05 if kill == 0 else 0.5))
+            child.send_signal(signal.SIGKILL)
+            _, told = child.communicate()
+            assert child.returncode == -signal.SIGKILL, told.decode()
+            if store.exists():
+                before, complete = complete, _check_unfinished(store, whole)
+                assert complete >= before
+        kept = {note: note.stat().st_mtime_ns for note in _notes(store)}
+        total = int(np.prod([-(-v.size // b) for v, b in zip(AXES.values(), _block(store), strict=True)]))
+        assert 0 < len(kept) < total, "killed too early or too late"
+        subprocess.run([sys.executable, CHILD, store], check=True, capture_output=True)
+        assert kept == {note: note.stat().st_mtime_ns for note in kept}, "complete blocks were computed again"
+        _identical(xr.open_zarr(store, chunks=None), whole)
+
+    @staticmethod
+    def _wait(child, reached) -> None:
+        end = time.monotonic() + PATIENCE
+        while not reached():
+            assert child.poll() is None, child.stderr.read().decode()
+            assert time.monotonic() < end, "the child takes too long"
+            time.sleep(0.002)
+
+
+class TestUnfinished:
+    def test_a_torn_chunk_is_computed_again(self, copied, whole):
+        note = _notes(copied)[3]
+        chunk = copied / "mz" / "c" / Path(*note.stem.split("."), "0", "0")
+        chunk.write_bytes(chunk.read_bytes()[:100])
+        note.unlink()
+        _identical(jw.study(build, control=CONTROL, store=copied, **AXES), whole)
+
+    def test_what_is_noted_is_not_computed_again(self, copied):
+        chunk = copied / "mz" / "c" / Path(*_notes(copied)[3].stem.split("."), "0", "0")
+        chunk.unlink()  # so that it would come back
+        again = jw.study(build, control=CONTROL, store=copied, **AXES)
+        assert int(np.isnan(again.mz.isel(stiffness=slice(-1))).sum()) > 0
+
+    def test_a_template_begun_by_somebody_else_is_written_anew(self, whole, tmp_path):
+        begun = tmp_path / "study.zarr.new"
+        (begun / ".study" / "done").mkdir(parents=True)
+        (begun / ".study" / "done" / "0.0.json").write_text('{"points": 8, "failed": {}}')
+        (begun / "mz").mkdir()
+        (begun / "mz" / "zarr.json").write_text("{")
+        _identical(jw.study(build, control=CONTROL, store=tmp_path / "study.zarr", **AXES), whole)
+        assert not begun.exists()
+
+    def test_reads_as_not_computed(self, copied, whole):
+        for chunk in (copied / "status" / "c", copied / "mz" / "c", copied / "event_kind" / "c"):
+            shutil.rmtree(chunk)
+        found = xr.open_zarr(copied)
+        assert bool((found.status == -1).all()) and bool(np.isnan(found.mz).all())
+        assert bool((found.event_kind == -1).all())
+
+    def test_the_points_are_counted_in_the_store(self, stored):
+        assert xr.open_zarr(stored).attrs["points"] == "124 of 128 ok; 4: `stiffness` must be a positive number"
+
+
+class TestAnotherStudy:
+    @pytest.mark.parametrize(
+        ("change", "told"),
+        [
+            (dict(stiffness=AXES["stiffness"][:-1]), "its axis `stiffness` has 32 values, this one 31"),
+            (dict(stiffness=AXES["stiffness"] + 1), "its axis `stiffness` has other values"),
+            (dict(control=CONTROL[:-1]), "its control has 30 values, this one 29"),
+            (dict(control=None), "its control is a given one"),
+            (dict(outputs="status"), "its variables are fx, fy, .* here status"),
+            (dict(derivatives="distance"), "its variables are fx, fy, .* here fx, fy, .* d_fx_d_distance"),
+            (dict(summary=True), "its variables are fx, fy, .* here event_kind, .* max_fx"),
+            (
+                dict(build=lambda distance, stiffness: build(stiffness, 1.01 * distance)),
+                "its `build` makes other scenes",
+            ),
+        ],
+        ids=lambda value: None if isinstance(value, str) else "-".join(value),
+    )
+    def test_is_refused(self, stored, whole, change, told):
+        arguments = {"build": build, "control": CONTROL} | AXES | change
+        with pytest.raises(ValueError, match=f"`store` must hold this study .* holds another study: {told}"):
+            jw.study(**arguments, store=stored)
+        _identical(xr.open_zarr(stored, chunks=None), whole)
+
+    def test_other_axes_are_refused(self, stored):
+        with pytest.raises(ValueError, match="its axes are stiffness, distance, here axes are stiffness"):
+            jw.study(lambda stiffness: build(stiffness, 0.2), store=stored, stiffness=[70.0])
+
+    def test_another_version_is_refused(self, stored, monkeypatch):
+        monkeypatch.setattr(jw, "__version__", "99.0")
+        with pytest.raises(ValueError, match=r"its jaxwhisker is .*, here 99\.0"):
+            jw.study(build, control=CONTROL, store=stored, **AXES)
+
+    def test_what_is_no_study_is_left_alone(self, tmp_path):
+        xr.Dataset({"a": ("x", np.arange(3))}).to_zarr(tmp_path / "mine.zarr", consolidated=False)
+        (tmp_path / "file").write_text("mine")
+        for name in ("mine.zarr", "file"):
+            before = sorted(tmp_path.rglob("*"))
+            with pytest.raises(ValueError, match=f"`store` must hold a study or not exist, but .*{name} is something"):
+                jw.study(build, store=tmp_path / name, **AXES)
+            assert sorted(tmp_path.rglob("*")) == before
+
+    def test_two_at_once_are_refused(self, stored, tmp_path):
+        holder = Store(stored)
+        with pytest.raises(ValueError, match="`store` must be free, but another process"):
+            jw.study(build, control=CONTROL, store=stored, **AXES)
+        holder.close()
+        Store(stored).close()
+        beginner = Store(tmp_path / "new.zarr")
+        with pytest.raises(ValueError, match="`store` must be free"):
+            Store(tmp_path / "new.zarr")
+        beginner.close()
