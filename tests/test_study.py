@@ -2,14 +2,18 @@
 
 import importlib
 import re
+from typing import Any
 
-import jax
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from jax.core import Tracer
 
 import jaxwhisker as jw
+from jaxwhisker.scan import STEP, default_control
+from jaxwhisker.study.control import common_control
+from jaxwhisker.study.parameters import parameters_of
 
 CONTROL = np.linspace(0.8, -1.6, 61)
 STIFFNESS = np.array([70.0, -1.0, 40.0, np.nan, 200.0])  # two of them are none
@@ -83,16 +87,16 @@ class TestPoints:
         traced = []
 
         def counted(stiffness, distance):
-            if isinstance(stiffness, jax.core.Tracer):
+            if isinstance(stiffness, Tracer):
                 traced.append(stiffness)
             return build(stiffness, distance)
 
-        axes = {"stiffness": np.linspace(50.0, 90.0, 7), "distance": DISTANCE}
+        axes: dict[str, Any] = {"stiffness": np.linspace(50.0, 90.0, 7), "distance": DISTANCE}
         jw.study(counted, control=CONTROL, outputs="all", **axes)
         assert len(traced) == 2  # for the structure of the scenes, and for all four blocks
 
     def test_summary_is_that_of_the_signals(self, data):
-        axes = {"stiffness": STIFFNESS, "distance": DISTANCE}
+        axes: dict[str, Any] = {"stiffness": STIFFNESS, "distance": DISTANCE}
         brief = jw.study(build, control=CONTROL, outputs="all", summary=True, **axes)
         assert "mz" not in brief and "event_control" in brief
         whole = jw.summary(data)
@@ -154,13 +158,13 @@ def _grows(stiffness, distance):
 
 
 def _other_object(stiffness, distance):
-    known = not isinstance(stiffness, jax.core.Tracer)
+    known = not isinstance(stiffness, Tracer)
     profile = jw.Circle(distance, 1.0) if known and stiffness > 50 else jw.Parabola(distance)
     return jw.Scene(jw.Whisker(), profile, jw.Support.fb(stiffness))
 
 
 def _other_ends(stiffness, distance):
-    known = not isinstance(stiffness, jax.core.Tracer)
+    known = not isinstance(stiffness, Tracer)
     ends = ((0, 2), (0, 1)) if known and stiffness > 50 else ((0, 1), (0, 2))
     support = jw.Support(tuple(jw.Spring(between, stiffness) for between in ends))
     return jw.Scene(jw.Whisker(), jw.Parabola(distance), support)
@@ -174,7 +178,7 @@ def _memory(memory):
     return build(memory, 0.2)
 
 
-AXES = {"stiffness": [40.0, 70.0], "distance": [0.2, 0.3]}
+AXES: dict[str, Any] = {"stiffness": [40.0, 70.0], "distance": [0.2, 0.3]}
 
 
 class TestErrors:
