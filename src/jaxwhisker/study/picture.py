@@ -65,15 +65,16 @@ def picture(data: xr.Dataset, critical: xr.DataArray | None = None, name: str = 
     data = _finite(data)
     axes = [dim for dim in data[name].dims if dim != "whisker"]
     count = data.sizes["whisker"]
+    word = "critical" if count == 1 else "critical, estimated"
     if len(axes) == 1:
         figure = Figure(figsize=(7, 4.5), layout="constrained")
-        _lines(data[name], critical, str(axes[0]), figure.add_subplot())
+        _lines(data[name], critical, str(axes[0]), word, figure.add_subplot())
     else:
         figure = Figure(figsize=(1.2 + 4.6 * count, 4.5), layout="constrained")
         panels = figure.subplots(1, count, sharex=True, sharey=True, squeeze=False)[0]
         low, high = float(data[name].min()), float(data[name].max())
         for whisker, ax in zip(data.whisker.values, panels, strict=True):
-            mesh = _map(data[name].sel(whisker=whisker), critical, ax, low, high)
+            mesh = _map(data[name].sel(whisker=whisker), critical, word, ax, low, high)
             ax.set_title(f"whisker {whisker}", fontsize=10)
         figure.colorbar(mesh, ax=list(panels), label=_label(data[name]))
     figure.suptitle(data.attrs.get("scene", ""), fontsize=10)
@@ -93,14 +94,14 @@ def _label(variable: xr.DataArray) -> str:
     return name if unit == "1" else f"{name} [{unit}]"
 
 
-def _lines(values: xr.DataArray, critical: xr.DataArray | None, axis: str, ax: Axes) -> None:
+def _lines(values: xr.DataArray, critical: xr.DataArray | None, axis: str, word: str, ax: Axes) -> None:
     from jaxwhisker.plot import COLOURS
 
     for k, whisker in enumerate(values.whisker.values):
         y = values.sel(whisker=whisker).values
         ax.plot(values[axis].values, y, marker=".", color=COLOURS[k % len(COLOURS)], label=f"whisker {whisker}")
     for k, at in enumerate([] if critical is None else _crossings(critical[axis].values, critical.values)):
-        ax.axvline(at, color=_CRITICAL, linestyle="--", label=None if k else f"critical: {at:.4g}")
+        ax.axvline(at, color="black", linestyle="--", label=None if k else f"{word}: {at:.4g}")
     ax.set_xlabel(_label(values[axis]))
     ax.set_ylabel(_label(values))
     ax.grid(alpha=0.3)
@@ -117,7 +118,7 @@ def _crossings(x: np.ndarray, steepness: np.ndarray) -> list[float]:
     return np.exp(at[turn] + share * (at[turn + 1] - at[turn])).tolist()
 
 
-def _map(values: xr.DataArray, critical: xr.DataArray | None, ax: Axes, low: float, high: float):
+def _map(values: xr.DataArray, critical: xr.DataArray | None, word: str, ax: Axes, low: float, high: float):
     from matplotlib.lines import Line2D
 
     first, second = (str(dim) for dim in values.dims)
@@ -128,7 +129,7 @@ def _map(values: xr.DataArray, critical: xr.DataArray | None, ax: Axes, low: flo
         height = np.ma.log(np.ma.masked_invalid(critical.transpose(first, second).values.T))
         if np.ma.min(height) < 0 < np.ma.max(height):
             ax.contour(x, y, height, levels=[0.0], colors=_CRITICAL, linewidths=2)
-            ax.legend([Line2D([], [], color=_CRITICAL, linewidth=2)], ["critical stiffness"], fontsize=8, loc="best")
+            ax.legend([Line2D([], [], color=_CRITICAL, linewidth=2)], [word], fontsize=8, loc="best")
     ax.set_xlabel(_label(values[first]))
     ax.set_ylabel(_label(values[second]))
     return mesh
