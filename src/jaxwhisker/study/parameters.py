@@ -130,7 +130,7 @@ def _check_names(build: Callable, given: Mapping[str, Any], options: tuple[str, 
     for name, p in named.items():
         if name in options and p.default is p.empty:
             raise ValueError(
-                f"`build` must not name a parameter `{name}`: that is an option of `study`. Rename it, or give `points`."
+                f"`build` must not name a parameter `{name}`: that is an option of `study`. Rename it or give `points`."
             )
     unknown = [name for name in given if name not in named]
     if unknown and not anything:

@@ -69,7 +69,8 @@ def study(
         store: path of a zarr store that holds the results, computed so far or finished: the same call goes on with what
             is missing. Default: memory.
         client: a `dask.distributed.Client`, on whose workers the blocks are computed. Default: this machine.
-        memory: bytes that this process may take, as long as results go to a store; at least 1e9 for large blocks.
+        memory: bytes that this process may take if results go to a store. About 1.2e9 go to jax and its compiler; what
+            is left decides how many points a block has at most.
         progress: whether to show a progress bar. Default: on a terminal.
         **axes: values of each parameter of `build`, one-dimensional; those with defaults may be left out.
 
