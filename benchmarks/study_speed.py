@@ -1,0 +1,95 @@
+"""Studies: equilibria per second over the size of blocks, on one core and two; memory over steps and lanes.
+
+Every row is a process of its own that may use so many cores. Its time is that from the compiled function to the
+finished Dataset, summary and store included; its memory the most that it ever held, compiler included.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from common import write
+
+POINTS = {"FB": 2048, "FBFBR": 512}  # of 1,600 steps; fewer of more
+STEPS = 1600
+
+
+def run(kind: str, model: str = "FB", lanes: int = 128, cores: int = 2, steps: int = STEPS) -> dict:
+    """What is measured: signals in memory ("reactions"), in a store, or summarised on the way."""
+    return {"kept": kind, "model": model, "lanes": lanes, "cores": cores, "steps": steps}
+
+
+RUNS = [
+    *(run("reactions", lanes=lanes) for lanes in (8, 32, 128, 256)),
+    run("reactions", cores=1),
+    run("store"),
+    run("summary"),
+    *(run("reactions", "FBFBR", lanes) for lanes in (32, 128)),
+    run("reactions", "FBFBR", cores=1),
+    *(run("store", steps=steps) for steps in (STEPS // 4, 4 * STEPS)),
+]
+
+
+def measure(kept: str, model: str, lanes: int, cores: int, steps: int) -> dict:
+    """Run one study in this process."""
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import numpy as np
+
+    import jaxwhisker as jw
+    from jaxwhisker.study import plan
+    from jaxwhisker.study.kernel import Kernel
+
+    plan.LANES, plan.PARTS = lanes, 1  # blocks of that size, whatever the study's
+    compiled, ready = Kernel.compiled, []
+
+    def clocked(self):
+        found = compiled(self)
+        ready.append(time.perf_counter())
+        return found
+
+    Kernel.compiled = clocked
+
+    def build(stiffness, distance):
+        return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.named(model, stiffness, 0.2))
+
+    points = POINTS[model] * STEPS // max(steps, STEPS)
+    rng = np.random.default_rng(0)
+    table = {"stiffness": rng.uniform(30, 200, points), "distance": rng.uniform(0.1, 0.4, points)}
+    control = np.linspace(0.8, -1.6 if model == "FB" else -2.2, steps)
+    with tempfile.TemporaryDirectory() as folder:
+        store = Path(folder) / "study.zarr" if kept == "store" else None
+        data = jw.study(build, points=table, control=control, summary=kept == "summary", store=store, memory=8e9)
+        seconds = time.perf_counter() - ready[0]
+    return {
+        "points": points,
+        "time, s": seconds,
+        "equilibria per second": points * steps / seconds,
+        "peak memory, MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+        "points ok": data.attrs["points"].split(" ok")[0],
+    }
+
+
+def main() -> None:
+    rows = []
+    with tempfile.TemporaryDirectory() as cache:
+        settings = {"JAX_COMPILATION_CACHE_DIR": cache, "TF_CPP_MIN_LOG_LEVEL": "3"}
+        for wanted in RUNS:
+            command = [sys.executable, __file__, json.dumps(wanted)]
+            out = subprocess.run(command, env=os.environ | settings, check=True, stdout=subprocess.PIPE, text=True)
+            rows.append(wanted | json.loads(out.stdout))
+    write("study_speed", rows)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        print(json.dumps(measure(**json.loads(sys.argv[1]))))
+    else:
+        main()
