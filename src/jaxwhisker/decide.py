@@ -36,7 +36,8 @@ PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated 
 FIRST_STEP = 0.02  # after a corner, in units of length; grows at once where the path is smooth
 LONGEST_STEP = 0.25
 SHORTEST_STEP = 1e-10
-FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as found: u is then exact to about its square
+FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as found: the state is then exact to it, u to its square
+FOLD_BRACKET = 1e-9  # or what is left of the stretch on which stability is lost
 RESOLVED_STEP = 0.02  # in which du/ds is a parabola to a few percent of its change
 ARRIVAL_MISS = 0.1  # a flow ends nearer than this to its equilibrium
 
@@ -133,7 +134,7 @@ def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, st
     to_event = front._replace(task=jnp.asarray(int(Task.event)), target=target)
 
     turn = turn_of(front, trial.tangent)
-    found = (jnp.abs(turn) < FOLD_SLOPE) | (front.step < SHORTEST_STEP)
+    found = (jnp.abs(turn) < FOLD_SLOPE) | (front.step < FOLD_BRACKET)
     node = _node(front, trial)
     moved = _moved(front, trial, node)
     fold = _to_snap(moved)
@@ -154,7 +155,7 @@ def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, st
         unstable_at=left,
         step=_next_step(turn, left, front.unstable_turn, jnp.minimum(factor * front.step, longest)),
     )
-    at_fold = jnp.isfinite(left) & (turn < FOLD_SLOPE)
+    at_fold = jnp.isfinite(left) & ((turn < FOLD_SLOPE) | (left < FOLD_BRACKET))
     onwards = select(at_fold, fold, onwards)
     onwards = select(trial.convex, onwards, stopped(front, Status.not_convex))
 

@@ -247,9 +247,11 @@ def _steps(
     unit = dimensionless.unit
     u, travel = control / unit.length, travel / unit.length
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
-    index = jnp.clip(jnp.searchsorted(node_travel, travel, side="right") - 1, 0, path.count - 1)
     end = node_travel[path.count - 1]
-    beyond = (travel > end + TRAVEL_NOISE * (1 + end)) | (path.count == 0)
+    noise = TRAVEL_NOISE * (1 + end)
+    # Exactly at an event a step belongs to what begins there, whichever side rounding puts it on.
+    index = jnp.clip(jnp.searchsorted(node_travel, travel + noise, side="right") - 1, 0, path.count - 1)
+    beyond = (travel > end + noise) | (path.count == 0)
 
     known = dimensionless.valid & ~(beyond & (path.status != Status.ok))
     state, status = jax.lax.map(
