@@ -1,6 +1,7 @@
 """Deflection under given loads: the thesis's tables, balance, moments, several loads."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -120,3 +121,66 @@ def test_vmap_is_a_loop():
     batch = jax.vmap(lambda f: jw.deflect(jw.Whisker(), jw.PointForce(f)).mz)(forces)
     loop = [jw.deflect(jw.Whisker(), jw.PointForce(f)).mz for f in forces]
     np.testing.assert_allclose(batch, loop, rtol=1e-13)
+
+
+LOADS = jnp.array([3.0, 0.8, 2.5, 0.6, 1.1, 0.9])  # force, its position, direction; moment; length, bending stiffness
+MODES = 1e-10  # forward against reverse
+DIFFERENCES = 1e-7  # central differences with step 1e-5 of a smooth function
+
+
+def bent(p, follower):
+    force, position, direction, moment, length, bending_stiffness = p
+    loads = (jw.PointForce(force, position, follower, direction), jw.PointMoment(moment))
+    d = jw.deflect(jw.Whisker(length, bending_stiffness), *loads, points=5)
+    return jnp.concatenate([jnp.stack([d.fx, d.fy, d.mz]), d.s, d.x, d.y, d.angle, d.curvature])
+
+
+@pytest.mark.parametrize("follower", [False, True])
+def test_derivatives_by_loads_and_whisker(follower):
+    value = jax.jit(lambda p: bent(p, follower))
+    forward = jax.jit(jax.jacfwd(lambda p: bent(p, follower)))(LOADS)
+    reverse = jax.jit(jax.jacrev(lambda p: bent(p, follower)))(LOADS)
+    np.testing.assert_allclose(forward, reverse, atol=MODES)
+    for k in range(LOADS.size):
+        step = 1e-5 * jnp.eye(LOADS.size)[k]
+        difference = (value(LOADS + step) - value(LOADS - step)) / 2e-5
+        assert np.max(np.abs(difference)) > 0.1
+        np.testing.assert_allclose(forward[:, k], difference, atol=DIFFERENCES * np.max(np.abs(forward)))
+
+
+def test_the_derivative_of_a_small_deflection_is_that_of_a_beam():
+    # Cantilever: tip deflection F L^3 / 3 EI, base moment F L; the force towards -x.
+    def tip(force, length, bending_stiffness):
+        d = jw.deflect(jw.Whisker(length, bending_stiffness), jw.PointForce(force))
+        return d.x[-1], d.mz
+
+    by_force = jax.jit(jax.jacrev(tip))(0.0, 1.3, 0.7)
+    np.testing.assert_allclose(by_force, (-(1.3**3) / (3 * 0.7), -1.3), rtol=EXACT)
+
+
+def test_second_derivatives():
+    def moment(force, length):
+        return jw.deflect(jw.Whisker(length), jw.PointForce(force)).mz
+
+    hessian = jax.jit(jax.hessian(moment, argnums=(0, 1)))(3.0, 1.1)
+    slopes = jax.jit(jax.grad(moment, argnums=(0, 1)))
+    for k, (df, dl) in enumerate([(1e-5, 0.0), (0.0, 1e-5)]):
+        ahead, behind = slopes(3.0 + df, 1.1 + dl), slopes(3.0 - df, 1.1 - dl)
+        np.testing.assert_allclose(hessian[k], [(a - b) / 2e-5 for a, b in zip(ahead, behind, strict=True)], atol=1e-7)
+
+
+def test_failed_lanes_leak_no_derivative():
+    def mean(forces, positions, stiffness):
+        def one(force, position):
+            return jw.deflect(jw.Whisker(1.0, stiffness), jw.PointForce(force, position)).mz
+
+        return jnp.nanmean(jax.vmap(one)(forces, positions))
+
+    gradient = jax.jit(jax.grad(mean, argnums=(0, 1, 2)))
+    # A NaN, a load off the whisker, one that is too large; then two good ones.
+    forces, positions = jnp.array([jnp.nan, 1.0, 1e7, 1.0, 2.0]), jnp.array([0.5, 1.5, 0.7, 0.5, 0.8])
+    by_force, by_position, by_stiffness = gradient(forces, positions, 1.0)
+    assert np.all(by_force[:3] == 0) and np.all(by_position[:3] == 0)
+    assert np.all(by_force[3:] != 0) and np.all(by_position[3:] != 0)
+    alone = jax.grad(mean, argnums=2)(forces[3:], positions[3:], 1.0)
+    np.testing.assert_allclose(by_stiffness, alone, rtol=MODES)

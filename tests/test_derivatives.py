@@ -1,70 +1,277 @@
-"""Derivatives of steps and events: both modes against each other and against differences of the engine."""
+"""Derivatives of scans: against closed forms, differences of the engine, and one mode against the other."""
 
+from functools import cache
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import mpmath as mp
 import numpy as np
 import pytest
 
+import closed_form
 import jaxwhisker as jw
-from scenes import model, told
 
-MODES = 1e-10  # forward against reverse
-DIFFERENCES = 1e-6  # central differences with step 1e-5 lose half the digits
-CONTROL = jnp.array([0.72, 0.3, 0.0, -0.5, -1.0, -1.25, -1.38])
-EVENTS = 9
+EXACT = 1e-9  # against closed forms, of the largest derivative: the rod's own error times the power in which it enters
+MODES = 1e-10  # forward against reverse: the same sums in another order
+DIFFERENCES = 1e-6  # central differences lose half the digits
+SNAP_STATE = 1e-5  # ... and half of those that tell where along the path a fold lies
+DIFFERENCE = 1e-5  # step of central differences, relative to parameters of order one
 
-
-def observed(parameters):
-    stiffness, distance, length, bending_stiffness, rest_length = parameters
-    whisker = jw.Whisker(length, bending_stiffness)
-    support = jw.Support.fbfb([stiffness, 1.3 * stiffness], rest_length)
-    result = jw.scan(jw.Scene(whisker, jw.Parabola(distance), support), CONTROL)
-    events = jnp.concatenate([result.events.control[:EVENTS], result.events.after.mz[:EVENTS].ravel()])
-    return jnp.concatenate([result.fx.ravel(), result.mz.ravel(), result.base_x.ravel()]), events
+STATE = ("base_x", "fx", "fy", "mz", "contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y")
+AT = {"stiffness": 80.0, "rest_length": 0.2, "distance": 0.25, "a": 1.1, "length": 1.2, "bending_stiffness": 0.9}
+P = jnp.array(list(AT.values()))
+SPRINGS = {"FB": 1, "FBFBR": 3, "FBFBFBR": 5}  # FBFB: see the rigid spring
+# Free, tip, tangential before and after the vertex, tip, close to the snap-off, free.
+CONTROL = jnp.array([0.95, 0.5, 0.1, -0.5, -0.8, -1.2, -1.45, -1.52, -1.7, -1.95])
 
 
-compiled = jax.jit(observed)
-at = jnp.array([80.0, 0.25, 1.1, 0.9, 0.2])
+def observed(name, p, control):
+    """All numbers of a scan: per step, and per event (positions, states before and after)."""
+    stiffness, rest_length, distance, a, length, bending_stiffness = p
+    springs = [stiffness * (1 + 0.2 * k) for k in range(SPRINGS[name])]
+    support = jw.Support.named(name, springs[0] if len(springs) == 1 else springs, rest_length)
+    result = jw.scan(jw.Scene(jw.Whisker(length, bending_stiffness), jw.Parabola(distance, a), support), control)
+    steps = jnp.stack([getattr(result, field) for field in STATE], axis=-1)
+    e = result.events
+    states = [jnp.stack([getattr(s, field) for field in STATE], axis=-1) for s in (e.before, e.after)]
+    return steps, result.spring_length, e.control, *states
+
+
+@cache
+def compiled(name):
+    """Values, forward Jacobians by parameters and control, and the reverse pass with weights: one compilation."""
+
+    def all_of(p, control, weights):
+        value, pull = jax.vjp(lambda p, control: observed(name, p, control), p, control)
+        forward = jax.jacfwd(lambda p, control: observed(name, p, control), argnums=(0, 1))
+        return value, forward(p, control), pull(weights)
+
+    shapes = jax.eval_shape(lambda p, control: observed(name, p, control), P, CONTROL)
+    rng = np.random.default_rng(1)
+    weights = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), shapes)
+    jitted = jax.jit(all_of)
+
+    def at(p=P, control=CONTROL, weights=weights):
+        return jitted(p, jnp.asarray(control), weights)
+
+    return at, weights
 
 
 @pytest.fixture(scope="module")
-def forward():
-    return jax.jit(jax.jacfwd(observed))(at)
+def fb():
+    return compiled("FB")[0]
 
 
-def test_forward_agrees_with_differences(forward):
-    # Steps before, between and after the snaps, and the positions of all events, snap-off included.
-    value = compiled(at)
-    for part in (0, 1):
-        known = np.isfinite(value[part])
-        assert known.sum() >= 4 * EVENTS if part == 0 else known.sum() > EVENTS
-        for k in range(at.size):
-            step = 1e-5 * jnp.eye(at.size)[k]
-            difference = (np.asarray(compiled(at + step)[part]) - np.asarray(compiled(at - step)[part])) / 2e-5
-            error = np.abs(np.asarray(forward[part])[:, k] - difference) / (1 + np.abs(difference))
-            assert np.max(error[known]) < DIFFERENCES
-            assert np.max(np.abs(difference[known])) > 1e-4  # not a comparison of zeros
+def closed(phase, near):
+    tip = phase == jw.Phase.tip
+    slope, force = float(near[STATE.index("contact_slope")]), float(near[STATE.index("contact_force")])
+    guess = (slope,)
+    if tip:
+        guess = (slope, closed_form.modulus(mp.mpf(slope), force * AT["length"] ** 2 / AT["bending_stiffness"], 1))
+    return lambda values: [closed_form.state(tip, guess, *values)[field] for field in STATE]
 
 
-def test_reverse_is_forward(forward):
-    reverse = jax.jit(jax.jacrev(observed))(at)
-    for a, b in zip(forward, reverse, strict=True):
-        np.testing.assert_allclose(a, b, atol=MODES)
+@pytest.mark.parametrize("step", [1, 2, 4, 6])
+def test_closed_forms_in_both_phases(fb, step):
+    (steps, *_), ((by_p, by_control), *_), _ = fb()
+    phase = jw.Phase.tip if step in (1, 6) else jw.Phase.tangential
+    state = closed(phase, steps[step, 0])
+    at = [mp.mpf(float(v)) for v in (CONTROL[step], *P)]
+    np.testing.assert_allclose(steps[step, 0], np.array(state(at), float), rtol=EXACT)
+    h = mp.mpf(10) ** -12
+    exact = []
+    for k in range(len(at)):
+        ahead, behind = (state([v + sign * h * (i == k) for i, v in enumerate(at)]) for sign in (1, -1))
+        exact.append([float((x - y) / (2 * h)) for x, y in zip(ahead, behind, strict=True)])
+    ours = np.concatenate([np.asarray(by_control)[step, 0, :, step, None], np.asarray(by_p)[step, 0]], axis=1)
+    for field, row in enumerate(np.array(exact).T):
+        np.testing.assert_allclose(ours[field], row, atol=EXACT * np.max(np.abs(row)), rtol=EXACT, err_msg=STATE[field])
+    # A step's signal knows of its own position only.
+    assert np.all(np.delete(np.asarray(by_control)[step], step, axis=-1) == 0)
 
 
-def test_free_whiskers_have_zero_derivatives():
-    def force(stiffness):
-        return jw.scan(model("FB", stiffness), jnp.array([0.75, 0.7])).fx
+def test_the_snap_off_moves_as_the_closed_form_says(fb):
+    at = (80.0, 0.2, 0.25, 1.1)
+    (_, _, positions, before, _), (_, _, (by_p, _), *_), _ = fb(jnp.array([*at, 1.0, 1.0]))
+    last = int(np.sum(np.isfinite(positions))) - 1
+    force, slope = (float(before[last, 0, STATE.index(name)]) for name in ("contact_force", "contact_slope"))
+    guess = (slope, closed_form.modulus(mp.mpf(slope), force, 1))
+    at = [mp.mpf(v) for v in at]
+    assert abs(float(closed_form.snap_off(guess, *at)) - positions[last]) < EXACT
+    h = mp.mpf(10) ** -8
+    for k, ours in enumerate(by_p[last, : len(at)]):
+        ahead, behind = (
+            closed_form.snap_off(guess, *[v + sign * h * (i == k) for i, v in enumerate(at)]) for sign in (1, -1)
+        )
+        assert abs(ours - float((ahead - behind) / (2 * h))) < 10 * EXACT  # u is flat there, the whisker is not
 
-    assert np.all(np.asarray(jax.jacrev(force)(70.0)) == 0)
-    assert np.all(np.asarray(jax.jacfwd(force)(70.0)) == 0)
+
+@pytest.mark.parametrize("name", SPRINGS)
+def test_differences_of_the_engine(name):
+    at, _ = compiled(name)
+    jacobian = [by_p for by_p, _ in at()[1]]
+    tolerances = (DIFFERENCES, DIFFERENCES, DIFFERENCES, SNAP_STATE, DIFFERENCES)
+    for k in range(P.size):
+        step = DIFFERENCE * jnp.eye(P.size)[k] * jnp.maximum(P, 1.0)
+        ahead, behind = at(P + step)[0], at(P - step)[0]
+        largest = []
+        for a, b, j, tolerance in zip(ahead, behind, jacobian, tolerances, strict=True):
+            difference = np.asarray(a - b) / float(2 * step[k])
+            ours = np.where(np.isfinite(difference), np.asarray(j)[..., k], 0.0)
+            difference = np.where(np.isfinite(difference), difference, 0.0)
+            largest.append(np.max(np.abs(difference)))
+            np.testing.assert_allclose(ours, difference, atol=tolerance * max(1.0, largest[-1]), err_msg=list(AT)[k])
+        assert max(largest) > 1e-3  # not a comparison of zeros
 
 
-def test_a_snap_moves_with_the_stiffness_as_differences_say():
-    def snap_off(stiffness):
-        return jw.scan(model("FB", stiffness), jnp.array([0.75, -1.5])).events.control[4]
+@pytest.mark.parametrize("name", SPRINGS)
+def test_reverse_is_forward(name):
+    at, weights = compiled(name)
+    _, forward, reverse = at()
+    for along in (0, 1):
+        pairs = zip(weights, [columns[along] for columns in forward], strict=True)
+        expected = sum(np.tensordot(w, np.asarray(j), axes=w.ndim) for w, j in pairs)
+        assert np.all(expected[: P.size] != 0)
+        np.testing.assert_allclose(reverse[along], expected, rtol=MODES, atol=MODES * np.max(np.abs(expected)))
 
-    slope = jax.grad(snap_off)(70.0)
-    ends = [told(jw.scan(model("FB", 70.0 + d)))[-1][2] for d in (-1e-3, 1e-3)]
-    assert abs(slope - (ends[1] - ends[0]) / 2e-3) < DIFFERENCES
-    assert slope < -1e-4
+
+def test_beside_a_fold_signals_grow_and_the_event_does_not(fb):
+    # d(fx)/d(stiffness) goes with the inverse square root of the distance to the fold; where that is, is smooth.
+    positions = fb()[0][2]
+    last = int(np.sum(np.isfinite(positions))) - 1
+    near = positions[last] + np.array([1e-6, 1e-8])
+    _, ((by_p, _), _, (event_by_p, _), *_), _ = fb(P, np.concatenate([CONTROL[:7], near, CONTROL[-1:]]))
+    by_stiffness = by_p[7:9, 0, STATE.index("fx"), 0]
+    assert abs(by_stiffness[1]) > 1.0
+    assert abs(by_stiffness[1] / by_stiffness[0] - 10.0) < 0.1  # sqrt(1e-6 / 1e-8), to the next order
+    assert abs(event_by_p[last, 0]) < 0.01
+
+
+def test_at_the_corners_of_the_path(fb):
+    # Exactly at an event the derivative is that of the phase that begins, and nothing is special about it.
+    # With the ends of the control the path is the same, so that its events lie where they lay.
+    corners = np.asarray(fb()[0][2])[:4]
+    control = np.sort(np.concatenate([corners, corners - 1e-7, CONTROL[:1], CONTROL[-1:]]))[::-1]
+    _, ((by_p, _), *_), _ = fb(P, control)
+    at, behind = by_p[1:-1:2, 0], by_p[2:-1:2, 0]
+    assert np.all(np.isfinite(by_p))
+    np.testing.assert_allclose(at, behind, atol=1e-5 * np.max(np.abs(by_p)))
+    assert abs(at[0, STATE.index("fx"), 0]) < 1e-12  # at the touch there is no force yet, on any spring
+    assert at[0, STATE.index("fx"), 2] < -0.1  # but a lower object would have been touched before
+
+
+@pytest.mark.parametrize("distance", [1.1, 1.5])
+def test_free_whiskers_and_objects_out_of_reach(fb, distance):
+    # Not touched yet, and too high to be: no force, and none to come.
+    value, forward, (by_p, by_control) = fb(P.at[2].set(distance), np.full(CONTROL.size, 0.9))
+    assert np.all(value[0][..., 1:] == 0) and np.all(np.isnan(value[2]))
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(forward))
+    assert np.all(forward[0][0][..., 1:, :] == 0) and np.all(forward[2][0] == 0)
+    np.testing.assert_allclose(np.delete(by_p, 1), 0, atol=1e-12)  # all but the rest length, units but for rounding
+    assert np.all(by_control != 0)  # the base moves with the drive
+
+
+def total(stiffness, distance, bending_stiffness):
+    """A sum over lanes that share the whiskers' material, failed lanes left out; and every lane's steps that are ok."""
+
+    def one(c, q):
+        result = jw.scan(jw.Scene(jw.Whisker(1.0, bending_stiffness), jw.Parabola(q), jw.Support.fb(c)), CONTROL)
+        return jnp.nanmean(result.mz) + jnp.nansum(result.events.control), jnp.sum(result.status == jw.Status.ok)
+
+    values, ok = jax.vmap(one)(stiffness, distance)
+    return jnp.sum(jnp.where(ok == CONTROL.size, values, 0.0)), ok
+
+
+def test_failed_lanes_have_zero_weight_and_leak_nothing():
+    gradient = jax.jit(jax.value_and_grad(total, argnums=(0, 1, 2), has_aux=True))
+    stiffness, distance = jnp.array([70.0, 50.0, 90.0, 60.0]), jnp.array([0.2, 0.3, 0.25, 0.35])
+    (_, ok), (by_c, by_q, _) = gradient(stiffness, distance, 1.0)
+    assert np.all(ok == CONTROL.size) and np.all(by_c != 0) and np.all(by_q != 0)
+    # A NaN, and a value outside its domain; 1e-9 above the bases the path is lost or the scan goes on, finite anyway.
+    bad_c, bad_q = stiffness.at[1].set(jnp.nan), distance.at[2].set(-0.3).at[3].set(1e-9)
+    (value, ok), (bad_by_c, bad_by_q, by_bending) = gradient(bad_c, bad_q, 1.0)
+    assert np.isfinite(value) and np.isfinite(by_bending)
+    assert ok[0] == CONTROL.size and ok[1] == ok[2] == 0
+    assert np.all(np.isfinite(bad_by_c)) and np.all(np.isfinite(bad_by_q))
+    assert np.all(bad_by_c[1:3] == 0) and np.all(bad_by_q[1:3] == 0)
+    assert bad_by_c[0] == by_c[0] and bad_by_q[0] == by_q[0]
+    # What all lanes share gets exactly what the good ones contribute.
+    (_, ok), (_, _, alone) = gradient(bad_c, bad_q.at[3].set(-1.0), 1.0)
+    one = jax.grad(lambda e: total(stiffness[:1], distance[:1], e)[0])(1.0)
+    np.testing.assert_allclose(alone, one, rtol=MODES)
+
+
+def test_a_rigid_spring_is_differentiated_by_its_compliance():
+    def signals(compliances, distance):
+        pair = ((0, 1), (1, 2))
+        springs = [jw.Spring(e, compliance=s, rest_length=0.2) for e, s in zip(pair, compliances, strict=True)]
+        result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support(tuple(springs))), CONTROL)
+        return result.fx, result.events.control[:8]
+
+    jacobian = jax.jit(jax.jacfwd(signals, argnums=(0, 1)))
+    value = jax.jit(signals)
+    rigid = jnp.array([1 / 80.0, 0.0])
+    ahead, behind = value(rigid + jnp.array([0.0, 2e-5]), 0.25), value(rigid + jnp.array([0.0, 1e-5]), 0.25)
+    at = value(rigid, 0.25)
+    for field, (by_compliance, by_distance) in enumerate(jacobian(rigid, 0.25)):
+        # A compliance is not negative: one-sided differences of second order.
+        difference = (4 * behind[field] - ahead[field] - 3 * at[field]) / 2e-5
+        assert np.max(np.abs(by_compliance[..., 1])) > 0.1
+        np.testing.assert_allclose(by_compliance[..., 1], difference, rtol=1e-4, atol=1e-3)
+        assert np.all(np.isfinite(by_distance))
+
+    def by_stiffness(c):
+        springs = (jw.Spring((0, 1), 80.0, 0.2), jw.Spring((1, 2), c, 0.2))
+        return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.25), jw.Support(springs)), CONTROL).fx
+
+    assert np.all(jax.jacfwd(by_stiffness)(jnp.inf) == 0)
+
+
+def test_second_derivatives(fb):
+    def weighted(p, weights):
+        return sum(jnp.sum(w * v) for w, v in zip(weights[:1], observed("FB", p, CONTROL)[:1], strict=True))
+
+    _, weights = compiled("FB")
+    inner = weights[0].at[7:].set(0.0)  # beside a fold second differences mean nothing
+    hessian = jax.jit(jax.hessian(weighted))(P, [inner])
+    nothing = jax.tree.map(jnp.zeros_like, weights)
+    for k in range(P.size):
+        step = DIFFERENCE * jnp.eye(P.size)[k] * jnp.maximum(P, 1.0)
+        ahead, behind = (fb(P + sign * step, weights=(inner, *nothing[1:]))[2][0] for sign in (1, -1))
+        difference = (ahead - behind) / (2 * step[k])
+        np.testing.assert_allclose(hessian[k], difference, atol=DIFFERENCES * np.max(np.abs(hessian)))
+    np.testing.assert_allclose(hessian, hessian.T, atol=EXACT * np.max(np.abs(hessian)))
+
+
+class Bowl(eqx.Module):
+    """y = height + depth x^2 that ends at a wall."""
+
+    height: float | jax.Array
+    depth: float | jax.Array
+    wall: float | jax.Array
+
+    def __call__(self, x):
+        return jnp.where(jnp.abs(x) < self.wall, self.height + self.depth * x**2, jnp.nan)
+
+
+@jax.jit
+def by_graph(p, wall, weights):
+    def weighted(p):
+        stiffness, rest_length, distance, a, length, bending_stiffness = p
+        support = jw.Support.fb(stiffness, rest_length)
+        scene = jw.Scene(jw.Whisker(length, bending_stiffness), jw.Graph(Bowl(distance, a, wall)), support)
+        return jnp.sum(weights * jw.scan(scene, CONTROL).fy)
+
+    return jax.value_and_grad(weighted)(p)
+
+
+@pytest.mark.parametrize("wall", [10.0, 0.9])
+def test_a_profile_of_ones_own(fb, wall):
+    # The wall stops the shaft where the parabola would have met the tip: the same steps from then on.
+    _, weights = compiled("FB")
+    inner = jnp.zeros_like(weights[0]).at[2:7, :, STATE.index("fy")].set(1.0)
+    value, _, (expected, _) = fb(weights=(inner, *jax.tree.map(jnp.zeros_like, weights[1:])))
+    mean, ours = by_graph(P, wall, inner[..., STATE.index("fy")])
+    np.testing.assert_allclose(mean, np.sum(value[0][2:7, :, STATE.index("fy")]), rtol=1e-8)
+    np.testing.assert_allclose(ours, expected, atol=1e-8 * np.max(np.abs(expected)))

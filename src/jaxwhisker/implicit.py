@@ -12,7 +12,6 @@ from jaxwhisker.equilibrium import (
     Point,
     Row,
     coupled,
-    linearised,
     local,
     missing,
     newton_step,
@@ -43,16 +42,37 @@ def _(primals, tangents):
     return here, point_dot
 
 
+def _linear(function, *at):
+    """Value of a function, and its differential: takes tangents, None for none. It is traced and evaluated once."""
+    some, rest = eqx.partition(at, eqx.is_inexact_array)
+    value, push = jax.linearize(lambda some: function(*eqx.combine(some, rest)), some)
+
+    def differential(*tangents):
+        def filled(x, tangent):
+            return x if x is None else jnp.zeros_like(x) if tangent is None else tangent
+
+        return push(jax.tree.map(filled, some, tangents, is_leaf=lambda leaf: leaf is None))
+
+    return value, differential
+
+
+def _nothing(tree):
+    return jax.tree.map(lambda _: None, tree)
+
+
 def _moved(here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot) -> tuple[Local, Point]:
     """The whiskers linearised at a solution, and how it moves with problem and row."""
-    value, gradient = linearised(problem, here.z, mode, RATE_STEPS)
+    value, differential = _linear(lambda problem, z: values(problem, z, mode), problem, here.z)
+    # No whisker knows of another one's contact: three directions for all of them at once.
+    columns = jax.vmap(lambda e: differential(_nothing(problem), jnp.broadcast_to(e, here.z.shape)))(jnp.eye(3))
+    gradient = jax.tree.map(jnp.transpose, columns)
+    value_dot = differential(problem_dot, None)
 
-    def step(problem, row):
+    def step(value, problem, row):
         # The Jacobian's own derivative meets equations that are fulfilled.
-        at = local(here.z, mode, values(problem, here.z, mode), gradient)
-        return coupled(problem, mode, row, here, at).step
+        return coupled(problem, mode, row, here, local(here.z, mode, value, gradient)).step
 
-    _, point_dot = eqx.filter_jvp(step, (problem, row), (problem_dot, row_dot))
+    _, point_dot = eqx.filter_jvp(step, (value, problem, row), (value_dot, problem_dot, row_dot))
     return local(here.z, mode, value, gradient), point_dot
 
 
@@ -75,7 +95,7 @@ def _(primals, tangents):
     here = solved_event(point, problem, mode, along, row, fold)
     none = jnp.zeros_like(here.z[:, 0])
     across = jax.lax.stop_gradient(Row(along.z / scale_of(here.z) ** 2, here.z, along.u, here.u, none, none, none))
-    at, drift = _moved(here, problem, mode, across, problem_dot, jax.tree.map(lambda _: None, across))
+    at, drift = _moved(here, problem, mode, across, problem_dot, _nothing(across))
     tangent = coupled(problem, mode, across, here, at).tangent
 
     def vanishing(point, problem, row):
@@ -84,8 +104,7 @@ def _(primals, tangents):
         slope_sin, force_x = (jnp.where(touching, v, 0.0) for v in (value.slope_sin, value.force_x))
         return jnp.where(fold, turn, missing(problem, row, point, slope_sin, force_x))
 
-    _, by_drift = eqx.filter_jvp(vanishing, (here, problem, row), (drift, problem_dot, row_dot))
-    none_of = jax.tree.map(lambda _: None, (problem, row))
-    _, by_tangent = eqx.filter_jvp(vanishing, (here, problem, row), (tangent, *none_of))
+    _, rate = _linear(vanishing, here, problem, row)
+    by_drift, by_tangent = rate(drift, problem_dot, row_dot), rate(tangent, *_nothing((problem, row)))
     distance = -by_drift / by_tangent
     return here, Point(drift.z + distance * tangent.z, drift.u + distance * tangent.u)
