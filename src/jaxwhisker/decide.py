@@ -38,7 +38,9 @@ LONGEST_STEP = 0.25
 SHORTEST_STEP = 1e-10
 FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as found: the state is then exact to it, u to its square
 FOLD_BRACKET = 1e-9  # or what is left of the stretch on which stability is lost
-RESOLVED_STEP = 0.02  # in which du/ds is a parabola to a few percent of its change
+RESOLVED_STEP = 0.02  # in which du/ds is a parabola ...
+PARABOLA_ERROR = 0.25  # ... to a few percent of its change; with a margin
+SHORTEST_DIP = 1e-4  # in which du/ds changes by some 1e-6 at most: folds nearer to each other than that are overlooked
 ARRIVAL_MISS = 0.1  # a flow ends nearer than this to its equilibrium
 
 
@@ -101,14 +103,18 @@ def _folds_twice(front: Front, trial: Trial, solution: Solution) -> tuple[Bool[A
     """
     start, end = turn_of(front, front.tangent), turn_of(front, trial.tangent)
     mean = front.direction * (solution.point.u - front.point.u) / front.step
+    least, highest = jnp.minimum(start, end), jnp.maximum(start, end)
     slope, bend = 6 * mean - 4 * start - 2 * end, 3 * start + 3 * end - 6 * mean
-    at = -slope / jnp.where(bend > 0, 2 * bend, 1.0)
-    lowest = start + at * (slope + at * bend)
-    least = jnp.minimum(start, end)
-    dips = trial.stable & (bend > 0) & (at > 0) & (at < 1) & (least > 0)
-    long = front.step > RESOLVED_STEP
-    twice = dips & ((lowest < 0) | (long & (lowest < 0.5 * least))) & (front.step > 100 * SHORTEST_STEP)
-    return twice, jnp.clip(at, 0.2, 0.8)
+    # The lowest that it may come to, if the slope at either end is wrong by a share of the change.
+    wrong = PARABOLA_ERROR * (highest - least)
+    bowl = jnp.where(bend > 0, bend, 1.0)
+    steeper, flatter = slope - wrong, slope + 2 * bend + wrong
+    at = -steeper / (2 * bowl)
+    lowest = start + at * (steeper + at * bend)
+    inside = (at > 0) & (at < 1) & ((lowest < 0) | ((front.step > RESOLVED_STEP) & (lowest < 0.5 * least)))
+    at_end = (slope < 0) & (flatter > 0) & (end < wrong**2 / (4 * bowl))
+    possible = trial.stable & (bend > 0) & (least > 0) & (front.step > SHORTEST_DIP)
+    return possible & (inside | at_end), jnp.where(inside, jnp.clip(at, 0.2, 0.8), 0.6)
 
 
 def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, stop_u: Scalar):
@@ -240,7 +246,7 @@ def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Arra
     sign = jnp.where(grows < 0, -1.0, 1.0) * jnp.where(reversed_, -1.0, 1.0)
     tangent = Point(sign * trial.tangent.z, sign * trial.tangent.u)
     node = front.pending._replace(point=trial.solution.point, leaving=tangent)
-    slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(front.point.z[:, 1])
+    slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(trial.solution.point.z[:, 1])
     # On the way back the vertex is ahead again if it was behind, but where the path turned on it.
     front = front._replace(direction=direction)
     settled = (front.pending.kind == EventKind.snap_off) | (front.pending.kind == EventKind.snap_through)
