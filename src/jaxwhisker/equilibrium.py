@@ -109,11 +109,10 @@ def linearised(problem: Problem, z: Contacts, mode: Mode, rate_steps: int) -> tu
     return jax.vmap(one, in_axes=(axes, 0, 0, 0))(body, at, phase, mode.side)
 
 
-def values(problem: Problem, z: Contacts, mode: Mode) -> Linear:
-    """Values of every whisker's equations."""
+def values(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"], side: PerWhisker) -> Linear:
+    """Values of every whisker's equations; contacts and phases have to be `harmless`."""
     body, axes = bodies(problem)
-    at, phase = harmless(problem, z, mode.phase)
-    return jax.vmap(contact.equations, in_axes=(axes, 0, 0, 0))(body, at, phase, mode.side)
+    return jax.vmap(contact.equations, in_axes=(axes, 0, 0, 0))(body, z, phase, side)
 
 
 def local(z: Contacts, mode: Mode, value: Linear, gradient: Linear) -> Local:

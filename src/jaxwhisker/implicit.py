@@ -12,6 +12,7 @@ from jaxwhisker.equilibrium import (
     Point,
     Row,
     coupled,
+    harmless,
     local,
     missing,
     newton_step,
@@ -62,9 +63,10 @@ def _nothing(tree):
 
 def _moved(here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot) -> tuple[Local, Point]:
     """The whiskers linearised at a solution, and how it moves with problem and row."""
-    value, differential = _linear(lambda problem, z: values(problem, z, mode), problem, here.z)
+    z, phase = harmless(problem, here.z, mode.phase)
+    value, differential = _linear(lambda problem, z: values(problem, z, phase, mode.side), problem, z)
     # No whisker knows of another one's contact: three directions for all of them at once.
-    columns = jax.vmap(lambda e: differential(_nothing(problem), jnp.broadcast_to(e, here.z.shape)))(jnp.eye(3))
+    columns = jax.vmap(lambda e: differential(_nothing(problem), jnp.broadcast_to(e, z.shape)))(jnp.eye(3))
     gradient = jax.tree.map(jnp.transpose, columns)
     value_dot = differential(problem_dot, None)
 
@@ -100,7 +102,8 @@ def _(primals, tangents):
 
     def vanishing(point, problem, row):
         turn = unit(newton_step(problem, mode, across, point, RATE_STEPS).tangent, point.z)[0].u
-        value, touching = values(problem, point.z, mode), mode.phase != Phase.free
+        value = values(problem, *harmless(problem, point.z, mode.phase), mode.side)
+        touching = mode.phase != Phase.free
         slope_sin, force_x = (jnp.where(touching, v, 0.0) for v in (value.slope_sin, value.force_x))
         return jnp.where(fold, turn, missing(problem, row, point, slope_sin, force_x))
 
