@@ -35,11 +35,13 @@ def main() -> None:
     canvas = Figure(figsize=(7, 3), layout="constrained")
     scan, near = canvas.subplots(1, 2)
     scan.plot(along, by_moment, color=COLOURS[0], linewidth=1.2)
-    scan.set(ylim=(-0.06, 0.06), xlabel="$u/L$", ylabel=r"$\partial m_z/\partial c$ in $L^2$")
+    scan.set(ylim=(-0.01, 0.04), xlabel="$u/L$", ylabel=r"$\partial m_z/\partial c$ in $L^2$")
     scan.axvline(fold, color="0.5", linewidth=0.8, linestyle="--")
-    scan.annotate("snap-off", (fold, 0.05), xytext=(4, 0), textcoords="offset points", fontsize=8, color="0.3")
+    scan.annotate("snap-off", (fold, 0.036), xytext=(4, 0), textcoords="offset points", fontsize=8, color="0.3")
     ahead = (left > 0) & (left < 0.3)
-    near.loglog(left[ahead], np.abs(by_moment[ahead]), color=COLOURS[0], linewidth=1.2, label=r"$|\partial m_z/\partial c|$")
+    near.loglog(
+        left[ahead], np.abs(by_moment[ahead]), color=COLOURS[0], linewidth=1.2, label=r"$|\partial m_z/\partial c|$"
+    )
     root = np.abs(by_moment[ahead][-1]) * np.sqrt(left[ahead][-1] / left[ahead])
     near.loglog(left[ahead], root, color="0.5", linewidth=0.8, linestyle=":", label=r"$\propto (u-u_s)^{-1/2}$")
     near.axhline(abs(by_fold), color=COLOURS[1], linewidth=1.2, label=r"$|\partial u_s/\partial c|$")
