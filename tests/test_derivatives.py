@@ -21,7 +21,7 @@ DIFFERENCE = 1e-5  # step of central differences, relative to parameters of orde
 STATE = ("base_x", "fx", "fy", "mz", "contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y")
 AT = {"stiffness": 80.0, "rest_length": 0.2, "distance": 0.25, "a": 1.1, "length": 1.2, "bending_stiffness": 0.9}
 P = jnp.array(list(AT.values()))
-SPRINGS = {"FB": 1, "FBFBR": 3, "FBFBFBR": 5}  # FBFB: see the rigid spring
+SPRINGS = {"FB": 1, "FBFBR": 3, "FBFBFBR": 5}  # FBFB: with the rigid spring
 # Free, tip, tangential before and after the vertex, tip, close to the snap-off, free.
 CONTROL = jnp.array([0.95, 0.5, 0.1, -0.5, -0.8, -1.2, -1.45, -1.52, -1.7, -1.95])
 
@@ -107,14 +107,12 @@ def test_the_snap_off_moves_as_the_closed_form_says(fb):
         assert abs(ours - float((ahead - behind) / (2 * h))) < 10 * EXACT  # u is flat there, the whisker is not
 
 
-@pytest.mark.parametrize("name", SPRINGS)
-def test_differences_of_the_engine(name):
-    at, _ = compiled(name)
-    jacobian = [by_p for by_p, _ in at()[1]]
+def test_differences_of_the_engine(fb):
+    jacobian = [by_p for by_p, _ in fb()[1]]
     tolerances = (DIFFERENCES, DIFFERENCES, DIFFERENCES, SNAP_STATE, DIFFERENCES)
     for k in range(P.size):
         step = DIFFERENCE * jnp.eye(P.size)[k] * jnp.maximum(P, 1.0)
-        ahead, behind = at(P + step)[0], at(P - step)[0]
+        ahead, behind = fb(P + step)[0], fb(P - step)[0]
         largest = []
         for a, b, j, tolerance in zip(ahead, behind, jacobian, tolerances, strict=True):
             difference = np.asarray(a - b) / float(2 * step[k])
@@ -125,15 +123,42 @@ def test_differences_of_the_engine(name):
         assert max(largest) > 1e-3  # not a comparison of zeros
 
 
-@pytest.mark.parametrize("name", SPRINGS)
-def test_reverse_is_forward(name):
-    at, weights = compiled(name)
-    _, forward, reverse = at()
+def test_reverse_is_forward(fb):
+    _, weights = compiled("FB")
+    _, forward, reverse = fb()
     for along in (0, 1):
         pairs = zip(weights, [columns[along] for columns in forward], strict=True)
         expected = sum(np.tensordot(w, np.asarray(j), axes=w.ndim) for w, j in pairs)
         assert np.all(expected[: P.size] != 0)
         np.testing.assert_allclose(reverse[along], expected, rtol=MODES, atol=MODES * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize("name", ["FBFBR", "FBFBFBR"])
+def test_networks_in_both_modes(name):
+    # Steps and the positions of all events, along two directions in the space of parameters.
+    def signals(p):
+        steps, spring_length, positions, _, _ = observed(name, p, CONTROL)
+        return steps[:-3], spring_length, positions
+
+    @jax.jit
+    def all_of(p, direction, weights):
+        value, pull = jax.vjp(signals, p)
+        _, forward = jax.jvp(signals, (p,), (direction,))
+        return value, forward, pull(weights)[0]
+
+    rng = np.random.default_rng(2)
+    weights = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), jax.eval_shape(signals, P))
+    for direction in rng.normal(size=(2, P.size)):
+        _, forward, reverse = all_of(P, direction, weights)
+        ahead, behind = (all_of(P + sign * DIFFERENCE * direction, direction, weights)[0] for sign in (1, -1))
+        for a, b, ours in zip(ahead, behind, forward, strict=True):
+            difference = np.asarray(a - b) / (2 * DIFFERENCE)
+            known = np.isfinite(difference)
+            scale = np.max(np.abs(difference[known]))
+            assert scale > 0.01
+            np.testing.assert_allclose(ours[known], difference[known], atol=DIFFERENCES * scale)
+        expected = sum(np.sum(np.asarray(w * v)) for w, v in zip(weights, forward, strict=True))
+        np.testing.assert_allclose(np.sum(reverse * direction), expected, rtol=MODES)
 
 
 def test_beside_a_fold_signals_grow_and_the_event_does_not(fb):
