@@ -85,6 +85,7 @@ def main() -> None:
             command = [sys.executable, __file__, json.dumps(wanted)]
             out = subprocess.run(command, env=os.environ | settings, check=True, stdout=subprocess.PIPE, text=True)
             rows.append(wanted | json.loads(out.stdout))
+            print(rows[-1], flush=True)
     write("study_speed", rows)
 
 
