@@ -17,7 +17,6 @@ from common import interleaved, write
 
 STEPS, LANES = 1900, 32
 AT = jnp.array([70.0, 0.2, 0.2, 1.0, 1.0, 1.0, 60.0, 80.0, 0.2, 0.4, 1.0, 0.0])
-COUNTS = (1, 3, 6, 12)
 CONTROL = {"FB": (0.8, -1.6), "FBFBR": (0.8, -2.2)}
 
 
@@ -58,7 +57,7 @@ def memory(executable) -> int:
 
 def main() -> None:
     rows = []
-    for model, lanes, counts in (("FB", None, COUNTS[:3]), ("FBFBR", None, COUNTS), ("FB", LANES, COUNTS[2:3])):
+    for model, lanes, counts in (("FB", None, (1, 3, 6)), ("FBFBR", None, (1, 12)), ("FB", LANES, (6,))):
         for count in counts:
             executables, some = compiled(model, count, lanes)
             calls = {k: (lambda e=e, at=some: jax.block_until_ready(e(at))) for k, e in executables.items()}

@@ -128,7 +128,7 @@ def test_reverse_is_forward(fb):
     _, forward, reverse = fb()
     for along in (0, 1):
         pairs = zip(weights, [columns[along] for columns in forward], strict=True)
-        expected = sum(np.tensordot(w, np.asarray(j), axes=w.ndim) for w, j in pairs)
+        expected = np.sum([np.tensordot(w, np.asarray(j), axes=w.ndim) for w, j in pairs], axis=0)
         assert np.all(expected[: P.size] != 0)
         np.testing.assert_allclose(reverse[along], expected, rtol=MODES, atol=MODES * np.max(np.abs(expected)))
 
