@@ -62,7 +62,7 @@ $(BIN)/python:
 
 $(VENV)/installed: pyproject.toml | $(BIN)/python
 	@echo "installing jaxwhisker into $(VENV)"
-	@$(PIP_INSTALL) '.[study]'
+	@$(PIP_INSTALL) .
 	@touch $@
 
 $(VENV)/installed-dev: pyproject.toml | $(BIN)/python
