@@ -17,6 +17,7 @@ MODES = 1e-10  # forward against reverse: the same sums in another order
 DIFFERENCES = 1e-6  # central differences lose half the digits
 SNAP_STATE = 1e-5  # ... and half of those that tell where along the path a fold lies
 DIFFERENCE = 1e-5  # step of central differences, relative to parameters of order one
+NEAR_A_FOLD = 1e-6  # ... where third derivatives are large: a step of the control is 1e-3 from a snap-off
 
 STATE = ("base_x", "fx", "fy", "mz", "contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y")
 AT = {"stiffness": 80.0, "rest_length": 0.2, "distance": 0.25, "a": 1.1, "length": 1.2, "bending_stiffness": 0.9}
@@ -150,9 +151,9 @@ def test_networks_in_both_modes(name):
     weights = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), jax.eval_shape(signals, P))
     for direction in rng.normal(size=(2, P.size)):
         _, forward, reverse = all_of(P, direction, weights)
-        ahead, behind = (all_of(P + sign * DIFFERENCE * direction, direction, weights)[0] for sign in (1, -1))
+        ahead, behind = (all_of(P + sign * NEAR_A_FOLD * direction, direction, weights)[0] for sign in (1, -1))
         for a, b, ours in zip(ahead, behind, forward, strict=True):
-            difference = np.asarray(a - b) / (2 * DIFFERENCE)
+            difference = np.asarray(a - b) / (2 * NEAR_A_FOLD)
             known = np.isfinite(difference)
             scale = np.max(np.abs(difference[known]))
             assert scale > 0.01
@@ -237,11 +238,11 @@ def test_a_rigid_spring_is_differentiated_by_its_compliance():
     jacobian = jax.jit(jax.jacfwd(signals, argnums=(0, 1)))
     value = jax.jit(signals)
     rigid = jnp.array([1 / 80.0, 0.0])
-    ahead, behind = value(rigid + jnp.array([0.0, 2e-5]), 0.25), value(rigid + jnp.array([0.0, 1e-5]), 0.25)
+    ahead, behind = value(rigid + jnp.array([0.0, 2e-6]), 0.25), value(rigid + jnp.array([0.0, 1e-6]), 0.25)
     at = value(rigid, 0.25)
     for field, (by_compliance, by_distance) in enumerate(jacobian(rigid, 0.25)):
         # A compliance is not negative: one-sided differences of second order.
-        difference = (4 * behind[field] - ahead[field] - 3 * at[field]) / 2e-5
+        difference = (4 * behind[field] - ahead[field] - 3 * at[field]) / 2e-6
         assert np.max(np.abs(by_compliance[..., 1])) > 0.1
         np.testing.assert_allclose(by_compliance[..., 1], difference, rtol=1e-4, atol=1e-3)
         assert np.all(np.isfinite(by_distance))
@@ -251,22 +252,6 @@ def test_a_rigid_spring_is_differentiated_by_its_compliance():
         return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.25), jw.Support(springs)), CONTROL).fx
 
     assert np.all(jax.jacfwd(by_stiffness)(jnp.inf) == 0)
-
-
-def test_second_derivatives(fb):
-    def weighted(p, weights):
-        return sum(jnp.sum(w * v) for w, v in zip(weights[:1], observed("FB", p, CONTROL)[:1], strict=True))
-
-    _, weights = compiled("FB")
-    inner = weights[0].at[7:].set(0.0)  # beside a fold second differences mean nothing
-    hessian = jax.jit(jax.hessian(weighted))(P, [inner])
-    nothing = jax.tree.map(jnp.zeros_like, weights)
-    for k in range(P.size):
-        step = DIFFERENCE * jnp.eye(P.size)[k] * jnp.maximum(P, 1.0)
-        ahead, behind = (fb(P + sign * step, weights=(inner, *nothing[1:]))[2][0] for sign in (1, -1))
-        difference = (ahead - behind) / (2 * step[k])
-        np.testing.assert_allclose(hessian[k], difference, atol=DIFFERENCES * np.max(np.abs(hessian)))
-    np.testing.assert_allclose(hessian, hessian.T, atol=EXACT * np.max(np.abs(hessian)))
 
 
 class Bowl(eqx.Module):
