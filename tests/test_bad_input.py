@@ -17,6 +17,11 @@ nan, inf = float("nan"), float("inf")
 
 CASES = [
     ("length", lambda: jw.Whisker(length=-1.0), "positive"),
+    ("scene", lambda: jw.stored_energy(3, 4), "Scene"),
+    ("compliance", lambda: jw.Spring((0, 1), compliance=-1.0), "at least 0"),
+    ("compliance", lambda: jw.Spring((0, 1), compliance=inf), "finite"),
+    ("compliance", lambda: jw.Spring((0, 1), 3.0, compliance=1.0), "not both"),
+    ("stiffness", lambda: jw.Spring((0, 1)), "not both"),
     ("length", lambda: jw.Whisker(length=0.0), "positive"),
     ("length", lambda: jw.Whisker(length=nan), "positive"),
     ("length", lambda: jw.Whisker(length=inf), "finite"),

@@ -27,7 +27,14 @@ def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
     Args:
         scene: what was scanned.
         state: the Result of its scan, or the states `before` or `after` its events; NaN gives NaN.
+
+    Raises:
+        ValueError: if an argument is not of that kind.
     """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`scene` must be a Scene, but is {scene!r}.")
+    if not isinstance(state, State):
+        raise ValueError(f"`state` must be a Result or a State, but is {state!r}.")
     stiffness = jnp.stack([jnp.asarray(w.bending_stiffness, dtype=float) for w in scene.whiskers])
     density = state.mz**2 / (2 * stiffness) - state.fy
     bent = density * state.contact_arc + state.fx * (state.contact_x - state.base_x) + state.fy * state.contact_y
