@@ -5,9 +5,9 @@ import pytest
 import xarray as xr
 
 import jaxwhisker as jw
-from jaxwhisker.study import summary as summaries
+from jaxwhisker.study import summaries
 from jaxwhisker.study.fields import FIELDS, SUMMARY
-from jaxwhisker.study.summary import summarise, summary
+from jaxwhisker.study.summaries import summarise, summary
 from scenes import model
 
 PEAK = 2e-6  # relative: a parabola through steps of 0.001 next to the steepest peak

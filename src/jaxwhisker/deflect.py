@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker import _checks, rod
 from jaxwhisker._lanes import harmless
 from jaxwhisker._types import Scalar
+from jaxwhisker.implicit import without_rule
 from jaxwhisker.path import Status
 from jaxwhisker.whisker import Whisker
 
@@ -141,8 +142,7 @@ def _misdirection(tip_angle: Scalar, args: tuple[_Loads, Scalar]) -> Scalar:
 @eqx.filter_custom_jvp
 def _balanced(tip_angle: Scalar, loads: _Loads) -> Scalar:
     """The tip angle, at which the base points up under the loads, with its derivatives by them (see implicit.py)."""
-    del loads
-    return tip_angle
+    return without_rule(tip_angle, loads)
 
 
 @_balanced.def_jvp

@@ -1,9 +1,11 @@
 """Derivatives of solved points by the implicit function theorem: what was iterated to find a point leaves no trace."""
 
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, PyTree
 
 from jaxwhisker.contact import RATE_STEPS, Phase
 from jaxwhisker.equilibrium import (
@@ -22,6 +24,20 @@ from jaxwhisker.equilibrium import (
 from jaxwhisker.path import unit
 from jaxwhisker.scene import Problem
 
+Tree = TypeVar("Tree")
+
+
+def without_rule(point: Tree, known: PyTree) -> Tree:
+    """The point, with NaN for its derivatives by what it was solved from, which only a custom rule knows.
+
+    Where a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax drops the
+    rule: zeros then would be wrong, and silent.
+    """
+    leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(eqx.filter(known, eqx.is_inexact_array))]
+    everything = jnp.concatenate(leaves)
+    nothing = 0.0 * jnp.sqrt(jnp.sum(jnp.where(jnp.isfinite(everything), 0.0 * everything, 0.0)))
+    return jax.tree.map(lambda leaf: leaf + nothing, point)
+
 
 @eqx.filter_custom_jvp
 def solved(point: Point, problem: Problem, mode: Mode, row: Row) -> Point:
@@ -30,8 +46,8 @@ def solved(point: Point, problem: Problem, mode: Mode, row: Row) -> Point:
     The derivative is minus the inverse Jacobian times the equations' own derivative, which is what a Newton step from
     the solution changes by.
     """
-    del problem, mode, row
-    return point
+    del mode
+    return without_rule(point, (problem, row))
 
 
 @solved.def_jvp
@@ -86,8 +102,8 @@ def solved_event(point: Point, problem: Problem, mode: Mode, along: Point, row: 
     event then moves along the path follows from the equation that it is known by. At a fold that is du/ds = 0, whose
     derivative takes second derivatives of the whiskers.
     """
-    del problem, mode, along, row, fold
-    return point
+    del mode, along, fold
+    return without_rule(point, (problem, row))
 
 
 @solved_event.def_jvp

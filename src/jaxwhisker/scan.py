@@ -5,6 +5,7 @@ steps of its own, and finds all events: what is stable, what snaps and where to 
 Then every control position is solved for on its own, from the path's interpolation, all at once.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker import _checks, equilibrium
 from jaxwhisker._types import Control, Scalar
 from jaxwhisker.contact import Phase
-from jaxwhisker.equilibrium import Mode, Point, at_control, find, scale_of
+from jaxwhisker.equilibrium import Contacts, Mode, Point, at_control, find, scale_of
 from jaxwhisker.implicit import solved
 from jaxwhisker.march import march
 from jaxwhisker.path import Path, Status, dot
@@ -217,26 +218,37 @@ def _guess(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
     return Point(jnp.where(apart, z, here.point.z), u)
 
 
-def _state(
-    problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Bool[Array, ""]
-) -> tuple[State, Int[Array, ""]]:
-    """State and status at a control behind a node of the path, if the path is known there."""
+class _Found(NamedTuple):
+    """A solved step and what is thought of it."""
+
+    z: Contacts
+    mode: Mode
+    exact: Bool[Array, ""]
+    stable: Bool[Array, ""]
+
+
+def _found(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Bool[Array, ""]) -> _Found:
+    """The equilibrium at a control behind a node of the path, if the path is known there."""
     mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
-    fixed, at = jax.lax.stop_gradient((problem, u))
-    guess = _guess(path, index, at)
-    solution = find(fixed, mode, at_control(at, guess.z), guess)
+    guess = _guess(path, index, u)
+    solution = find(problem, mode, at_control(u, guess.z), guess)
     z = solution.point.z
     near = jnp.max(jnp.abs(z - guess.z) / scale_of(z)) < JUMP
     exact = solution.converged & near
-    stable = equilibrium.stable(fixed, mode, solution.newton.local)
+    stable = equilibrium.stable(problem, mode, solution.newton.local)
     sound = known & exact & stable
     # What is not sound is computed on as if it were free: finite, and so are its derivatives (see _lanes.py).
     mode = mode._replace(phase=jnp.where(sound, mode.phase, Phase.free))
-    z, u = jnp.where(sound, z, 0.0), jnp.where(jnp.isfinite(u), u, 0.0)
-    z = solved(Point(z, jax.lax.stop_gradient(u)), problem, mode, at_control(u, z)).z
-    state, residual = signals(problem, z, u, mode)
-    exact &= residual < RESIDUAL
-    return state, jnp.where(exact, jnp.where(stable, Status.ok, Status.unstable), Status.inexact)
+    return _Found(jnp.where(sound, z, 0.0), mode, exact, stable)
+
+
+def _state(problem: Problem, u: Scalar, found: _Found) -> tuple[State, Int[Array, ""]]:
+    """State and status, with their derivatives."""
+    u = jnp.where(jnp.isfinite(u), u, 0.0)
+    z = solved(Point(found.z, jax.lax.stop_gradient(u)), problem, found.mode, at_control(u, found.z)).z
+    state, residual = signals(problem, z, u, found.mode)
+    exact = found.exact & (residual < RESIDUAL)
+    return state, jnp.where(exact, jnp.where(found.stable, Status.ok, Status.unstable), Status.inexact)
 
 
 @eqx.filter_jit
@@ -255,9 +267,10 @@ def _steps(
     beyond = (travel > end + noise) | (path.count == 0)
 
     known = dimensionless.valid & ~(beyond & (path.status != Status.ok))
-    state, status = jax.lax.map(
-        lambda step: _state(dimensionless, path, *step), (index, u, known), batch_size=min(BATCH, control.shape[0])
-    )
+    fixed, steps = jax.lax.stop_gradient((dimensionless, (index, u, known)))
+    found = jax.lax.map(lambda step: _found(fixed, path, *step), steps, batch_size=min(BATCH, control.shape[0]))
+    # Not in the same loop: differentiated backwards, a loop forgets the rules by which derivatives have derivatives.
+    state, status = jax.vmap(partial(_state, dimensionless))(u, found)
     status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
     status = jnp.where(dimensionless.valid, status, Status.invalid)
     ok = (status == Status.ok)[:, None]

@@ -1,6 +1,6 @@
 """Studies: many scans over named parameters, in one labelled Dataset."""
 
 from jaxwhisker.study.run import study
-from jaxwhisker.study.summary import summary
+from jaxwhisker.study.summaries import summary
 
 __all__ = ["study", "summary"]

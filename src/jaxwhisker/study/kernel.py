@@ -17,7 +17,7 @@ from jaxwhisker.scan import along, stops_of
 from jaxwhisker.scene import Scene
 from jaxwhisker.study.fields import FIELDS, derivative_name
 from jaxwhisker.study.parameters import padded
-from jaxwhisker.study.summary import summarise
+from jaxwhisker.study.summaries import summarise
 
 Arrays = dict[str, np.ndarray]
 

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 REACTIONS = {"fx": "force", "fy": "force", "mz": "moment"}
 NOISE = 1e-12  # of the largest value: what a state at an event may have for a zero
+REACH = 3  # steps on either side through which the polynomial of a peak goes, as far as there is no corner
+NEWTON_STEPS = 5  # to its extremum, from at most half a step away
 BLOCK = 64e6  # bytes of a dataset read at a time
 _EVENTS = ("event_kind", "event_control", "event_whisker", "event_count")
 _ENERGIES = ("event_energy_before", "event_energy_after")
@@ -178,13 +180,15 @@ class _Scans:
         def near(k):
             return np.take_along_axis(values, np.clip(step + k, 0, steps - 1)[:, None, :], axis=1)[:, 0]
 
-        best, where = near(0), self.control[step]
-        if self.has_events:
-            first, last = np.maximum(step - 1, 0), np.minimum(step + 1, steps - 1)
-            corner = (self.kind >= 0) & (self.kind != EventKind.vertex)
-            smooth = (last - first == 2) & ~np.any(self._inside(first, last) & corner[:, :, None], axis=1)
-            top, at = _vertex([self.control[k] for k in (first, step, last)], [near(k) for k in (-1, 0, 1)])
-            better = smooth & (top > best)  # False for NaN: three equal values, a drive that stands still
+        highest = near(0)
+        best, where = highest, self.control[step]
+        corner = (self.kind >= 0) & (self.kind != EventKind.vertex)
+        for reach in range(1, REACH + 1):
+            first, last = np.maximum(step - reach, 0), np.minimum(step + reach, steps - 1)
+            smooth = (last - first == 2 * reach) & ~np.any(self._inside(first, last) & corner[:, :, None], axis=1)
+            around = range(-reach, reach + 1)
+            top, at = _vertex([self.control[(step + k) % steps] for k in around], [near(k) for k in around])
+            better = smooth & (top > highest)  # False for NaN: a drive that stands still
             best, where = np.where(better, top, best), np.where(better, at, where)
         for side in ("before", "after"):
             if f"{side}_{name}" in self.arrays and self.has_events:
@@ -251,9 +255,25 @@ class _Scans:
 
 
 def _vertex(x: list[np.ndarray], y: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Vertex (y, x) of the parabola through three points."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rise, fall = (y[1] - y[0]) / (x[1] - x[0]), (y[2] - y[1]) / (x[2] - x[1])
-        bend = (fall - rise) / (x[2] - x[0])
-        at = (x[0] + x[1]) / 2 - rise / (2 * bend)
-        return y[0] + rise * (at - x[0]) + bend * (at - x[0]) * (at - x[1]), at
+    """Extremum (y, x) of the polynomial through an odd number of points, by the middle one; NaN if there is none."""
+    count, middle = len(x), len(x) // 2
+    factor = list(y)  # divided differences
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for order in range(1, count):
+            for k in range(count - 1, order - 1, -1):
+                factor[k] = (factor[k] - factor[k - 1]) / (x[k] - x[k - order])
+
+        def polynomial(at):
+            value, slope, bend = factor[-1], np.zeros_like(at), np.zeros_like(at)
+            for k in range(count - 2, -1, -1):
+                bend = 2 * slope + (at - x[k]) * bend
+                slope = value + (at - x[k]) * slope
+                value = factor[k] + (at - x[k]) * value
+            return value, slope, bend
+
+        at = x[middle]
+        for _ in range(NEWTON_STEPS):
+            _, slope, bend = polynomial(at)
+            at = at - slope / bend
+        beside = (at - x[middle - 1]) * (at - x[middle + 1]) <= 0
+        return np.where(beside, polynomial(at)[0], np.nan), at
