@@ -62,7 +62,7 @@ $(BIN)/python:
 
 $(VENV)/installed: pyproject.toml | $(BIN)/python
 	@echo "installing jaxwhisker into $(VENV)"
-	@$(PIP_INSTALL) .
+	@$(PIP_INSTALL) '.[study]'
 	@touch $@
 
 $(VENV)/installed-dev: pyproject.toml | $(BIN)/python

@@ -84,21 +84,15 @@ def compare(
     """
     if quantity not in _AXIS:
         raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, but is {quantity!r}.")
-    ax = _new_axes(ax)
+    curves = []
     for k, (label, result) in enumerate(results.items()):
         columns = _in_units(result, quantity)
         if not 1 <= index <= columns.shape[1]:
             raise ValueError(f"`index` must lie between 1 and {columns.shape[1]}, but is {index}.")
         # Later curves lie on earlier ones wherever they coincide: thinner, they let those be seen.
         width = 1.8 - 0.9 * k / max(len(results) - 1, 1)
-        ax.plot(_control(result), columns[:, index - 1], color=colours[k % len(colours)], linewidth=width, label=label)
-    ax.set_xlabel(CONTROL_AXIS)
-    ax.set_ylabel(_AXIS[quantity][0])
-    ax.grid(alpha=0.3)
-    low, high = ax.get_ylim()
-    if high - low < LEAST_HEIGHT:
-        ax.set_ylim((low + high) / 2 - LEAST_HEIGHT, (low + high) / 2 + LEAST_HEIGHT)
-    return ax
+        curves.append((result, columns[:, index - 1], label, colours[k % len(colours)], width))
+    return _over_control(curves, quantity, ax)
 
 
 def signal(result, quantity: str, *, ax: Axes | None = None) -> Axes:
@@ -109,12 +103,16 @@ def signal(result, quantity: str, *, ax: Axes | None = None) -> Axes:
         quantity: one of `QUANTITIES`.
         ax: where to draw; a new figure by default.
     """
-    ax = _new_axes(ax)
     name = "spring" if quantity == "spring_length" else "whisker"
-    columns = _in_units(result, quantity)
-    for k in range(columns.shape[1]):
-        colour = COLOURS[k % len(COLOURS)]
-        ax.plot(_control(result), columns[:, k], color=colour, linewidth=1.3, label=f"{name} {k + 1}")
+    columns = enumerate(_in_units(result, quantity).T)
+    curves = [(result, column, f"{name} {k + 1}", COLOURS[k % len(COLOURS)], 1.3) for k, column in columns]
+    return _over_control(curves, quantity, ax)
+
+
+def _over_control(curves, quantity: str, ax: Axes | None) -> Axes:
+    ax = _new_axes(ax)
+    for result, values, label, colour, width in curves:
+        ax.plot(_control(result), values, color=colour, linewidth=width, label=label)
     ax.set_xlabel(CONTROL_AXIS)
     ax.set_ylabel(_AXIS[quantity][0])
     ax.grid(alpha=0.3)
@@ -183,6 +181,16 @@ def _springs(support, nodes: np.ndarray, ax: Axes) -> None:
             )
 
 
+def _nearest(result, at: float) -> int:
+    return int(np.argmin(np.abs(np.asarray(result.control) - at)))
+
+
+def _lines(result, at: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """Drive and centre lines, x and y (whiskers, points), at the nearest step, in L."""
+    lines, size = shapes(result, at=[at]), float(units(result.scene).length)
+    return float(_control(result)[_nearest(result, at)]), np.asarray(lines.x)[0] / size, np.asarray(lines.y)[0] / size
+
+
 def state(result, at: float, *, whole: bool = True, ax: Axes | None = None) -> Axes:
     """Draw one state of a scan: object, drive, springs, whiskers and the contact forces on them.
 
@@ -195,11 +203,8 @@ def state(result, at: float, *, whole: bool = True, ax: Axes | None = None) -> A
     Arrows point the way the object pushes the whisker; they grow with the share of the scan's largest contact force.
     """
     ax = _new_axes(ax)
-    size = float(units(result.scene).length)
-    step = int(np.argmin(np.abs(np.asarray(result.control) - at)))
-    u = float(result.control[step]) / size
-    lines = shapes(result, at=[float(result.control[step])])
-    x, y = np.asarray(lines.x)[0] / size, np.asarray(lines.y)[0] / size
+    size, step = float(units(result.scene).length), _nearest(result, at)
+    u, x, y = _lines(result, at)
     profile(result.scene.profile, length=size, whole=whole, ax=ax)
     ax.axhline(0, color=_SUPPORT, linewidth=0.5, alpha=0.5, zorder=0)
     nodes = np.concatenate([[u], np.asarray(result.base_x[step]) / size])
@@ -230,8 +235,8 @@ def _frame(ax: Axes) -> None:
 
 def phases(result, at: float) -> str:
     """What each whisker does at a position of the drive, in words: "1: tip, 2: free"."""
-    step = int(np.argmin(np.abs(np.asarray(result.control) - at)))
-    return ", ".join(f"{k + 1}: {Phase(int(p)).name}" for k, p in enumerate(np.asarray(result.phase[step])))
+    phase = np.asarray(result.phase[_nearest(result, at)])
+    return ", ".join(f"{k + 1}: {Phase(int(p)).name}" for k, p in enumerate(phase))
 
 
 def deflection(results: Mapping[str, Any], *, length: float = 1.0, ax: Axes | None = None) -> Axes:
@@ -283,13 +288,10 @@ def frame_states(axes: Sequence[Axes], results: Sequence[Any], ats: Sequence[flo
     """Give pictures of states one common window that holds drives, whiskers and the object's lower part."""
     left, right, bottom, top = np.inf, -np.inf, -0.1, 1.1
     for result, at in zip(results, ats, strict=True):
-        size = float(units(result.scene).length)
-        step = int(np.argmin(np.abs(np.asarray(result.control) - at)))
-        lines = shapes(result, at=[float(result.control[step])])
-        x = np.concatenate([np.ravel(np.asarray(lines.x)) / size, [float(result.control[step]) / size]])
-        left, right = min(left, np.nanmin(x)), max(right, np.nanmax(x))
-        top = max(top, float(result.scene.profile.vertex()[1]) / size + 0.1)
-        top = max(top, float(np.nanmax(np.asarray(lines.y))) / size + 0.1)
+        u, x, y = _lines(result, at)
+        left, right = np.nanmin([left, u, *x.flat]), np.nanmax([right, u, *x.flat])
+        vertex = float(result.scene.profile.vertex()[1]) / float(units(result.scene).length)
+        top = max(top, vertex + 0.1, float(np.nanmax(y)) + 0.1)
         loops = sum(abs(b - a) > 1 for a, b in (s.between for s in result.scene.support.springs))
         bottom = min(bottom, -0.1 - 0.08 * loops)
     for ax in axes:

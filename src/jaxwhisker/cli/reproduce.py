@@ -40,5 +40,8 @@ def _run(args: argparse.Namespace) -> int:
         raise UsageError(str(error)) from None
     if args.out.exists() and not args.out.is_dir():
         raise UsageError(f"cannot write to {args.out}: it is a file")
-    reproduce(args.out, wanted)
+    try:
+        reproduce(args.out, wanted)
+    except ImportError as error:
+        raise UsageError(str(error)) from None
     return OK

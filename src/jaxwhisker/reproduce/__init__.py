@@ -10,8 +10,9 @@ from jaxwhisker.report import write_rows
 from jaxwhisker.reproduce import page
 from jaxwhisker.reproduce.catalogue import FIGURES
 from jaxwhisker.reproduce.claims import all_claims
+from jaxwhisker.reproduce.claims import needed as claimed
 from jaxwhisker.reproduce.figures import draw, table_picture
-from jaxwhisker.reproduce.scans import Scans
+from jaxwhisker.reproduce.scans import Case, Scans
 from jaxwhisker.reproduce.tables import TABLES, rows
 
 CLAIMS = "claims"
@@ -76,8 +77,7 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     out.mkdir(parents=True, exist_ok=True)
     blocks: dict[str, list[page.Block]] = {}
     interactive = sys.stderr.isatty()
-    with Scans() as scans, tqdm(total=len(wanted), unit="result", disable=not interactive) as bar:
-        scans.compile(case for name in wanted if name in FIGURES for case in FIGURES[name].cases)
+    with Scans(_needed(wanted)) as scans, tqdm(total=len(wanted), unit="result", disable=not interactive) as bar:
         for heading, group, make in _groups(out, scans):
             for name in (name for name in group if name in wanted):
                 bar.set_description(name)
@@ -91,6 +91,12 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     (out / "README.md").write_text(page.markdown(parts), encoding="utf-8")
     (out / "index.html").write_text(page.html(parts), encoding="utf-8")
     print(f"wrote {len(wanted)} results to {out}; see {out / 'index.html'} or {out / 'README.md'}")
+
+
+def _needed(wanted: Sequence[str]) -> list[Case]:
+    """The cases that these results need."""
+    cases = [case for name in wanted if name in FIGURES for case in FIGURES[name].cases]
+    return cases + (claimed() if CLAIMS in wanted else [])
 
 
 def _groups(out: Path, scans: Scans) -> list[tuple[str, list[str], Callable[[str], list[page.Block]]]]:

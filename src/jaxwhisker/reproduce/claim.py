@@ -1,20 +1,22 @@
 """A claim of the thesis, and the words that all of them use."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from jaxwhisker.path import EventKind
 from jaxwhisker.report import number
 from jaxwhisker.reproduce import page
-from jaxwhisker.reproduce.scans import WHISKERS, Case, Scans
+from jaxwhisker.reproduce.scans import WHISKERS, Case, Scans, vary
+from jaxwhisker.result import Result
 
-MAXIMA = (("fx", -1.0, "min fx"), ("fy", 1.0, "max fy"), ("mz", 1.0, "max mz"))
-MAXIMA_NAMES = tuple(name for _, _, name in MAXIMA)
+MAXIMA = ("min_fx", "max_fy", "max_mz")
+MAXIMA_NAMES = tuple(name.replace("_", " ") for name in MAXIMA)
 CLAMPED = Case(stiffness=math.inf)
 MODELS = ("FB", "FBFB", "FBFBR")
-SAME = 1e-5  # relative: maxima closer than this are called unchanged; they are read from steps of the drive
+SAME = 1e-4  # relative: maxima closer than this are called unchanged; parabolas through steep steps miss by half of it
 
 
 @dataclass(frozen=True)
@@ -36,10 +38,9 @@ class Claim:
         ]
 
 
-def shown(case: Case, field: str) -> str:
-    """The value of a field of a case."""
-    value = getattr(case, field)
-    return value if isinstance(value, str) else "inf" if value == math.inf else f"{value:g}"
+def shown(value: float) -> str:
+    """The value of what is varied."""
+    return "inf" if value == math.inf else f"{value:g}"
 
 
 def cell(value: float, digits: int = 4) -> str:
@@ -47,14 +48,9 @@ def cell(value: float, digits: int = 4) -> str:
     return "-" if math.isnan(value) else number(value, digits)
 
 
-def control_of(event) -> float:
-    """Where an event is; NaN for none."""
-    return math.nan if event is None else event.control
-
-
-def cases(model: str, field: str, values: Sequence[float]) -> list[Case]:
-    """Cases of a model with one field varied."""
-    return [Case(**{"model": model, field: value}) for value in values]
+def varied(field: str, values: Sequence[float]) -> dict[str, list[Case]]:
+    """Cases of every model with one field varied."""
+    return {model: list(vary(field, values, Case(model)).values()) for model in MODELS}
 
 
 def whiskers(model: str) -> range:
@@ -64,7 +60,7 @@ def whiskers(model: str) -> range:
 
 def maxima(scans: Scans, case: Case, whisker: int) -> list[float]:
     """Smallest fx, largest fy and mz."""
-    return [scans.peak(case, quantity, whisker, sign)[0] for quantity, sign, _ in MAXIMA]
+    return [scans.summary(case, name, whisker) for name in MAXIMA]
 
 
 def from_clamped(scans: Scans, values: Sequence[float]) -> float:
@@ -72,14 +68,31 @@ def from_clamped(scans: Scans, values: Sequence[float]) -> float:
     return max(abs(v / wanted - 1) for v, wanted in zip(values, maxima(scans, CLAMPED, 1), strict=True))
 
 
-def monotone(values: Sequence[float], sign: float) -> bool:
+def monotone(values: Sequence[float] | np.ndarray, sign: float) -> bool:
     """Whether values grow (sign = 1) or fall (-1) throughout."""
     return bool(np.all(sign * np.diff(values) > 0))
 
 
-def jump(event, whisker: int) -> tuple[float, float]:
-    """fy of a whisker before and after an event; NaN for none."""
-    if event is None:
+def measured(
+    families: Mapping[str, Sequence[Case]], field: str, measure: Callable[[Case, int], Sequence[float]]
+) -> tuple[list[list[str]], list[tuple[str, np.ndarray]]]:
+    """What `measure` finds in cases that differ in a field, by whisker: rows of a table; names and (cases, numbers)."""
+    rows, found = [], []
+    for name, family in families.items():
+        for whisker in whiskers(family[0].model):
+            numbers = np.array([measure(case, whisker) for case in family])
+            rows += [
+                [name, shown(getattr(c, field)), str(whisker), *map(cell, n)]
+                for c, n in zip(family, numbers, strict=True)
+            ]
+            found.append((name, numbers))
+    return rows, found
+
+
+def jump(result: Result, whisker: int, other: int) -> tuple[float, float]:
+    """fy of another whisker before and after one loses contact for good; NaN if there is none, or no such event."""
+    gone = [e for kind in (EventKind.snap_off, EventKind.release) for e in result.events.of(kind, whisker)]
+    if not gone or other > result.scene.support.whiskers:
         return math.nan, math.nan
-    before, after = (float(np.asarray(state.fy)[whisker - 1]) for state in (event.before, event.after))
-    return before, after
+    last = min(gone, key=lambda e: e.control)
+    return float(last.before.fy[other - 1]), float(last.after.fy[other - 1])

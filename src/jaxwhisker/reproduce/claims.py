@@ -2,12 +2,9 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
-import numpy as np
-
-from jaxwhisker.critical import softest, steepest
-from jaxwhisker.profile import Parabola
+from jaxwhisker.critical import softest
 from jaxwhisker.reproduce import coupling, shifts
 from jaxwhisker.reproduce.claim import (
     CLAMPED,
@@ -15,49 +12,48 @@ from jaxwhisker.reproduce.claim import (
     MODELS,
     SAME,
     Claim,
-    cases,
     cell,
-    control_of,
     from_clamped,
     maxima,
+    measured,
     monotone,
     shown,
-    whiskers,
+    varied,
 )
-from jaxwhisker.reproduce.critical import RELATIVE, critical
-from jaxwhisker.reproduce.scans import (
-    DISTANCES,
-    REST_LENGTHS,
-    STIFFNESSES,
-    WHISKERS,
-    Case,
-    Scans,
-    lets_go,
-    snap_through,
-)
+from jaxwhisker.reproduce.critical import RELATIVE, bracket, slope, trials
+from jaxwhisker.reproduce.scans import DISTANCES, REST_LENGTHS, STIFFNESSES, WHISKERS, Case, Scans, snap_through
 from jaxwhisker.support import Support
-from jaxwhisker.whisker import Whisker
+
+# Three whiskers are scanned at one distance only.
+SCANNED = [(model, q) for q in DISTANCES for model in WHISKERS if model in MODELS or q == Case().distance]
+
+
+def needed() -> list[Case]:
+    """The cases that the claims are about."""
+    fields = {"stiffness": STIFFNESSES, "distance": DISTANCES, "rest_length": REST_LENGTHS}
+    families = [family for field, values in fields.items() for family in varied(field, values).values()]
+    families += [trials(model, q) for model, q in SCANNED]
+    return [case for family in [*families, _clamped()] for case in family]
+
+
+def _clamped() -> list[Case]:
+    return [dataclasses.replace(CLAMPED, distance=q) for q in DISTANCES]
 
 
 def all_claims(scans: Scans) -> Iterator[Claim]:
     """All claims, in the order of the page."""
-    yield critical_stiffness(scans)
     for claim in _CLAIMS:
         yield claim(scans)
 
 
 def critical_stiffness(scans: Scans) -> Claim:
     """Where the other claims end."""
-    slopes = {q: steepest(Whisker(), Parabola(q)) for q in DISTANCES}
-    # Three whiskers are scanned at one distance only.
-    scanned = [(model, q) for q in DISTANCES for model in WHISKERS if model in MODELS or q == Case().distance]
-    brackets = {(model, q): critical(model, q, slopes[q][0]) for model, q in scanned}
+    brackets = {key: bracket(scans, trials(*key)) for key in SCANNED}
     rows = [["q", "max dFx/dx0", "at x0", *(f"c of {model}" for model in WHISKERS)]]
-    for q, (slope, at) in slopes.items():
+    for q in DISTANCES:
         middles = [sum(brackets.get((model, q), (math.nan, math.nan))) / 2 for model in WHISKERS]
-        rows.append([f"{q:g}", cell(slope, 3), cell(at), *(cell(c, 2) for c in middles)])
-    ends = [(slope, *brackets["FB", q]) for q, (slope, _) in slopes.items()]
-    agree = all(low * (1 - RELATIVE) <= slope <= high * (1 + RELATIVE) for slope, low, high in ends)
+        rows.append([f"{q:g}", cell(slope(q).slope, 3), cell(slope(q).base_x), *(cell(c, 2) for c in middles)])
+    agree = all(brackets["FB", q][0] <= slope(q).slope <= brackets["FB", q][1] for q in DISTANCES)
     factors = ", ".join(f"{softest(Support.named(model, 1.0)):.3f} ({model})" for model in WHISKERS)
     return Claim(
         "Below a critical stiffness the scan snaps through the vertex (not in the thesis: it bounds the other claims)",
@@ -76,21 +72,28 @@ def critical_stiffness(scans: Scans) -> Claim:
     )
 
 
+def _snap(scans: Scans, case: Case) -> float:
+    """Where a scan snaps through the vertex; NaN if it does not."""
+    found = snap_through(scans(case))
+    return math.nan if found is None else found.control
+
+
 def _unchanged(scans: Scans, field: str, values: Sequence[float], word: str) -> Claim:
-    rows = [["model", word, "whisker", *MAXIMA_NAMES, "max fx", "snaps through at u"]]
-    deviation, snapped = 0.0, []
-    for case in (case for model in MODELS for case in cases(model, field, values)):
-        snap = snap_through(scans(case))
-        if snap is not None:
-            worst = max(from_clamped(scans, maxima(scans, case, whisker)) for whisker in whiskers(case.model))
-            snapped.append(f"{case.model} at {word} {shown(case, field)} (up to {worst:.0%} less)")
-        for whisker in whiskers(case.model):
-            peaks = maxima(scans, case, whisker)
-            if snap is None:
-                deviation = max(deviation, from_clamped(scans, peaks))
-            last, _ = scans.peak(case, "fx", whisker)
-            numbers = [cell(value) for value in (*peaks, last, control_of(snap))]
-            rows.append([case.model, shown(case, field), str(whisker), *numbers])
+    def measure(case: Case, whisker: int) -> list[float]:
+        peaks = maxima(scans, case, whisker)
+        return [*peaks, scans.summary(case, "max_fx", whisker), _snap(scans, case), from_clamped(scans, peaks)]
+
+    rows, found = measured(varied(field, values), field, measure)
+    worst: dict[str, float] = {}  # of the scans that snap
+    deviation = 0.0
+    for model, numbers in found:
+        for value, (*_, snap, off) in zip(values, numbers, strict=True):
+            if math.isnan(snap):
+                deviation = max(deviation, off)
+            else:
+                which = f"{model} at {word} {shown(value)}"
+                worst[which] = max(off, worst.get(which, 0.0))
+    snapped = [f"{which} (up to {off:.0%} less)" for which, off in worst.items()]
     below = f"It fails below the critical stiffness: {'; '.join(snapped)}." if snapped else ""
     return Claim(
         f"The maxima are unchanged by the {word}",
@@ -100,7 +103,7 @@ def _unchanged(scans: Scans, field: str, values: Sequence[float], word: str) -> 
         """The reactions depend on the base position x0 alone, whatever holds the base: every scan runs along the same
         curves, but not at the same pace of the drive. A maximum is unchanged as long as the scan passes it. fx after
         the vertex has none: it grows up to the snap-off, which comes the earlier the softer the base is held.""",
-        rows,
+        [["model", word, "whisker", *MAXIMA_NAMES, "max fx", "snaps through at u"], *(row[:-1] for row in rows)],
     )
 
 
@@ -116,20 +119,14 @@ def unchanged_by_rest_length(scans: Scans) -> Claim:
 
 def changed_by_distance(scans: Scans) -> Claim:
     """Maxima, snap-off and distance."""
-    rows = [["model", "q", "whisker", *MAXIMA_NAMES, "u of letting go", "snaps through at u"]]
-    falls: list[bool] = []
-    families = {model: cases(model, "distance", DISTANCES) for model in MODELS}
-    families["clamped"] = [dataclasses.replace(CLAMPED, distance=q) for q in DISTANCES]
-    for model, family in families.items():
-        for whisker in whiskers(family[0].model):
-            columns = []
-            for case in family:
-                peaks = maxima(scans, case, whisker)
-                gone, snap = control_of(lets_go(scans(case), whisker)), control_of(snap_through(scans(case)))
-                columns.append([*map(abs, peaks), -gone])
-                numbers = [cell(value) for value in (*peaks, gone, snap)]
-                rows.append([model, shown(case, "distance"), str(whisker), *numbers])
-            falls += [monotone(column, -1.0) for column in np.array(columns).T]
+
+    def measure(case: Case, whisker: int) -> list[float]:
+        gone = scans.summary(case, "last_contact", whisker)
+        return [*maxima(scans, case, whisker), gone, _snap(scans, case)]
+
+    rows, found = measured(varied("distance", DISTANCES) | {"clamped": _clamped()}, "distance", measure)
+    # fx is negative there, and u falls.
+    falls = [monotone(s * c, -1.0) for _, n in found for s, c in zip((-1, 1, 1, -1), n.T[:-1], strict=True)]
     return Claim(
         "Only the object distance q changes the maxima; it moves the snap-off",
         "holds: with a growing distance q all maxima fall, and every whisker lets go earlier (at larger u)."
@@ -138,11 +135,12 @@ def changed_by_distance(scans: Scans) -> Claim:
         """Of what was varied only q changes the curves of reactions over base position. At q = 0.1 the base value c =
         70 is below the critical stiffness: fy and mz printed there are what the snap leaves of the maxima, which the
         clamped whisker shows whole.""",
-        rows,
+        [["model", "q", "whisker", *MAXIMA_NAMES, "u of letting go", "snaps through at u"], *rows],
     )
 
 
-_CLAIMS: tuple[Callable[[Scans], Claim], ...] = (
+_CLAIMS = (
+    critical_stiffness,
     unchanged_by_stiffness,
     unchanged_by_rest_length,
     shifts.common_point,

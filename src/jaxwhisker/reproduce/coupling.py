@@ -6,9 +6,7 @@ from jaxwhisker.reproduce.claim import (
     MAXIMA_NAMES,
     SAME,
     Claim,
-    cases,
     cell,
-    control_of,
     from_clamped,
     jump,
     maxima,
@@ -16,7 +14,7 @@ from jaxwhisker.reproduce.claim import (
     shown,
     whiskers,
 )
-from jaxwhisker.reproduce.scans import STIFFNESSES, WHISKERS, Case, Scans, lets_go
+from jaxwhisker.reproduce.scans import STIFFNESSES, Case, Scans, vary
 
 NO_JUMP = 1e-6  # of fy
 
@@ -25,11 +23,10 @@ def detachment(scans: Scans) -> Claim:
     """What whisker 2 feels when whisker 1 lets go."""
     rows = [["stiffness", "whisker 1 lets go at u", "fy of whisker 2 before", "after", "jump"]]
     jumps = []
-    for case in cases("FBFB", "stiffness", STIFFNESSES):
-        gone = lets_go(scans(case), 1)
-        before, after = jump(gone, 2)
+    for case in vary("stiffness", STIFFNESSES, Case("FBFB")).values():
+        gone, (before, after) = scans.summary(case, "last_contact", 1), jump(scans(case), 1, 2)
         jumps.append(abs(after - before))
-        rows.append([shown(case, "stiffness"), *map(cell, (control_of(gone), before, after, after - before))])
+        rows.append([shown(case.stiffness), *map(cell, (gone, before, after, after - before))])
     seen = monotone(jumps, -1.0) and jumps[-1] < NO_JUMP
     return Claim(
         "The detachment of whisker 1 is visible in the signal of whisker 2",
@@ -50,14 +47,14 @@ def feedback(scans: Scans) -> Claim:
     for c in STIFFNESSES:
         numbers: dict[str, tuple[float, float]] = {}
         for model in ("FBFB", "FBFBR"):
-            before, after = jump(lets_go(scans(Case(model, c)), 1), 2)
-            shift = scans.peak(Case(model, c), "mz", 2)[1] - scans.peak(Case(model, math.inf), "mz", 2)[1]
-            numbers[model] = abs(after - before), abs(shift)
+            before, after = jump(scans(Case(model, c)), 1, 2)
+            here, rigid = (scans.summary(Case(model, s), "control_of_max_mz", 2) for s in (c, math.inf))
+            numbers[model] = abs(after - before), abs(here - rigid)
         if c < math.inf:
             pairs = zip(numbers["FBFB"], numbers["FBFBR"], strict=True)
             weaker += [with_feedback < without for without, with_feedback in pairs]
         in_order = (numbers[model][k] for k in range(2) for model in ("FBFB", "FBFBR"))
-        rows.append([shown(Case(stiffness=c), "stiffness"), *map(cell, in_order)])
+        rows.append([shown(c), *map(cell, in_order)])
     return Claim(
         "Feedback (FBFBR) weakens all of it",
         """holds: at every stiffness both the jump of whisker 2 at the detachment of whisker 1 and the shift of its
@@ -79,9 +76,9 @@ def third_whisker(scans: Scans) -> Claim:
         for whisker in whiskers(case.model):
             peaks = maxima(scans, case, whisker)
             deviation = max(deviation, from_clamped(scans, peaks))
-            gone = lets_go(scans(case), whisker)
-            before, after = jump(gone, whisker + 1) if whisker < WHISKERS[case.model] else (math.nan, math.nan)
-            rows.append([case.model, str(whisker), *map(cell, (*peaks, control_of(gone), after - before))])
+            gone = scans.summary(case, "last_contact", whisker)
+            before, after = jump(scans(case), whisker, whisker + 1)
+            rows.append([case.model, str(whisker), *map(cell, (*peaks, gone, after - before))])
     kinds = [{e.kind for e in scans(case).events} for case in (two, three)]
     new = sorted(kind.name for kind in kinds[1] - kinds[0])
     return Claim(

@@ -1,42 +1,43 @@
 """The critical stiffness of coupled whiskers, bracketed by scans: it depends on where the other whiskers stand."""
 
-import dataclasses
+import math
+from functools import lru_cache
 
 import numpy as np
 
-from jaxwhisker.critical import softest
-from jaxwhisker.path import Status
-from jaxwhisker.reproduce.scans import WHISKERS, Case, snap_through
-from jaxwhisker.scan import scan
+from jaxwhisker.critical import Steepest, softest, steepest
+from jaxwhisker.profile import Parabola
+from jaxwhisker.reproduce.scans import WHISKERS, Case, Scans, snap_through, vary
 from jaxwhisker.support import Support
+from jaxwhisker.whisker import Whisker
 
 RELATIVE = 5e-3  # width of the bracket around a critical stiffness, relative to it
-GROWTH = 1.1  # from one trial of a bracket's ends to the next
+RANGE = 0.98, 1.3  # of a critical stiffness to what it were if the other whiskers' forces were constant
 
 
-def critical(model: str, distance: float, slope: float) -> tuple[float, float]:
-    """A bracket of the stiffness of all springs below which a whisker of `model` snaps through the vertex.
+@lru_cache
+def slope(distance: float) -> Steepest:
+    """The steepest slope of the clamped whisker: the critical stiffness of FB."""
+    return steepest(Whisker(), Parabola(distance))
 
-    `slope` is the steepest one of the clamped whisker; were the other whiskers' forces constant, its product with
-    `softest` would be the answer.
+
+def trials(model: str, distance: float) -> list[Case]:
+    """Cases of rising stiffness, among which is the critical one.
+
+    Were the other whiskers' forces constant, it would be the steepest slope times `softest`.
     """
+    guess = slope(distance).slope * softest(Support.named(model, 1.0))
+    low, high = (1 - RELATIVE / 2, 1 + RELATIVE / 2) if WHISKERS[model] == 1 else RANGE
+    stiffness = guess * np.geomspace(low, high, round(math.log(high / low) / RELATIVE) + 1)
+    return list(vary("stiffness", stiffness.tolist(), Case(model, distance=distance)).values())
 
-    def snaps(stiffness: float) -> bool:
-        case = dataclasses.replace(Case(model, distance=distance), stiffness=stiffness)
-        result = scan(case.scene(), case.control())
-        # A scan that gets lost among snaps is no scan past the vertex either.
-        return snap_through(result) is not None or bool(np.any(np.asarray(result.status) != Status.ok))
 
-    guess = slope * softest(Support.named(model, 1.0))
-    if WHISKERS[model] == 1:
-        low, high = guess * (1 - RELATIVE / 2), guess * (1 + RELATIVE / 2)
-    else:
-        low = high = guess
-    while not snaps(low):
-        low, high = low / GROWTH, low
-    while snaps(high):
-        low, high = high, high * GROWTH
-    while high - low > RELATIVE * high:
-        middle = (low + high) / 2
-        low, high = (middle, high) if snaps(middle) else (low, middle)
-    return low, high
+def bracket(scans: Scans, cases: list[Case]) -> tuple[float, float]:
+    """The stiffness of the stiffest springs with which a whisker snaps through the vertex, and the next one.
+
+    NaN if all of them do, or none.
+    """
+    snaps = [snap_through(scans(case)) is not None for case in cases]
+    last = max((k for k, snap in enumerate(snaps) if snap), default=-1)
+    ends = [cases[k].stiffness if 0 <= k < len(cases) else math.nan for k in (last, last + 1)]
+    return ends[0], ends[1]

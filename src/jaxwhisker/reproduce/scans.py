@@ -1,28 +1,33 @@
-"""The scans behind figures and claims: each case is scanned once."""
+"""The scans behind figures and claims: one study for each structure, of all cases that are asked for."""
 
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker.path import EventKind
 from jaxwhisker.profile import Circle, Parabola
-from jaxwhisker.result import Event, Result
-from jaxwhisker.scan import scan
+from jaxwhisker.result import Event, Events, Result, State
 from jaxwhisker.scene import Scene
+from jaxwhisker.study import study, summary
 from jaxwhisker.support import Support
 from jaxwhisker.whisker import Whisker
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 STIFFNESSES = (30.0, 50.0, 70.0, 100.0, 200.0, math.inf)
 DISTANCES = (0.1, 0.2, 0.3, 0.4)
 REST_LENGTHS = (0.1, 0.2, 0.3, 0.4)
 RADIUS = 1.0  # of the semicircle
 STEP = 0.001
-CORES = 2  # structures compiled at the same time
-ROUGH = 1e-3  # relative change next to a maximum above which finer steps look for it
+CORES = 2  # studies computed at the same time
 SNAPS = (EventKind.snap_through, EventKind.snap_off)
 WHISKERS = {"FB": 1, "FBFB": 2, "FBFBR": 2, "FBFBFBR": 3}
 
@@ -37,18 +42,21 @@ class Case:
     rest_length: float = 0.2
     semicircle: bool = False
 
-    def scene(self) -> Scene:
-        """The scene: infinite stiffness makes FB the clamped whisker."""
-        profile = Circle(self.distance, RADIUS) if self.semicircle else Parabola(self.distance)
-        return Scene(Whisker(), profile, Support.named(self.model, self.stiffness, self.rest_length))
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What differs between the cases of a study."""
+        return {"stiffness": self.stiffness, "distance": self.distance, "rest_length": self.rest_length}
 
     def control(self) -> np.ndarray:
-        """Positions of the drive that hold every scan of this model, whatever is varied.
-
-        One grid per model lets all its scans share a compiled march, and all its curves an axis.
-        """
+        """Positions of the drive that hold every scan of this model, whatever is varied."""
         trailing = WHISKERS[self.model] * max(REST_LENGTHS)
         return STEP * np.arange(round(1.0 / STEP), -round((1.4 + trailing) / STEP) - 1, -1)
+
+
+def build(*, model: str, semicircle: bool, stiffness, distance, rest_length) -> Scene:
+    """The scene of a case: infinite stiffness makes FB the clamped whisker."""
+    profile = Circle(distance, RADIUS) if semicircle else Parabola(distance)
+    return Scene(Whisker(), profile, Support.named(model, stiffness, rest_length))
 
 
 def vary(field: str, values: Sequence, base: Case = Case()) -> dict[str, Case]:
@@ -63,13 +71,14 @@ def label(field: str, value) -> str:
 
 
 class Scans:
-    """Scans by case, each done once; a context, which gives up what it has not begun when it is left."""
+    """Scans by case, from studies that run in the background; a context, which gives up those not begun when left."""
 
-    def __init__(self):
-        self._results: dict[Case, Result] = {}
-        self._peaks: dict[tuple, tuple[float, float]] = {}
-        self._compiling: dict[tuple, Future] = {}
+    def __init__(self, cases: Iterable[Case]):
         self._pool = ThreadPoolExecutor(CORES)
+        self._cases: dict[tuple, list[Case]] = {}
+        for case in dict.fromkeys(cases):
+            self._cases.setdefault(_structure(case), []).append(case)
+        self._studies = {key: self._pool.submit(_study, cases) for key, cases in self._cases.items()}
 
     def __enter__(self):
         return self
@@ -77,41 +86,48 @@ class Scans:
     def __exit__(self, *_):
         self._pool.shutdown(cancel_futures=True)
 
-    def compile(self, cases: Iterable[Case]) -> None:
-        """Start to compile what these cases need, in their order; scans of the same structure share it."""
-        for case in cases:
-            if _structure(case) not in self._compiling:
-                self._compiling[_structure(case)] = self._pool.submit(scan, case.scene(), case.control())
+    def data(self, case: Case) -> "xr.Dataset":
+        """What the study holds of a case, with its summary."""
+        key = _structure(case)
+        return self._studies[key].result().isel(point=self._cases[key].index(case))
 
     def __call__(self, case: Case) -> Result:
-        """The result of scanning `case`."""
-        if case not in self._results:
-            self.compile([case])
-            self._compiling[_structure(case)].result()
-            self._results[case] = scan(case.scene(), case.control())
-        return self._results[case]
+        """The scan of a case."""
+        return _result(self.data(case), build(model=case.model, semicircle=case.semicircle, **case.numbers))
 
-    def peak(self, case: Case, quantity: str, whisker: int, sign: float = 1.0) -> tuple[float, float]:
-        """Extreme value of a quantity (sign = 1: largest, -1: smallest) and where: (value, control)."""
-        key = (case, quantity, whisker, sign)
-        if key not in self._peaks:
-            self._peaks[key] = _peak(self(case), quantity, whisker, sign)
-        return self._peaks[key]
+    def summary(self, case: Case, name: str, whisker: int) -> float:
+        """A variable of the summary of a case: `max_mz`, `control_of_max_mz`, `last_contact`, ..."""
+        return float(self.data(case)[name].sel(whisker=whisker))
 
 
-def _structure(case: Case) -> tuple:
+def _structure(case: Case) -> tuple[str, bool]:
     return case.model, case.semicircle
+
+
+def _study(cases: list[Case]) -> "xr.Dataset":
+    first = cases[0]
+    points = {name: [case.numbers[name] for case in cases] for name in first.numbers}
+    of_structure = partial(build, model=first.model, semicircle=first.semicircle)
+    data = study(of_structure, points=points, control=first.control(), outputs="all", progress=False)
+    return data.merge(summary(data))
+
+
+def _result(data: "xr.Dataset", scene: Scene) -> Result:
+    """The result of `scan` from one point of a study that holds all outputs."""
+
+    def of(names: Iterable[str], prefix: str = "") -> dict:
+        return {name: jnp.asarray(data[prefix + name].values) for name in names}
+
+    before, after = (State(**of(State.__dataclass_fields__, side)) for side in ("before_", "after_"))
+    whiskers = jnp.asarray(data.event_whisker.values)
+    events = Events(**of(("kind", "control", "count"), "event_"), whiskers=whiskers, before=before, after=after)
+    signals = of([*State.__dataclass_fields__, "control", "spring_length", "status"])
+    return Result(**signals, events=events, scene=scene)
 
 
 def event(result: Result, kind: str, whisker: int) -> Event | None:
     """The first event of that kind of that whisker."""
     return next(iter(result.events.of(EventKind[kind], whisker)), None)
-
-
-def lets_go(result: Result, whisker: int) -> Event | None:
-    """The event at which a whisker loses contact for good."""
-    found = [e for kind in (EventKind.snap_off, EventKind.release) for e in result.events.of(kind, whisker)]
-    return min(found, key=lambda e: e.control, default=None)
 
 
 def snap_through(result: Result) -> Event | None:
@@ -122,37 +138,3 @@ def snap_through(result: Result) -> Event | None:
             if np.asarray(found.before.contact_slope)[np.argmax(moved)] > 0:
                 return found
     return None
-
-
-def _peak(result: Result, quantity: str, whisker: int, sign: float) -> tuple[float, float]:
-    """See `Scans.peak`. NaN where the scan failed before its end."""
-    column = np.asarray(getattr(result, quantity))[:, whisker - 1]
-    control = np.asarray(result.control)
-    if not np.isfinite(column).all():
-        return math.nan, math.nan
-    k = int(np.argmax(sign * column))
-    best = float(column[k]), float(control[k])
-    # A snap may cut off a maximum between two steps: the states at its ends count too.
-    snaps = [e for e in result.events if e.kind in SNAPS]
-    for found in snaps:
-        for state in (found.before, found.after):
-            value = float(np.asarray(getattr(state, quantity))[whisker - 1])
-            if sign * value > sign * best[0]:
-                best = value, found.control
-    if not 0 < k < column.size - 1 or any(control[k + 1] <= e.control <= control[k - 1] for e in snaps):
-        return best
-    near = control[k - 1 : k + 2], column[k - 1 : k + 2]
-    if np.ptp(near[1]) > ROUGH * abs(column[k]):
-        fine = np.linspace(control[k - 1], control[k + 1], control.size)  # as many steps: no second compilation
-        column = np.asarray(getattr(scan(result.scene, fine), quantity))[:, whisker - 1]
-        k = int(np.clip(np.argmax(sign * column), 1, fine.size - 2))
-        near = fine[k - 1 : k + 2], column[k - 1 : k + 2]
-    value, at = _vertex(*near)
-    return (value, at) if sign * value > sign * best[0] else best
-
-
-def _vertex(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Vertex (y, x) of the parabola through three equidistant points."""
-    bend = y[0] - 2 * y[1] + y[2]
-    shift = 0.5 * (y[0] - y[2]) / bend if bend else 0.0
-    return float(y[1] - 0.25 * (y[0] - y[2]) * shift), float(x[1] + shift * (x[2] - x[1]))
