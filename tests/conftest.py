@@ -1,4 +1,4 @@
-"""Float64, a compilation cache that workers and runs share, reproducible random scenes."""
+"""Float64, a compilation cache that workers and runs share, reproducible random scenes, not too much compiled code."""
 
 import hashlib
 import os
@@ -8,6 +8,10 @@ from pathlib import Path
 
 # Before jax starts: on some processors it logs an error for every cached executable, though this very one wrote it.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+# Compiling takes most of the tests' time. XLA's older, plainer code takes half of that, and runs slower. Tests of what
+# everybody else gets: XLA_FLAGS= make test
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
 
 import jax
 import jaxtyping
@@ -58,3 +62,18 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+MAPPINGS = 20_000  # of memory; where Linux allows a process 65,530, the compiler crashes beyond
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _compiled_code_is_let_go():
+    """What a module compiled is in the cache on disk; in memory every one of its thousands of kernels is a mapping."""
+    yield
+    try:
+        mappings = len(Path("/proc/self/maps").read_text().splitlines())
+    except OSError:
+        return
+    if mappings > MAPPINGS:
+        jax.clear_caches()

@@ -14,6 +14,7 @@ import jaxwhisker as jw
 
 EXACT = 1e-9  # against closed forms, of the largest derivative: the rod's own error times the power in which it enters
 MODES = 1e-10  # forward against reverse: the same sums in another order
+SYMMETRIC = 1e-9  # second derivatives in both orders: forward over reverse, of rods as exact as EXACT says
 DIFFERENCES = 1e-6  # central differences lose half the digits
 SNAP_STATE = 1e-5  # ... and half of those that tell where along the path a fold lies
 DIFFERENCE = 1e-5  # step of central differences, relative to parameters of order one
@@ -276,9 +277,45 @@ def by_graph(p, wall, weights):
     return jax.value_and_grad(weighted)(p)
 
 
-@pytest.mark.parametrize("wall", [10.0, 0.9])
+@jax.jit
+def curved(p, weights):
+    """Gradient and Hessian of a weighted sum of signals and positions of events."""
+
+    def weighted(p):
+        steps, _, at, *_ = observed("FB", p, CONTROL)
+        return sum(jnp.sum(w * jnp.where(w == 0, 0.0, x)) for w, x in zip(weights, (steps, at), strict=True))
+
+    return jax.grad(weighted)(p), jax.hessian(weighted)(p)
+
+
+def test_second_derivatives(fb):
+    _, weights = compiled("FB")
+    count = int(np.sum(np.isfinite(fb()[0][2])))
+    weights = weights[0], jnp.where(jnp.arange(weights[2].size) < count, weights[2], 0.0)
+    _, hessian = curved(P, weights)
+    slopes = [[curved(P.at[k].add(sign * DIFFERENCE), weights)[0] for sign in (1, -1)] for k in range(P.size)]
+    expected = np.array([(up - down) / (2 * DIFFERENCE) for up, down in slopes])
+    np.testing.assert_allclose(hessian, expected, atol=DIFFERENCES * np.max(np.abs(expected)))
+    np.testing.assert_allclose(hessian, hessian.T, atol=SYMMETRIC * np.max(np.abs(expected)))
+
+
+def test_in_a_loop_second_derivatives_are_right_or_none():
+    def deflected(loop, force):
+        def tip(share):
+            return jw.deflect(jw.Whisker(), jw.PointForce(share * force), points=2).x[-1]
+
+        return jnp.sum(loop(tip, jnp.array([0.5, 1.0])))
+
+    batch, loop = (lambda x, map=map: deflected(map, x) for map in (lambda f, x: jax.vmap(f)(x), jax.lax.map))
+    expected = jax.hessian(batch)(2.0)
+    assert abs(expected) > 0.01
+    np.testing.assert_allclose(jax.jacfwd(jax.jacfwd(loop))(2.0), expected, rtol=MODES)
+    assert np.isnan(jax.hessian(loop)(2.0))  # jax drops the rule by which a derivative has a derivative
+
+
+@pytest.mark.parametrize("wall", [10.0, 0.95])
 def test_a_profile_of_ones_own(fb, wall):
-    # The wall stops the shaft where the parabola would have met the tip: the same steps from then on.
+    # The nearer wall stands just outside of where the tip first touches.
     _, weights = compiled("FB")
     inner = jnp.zeros_like(weights[0]).at[2:7, :, STATE.index("fy")].set(1.0)
     value, _, (expected, _) = fb(weights=(inner, *jax.tree.map(jnp.zeros_like, weights[1:])))

@@ -10,8 +10,9 @@ from jaxwhisker.study.fields import FIELDS, SUMMARY
 from jaxwhisker.study.summaries import summarise, summary
 from scenes import model
 
-PEAK = 2e-6  # relative: a parabola through steps of 0.001 next to the steepest peak
-PLACE = 1e-4  # of a peak: a tenth of a step
+PEAK = 1e-7  # relative: a polynomial through steps of 0.001 next to the steepest peak
+NARROW = 2e-8  # relative: ... through seven steps of a peak whose half width is twenty; a parabola misses by 3e-6
+PLACE = 1e-5  # of a peak: the finer steps themselves
 PRINTED = 5e-6  # half a unit of the last digit of the exact peaks
 WIDTH = 1e-5  # straight lines between steps of 0.001
 STIFFNESS = (20.0, 70.0)  # the softer one snaps through before the second whisker's vertex and lands on the far side
@@ -58,6 +59,17 @@ def test_peaks_are_the_exact_ones(arrays):
         steps = getattr(np.asarray(arrays[name[4:]][1]), name[:3])(axis=0)
         assert np.all(np.abs(found[name][1]) >= np.abs(steps))
     assert found["max_fy"][0, 1] < 17.0  # a snap cuts it off
+
+
+def test_a_peak_a_few_steps_wide_is_read_to_rounding_of_the_printed_digits():
+    control = np.linspace(1.0, -1.0, 2001)
+    control[1::2] += 2e-4  # the spacing is anybody's
+    at, width = 0.30047, 0.02
+    mz = 1 / (1 + ((control - at) / width) ** 2)
+    none = {"event_kind": -np.ones(1, int), "event_control": np.full(1, np.nan), "event_count": np.array(0)}
+    found = summarise({"mz": mz[:, None], "event_whisker": np.zeros((1, 1), bool)} | none, control, 1)
+    assert abs(found["max_mz"][0] - 1) < NARROW < 1 - mz.max()
+    assert abs(found["control_of_max_mz"][0] - at) < NARROW * width
 
 
 def test_peaks_lie_where_finer_steps_have_them(arrays, scans):

@@ -38,6 +38,7 @@ LONGEST_STEP = 0.25
 SHORTEST_STEP = 1e-10
 FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as found: the state is then exact to it, u to its square
 FOLD_BRACKET = 1e-9  # or what is left of the stretch on which stability is lost
+NEAR_FOLD = 1e-5  # ... that will do where no shorter step is solved; u is off by its square
 RESOLVED_STEP = 0.02  # in which du/ds is a parabola ...
 PARABOLA_ERROR = 0.25  # ... to a few percent of its change; with a margin
 SHORTEST_DIP = 1e-4  # in which du/ds changes by some 1e-6 at most: folds nearer to each other than that are overlooked
@@ -135,7 +136,9 @@ def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, st
     dips = good & (dips | twice)
     good &= ~dips
     short = front._replace(step=jnp.where(dips, share, 0.4) * front.step)
-    short = select(short.step < SHORTEST_STEP, stopped(front, Status.lost), short)
+    # Where several whiskers lose their hold at once Newton's method fails beside the fold: then it is near enough.
+    ends = select(front.unstable_at < NEAR_FOLD, _to_snap(front), stopped(front, Status.lost))
+    short = select(short.step < SHORTEST_STEP, ends, short)
 
     to_event = front._replace(task=jnp.asarray(int(Task.event)), target=target)
 

@@ -112,18 +112,27 @@ def _(primals, tangents):
     _, problem_dot, _, _, row_dot, _ = tangents
     here = solved_event(point, problem, mode, along, row, fold)
     none = jnp.zeros_like(here.z[:, 0])
-    across = jax.lax.stop_gradient(Row(along.z / scale_of(here.z) ** 2, here.z, along.u, here.u, none, none, none))
+    weight = jax.lax.stop_gradient(Point(along.z / scale_of(here.z) ** 2, along.u))  # any across the path would do
+    across = Row(weight.z, here.z, weight.u, here.u, none, none, none)
     at, drift = _moved(here, problem, mode, across, problem_dot, _nothing(across))
     tangent = coupled(problem, mode, across, here, at).tangent
 
-    def vanishing(point, problem, row):
-        turn = unit(newton_step(problem, mode, across, point, RATE_STEPS).tangent, point.z)[0].u
+    def missed(point, problem, row):
         value = values(problem, *harmless(problem, point.z, mode.phase), mode.side)
         touching = mode.phase != Phase.free
         slope_sin, force_x = (jnp.where(touching, v, 0.0) for v in (value.slope_sin, value.force_x))
-        return jnp.where(fold, turn, missing(problem, row, point, slope_sin, force_x))
+        return missing(problem, row, point, slope_sin, force_x)
 
-    _, rate = _linear(vanishing, here, problem, row)
-    by_drift, by_tangent = rate(drift, problem_dot, row_dot), rate(tangent, *_nothing((problem, row)))
-    distance = -by_drift / by_tangent
-    return here, Point(drift.z + distance * tangent.z, drift.u + distance * tangent.u)
+    def turn(point, problem):
+        return unit(newton_step(problem, mode, across, point, RATE_STEPS).tangent, point.z)[0].u
+
+    def distance(vanishing, holds, known, known_dot):
+        """How far the event moves along the path, where it is the vanishing of this function; else zero."""
+        _, rate = _linear(vanishing, here, *known)
+        by_drift, by_tangent = rate(drift, *known_dot), rate(tangent, *_nothing(known))
+        return jnp.where(holds, -by_drift / jnp.where(holds, by_tangent, 1.0), 0.0)
+
+    by_row = distance(missed, ~fold, (problem, row), (problem_dot, row_dot))
+    by_turn = distance(turn, fold, (problem,), (problem_dot,))
+    # At a fold the control does not change along the path: whoever asks for positions only pays no second derivatives.
+    return here, Point(drift.z + (by_row + by_turn) * tangent.z, drift.u + by_row * tangent.u)

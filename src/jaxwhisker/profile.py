@@ -228,7 +228,8 @@ class Graph(AbstractProfile):
 
     Args:
         g: height of the profile above the bases, g(x) > 0; traceable by jax. An `equinox.Module` keeps its parameters
-            differentiable; a plain function is taken as it is. Where g is NaN or infinite, the object ends.
+            differentiable; a plain function is taken as it is. Where g is NaN or infinite, the object ends: above the
+            tips, or vertically as a semicircle does; at an edge that the whisker meets first a scan is `lost`.
         position: shift along x.
         extent: half the width, a length, in which the vertex and the first touch are searched.
 
@@ -275,8 +276,8 @@ class Graph(AbstractProfile):
 
         def falls(x):
             # Left of the vertex g falls; outside its domain (NaN) the object ends, as a wall would.
-            slope = jax.grad(self._height)(x)
-            return jnp.where(jnp.isfinite(slope), slope < 0, x < 0)
+            y, slope = jax.value_and_grad(self._height)(x)
+            return jnp.where(jnp.isfinite(y) & jnp.isfinite(slope), slope < 0, x < 0)
 
         return _bisect(falls, -extent, extent)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxwhisker.contact import Phase
 from jaxwhisker.path import EventKind, Status
-from jaxwhisker.study import summary
+from jaxwhisker.study import summaries
 
 # Powers of force and length in a kind of quantity.
 KINDS = {
@@ -70,7 +70,7 @@ for _side in ("before", "after"):
 _WHOLE = {"snap_work": "float64", "snaps": "int32", "steps_failed": "int32"}
 SUMMARY = {
     name: Field(long_name, kind, () if name in _WHOLE else ("whisker",), _WHOLE.get(name, "float64"))
-    for name, (long_name, kind) in summary.FIELDS.items()
+    for name, (long_name, kind) in summaries.FIELDS.items()
 }
 
 GROUPS = {

@@ -183,7 +183,8 @@ class _Scans:
         highest = near(0)
         best, where = highest, self.control[step]
         corner = (self.kind >= 0) & (self.kind != EventKind.vertex)
-        for reach in range(1, REACH + 1):
+        # Without events nothing tells corners from peaks.
+        for reach in range(1, REACH + 1 if self.has_events else 1):
             first, last = np.maximum(step - reach, 0), np.minimum(step + reach, steps - 1)
             smooth = (last - first == 2 * reach) & ~np.any(self._inside(first, last) & corner[:, :, None], axis=1)
             around = range(-reach, reach + 1)
