@@ -23,7 +23,7 @@ from jaxwhisker.reproduce.scans import Case, Scans, snap_through
 CSV_DIGITS = 1e-8  # files hold nine significant digits
 PRINTED = 1e-6  # the table of events shows six decimals of the control
 THESIS_DIGIT = 5.001e-5  # half a unit of the last printed digit
-MAXIMUM = 1e-5  # relative: maxima read from steps of 0.001, just above the critical stiffness steep ones
+MAXIMUM = 1e-6  # relative: the maxima are printed to this
 BATCHED = 1e-8  # rounding is another one in a batch
 
 BAD = {

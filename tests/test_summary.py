@@ -12,6 +12,7 @@ from scenes import model
 
 PEAK = 1e-7  # relative: a polynomial through steps of 0.001 next to the steepest peak
 NARROW = 2e-8  # relative: ... through seven steps of a peak whose half width is twenty; a parabola misses by 3e-6
+ROUNDING = 1e-12
 PLACE = 1e-5  # of a peak: the finer steps themselves
 PRINTED = 5e-6  # half a unit of the last digit of the exact peaks
 WIDTH = 1e-5  # straight lines between steps of 0.001
@@ -23,7 +24,7 @@ SNAPS = (jw.EventKind.snap_through, jw.EventKind.snap_off)
 def arrays_of(result):
     """One scan by the names that its variables have in a study."""
     events = {"kind": "kind", "control": "control", "whisker": "whiskers", "count": "count"}
-    arrays = {name: np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz", "status")}
+    arrays = {name: np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz", "base_x", "status")}
     arrays |= {f"event_{name}": np.asarray(getattr(result.events, field)) for name, field in events.items()}
     for side in ("before", "after"):
         states = getattr(result.events, side)
@@ -70,6 +71,17 @@ def test_a_peak_a_few_steps_wide_is_read_to_rounding_of_the_printed_digits():
     found = summarise({"mz": mz[:, None], "event_whisker": np.zeros((1, 1), bool)} | none, control, 1)
     assert abs(found["max_mz"][0] - 1) < NARROW < 1 - mz.max()
     assert abs(found["control_of_max_mz"][0] - at) < NARROW * width
+
+
+def test_a_peak_that_the_drive_passes_at_once_is_read_over_the_base():
+    control = np.linspace(1.0, -1.0, 2001)
+    base_x, at = np.cbrt(control), 0.03  # near a critical stiffness
+    arrays = {"mz": (1 - (base_x - at) ** 2)[:, None], "event_whisker": np.zeros((1, 1), bool)}
+    arrays |= {"event_kind": -np.ones(1, int), "event_control": np.full(1, np.nan), "event_count": np.array(0)}
+    found = summarise(arrays | {"base_x": base_x[:, None]}, control, 1)
+    np.testing.assert_allclose(found["max_mz"], 1.0, rtol=ROUNDING)
+    np.testing.assert_allclose(found["control_of_max_mz"], at**3, atol=ROUNDING)
+    assert abs(summarise(arrays, control, 1)["max_mz"][0] - 1) > 1e-5
 
 
 def test_peaks_lie_where_finer_steps_have_them(arrays, scans):
@@ -129,7 +141,7 @@ def test_half_width_is_that_of_the_signal(arrays):
 
 def test_what_the_control_does_not_show_is_unknown(arrays):
     steps = slice(700, 1600)  # from within contact to within contact
-    part = {k: v[:, steps] if k in ("fx", "fy", "mz", "status") else v for k, v in arrays.items()}
+    part = {k: v[:, steps] if k in ("fx", "fy", "mz", "base_x", "status") else v for k, v in arrays.items()}
     found = summarise(part, CONTROL[steps], 2)
     for name in ("first_touch", "last_contact", "contact_width"):
         assert np.all(np.isnan(found[name][1]))

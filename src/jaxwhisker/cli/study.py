@@ -139,7 +139,8 @@ def _control(args: argparse.Namespace) -> np.ndarray | None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from jaxwhisker.study import study, summary
+    from jaxwhisker.study.run import SUMMARISED, study
+    from jaxwhisker.study.summaries import summary
 
     check_writable(args.plot)
     check_picture(args.plot)
@@ -151,7 +152,8 @@ def _run(args: argparse.Namespace) -> int:
             raise ValueError(f"--plot shows one or two ranges, but there are {len(axes)}: {', '.join(axes)}.")
         control = _control(args)
         small = args.summary or args.store is None
-        data = study(chosen, control=control, summary=small, outputs=() if small else OUTPUTS, store=args.store, **axes)
+        kept = () if small else SUMMARISED
+        data = study(chosen, control=control, summary=small, outputs=kept, store=args.store, **axes)
     except (ValueError, ImportError) as error:
         raise UsageError(str(error)) from None
     found = data if small else summary(data)
@@ -169,9 +171,6 @@ def _run(args: argparse.Namespace) -> int:
         picture(found, steepness(chosen, found)).savefig(args.plot, dpi=130)
         print(f"wrote {args.plot}")
     return OK if bool((found.steps_failed == 0).all()) else NOT_ALL_OK
-
-
-OUTPUTS = ("reactions", "status", "events", "event_states")
 
 
 def _rows(found) -> list[list[str]]:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 OPTIONS = ("control", "points", "outputs", "derivatives", "summary", "store", "client", "memory", "progress")
-SUMMARISED = ("reactions", "status", "events", "event_states")  # what a summary is made from
+SUMMARISED = ("reactions", "base_x", "status", "events", "event_states")  # what a summary is made from
 
 
 def study(

@@ -106,7 +106,7 @@ def summarise(arrays: Mapping[str, np.ndarray], control: np.ndarray, whiskers: i
 
     Args:
         arrays: variables of a study by name, (..., control, whisker), (..., control), (..., event, whisker) or
-            (..., event): fx, fy, mz, status, event_*, and the states at events, before_* and after_*, if known.
+            (..., event): fx, fy, mz, base_x, status, event_*, and the states at events, before_* and after_*, if known.
         control: drive positions.
         whiskers: their number.
 
@@ -177,8 +177,11 @@ class _Scans:
         steps = self.control.size
         step = np.argmax(np.where(np.isnan(values), -np.inf, values), axis=1)
 
-        def near(k):
-            return np.take_along_axis(values, np.clip(step + k, 0, steps - 1)[:, None, :], axis=1)[:, 0]
+        # A peak that the drive passes at once is a smooth one over the position of the base.
+        over = self.lanes("base_x", 2) if "base_x" in self.arrays else None
+
+        def near(k, of=values):
+            return np.take_along_axis(of, np.clip(step + k, 0, steps - 1)[:, None, :], axis=1)[:, 0]
 
         highest = near(0)
         best, where = highest, self.control[step]
@@ -188,7 +191,9 @@ class _Scans:
             first, last = np.maximum(step - reach, 0), np.minimum(step + reach, steps - 1)
             smooth = (last - first == 2 * reach) & ~np.any(self._inside(first, last) & corner[:, :, None], axis=1)
             around = range(-reach, reach + 1)
-            top, at = _vertex([self.control[(step + k) % steps] for k in around], [near(k) for k in around])
+            drive = [self.control[(step + k) % steps] for k in around]
+            x = drive if over is None else [near(k, over) for k in around]
+            top, at = _vertex(x, [near(k) for k in around], drive)
             better = smooth & (top > highest)  # False for NaN: a drive that stands still
             best, where = np.where(better, top, best), np.where(better, at, where)
         for side in ("before", "after"):
@@ -255,26 +260,33 @@ class _Scans:
         return np.where(known, np.abs(start - end), np.nan)
 
 
-def _vertex(x: list[np.ndarray], y: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Extremum (y, x) of the polynomial through an odd number of points, by the middle one; NaN if there is none."""
-    count, middle = len(x), len(x) // 2
-    factor = list(y)  # divided differences
+def _differences(x: list[np.ndarray], y: list[np.ndarray]) -> list[np.ndarray]:
+    """Divided differences: the coefficients of Newton's polynomial through the points."""
+    factor = list(y)
+    for order in range(1, len(x)):
+        for k in range(len(x) - 1, order - 1, -1):
+            factor[k] = (factor[k] - factor[k - 1]) / (x[k] - x[k - order])
+    return factor
+
+
+def _polynomial(x: list[np.ndarray], factor: list[np.ndarray], at: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Newton's polynomial, its slope and second derivative."""
+    value, slope, bend = factor[-1], np.zeros_like(at), np.zeros_like(at)
+    for k in range(len(x) - 2, -1, -1):
+        bend = 2 * slope + (at - x[k]) * bend
+        slope = value + (at - x[k]) * slope
+        value = factor[k] + (at - x[k]) * value
+    return value, slope, bend
+
+
+def _vertex(x: list[np.ndarray], y: list[np.ndarray], control: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Extremum of the polynomial through an odd number of points, and the control there; NaN if not in the middle."""
+    middle = len(x) // 2
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        for order in range(1, count):
-            for k in range(count - 1, order - 1, -1):
-                factor[k] = (factor[k] - factor[k - 1]) / (x[k] - x[k - order])
-
-        def polynomial(at):
-            value, slope, bend = factor[-1], np.zeros_like(at), np.zeros_like(at)
-            for k in range(count - 2, -1, -1):
-                bend = 2 * slope + (at - x[k]) * bend
-                slope = value + (at - x[k]) * slope
-                value = factor[k] + (at - x[k]) * value
-            return value, slope, bend
-
-        at = x[middle]
+        factor, at = _differences(x, y), x[middle]
         for _ in range(NEWTON_STEPS):
-            _, slope, bend = polynomial(at)
+            _, slope, bend = _polynomial(x, factor, at)
             at = at - slope / bend
         beside = (at - x[middle - 1]) * (at - x[middle + 1]) <= 0
-        return np.where(beside, polynomial(at)[0], np.nan), at
+        where, *_ = _polynomial(x, _differences(x, control), at)
+        return np.where(beside, _polynomial(x, factor, at)[0], np.nan), where
