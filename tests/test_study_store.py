@@ -9,11 +9,14 @@ import sys
 import time
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
 
 import jaxwhisker as jw
+from jaxwhisker.study.kernel import fingerprint
 from jaxwhisker.study.store import Store
 from study_child import AXES, CONTROL, build
 
@@ -184,3 +187,14 @@ class TestAnotherStudy:
         with pytest.raises(ValueError, match="`store` must be free"):
             Store(tmp_path / "new.zarr")
         beginner.close()
+
+
+def test_what_was_traced_before_does_not_make_it_another_study():
+    def module(inner, outer):
+        return jax.jit(lambda x: outer(inner(x))).lower(1.0).as_text()
+
+    one, same = (jax.jit(lambda x: jnp.sin(x)) for _ in range(2))
+    other = jax.jit(lambda x: jnp.cos(x))
+    assert module(one, one) != module(one, same)
+    assert fingerprint(module(one, one)) == fingerprint(module(one, same)) != fingerprint(module(one, other))
+    assert fingerprint(module(one, other)) != fingerprint(module(other, one))

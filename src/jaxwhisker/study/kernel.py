@@ -1,9 +1,11 @@
 """The kernel: what is computed for every point of a study, compiled once for a block of points."""
 
 import hashlib
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -86,6 +88,27 @@ def _point(job: Job) -> Callable[[dict], dict]:
     return point
 
 
+_FUNCTION = re.compile(r"^  func\.func \w+ @([\w.]+)(.*?)^  }$", re.MULTILINE | re.DOTALL)
+
+
+def fingerprint(module: str) -> str:
+    """A hash of what a StableHLO module computes.
+
+    Equal inner functions are one function of the module or several, named by number, as what was traced before in this
+    process has it: so they go by the hash of what they compute.
+    """
+    bodies = dict(_FUNCTION.findall(module))
+
+    @cache
+    def named(function: str) -> str:
+        if function not in bodies:
+            return function
+        body = re.sub(r"@([\w.]+)", lambda call: named(call[1]), bodies[function])
+        return hashlib.sha256(body.encode()).hexdigest()
+
+    return named("main")
+
+
 class Kernel:
     """A job, ready to be compiled. Several threads may call it at once."""
 
@@ -104,7 +127,7 @@ class Kernel:
 
     def fingerprint(self) -> str:
         """A hash of what is computed, constants that `build` captures included."""
-        return hashlib.sha256(self._lowered.as_text().encode()).hexdigest()
+        return fingerprint(self._lowered.as_text())
 
     def compiled(self):
         """The compiled function; the first call waits for the compiler."""
