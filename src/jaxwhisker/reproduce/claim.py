@@ -16,7 +16,7 @@ MAXIMA = ("min_fx", "max_fy", "max_mz")
 MAXIMA_NAMES = tuple(name.replace("_", " ") for name in MAXIMA)
 CLAMPED = Case(stiffness=math.inf)
 MODELS = ("FB", "FBFB", "FBFBR")
-SAME = 1e-8  # relative: maxima closer than this are called unchanged
+SAME = 1e-6  # relative: maxima closer than this are called unchanged; they are read from steps of the drive
 
 
 @dataclass(frozen=True)

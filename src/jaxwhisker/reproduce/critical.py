@@ -12,7 +12,7 @@ from jaxwhisker.support import Support
 from jaxwhisker.whisker import Whisker
 
 RELATIVE = 5e-3  # width of the bracket around a critical stiffness, relative to it
-RANGE = 0.98, 1.3  # of a critical stiffness to what it were if the other whiskers' forces were constant
+RANGE = 1.0, 1.25  # of a critical stiffness to what it were if the other whiskers' forces were constant
 
 
 @lru_cache

@@ -88,7 +88,8 @@ def _point(job: Job) -> Callable[[dict], dict]:
     return point
 
 
-_FUNCTION = re.compile(r"^  func\.func \w+ @([\w.]+)(.*?)^  }$", re.MULTILINE | re.DOTALL)
+_NAME = r"""@("[^"]*"|[\w.]+)"""
+_FUNCTION = re.compile(rf"^  func\.func \w+ {_NAME}(.*?)^  }}$", re.MULTILINE | re.DOTALL)
 
 
 def fingerprint(module: str) -> str:
@@ -103,7 +104,7 @@ def fingerprint(module: str) -> str:
     def named(function: str) -> str:
         if function not in bodies:
             return function
-        body = re.sub(r"@([\w.]+)", lambda call: named(call[1]), bodies[function])
+        body = re.sub(_NAME, lambda call: named(call[1]), bodies[function])
         return hashlib.sha256(body.encode()).hexdigest()
 
     return named("main")
