@@ -16,7 +16,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
-demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (at most 3 minutes on two cores)
+demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (some 4 minutes on two cores)
 	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
 
 test: $(VENV)/installed-dev ## run the tests
