@@ -242,11 +242,14 @@ def _found(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known
     return _Found(jnp.where(sound, z, 0.0), mode, exact, stable)
 
 
-def _state(problem: Problem, u: Scalar, found: _Found) -> tuple[State, Int[Array, ""]]:
-    """State and status, with their derivatives."""
-    u = jnp.where(jnp.isfinite(u), u, 0.0)
-    z = solved(Point(found.z, jax.lax.stop_gradient(u)), problem, found.mode, at_control(u, found.z)).z
-    state, residual = signals(problem, z, u, found.mode)
+def _moving(problem: Problem, u: Scalar, found: _Found) -> Point:
+    """The equilibrium, with its derivatives."""
+    return solved(Point(found.z, jax.lax.stop_gradient(u)), problem, found.mode, at_control(u, found.z))
+
+
+def _state(problem: Problem, point: Point, found: _Found) -> tuple[State, Int[Array, ""]]:
+    """State and status."""
+    state, residual = signals(problem, point.z, point.u, found.mode)
     exact = found.exact & (residual < RESIDUAL)
     return state, jnp.where(exact, jnp.where(found.stable, Status.ok, Status.unstable), Status.inexact)
 
@@ -268,9 +271,11 @@ def _steps(
 
     known = dimensionless.valid & ~(beyond & (path.status != Status.ok))
     fixed, steps = jax.lax.stop_gradient((dimensionless, (index, u, known)))
-    found = jax.lax.map(lambda step: _found(fixed, path, *step), steps, batch_size=min(BATCH, control.shape[0]))
-    # Not in the same loop: differentiated backwards, a loop forgets the rules by which derivatives have derivatives.
-    state, status = jax.vmap(partial(_state, dimensionless))(u, found)
+    batch = min(BATCH, control.shape[0])
+    found = jax.lax.map(lambda step: _found(fixed, path, *step), steps, batch_size=batch)
+    # In no loop: differentiated backwards, a loop forgets the rules by which derivatives have derivatives.
+    points = jax.vmap(partial(_moving, dimensionless))(jnp.where(jnp.isfinite(u), u, 0.0), found)
+    state, status = jax.lax.map(lambda step: _state(dimensionless, *step), (points, found), batch_size=batch)
     status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
     status = jnp.where(dimensionless.valid, status, Status.invalid)
     ok = (status == Status.ok)[:, None]
