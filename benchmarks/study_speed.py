@@ -19,12 +19,14 @@ POINTS = {"FB": 2048, "FBFBR": 512}  # of 1,600 steps; fewer of more
 STEPS = 1600
 
 
-def run(kind: str, model: str = "FB", lanes: int = 128, cores: int = 2, steps: int = STEPS) -> dict:
+def run(kind: str, model: str = "FB", lanes: int = 128, cores: int = 2, steps: int = STEPS, points: int = 0) -> dict:
     """What is measured: signals in memory ("reactions"), in a store, or summarised on the way."""
-    return {"kept": kind, "model": model, "lanes": lanes, "cores": cores, "steps": steps}
+    points = points or POINTS[model] * STEPS // max(steps, STEPS)
+    return {"kept": kind, "model": model, "lanes": lanes, "cores": cores, "steps": steps, "points": points}
 
 
 RUNS = [
+    run("store", points=20_000),
     *(run("reactions", lanes=lanes) for lanes in (8, 32, 128, 256)),
     run("reactions", cores=1),
     run("store"),
@@ -35,7 +37,7 @@ RUNS = [
 ]
 
 
-def measure(kept: str, model: str, lanes: int, cores: int, steps: int) -> dict:
+def measure(kept: str, model: str, lanes: int, cores: int, steps: int, points: int) -> dict:
     """Run one study in this process."""
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     import jax
@@ -60,7 +62,6 @@ def measure(kept: str, model: str, lanes: int, cores: int, steps: int) -> dict:
     def build(stiffness, distance):
         return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.named(model, stiffness, 0.2))
 
-    points = POINTS[model] * STEPS // max(steps, STEPS)
     rng = np.random.default_rng(0)
     table = {"stiffness": rng.uniform(30, 200, points), "distance": rng.uniform(0.1, 0.4, points)}
     control = np.linspace(0.8, -1.6 if model == "FB" else -2.2, steps)
@@ -69,7 +70,6 @@ def measure(kept: str, model: str, lanes: int, cores: int, steps: int) -> dict:
         data = jw.study(build, points=table, control=control, summary=kept == "summary", store=store, memory=8e9)
         seconds = time.perf_counter() - ready[0]
     return {
-        "points": points,
         "time, s": seconds,
         "equilibria per second": points * steps / seconds,
         "peak memory, MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
