@@ -3,20 +3,27 @@
 import hashlib
 import os
 import platform
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 # Before jax starts: on some processors it logs an error for every cached executable, though this very one wrote it.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-# Compiling takes most of the tests' time. XLA's older, plainer code takes half of that, and runs slower. Tests of what
-# everybody else gets: XLA_FLAGS= make test
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
-
 import jax
 import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
+
+# Compiling takes most of the tests' time. XLA's older, plainer code takes half of that, and runs slower. Tests of what
+# everybody else gets: XLA_FLAGS= make test
+PLAIN = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+if "XLA_FLAGS" not in os.environ:
+    # A process that is given a flag which its XLA does not know is aborted, so another one tries; workers inherit.
+    command = [sys.executable, "-c", "import jax; jax.devices()"]
+    tried = subprocess.run(command, env=os.environ | {"XLA_FLAGS": PLAIN}, capture_output=True, check=False)
+    os.environ["XLA_FLAGS"] = "" if tried.returncode else PLAIN
 
 # By configuration, not JAX_ENABLE_X64: the command line is tested in processes that must switch it on themselves.
 jax.config.update("jax_enable_x64", True)

@@ -13,6 +13,7 @@ from scenes import model
 PEAK = 1e-7  # relative: a polynomial through steps of 0.001 next to the steepest peak
 NARROW = 2e-8  # relative: ... through seven steps of a peak whose half width is twenty; a parabola misses by 3e-6
 ROUNDING = 1e-12
+COARSE = 0.1  # three uneven steps of a peak's width; across the turn a polynomial would be off by 0.2
 PLACE = 1e-5  # of a peak: the finer steps themselves
 PRINTED = 5e-6  # half a unit of the last digit of the exact peaks
 WIDTH = 1e-5  # straight lines between steps of 0.001
@@ -82,6 +83,14 @@ def test_a_peak_that_the_drive_passes_at_once_is_read_over_the_base():
     np.testing.assert_allclose(found["max_mz"], 1.0, rtol=ROUNDING)
     np.testing.assert_allclose(found["control_of_max_mz"], at**3, atol=ROUNDING)
     assert abs(summarise(arrays, control, 1)["max_mz"][0] - 1) > 1e-5
+
+
+def test_no_peak_is_read_across_a_turn_of_the_drive():
+    control = np.concatenate([np.arange(1.0, 0.0, -0.1), np.arange(0.0647, 1.0, 0.1)])
+    mz = 1 / (1 + ((np.arange(control.size) - 8.8) / 3) ** 2)  # smooth over time, largest before the drive turns
+    none = {"event_kind": -np.ones(1, int), "event_control": np.full(1, np.nan), "event_count": np.array(0)}
+    found = summarise({"mz": mz[:, None], "event_whisker": np.zeros((1, 1), bool)} | none, control, 1)
+    assert 0.0 <= found["max_mz"][0] - mz.max() < COARSE
 
 
 def test_peaks_lie_where_finer_steps_have_them(arrays, scans):

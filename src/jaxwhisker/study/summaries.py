@@ -289,4 +289,6 @@ def _vertex(x: list[np.ndarray], y: list[np.ndarray], control: list[np.ndarray])
             at = at - slope / bend
         beside = (at - x[middle - 1]) * (at - x[middle + 1]) <= 0
         where, *_ = _polynomial(x, _differences(x, control), at)
-        return np.where(beside, _polynomial(x, factor, at)[0], np.nan), where
+        steps = np.diff(np.stack(x), axis=0)
+        one_way = np.all(steps > 0, axis=0) | np.all(steps < 0, axis=0)  # no polynomial goes through a drive that turns
+        return np.where(beside & one_way, _polynomial(x, factor, at)[0], np.nan), where
