@@ -25,11 +25,10 @@ from jaxwhisker.front import (
     Trial,
     dip,
     first_violated,
-    margins_at,
     stopped,
     turn_of,
 )
-from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, dot, select
+from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, decided, dot, select
 from jaxwhisker.scene import Problem
 
 PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
@@ -118,7 +117,7 @@ def _folds_twice(front: Front, trial: Trial, solution: Solution) -> tuple[Bool[A
     return possible & (inside | at_end), jnp.where(inside, jnp.clip(at, 0.2, 0.8), 0.6)
 
 
-def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, stop_u: Scalar):
+def after_advance(front: Front, trial: Trial, guess: Point):
     """End of a step along the path: a new node, an event on the way, a loss of stability, or too far."""
     solution = trial.solution
     scale = scale_of(front.point.z)
@@ -126,19 +125,15 @@ def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, st
     error = jnp.sqrt(dot(miss, miss, scale))
     straight = dot(front.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
     good = solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
-    here = margins_at(problem, front, front.point, front.base_x, stop_u)
-    there = margins_at(problem, front, solution.point, solution.newton.base_x, stop_u)
-    violated, target = first_violated(front, here, there, front.step)
-    dips, share = dip(front, trial, here, there)
+    violated, target = first_violated(trial, front.step)
+    dips, share = dip(front, trial)
     dips &= ~violated
     twice, turn_share = _folds_twice(front, trial, solution)
     share = jnp.where(twice, turn_share, share)
     dips = good & (dips | twice)
     good &= ~dips
     short = front._replace(step=jnp.where(dips, share, 0.4) * front.step)
-    # Where several whiskers lose their hold at once Newton's method fails beside the fold: then it is near enough.
-    ends = select(front.unstable_at < NEAR_FOLD, _to_snap(front), stopped(front, Status.lost))
-    short = select(short.step < SHORTEST_STEP, ends, short)
+    too_short = ~good & (short.step < SHORTEST_STEP)
 
     to_event = front._replace(task=jnp.asarray(int(Task.event)), target=target)
 
@@ -152,7 +147,6 @@ def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, st
         unstable_turn=turn,
         step=_next_step(turn_of(front, front.tangent), front.step, turn, jnp.inf),
     )
-    lost = select(found, fold, closer)
 
     factor = jnp.clip((PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3), 0.3, 2.5)
     all_free = jnp.all(front.mode.phase == Phase.free)
@@ -165,16 +159,22 @@ def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point, st
         step=_next_step(turn, left, front.unstable_turn, jnp.minimum(factor * front.step, longest)),
     )
     at_fold = jnp.isfinite(left) & ((turn < FOLD_SLOPE) | (left < FOLD_BRACKET))
-    onwards = select(at_fold, fold, onwards)
-    onwards = select(trial.convex, onwards, stopped(front, Status.not_convex))
+    new = decided(
+        # Where several whiskers lose their hold at once Newton's method fails beside the fold: then it is near enough.
+        (too_short & (front.unstable_at < NEAR_FOLD), _to_snap(front)),
+        (too_short, stopped(front, Status.lost)),
+        (~good, short),
+        (violated, to_event),
+        (~trial.stable & ~found, closer),
+        (~trial.stable, fold),
+        (~trial.convex, stopped(front, Status.not_convex)),
+        (at_fold, fold),
+        otherwise=onwards,
+    )
+    return new, good & ~violated & (trial.stable | found) & trial.convex, node
 
-    accepted = good & ~violated & (trial.stable | found)
-    result = select(trial.stable, onwards, lost)
-    result = select(violated, to_event, result)
-    return select(good, result, short), accepted & trial.convex, node
 
-
-def after_event(problem: Problem, front: Front, trial: Trial, stop_u: Scalar):
+def after_event(problem: Problem, front: Front, trial: Trial):
     """The point where a margin vanishes: into the mode that holds from here on."""
     solution = trial.solution
     scale = scale_of(front.point.z)
@@ -183,11 +183,8 @@ def after_event(problem: Problem, front: Front, trial: Trial, stop_u: Scalar):
     reach = jnp.sqrt(dot(chord, chord, scale))
     good = solution.converged & (distance > -1e-9) & (reach <= 1.5 * front.step + 1e-9)
     again = front._replace(task=jnp.asarray(int(Task.advance)), step=0.4 * front.step)
-    again = select(again.step < SHORTEST_STEP, stopped(front, Status.lost), again)
 
-    here = margins_at(problem, front, front.point, front.base_x, stop_u)
-    there = margins_at(problem, front, solution.point, solution.newton.base_x, stop_u)
-    violated, earlier = first_violated(front, here, there, distance)
+    violated, earlier = first_violated(trial, distance)
     to_earlier = front._replace(target=earlier)
 
     turn = turn_of(front, trial.tangent)
@@ -232,9 +229,14 @@ def after_event(problem: Problem, front: Front, trial: Trial, stop_u: Scalar):
         pending=node,
         goal=front.goal + stops,
     )
-    result = select(trial.stable, arrived, unstable)
-    result = select(violated, to_earlier, result)
-    return select(good, result, again), jnp.asarray(False), node
+    new = decided(
+        (~good & (again.step < SHORTEST_STEP), stopped(front, Status.lost)),
+        (~good, again),
+        (violated, to_earlier),
+        (~trial.stable, unstable),
+        otherwise=arrived,
+    )
+    return new, jnp.asarray(False), node
 
 
 def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]):
@@ -266,22 +268,26 @@ def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Arra
         before_vertex=jnp.where(settled, behind, front.before_vertex),
     )
     falls = (turn_of(front, tangent) <= 0) | ~trial.stable
-    result = select(falls, _to_snap(onwards), onwards)
     over = (stop_kind & (front.goal > last)) | _passed(problem, front, last)
-    result = select(over, stopped(front, Status.ok), result)
     z = trial.solution.point.z
     moved = Point(z - front.point.z, trial.solution.point.u - front.point.u)
     near = trial.solution.converged & (dot(moved, moved, scale_of(front.point.z)) < ARRIVAL_MISS**2)
-    result = select(near, result, stopped(front, Status.lost))
     # Newton's method may have left the flow's mode, or found what the flow would not come to: then that goes on.
-    found = margins_at(problem, front, trial.solution.point, trial.solution.newton.base_x, front.point.u)
+    found = trial.there
     wrong = jnp.any(jnp.stack([found.touch, found.release, found.phase]) < -MARGIN_NOISE)
     early = settled & (wrong | falls | ~near)
     flowing = front._replace(
         task=jnp.asarray(int(Task.flow)),
         flow=front.flow._replace(near=front.flow.near / 4),
     )
-    return select(early, flowing, result), near & ~early, node
+    new = decided(
+        (early, flowing),
+        (~near, stopped(front, Status.lost)),
+        (over, stopped(front, Status.ok)),
+        (falls, _to_snap(onwards)),
+        otherwise=onwards,
+    )
+    return new, near & ~early, node
 
 
 def _passed(problem: Problem, front: Front, last: Int[Array, ""]) -> Bool[Array, ""]:

@@ -21,9 +21,9 @@ class Task(IntEnum):
     advance = 0
     event = 1
     arrive = 2
-    kick = 3
-    flow = 4
-    done = 5
+    done = 3
+    kick = 4
+    flow = 5
 
 
 class Target(NamedTuple):
@@ -80,9 +80,11 @@ class Trial(NamedTuple):
     tangent_x: PerWhisker
     stable: Bool[Array, ""]
     convex: Bool[Array, ""]
+    here: Margins
+    there: Margins
 
 
-def judge(problem: Problem, front: Front, solution: Solution) -> Trial:
+def judge(problem: Problem, front: Front, solution: Solution, stop_u: Scalar) -> Trial:
     newton = solution.newton
     tangent, length = unit(newton.tangent, solution.point.z)
     ahead = jnp.where(dot(front.tangent, tangent, scale_of(front.point.z)) < 0, -1.0, 1.0)
@@ -95,6 +97,8 @@ def judge(problem: Problem, front: Front, solution: Solution) -> Trial:
         ahead * newton.base_x_tangent / length,
         stable(problem, front.mode, newton.local),
         jnp.all(convex | ~touching),
+        here=_margins_at(problem, front, front.point, front.base_x, stop_u),
+        there=_margins_at(problem, front, solution.point, newton.base_x, stop_u),
     )
 
 
@@ -102,15 +106,16 @@ def stopped(front: Front, status: Status) -> Front:
     return front._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(int(status)))
 
 
-def margins_at(problem: Problem, front: Front, point: Point, base_x: PerWhisker, stop_u: Scalar) -> Margins:
+def _margins_at(problem: Problem, front: Front, point: Point, base_x: PerWhisker, stop_u: Scalar) -> Margins:
     slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(point.z[:, 1])
     way = front.direction * (stop_u - point.u)
     return margins(problem, front.mode, point, base_x, front.before_vertex * slope_sin, way)
 
 
-def first_violated(front: Front, here: Margins, there: Margins, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
-    n = here.touch.shape[0]
-    now, then = jnp.concatenate(here), jnp.concatenate(there)
+def first_violated(trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
+    """Whether any event lies between here and there, and the first of them; there is a distance away."""
+    n = trial.here.touch.shape[0]
+    now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
     violated = then < -MARGIN_NOISE
     share = jnp.where(violated, jnp.clip(now / (now - then), 0.0, 1.0), jnp.inf)
     first = jnp.argmin(share)
@@ -119,9 +124,9 @@ def first_violated(front: Front, here: Margins, there: Margins, distance: Scalar
     return jnp.any(violated), target
 
 
-def dip(front: Front, trial: Trial, here: Margins, there: Margins) -> tuple[Bool[Array, ""], Scalar]:
+def dip(front: Front, trial: Trial) -> tuple[Bool[Array, ""], Scalar]:
     """Whether a margin is negative on the way though not at its ends, and at which share of the way most."""
-    now, then = jnp.concatenate(here), jnp.concatenate(there)
+    now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
     start = front.step * jnp.concatenate(rates(front.mode, front.tangent, front.tangent_x))
     end = front.step * jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_x))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]

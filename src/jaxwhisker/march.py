@@ -6,9 +6,9 @@ batch pay for the most expensive branch that any of them takes. An iteration has
     advance   a step along the path; its size follows the prediction error
     event     the point between here and there where a margin vanishes
     arrive    the same point again in the mode that holds from here on: which way does the path leave?
+    done
     kick      first step away from an equilibrium that lost its stability
     flow      a step of the overdamped bases at fixed drive, until they come to rest (relax.py)
-    done
 
 Stability is judged at every node, never by a failure of the solver. An unstable end of a step means that stability was
 lost on the way: steps are shortened until the loss is found, where the path turns back in u (a fold) or, at a corner,
@@ -17,6 +17,7 @@ leaves in the wrong direction.
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker import relax
@@ -86,20 +87,18 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     )
     mode = front.mode._replace(separate=flowing)
     solution = find(problem, mode, row, guess)
-    trial = judge(problem, front, solution)
+    trial = judge(problem, front, solution, stop_u)
     front = front._replace(flow=select(flowing, flow, front.flow))
     new, write, node = jax.lax.switch(
         jnp.minimum(front.task, Task.kick),
         [
-            lambda: after_advance(problem, front, trial, guess, stop_u),
-            lambda: after_event(problem, front, trial, stop_u),
+            lambda: after_advance(front, trial, guess),
+            lambda: after_event(problem, front, trial),
             lambda: after_arrive(problem, front, trial, stops, last),
+            lambda: (front, jnp.asarray(False), front.pending),
             lambda: after_flow(problem, front, solution),
         ],
     )
-    done = front.task == Task.done
-    new = select(done, front, new)
-    write &= ~done
     return new._replace(count=new.count + write), (jnp.where(write, front.count, -1), node)
 
 
@@ -149,20 +148,24 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     """
     front = _start(problem, stops)
     front = select(problem.valid, front, stopped(front, Status.invalid))
-    nodes = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), front.pending)
+    # A node is written as one row of a table: a write for each of its fields would be slow to compile.
+    blank, unpacked = ravel_pytree(front.pending)
+    table = jnp.zeros((capacity, blank.size))
 
     def running(carry):
         return carry[0].task != Task.done
 
     def chunk(carry):
-        front, nodes, used = carry
-        front, (index, written) = jax.lax.scan(
-            lambda front, _: _iterate(problem, stops, last, front), front, None, length=CHUNK
-        )
-        where = jnp.where(index < 0, capacity, index)
-        nodes = jax.tree.map(lambda all_, new: all_.at[where].set(new, mode="drop"), nodes, written)
-        full = (front.count >= capacity) | (used >= 8 * capacity // CHUNK)
-        return select(full, stopped(front, Status.too_long), front), nodes, used + 1
+        front, table, used = carry
 
-    front, nodes, _ = jax.lax.while_loop(running, chunk, (front, nodes, jnp.asarray(0)))
-    return Path(nodes, jnp.minimum(front.count, capacity), front.status)
+        def iteration(front, _):
+            front, (index, node) = _iterate(problem, stops, last, front)
+            return front, (index, ravel_pytree(node)[0])
+
+        front, (index, rows) = jax.lax.scan(iteration, front, None, length=CHUNK)
+        table = table.at[jnp.where(index < 0, capacity, index)].set(rows, mode="drop")
+        full = (front.count >= capacity) | (used >= 8 * capacity // CHUNK)
+        return select(full, stopped(front, Status.too_long), front), table, used + 1
+
+    front, table, _ = jax.lax.while_loop(running, chunk, (front, table, jnp.asarray(0)))
+    return Path(jax.vmap(unpacked)(table), jnp.minimum(front.count, capacity), front.status)

@@ -72,7 +72,17 @@ class Path(NamedTuple):
 
 def select(condition, yes, no):
     """One of two trees of the same structure."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+    # What both share is not asked: most of a march's decisions change little.
+    return jax.tree.map(lambda a, b: a if a is b else jnp.where(condition, a, b), yes, no)
+
+
+def decided(*cases, otherwise):
+    """The tree of the first case (condition, tree) whose condition holds."""
+    conditions = [condition for condition, _ in cases]
+    first = jnp.argmax(jnp.stack([*conditions, jnp.asarray(True)]))
+    for number, (_, tree) in reversed(list(enumerate(cases))):
+        otherwise = select(first == number, tree, otherwise)
+    return otherwise
 
 
 def dot(a: Point, b: Point, scale: Contacts) -> Scalar:

@@ -138,22 +138,18 @@ def integrate(
     `start` is the state (x, y, cos phi, sin phi) at the loaded point; `load` acts there and beyond. Constant steps: an
     adaptive controller would wait for the slowest lane of a batch and put noise into the residual of a Newton solve.
     """
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(_towards_base),
-        solver,
-        t0=0.0,
-        t1=1.0,
-        dt0=1.0 / steps,
-        y0=start,
-        args=_RodArgs(arc, load, bending_stiffness),
-        stepsize_controller=diffrax.ConstantStepSize(),
-        saveat=diffrax.SaveAt(t1=True),
-        adjoint=diffrax.DirectAdjoint(),
-        max_steps=steps,
-        throw=False,
-    )
-    x, y, cos, sin = solution.ys  # pyright: ignore[reportGeneralTypeIssues]
-    return x[-1], y[-1], cos[-1], sin[-1]
+    terms, args, no = diffrax.ODETerm(_towards_base), _RodArgs(arc, load, bending_stiffness), jnp.asarray(False)
+    start = jax.tree.map(jnp.asarray, start)
+
+    def step(carry, number):
+        state, memory = carry
+        t0, t1 = number / steps, (number + 1) / steps
+        state, _, _, memory, _ = solver.step(terms, t0, t1, state, args, memory, no)
+        return (state, memory), None
+
+    memory = solver.init(terms, 0.0, 1.0 / steps, start, args)
+    (end, _), _ = jax.lax.scan(step, (start, memory), jnp.arange(steps, dtype=float))
+    return end
 
 
 def points(

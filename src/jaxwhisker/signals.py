@@ -1,5 +1,7 @@
 """Signals: everything about solved points of the path in the scene's units, and the events among them."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -64,8 +66,8 @@ def _event_row(problem: Problem, node: Node) -> Row:
     )
 
 
-def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[Scalar, State, State]:
-    """Control and states of an event; a snap happens where the node before it lies, at a fold or another event."""
+def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tuple[Point, Mode], tuple[Point, Mode]]:
+    """Both sides of an event; a snap happens where the node before it lies, at a fold or another event."""
     snap = node.kind >= EventKind.snap_through
     at = jax.tree.map(lambda a, b: jnp.where(snap, a, b), previous, node)
     no = jnp.asarray(False)
@@ -75,9 +77,7 @@ def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[Sca
         Point(at.z_before, at.point.u), problem, before_mode, at.arriving, _event_row(problem, at), fold
     )
     after = solved(Point(node.point.z, before.u), problem, after_mode, at_control(before.u, node.point.z)).z
-    before_state, _ = signals(problem, before.z, before.u, before_mode)
-    after_state, _ = signals(problem, after, before.u, after_mode)
-    return before.u * problem.unit.length, before_state, after_state
+    return (before, before_mode), (Point(after, before.u), after_mode)
 
 
 def _nothing(node: Node) -> Node:
@@ -106,7 +106,12 @@ def events(problem: Problem, path: Path) -> Events:
         )
         for back in (0, 1)
     )
-    control, before, after = jax.vmap(lambda n, p: _before_and_after(problem, n, p))(node, previous)
+    sides = jax.vmap(partial(_before_and_after, problem))(node, previous)
+    # Both sides at once: the rods are compiled once.
+    both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides)
+    states, _ = jax.vmap(lambda point, mode: signals(problem, point.z, point.u, mode))(*both)
+    before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)
+    control = sides[0][0].u * problem.unit.length
 
     def filled_with(leaf):
         keep = filled if leaf.ndim == 1 else filled[:, None]
