@@ -320,7 +320,8 @@ def test_in_a_loop_second_derivatives_are_right_or_none():
     batch, loop = (lambda scale, map=map: total(map, scale) for map in (lambda f, x: jax.vmap(f)(x), jax.lax.map))
     expected = -2 / 9 * jnp.sum(jnp.arange(1.0, 4.0) ** (1 / 3)) * 2.0 ** (-5 / 3)
     np.testing.assert_allclose([jax.hessian(batch)(2.0), jax.jacfwd(jax.jacfwd(loop))(2.0)], expected, rtol=MODES)
-    assert np.isnan(jax.hessian(loop)(2.0))  # jax drops the rule by which a derivative has a derivative
+    within = jax.hessian(loop)(2.0)  # jax 0.10 drops the rule by which a derivative has a derivative, 0.12 does not
+    assert np.isnan(within) or abs(within - expected) < MODES
     assert np.isfinite(jax.grad(lambda scale: total(jax.lax.map, scale))(2.0))
 
 

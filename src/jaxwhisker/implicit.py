@@ -30,8 +30,8 @@ Tree = TypeVar("Tree")
 def without_rule(point: Tree, known: PyTree) -> Tree:
     """The point, with NaN for its derivatives by what it was solved from, which only a custom rule knows.
 
-    Where a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax drops the
-    rule: zeros then would be wrong, and silent.
+    Where a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax 0.10 drops
+    the rule: zeros then would be wrong, and silent.
     """
     leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(eqx.filter(known, eqx.is_inexact_array))]
     everything = jnp.concatenate(leaves)

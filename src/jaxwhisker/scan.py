@@ -54,7 +54,7 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     Goes through jax.jit, vmap and derivatives, first and second, in both modes, by every numeric field of the scene and
     by the control: of signals, states and the events' positions. Derivatives are those of the step's own branch, at
     fixed control; exactly at a change of phase those of the phase that begins. What failed, or is free, has derivative
-    0. Within a lax.map or lax.scan of your own, jax.hessian is NaN: use vmap, or jacfwd of jacfwd.
+    0. Within a lax.map or lax.scan of your own, jax.hessian is NaN with jax 0.10: use vmap, or jacfwd of jacfwd.
     """
     _checks.float64_mode()
     if not isinstance(scene, Scene):
