@@ -10,8 +10,10 @@ from scipy.special import ellipeinc, ellipj, ellipkinc
 
 from jaxwhisker import contact, rod
 from jaxwhisker.contact import Body, Phase
+from jaxwhisker.elastica import Shooting
 from jaxwhisker.profile import Parabola
 
+STEPS = Shooting().steps
 CLOSED_FORM = 1e-9  # what is promised of position, direction and curvature, for every bend that a scan meets
 ORDER_STEPS = (2, 4)  # steps at which the order shows, above rounding
 SLOPE = 1e-8  # of derivatives: central differences of the closed form lose half the digits
@@ -32,7 +34,7 @@ def closed_form(force, angle, arc):
 def integrated(force, angle, arc):
     start = (jnp.zeros(()), jnp.zeros(()), jnp.cos(angle), jnp.sin(angle))
     load = rod.Load(jnp.zeros(()), -force, jnp.zeros(()))
-    x, y, cos, sin = rod.integrate(start, arc, load, 1.0, steps=contact.ROD_STEPS, solver=rod.NystromSplitting())
+    x, y, cos, sin = rod.integrate(start, arc, load, 1.0, steps=STEPS, solver=rod.NystromSplitting())
     return x, y, jnp.arctan2(sin, cos), rod.curvature(x, y, load, 1.0)
 
 
@@ -57,7 +59,7 @@ def test_pose_and_reaction_in_the_scene(bend, slope):
     profile = Parabola(0.3, 0.7)
     tip = angle > 0
     length = arc if tip else 1.5
-    body = Body(jnp.asarray(length), jnp.asarray(1.0), profile)
+    body = Body(jnp.asarray(length), jnp.asarray(1.0), profile, Shooting())
     slack = -angle if tip else length - arc
     base = posed(body, jnp.array([force, slope, slack]), jnp.asarray(int(Phase.tip if tip else Phase.tangential)))
     x, y, theta, curvature = closed_form(force, angle, arc)
@@ -90,7 +92,7 @@ def test_the_splitting_is_of_sixth_order():
 def test_a_stock_solver_takes_the_same_rod():
     start = (jnp.zeros(()), jnp.zeros(()), jnp.ones(()), jnp.zeros(()))
     load = rod.Load(jnp.zeros(()), jnp.asarray(-3.0), jnp.zeros(()))
-    ours = rod.integrate(start, 1.0, load, 1.0, steps=contact.ROD_STEPS, solver=rod.NystromSplitting())
+    ours = rod.integrate(start, 1.0, load, 1.0, steps=STEPS, solver=rod.NystromSplitting())
     stock = rod.integrate(start, 1.0, load, 1.0, steps=40, solver=diffrax.Dopri8())
     np.testing.assert_allclose(np.array(ours), np.array(stock), atol=CLOSED_FORM)
 

@@ -2,6 +2,7 @@
 
 from jaxwhisker.contact import Phase
 from jaxwhisker.deflect import Deflection, PointForce, PointMoment, deflect
+from jaxwhisker.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker.energy import stored_energy
 from jaxwhisker.path import EventKind, Status
 from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
@@ -15,7 +16,9 @@ from jaxwhisker.whisker import Whisker
 
 __all__ = [
     "AbstractProfile",
+    "AbstractRod",
     "Circle",
+    "ClosedForm",
     "Deflection",
     "Ellipse",
     "Event",
@@ -29,6 +32,7 @@ __all__ = [
     "Result",
     "Scene",
     "Shapes",
+    "Shooting",
     "Spring",
     "State",
     "Status",

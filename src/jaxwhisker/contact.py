@@ -8,19 +8,15 @@ bent the other way, are its mirror image.
 """
 
 from enum import IntEnum
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker import rod
 from jaxwhisker._types import Scalar
+from jaxwhisker.elastica import AbstractRod, rod_end
 from jaxwhisker.profile import AbstractProfile
-
-ROD_STEPS = 8  # constant steps of the default solver: 1e-9 L in the base's position for the hardest bends of a scan
-RATE_STEPS = 12  # ... for derivatives that a user sees: as exact as the values, of which they are a multiple
 
 
 class Phase(IntEnum):
@@ -37,6 +33,7 @@ class Body(NamedTuple):
     length: Float[Array, "*batch"]
     bending_stiffness: Float[Array, "*batch"]
     profile: AbstractProfile
+    rod: AbstractRod
 
 
 class Base(NamedTuple):
@@ -70,41 +67,6 @@ def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
     return body.length - jnp.where(phase == Phase.tangential, slack, 0.0)
 
 
-def _integrated(bend: Scalar, arc: Scalar, angle: Scalar, steps: int) -> Float[Array, "4"]:
-    zero = jnp.zeros_like(bend)
-    start = (zero, zero, jnp.cos(angle), jnp.sin(angle))
-    load = rod.Load(zero, -bend, zero)
-    return jnp.stack(rod.integrate(start, arc, load, 1.0, steps=steps, solver=rod.NystromSplitting()))
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(3,))
-def _rod_end(bend: Scalar, arc: Scalar, angle: Scalar, rate_steps: int) -> Float[Array, "4"]:
-    """State (x, y, cos, sin) at the base, in the frame of the contact; bend = force / EI, angle to the object.
-
-    Whatever it is differentiated by, in whichever mode, two tangents go through the integration, and twelve numbers are
-    all that a reverse pass has to keep: a longer rod is the same one with another piece at its base.
-    """
-    del rate_steps
-    return _integrated(bend, arc, angle, ROD_STEPS)
-
-
-@_rod_end.defjvp
-def _(rate_steps, primals, tangents):
-    bend, arc, angle = primals
-
-    def twice(bend_and_angle):
-        end = _integrated(bend_and_angle[0], arc, bend_and_angle[1], rate_steps)
-        return end, end
-
-    by_bend_and_angle, end = jax.jacfwd(twice, has_aux=True)(jnp.stack([bend, angle]))
-    x, _, cos, sin = end
-    turn = bend * x
-    by_arc = jnp.stack([-cos, -sin, turn * sin, -turn * cos])
-    bend_dot, arc_dot, angle_dot = tangents
-    end_dot = by_bend_and_angle[:, 0] * bend_dot + by_arc * arc_dot + by_bend_and_angle[:, 1] * angle_dot
-    return end if rate_steps == ROD_STEPS else _rod_end(*primals, rate_steps), end_dot
-
-
 def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Scalar) -> Base:
     force, parameter, _ = z
     x, y, cos, sin = end
@@ -126,29 +88,30 @@ def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Sc
 
 
 def base(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rate_steps: int = RATE_STEPS
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
 ) -> Base:
-    """Pose and reaction of the base for the contact z; its derivatives are taken with `rate_steps`."""
+    """Pose and reaction of the base for the contact z; its derivatives are taken with `rates`."""
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
-    end = _rod_end(z[0] / body.bending_stiffness, arc(body, z[2], phase), angle, rate_steps)
+    rates = body.rod.for_rates() if rates is None else rates
+    end = rod_end(z[0] / body.bending_stiffness, arc(body, z[2], phase), angle, body.rod, rates)
     return _in_scene(body, end, z, side)
 
 
 def equations(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rate_steps: int = RATE_STEPS
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
 ) -> Linear:
     """Values at z of what the equilibrium is made of."""
-    b = base(body, z, phase, side, rate_steps=rate_steps)
+    b = base(body, z, phase, side, rates=rates)
     return Linear(b.x, b.y, b.cos, b.force_x, b.slope_sin)
 
 
 def linearise(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rate_steps: int
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod
 ) -> tuple[Linear, Linear]:
     """The equations' values and their gradients by z, each (3,)."""
 
     def twice(z):
-        value = equations(body, z, phase, side, rate_steps=rate_steps)
+        value = equations(body, z, phase, side, rates=rates)
         return value, value
 
     gradient, value = jax.jacfwd(twice, has_aux=True)(z)

@@ -19,7 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker import contact
 from jaxwhisker._types import Scalar
-from jaxwhisker.contact import ROD_STEPS, Body, Linear, Phase
+from jaxwhisker.contact import Body, Linear, Phase
+from jaxwhisker.elastica import AbstractRod
 from jaxwhisker.linear import positive_definite, solve
 from jaxwhisker.scene import Problem
 
@@ -85,8 +86,8 @@ def scale_of(z: Contacts) -> Contacts:
 
 def bodies(problem: Problem) -> tuple[Body, Body]:
     """The whiskers for vmap: stacked leaves, and the axes along which they are stacked."""
-    body = Body(problem.length, problem.bending_stiffness, problem.profile)
-    return body, Body(0, 0, None)  # pyright: ignore[reportArgumentType]
+    body = Body(problem.length, problem.bending_stiffness, problem.profile, problem.rod)
+    return body, Body(0, 0, None, None)  # pyright: ignore[reportArgumentType]
 
 
 def harmless(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]) -> tuple[Contacts, Int[Array, " whiskers"]]:
@@ -101,11 +102,11 @@ def harmless(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]) -> t
     return jnp.where(free[:, None], bent, z), jnp.where(free, Phase.tip, phase)
 
 
-def linearised(problem: Problem, z: Contacts, mode: Mode, rate_steps: int) -> tuple[Linear, Linear]:
+def linearised(problem: Problem, z: Contacts, mode: Mode, rates: AbstractRod) -> tuple[Linear, Linear]:
     """Values and gradients of every whisker's equations."""
     body, axes = bodies(problem)
     at, phase = harmless(problem, z, mode.phase)
-    one = partial(contact.linearise, rate_steps=rate_steps)
+    one = partial(contact.linearise, rates=rates)
     return jax.vmap(one, in_axes=(axes, 0, 0, 0))(body, at, phase, mode.side)
 
 
@@ -176,9 +177,9 @@ def missing(problem: Problem, row: Row, point: Point, slope_sin: PerWhisker, for
     return along + jnp.sum(row.vertex * slope_sin) + jnp.sum(row.touch * (free_x - row.touch_x))
 
 
-def newton_step(problem: Problem, mode: Mode, row: Row, point: Point, rate_steps: int = ROD_STEPS) -> Step:
+def newton_step(problem: Problem, mode: Mode, row: Row, point: Point, rates: AbstractRod | None = None) -> Step:
     """Solve the linearised equations of all whiskers, network and row."""
-    value, gradient = linearised(problem, point.z, mode, rate_steps)
+    value, gradient = linearised(problem, point.z, mode, problem.rod if rates is None else rates)
     return coupled(problem, mode, row, point, local(point.z, mode, value, gradient))
 
 
@@ -267,10 +268,6 @@ class Solution(NamedTuple):
     converged: Bool[Array, ""]
 
 
-NEWTON_TOLERANCE = 1e-6  # size of the last step; convergence is quadratic, so the error is about its square
-NEWTON_STEPS = 8  # a rootless lane runs to the limit and stalls its batch; good predictions need 2
-
-
 def find(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solution:
     """Solve the equations of one point, starting from `guess`. Failure is a flag, never an exception."""
 
@@ -284,11 +281,11 @@ def find(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solution:
 
     solution = optx.root_find(
         equations,
-        StructuredNewton(rtol=0.0, atol=NEWTON_TOLERANCE),
+        StructuredNewton(rtol=0.0, atol=problem.rod.newton_tolerance),
         guess,
         args=(problem, mode, row),
         has_aux=True,
-        max_steps=NEWTON_STEPS,
+        max_steps=problem.rod.newton_steps,
         throw=False,
     )
     finite = jnp.all(jnp.isfinite(solution.value.z)) & jnp.isfinite(solution.value.u)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, PyTree
 
-from jaxwhisker.contact import RATE_STEPS, Phase
+from jaxwhisker.contact import Phase
 from jaxwhisker.equilibrium import (
     Local,
     Mode,
@@ -30,8 +30,8 @@ Tree = TypeVar("Tree")
 def without_rule(point: Tree, known: PyTree) -> Tree:
     """The point, with NaN for its derivatives by what it was solved from, which only a custom rule knows.
 
-    Where a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax 0.10 drops
-    the rule: zeros then would be wrong, and silent.
+    Where a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax 0.10
+    drops the rule: zeros then would be wrong, and silent.
     """
     leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(eqx.filter(known, eqx.is_inexact_array))]
     everything = jnp.concatenate(leaves)
@@ -124,7 +124,7 @@ def _(primals, tangents):
         return missing(problem, row, point, slope_sin, force_x)
 
     def turn(point, problem):
-        return unit(newton_step(problem, mode, across, point, RATE_STEPS).tangent, point.z)[0].u
+        return unit(newton_step(problem, mode, across, point, problem.rod.for_rates()).tangent, point.z)[0].u
 
     def distance(vanishing, holds, known, known_dot):
         """How far the event moves along the path, where it is the vanishing of this function; else zero."""

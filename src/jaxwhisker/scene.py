@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._lanes import harmless
 from jaxwhisker._types import Scalar
+from jaxwhisker.elastica import AbstractRod, Shooting
 from jaxwhisker.profile import AbstractProfile, FirstTouch, differs
 from jaxwhisker.support import Flexibility, Support
 from jaxwhisker.whisker import Whisker
@@ -34,6 +35,7 @@ class Scene(eqx.Module):
         whisker: one Whisker for all bases, or a tuple with one per base.
         profile: the object.
         support: the springs between drive and bases; clamped by default.
+        rod: how rods are computed: Shooting(), or ClosedForm(), which is faster and exact to rounding.
 
     Raises:
         ValueError: if an argument is not of that kind, or their numbers of whiskers differ.
@@ -42,6 +44,7 @@ class Scene(eqx.Module):
     whisker: Whisker | tuple[Whisker, ...]
     profile: AbstractProfile
     support: Support = Support()
+    rod: AbstractRod = Shooting()
 
     def __check_init__(self):
         whiskers = self.whisker if isinstance(self.whisker, tuple) else (self.whisker,)
@@ -51,6 +54,8 @@ class Scene(eqx.Module):
             raise ValueError(f"`profile` must be a Parabola, Circle, Ellipse or Graph, but is {self.profile!r}.")
         if not isinstance(self.support, Support):
             raise ValueError(f"`support` must be a Support, but is {self.support!r}.")
+        if not isinstance(self.rod, AbstractRod):
+            raise ValueError(f"`rod` must be Shooting() or ClosedForm(), but is {self.rod!r}.")
         if isinstance(self.whisker, tuple) and len(whiskers) != self.support.whiskers:
             raise ValueError(
                 f"`whisker` must be one Whisker or one per base ({self.support.whiskers} in {self.support.name}), "
@@ -86,6 +91,7 @@ class Problem(NamedTuple):
     length: Float[Array, " whiskers"]
     bending_stiffness: Float[Array, " whiskers"]
     profile: AbstractProfile
+    rod: AbstractRod
     flexibility: Flexibility | None
     touch_right: FirstTouch  # (whiskers,) each: first contact coming from the right
     touch_left: FirstTouch
@@ -122,7 +128,7 @@ def problem(scene: Scene) -> Problem:
     touch_right = jax.vmap(lambda height: profile.first_touch(height, 1.0))(length)
     touch_left = jax.vmap(lambda height: profile.first_touch(height, -1.0))(length)
     reaches = length > profile.vertex()[1]
-    return Problem(length, stiffness, profile, flexibility, touch_right, touch_left, reaches, valid, unit)
+    return Problem(length, stiffness, profile, scene.rod, flexibility, touch_right, touch_left, reaches, valid, unit)
 
 
 def _valid(scene: Scene) -> Bool[Array, ""]:
