@@ -28,7 +28,7 @@ from jaxwhisker.front import (
     stopped,
     turn_of,
 )
-from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, decided, dot, select
+from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, decided, dot
 from jaxwhisker.scene import Problem
 
 PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
@@ -296,9 +296,9 @@ def _passed(problem: Problem, front: Front, last: Int[Array, ""]) -> Bool[Array,
     return jnp.all(left) & (front.goal >= last) & (front.direction < 0) & (front.goal > 0)
 
 
-def after_flow(problem: Problem, front: Front, solution: Solution):
+def after_flow(problem: Problem, front: Front, proposed: relax.Flow, solution: Solution):
     """A step of the overdamped bases."""
-    flow, mode, z = relax.advance(problem, front.flow, front.mode, solution)
+    flow, mode, z = relax.advance(problem, proposed, front.mode, solution)
     rested = relax.at_rest(problem, flow, mode, solution, front.point.u)
     freed = flow.slipped & (mode.phase == Phase.free)
     kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
@@ -320,4 +320,11 @@ def after_flow(problem: Problem, front: Front, solution: Solution):
         pending=pending,
         lead=Lead(none, none[:, 0], front.direction),
     )
-    return select(flow.exhausted, stopped(front, Status.unsettled), flowing), jnp.asarray(False), front.pending
+    shorter = front._replace(flow=relax.shortened(front.flow))
+    followed = solution.converged
+    new = decided(
+        (jnp.where(followed, flow.exhausted, shorter.flow.exhausted), stopped(front, Status.unsettled)),
+        (~followed, shorter),
+        otherwise=flowing,
+    )
+    return new, jnp.asarray(False), front.pending

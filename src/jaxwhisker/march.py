@@ -40,7 +40,6 @@ from jaxwhisker.front import (
 from jaxwhisker.path import NO_EVENT, Node, Path, Status, along, select
 from jaxwhisker.scene import Problem
 
-KICK = 0.02  # size of the first step away from an unstable equilibrium
 CHUNK = 16  # iterations between two looks at whether all lanes are done
 
 
@@ -76,7 +75,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     flowing = (front.task == Task.kick) | (front.task == Task.flow)
     ahead = along(front.point, front.tangent, distance, front.bend)
     flow = relax.propose(problem, front.flow, front.mode, front.point)
-    kicked = relax.kick(front.flow, front.point, front.tangent, front.tangent_x, KICK)
+    kicked = relax.kick(front.flow, front.point, front.tangent, front.tangent_x)
     flow = select(front.task == Task.kick, kicked, flow)
     guess = select(marching, ahead, front.point)
     guess = select(flowing, Point(flow.guess, front.point.u), guess)
@@ -88,7 +87,6 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     mode = front.mode._replace(separate=flowing)
     solution = find(problem, mode, row, guess)
     trial = judge(problem, front, solution, stop_u)
-    front = front._replace(flow=select(flowing, flow, front.flow))
     new, write, node = jax.lax.switch(
         jnp.minimum(front.task, Task.kick),
         [
@@ -96,7 +94,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
             lambda: after_event(problem, front, trial),
             lambda: after_arrive(problem, front, trial, stops, last),
             lambda: (front, jnp.asarray(False), front.pending),
-            lambda: after_flow(problem, front, solution),
+            lambda: after_flow(problem, front, flow, solution),
         ],
     )
     return new._replace(count=new.count + write), (jnp.where(write, front.count, -1), node)

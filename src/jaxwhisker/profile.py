@@ -123,7 +123,10 @@ class Parabola(AbstractProfile):
 
 
 class Ellipse(AbstractProfile):
-    """Ellipse with horizontal half axis a and vertical half axis b, by eccentric angle t: x = a sin t, y = -b cos t.
+    """Ellipse with half axes a along x and b along y: x = a sin t, y = -b cos t.
+
+    The parameter lies half-way between eccentric angle t and slope angle alpha, tan(alpha) = sqrt(b/a) tan(parameter) =
+    (b/a) tan(t): nothing happens all at once, however flat or steep the ellipse.
 
     Args:
         distance: q, height of the lowest point above the bases; positive.
@@ -200,19 +203,22 @@ class Circle(AbstractProfile):
         return f"circle q = {show(self.distance)}, r = {show(self.radius)}{differs(', x = ', self.position)}"
 
 
-def _elliptic_point(profile: "Circle | Ellipse", a: Scalar, b: Scalar, t: Scalar) -> ContactPoint:
-    cos, sin = jnp.cos(t), jnp.sin(t)
-    norm = jnp.sqrt((a * cos) ** 2 + (b * sin) ** 2)
-    # 1 - cos t loses its digits near the vertex; 2 sin^2(t/2) does not.
-    y = profile.distance + 2 * b * jnp.sin(t / 2) ** 2
-    return ContactPoint(profile.position + a * sin, y, a * cos / norm, b * sin / norm)
+def _elliptic_point(profile: "Circle | Ellipse", a: Scalar, b: Scalar, parameter: Scalar) -> ContactPoint:
+    cos, sin = jnp.cos(parameter), jnp.sin(parameter)
+    size, norm = jnp.sqrt(a * sin**2 + b * cos**2), jnp.sqrt(b * sin**2 + a * cos**2)
+    cos_t, sin_t = jnp.sqrt(b) * cos / size, jnp.sqrt(a) * sin / size
+    # 1 - cos t loses its digits near the vertex; sin^2 t / (1 + cos t) does not.
+    y = profile.distance + b * sin_t**2 / (1 + cos_t)
+    return ContactPoint(profile.position + a * sin_t, y, jnp.sqrt(a) * cos / norm, jnp.sqrt(b) * sin / norm)
 
 
 def _elliptic_touch(profile: "Circle | Ellipse", a: Scalar, b: Scalar, height: Scalar, side: Scalar) -> FirstTouch:
     # A whisker that stands higher than the widest point meets that with its shaft, otherwise its tip meets the flank.
-    rise = jnp.clip((height - profile.distance) / b, 0.0, 1.0)
-    t = 2 * jnp.arcsin(jnp.sqrt(rise / 2))
-    return _mirror(FirstTouch(t, a * jnp.sin(t), profile.distance + b * rise), side, profile.position)
+    rise = jnp.asarray((height - profile.distance) / b, dtype=float)
+    rise = jnp.minimum(jnp.where(rise > 0, rise, 1.0), 1.0)  # out of reach the touch means nothing, but must not be NaN
+    cos_t, sin_t = 1 - rise, jnp.sqrt(rise * (2 - rise))
+    parameter = jnp.arctan2(jnp.sqrt(b) * sin_t, jnp.sqrt(a) * cos_t)
+    return _mirror(FirstTouch(parameter, a * sin_t, profile.distance + b * rise), side, profile.position)
 
 
 class _Plain(eqx.Module):

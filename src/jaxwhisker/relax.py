@@ -35,6 +35,7 @@ from jaxwhisker.linear import solve
 from jaxwhisker.scene import Problem
 
 STEP = 0.02  # largest change of any contact, in its scale; the flow is first order in it
+SHORTEST = 1e-7  # ... tried where a whisker cannot follow a longer one
 NEAR = 0.02  # Newton's method takes over where it would go less than this
 ITERATIONS = 3000
 NO_FORCE = 1e-9  # a contact that has just begun has none but rounding
@@ -49,6 +50,7 @@ class Flow(NamedTuple):
     by_x: PerWhisker
     by_force: PerWhisker
     force_x: PerWhisker
+    step: Scalar  # largest change of any contact
     time_step: Scalar
     slipped: Bool[Array, " whiskers"]
     landing: Bool[Array, " whiskers"]
@@ -70,6 +72,7 @@ def start(mode: Mode, base_x: PerWhisker) -> Flow:
         none + 1.0,
         none,
         none,
+        jnp.asarray(STEP),
         jnp.asarray(1e-3),
         no,
         no,
@@ -80,10 +83,10 @@ def start(mode: Mode, base_x: PerWhisker) -> Flow:
     )
 
 
-def kick(flow: Flow, point: Point, tangent: Point, tangent_x: PerWhisker, size: float) -> Flow:
+def kick(flow: Flow, point: Point, tangent: Point, tangent_x: PerWhisker) -> Flow:
     """The first step: on along the path that has just turned unstable, the drive at rest."""
     length = jnp.sqrt(jnp.sum((tangent.z / scale_of(point.z)) ** 2))
-    step = size / jnp.maximum(length, 1e-3)
+    step = flow.step / jnp.maximum(length, 1e-3)
     return flow._replace(guess=point.z + step * tangent.z, base_x=flow.base_x + step * tangent_x)
 
 
@@ -104,10 +107,10 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     along = jnp.where(free, 0.0, dx / _nonzero(flow.by_x))
     # A free base may go half-way to where its whisker would touch.
     first = jnp.where(mode.side > 0, problem.touch_right.x, problem.touch_left.x)
-    reach = STEP + jnp.where(problem.reaches, 0.5 * jnp.abs(flow.base_x - first), jnp.inf)
-    size = jnp.max(jnp.where(free, jnp.abs(dx) / reach, jnp.abs(along) / STEP))
+    reach = flow.step + jnp.where(problem.reaches, 0.5 * jnp.abs(flow.base_x - first), jnp.inf)
+    size = jnp.max(jnp.where(free, jnp.abs(dx) / reach, jnp.abs(along) / flow.step))
     share = jnp.minimum(1.0, 1 / jnp.maximum(size, 1e-300))
-    to_land = jnp.clip((flow.landing_x - flow.base_x) / _nonzero(flow.by_x), -STEP, STEP)
+    to_land = jnp.clip((flow.landing_x - flow.base_x) / _nonzero(flow.by_x), -flow.step, flow.step)
     along = jnp.where(landing_now, jnp.where(flow.landing, to_land, 0.0), share * along)
     dx = jnp.where(landing_now, 0.0, share * dx)
     return flow._replace(
@@ -141,14 +144,13 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
     landing_x = jnp.where(lands, base_x, flow.landing_x)
     base_x = jnp.where(fresh, first, base_x)
     landing = (flow.landing & (jnp.abs(landing_x - base_x) > LANDED)) | lands
-    changed = freed | fresh | turned
 
-    unsolved = ~solution.converged
     iterations = flow.iterations + 1
     missed = jnp.any(flow.landing & (mode.side * newton.local.by_x * BRANCH_SIGN <= 0) & ~fresh & (z[:, 0] > 0))
     flow = flow._replace(
         base_x=base_x,
-        tangent=jnp.where(fresh[:, None], 0.0, newton.local.tangent),
+        # Where a phase has just begun the branch's direction is not known yet: first its point is solved for.
+        tangent=jnp.where((fresh | turned)[:, None], 0.0, newton.local.tangent),
         by_x=jnp.where(fresh | freed, 1.0, newton.local.by_x),
         by_force=jnp.where(fresh | freed, 0.0, newton.local.by_force),
         force_x=jnp.where(fresh | freed, 0.0, newton.force_x),
@@ -156,14 +158,21 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
         landing=landing,
         landing_x=landing_x,
         iterations=iterations,
-        # A step that a whisker could not follow, a far side that ends before it is reached.
-        exhausted=(iterations > ITERATIONS) | unsolved | missed,
-        time_step=jnp.where(jnp.any(changed), 1e-3, flow.time_step),
+        # Too many steps, or a far side that ends before it is reached.
+        exhausted=(iterations > ITERATIONS) | missed,
+        step=jnp.minimum(2 * flow.step, STEP),
+        time_step=jnp.where(jnp.any(freed | fresh), 1e-3, flow.time_step),
     )
     return flow, Mode(phase, side, jnp.asarray(False)), z
 
 
 LANDED = 1e-6
+
+
+def shortened(flow: Flow) -> Flow:
+    """The flow before a step that a whisker could not follow: a shorter one is tried."""
+    step, iterations = flow.step / 4, flow.iterations + 1
+    return flow._replace(step=step, iterations=iterations, exhausted=(iterations > ITERATIONS) | (step < SHORTEST))
 
 
 def at_rest(problem: Problem, flow: Flow, mode: Mode, solution: Solution, u: Scalar) -> Bool[Array, ""]:

@@ -1,0 +1,76 @@
+"""A soak: random scenes of every kind, their states checked by elliptic integrals that share nothing with the engine.
+
+python benchmarks/soak.py [scenes]     default 100,000
+"""
+
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import jaxwhisker as jw
+from common import write
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from independent import violations
+from random_scenes import NETWORKS, PROFILES, drawn, mechanics, scans
+
+jax.config.update("jax_enable_x64", True)
+
+BLOCK = 500
+SOUND = 1e-7  # by how much a state may miss a law, relative to its size
+
+
+def told(what, network, profile, p, lane, why, step) -> None:
+    """Print a scene that did not go well, so that it can be run again."""
+    numbers = jax.tree.map(lambda leaf: leaf[lane].tolist(), p._replace(control=p.control[:, [0, step, -1]]))
+    print(f"{what}: {network}, {profile}, {why} at step {step}: {numbers}", file=sys.stderr, flush=True)
+
+
+def main(scenes: int) -> None:
+    kinds = [(network, profile) for network in NETWORKS for profile in PROFILES]
+    rows = []
+    for number, (network, profile) in enumerate(kinds):
+        rng = np.random.default_rng(number)
+        run = scans(network, profile, jw.Shooting())
+        statuses, worst, wrong, seconds = Counter(), {}, 0, 0.0
+        for _ in range(-(-scenes // len(kinds) // BLOCK)):
+            p = drawn(network, profile, BLOCK, rng)
+            start = time.perf_counter()
+            result = jax.block_until_ready(run(p))
+            seconds += time.perf_counter() - start
+            missed = violations(mechanics(network, profile, p), p.control, result)
+            for law, amount in missed.items():
+                worst[law] = max(worst.get(law, 0.0), float(np.nanmax(amount)))
+            bad = np.any([amount > SOUND for amount in missed.values()], axis=(0, 2))
+            wrong += int(np.sum(bad))
+            for lane in np.flatnonzero(bad):
+                amounts = {law: amount[lane] for law, amount in missed.items()}
+                laws = {law: float(np.max(amount)) for law, amount in amounts.items() if np.max(amount) > SOUND}
+                told("wrong", network, profile, p, lane, laws, np.argmax(np.max(list(amounts.values()), axis=0)))
+            status = np.asarray(result.status)
+            for lane in np.flatnonzero(np.max(status, axis=1)):
+                step = np.argmax(status[lane] != jw.Status.ok)
+                told("refused", network, profile, p, lane, jw.Status(status[lane, step]).name, step)
+            statuses.update(jw.Status(s).name for s in np.max(status, axis=1))
+        rows.append(
+            {
+                "network": network,
+                "profile": profile,
+                "scenes": sum(statuses.values()),
+                "refused": ", ".join(f"{n} {name}" for name, n in sorted(statuses.items()) if name != "ok"),
+                "wrong": wrong,
+                "ms a scene": 1e3 * seconds / sum(statuses.values()),
+                "worst law": max(worst, key=worst.__getitem__),
+                "missed by": max(worst.values()),
+            }
+        )
+        print(rows[-1], flush=True)
+    write("soak", rows)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100_000)
