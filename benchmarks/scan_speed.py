@@ -18,20 +18,23 @@ from common import interleaved, write
 
 EXACT = Path(__file__).parents[1] / "tests" / "data" / "scans.json"
 STEPS, LANES = 1600, 256
-MODELS = ("clamped", "FB", "FBFB", "FBFBR", "FBFBFBR")
+RODS = {"integrated": jw.Shooting(), "closed form": jw.ClosedForm()}
+CLOSED = [("FB", "closed form"), ("FBFBR", "closed form"), ("FBFBFBR", "closed form")]
+SINGLE = [*((m, "integrated") for m in ("clamped", "FB", "FBFB", "FBFBR", "FBFBFBR")), *CLOSED]
+BATCHES = [*((m, "integrated") for m in ("FB", "FBFBR", "FBFBFBR")), *CLOSED]
 
 
-def scene(model: str, stiffness=70.0, distance=0.2) -> jw.Scene:
-    return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.named(model, stiffness, 0.2))
+def scene(model: str, rod: str, stiffness=70.0, distance=0.2) -> jw.Scene:
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.named(model, stiffness, 0.2), RODS[rod])
 
 
-def error(model: str) -> float | None:
+def error(model: str, rod: str) -> float | None:
     """Largest error of fx, fy, mz over the stored exact scan of this model with c = 70, q = 0.2."""
     cases = {c["name"]: c for c in json.loads(EXACT.read_text())["cases"]}
     case = cases.get(f"{model} c=70")
     if case is None:
         return None
-    result = jw.scan(scene(model), np.array(case["control"]))
+    result = jw.scan(scene(model, rod), np.array(case["control"]))
     worst = 0.0
     for i, whisker in enumerate(case["whiskers"]):
         for name in ("fx", "fy", "mz"):
@@ -40,12 +43,12 @@ def error(model: str) -> float | None:
     return float(worst)
 
 
-def batch(model: str, lanes: int):
+def batch(model: str, rod: str, lanes: int):
     """A compiled scan of many scenes with random stiffness and distance, and its scenes."""
     rng = np.random.default_rng(0)
     stiffness, distance = jnp.asarray(rng.uniform(30, 200, lanes)), jnp.asarray(rng.uniform(0.1, 0.4, lanes))
     control = jnp.linspace(0.8, -1.6 if model in ("clamped", "FB") else -2.2, STEPS)
-    scenes = jax.vmap(lambda c, q: scene(model, c, q))(stiffness, distance)
+    scenes = jax.vmap(lambda c, q: scene(model, rod, c, q))(stiffness, distance)
     scanned = jax.jit(jax.vmap(lambda s: jw.scan(s, control)))
     assert np.all(np.asarray(scanned(scenes).status) == jw.Status.ok)
     return lambda: jax.block_until_ready(scanned(scenes).mz)
@@ -53,39 +56,28 @@ def batch(model: str, lanes: int):
 
 def main() -> None:
     control = np.linspace(0.8, -1.6, 1900)
-    single = {m: (lambda m=m: jax.block_until_ready(jw.scan(scene(m), control).mz)) for m in MODELS}
     rows = []
-    times = interleaved(single, repeats=11)
-    for model, t in times.items():
-        rows.append(
-            {
-                "model": model,
-                "batch": 1,
-                "steps": 1900,
-                "scan, s": t["median"],
-                "quartiles, s": f"{t['lower']:.4f} to {t['upper']:.4f}",
-                "us per step": t["median"] / 1900 * 1e6,
-                "to FB": t["median"] / times["FB"]["median"],
-                "error": error(model) or "",
-            }
-        )
-    for lanes in (32, LANES):
-        batches = {m: batch(m, lanes) for m in ("FB", "FBFBR", "FBFBFBR")}
-        times = interleaved(batches, repeats=5)
-        for model, t in times.items():
-            per_step = t["median"] / lanes / STEPS
+
+    def report(times, lanes, steps):
+        for (model, rod), t in times.items():
             rows.append(
                 {
                     "model": model,
+                    "rods": rod,
                     "batch": lanes,
-                    "steps": STEPS,
+                    "steps": steps,
                     "scan, s": t["median"],
-                    "quartiles, s": f"{t['lower']:.3f} to {t['upper']:.3f}",
-                    "us per step": per_step * 1e6,
-                    "to FB": t["median"] / times["FB"]["median"],
-                    "error": error(model) or "",
+                    "quartiles, s": f"{t['lower']:.4f} to {t['upper']:.4f}",
+                    "us per step": t["median"] / lanes / steps * 1e6,
+                    "to FB": t["median"] / times["FB", rod]["median"],
+                    "error": error(model, rod) or "",
                 }
             )
+
+    single = {k: (lambda k=k: jax.block_until_ready(jw.scan(scene(*k), control).mz)) for k in SINGLE}
+    report(interleaved(single, repeats=11), 1, control.size)
+    for lanes in (32, LANES):
+        report(interleaved({k: batch(*k, lanes) for k in BATCHES}, repeats=5), lanes, STEPS)
     write("scan_speed", rows)
 
 

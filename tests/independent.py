@@ -103,7 +103,8 @@ def violations(scenes: Mechanics, control: np.ndarray, result: jw.Result) -> dic
     stands = height_of(scenes.kind, profile, base_x) - 1
 
     def where(mask, value):
-        return np.max(np.where(mask, np.abs(value), 0.0), axis=-1)
+        # What is not a number fulfils nothing.
+        return np.max(np.where(mask, np.where(np.isnan(value), np.inf, np.abs(value)), 0.0), axis=-1)
 
     with np.errstate(invalid="ignore"):
         missed = {
@@ -119,11 +120,12 @@ def violations(scenes: Mechanics, control: np.ndarray, result: jw.Result) -> dic
             "tip contact is from below": where(tip & loaded, np.maximum(k**2 - 0.5, 0.0)),
             "tangential contact is tangential": where(loaded & ~tip, k**2 - 0.5),
             "tangential contact is on the whisker": where(touching & ~tip, np.maximum(arc - 1, 0.0)),
-            "balance of bases": np.max(np.abs(balance), axis=-1) / (1 + np.max(np.abs(r["base_x"]), axis=-1)),
-            "free whiskers carry nothing": where(free, np.abs(fx) + np.abs(fy) + np.abs(r["mz"])),
+            "balance of bases": where(
+                ok[..., None], balance / (length[..., :1] + np.max(np.abs(r["base_x"]), -1, keepdims=True))
+            ),
+            "free whiskers carry nothing": where(free, np.abs(fx) + np.abs(fy) + np.abs(r["mz"] / (unit * length))),
             "free whiskers are clear": where(free, np.minimum(stands, 0.0)),
         }
-        missed["balance of bases"] = np.where(ok, missed["balance of bases"], 0.0)
         slopes, own = _slopes(scenes.kind, profile, tip, slope, k)
         judged = np.all(~touching | loaded, axis=-1) & ok
         slopes = np.where(loaded, slopes, 0.0) * unit / length
