@@ -11,12 +11,12 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint types bench clean distclean
+.PHONY: help demo test lint types bench soak clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
-demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (some 4 minutes on two cores)
+demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (3 to 4 minutes on two cores)
 	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
 
 test: $(VENV)/installed-dev ## run the tests
@@ -30,10 +30,12 @@ types: $(VENV)/installed-dev ## check types (pyright)
 	@$(BIN)/pyright
 
 bench: $(VENV)/installed-dev ## run every benchmark
-	@for script in benchmarks/[a-z]*.py; do \
-	    test -e "$$script" || { echo "no benchmark in benchmarks/"; exit 1; }; \
+	@for script in $(filter-out %/common.py %/soak.py,$(wildcard benchmarks/*.py)); do \
 	    echo "== $$script"; $(BIN)/python "$$script" || exit 1; \
 	done
+
+soak: $(VENV)/installed-dev ## check 100,000 random scenes; hours
+	@$(BIN)/python benchmarks/soak.py
 
 clean: ## remove results, caches and build products; .venv stays
 	@rm -rf $(OUT) build dist .pytest_cache .ruff_cache .hypothesis src/*.egg-info
