@@ -1,5 +1,7 @@
 """Jacobi's functions against mpmath, and the rod's closed form built of them against everything else."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import mpmath as mp
@@ -74,6 +76,11 @@ def scene(p, rod):
     return jw.Scene(jw.Whisker(length, bending_stiffness), jw.Parabola(distance, a), support, rod)
 
 
+def exact_state(tip, guess, values):
+    """The fields of a state, with forty digits."""
+    return np.array([closed_form.state(tip, guess, *values)[name] for name in STATE])
+
+
 def test_scans_and_their_derivatives_are_exact():
     def states(p):
         result = jw.scan(scene(p, jw.ClosedForm()), CONTROL)
@@ -93,9 +100,7 @@ def test_scans_and_their_derivatives_are_exact():
         if tip:
             guess = (*guess, closed_form.modulus(guess[0], float(force) * 1.2**2 / 0.9, 1))
 
-        def state(values, tip=tip, guess=guess):
-            return np.array([closed_form.state(tip, guess, *values)[name] for name in STATE])
-
+        state = partial(exact_state, tip, guess)
         at = [mp.mpf(float(v)) for v in (u, *VALUES)]
         np.testing.assert_allclose(ours[step], state(at).astype(float), rtol=SCAN, atol=SCAN)
         rates = []

@@ -27,8 +27,9 @@ def scanned(network, profile):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_none_says_ok_and_is_wrong(kind):
-    p, result = scanned(*kind)
-    for law, amount in violations(mechanics(*kind, p), p.control, result).items():
+    network, profile = kind
+    p, result = scanned(network, profile)
+    for law, amount in violations(mechanics(network, profile, p), p.control, result).items():
         worst = np.unravel_index(np.argmax(amount), amount.shape)
         assert amount[worst] < SOUND, f"{law}: scene and step {worst}"
 

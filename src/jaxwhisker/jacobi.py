@@ -48,5 +48,5 @@ def jacobi(w: Scalar, m: Scalar) -> Jacobi:
         sn = sn * cn * dn * inverse
         return 4 * w, Jacobi(sn, 1 - 2 * sn2 * dn2 * inverse, 1 - 2 * m * sn2 * cn2 * inverse, epsilon - m * sn2 * sn)
 
-    start = Jacobi(sn, jnp.sqrt(1 - sn2), jnp.sqrt(1 - m * sn2), epsilon)
+    start = Jacobi(*map(jnp.asarray, (sn, jnp.sqrt(1 - sn2), jnp.sqrt(1 - m * sn2), epsilon)))
     return jax.lax.fori_loop(0, DOUBLINGS, doubled, (w, start))[1]
