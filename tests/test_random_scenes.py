@@ -12,15 +12,15 @@ from independent import violations
 from random_scenes import drawn, mechanics, scans
 
 SOUND = 1e-7  # by how much a state may miss a law, relative to its size: the engine asks 1e-8 of itself
-SCENES = 500
 REFUSED = 0.01  # share of scenes that may end with a status; some 0.2 % do, all of them for a named reason
-KINDS = [("FB", "parabola"), ("FBFBR", "ellipse")]
+KINDS = {("FB", "parabola"): 600, ("FBFB", "ellipse"): 400}  # scenes of each
+COUPLED = ("FBFB", "ellipse")
 
 
 @cache
 def scanned(network, profile):
     """Parameters and scans, with one method for each of both kinds."""
-    p = drawn(network, profile, SCENES, np.random.default_rng(1))
+    p = drawn(network, profile, KINDS[network, profile], np.random.default_rng(1))
     rod = jw.Shooting() if network == "FB" else jw.ClosedForm()
     return p, jax.block_until_ready(scans(network, profile, rod)(p))
 
@@ -47,7 +47,7 @@ def test_hardly_any_is_refused(kind):
 WRONG = {
     "fx": lambda r: -r.fx,
     "mz": lambda r: r.mz * (1 + 1e-5),
-    "base_x": lambda r: r.base_x + 1e-5 * np.nanmax(np.abs(r.base_x), axis=(1, 2), keepdims=True),
+    "base_x": lambda r: r.base_x + 1e-5 * np.max(np.nan_to_num(np.abs(r.base_x)), axis=(1, 2), keepdims=True),
     "contact_arc": lambda r: r.contact_arc * (1 - 1e-5),
     "contact_slope": lambda r: r.contact_slope + 1e-5,
     "contact_force": lambda r: r.contact_force * (1 + 1e-5),
@@ -57,15 +57,15 @@ WRONG = {
 
 @pytest.mark.parametrize("field", WRONG)
 def test_what_is_wrong_is_noticed(field):
-    p, result = scanned(*KINDS[1])
+    p, result = scanned(*COUPLED)
     wrong = eqx.tree_at(lambda r: getattr(r, field), result, WRONG[field](result))
-    missed = violations(mechanics(*KINDS[1], p), p.control, wrong)
+    missed = violations(mechanics(*COUPLED, p), p.control, wrong)
     assert max(np.max(amount) for amount in missed.values()) > SOUND
 
 
 def test_an_unstable_state_is_noticed():
     # With springs a hundred times softer than those that hold the bases.
-    p, result = scanned(*KINDS[1])
-    scenes = mechanics(*KINDS[1], p)
+    p, result = scanned(*COUPLED)
+    scenes = mechanics(*COUPLED, p)
     missed = violations(scenes._replace(flexibility=100 * scenes.flexibility), p.control, result)
     assert np.max(missed["stable network"]) > SOUND
