@@ -72,7 +72,8 @@ class Scene(eqx.Module):
         counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
         first = self.whiskers[0]
         material = differs(", L = ", first.length, 1.0) + differs(", EI = ", first.bending_stiffness, 1.0)
-        return f"{self.support.name}: {', '.join(counted)}, {self.profile}{material}"
+        rods = "" if self.rod == Shooting() else f", {self.rod}"
+        return f"{self.support.name}: {', '.join(counted)}, {self.profile}{material}{rods}"
 
     __repr__ = __str__
 
