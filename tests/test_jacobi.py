@@ -161,6 +161,7 @@ def test_both_methods_agree_on_random_scenes():
     ("make", "says"),
     [
         (lambda: jw.Shooting(steps=0), "`steps` must be a positive int, but is 0"),
+        (lambda: jw.Shooting(steps=True), "`steps` must be a positive int, but is True"),
         (lambda: jw.Shooting(solver="Tsit5"), "`solver` must be a solver of diffrax, but is 'Tsit5'"),  # pyright: ignore[reportArgumentType]
         (lambda: jw.ClosedForm(newton_tolerance=2.0), r"`newton_tolerance` must be a float in \(0, 1\), but is 2.0"),
         (lambda: jw.ClosedForm(newton_steps=0), "`newton_steps` must be a positive int, but is 0"),

@@ -65,6 +65,12 @@ def vector(name: str, value: Any) -> None:
             _fail(name, f"not: it holds {bad[0]} at index {int(np.argmax(~np.isfinite(value)))}", allowed)
 
 
+def count(name: str, value: Any) -> None:
+    """Check that `value` is a positive int, which True is not."""
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        _fail(name, repr(value), "a positive int")
+
+
 def float64_mode() -> None:
     """Check that JAX computes in double precision; the library never switches it on by itself."""
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]

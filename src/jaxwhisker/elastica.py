@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxwhisker import rod
+from jaxwhisker import _checks, rod
 from jaxwhisker._types import Scalar
 from jaxwhisker.jacobi import jacobi
 
@@ -31,8 +31,7 @@ class AbstractRod(eqx.Module):
     def __check_init__(self):
         if not (isinstance(self.newton_tolerance, float) and 0 < self.newton_tolerance < 1):
             raise ValueError(f"`newton_tolerance` must be a float in (0, 1), but is {self.newton_tolerance!r}.")
-        if not (isinstance(self.newton_steps, int) and self.newton_steps > 0):
-            raise ValueError(f"`newton_steps` must be a positive int, but is {self.newton_steps!r}.")
+        _checks.count("newton_steps", self.newton_steps)
 
     @abc.abstractmethod
     def end(self, bend: Scalar, arc: Scalar, angle: Scalar) -> End:
@@ -47,7 +46,7 @@ class Shooting(AbstractRod):
     """The rod's differential equation, integrated with diffrax from the contact to the base.
 
     Args:
-        steps: equal steps of the solver.
+        steps: equal steps of the solver. No status tells of too few: 8 are good for 1e-9 with the default solver.
         solver: any diffrax solver; its own adaptive steps are not used.
         newton_tolerance: size of the last Newton step; convergence is quadratic, so the error is about its square.
         newton_steps: limit of Newton's method; good predictions need 2.
@@ -57,8 +56,7 @@ class Shooting(AbstractRod):
     solver: diffrax.AbstractSolver = eqx.field(static=True, default=rod.NystromSplitting())
 
     def __check_init__(self):
-        if not (isinstance(self.steps, int) and self.steps > 0):
-            raise ValueError(f"`steps` must be a positive int, but is {self.steps!r}.")
+        _checks.count("steps", self.steps)
         if not isinstance(self.solver, diffrax.AbstractSolver):
             raise ValueError(f"`solver` must be a solver of diffrax, but is {self.solver!r}.")
 
