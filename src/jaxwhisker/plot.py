@@ -281,6 +281,9 @@ def overview(result):
             ax.set_xlabel("")
         if quantity in ("fx", "spring_length"):
             ax.legend(fontsize=8, loc="lower left" if quantity == "fx" else "upper left", ncols=5)
+        if quantity == "spring_length":
+            bottom, top = ax.get_ylim()
+            ax.set_ylim(bottom, top + 0.3 * (top - bottom))  # lengths peak where the legend stands
     return figure
 
 
