@@ -21,7 +21,7 @@ from random_scenes import NETWORKS, PROFILES, drawn, mechanics, scans
 jax.config.update("jax_enable_x64", True)
 
 ROD = jw.ClosedForm()
-BLOCK = 500
+BLOCK = 128  # scenes scanned at once: all wait for the slowest
 SOUND = 1e-7  # by how much a state may miss a law, relative to its size
 
 

@@ -1,8 +1,9 @@
 """Relaxation: the overdamped flow of the bases at a fixed drive, which decides what follows a loss of stability.
 
-Base i moves with the velocity force_x_i - [K (base_x - rest)]_i. Its whisker stays on its clamped branch, slips when it
-passes the branch's fold, and is then free if its unloaded shape clears the object; else it lands on the far side, bent
-the other way. Written with the flexibility C = K^-1 and one implicit step of pseudo-time dt,
+Base i moves with the velocity force_x_i - [K (base_x - rest)]_i. Its whisker stays on its clamped branch and slips when it
+passes a fold. It is then free if its unloaded shape clears the object. Else it slides on along the branch until it is
+held again at the same base position, as beneath the edge of a flat object; where its base is unbent before that, it
+lands on the far side, bent the other way. Written with the flexibility C = K^-1 and one implicit step of pseudo-time dt,
 
     (1 + C / dt - C min(D, 0)) dx = rest + C force_x - base_x,        D = d force_x / d base_x,
 
@@ -53,8 +54,9 @@ class Flow(NamedTuple):
     step: Scalar  # largest change of any contact
     time_step: Scalar
     slipped: Bool[Array, " whiskers"]
-    landing: Bool[Array, " whiskers"]
-    landing_x: PerWhisker
+    sliding: Bool[Array, " whiskers"]  # past a fold of its branch
+    landing: Bool[Array, " whiskers"]  # on the far side
+    landing_x: PerWhisker  # where either has to end
     near: Scalar  # step below which Newton's method takes over
     iterations: Int[Array, ""]
     exhausted: Bool[Array, ""]
@@ -74,6 +76,7 @@ def start(mode: Mode, base_x: PerWhisker) -> Flow:
         none,
         jnp.asarray(STEP),
         jnp.asarray(1e-3),
+        no,
         no,
         no,
         none,
@@ -97,13 +100,14 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     slope = jnp.where(free, 0.0, flow.by_force / _nonzero(flow.by_x))
     pull = rest(problem, point.u) + yielding(problem, flow.force_x) - flow.base_x
     if problem.flexibility is None:
-        dx = jnp.zeros(n)
+        dx = pull
     else:
         matrix = problem.flexibility.matrix
         system = jnp.eye(n) + matrix / flow.time_step - matrix * jnp.minimum(slope, 0.0)
         dx = solve(system, pull[:, None])[:, 0]
-    # While a whisker lands, slipping at once to its new branch, the others wait.
-    landing_now = jnp.any(flow.landing)
+    # A whisker slips at once, and the others wait.
+    slipping = flow.sliding | flow.landing
+    slipping_now = jnp.any(slipping)
     along = jnp.where(free, 0.0, dx / _nonzero(flow.by_x))
     # A free base may go half-way to where its whisker would touch.
     first = jnp.where(mode.side > 0, problem.touch_right.x, problem.touch_left.x)
@@ -111,12 +115,13 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     size = jnp.max(jnp.where(free, jnp.abs(dx) / reach, jnp.abs(along) / flow.step))
     share = jnp.minimum(1.0, 1 / jnp.maximum(size, 1e-300))
     to_land = jnp.clip((flow.landing_x - flow.base_x) / _nonzero(flow.by_x), -flow.step, flow.step)
-    along = jnp.where(landing_now, jnp.where(flow.landing, to_land, 0.0), share * along)
-    dx = jnp.where(landing_now, 0.0, share * dx)
+    to_land = jnp.where(flow.sliding & ~_holds(mode, flow.by_x), flow.step, to_land)
+    along = jnp.where(slipping_now, jnp.where(slipping, to_land, 0.0), share * along)
+    dx = jnp.where(slipping_now, 0.0, share * dx)
     return flow._replace(
         guess=point.z + flow.tangent * along[:, None],
         base_x=flow.base_x + jnp.where(free, dx, 0.0),
-        time_step=jnp.where(landing_now, flow.time_step, flow.time_step * jnp.where(share < 1, 0.7, 1.4)),
+        time_step=jnp.where(slipping_now, flow.time_step, flow.time_step * jnp.where(share < 1, 0.7, 1.4)),
     )
 
 
@@ -128,25 +133,30 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
     turned = (phase != mode.phase) & ~free
 
-    ends = ~free & ~flow.landing & (z[:, 0] < -NO_FORCE)
-    slips = ~free & ~flow.landing & ~ends & (mode.side * newton.local.by_x * BRANCH_SIGN <= 0)
+    slipping, holds = flow.sliding | flow.landing, _holds(mode, newton.local.by_x)
+    ends = ~free & ~slipping & (z[:, 0] < -NO_FORCE)
+    slips = ~free & ~slipping & ~ends & ~holds
     right, left = problem.touch_right.x, problem.touch_left.x
     clears = contact.clear(base_x, right, left)
     freed = ends | (slips & clears)
-    lands = slips & ~clears
+    slides = slips & ~clears
+    at = jax.vmap(problem.profile.point)(z[:, 1])
+    unbent = mode.side * ((at.x - base_x) * at.cos + at.y * at.sin) <= 0
+    lands = flow.sliding & (unbent | (z[:, 0] < 0))
     begins = free & problem.reaches & (mode.side * (base_x - jnp.where(mode.side > 0, right, left)) < 0)
 
     side = jnp.where(slips & clears, jnp.where(base_x > right, 1.0, -1.0), jnp.where(lands, -mode.side, mode.side))
     z, phase = jnp.where(freed[:, None], 0.0, z), jnp.where(freed, Phase.free, phase)
     fresh = begins | lands
     z, phase = enter_contact(problem, side, fresh, z, phase)
-    first = jnp.where(side > 0, right, left)
-    landing_x = jnp.where(lands, base_x, flow.landing_x)
-    base_x = jnp.where(fresh, first, base_x)
-    landing = (flow.landing & (jnp.abs(landing_x - base_x) > LANDED)) | lands
+    landing_x = jnp.where(slides, base_x, flow.landing_x)
+    base_x = jnp.where(fresh, jnp.where(side > 0, right, left), base_x)
+    astray = jnp.abs(landing_x - base_x) > LANDED * jnp.minimum(jnp.abs(newton.local.by_x), 1.0)
+    sliding = ((flow.sliding & (astray | ~holds)) | slides) & ~lands
+    landing = (flow.landing & astray) | lands
 
     iterations = flow.iterations + 1
-    missed = jnp.any(flow.landing & (mode.side * newton.local.by_x * BRANCH_SIGN <= 0) & ~fresh & (z[:, 0] > 0))
+    missed = jnp.any(flow.landing & ~holds & ~fresh & (z[:, 0] > 0))
     flow = flow._replace(
         base_x=base_x,
         # Where a phase has just begun the branch's direction is not known yet: first its point is solved for.
@@ -155,6 +165,7 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
         by_force=jnp.where(fresh | freed, 0.0, newton.local.by_force),
         force_x=jnp.where(fresh | freed, 0.0, newton.force_x),
         slipped=flow.slipped | slips,
+        sliding=sliding,
         landing=landing,
         landing_x=landing_x,
         iterations=iterations,
@@ -166,7 +177,12 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
     return flow, Mode(phase, side, jnp.asarray(False)), z
 
 
-LANDED = 1e-6
+def _holds(mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
+    # Along its branch a whisker's base moves as it did from first touch on; between two folds it moves back.
+    return mode.side * by_x * BRANCH_SIGN > 0
+
+
+LANDED = 1e-6  # by how much a slipped whisker's base and contact miss their place
 
 
 def shortened(flow: Flow) -> Flow:
@@ -188,7 +204,7 @@ def at_rest(problem: Problem, flow: Flow, mode: Mode, solution: Solution, u: Sca
         dx = solve(jnp.eye(n) - problem.flexibility.matrix * slope, pull[:, None])[:, 0]
     near = jnp.max(jnp.maximum(jnp.abs(dx), jnp.abs(jnp.where(free, 0.0, dx / _nonzero(flow.by_x))))) < flow.near
     local = solution.newton.local._replace(by_x=flow.by_x, by_force=flow.by_force)
-    return near & known & ~jnp.any(flow.landing) & stable(problem, mode, local)
+    return near & known & ~jnp.any(flow.sliding | flow.landing) & stable(problem, mode, local)
 
 
 def enter_contact(
