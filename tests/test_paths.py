@@ -1,13 +1,16 @@
 """The path decides, not the grid: coarse and fine, out and back, from the middle, past and beside the object."""
 
 import numpy as np
+from scipy.optimize import brentq
 
+import exact
 import jaxwhisker as jw
 from scenes import all_ok, model, step_nearest, told
 
 GRID = 1e-9  # states shared by two grids
 EVENT = 1e-8  # events of two grids
 RETRACE = 1e-9  # out and back without a snap
+FLAT = np.linspace(3.3, -4.0, 400)  # across a wide object
 
 
 def test_coarse_and_fine_agree():
@@ -144,3 +147,43 @@ def test_a_snap_at_a_corner_and_a_flow_across_one():
     ]
     assert [e[:2] for e in told(result)[-6:]] == [e[:2] for e in expected]
     np.testing.assert_allclose([e[2] for e in told(result)[-6:]], [e[2] for e in expected], atol=EVENT)
+
+
+def test_beneath_the_edge_of_a_flat_object_a_whisker_slides_on():
+    # Its branch turns back where the edge slips beneath the tip, and is stable again at once, bent as before.
+    a, b, distance = 3.1907, 0.036, 0.7042
+    result = jw.scan(jw.Scene(jw.Whisker(), jw.Ellipse(distance, a, b), jw.Support.clamped()), FLAT)
+    branch = exact.ClampedBranch(exact.ellipse(distance, a, b))
+    slope, x = branch.states(branch.fold).contact_slope, branch.fold_x
+
+    def beyond(p):
+        return branch.states(p).base_x - x
+
+    further = branch.states(brentq(beyond, branch.fold + 0.1, 1.0))
+    assert all_ok(result)
+    kinds = [e[0] for e in told(result)]
+    assert kinds == ["touch", "tangential_to_tip", "snap_through", "vertex", "snap_off"]
+    snap = result.events[2]
+    assert abs(snap.control - x) < EVENT
+    assert abs(snap.before.contact_slope[0] - slope) < 1e-4  # a fold knows its state to the root of its position
+    assert abs(snap.after.contact_slope[0] - further.contact_slope) < 1e-6
+    assert snap.after.mz[0] > 0
+
+
+def test_a_stretch_between_two_changes_of_phase_is_not_missed():
+    # Tip contact turns tangential and back within one long step of the march.
+    whisker, profile = jw.Whisker(), jw.Parabola(0.5189945179467305, 0.21826609)
+    result = jw.scan(jw.Scene(whisker, profile, jw.Support.clamped(), jw.ClosedForm()), np.linspace(2, -2, 400))
+    assert all_ok(result)
+    assert [e[0] for e in told(result)] == ["touch", "tip_to_tangential", "tangential_to_tip", "vertex", "snap_off"]
+
+
+def test_a_soft_spring_is_stretched_over_thousands_of_lengths():
+    stiff, soft, rest = 70.0, 1e-3, 0.2
+    known = jw.scan(model("FB", stiff), np.linspace(0.8, 0.0, 10)).events.of(jw.EventKind.tip_to_tangential)[0]
+    stretch = known.control + rest - known.before.base_x[0]
+    result = jw.scan(model("FB", soft), np.linspace(0.8, -8000.0, 500))
+    assert all_ok(result)
+    change = result.events.of(jw.EventKind.tip_to_tangential)[0]
+    assert abs(change.control - (known.before.base_x[0] - rest + stretch * stiff / soft)) < 1e-8 * stiff / soft
+    assert told(result)[-1][0] == "snap_off"

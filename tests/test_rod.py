@@ -4,6 +4,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ellipeinc, ellipj, ellipkinc
@@ -15,7 +16,7 @@ from jaxwhisker.profile import Parabola
 
 STEPS = Shooting().steps
 CLOSED_FORM = 1e-9  # what is promised of position, direction and curvature, for every bend that a scan meets
-ORDER_STEPS = (2, 4)  # steps at which the order shows, above rounding
+ORDER_STEPS = {4: (8, 16), 6: (2, 4)}  # steps at which the order shows, above rounding
 SLOPE = 1e-8  # of derivatives: central differences of the closed form lose half the digits
 
 
@@ -77,16 +78,22 @@ def test_pose_and_reaction_in_the_scene(bend, slope):
 posed = jax.jit(lambda body, z, phase: contact.base(body, z, phase, 1.0))
 
 
-def test_the_splitting_is_of_sixth_order():
+@pytest.mark.parametrize(("stages", "order"), [(6, 4), (11, 6)])
+def test_the_splitting_is_of_its_order(stages, order):
     x, y, theta, _ = closed_form(4.0, 0.3, 1.0)
-    errors = []
-    for steps in ORDER_STEPS:
+    solver, errors = rod.NystromSplitting(stages), []
+    assert solver.order(diffrax.ODETerm(lambda t, y, args: y)) == order
+    for steps in ORDER_STEPS[order]:
         start = (jnp.zeros(()), jnp.zeros(()), jnp.cos(0.3), jnp.sin(0.3))
         load = rod.Load(jnp.zeros(()), jnp.asarray(-4.0), jnp.zeros(()))
-        end = rod.integrate(start, 1.0, load, 1.0, steps=steps, solver=rod.NystromSplitting())
+        end = rod.integrate(start, 1.0, load, 1.0, steps=steps, solver=solver)
         errors.append(np.max(np.abs(np.array(end) - [x, y, np.cos(theta), np.sin(theta)])))
-    order = np.log2(errors[0] / errors[1])
-    assert 5.5 < order < 7.5
+    assert order - 0.5 < np.log2(errors[0] / errors[1]) < order + 1.5
+
+
+def test_another_number_of_stages_is_refused():
+    with pytest.raises(ValueError, match="`stages` must be 6 or 11, but is 7"):
+        rod.NystromSplitting(stages=7)
 
 
 def test_a_stock_solver_takes_the_same_rod():

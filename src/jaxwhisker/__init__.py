@@ -7,6 +7,7 @@ from jaxwhisker.energy import stored_energy
 from jaxwhisker.path import EventKind, Status
 from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
 from jaxwhisker.result import Event, Events, Result, State
+from jaxwhisker.rod import NystromSplitting
 from jaxwhisker.scan import scan
 from jaxwhisker.scene import Scene
 from jaxwhisker.shape import Shapes, shapes
@@ -25,6 +26,7 @@ __all__ = [
     "EventKind",
     "Events",
     "Graph",
+    "NystromSplitting",
     "Parabola",
     "Phase",
     "PointForce",

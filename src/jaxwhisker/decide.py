@@ -28,12 +28,12 @@ from jaxwhisker.front import (
     stopped,
     turn_of,
 )
-from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, decided, dot
+from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, decided, dot, rates
 from jaxwhisker.scene import Problem
 
 PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
 FIRST_STEP = 0.02  # after a corner, in units of length; grows at once where the path is smooth
-LONGEST_STEP = 0.25
+LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
 FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as found: the state is then exact to it, u to its square
 FOLD_BRACKET = 1e-9  # or what is left of the stretch on which stability is lost
@@ -150,7 +150,9 @@ def after_advance(front: Front, trial: Trial, guess: Point):
 
     factor = jnp.clip((PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3), 0.3, 2.5)
     all_free = jnp.all(front.mode.phase == Phase.free)
-    longest = jnp.where(all_free, jnp.inf, LONGEST_STEP)
+    contacts = trial.tangent._replace(u=jnp.asarray(0.0))
+    bending = jnp.sqrt(dot(contacts, contacts, scale))
+    longest = jnp.where(all_free, jnp.inf, LONGEST_STEP / bending)
     left = front.unstable_at - front.step
     bend = Point((trial.tangent.z - front.tangent.z) / front.step, (trial.tangent.u - front.tangent.u) / front.step)
     onwards = moved._replace(
@@ -182,6 +184,11 @@ def after_event(problem: Problem, front: Front, trial: Trial):
     distance = dot(front.tangent, chord, scale)
     reach = jnp.sqrt(dot(chord, chord, scale))
     good = solution.converged & (distance > -1e-9) & (reach <= 1.5 * front.step + 1e-9)
+    # Where the margin grows again the path has been beyond the event: its beginning lies before.
+    n = front.mode.phase.shape[0]
+    rate = jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_x))[: 4 * n].reshape(4, n)
+    growing = jnp.where(front.target.kind < AT_STOP, rate[jnp.minimum(front.target.kind, VERTEX)], 0.0)
+    good &= jnp.sum(front.target.whisker * growing) < MARGIN_NOISE
     again = front._replace(task=jnp.asarray(int(Task.advance)), step=0.4 * front.step)
 
     violated, earlier = first_violated(trial, distance)

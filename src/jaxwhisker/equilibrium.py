@@ -266,6 +266,7 @@ class Solution(NamedTuple):
     point: Point
     newton: Step
     converged: Bool[Array, ""]
+    iterations: Int[Array, ""]
 
 
 def find(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solution:
@@ -289,7 +290,8 @@ def find(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solution:
         throw=False,
     )
     finite = jnp.all(jnp.isfinite(solution.value.z)) & jnp.isfinite(solution.value.u)
-    return Solution(solution.value, solution.aux, (solution.result == optx.RESULTS.successful) & finite)
+    converged = (solution.result == optx.RESULTS.successful) & finite
+    return Solution(solution.value, solution.aux, converged, solution.stats["num_steps"])
 
 
 def stable(problem: Problem, mode: Mode, at: Local) -> Bool[Array, ""]:

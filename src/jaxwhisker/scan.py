@@ -30,7 +30,7 @@ MARGIN = 0.01  # of the default control before the first touch and after the las
 TRACED_STEPS = 2048  # of the default control where its length has to be known before its ends
 BLOCK = 512  # steps computed by one call; a control is padded to a multiple
 BATCH = 32  # steps of a block solved for at once
-RESIDUAL = 1e-8  # of a step that is called ok: positions and directions at the base
+RESIDUAL = 1e-8  # of a step that is called ok: directions and, relative to the drive's, positions at the base
 JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
 
 
@@ -127,7 +127,8 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
     touches = jnp.where(dimensionless.reaches, dimensionless.touch_right.x - offset, -jnp.inf)
     middle = dimensionless.profile.vertex()[0] - jnp.mean(offset)
     start = jnp.where(jnp.any(dimensionless.reaches), jnp.max(touches), middle + 1.0) + MARGIN
-    across = jnp.full_like(stops, start - FAR).at[0].set(start)
+    softness = equilibrium.yielding(dimensionless, jnp.full(dimensionless.length.shape, HIGHEST_FORCE))
+    across = jnp.full_like(stops, start - FAR - jnp.max(softness)).at[0].set(start)
     n = scene.support.whiskers
     capacity = (256 + 64 * n) * max(1, stops.shape[0] // 2)
     stops = jnp.where(jnp.isnan(stops[0]), across, stops / unit.length)
@@ -139,7 +140,8 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
     return _Way(path, events(dimensionless, path), start * unit.length, stop * unit.length)
 
 
-FAR = 1e4  # lengths beyond the start; a march past the object ends long before
+FAR = 1e4  # lengths beyond the start; a march past the object ends long before, unless springs are very soft
+HIGHEST_FORCE = 1e3  # EI / L^2 on every whisker, which a scan before snap-off hardly meets
 
 
 def along(scene: Scene, control: Float[Array, " steps"], stops: Float[Array, " stops"], last: Int[Array, ""]) -> Result:

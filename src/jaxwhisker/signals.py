@@ -28,7 +28,8 @@ def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State
 
     force_x = of_touching(base.force_x)
     wanted = equilibrium.rest(problem, u) + equilibrium.yielding(problem, force_x)
-    misses = jnp.stack([base.x - wanted, base.y, base.cos, jnp.where(base.sin > 0, 0.0, jnp.inf)])
+    apart = (base.x - wanted) / (1 + jnp.abs(u))
+    misses = jnp.stack([apart, base.y, base.cos, jnp.where(base.sin > 0, 0.0, jnp.inf)])
     # Complementarity: the object only pushes, and the phase is what the slack says.
     excess = jnp.where(mode.phase == Phase.tip, z[:, 2], -z[:, 2])
     misses = jnp.concatenate([jnp.abs(misses), jnp.maximum(jnp.stack([-z[:, 0], excess]), 0.0)])
