@@ -50,11 +50,28 @@ def summary(values: list[float]) -> dict[str, float]:
     return {"median": middle, "lower": low, "upper": high}
 
 
+def read(name: str) -> dict:
+    """A results file: environment and rows."""
+    return json.loads((RESULTS / f"{name}.json").read_text())
+
+
 def write(name: str, rows: list[dict]) -> None:
     """Print the rows as a table and store them with the environment."""
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / f"{name}.json").write_text(json.dumps({"environment": environment(), "rows": rows}, indent=1) + "\n")
-    columns = list(rows[0])
-    print("| " + " | ".join(columns) + " |\n|" + " --- |" * len(columns))
-    for row in rows:
-        print("| " + " | ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()) + " |")
+    print(table(rows))
+
+
+def shown(value) -> str:
+    """A value in a table: four digits, errors as powers of ten, nothing for nothing."""
+    if isinstance(value, float):
+        return f"{value:.0e}" if 0 < abs(value) < 1e-3 else f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def table(rows: list[dict]) -> str:
+    """Markdown; the columns are those of any row."""
+    columns = list(dict.fromkeys(column for row in rows for column in row))
+    lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
+    lines += ["| " + " | ".join(shown(row.get(column)) for column in columns) + " |" for row in rows]
+    return "\n".join(lines)

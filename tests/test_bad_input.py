@@ -121,3 +121,8 @@ def test_while_tracing_the_same_is_a_status():
 def test_a_traced_control_that_is_not_finite_is_a_status():
     result = jax.jit(jw.scan)(scene, jnp.array([0.7, nan, 0.5]))
     assert np.all(np.asarray(result.status) == jw.Status.invalid)
+
+
+def test_a_default_control_of_a_billion_steps_is_refused():
+    with pytest.raises(ValueError, match="`control` must be given for so soft springs"):
+        jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(1e-6)))

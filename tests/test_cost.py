@@ -5,23 +5,16 @@ import sys
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+import pytest
 
+import jaxwhisker as jw
 from jaxwhisker.equilibrium import Mode, Point, at_control, newton_step
 from jaxwhisker.scene import problem
+from operations import operations, rods, traced
 from scenes import model
 
-
-def operations(jaxpr):
-    """Operations of a jaxpr, those of inner ones included once."""
-    total = 0
-    for equation in jaxpr.eqns:
-        total += 1
-        for value in equation.params.values():
-            for inner in value if isinstance(value, tuple | list) else [value]:
-                core = getattr(inner, "jaxpr", inner)
-                if hasattr(core, "eqns"):
-                    total += operations(core)
-    return total
+CONTROL = np.linspace(0.8, -1.6, 64)
 
 
 def newton_operations(scene):
@@ -31,9 +24,7 @@ def newton_operations(scene):
     z = jnp.ones((n, 3))
     mode = Mode(jnp.full(n, 2), jnp.ones(n), jnp.asarray(False))
     point = Point(z, jnp.asarray(0.0))
-    return operations(
-        jax.make_jaxpr(lambda p, z: newton_step(p, mode, at_control(z.u, z.z), z))(dimensionless, point).jaxpr
-    )
+    return operations(traced(lambda p, z: newton_step(p, mode, at_control(z.u, z.z), z), dimensionless, point))
 
 
 def test_each_rung_costs_more_than_the_last():
@@ -58,12 +49,62 @@ def test_whiskers_cost_the_rod_nothing():
     assert three - two < 0.2 * two
 
 
+def signals(scene):
+    result = jw.scan(scene, CONTROL)
+    return result.fx, result.fy, result.mz
+
+
+def signals_and_events(scene):
+    result = jw.scan(scene, CONTROL)
+    return result.fx, result.fy, result.mz, result.events.before.mz
+
+
+def slope(scene):
+    return jax.grad(lambda scene: jnp.sum(jw.scan(scene, CONTROL).mz))(scene)
+
+
+def of_scan(function, name="FB"):
+    """The traced computation of a scan of a named model."""
+    return traced(function, jax.tree.map(jnp.asarray, model(name)))
+
+
+@pytest.mark.parametrize(("name", "most"), [("clamped", 6400), ("FB", 6700), ("FBFB", 7000)])
+def test_a_scan_takes_so_many_operations(name, most):
+    # Of an FB scan, half are decisions of the march; a change that adds many is asked for its reason here.
+    assert most - 400 < operations(of_scan(signals, name)) < most
+
+
+def test_a_scan_integrates_rods_in_three_places():
+    # Of the march's Newton step, of the steps' and for the signals: values with Newton's own tangents, nothing more.
+    assert rods(of_scan(signals)) == 3
+
+
+def test_events_that_nobody_takes_are_not_computed():
+    # Corners of the path are found in any case: without them there is no path. The states there are another matter.
+    without, located = of_scan(signals), of_scan(signals_and_events)
+    assert rods(located) > rods(without)
+    assert operations(located) > operations(without) + 500
+
+
+def test_derivatives_that_nobody_takes_are_not_computed():
+    assert rods(of_scan(slope)) > rods(of_scan(signals)) + 3
+
+
+ALLOWED = {"jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy", "jaxtyping"}
+
+
 def test_import_is_light():
+    # Nothing but what these bring along themselves: neither matplotlib nor xarray nor tqdm before they are used.
     code = (
-        "import sys, jaxwhisker\n"
-        "heavy = {'matplotlib', 'xarray', 'tqdm', 'pandas'} & set(sys.modules)\n"
+        "import sys\n"
+        f"for name in {sorted(ALLOWED)}: __import__(name)\n"
+        "before = set(sys.modules)\n"
+        "import jaxwhisker\n"
         "import jax\n"
         "assert not jax.config.jax_enable_x64\n"
-        "raise SystemExit(f'imports {heavy}' if heavy else 0)\n"
+        "heavy = {name.split('.')[0] for name in set(sys.modules) - before} - set(sys.stdlib_module_names)\n"
+        "heavy |= {'matplotlib', 'xarray', 'tqdm', 'pandas', 'scipy.integrate'} & set(sys.modules)\n"
+        "print(*sorted(heavy - {'jaxwhisker'}))\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert run.stdout.split() == []

@@ -63,8 +63,8 @@ class Shooting(AbstractRod):
     def end(self, bend, arc, angle):
         zero = jnp.zeros_like(bend)
         start = (zero, zero, jnp.cos(angle), jnp.sin(angle))
-        load = rod.Load(zero, -bend, zero)
-        return jnp.stack(rod.integrate(start, arc, load, 1.0, steps=self.steps, solver=self.solver))
+        load = rod.Load(None, -bend, None)
+        return jnp.stack(rod.integrate(start, arc, load, steps=self.steps, solver=self.solver))
 
     def for_rates(self):
         return dataclasses.replace(self, steps=self.steps + -(-self.steps // 2))

@@ -1,9 +1,10 @@
 """Relaxation: the overdamped flow of the bases at a fixed drive, which decides what follows a loss of stability.
 
-Base i moves with the velocity force_x_i - [K (base_x - rest)]_i. Its whisker stays on its clamped branch and slips when it
-passes a fold. It is then free if its unloaded shape clears the object. Else it slides on along the branch until it is
-held again at the same base position, as beneath the edge of a flat object; where its base is unbent before that, it
-lands on the far side, bent the other way. Written with the flexibility C = K^-1 and one implicit step of pseudo-time dt,
+Base i moves with the velocity force_x_i - [K (base_x - rest)]_i. Its whisker stays on its clamped branch and slips when
+it passes a fold. It is then free if its unloaded shape clears the object. Else it slides on along the branch until it
+is held again at the same base position, as beneath the edge of a flat object; where its base is unbent before that, it
+lands on the far side, bent the other way. Written with the flexibility C = K^-1 and one implicit step of pseudo-time
+dt,
 
     (1 + C / dt - C min(D, 0)) dx = rest + C force_x - base_x,        D = d force_x / d base_x,
 

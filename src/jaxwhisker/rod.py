@@ -26,22 +26,28 @@ Along: TypeAlias = Float[Array, " points"]  # a value at points of the rod
 
 
 class Load(eqx.Module):
-    """What acts on the rod beyond the integrated stretch: force (x, y) and moment about the origin."""
+    """What acts on the rod beyond the integrated stretch: force (x, y) and moment about the origin; None for none."""
 
-    force_x: Scalar
+    force_x: Scalar | None
     force_y: Scalar
-    moment: Scalar
+    moment: Scalar | None
 
 
 class _RodArgs(eqx.Module):
     arc: Scalar
     load: Load
-    bending_stiffness: Scalar
+    bending_stiffness: Scalar | None
 
 
-def curvature(x: Scalar | Along, y: Scalar | Along, load: Load, bending_stiffness: Scalar) -> Scalar | Along:
-    """Curvature (1/length) that the internal moment M0 - x Fy + y Fx bends the rod to at the point (x, y)."""
-    return (load.moment - x * load.force_y + y * load.force_x) / bending_stiffness
+def curvature(
+    x: Scalar | Along, y: Scalar | Along, load: Load, bending_stiffness: Scalar | None = None
+) -> Scalar | Along:
+    """Curvature (1/length) that the internal moment M0 - x Fy + y Fx bends the rod to at (x, y); EI = 1 if None."""
+    # What is not there is left out: this is the innermost loop of everything.
+    moment = -x * load.force_y
+    moment = moment if load.force_x is None else moment + y * load.force_x
+    moment = moment if load.moment is None else moment + load.moment
+    return moment if bending_stiffness is None else moment / bending_stiffness
 
 
 def _towards_base(_, state: RodState, args: _RodArgs) -> RodState:
@@ -51,11 +57,11 @@ def _towards_base(_, state: RodState, args: _RodArgs) -> RodState:
 
 
 def _cos_sin(angle: Scalar) -> tuple[Scalar, Scalar]:
-    # Taylor polynomials: a stage turns by at most a few tenths of a radian, where they are exact to rounding, and three
-    # times cheaper than the library functions inside a fused loop.
+    # Taylor polynomials: with 8 steps a stage turns by at most 0.2, where they are exact to 1e-14 (and to 1e-12 with 4),
+    # and three times cheaper than the library functions inside a fused loop.
     u = angle * angle
-    cos = 1 + u * (-1 / 2 + u * (1 / 24 + u * (-1 / 720 + u * (1 / 40320 + u * (-1 / 3628800 + u / 479001600)))))
-    sin = angle * (1 + u * (-1 / 6 + u * (1 / 120 + u * (-1 / 5040 + u * (1 / 362880 - u / 39916800)))))
+    cos = 1 + u * (-1 / 2 + u * (1 / 24 + u * (-1 / 720 + u * (1 / 40320 - u / 3628800))))
+    sin = angle * (1 + u * (-1 / 6 + u * (1 / 120 + u * (-1 / 5040 + u / 362880))))
     return cos, sin
 
 
@@ -130,8 +136,9 @@ class NystromSplitting(diffrax.AbstractSolver):
 
         def rotate(state, fraction):
             x, y, cos, sin = state
-            _, _, dcos, dsin = terms.vf(t0, state, args)
-            c, s = _cos_sin(fraction * h * (cos * dsin - sin * dcos))
+            # The rate does not depend on the direction; of (1, 0) it is the second component's.
+            *_, rate = terms.vf(t0, (x, y, 1.0, 0.0), args)
+            c, s = _cos_sin(fraction * h * rate)
             return x, y, cos * c - sin * s, sin * c + cos * s
 
         def stage(state, fractions):
@@ -147,7 +154,7 @@ def integrate(
     start: RodState,
     arc: Scalar,
     load: Load,
-    bending_stiffness: Scalar,
+    bending_stiffness: Scalar | None = None,
     *,
     steps: int,
     solver: diffrax.AbstractSolver,

@@ -26,6 +26,7 @@ from jaxwhisker.scene import Problem, Scene, problem
 from jaxwhisker.signals import events, signals
 
 STEP = 0.001  # of the default control, in lengths of the first whisker
+MOST_STEPS = 1_000_000  # of the default control
 MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free
 TRACED_STEPS = 2048  # of the default control where its length has to be known before its ends
 BLOCK = 512  # steps computed by one call; a control is padded to a multiple
@@ -49,7 +50,8 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
         `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`.
 
     Raises:
-        ValueError: if an argument is wrong before tracing, or JAX is in float32 mode.
+        ValueError: if an argument is wrong before tracing, if the default control would be longer than a million steps
+            (springs so soft that the drive goes on for a thousand lengths), or JAX is in float32 mode.
 
     Goes through jax.jit, vmap and derivatives, first and second, in both modes, by every numeric field of the scene and
     by the control: of signals, states and the events' positions. Derivatives are those of the step's own branch, at
@@ -96,7 +98,13 @@ def default_control(scene: Scene) -> np.ndarray:
 def _across(scene: Scene, way: "_Way") -> np.ndarray:
     start, stop = float(way.start), float(way.stop)
     step = STEP * float(scene.whiskers[0].length)
-    return start - step * np.arange(max(2, int(np.ceil((start - stop) / step)) + 1))
+    count = max(2, int(np.ceil((start - stop) / step)) + 1)
+    if count > MOST_STEPS:
+        raise ValueError(
+            f"`control` must be given for so soft springs: from {start:g} to {stop:g} the default has {count:,} steps, "
+            f"and at most {MOST_STEPS:,} are allowed."
+        )
+    return start - step * np.arange(count)
 
 
 def stops_of(control: np.ndarray) -> tuple[np.ndarray, int]:

@@ -1,0 +1,183 @@
+"""Stability on stiff and extreme cases: status, error and iterations of scans at the ends of every parameter's range.
+
+python benchmarks/extremes.py
+
+Error: by how much the states miss the laws of tests/independent.py (elliptic integrals that share nothing with the
+package) and the balance of the network, relative to their size. Every case is scanned with both kinds of rods.
+"""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxwhisker as jw
+from common import write
+from jaxwhisker.critical import steepest
+from jaxwhisker.equilibrium import Mode, at_control, find
+from jaxwhisker.scan import _guess, _travelled, contact_range, stops_of
+from jaxwhisker.scene import problem
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+import exact
+from independent import Mechanics, violations
+
+RODS = {"integrated": jw.Shooting(), "closed form": jw.ClosedForm()}
+STEPS = 400  # of a control that is not the case itself
+INF = float("inf")
+
+
+@dataclass
+class Case:
+    """A scene in numbers, so that package and reference make their own of it."""
+
+    group: str
+    name: str
+    springs: list[tuple] = field(default_factory=lambda: [((0, 1), 70.0, 0.2)])
+    profile: tuple[str, dict] = ("parabola", {"distance": 0.2, "a": 1.0})
+    length: float = 1.0
+    bending_stiffness: float = 1.0
+    control: np.ndarray | None = None
+
+    def scene(self, rod: jw.AbstractRod) -> jw.Scene:
+        """The scene of the package."""
+        kind, values = self.profile
+        make = {"parabola": jw.Parabola, "circle": jw.Circle, "ellipse": jw.Ellipse}[kind]
+        support = jw.Support(tuple(jw.Spring(ends, stiffness, rest) for ends, stiffness, rest in self.springs))
+        return jw.Scene(jw.Whisker(self.length, self.bending_stiffness), make(**values), support, rod)
+
+    def mechanics(self) -> Mechanics:
+        """What the reference knows of it."""
+        springs = [{"between": e, "stiffness": k, "rest_length": r} for e, k, r in self.springs]
+        network = exact._Network(springs or [exact.CLAMP])
+        n = network.rest.size
+        kind, values = self.profile
+        each = {name: np.array([value]) for name, value in values.items()}
+        size, stiffness = np.full((1, n), self.length), np.full((1, n), self.bending_stiffness)
+        return Mechanics(kind, each, size, stiffness, network.flexibility[None], network.rest[None])
+
+
+def fb(stiffness: float, rest: float = 0.2) -> list[tuple]:
+    return [((0, 1), stiffness, rest)]
+
+
+def three(*stiffness: float) -> list[tuple]:
+    """FBFBFBR."""
+    ends = [((0, 1), 0.2), ((1, 2), 0.2), ((2, 3), 0.2), ((0, 2), 0.4), ((0, 3), 0.6)]
+    return [(pair, c, rest) for (pair, rest), c in zip(ends, stiffness, strict=True)]
+
+
+def cases() -> list[Case]:
+    """All extreme cases."""
+    across = np.linspace(0.8, -1.6, STEPS)
+    made = [Case("stiffness c", f"{c:.0e}", fb(c)) for c in (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12, INF)]
+    made += [
+        Case("stiffness, mixed", "1e-6, 1e6, 1e-3, 1e3, 1", three(1e-6, 1e6, 1e-3, 1e3, 1.0)),
+        Case("stiffness, mixed", "1e6, 1e-6, 1e6, 1e-6, 1e6", three(1e6, 1e-6, 1e6, 1e-6, 1e6)),
+        Case("stiffness, mixed", "1e12, 1, 1e12, 1, 1e12", three(1e12, 1.0, 1e12, 1.0, 1e12)),
+        Case("stiffness, mixed", "inf, 1e-6, inf, 1e6, 1", three(INF, 1e-6, INF, 1e6, 1.0)),
+    ]
+    made += [Case("distance q", f"{q:g}", profile=("parabola", {"distance": q, "a": 1.0}))
+             for q in (1e-3, 1e-2, 0.1, 0.5, 0.9, 0.99, 0.999)]  # fmt: skip
+    made += [Case("parabola a", f"{a:.0e}", profile=("parabola", {"distance": 0.2, "a": a}))
+             for a in (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4)]  # fmt: skip
+    made += [Case("circle radius", f"{r:.0e}", profile=("circle", {"distance": 0.2, "radius": r}))
+             for r in (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4)]  # fmt: skip
+    made += [Case("ellipse a : b", f"{a:g} : {b:g}", profile=("ellipse", {"distance": 0.2, "a": a, "b": b}))
+             for a, b in ((1.0, 1e-3), (0.1, 1e-4), (10.0, 0.01), (1e-3, 1.0), (1e-4, 0.1), (0.01, 10.0))]  # fmt: skip
+    made += [Case("step of the drive", f"{h:.0e}", control=0.8 - h * np.arange(max(4, min(2000, round(2.4 / h)))))
+             for h in (1e-5, 1e-3, 0.1, 1.0)]  # fmt: skip
+    chain = [((i, i + 1), 500.0, 0.05) for i in range(16)]
+    home = [((0, i), 50.0, 0.05 * i) for i in range(2, 17)]
+    made += [
+        Case("16 whiskers", "a chain", chain, control=np.linspace(0.9, -2.4, STEPS)),
+        Case("16 whiskers", "a chain with feedback", chain + home, control=np.linspace(0.9, -2.4, STEPS)),
+        Case("16 whiskers", "at one place", [((0, i), 70.0, 0.0) for i in range(1, 17)]),
+        Case("grazing", "distance 1 - 1e-6", profile=("parabola", {"distance": 1 - 1e-6, "a": 1.0})),
+        Case("grazing", "distance 1 - 1e-9", profile=("parabola", {"distance": 1 - 1e-9, "a": 1.0})),
+        Case("grazing", "tip at the widest place", profile=("circle", {"distance": 0.2, "radius": 0.8})),
+        Case("at the same u", "two whiskers, equal", [((0, 1), 70.0, 0.2), ((0, 2), 70.0, 0.2)]),
+        Case("at the same u", "two whiskers, coupled", [((0, 1), 70.0, 0.2), ((0, 2), 70.0, 0.2), ((1, 2), 5.0, 0.0)]),
+        Case("at the same u", "two whiskers, rigid", [((0, 1), INF, 0.2), ((0, 2), INF, 0.2)]),
+    ]
+    critical = steepest(jw.Whisker(), jw.Parabola(0.1)).slope
+    made += [Case("critical stiffness", f"1 {sign} {size:.0e}", fb(critical * (1 + float(f"{sign}{size}"))),
+                  profile=("parabola", {"distance": 0.1, "a": 1.0}), control=across)
+             for size in (1e-3, 1e-6, 1e-9) for sign in "+-"]  # fmt: skip
+    made += [Case("rest lengths", f"{r:g}", [((0, 1), 70.0, r), ((1, 2), 70.0, r)]) for r in (0.0, 100.0)]
+    made += [Case("start inside contact", f"u = {u:g}", control=np.linspace(u, -1.6, STEPS)) for u in (0.5, -0.5, -1.2)]
+    made += [Case("units", f"L = {L:.0e}, EI = {EI:.0e}", [((0, 1), 70.0 * EI / L**3, 0.2 * L)],
+                  ("parabola", {"distance": 0.2 * L, "a": 1.0 / L}), L, EI)
+             for L, EI in ((1e-9, 1e-30), (1e-9, 1.0), (1e-3, 1e-9), (1e6, 1e-6), (1e6, 1e12))]  # fmt: skip
+    return made
+
+
+@jax.jit
+def iterations(scene: jw.Scene, way, control, travel):
+    """Newton steps at every control, from the path's interpolation."""
+    dimensionless, path = problem(scene), way.path
+    u, travel = control / dimensionless.unit.length, travel / dimensionless.unit.length
+    node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
+    index = jnp.clip(jnp.searchsorted(node_travel, travel, side="right") - 1, 0, path.count - 1)
+
+    def one(step):
+        i, at = step
+        guess = _guess(path, i, at)
+        mode = Mode(path.nodes.phase[i], path.nodes.side[i], jnp.asarray(False))
+        return find(dimensionless, mode, at_control(at, guess.z), guess).iterations
+
+    return jax.lax.map(one, (index, u))
+
+
+def measured(case: Case, kind: str) -> dict:
+    """One row of the table."""
+    scene = case.scene(RODS[kind])
+    control = case.control
+    if control is None:
+        control = np.linspace(*map(float, contact_range(jax.tree.map(jnp.asarray, scene))), STEPS)
+    result = jw.scan(scene, control)
+    status = np.asarray(result.status)
+    ok = status == jw.Status.ok
+    fields = {name: np.asarray(getattr(result, name))[None] for name in (*jw.State.__dataclass_fields__, "status")}
+    laws = violations(case.mechanics(), control[None], SimpleNamespace(**fields))
+    missed = {law: float(np.max(amount)) for law, amount in laws.items()}
+    law = max(missed, key=missed.__getitem__)
+    stops, last = stops_of(control)
+    way = _travelled(jax.tree.map(jnp.asarray, scene), jnp.asarray(stops), jnp.asarray(last))
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])
+    newton = np.asarray(iterations(jax.tree.map(jnp.asarray, scene), way, jnp.asarray(control), jnp.asarray(travel)))
+    kinds = [event.kind.name for event in result.events]
+    bad = {jw.Status(s).name: int(np.sum(status == s)) for s in np.unique(status) if s}
+    return {
+        "case": case.group,
+        "value": case.name,
+        "rods": kind,
+        "ok": f"{np.sum(ok)} of {ok.size}",
+        "otherwise": ", ".join(f"{n} {name}" for name, n in bad.items()),
+        "error": missed[law],
+        "of": law,
+        "nodes": int(way.path.count),
+        "Newton steps": f"{np.median(newton[ok]):.0f}, at most {np.max(newton[ok])}" if np.any(ok) else "",
+        "events": len(kinds),
+        "snaps": sum(kind.startswith("snap") for kind in kinds),
+    }
+
+
+def main() -> None:
+    rows = []
+    for case in cases():
+        for kind in RODS:
+            rows.append(measured(case, kind))
+            print(*rows[-1].values(), sep=" | ", flush=True)
+    write("extremes", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""What each part of a scene costs: operations, compilation and time, from a clamped whisker up to derivatives.
+
+python benchmarks/ladder.py [--quick]
+"""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxwhisker as jw
+from common import interleaved, summary, write
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from operations import operations, rods, traced
+
+STEPS, LANES = 800, 32
+STIFFNESS = np.linspace(60.0, 200.0, LANES)
+
+
+def scene(model: str, stiffness) -> jw.Scene:
+    return jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.named(model, stiffness, 0.2))
+
+
+def signals(model: str, control):
+    def scan(c):
+        result = jw.scan(scene(model, c), control)
+        return result.fx, result.fy, result.mz
+
+    return scan
+
+
+def with_events(model: str, control):
+    def scan(c):
+        result = jw.scan(scene(model, c), control)
+        return result.fx, result.fy, result.mz, result.events
+
+    return scan
+
+
+def with_derivatives(model: str, control):
+    def scan(c):
+        result = jw.scan(scene(model, c), control)
+        return result.fx, result.fy, result.mz, result.events
+
+    return lambda c: (scan(c), jax.jacfwd(lambda c: scan(c)[:3])(c))
+
+
+RUNGS = {
+    "clamped": ("clamped", signals, 1.6),
+    "+ a spring (FB)": ("FB", signals, 1.6),
+    "+ a second whisker (FBFB)": ("FBFB", signals, 2.2),
+    "+ feedback (FBFBR)": ("FBFBR", signals, 2.2),
+    "+ a third whisker (FBFBFBR)": ("FBFBFBR", signals, 2.4),
+    "+ states at events": ("FBFBFBR", with_events, 2.4),
+    "+ derivatives": ("FBFBFBR", with_derivatives, 2.4),
+}
+
+
+def import_time() -> float:
+    """Seconds of `import jaxwhisker` beyond those of the libraries it needs, median of fresh processes."""
+    needs = "import jax, equinox, diffrax, optimistix, lineax"
+    code = f"import time; {needs}; t = time.perf_counter(); import jaxwhisker; print(time.perf_counter() - t)"
+    runs = (subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True) for _ in range(3))
+    return summary([float(run.stdout) for run in runs])["median"]
+
+
+def main(quick: bool) -> None:
+    rows, calls = [], {}
+    for rung, (model, make, end) in RUNGS.items():
+        if quick and rung not in ("clamped", "+ a spring (FB)"):
+            continue
+        scan = make(model, np.linspace(0.8, -end, STEPS))
+        jaxpr = traced(scan, jnp.asarray(70.0))
+        stiffness = jnp.asarray(STIFFNESS)
+        start = time.perf_counter()
+        lowered = jax.jit(jax.vmap(scan)).lower(stiffness)
+        middle = time.perf_counter()
+        run = lowered.compile()
+        calls[rung] = lambda run=run, stiffness=stiffness: jax.block_until_ready(run(stiffness))
+        rows.append(
+            {
+                "scene": rung,
+                "operations": operations(jaxpr),
+                "rods": rods(jaxpr),
+                "trace, s": middle - start,
+                "compile, s": time.perf_counter() - middle,
+            }
+        )
+        print(rows[-1], flush=True)
+    for row, times in zip(rows, interleaved(calls, 3 if quick else 7).values(), strict=True):
+        row["us per step"] = 1e6 * times["median"] / STEPS / LANES
+    rows.append({"scene": "import jaxwhisker, s beyond its libraries", "us per step": import_time()})
+    write("ladder_quick" if quick else "ladder", rows)
+
+
+if __name__ == "__main__":
+    main("--quick" in sys.argv[1:])

@@ -1,0 +1,95 @@
+"""PyElastica: a Cosserat rod dragged beneath a sphere by its clamped base and left to come to rest, state by state.
+
+Dynamics with damping, as PyElastica has no statics. Its rod stretches and shears, which a thin one hardly does: with
+EI = 1 its stretching stiffness is 4 / radius^2. Contact is a force of our own on the nodes inside the circle:
+RodSphereContact looks for an element between its middle and a whole element further, so that a rod touches too early.
+Clamped is the first node and the first element, as OneEndFixedBC does it, which makes the error one of first order.
+"""
+
+import elastica as ea
+import numpy as np
+
+from peers.scene import Circle
+
+RADIUS = 0.02
+SPEED = 0.2  # of the base between states, where the slowest free vibration has a period of 1.8
+REST = 8.0  # time at rest before a state is read
+DAMPING = 3.0
+CONTACT_STIFFNESS = 1e5
+
+
+class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):
+    pass
+
+
+class _Object(ea.NoForces):
+    """Pushes nodes out of the circle."""
+
+    def __init__(self, scene):
+        super().__init__()
+        self.centre, self.radius = np.array([[0.0], [scene.distance + scene.radius], [0.0]]), scene.radius
+
+    def forces(self, rod):
+        """On every node: (3, nodes)."""
+        away = rod.position_collection - self.centre
+        apart = np.sqrt(np.sum(away**2, axis=0))
+        return CONTACT_STIFFNESS * np.maximum(self.radius / apart - 1, 0.0) * away
+
+    def apply_forces(self, system, time=0.0):
+        system.external_forces += self.forces(system)
+
+
+class _Clamp(ea.ConstraintBase):
+    """The base stands upright and moves along x as told."""
+
+    def __init__(self, position, director, x_of_time, **kwargs):
+        super().__init__(**kwargs)
+        self.position, self.director, self.x_of_time = np.array(position), np.array(director), x_of_time
+
+    def constrain_values(self, system, time):
+        system.position_collection[..., 0] = self.x_of_time(time), self.position[1], self.position[2]
+        system.director_collection[..., 0] = self.director
+
+    def constrain_rates(self, system, time):
+        system.velocity_collection[..., 0] = 0.0
+        system.omega_collection[..., 0] = 0.0
+
+
+def states(scene: Circle, base_x: np.ndarray, elements: int) -> np.ndarray:
+    """Support reactions fx, fy, mz at falling base positions, of a clamped whisker: (states, 3)."""
+    start = scene.radius  # clear of the object
+    drag = np.abs(np.diff([start, *base_x])) / SPEED
+    ends = np.cumsum(drag + REST)
+    times = np.stack([ends - drag - REST, ends - REST, ends], axis=1).ravel()
+    places = np.stack([[start, *base_x[:-1]], base_x, base_x], axis=1).ravel()
+
+    simulator = _Simulator()
+    rod = ea.CosseratRod.straight_rod(
+        elements,
+        start=np.array([start, 0.0, 0.0]),
+        direction=np.array([0.0, 1.0, 0.0]),
+        normal=np.array([0.0, 0.0, 1.0]),
+        base_length=1.0,
+        base_radius=RADIUS,
+        density=1 / (np.pi * RADIUS**2),
+        youngs_modulus=4 / (np.pi * RADIUS**4),
+    )
+    simulator.append(rod)
+    dt = 0.3 / elements * RADIUS / 2  # of the time that a longitudinal wave takes through an element
+    simulator.constrain(rod).using(
+        _Clamp,
+        constrained_position_idx=(0,),
+        constrained_director_idx=(0,),
+        x_of_time=lambda t: np.interp(t, times, places),
+    )
+    simulator.dampen(rod).using(ea.AnalyticalLinearDamper, uniform_damping_constant=DAMPING, time_step=dt)
+    simulator.add_forcing_to(rod).using(_Object, scene)
+    simulator.finalize()
+
+    stepper, time, reactions = ea.PositionVerlet(), np.float64(0.0), []
+    for end in ends:
+        while time < end:
+            time = stepper.step(simulator, time, np.float64(dt))
+        push, arm = _Object(scene).forces(rod), rod.position_collection - rod.position_collection[:, :1]
+        reactions.append((-push[0].sum(), -push[1].sum(), -(arm[0] * push[1] - arm[1] * push[0]).sum()))
+    return np.array(reactions)

@@ -1,0 +1,208 @@
+"""Tables and figures of the documentation, made from the results that the benchmarks have stored.
+
+python benchmarks/report.py
+
+A table stands between `<!-- table: NAME -->` and `<!-- end -->` in README.md or docs/*.md and is written anew.
+"""
+
+import re
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from common import read, table
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+OURS = ("jaxwhisker, integrated", "jaxwhisker, closed form")
+STYLE = {  # Okabe and Ito's colours
+    "jaxwhisker, integrated": ("#0072B2", "o"),
+    "jaxwhisker, closed form": ("#D55E00", "D"),
+    "diffrax and optimistix": ("#009E73", "s"),
+    "scipy: fsolve, solve_ivp (thesis)": ("#000000", "^"),
+    "scipy: solve_bvp": ("#999999", "v"),
+    "MuJoCo: hinge chain": ("#CC79A7", "P"),
+    "PyElastica": ("#E69F00", "X"),
+}
+
+
+def environment(name: str) -> str:
+    """Machine, versions and date of a results file, in a sentence."""
+    e = read(name)["environment"]
+    libraries = ", ".join(f"{key} {e[key]}" for key in ("jax", "diffrax", "optimistix"))
+    return f"{e['processor']}, {e['cores']} cores; Python {e['python']}, {libraries}; {e['date']}."
+
+
+def work_precision() -> str:
+    rows = read("work_precision")["rows"]
+    kept = []
+    for row in rows:
+        kept.append({
+            "method": row["method"],
+            "setting": row["setting"],
+            "object": row["object"],
+            "batch": row["batch"],
+            "us per equilibrium": row["us per equilibrium"],
+            "quartiles": f"{row['lower quartile']:.3g} to {row['upper quartile']:.3g}",
+            "error": row["error"],
+            "events": row["error of events"],
+            "compile, s": row["compile, s"],
+            "first call, s": row["first call, s"],
+            "no result": f"{row['failed']:.0%}" if row["failed"] else None,
+        })  # fmt: skip
+    return f"{table(kept)}\n\n{environment('work_precision')}"
+
+
+def speed_up() -> str:
+    """How many times faster than the thesis's algorithm, at the same error."""
+    rows = read("work_precision")["rows"]
+    thesis = [row for row in rows if "thesis" in row["method"]]
+    errors, times = (np.log([row[key] for row in thesis]) for key in ("error", "us per equilibrium"))
+    order = np.argsort(errors)
+
+    def port(error):
+        # A straight line through the two nearest of its tolerances; no faster than its best beyond them.
+        return float(np.exp(np.interp(np.log(error), errors[order], times[order])))
+
+    kept = []
+    for row in rows:
+        if row["method"] in OURS and row["object"] == "parabola" and row["batch"] in (1, 1024):
+            kept.append({
+                "method": row["method"],
+                "setting": row["setting"],
+                "batch": row["batch"],
+                "error": row["error"],
+                "us per equilibrium": row["us per equilibrium"],
+                "the port at that error, us": port(row["error"]),
+                "times faster": port(row["error"]) / row["us per equilibrium"],
+            })  # fmt: skip
+    return table(kept)
+
+
+def growth() -> str:
+    rows = [row for row in read("growth")["rows"] if "to FB" not in row]
+    drop = ("failed",)
+    return f"{table([{k: v for k, v in row.items() if k not in drop} for row in rows])}\n\n{environment('growth')}"
+
+
+def models() -> str:
+    rows = [row for row in read("growth")["rows"] if "to FB" in row]
+    kept = [
+        {
+            "model": row["size"],
+            "rods": row["grows"].removeprefix("model, "),
+            **{k: row[k] for k in ("batch", "steps", "us per step", "to FB", "compile, s", "memory, MB")},
+        }
+        for row in rows
+    ]
+    return table(kept)
+
+
+def ladder() -> str:
+    return f"{table(read('ladder')['rows'])}\n\n{environment('ladder')}"
+
+
+def cold_start() -> str:
+    return f"{table(read('cold_start')['rows'])}\n\n{environment('cold_start')}"
+
+
+def extremes() -> str:
+    return f"{table(read('extremes')['rows'])}\n\n{environment('extremes')}"
+
+
+def soak() -> str:
+    return f"{table(read('soak')['rows'])}\n\n{environment('soak')}"
+
+
+TABLES = {f.__name__: f for f in (work_precision, speed_up, growth, models, ladder, cold_start, extremes, soak)}
+
+
+def written(text: str) -> str:
+    """A page with its tables made anew."""
+
+    def block(match):
+        return f"<!-- table: {match[1]} -->\n{TABLES[match[1]]()}\n<!-- end -->"
+
+    return re.sub(r"<!-- table: (\w+) -->\n.*?<!-- end -->", block, text, flags=re.S)
+
+
+def draw_methods(ax, batch: int | None) -> None:
+    """Error over time of every method, in one batch; None: each in its largest."""
+    rows = read("work_precision")["rows"]
+    for method, (colour, marker) in STYLE.items():
+        own = [row for row in rows if row["method"] == method]
+        own = [row for row in own if row["object"] == ("circle" if method[:2] in ("Mu", "Py") else "parabola")]
+        size = max((row["batch"] for row in own), default=1) if batch is None else batch
+        own = [row for row in own if row["batch"] in (size, 1 if len({r["batch"] for r in own}) == 1 else size)]
+        families: dict[str, list] = {}
+        for row in own:
+            words = row["setting"].split(", ")
+            family = words[0] if method in (OURS[0], "diffrax and optimistix") else method
+            families.setdefault(family + ("a" if "adaptive" in words else ""), []).append(row)
+        for number, family in enumerate(families.values()):
+            family.sort(key=lambda row: row["us per equilibrium"])
+            x, y = [row["us per equilibrium"] for row in family], [row["error"] for row in family]
+            label = None if number else method
+            ax.loglog(x, y, color=colour, marker=marker, ms=4, lw=1, ls="-" if number == 0 else ":", label=label)
+    ax.set_xlabel("time per equilibrium (µs)")
+    ax.set_ylabel("error, relative to the peak")
+    ax.grid(alpha=0.3, lw=0.5)
+
+
+def draw_work_precision() -> None:
+    batches = sorted({row["batch"] for row in read("work_precision")["rows"]})
+    fig, axs = plt.subplots(2, 2, figsize=(9, 7.5), sharex=True, sharey=True, layout="constrained")
+    for ax, batch in zip(axs.flat, batches, strict=True):
+        draw_methods(ax, batch)
+        ax.set_title("one scan" if batch == 1 else f"batch of {batch}", fontsize=10)
+        ax.label_outer()
+    handles, labels = axs[0, 0].get_legend_handles_labels()
+    fig.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    fig.savefig(ROOT / "docs" / "work_precision.png", dpi=130)
+
+
+def draw_numbers() -> None:
+    """The README's figure: error against time, extreme cases, what a scene pays for."""
+    fig, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
+    draw_methods(left, None)
+    left.set_title("error against time (ours and diffrax: batch of 1024)", fontsize=9)
+    left.legend(fontsize=6.5, loc="upper right", frameon=False)
+
+    rows = read("extremes")["rows"]
+    groups = list(dict.fromkeys(row["case"] for row in rows))
+    for kind, colour, marker in (("integrated", "#0072B2", "o"), ("closed form", "#D55E00", "D")):
+        own = [row for row in rows if row["rods"] == kind]
+        y = [groups.index(row["case"]) for row in own]
+        middle.semilogx([max(row["error"], 1e-16) for row in own], y, marker, color=colour, ms=3.5, label=kind)
+    middle.set_yticks(range(len(groups)), groups, fontsize=7)
+    middle.invert_yaxis()
+    middle.set_xlim(1e-16, 1e-6)
+    middle.set_xlabel("largest violation of any law")
+    middle.set_title("extreme cases", fontsize=9)
+    middle.grid(alpha=0.3, lw=0.5)
+    middle.legend(fontsize=7, frameon=False)
+
+    rungs = [row for row in read("ladder")["rows"] if "operations" in row]
+    names = [row["scene"] for row in rungs]
+    right.barh(names, [row["us per step"] for row in rungs], color="#0072B2")
+    right.invert_yaxis()
+    right.tick_params(axis="y", labelsize=7)
+    right.set_xlabel("µs per step, batch of 32")
+    right.set_title("a scene pays for what it has", fontsize=9)
+    fig.savefig(ROOT / "docs" / "numbers.png", dpi=110)
+
+
+def main() -> None:
+    for page in PAGES:
+        page.write_text(written(page.read_text()))
+    draw_work_precision()
+    draw_numbers()
+
+
+if __name__ == "__main__":
+    main()
