@@ -126,7 +126,7 @@ def after_advance(front: Front, trial: Trial, guess: Point):
     straight = dot(front.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
     good = solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
     violated, target = first_violated(trial, front.step)
-    dips, share = dip(front, trial)
+    dips, share = dip(front, trial, front.step)
     dips &= ~violated
     twice, turn_share = _folds_twice(front, trial, solution)
     share = jnp.where(twice, turn_share, share)
@@ -193,6 +193,10 @@ def after_event(problem: Problem, front: Front, trial: Trial):
 
     violated, earlier = first_violated(trial, distance)
     to_earlier = front._replace(target=earlier)
+    dips, share = dip(front, trial, distance)
+    dips &= good & ~violated
+    good &= ~dips
+    again = again._replace(step=jnp.where(dips, share * distance, again.step))
 
     turn = turn_of(front, trial.tangent)
     unstable = front._replace(

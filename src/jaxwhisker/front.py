@@ -124,11 +124,11 @@ def first_violated(trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Tar
     return jnp.any(violated), target
 
 
-def dip(front: Front, trial: Trial) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether a margin is negative on the way though not at its ends, and at which share of the way most."""
+def dip(front: Front, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
+    """Whether a margin is negative between here and there though not at the ends, and at which share of the way most."""
     now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
-    start = front.step * jnp.concatenate(rates(front.mode, front.tangent, front.tangent_x))
-    end = front.step * jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_x))
+    start = distance * jnp.concatenate(rates(front.mode, front.tangent, front.tangent_x))
+    end = distance * jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_x))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
     within = now + t * (start + t * ((3 * (then - now) - 2 * start - end) + t * (start + end - 2 * (then - now))))
     # A margin that has just been left is zero at the start; rounding is no dip.
