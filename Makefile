@@ -11,10 +11,10 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint types bench soak clean distclean
+.PHONY: help demo test lint types bench bench-more extremes soak clean distclean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
 demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (3 to 4 minutes on two cores)
 	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
@@ -29,13 +29,19 @@ lint: $(VENV)/installed-dev ## check style and formatting (ruff)
 types: $(VENV)/installed-dev ## check types (pyright)
 	@$(BIN)/pyright
 
-bench: $(VENV)/installed-dev ## run every benchmark
-	@for script in $(filter-out %/common.py %/soak.py,$(wildcard benchmarks/*.py)); do \
-	    echo "== $$script"; $(BIN)/python "$$script" || exit 1; \
-	done
+bench: $(VENV)/installed-bench ## error against run time, beside other simulators (half an hour; QUICK=1: three minutes)
+	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision growth cold_start ladder roofline report))
 
-soak: $(VENV)/installed-dev ## check 100,000 random scenes; hours
-	@$(BIN)/python benchmarks/soak.py
+bench-more: $(VENV)/installed-dev ## gradients, studies, the map of the critical stiffness
+	@$(call run,gradient_cost study_speed critical_map)
+
+extremes: $(VENV)/installed-dev ## scans at the ends of every parameter's range
+	@$(call run,extremes report)
+
+soak: $(VENV)/installed-dev ## check 100,000 random scenes (an hour on two cores)
+	@$(call run,soak report)
+
+run = for name in $(1); do echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 clean: ## remove results, caches and build products; .venv stays
 	@rm -rf $(OUT) build dist .pytest_cache .ruff_cache .hypothesis src/*.egg-info
@@ -66,6 +72,11 @@ $(VENV)/installed: pyproject.toml | $(BIN)/python
 	@echo "installing jaxwhisker into $(VENV)"
 	@$(PIP_INSTALL) '.[study]'
 	@touch $@
+
+$(VENV)/installed-bench: pyproject.toml | $(BIN)/python
+	@echo "installing jaxwhisker, what its tests need and the simulators that it is compared with into $(VENV)"
+	@$(PIP_INSTALL) '.[dev,bench]'
+	@touch $(VENV)/installed $(VENV)/installed-dev $@
 
 $(VENV)/installed-dev: pyproject.toml | $(BIN)/python
 	@echo "installing jaxwhisker and what its tests need into $(VENV)"

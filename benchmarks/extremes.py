@@ -92,7 +92,7 @@ def cases() -> list[Case]:
              for r in (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4)]  # fmt: skip
     made += [Case("ellipse a : b", f"{a:g} : {b:g}", profile=("ellipse", {"distance": 0.2, "a": a, "b": b}))
              for a, b in ((1.0, 1e-3), (0.1, 1e-4), (10.0, 0.01), (1e-3, 1.0), (1e-4, 0.1), (0.01, 10.0))]  # fmt: skip
-    made += [Case("step of the drive", f"{h:.0e}", control=0.8 - h * np.arange(max(4, min(2000, round(2.4 / h)))))
+    made += [Case("step of the drive", f"{h:.0e}", control=0.7 - h * np.arange(max(4, min(2000, round(2.4 / h)))))
              for h in (1e-5, 1e-3, 0.1, 1.0)]  # fmt: skip
     chain = [((i, i + 1), 500.0, 0.05) for i in range(16)]
     home = [((0, i), 50.0, 0.05 * i) for i in range(2, 17)]

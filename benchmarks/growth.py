@@ -1,12 +1,11 @@
 """How cost grows with steps, lanes, whiskers and springs: times, memory, and exponents fitted to them.
 
-python benchmarks/growth.py [--quick]
+python benchmarks/growth.py
 
 Exponents: the slope of log time over log size, by least squares over the upper half of the sizes, where what does not
 grow (the march of a scan with few steps, the dispatch of a batch with few lanes) has become small.
 """
 
-import sys
 import time
 
 import jax
@@ -63,22 +62,17 @@ def exponent(sizes, values) -> float:
     return float(np.polyfit(np.log(sizes[half:]), np.log(values[half:]), 1)[0])
 
 
-def main(quick: bool) -> None:
-    def sizes(*all_):
-        return all_[:3] if quick else all_
-
+def main() -> None:
     groups = {
-        "steps": [(n, named("FB"), 1, n, -1.6) for n in sizes(200, 800, 3200, 12800)],
-        "lanes": [(n, named("FB"), n, 400, -1.6) for n in sizes(1, 8, 64, 256, 1024)],
-        "whiskers": [(n, chain(n), 8, 400, -2.4) for n in sizes(1, 2, 4, 8, 16)],
-        "springs (4 whiskers)": [(n, meshed(n), 8, 400, -2.4) for n in sizes(4, 7, 10)],
+        "steps": [(n, named("FB"), 1, n, -1.6) for n in (200, 800, 3200, 12800)],
+        "lanes": [(n, named("FB"), n, 400, -1.6) for n in (1, 8, 64, 256, 1024)],
+        "whiskers": [(n, chain(n), 8, 400, -2.4) for n in (1, 2, 4, 8, 16)],
+        "springs (4 whiskers)": [(n, meshed(n), 8, 400, -2.4) for n in (4, 7, 10)],
     }
-    if quick:
-        groups = {"steps": groups["steps"], "lanes": groups["lanes"]}
     rows = []
     for group, cases in groups.items():
         made = {n: compiled(support, "integrated", lanes, steps, end) for n, support, lanes, steps, end in cases}
-        times = interleaved({n: call for n, (call, *_) in made.items()}, 3 if quick else 7)
+        times = interleaved({n: call for n, (call, *_) in made.items()}, 7)
         each, memory = [times[n]["median"] for n in made], [made[n][2] for n in made]
         for (n, _, lanes, steps, _), t, bytes_ in zip(cases, each, memory, strict=True):
             rows.append(
@@ -97,7 +91,7 @@ def main(quick: bool) -> None:
                 }
             )
             print(rows[-1], flush=True)
-    for lanes in () if quick else (1, 1024):
+    for lanes in (1, 1024):
         kinds = [(model, rod) for rod in RODS for model in ENDS]
         made = {k: compiled(named(k[0]), k[1], lanes, 1600 if lanes == 1 else 800, ENDS[k[0]]) for k in kinds}
         times = interleaved({k: call for k, (call, *_) in made.items()}, 9 if lanes == 1 else 3)
@@ -118,8 +112,8 @@ def main(quick: bool) -> None:
                 }
             )
             print(rows[-1], flush=True)
-    write("growth_quick" if quick else "growth", rows)
+    write("growth", rows)
 
 
 if __name__ == "__main__":
-    main("--quick" in sys.argv[1:])
+    main()

@@ -1,6 +1,6 @@
 """What each part of a scene costs: operations, compilation and time, from a clamped whisker up to derivatives.
 
-python benchmarks/ladder.py [--quick]
+python benchmarks/ladder.py
 """
 
 import subprocess
@@ -72,11 +72,9 @@ def import_time() -> float:
     return summary([float(run.stdout) for run in runs])["median"]
 
 
-def main(quick: bool) -> None:
+def main() -> None:
     rows, calls = [], {}
     for rung, (model, make, end) in RUNGS.items():
-        if quick and rung not in ("clamped", "+ a spring (FB)"):
-            continue
         scan = make(model, np.linspace(0.8, -end, STEPS))
         jaxpr = traced(scan, jnp.asarray(70.0))
         stiffness = jnp.asarray(STIFFNESS)
@@ -95,11 +93,11 @@ def main(quick: bool) -> None:
             }
         )
         print(rows[-1], flush=True)
-    for row, times in zip(rows, interleaved(calls, 3 if quick else 7).values(), strict=True):
+    for row, times in zip(rows, interleaved(calls, 7).values(), strict=True):
         row["us per step"] = 1e6 * times["median"] / STEPS / LANES
     rows.append({"scene": "import jaxwhisker, s beyond its libraries", "us per step": import_time()})
-    write("ladder_quick" if quick else "ladder", rows)
+    write("ladder", rows)
 
 
 if __name__ == "__main__":
-    main("--quick" in sys.argv[1:])
+    main()

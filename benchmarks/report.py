@@ -111,6 +111,10 @@ def cold_start() -> str:
     return f"{table(read('cold_start')['rows'])}\n\n{environment('cold_start')}"
 
 
+def roofline() -> str:
+    return f"{table(read('roofline')['rows'])}\n\n{environment('roofline')}"
+
+
 def extremes() -> str:
     return f"{table(read('extremes')['rows'])}\n\n{environment('extremes')}"
 
@@ -119,7 +123,9 @@ def soak() -> str:
     return f"{table(read('soak')['rows'])}\n\n{environment('soak')}"
 
 
-TABLES = {f.__name__: f for f in (work_precision, speed_up, growth, models, ladder, cold_start, extremes, soak)}
+TABLES = {
+    f.__name__: f for f in (work_precision, speed_up, roofline, growth, models, ladder, cold_start, extremes, soak)
+}
 
 
 def written(text: str) -> str:
@@ -132,13 +138,14 @@ def written(text: str) -> str:
 
 
 def draw_methods(ax, batch: int | None) -> None:
-    """Error over time of every method, in one batch; None: each in its largest."""
+    """Error over time of every method, in one batch; its largest, if None is asked for or it has none of that size."""
     rows = read("work_precision")["rows"]
     for method, (colour, marker) in STYLE.items():
         own = [row for row in rows if row["method"] == method]
         own = [row for row in own if row["object"] == ("circle" if method[:2] in ("Mu", "Py") else "parabola")]
-        size = max((row["batch"] for row in own), default=1) if batch is None else batch
-        own = [row for row in own if row["batch"] in (size, 1 if len({r["batch"] for r in own}) == 1 else size)]
+        sizes = {row["batch"] for row in own}
+        size = batch if batch in sizes else max(sizes)
+        own = [row for row in own if row["batch"] == size]
         families: dict[str, list] = {}
         for row in own:
             words = row["setting"].split(", ")

@@ -11,7 +11,7 @@ from scipy.special import ellipeinc, ellipj, ellipkinc
 
 from jaxwhisker import contact, rod
 from jaxwhisker.contact import Body, Phase
-from jaxwhisker.elastica import Shooting
+from jaxwhisker.elastica import ClosedForm, Shooting
 from jaxwhisker.profile import Parabola
 
 STEPS = Shooting().steps
@@ -129,3 +129,15 @@ def test_points_run_from_start_to_end():
     end = rod.integrate(start, 1.0, load, 1.0, steps=8, solver=rod.NystromSplitting())
     np.testing.assert_allclose([s[0] for s in states], [0, 0, 1, 0], atol=1e-15)
     np.testing.assert_allclose([s[-1] for s in states], np.array(end), atol=1e-15)
+
+
+@pytest.mark.parametrize(("solver", "steps"), [(diffrax.Dopri8(), 12), (diffrax.Tsit5(), 60)])
+def test_stock_solvers_have_derivatives_in_both_modes(solver, steps):
+    at = jnp.array([3.0, 0.8, 0.4])
+
+    def end(method):
+        return lambda z: method.end(*z)
+
+    exact = jax.jacfwd(end(ClosedForm()))(at)
+    for mode in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(mode(end(Shooting(steps, solver)))(at), exact, atol=SLOPE)

@@ -125,7 +125,7 @@ def first_violated(trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Tar
 
 
 def dip(front: Front, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether a margin is negative between here and there though not at the ends, and at which share of the way most."""
+    """Whether a margin is negative between here and there, though not at the ends, and at which share of the way."""
     now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
     start = distance * jnp.concatenate(rates(front.mode, front.tangent, front.tangent_x))
     end = distance * jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_x))
