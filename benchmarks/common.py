@@ -8,6 +8,7 @@ import statistics
 import time
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
 PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "numpy")
@@ -31,9 +32,9 @@ def environment() -> dict[str, str]:
     }
 
 
-def interleaved(calls: dict, repeats: int) -> dict[str, dict[str, float]]:
+def interleaved(calls: dict, repeats: int) -> dict[Any, dict[str, float]]:
     """Seconds of each call, taken in turn so that drift of the machine meets all alike: median and quartiles."""
-    times: dict[str, list[float]] = {name: [] for name in calls}
+    times: dict[Any, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()
     for _ in range(repeats):

@@ -141,12 +141,13 @@ def measured(case: Case, kind: str) -> dict:
     scene = case.scene(RODS[kind])
     control = case.control
     if control is None:
-        control = np.linspace(*map(float, contact_range(jax.tree.map(jnp.asarray, scene))), STEPS)
+        first, last = map(float, contact_range(jax.tree.map(jnp.asarray, scene)))
+        control = np.linspace(first, last, STEPS)
     result = jw.scan(scene, control)
     status = np.asarray(result.status)
     ok = status == jw.Status.ok
     fields = {name: np.asarray(getattr(result, name))[None] for name in (*jw.State.__dataclass_fields__, "status")}
-    laws = violations(case.mechanics(), control[None], SimpleNamespace(**fields))
+    laws = violations(case.mechanics(), control[None], SimpleNamespace(**fields))  # pyright: ignore[reportArgumentType]
     missed = {law: float(np.max(amount)) for law, amount in laws.items()}
     law = max(missed, key=missed.__getitem__)
     stops, last = stops_of(control)

@@ -22,35 +22,35 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from operations import operations, rods, traced
 
 STEPS, LANES = 800, 32
-STIFFNESS = np.linspace(60.0, 200.0, LANES)
+DISTANCE = np.linspace(0.18, 0.22, LANES)
 
 
-def scene(model: str, stiffness) -> jw.Scene:
-    return jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.named(model, stiffness, 0.2))
+def scene(model: str, distance) -> jw.Scene:
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.named(model, 70.0, 0.2))
 
 
 def signals(model: str, control):
-    def scan(c):
-        result = jw.scan(scene(model, c), control)
+    def scan(q):
+        result = jw.scan(scene(model, q), control)
         return result.fx, result.fy, result.mz
 
     return scan
 
 
 def with_events(model: str, control):
-    def scan(c):
-        result = jw.scan(scene(model, c), control)
+    def scan(q):
+        result = jw.scan(scene(model, q), control)
         return result.fx, result.fy, result.mz, result.events
 
     return scan
 
 
 def with_derivatives(model: str, control):
-    def scan(c):
-        result = jw.scan(scene(model, c), control)
+    def scan(q):
+        result = jw.scan(scene(model, q), control)
         return result.fx, result.fy, result.mz, result.events
 
-    return lambda c: (scan(c), jax.jacfwd(lambda c: scan(c)[:3])(c))
+    return lambda q: (scan(q), jax.jacfwd(lambda q: scan(q)[:3])(q))
 
 
 RUNGS = {
@@ -76,13 +76,13 @@ def main() -> None:
     rows, calls = [], {}
     for rung, (model, make, end) in RUNGS.items():
         scan = make(model, np.linspace(0.8, -end, STEPS))
-        jaxpr = traced(scan, jnp.asarray(70.0))
-        stiffness = jnp.asarray(STIFFNESS)
+        jaxpr = traced(scan, jnp.asarray(0.2))
+        distance = jnp.asarray(DISTANCE)
         start = time.perf_counter()
-        lowered = jax.jit(jax.vmap(scan)).lower(stiffness)
+        lowered = jax.jit(jax.vmap(scan)).lower(distance)
         middle = time.perf_counter()
         run = lowered.compile()
-        calls[rung] = lambda run=run, stiffness=stiffness: jax.block_until_ready(run(stiffness))
+        calls[rung] = lambda run=run, distance=distance: jax.block_until_ready(run(distance))
         rows.append(
             {
                 "scene": rung,

@@ -1,13 +1,12 @@
 """Error against run time: this package beside stock solvers, scipy, MuJoCo and PyElastica; alone and in batches.
 
-python benchmarks/work_precision.py [--quick]
-
 All compute FB, c = 70, rest length 0.2, beneath the parabola with q = 0.2 (or, simulators that have no parabola,
 beneath a circle), from just after the first touch to just before the whisker snaps off. Error: the largest of fx, fy,
 mz over the scan, relative to the peak of each, against elliptic integrals solved to rounding. In batches the lanes
 differ in stiffness, and some of them are looked at. Calls of all methods are taken in turn.
 """
 
+import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -143,7 +142,8 @@ def ours(setting: str, rod: jw.AbstractRod, batch: int, steps: int, scene: Scene
 
     name = "closed form" if isinstance(rod, jw.ClosedForm) else "integrated"
     method = compiled(f"jaxwhisker, {name}", setting, scene, batch, steps, scan)
-    method.events = event_error(rod) if batch == 1 and scene is PARABOLA else None
+    default = rod in (jw.Shooting(), jw.ClosedForm())
+    method.events = event_error(rod) if default and batch == 1 and scene is PARABOLA else None
     return method
 
 
@@ -153,42 +153,41 @@ def plain(name: str, setting: str, scene: Scene, steps: int, scan: Callable) -> 
     return Method(name, setting, scene, 1, steps, lambda: scan(scene, control)[None])
 
 
-def methods(quick: bool):
-    """All methods, made one by one: those of JAX compile on the way."""
+def methods(batch: int, quick: bool):
+    """All methods for one size of batches, made one by one: those of JAX compile on the way."""
     splitting = {6: (4, 8, 16), 11: (2, 4, 8, 16)}
-    tolerances = (1e-3, 1e-6, 1e-9)
-    batches, steps = ((1, 256), 800) if quick else ((1, 32, 256, 1024), 1600)
-    if quick:
-        splitting, tolerances = {11: (4, 8)}, (1e-3, 1e-6)
-    for batch in batches:
-        for stages, counts in splitting.items():
-            for n in counts:
-                rod = jw.Shooting(n, jw.NystromSplitting(stages))
-                yield ours(f"splitting of order {6 if stages == 11 else 4}, {n} steps", rod, batch, steps)
-        if not quick:
-            yield ours("Dopri8, 4 steps", jw.Shooting(4, diffrax.Dopri8()), batch, steps)
-        yield ours("elliptic functions", jw.ClosedForm(), batch, steps)
-    for batch in batches[-1:] if quick else batches[:1] + batches[-1:]:
-        yield ours("elliptic functions", jw.ClosedForm(), batch, steps, CIRCLE)
     fixed = [(diffrax.Dopri8(), 4), (diffrax.Dopri8(), 8), (diffrax.Tsit5(), 16)]
     adaptive = [(diffrax.Dopri8(), 1e-6), (diffrax.Dopri8(), 1e-9), (diffrax.Tsit5(), 1e-6)]
-    for batch in batches[:1] if quick else batches:
-        for solver, n in fixed[:1] if quick else fixed:
-            scan = partial(stock_scan, solver=solver, steps=n, tolerance=1e-6)
-            yield compiled("diffrax and optimistix", f"{type(solver).__name__}, {n} steps", PARABOLA, batch, 400, scan)
-        for solver, tolerance in [] if quick else adaptive:
-            scan = partial(stock_scan, solver=solver, steps=None, tolerance=tolerance)
-            setting = f"{type(solver).__name__}, adaptive, {tolerance:.0e}"
-            yield compiled("diffrax and optimistix", setting, PARABOLA, batch, 400, scan)
-    few = 100 if quick else 400
+    steps, few, tolerances, links = 1600, 400, (1e-3, 1e-6, 1e-9), (10, 20, 40, 80)
+    if quick:
+        splitting, fixed, adaptive = {11: (4, 8)}, fixed[:1], []
+        steps, few, tolerances, links = 800, 100, tolerances[:2], links[:2]
+    for stages, counts in splitting.items():
+        for n in counts:
+            rod = jw.Shooting(n, jw.NystromSplitting(stages))
+            yield ours(f"splitting of order {6 if stages == 11 else 4}, {n} steps", rod, batch, steps)
+    if not quick:
+        yield ours("Dopri8, 4 steps", jw.Shooting(4, diffrax.Dopri8()), batch, steps)
+    yield ours("elliptic functions", jw.ClosedForm(), batch, steps)
+    for solver, n in fixed:
+        scan = partial(stock_scan, solver=solver, steps=n, tolerance=1e-6)
+        setting = f"{type(solver).__name__}, {n} steps"
+        yield compiled("diffrax and optimistix", setting, PARABOLA, batch, few, scan)
+    for solver, tolerance in adaptive:
+        scan = partial(stock_scan, solver=solver, steps=None, tolerance=tolerance)
+        setting = f"{type(solver).__name__}, adaptive, {tolerance:.0e}"
+        yield compiled("diffrax and optimistix", setting, PARABOLA, batch, few, scan)
+    if batch > 1:
+        return
+    yield ours("elliptic functions", jw.ClosedForm(), batch, steps, CIRCLE)
     for tolerance in tolerances:
         scan = partial(thesis.scan, rtol=tolerance)
         yield plain("scipy: fsolve, solve_ivp (thesis)", f"rtol {tolerance:.0e}", PARABOLA, few, scan)
         scan = partial(bvp.scan, tol=tolerance)
         yield plain("scipy: solve_bvp", f"tol {tolerance:.0e}", PARABOLA, few, scan)
-    for links in (10, 20) if quick else (10, 20, 40, 80):
-        scan = partial(hinge_chain.scan, links=links)
-        yield plain("MuJoCo: hinge chain", f"{links} links", CIRCLE, few // 4, scan)
+    for n in links:
+        scan = partial(hinge_chain.scan, links=n)
+        yield plain("MuJoCo: hinge chain", f"{n} links", CIRCLE, few // 4, scan)
 
 
 def stock_scan(c, control, **how):
@@ -204,24 +203,25 @@ def cosserat_rows(elements: tuple[int, ...]) -> list[dict]:
         start = time.perf_counter()
         got = cosserat_rod.states(CIRCLE, BASES, n)
         taken = time.perf_counter() - start
-        method = Method("PyElastica", f"{n} elements", CIRCLE, 1, BASES.size, tuple, [taken, taken], first=taken)
+        method = Method(
+            "PyElastica", f"{n} elements", CIRCLE, 1, BASES.size, lambda: BASES, [taken, taken], first=taken
+        )
         method.error = float(np.max(np.abs(got - reference) / np.max(np.abs(reference), axis=0)))
         rows.append(method.row())
     return rows
 
 
-def main(quick: bool) -> None:
-    repeats, begun = 3 if quick else 5, time.perf_counter()
-    made = []
-    for method in methods(quick):
+def measured(batch: int, quick: bool) -> list[dict]:
+    """The rows of one size of batches."""
+    repeats, begun, made = 3 if quick else 5, time.perf_counter(), []
+    for method in methods(batch, quick):
         start = time.perf_counter()
         signals = method.call()
         method.first = time.perf_counter() - start
         lanes = slice(None, None, max(1, method.batch // 8))
-        stiffness = lanes_of(method.batch)[lanes]
-        method.error = error(method.scene, stiffness, signals[lanes])
-        print(f"{time.perf_counter() - begun:7.1f} s  {method.name}, {method.setting}, {method.batch}", flush=True)
+        method.error = error(method.scene, lanes_of(method.batch)[lanes], signals[lanes])
         method.failed = float(np.mean(np.isnan(signals)))
+        print(f"{time.perf_counter() - begun:7.1f} s  {method.name}, {method.setting}, {method.batch}", flush=True)
         made.append(method)
     for _ in range(repeats):
         for method in made:
@@ -230,10 +230,20 @@ def main(quick: bool) -> None:
                 start = time.perf_counter()
                 method.call()
                 method.times.append(time.perf_counter() - start)
-    rows = [method.row() for method in made]
+    return [method.row() for method in made]
+
+
+def main(batches: list[int], quick: bool) -> None:
+    rows = []
+    for batch in batches:
+        rows += measured(batch, quick)
+        jax.clear_caches()  # the compiled methods of all batches together exceed what one process may map
     write("work_precision_quick" if quick else "work_precision", rows + cosserat_rows((10,) if quick else (20, 40)))
-    print(f"{time.perf_counter() - begun:.0f} s in all")
 
 
 if __name__ == "__main__":
-    main("--quick" in sys.argv[1:])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="few methods, results in a file of their own")
+    parser.add_argument("--batches", type=int, nargs="+", help="default: 1 32 256 1024; quick: 1 256")
+    options = parser.parse_args()
+    main(options.batches or ([1, 256] if options.quick else [1, 32, 256, 1024]), options.quick)

@@ -161,7 +161,7 @@ class ClampedBranch:
         spans = zip(self.borders, [*self.borders[1:], stop], strict=True)
         self.pieces = [_Piece(self, a, b, TIP if excess((a + b) / 2) > 0 else TANGENTIAL) for a, b in spans]
         self.pieces.append(_Free(self.touch_x))
-        self.fold = brentq(lambda p: self.piece(p)(p)[2], grid[turn - 1], grid[turn + 1], xtol=1e-15)
+        self.fold = float(brentq(lambda p: self.piece(p)(p)[2], grid[turn - 1], grid[turn + 1], xtol=1e-15))
         self.fold_x = self.states(self.fold).base_x.item()
         self._table_p = np.linspace(0, 1, 2001)[::-1] ** 2 * self.fold
         self._table_x = self.states(self._table_p).base_x

@@ -1,12 +1,17 @@
 """The Python code of README and docs runs, each page from top to bottom."""
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
 from matplotlib import pyplot
 
 ROOT = Path(__file__).parent.parent
+sys.path.append(str(ROOT / "benchmarks"))
+
+import report  # noqa: E402
+
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"(<!-- run by hand[^\n]*-->\n)?```python\n(.*?)```", re.DOTALL)
 
@@ -29,3 +34,14 @@ def test_code_runs(page, tmp_path, monkeypatch):
 
 def test_pages_with_code_are_found():
     assert {"README.md", "studies.md"} <= {page.name for page in PAGES if blocks(page)}
+
+
+@pytest.mark.parametrize("page", report.PAGES, ids=lambda page: page.name)
+def test_tables_are_those_of_the_stored_results(page):
+    text = page.read_text(encoding="utf-8")
+    assert report.written(text) == text, "run `python benchmarks/report.py`"
+
+
+def test_every_table_stands_on_a_page():
+    pages = "".join(page.read_text(encoding="utf-8") for page in report.PAGES)
+    assert all(f"<!-- table: {name} -->" in pages for name in report.TABLES)

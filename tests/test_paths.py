@@ -159,7 +159,7 @@ def test_beneath_the_edge_of_a_flat_object_a_whisker_slides_on():
     def beyond(p):
         return branch.states(p).base_x - x
 
-    further = branch.states(brentq(beyond, branch.fold + 0.1, 1.0))
+    further = branch.states(float(brentq(beyond, branch.fold + 0.1, 1.0)))  # pyright: ignore[reportArgumentType]
     assert all_ok(result)
     kinds = [e[0] for e in told(result)]
     assert kinds == ["touch", "tangential_to_tip", "snap_through", "vertex", "snap_off"]

@@ -113,7 +113,7 @@ def _stretches(loads: _Loads, tip_angle: Scalar, factor: Scalar, steps: int) -> 
     """All stretches from the outermost load to the base, and the state at the base; origin at the outermost load."""
     zero = jnp.zeros(())
     state = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle))
-    total = rod.Load(zero, zero, zero)
+    force_x, force_y, bend = zero, zero, zero
     stretches = []
     ends = jnp.append(loads.position[1:], 0.0)
     for k in range(loads.force.shape[0]):
@@ -125,8 +125,9 @@ def _stretches(loads: _Loads, tip_angle: Scalar, factor: Scalar, steps: int) -> 
         force = factor * loads.force[k]
         fx = force * jnp.where(follower, turned_cos, jnp.cos(angle))
         fy = force * jnp.where(follower, turned_sin, jnp.sin(angle))
-        moment = total.moment + x * fy - y * fx + factor * loads.moment[k]
-        total = rod.Load(total.force_x + fx, total.force_y + fy, moment)
+        force_x, force_y = force_x + fx, force_y + fy
+        bend = bend + x * fy - y * fx + factor * loads.moment[k]
+        total = rod.Load(force_x, force_y, bend)
         stretch = _Stretch(state, total, loads.position[k] - ends[k])
         stretches.append(stretch)
         state = rod.integrate(state, stretch.arc, total, 1.0, steps=steps, solver=rod.NystromSplitting())
@@ -244,13 +245,14 @@ def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], poin
     s = jnp.concatenate([*arcs[::-1], jnp.ones(1)])
 
     load = stretches[-1].load
+    assert load.force_x is not None
     length, stiffness = whisker.length, whisker.bending_stiffness
 
     def where_ok(value):
         return jnp.where(ok, value, jnp.nan)
 
     return Deflection(
-        fx=where_ok(-load.force_x * stiffness / length**2),
+        fx=where_ok(-load.force_x * stiffness / length**2),  # pyright: ignore[reportOptionalOperand]
         fy=where_ok(-load.force_y * stiffness / length**2),
         mz=where_ok(-rod.curvature(base_x, base_y, load, 1.0) * stiffness / length),
         s=where_ok(s * length),

@@ -167,7 +167,7 @@ def integrate(
     """
     terms, args, no = diffrax.ODETerm(_towards_base), _RodArgs(arc, load, bending_stiffness), jnp.asarray(False)
     if isinstance(solver, diffrax.AbstractRungeKutta) and solver.scan_kind is None:
-        # Of the ways in which these take their stages it is the one with derivatives in both modes.
+        # Of the ways in which these take their stages the one with forward derivatives: no others go through a rod.
         solver = dataclasses.replace(solver, scan_kind="lax")
     start = jax.tree.map(jnp.asarray, start)
 
