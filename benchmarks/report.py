@@ -115,7 +115,7 @@ def in_short() -> str:
         line(f"... of a batch of {most} scans", lambda kind: f"{found[kind, most]['us per equilibrium']:.1f} us"),
         line("... beside the thesis's algorithm in scipy, at the same error", faster),
         line(f"{len(extreme) // 2} extreme cases: how far a state that says ok misses any law", worst),
-        {"two cores": "us per step: clamped / FB / FBFB / FBFBR / FBFBFBR (batch of 32)", "integrated rods": costs},
+        {"two cores": "us per step: clamped / FB / FBFB / FBFBR / FBFBFBR, batch of 32", "integrated rods": costs},
         {"two cores": "import to first result, compilation cache empty / filled", "integrated rods": starts},
     ])  # fmt: skip
 
