@@ -172,8 +172,11 @@ def measured(case: Case, kind: str) -> dict:
 
 
 def main() -> None:
-    rows = []
+    rows, group = [], None
     for case in cases():
+        if case.group != group:
+            jax.clear_caches()  # the compiled scans of all networks together exceed what one process may map
+            group = case.group
         for kind in RODS:
             rows.append(measured(case, kind))
             print(*rows[-1].values(), sep=" | ", flush=True)
