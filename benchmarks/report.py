@@ -95,7 +95,7 @@ def in_short() -> str:
     rungs = {row["scene"]: row for row in read("ladder")["rows"]}
 
     def line(name, of):
-        return {"two cores": name, **{"closed form" if k != "integrated" else "integrated rods": of(k) for k in kinds}}
+        return {"AMD EPYC": name, **{"closed form" if k != "integrated" else "integrated rods": of(k) for k in kinds}}
 
     def faster(kind):
         row = found[kind, most]
@@ -116,8 +116,8 @@ def in_short() -> str:
         line(f"... of a batch of {most} scans", lambda kind: f"{found[kind, most]['us per equilibrium']:.1f} us"),
         line("... beside the thesis's algorithm in scipy, at the same error", faster),
         line(f"{len(extreme) // 2} extreme cases: how far a state that says ok misses any law", worst),
-        {"two cores": "us per step: FB / FBFB / FBFBR / FBFBFBR, batch of 32", "integrated rods": costs},
-        {"two cores": "import to first result, compilation cache empty / filled", "integrated rods": starts},
+        {"AMD EPYC": "us per step: FB / FBFB / FBFBR / FBFBFBR, batch of 32", "integrated rods": costs},
+        {"AMD EPYC": "import to first result, compilation cache empty / filled", "integrated rods": starts},
     ])  # fmt: skip
 
 
