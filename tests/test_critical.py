@@ -6,7 +6,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker.critical import softest, steepest
-from scenes import model
+from scenes import all_ok, model
 
 # Largest dF_x/dx0 in tangential contact, and x0 there, by distance (a = 1): the closed form's F_x'(alpha) / x0'(alpha),
 # maximised in 40 digits.
@@ -41,6 +41,17 @@ def test_a_scan_snaps_through_below_the_steepest_slope_only():
     for stiffness, snaps in ((slope * (1 - MARGIN), 1), (slope * (1 + MARGIN), 0)):
         result = jw.scan(model("FB", stiffness, distance=0.1), np.array([0.9, -0.8]))
         assert len(result.events.of(jw.EventKind.snap_through)) == snaps
+
+
+@pytest.mark.parametrize("below", [1e-4, 1e-5, 1e-6, 1e-7])
+def test_just_below_the_bases_creep_away_in_one_snap(below):
+    # The two folds lie 1e-3 and less apart, a millionth of that in u: the flow between them has next to no force.
+    result = jw.scan(model("FB", EXACT[0.1][0] * (1 - below), distance=0.1), np.linspace(0.9, -0.8, 64))
+    assert all_ok(result)
+    (snap,) = result.events.of(jw.EventKind.snap_through)
+    # The state moves by less than the root of what the stiffness lacks, but it moves, and nothing else happens there.
+    moved = abs(float(snap.after.base_x[0] - snap.before.base_x[0]))
+    assert 0.03 * np.sqrt(below) < moved < 3 * np.sqrt(below)
 
 
 def test_softest_base_of_the_models():

@@ -36,8 +36,8 @@ FIRST_STEP = 0.02  # after a corner, in units of length; grows at once where the
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
 FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as found: the state is then exact to it, u to its square
-FOLD_BRACKET = 1e-9  # or what is left of the stretch on which stability is lost
-NEAR_FOLD = 1e-5  # ... that will do where no shorter step is solved; u is off by its square
+FOLD_BRACKET = 1e-9  # or the step on which stability is lost
+NEAR_FOLD = 2e-4  # ... that will do where no shorter step is solved; u is off by less than its square
 RESOLVED_STEP = 0.02  # in which du/ds is a parabola ...
 PARABOLA_ERROR = 0.25  # ... to a few percent of its change; with a margin
 SHORTEST_DIP = 1e-4  # in which du/ds changes by some 1e-6 at most: folds nearer to each other than that are overlooked
@@ -154,13 +154,15 @@ def after_advance(front: Front, trial: Trial, guess: Point):
     bending = jnp.sqrt(dot(contacts, contacts, scale))
     longest = jnp.where(all_free, jnp.inf, LONGEST_STEP / bending)
     left = front.unstable_at - front.step
+    # Stable all the same: lengths along a curve do not quite add up, and the loss lies further on.
+    left = jnp.where(left < FOLD_BRACKET, jnp.inf, left)
     bend = Point((trial.tangent.z - front.tangent.z) / front.step, (trial.tangent.u - front.tangent.u) / front.step)
     onwards = moved._replace(
         bend=bend,
         unstable_at=left,
         step=_next_step(turn, left, front.unstable_turn, jnp.minimum(factor * front.step, longest)),
     )
-    at_fold = jnp.isfinite(left) & ((turn < FOLD_SLOPE) | (left < FOLD_BRACKET))
+    at_fold = jnp.isfinite(front.unstable_at) & (turn < FOLD_SLOPE)
     new = decided(
         # Where several whiskers lose their hold at once Newton's method fails beside the fold: then it is near enough.
         (too_short & (front.unstable_at < NEAR_FOLD), _to_snap(front)),
