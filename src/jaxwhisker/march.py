@@ -166,4 +166,11 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
         return select(full, stopped(front, Status.too_long), front), table, used + 1
 
     front, table, _ = jax.lax.while_loop(running, chunk, (front, table, jnp.asarray(0)))
-    return Path(jax.vmap(unpacked)(table), jnp.minimum(front.count, capacity), front.status)
+    return Path(jax.vmap(unpacked)(table), jnp.minimum(front.count, capacity).astype(int), front.status.astype(int))
+
+
+def nowhere(problem: Problem, capacity: int) -> Path:
+    """A path without nodes, as large as that of a march with the same capacity."""
+    front = _start(problem, jnp.zeros(1))
+    nodes = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), front.pending)
+    return Path(nodes, front.count.astype(int), front.status.astype(int))

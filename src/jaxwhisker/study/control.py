@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker.scan import MARGIN, STEP, contact_range
 from jaxwhisker.scene import Scene, problem
 from jaxwhisker.study.local import threads
@@ -32,7 +33,7 @@ def common_control(build: Callable[..., Scene], parameters: Parameters) -> Float
     total = int(np.prod(parameters.shape))
     lanes = min(total, LANES)
     shapes = {name: jax.ShapeDtypeStruct((lanes,), float) for name in parameters.values}
-    compiled = jax.jit(jax.vmap(point)).lower(shapes).compile()
+    compiled = jax.jit(jax.vmap(point)).lower(shapes).compile(COMPILER_OPTIONS)
 
     def block(first: int) -> np.ndarray:
         values = parameters.numbered(np.arange(first, min(first + lanes, total)))

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker.energy import stored_energy
 from jaxwhisker.path import Status
 from jaxwhisker.result import Result, State
@@ -134,7 +135,7 @@ class Kernel:
         """The compiled function; the first call waits for the compiler."""
         with self._lock:
             if self._compiled is None:
-                self._compiled = self._lowered.compile()
+                self._compiled = self._lowered.compile(COMPILER_OPTIONS)
         return self._compiled
 
     def __call__(self, values: Arrays) -> tuple[Arrays, np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 
 from jaxwhisker.critical import softest, steepest
@@ -39,7 +40,8 @@ def steepness(build: Callable[..., Scene], data: xr.Dataset) -> xr.DataArray:
             return np.nan
         whisker = scene.whiskers[0]
         # The springs have no part in it: one search serves all of them.
-        same = repr((float(whisker.length), float(whisker.bending_stiffness), scene.profile))
+        leaves, structure = jax.tree.flatten(whisker)
+        same = repr(([np.asarray(leaf).tolist() for leaf in leaves], structure, scene.profile))
         if same not in slopes:
             slopes[same] = steepest(whisker, scene.profile).slope
         return slopes[same] * softest(scene.support)

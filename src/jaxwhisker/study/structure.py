@@ -43,9 +43,9 @@ def structure_of(build: Callable, parameters: Parameters) -> Structure:
             )
     first = traced.whiskers[0]
     units = (first.length, first.bending_stiffness)
-    known = not any(isinstance(unit, Tracer) for unit in units)
+    known = not any(callable(unit) or isinstance(unit, Tracer) for unit in units)
     springs = tuple(s.between for s in traced.support.springs)
-    return Structure(traced.support.whiskers, springs, known and all(float(u) == 1.0 for u in units), str(traced))
+    return Structure(traced.support.whiskers, springs, known and all(np.all(u == 1.0) for u in units), str(traced))
 
 
 def _checked(scene: Any) -> Scene:
