@@ -175,5 +175,5 @@ def test_bad_methods(make, says):
 
 def test_a_scene_says_how_its_rods_are_computed():
     assert str(scene(VALUES, jw.ClosedForm())).endswith(", closed form")
-    assert str(scene(VALUES, jw.Shooting(steps=12))).endswith(", shooting, 12 steps of NystromSplitting")
+    assert str(scene(VALUES, jw.Shooting(steps=12))).endswith(", shooting, 12 steps")
     assert str(scene(VALUES, jw.Shooting())).endswith("EI = 0.9")

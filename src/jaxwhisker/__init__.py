@@ -7,7 +7,7 @@ from jaxwhisker.energy import stored_energy
 from jaxwhisker.path import EventKind, Status
 from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
 from jaxwhisker.result import Event, Events, Result, State
-from jaxwhisker.rod import NystromSplitting
+from jaxwhisker.rod import Splitting
 from jaxwhisker.scan import scan
 from jaxwhisker.scene import Scene
 from jaxwhisker.shape import Shapes, shapes
@@ -26,7 +26,6 @@ __all__ = [
     "EventKind",
     "Events",
     "Graph",
-    "NystromSplitting",
     "Parabola",
     "Phase",
     "PointForce",
@@ -35,6 +34,7 @@ __all__ = [
     "Scene",
     "Shapes",
     "Shooting",
+    "Splitting",
     "Spring",
     "State",
     "Status",

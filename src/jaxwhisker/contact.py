@@ -7,6 +7,8 @@ whisker and object (< 0, tip contact). Both phases are one system, smooth within
 bent the other way, are its mirror image.
 """
 
+import dataclasses
+from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -15,8 +17,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._types import Scalar
-from jaxwhisker.elastica import AbstractRod, rod_end
+from jaxwhisker.elastica import AbstractRod, rod_end, uneven_rod_end
 from jaxwhisker.profile import AbstractProfile
+from jaxwhisker.whisker import Section
 
 
 class Phase(IntEnum):
@@ -28,12 +31,13 @@ class Phase(IntEnum):
 
 
 class Body(NamedTuple):
-    """What a contact needs to know of its whisker and object; dimensionless."""
+    """What a contact needs to know of its whisker and object; dimensionless. Of several: see of_each."""
 
     length: Float[Array, "*batch"]
-    bending_stiffness: Float[Array, "*batch"]
+    bending_stiffness: Float[Array, "*batch"]  # at the base
     profile: AbstractProfile
     rod: AbstractRod
+    section: Section | tuple[Section, ...] | None = None  # None if uniform; of several that are not alike, one each
 
 
 class Base(NamedTuple):
@@ -93,7 +97,13 @@ def base(
     """Pose and reaction of the base for the contact z; its derivatives are taken with `rates`."""
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
     rates = body.rod.for_rates() if rates is None else rates
-    end = rod_end(z[0] / body.bending_stiffness, arc(body, z[2], phase), angle, body.rod, rates)
+    s = arc(body, z[2], phase)
+    if body.section is None:
+        end = rod_end(z[0] / body.bending_stiffness, s, angle, body.rod, rates)
+    else:
+        assert isinstance(body.section, Section)  # of one whisker
+        section = dataclasses.replace(body.section, orientation=side)
+        end = uneven_rod_end(z[0], s, angle, section, body.rod, rates)
     return _in_scene(body, end, z, side)
 
 
@@ -118,19 +128,18 @@ def linearise(
     return value, gradient
 
 
-def touching(body: Body, touch, side: Scalar) -> tuple[Float[Array, "3"], Int[Array, ""]]:
-    """Contact (z, phase) of an unloaded vertical whisker at its first touch from that side."""
-    at = body.profile.point(touch.parameter)
-    # Angle between the whisker, which points up, and the tangent, as seen from the side it comes from.
-    angle = jnp.arctan2(jnp.abs(at.cos), side * at.sin)
-    beyond = body.length - touch.y
-    by_shaft = beyond > SHAFT_FIRST * body.length
-    slack = jnp.where(by_shaft, beyond, -angle)
-    phase = jnp.where(by_shaft, Phase.tangential, Phase.tip)
-    return jnp.stack([jnp.zeros_like(slack), touch.parameter, slack]), phase
-
-
-SHAFT_FIRST = 1e-12  # share of the length that must stand above the first contact to call it tangential
+def of_each(bodies: Body, function: Callable, *args):
+    """What a function of a body says of every whisker; each is given its own of the arguments."""
+    section = bodies.section
+    if not isinstance(section, tuple):
+        axes = Body(0, 0, None, None, None if section is None else 0)  # pyright: ignore[reportArgumentType]
+        return jax.vmap(function, in_axes=(axes, *[0] * len(args)))(bodies, *args)
+    # Whiskers that differ by more than numbers: a computation for each.
+    found = []
+    for k, own in enumerate(section):
+        body = bodies._replace(length=bodies.length[k], bending_stiffness=bodies.bending_stiffness[k], section=own)
+        found.append(function(body, *jax.tree.map(lambda leaf, k=k: leaf[k], args)))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
 
 
 def clear(

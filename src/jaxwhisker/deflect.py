@@ -12,7 +12,7 @@ from jaxwhisker._lanes import harmless
 from jaxwhisker._types import Scalar
 from jaxwhisker.implicit import without_rule
 from jaxwhisker.path import Status
-from jaxwhisker.whisker import Whisker
+from jaxwhisker.whisker import Section, Whisker
 
 LOAD_STEPS = 32  # from rest to the full load: the state that grows out of rest is found, not just any
 STEPS = 32  # of the rod between two loads
@@ -86,8 +86,13 @@ class _Loads(eqx.Module):
     position: Float[Array, " loads"]
 
 
+def _along(whisker: Whisker) -> Section | None:
+    """What changes along the whisker, dimensionless; None if it is uniform."""
+    return None if whisker.uniform else Section(whisker, whisker.length, whisker.base_stiffness)
+
+
 def _collect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> _Loads:
-    length, stiffness = whisker.length, whisker.bending_stiffness
+    length, stiffness = whisker.length, whisker.base_stiffness
     rows = []
     for load in loads:
         position = 1.0 if load.position is None else load.position / length
@@ -109,7 +114,9 @@ class _Stretch(eqx.Module):
     arc: Scalar
 
 
-def _stretches(loads: _Loads, tip_angle: Scalar, factor: Scalar, steps: int) -> tuple[list[_Stretch], rod.RodState]:
+def _stretches(
+    loads: _Loads, section: Section | None, tip_angle: Scalar, factor: Scalar, steps: int
+) -> tuple[list[_Stretch], rod.RodState]:
     """All stretches from the outermost load to the base, and the state at the base; origin at the outermost load."""
     zero = jnp.zeros(())
     state = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle))
@@ -130,38 +137,48 @@ def _stretches(loads: _Loads, tip_angle: Scalar, factor: Scalar, steps: int) -> 
         total = rod.Load(force_x, force_y, bend)
         stretch = _Stretch(state, total, loads.position[k] - ends[k])
         stretches.append(stretch)
-        state = rod.integrate(state, stretch.arc, total, 1.0, steps=steps, solver=rod.NystromSplitting())
+        state = rod.integrate(state, stretch.arc, total, section, steps=steps, from_base=loads.position[k])
     return stretches, state
 
 
-def _misdirection(tip_angle: Scalar, args: tuple[_Loads, Scalar]) -> Scalar:
-    loads, factor = args
-    _, (_, _, cos, _) = _stretches(loads, tip_angle, factor, STEPS)
+def _misdirection(tip_angle: Scalar, args: tuple[_Loads, Section | None, Scalar]) -> Scalar:
+    loads, section, factor = args
+    _, (_, _, cos, _) = _stretches(loads, section, tip_angle, factor, STEPS)
     return cos
 
 
 @eqx.filter_custom_jvp
-def _balanced(tip_angle: Scalar, loads: _Loads) -> Scalar:
-    """The tip angle, at which the base points up under the loads, with its derivatives by them (see implicit.py)."""
-    return without_rule(tip_angle, loads)
+def _balanced(tip_angle: Scalar, loads: _Loads, section: Section | None) -> Scalar:
+    """The tip angle, at which the base points up under the loads, with its derivatives (see implicit.py)."""
+    return without_rule(tip_angle, (loads, section))
 
 
 @_balanced.def_jvp
 def _(primals, tangents):
-    tip_angle, loads = primals
-    _, loads_dot = tangents
-    here, one = _balanced(tip_angle, loads), jnp.asarray(1.0)
-    slope = jax.jacfwd(_misdirection)(here, (loads, one))
-    _, missed = eqx.filter_jvp(lambda loads: _misdirection(here, (loads, one)), (loads,), (loads_dot,))
+    tip_angle, *known = primals
+    _, *known_dot = tangents
+    here, one = _balanced(tip_angle, *known), jnp.asarray(1.0)
+    slope = jax.jacfwd(_misdirection)(here, (*known, one))
+    _, missed = eqx.filter_jvp(lambda *known: _misdirection(here, (*known, one)), tuple(known), tuple(known_dot))
     return here, -missed / slope
 
 
-def _grown(loads: _Loads) -> Scalar:
+def _misdirected(loads: _Loads, section: Section | None) -> Scalar:
+    """Direction of the unloaded whisker where the outermost load will act: away from upright if it is curved."""
+    if section is None:
+        return jnp.asarray(jnp.pi / 2)
+    _, (_, _, cos, sin) = _stretches(loads, section, jnp.asarray(jnp.pi / 2), jnp.asarray(0.0), STEPS)
+    return jnp.pi - jnp.arctan2(sin, cos)
+
+
+def _grown(loads: _Loads, section: Section | None) -> Scalar:
     """Direction of the whisker beyond the outermost load, on the branch that grows out of rest."""
     newton = optx.Newton(rtol=1e-10, atol=1e-10)
 
     def solve(guess, factor):
-        return optx.root_find(_misdirection, newton, guess, args=(loads, factor), max_steps=20, throw=False).value
+        return optx.root_find(
+            _misdirection, newton, guess, args=(loads, section, factor), max_steps=20, throw=False
+        ).value
 
     def grow(carry, factor):
         angle, change = carry
@@ -169,20 +186,19 @@ def _grown(loads: _Loads) -> Scalar:
         return (found, found - angle), None
 
     factors = jnp.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:]
-    (angle, _), _ = jax.lax.scan(grow, (jnp.asarray(jnp.pi / 2), jnp.asarray(0.0)), factors)
+    (angle, _), _ = jax.lax.scan(grow, (_misdirected(loads, section), jnp.asarray(0.0)), factors)
     return angle
 
 
 def _found(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> tuple[Scalar, Int[Array, ""]]:
     """Direction of the tip, and the status."""
-    positive = (jnp.asarray(whisker.length) > 0) & (jnp.asarray(whisker.bending_stiffness) > 0)
-    collected = _collect(whisker, loads)
-    valid = positive & jnp.all((collected.position > 0) & (collected.position <= 1))
+    collected, section = _collect(whisker, loads), _along(whisker)
+    valid = whisker.valid() & jnp.all((collected.position > 0) & (collected.position <= 1))
     valid &= jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(collected)]))
-    tip_angle = _grown(collected)
+    tip_angle = _grown(collected, section)
     one = jnp.asarray(1.0)
-    _, (x, y, cos, _) = _stretches(collected, tip_angle, one, STEPS)
-    _, (fine_x, fine_y, fine_cos, fine_sin) = _stretches(collected, tip_angle, one, 2 * STEPS)
+    _, (x, y, cos, _) = _stretches(collected, section, tip_angle, one, STEPS)
+    _, (fine_x, fine_y, fine_cos, fine_sin) = _stretches(collected, section, tip_angle, one, 2 * STEPS)
     miss = jnp.max(jnp.abs(jnp.stack([cos, fine_cos, fine_x - x, fine_y - y])))
     exact = (miss < RESIDUAL) & (fine_sin > 0)
     return tip_angle, jnp.where(valid, jnp.where(exact, Status.ok, Status.inexact), Status.invalid)
@@ -222,31 +238,40 @@ def deflect(whisker: Whisker, *loads: PointForce | PointMoment, points: int = 10
     return _deflect(whisker, loads, points)
 
 
+def _curvature(moment: Scalar | rod.Along, section: Section | None, s: rod.Along) -> Scalar | rod.Along:
+    return moment if section is None else jax.vmap(section.bent)(moment, s)
+
+
 @eqx.filter_jit
 def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], points: int) -> Deflection:
     tip_angle, status = _found(*jax.lax.stop_gradient((whisker, loads)))
     ok = status == Status.ok
     whisker, loads = harmless((whisker, loads), ok)
-    collected = _collect(whisker, loads)
-    tip_angle = _balanced(jnp.where(ok, tip_angle, jnp.pi / 2), collected)
-    stretches, (base_x, base_y, _, _) = _stretches(collected, tip_angle, jnp.asarray(1.0), STEPS)
+    collected, section = _collect(whisker, loads), _along(whisker)
+    tip_angle = _balanced(jnp.where(ok, tip_angle, jnp.pi / 2), collected, section)
+    stretches, (base_x, base_y, _, _) = _stretches(collected, section, tip_angle, jnp.asarray(1.0), STEPS)
 
     shapes, bends, arcs = [], [], []
     for stretch, outer in zip(stretches, collected.position, strict=True):
-        states = jnp.stack(rod.points(stretch.start, stretch.arc, stretch.load, 1.0, count=points))[:, ::-1]
+        line = rod.points(stretch.start, stretch.arc, stretch.load, section, count=points, from_base=outer)
+        states = jnp.stack(line)[:, ::-1]
+        s = outer - stretch.arc * jnp.linspace(1.0, 0.0, points)
         shapes.append(states)
-        bends.append(rod.curvature(states[0], states[1], stretch.load, 1.0))
-        arcs.append(outer - stretch.arc * jnp.linspace(1.0, 0.0, points))
-    # Innermost stretch first; beyond the outermost load the whisker is straight.
-    beyond = 1.0 - collected.position[0]
-    tip = jnp.stack([beyond * jnp.cos(tip_angle), beyond * jnp.sin(tip_angle), jnp.cos(tip_angle), jnp.sin(tip_angle)])
-    x, y, cos, sin = jnp.concatenate([*shapes[::-1], tip[:, None]], axis=1)
-    curvature = jnp.concatenate([*bends[::-1], jnp.zeros(1)])
-    s = jnp.concatenate([*arcs[::-1], jnp.ones(1)])
+        bends.append(_curvature(rod.moment(states[0], states[1], stretch.load), section, s))
+        arcs.append(s)
+    # Innermost stretch first; beyond the outermost load the whisker is as it was: straight, which two points tell.
+    first, zero = collected.position[0], jnp.zeros(())
+    start, nothing = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle)), rod.Load(None, zero, None)
+    count = 2 if section is None else points
+    beyond = rod.points(start, first - 1.0, nothing, section, count=count, from_base=first)
+    x, y, cos, sin = jnp.concatenate([*shapes[::-1], jnp.stack(beyond)[:, 1:]], axis=1)
+    s = jnp.concatenate([*arcs[::-1], jnp.linspace(first, 1.0, count)[1:]])
+    bends.append(_curvature(jnp.zeros(count - 1), section, s[1 - count :]))
+    curvature = jnp.concatenate([*bends[-2::-1], bends[-1]])
 
     load = stretches[-1].load
     assert load.force_x is not None
-    length, stiffness = whisker.length, whisker.bending_stiffness
+    length, stiffness = whisker.length, whisker.base_stiffness
 
     def where_ok(value):
         return jnp.where(ok, value, jnp.nan)
@@ -254,7 +279,7 @@ def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], poin
     return Deflection(
         fx=where_ok(-load.force_x * stiffness / length**2),  # pyright: ignore[reportOptionalOperand]
         fy=where_ok(-load.force_y * stiffness / length**2),
-        mz=where_ok(-rod.curvature(base_x, base_y, load, 1.0) * stiffness / length),
+        mz=where_ok(-rod.moment(base_x, base_y, load) * stiffness / length),
         s=where_ok(s * length),
         x=where_ok((x - base_x) * length),
         y=where_ok((y - base_y) * length),

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker import contact
 from jaxwhisker._types import Scalar
-from jaxwhisker.contact import Body, Linear, Phase
+from jaxwhisker.contact import Linear, Phase, of_each
 from jaxwhisker.elastica import AbstractRod
 from jaxwhisker.linear import positive_definite, solve
 from jaxwhisker.scene import Problem
@@ -84,12 +84,6 @@ def scale_of(z: Contacts) -> Contacts:
     return jnp.ones_like(z).at[:, 0].add(jnp.abs(z[:, 0]))
 
 
-def bodies(problem: Problem) -> tuple[Body, Body]:
-    """The whiskers for vmap: stacked leaves, and the axes along which they are stacked."""
-    body = Body(problem.length, problem.bending_stiffness, problem.profile, problem.rod)
-    return body, Body(0, 0, None, None)  # pyright: ignore[reportArgumentType]
-
-
 def harmless(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]) -> tuple[Contacts, Int[Array, " whiskers"]]:
     """Contacts and phases with some bent whisker in place of every free one.
 
@@ -104,16 +98,13 @@ def harmless(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]) -> t
 
 def linearised(problem: Problem, z: Contacts, mode: Mode, rates: AbstractRod) -> tuple[Linear, Linear]:
     """Values and gradients of every whisker's equations."""
-    body, axes = bodies(problem)
     at, phase = harmless(problem, z, mode.phase)
-    one = partial(contact.linearise, rates=rates)
-    return jax.vmap(one, in_axes=(axes, 0, 0, 0))(body, at, phase, mode.side)
+    return of_each(problem.bodies, partial(contact.linearise, rates=rates), at, phase, mode.side)
 
 
 def values(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"], side: PerWhisker) -> Linear:
     """Values of every whisker's equations; contacts and phases have to be `harmless`."""
-    body, axes = bodies(problem)
-    return jax.vmap(contact.equations, in_axes=(axes, 0, 0, 0))(body, z, phase, side)
+    return of_each(problem.bodies, contact.equations, z, phase, side)
 
 
 def local(z: Contacts, mode: Mode, value: Linear, gradient: Linear) -> Local:

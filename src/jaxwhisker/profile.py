@@ -11,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker import _checks
+from jaxwhisker._functions import as_field, name_of
 from jaxwhisker._types import Scalar
 
 
@@ -221,14 +222,6 @@ def _elliptic_touch(profile: "Circle | Ellipse", a: Scalar, b: Scalar, height: S
     return _mirror(FirstTouch(parameter, a * sin_t, profile.distance + b * rise), side, profile.position)
 
 
-class _Plain(eqx.Module):
-    # A plain function is structure, not data: hidden from jax, which could neither batch nor differentiate it.
-    function: Callable = eqx.field(static=True)
-
-    def __call__(self, x):
-        return self.function(x)
-
-
 class Graph(AbstractProfile):
     """y = g(x - position) for any strictly convex, twice differentiable g, by abscissa.
 
@@ -253,9 +246,7 @@ class Graph(AbstractProfile):
     def __init__(self, g: Callable, position: Scalar = 0.0, *, extent: Scalar = 100.0, unit: Scalar = 1.0):
         if not callable(g):
             raise ValueError(f"`g` must be a function y = g(x), but is {g!r}.")
-        self.g = g
-        if not isinstance(g, eqx.Module):
-            self.g = _Plain(g)
+        self.g = as_field(g)
         self.position = position
         self.extent = extent
         self.unit = unit
@@ -312,8 +303,7 @@ class Graph(AbstractProfile):
         return [self.vertex()[1], self.extent]
 
     def __str__(self):
-        name = getattr(getattr(self.g, "function", self.g), "__name__", type(self.g).__name__)
-        return f"graph y = {name}(x){differs(', x = ', self.position)}"
+        return f"graph y = {name_of(self.g)}(x){differs(', x = ', self.position)}"
 
 
 def _bisect(inside: Callable, low: Scalar, high: Scalar) -> Float[Array, ""]:

@@ -5,8 +5,9 @@ steps of its own, and finds all events: what is stable, what snaps and where to 
 Then every control position is solved for on its own, from the path's interpolation, all at once.
 """
 
-from functools import partial
-from typing import NamedTuple
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,11 +16,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker import _checks, equilibrium
+from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker._types import Control, Scalar
 from jaxwhisker.contact import Phase
 from jaxwhisker.equilibrium import Contacts, Mode, Point, at_control, find, scale_of
 from jaxwhisker.implicit import solved
-from jaxwhisker.march import march
+from jaxwhisker.march import march, nowhere
 from jaxwhisker.path import Path, Status, dot
 from jaxwhisker.result import Events, Result, State
 from jaxwhisker.scene import Problem, Scene, problem
@@ -71,13 +73,15 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     else:
         control = np.asarray(control, dtype=float)
         stops, last = stops_of(control)
-    way = _travelled(scene, jnp.asarray(stops), jnp.asarray(last))
+    leaves, structure = jax.tree.flatten(scene)
+    _compile(structure, tuple(leaf.shape if _checks.is_numeric(leaf) else leaf for leaf in leaves), stops.size)
+    way = _travelled_now(scene, jnp.asarray(stops), jnp.asarray(last))
     if control is None:
         control = _across(scene, way)
     # Blocks of one size: one compilation serves scans of every length.
     padded = np.concatenate([control, np.full(-control.size % BLOCK, control[-1])]).reshape(-1, BLOCK)
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(padded.ravel())))]).reshape(-1, BLOCK)
-    blocks = [_steps(scene, way, jnp.asarray(u), jnp.asarray(s)) for u, s in zip(padded, travel, strict=True)]
+    blocks = [_steps_now(scene, way.path, jnp.asarray(u), jnp.asarray(s)) for u, s in zip(padded, travel, strict=True)]
     joined = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[: control.size]), *blocks)
     return _result(scene, way, jnp.asarray(control), *joined)
 
@@ -92,7 +96,7 @@ def default_control(scene: Scene) -> np.ndarray:
     if _checks.is_traced(scene):
         raise ValueError("`scene` must be concrete, but is traced: the number of positions depends on its values.")
     scene = jax.tree.map(_checks.as_float, scene)
-    return _across(scene, _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1)))
+    return _across(scene, _travelled_now(scene, jnp.full(2, jnp.nan), jnp.asarray(1)))
 
 
 def _across(scene: Scene, way: "_Way") -> np.ndarray:
@@ -126,6 +130,11 @@ class _Way(NamedTuple):
     stop: Float[Array, ""]
 
 
+def _capacity(scene: Scene, stops: int) -> int:
+    """How many nodes the path to so many stops may have."""
+    return (256 + 64 * scene.support.whiskers) * max(1, stops // 2)
+
+
 @eqx.filter_jit
 def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]) -> _Way:
     """March to all stops; with NaN for the first, right across the object."""
@@ -137,8 +146,7 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
     start = jnp.where(jnp.any(dimensionless.reaches), jnp.max(touches), middle + 1.0) + MARGIN
     softness = equilibrium.yielding(dimensionless, jnp.full(dimensionless.length.shape, HIGHEST_FORCE))
     across = jnp.full_like(stops, start - FAR - jnp.max(softness)).at[0].set(start)
-    n = scene.support.whiskers
-    capacity = (256 + 64 * n) * max(1, stops.shape[0] // 2)
+    capacity = _capacity(scene, stops.shape[0])
     stops = jnp.where(jnp.isnan(stops[0]), across, stops / unit.length)
     path = march(*jax.lax.stop_gradient((dimensionless, stops)), last, capacity=capacity)
     event = path.nodes.kind >= 0
@@ -162,7 +170,7 @@ def along(scene: Scene, control: Float[Array, " steps"], stops: Float[Array, " s
 
 def _finished(scene: Scene, control: Float[Array, " steps"], way: "_Way") -> Result:
     travel = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
-    return _result(scene, way, control, *_steps(scene, way, control, travel))
+    return _result(scene, way, control, *_steps(scene, way.path, control, travel))
 
 
 def contact_range(scene: Scene) -> tuple[Float[Array, ""], Float[Array, ""]]:
@@ -266,10 +274,10 @@ def _state(problem: Problem, point: Point, found: _Found) -> tuple[State, Int[Ar
 
 @eqx.filter_jit
 def _steps(
-    scene: Scene, way: _Way, control: Float[Array, " steps"], travel: Float[Array, " steps"]
+    scene: Scene, path: Path, control: Float[Array, " steps"], travel: Float[Array, " steps"]
 ) -> tuple[State, Float[Array, "steps springs"], Int[Array, " steps"]]:
     """States, spring lengths and status at control positions that the drive passes after `travel`."""
-    dimensionless, path = problem(scene), jax.lax.stop_gradient(way.path)
+    dimensionless, path = problem(scene), jax.lax.stop_gradient(path)
     unit = dimensionless.unit
     u, travel = control / unit.length, travel / unit.length
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
@@ -306,3 +314,27 @@ def _result(
 
 
 TRAVEL_NOISE = 1e-12
+
+
+# Of concrete scenes; options of the compiler are allowed in no other function's jit.
+_COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
+_travelled_now = eqx.filter_jit(_travelled.__wrapped__, **_COMPILED)
+_steps_now = eqx.filter_jit(_steps.__wrapped__, **_COMPILED)
+
+
+@lru_cache(maxsize=1024)
+def _compile(structure: Any, leaves: tuple, stops: int) -> None:
+    """Compile march and steps for scenes of this structure, whose numeric leaves are given by their shapes.
+
+    Not needed, but when both are compiled at once the second costs little: the compiler of one leaves a core idle.
+    """
+    filled = [jnp.asarray(np.ones(leaf)) if isinstance(leaf, tuple) else leaf for leaf in leaves]
+    scene = jax.tree.unflatten(structure, filled)
+    with ThreadPoolExecutor(1) as aside:
+        lowered = _travelled_now.lower(scene, jnp.asarray(np.ones(stops)), jnp.asarray(1))
+        compiled = aside.submit(lowered.compile)
+        path = jax.eval_shape(lambda: nowhere(problem(scene), _capacity(scene, stops)))
+        path = jax.tree.map(lambda leaf: jnp.asarray(np.zeros(leaf.shape, leaf.dtype)), path)
+        block = jnp.asarray(np.zeros(BLOCK))
+        _steps_now.lower(scene, path, block, block).compile()
+        compiled.result()

@@ -20,12 +20,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker import _checks, contact, touch
+from jaxwhisker._functions import name_of
 from jaxwhisker._lanes import harmless
 from jaxwhisker._types import Scalar
-from jaxwhisker.elastica import AbstractRod, Shooting
-from jaxwhisker.profile import AbstractProfile, FirstTouch, differs
+from jaxwhisker.contact import Body
+from jaxwhisker.elastica import AbstractRod, ClosedForm, Shooting
+from jaxwhisker.profile import AbstractProfile, differs, show
 from jaxwhisker.support import Flexibility, Support
-from jaxwhisker.whisker import Whisker
+from jaxwhisker.touch import Touch
+from jaxwhisker.whisker import Section, Whisker
 
 
 class Scene(eqx.Module):
@@ -61,6 +65,11 @@ class Scene(eqx.Module):
                 f"`whisker` must be one Whisker or one per base ({self.support.whiskers} in {self.support.name}), "
                 f"but is a tuple of {len(whiskers)}."
             )
+        if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in whiskers):
+            raise ValueError(
+                "`rod` must be Shooting() for whiskers that are curved or not uniform, but is ClosedForm(): elliptic "
+                "functions solve uniform straight whiskers only."
+            )
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
@@ -71,7 +80,15 @@ class Scene(eqx.Module):
         n, springs = self.support.whiskers, len(self.support.springs)
         counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
         first = self.whiskers[0]
-        material = differs(", L = ", first.length, 1.0) + differs(", EI = ", first.bending_stiffness, 1.0)
+        material = differs(", L = ", first.length, 1.0)
+        if callable(first.bending_stiffness):
+            material += f", EI = {name_of(first.bending_stiffness)}(s)"
+        else:
+            material += differs(", EI = ", first.bending_stiffness, 1.0)
+        if callable(first.intrinsic_curvature):
+            material += f", kappa0 = {name_of(first.intrinsic_curvature)}(s)"
+        elif first.intrinsic_curvature is not None:
+            material += f", kappa0 = {show(first.intrinsic_curvature)}"
         rods = "" if self.rod == Shooting() else f", {self.rod}"
         return f"{self.support.name}: {', '.join(counted)}, {self.profile}{material}{rods}"
 
@@ -90,20 +107,26 @@ class Problem(NamedTuple):
     """A scene without dimensions: what the equations see. Whiskers are stacked along the first axis."""
 
     length: Float[Array, " whiskers"]
-    bending_stiffness: Float[Array, " whiskers"]
+    bending_stiffness: Float[Array, " whiskers"]  # at the base
+    section: Section | tuple[Section, ...] | None  # see contact.Body
     profile: AbstractProfile
     rod: AbstractRod
     flexibility: Flexibility | None
-    touch_right: FirstTouch  # (whiskers,) each: first contact coming from the right
-    touch_left: FirstTouch
+    touch_right: Touch  # first contact coming from the right
+    touch_left: Touch
     reaches: Bool[Array, " whiskers"]  # whether the whisker is long enough to meet the object at all
     valid: Bool[Array, ""]
     unit: Units
 
+    @property
+    def bodies(self) -> Body:
+        """All whiskers, stacked."""
+        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section)
+
 
 def units(scene: Scene) -> Units:
-    """Units in which the scene's problem is dimensionless: L, EI/L^2, EI/L of the first whisker."""
-    length, stiffness = scene.whiskers[0].length, scene.whiskers[0].bending_stiffness
+    """Units in which the scene's problem is dimensionless: L, EI/L^2, EI/L of the first whisker's base."""
+    length, stiffness = scene.whiskers[0].length, scene.whiskers[0].base_stiffness
     return Units(length, stiffness / length**2, stiffness / length)
 
 
@@ -113,8 +136,9 @@ def problem(scene: Scene) -> Problem:
     scene = harmless(scene, valid)
     unit = units(scene)
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
-    stiffness = jnp.stack([jnp.asarray(w.bending_stiffness, dtype=float) for w in scene.whiskers])
+    stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])
     stiffness = stiffness / (unit.moment * unit.length)
+    section = sections(scene.whiskers, unit.length, unit.moment * unit.length)
     profile = scene.profile.in_unit(unit.length)
     flexibility = scene.support.flexibility()
     if flexibility is not None:
@@ -126,14 +150,38 @@ def problem(scene: Scene) -> Problem:
             flexibility.consistent,
         )
         valid &= flexibility.consistent
-    touch_right = jax.vmap(lambda height: profile.first_touch(height, 1.0))(length)
-    touch_left = jax.vmap(lambda height: profile.first_touch(height, -1.0))(length)
-    reaches = length > profile.vertex()[1]
-    return Problem(length, stiffness, profile, scene.rod, flexibility, touch_right, touch_left, reaches, valid, unit)
+    if all(whisker.intrinsic_curvature is None for whisker in scene.whiskers):
+        right, left = (jax.vmap(lambda h, s=s: touch.of_straight(profile, h, s))(length) for s in (1.0, -1.0))
+        height = length
+    else:
+        bodies = Body(length, stiffness, profile, scene.rod, section)
+        right, left, height = contact.of_each(bodies, _touches)
+    reaches = height > profile.vertex()[1]
+    return Problem(length, stiffness, section, profile, scene.rod, flexibility, right, left, reaches, valid, unit)
+
+
+def _touches(body: Body) -> tuple[Touch, Touch, Scalar]:
+    """First touches of a curved whisker from the right and from the left, and the height that it reaches."""
+    return touch.of_curved(body, 1.0), touch.of_curved(body, -1.0), touch.height(body)
+
+
+def sections(
+    whiskers: tuple[Whisker, ...], length_unit: Scalar, stiffness_unit: Scalar
+) -> Section | tuple[Section, ...] | None:
+    """What changes along whiskers: stacked if they differ by numbers only, None if all are uniform."""
+    if all(whisker.uniform for whisker in whiskers):
+        return None
+    whiskers = jax.tree.map(_checks.as_float, whiskers)
+    units = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit, 1.0))
+    length, stiffness, one = units
+    each = tuple(Section(whisker, length, stiffness, one) for whisker in whiskers)
+    kinds = [(jax.tree.structure(section), [leaf.shape for leaf in jax.tree.leaves(section)]) for section in each]
+    if any(kind != kinds[0] for kind in kinds):
+        return each
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 
 def _valid(scene: Scene) -> Bool[Array, ""]:
     # Whether traced parameters lie where the constructors would have let them.
-    own = [jnp.asarray(value) for w in scene.whiskers for value in (w.length, w.bending_stiffness)]
-    positive = jnp.all(jnp.stack([jnp.isfinite(value) & (value > 0) for value in own]))
-    return scene.profile.valid() & scene.support.valid() & positive
+    whiskers = jnp.all(jnp.stack([whisker.valid() for whisker in scene.whiskers]))
+    return scene.profile.valid() & scene.support.valid() & whiskers

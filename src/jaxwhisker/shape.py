@@ -1,5 +1,7 @@
 """Shapes: the whiskers' centre lines at steps of a scan."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,13 +9,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker import _checks, rod
-from jaxwhisker._types import Control
+from jaxwhisker._types import Control, Scalar
 from jaxwhisker.contact import Phase
 from jaxwhisker.result import Result, State
+from jaxwhisker.whisker import Section, Whisker
 
 
 class Shapes(eqx.Module):
-    """Centre lines: the last axis runs from base to contact in equal arcs; its last point is the tip."""
+    """Centre lines: the last axis runs from base to contact in equal arcs; its last point is the tip.
+
+    Of curved whiskers half of the points lie between contact and tip.
+    """
 
     x: Float[Array, "*at whiskers points"]
     y: Float[Array, "*at whiskers points"]
@@ -42,29 +48,43 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
         index = np.argmin(np.abs(np.asarray(result.control)[:, None] - np.asarray(at)), axis=0)
     fields = {name: getattr(result, name)[index] for name in State.__dataclass_fields__}
     whiskers = result.scene.whiskers
-    length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers])
-    stiffness = jnp.stack([jnp.asarray(w.bending_stiffness, dtype=float) for w in whiskers])
-    return shapes_of(State(**fields), length, stiffness, points=points)
+    return shapes_of(State(**fields), jax.tree.map(_checks.as_float, whiskers), points=points)
 
 
 @eqx.filter_jit
-def shapes_of(
-    state: State, length: Float[Array, " whiskers"], bending_stiffness: Float[Array, " whiskers"], *, points: int
-) -> Shapes:
+def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Shapes:
     """Centre lines of whiskers in the given state(s)."""
 
-    def one(base_x, fx, fy, mz, arc, length, stiffness):
-        # Outwards is towards the base with a negative arc. The load is what the reaction balances.
-        load = rod.Load(-fx, -fy, -mz - base_x * fy)
-        up = (base_x, jnp.zeros_like(base_x), jnp.zeros_like(base_x), jnp.ones_like(base_x))
-        x, y, cos, sin = rod.points(up, -arc, load, stiffness, count=points - 1)
-        beyond = length - arc
-        return jnp.append(x, x[-1] + beyond * cos[-1]), jnp.append(y, y[-1] + beyond * sin[-1])
+    def of(whisker: Whisker, base_x, fx, fy, mz, arc, free):
+        arc = jnp.where(free, whisker.length, arc)
+        loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
+        x, y, cos, sin = outwards(whisker, base_x, fx, fy, mz, arc, count=loaded)
+        # Beyond the contact the whisker is as it was: straight, which one point tells, or curved.
+        end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
+        tip_x, tip_y, _, _ = rod.points(
+            end, arc - whisker.length, nothing, material(whisker), count=points - loaded + 1, from_base=arc
+        )
+        return jnp.append(x, tip_x[1:]), jnp.append(y, tip_y[1:])
 
-    free = state.phase == Phase.free
-    arc = jnp.where(free, length, state.contact_arc)
-    line = jax.vmap(one)
-    for _ in range(state.base_x.ndim - 1):
-        line = jax.vmap(line, in_axes=(0, 0, 0, 0, 0, None, None))
-    x, y = line(state.base_x, state.fx, state.fy, state.mz, arc, length, bending_stiffness)
+    fields = state.base_x, state.fx, state.fy, state.mz, state.contact_arc, state.phase == Phase.free
+    lines = []
+    for k, whisker in enumerate(whiskers):
+        line = partial(of, whisker)
+        for _ in range(state.base_x.ndim - 1):
+            line = jax.vmap(line)
+        lines.append(line(*(field[..., k] for field in fields)))
+    x, y = (jnp.stack(coordinates, axis=-2) for coordinates in zip(*lines, strict=True))
     return Shapes(x, y)
+
+
+def outwards(whisker: Whisker, base_x: Scalar, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, *, count: int):
+    """The rod's states at `count` equidistant points from the base up to that arc, under the base's reaction."""
+    # Outwards is towards the base with a negative arc. The load is what the reaction balances.
+    load = rod.Load(-fx, -fy, -mz - base_x * fy)
+    up = (base_x, jnp.zeros_like(base_x), jnp.zeros_like(base_x), jnp.ones_like(base_x))
+    return rod.points(up, -arc, load, material(whisker), count=count, from_base=jnp.zeros_like(arc))
+
+
+def material(whisker: Whisker) -> rod.Material:
+    """What the rod is made of, in the whisker's own units."""
+    return whisker.base_stiffness if whisker.uniform else Section(whisker, 1.0, 1.0)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxwhisker import contact, equilibrium
 from jaxwhisker._types import Scalar
-from jaxwhisker.contact import Phase
+from jaxwhisker.contact import Phase, of_each
 from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, Row, at_control, harmless
 from jaxwhisker.implicit import solved, solved_event
 from jaxwhisker.path import NO_EVENT, EventKind, Node, Path, select
@@ -19,9 +19,8 @@ from jaxwhisker.scene import Problem
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
     """Everything about an equilibrium in the scene's units, and by how much it misses its equations."""
     touching, unit = mode.phase != Phase.free, problem.unit
-    body, axes = equilibrium.bodies(problem)
-    base = jax.vmap(contact.base, in_axes=(axes, 0, 0, 0))(body, *harmless(problem, z, mode.phase), mode.side)
-    arc = jax.vmap(contact.arc, in_axes=(axes, 0, 0))(body, z[:, 2], mode.phase)
+    base = of_each(problem.bodies, contact.base, *harmless(problem, z, mode.phase), mode.side)
+    arc = of_each(problem.bodies, contact.arc, z[:, 2], mode.phase)
 
     def of_touching(values: PerWhisker) -> PerWhisker:
         return jnp.where(touching, values, 0.0)

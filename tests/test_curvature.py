@@ -1,0 +1,195 @@
+"""Whiskers that are curved when unloaded, and cones: against a forward shooting, limits, first touch, derivatives."""
+
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import forward
+import jaxwhisker as jw
+from scenes import all_ok
+
+EXACT = 1e-7  # of signals relative to their size: the rods' steps
+SAME = 1e-9  # of signals relative to their size: the same rod, computed in another way
+ARC = 1e-10  # of a circle's points and of constant curvatures
+MODES = 1e-10  # forward against reverse, relative to the sum of sizes: the same sums in another order
+DIFFERENCES = 1e-6  # central differences lose half the digits
+DIFFERENCE = 1e-5
+VISIBLE = 1e-2  # weighted signals change by this share at least when a parameter doubles
+
+CONTROL = np.linspace(1.2, -1.6, 113)
+SIGNALS = ("base_x", "fx", "fy", "mz")
+
+
+class Spiral(eqx.Module):
+    """An Euler spiral: curvature linear in arc length."""
+
+    start: float
+    growth: float
+
+    def __call__(self, s):
+        return self.start + self.growth * s
+
+
+def curved(kappa, whisker=None, stiffness=70.0, distance=0.2):
+    whisker = jw.Whisker(intrinsic_curvature=kappa) if whisker is None else whisker
+    return jw.Scene(whisker, jw.Parabola(distance), jw.Support.fb(stiffness, 0.2))
+
+
+def conical_spiral():
+    return jw.Whisker(1.0, lambda s: (1 - 0.75 * s) ** 4, Spiral(0.3, 0.5))
+
+
+SCENES = {
+    "towards": curved(0.6),
+    "away": curved(-0.6),
+    "clamped": jw.Scene(jw.Whisker(intrinsic_curvature=0.5), jw.Parabola(0.2)),
+    "cone": curved(None, jw.Whisker(1.0, lambda s: (1 - 0.8 * s) ** 4)),
+    "conical spiral": curved(None, conical_spiral()),
+}
+
+
+@cache
+def scanned(name):
+    return jw.scan(SCENES[name], CONTROL)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_against_forward_shooting(name):
+    result = scanned(name)
+    whisker, springs = SCENES[name].whiskers[0], SCENES[name].support.springs
+    touching = np.flatnonzero((np.asarray(result.phase)[:, 0] != jw.Phase.free) & (np.asarray(result.mz)[:, 0] > 0))
+    assert all_ok(result)
+    phases = set()
+    for k in touching[2 :: max(1, touching.size // 8)]:
+        phase = int(result.phase[k, 0])
+        phases.add(phase)
+        near = [result.contact_force[k, 0], result.contact_slope[k, 0], result.contact_arc[k, 0]]
+        exact = forward.equilibrium(
+            u=float(CONTROL[k]),
+            guess=tuple(1.01 * float(value) for value in near[: 2 if phase == jw.Phase.tip else 3]),
+            bending_stiffness=whisker.stiffness_at,
+            intrinsic_curvature=whisker.curvature_at,
+            length=1.0,
+            profile=lambda slope: (np.tan(slope) / 2, 0.2 + np.tan(slope) ** 2 / 4),
+            stiffness=1 / float(springs[0].softness) if springs else np.inf,
+            rest_length=float(springs[0].rest_length) if springs else 0.0,
+        )
+        for field in (*SIGNALS, "contact_slope", "contact_arc"):
+            size = np.max(np.abs(np.asarray(getattr(result, field))))
+            assert abs(float(getattr(result, field)[k, 0]) - getattr(exact, field)) < EXACT * size, (field, CONTROL[k])
+    assert len(phases) == 2
+
+
+def test_no_curvature_is_a_straight_whisker():
+    straight, zero = jw.scan(curved(None), CONTROL), jw.scan(curved(0.0), CONTROL)
+    for name in SIGNALS:
+        assert np.max(np.abs(getattr(zero, name) - getattr(straight, name))) < SAME * np.max(np.abs(straight.mz))
+    np.testing.assert_allclose([e.control for e in zero.events], [e.control for e in straight.events], atol=SAME)
+
+
+@pytest.mark.parametrize("kappa", [-0.3, 0.8])
+def test_an_arc_touches_with_its_tip_where_geometry_says(kappa):
+    # Clamped, no springs: the tip of a circular arc meets the parabola at its own height.
+    tip_x, tip_y = -(1 - np.cos(kappa)) / kappa, np.sin(kappa) / kappa
+    result = jw.scan(jw.Scene(jw.Whisker(intrinsic_curvature=kappa), jw.Parabola(0.2)))
+    touch = next(iter(result.events))
+    assert touch.kind == jw.EventKind.touch
+    assert touch.control == pytest.approx(np.sqrt(tip_y - 0.2) - tip_x, abs=ARC)
+
+
+def test_an_arc_touches_with_its_shaft_beneath_a_ball():
+    # Bent away from a small ball, whose centre is lower than the tip: circle meets circle, centres in line.
+    kappa, radius, distance = -0.5, 0.1, 0.4
+    result = jw.scan(jw.Scene(jw.Whisker(intrinsic_curvature=kappa), jw.Circle(distance, radius)))
+    touch = next(iter(result.events))
+    # The whisker's circle has its centre at base_x + 1/|kappa|; the ball touches it from the left, outside.
+    apart = np.sqrt((1 / abs(kappa) + radius) ** 2 - (distance + radius) ** 2)
+    assert touch.after.phase[0] == jw.Phase.tangential
+    assert touch.control == pytest.approx(apart - 1 / abs(kappa), abs=ARC)
+
+
+def test_moving_from_the_other_side_is_the_mirror_image():
+    # A scan to the left and back to the right: on the way back the whisker curves away.
+    forth, back = jw.Whisker(intrinsic_curvature=0.4), jw.Whisker(intrinsic_curvature=-0.4)
+    support = jw.Support.fb(70.0, 0.0)
+    turning = np.concatenate([np.linspace(1.3, -2.0, 50), np.linspace(-2.0, 1.5, 50)[1:]])
+    there = jw.scan(jw.Scene(forth, jw.Parabola(0.2), support), turning)
+    mirrored = jw.scan(jw.Scene(back, jw.Parabola(0.2), support), -turning[49:])
+    assert all_ok(there) and all_ok(mirrored)
+    np.testing.assert_allclose(there.mz[49:], -mirrored.mz, atol=SAME * 10)
+
+
+def test_an_unloaded_arc_keeps_its_arc():
+    kappa = 0.7
+    d = jw.deflect(jw.Whisker(intrinsic_curvature=kappa), jw.PointForce(0.0, position=0.6))
+    np.testing.assert_allclose(d.curvature, kappa, atol=ARC)
+    np.testing.assert_allclose(d.x, -(1 - np.cos(kappa * np.asarray(d.s))) / kappa, atol=ARC)
+    np.testing.assert_allclose(d.y, np.sin(kappa * np.asarray(d.s)) / kappa, atol=ARC)
+
+
+def test_a_moment_at_the_tip_shifts_the_curvature_everywhere():
+    whisker = jw.Whisker(1.0, lambda s: 2.0 - s, Spiral(0.3, 0.5))
+    d = jw.deflect(whisker, jw.PointMoment(0.4), points=50)
+    s = np.asarray(d.s)[:50]  # at the tip, beyond the moment, the curvature is the whisker's own
+    np.testing.assert_allclose(d.curvature[:50], 0.3 + 0.5 * s + 0.4 / (2.0 - s), atol=ARC)
+
+
+def test_shapes_of_free_whiskers_are_their_own():
+    result = scanned("towards")
+    line = jw.shapes(result, CONTROL[:1])
+    x, y = np.asarray(line.x)[0, 0], np.asarray(line.y)[0, 0]
+    angle = 0.6 * np.linspace(0, 1, 200)
+    np.testing.assert_allclose(x[-1] - x[0], -(1 - np.cos(angle[-1])) / 0.6, atol=ARC)
+    np.testing.assert_allclose(y[-1], np.sin(angle[-1]) / 0.6, atol=ARC)
+
+
+# Length, Young's modulus, diameters at base and tip, curvature and its growth, stiffness of the spring.
+P = jnp.array([1.0, 64 / np.pi, 1.0, 0.3, 0.3, 0.4, 70.0])
+
+
+def observed(p):
+    """Signals before the vertex, after it and on the far side; positions of the first events, a snap among them."""
+    length, modulus, base, tip, start, growth, c = p
+    stiffness = jw.Whisker.conical(length, modulus, base, tip).bending_stiffness
+    whisker = jw.Whisker(length, stiffness, Spiral(start, growth))
+    control = jnp.array([0.65, 0.3, -0.1, -0.4, -0.7, -1.6])
+    result = jw.scan(jw.Scene(whisker, jw.Parabola(0.2), jw.Support.fb(c, 0.2)), control)
+    return jnp.concatenate([result.fx[:5, 0], result.mz[:5, 0], result.events.control[:3]])
+
+
+def test_derivatives_by_all_that_shapes_a_whisker():
+    rng = np.random.default_rng(3)
+    direction = P * jnp.asarray(rng.uniform(0.5, 1.0, P.size))
+    once = jax.jit(observed)
+    value = once(P)
+    assert np.all(np.isfinite(value))
+    weights = jnp.asarray(rng.normal(size=value.size)) / jnp.maximum(jnp.abs(value), 0.1)
+
+    @jax.jit
+    def both(p):
+        return jax.jvp(observed, (p,), (direction,))[1], jax.vjp(observed, p)[1](weights)[0]
+
+    pushed, pulled = both(P)
+    assert np.all(np.abs(pulled * P) > VISIBLE)
+    assert abs(weights @ pushed - pulled @ direction) < MODES * np.sum(np.abs(pulled * direction))
+    for k, size in enumerate(P):
+        step = DIFFERENCE * size
+        difference = weights @ (once(P.at[k].add(step)) - once(P.at[k].add(-step))) / (2 * step)
+        assert abs(difference - pulled[k]) < DIFFERENCES * np.max(np.abs(pulled * P)) / size
+
+
+def test_a_whisker_that_curls_round_is_refused():
+    with pytest.raises(
+        ValueError, match=r"`intrinsic_curvature` must turn .* less than a right angle, .* by 91\.67 degrees"
+    ):
+        jw.Whisker(intrinsic_curvature=1.6)
+    with pytest.raises(ValueError, match="`rod` must be Shooting"):
+        jw.Scene(jw.Whisker(intrinsic_curvature=0.1), jw.Parabola(0.2), rod=jw.ClosedForm())
+    kappa = jnp.array([0.4, 1.6])
+    mz, status = jax.jit(jax.vmap(lambda k: (lambda r: (r.mz, r.status))(jw.scan(curved(k), CONTROL[::16]))))(kappa)
+    assert np.all(status[1] == jw.Status.invalid) and np.all(np.isnan(mz[1]))
+    assert np.all(status[0] == jw.Status.ok) and np.all(np.isfinite(mz[0]))
