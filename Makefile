@@ -38,7 +38,7 @@ bench-more: $(VENV)/installed-dev ## gradients, studies, the map of the critical
 extremes: $(VENV)/installed-dev ## scans at the ends of every parameter's range
 	@$(call run,extremes report)
 
-soak: $(VENV)/installed-dev ## check 100,000 random scenes (an hour on two cores)
+soak: $(VENV)/installed-dev ## check 100,000 random scenes (half an hour on two cores)
 	@$(call run,soak report)
 
 run = for name in $(1); do echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit 1; done

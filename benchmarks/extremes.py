@@ -20,9 +20,10 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import write
+from jaxwhisker import _checks
 from jaxwhisker.critical import steepest
 from jaxwhisker.equilibrium import Mode, at_control, find
-from jaxwhisker.scan import _guess, _travelled, contact_range, stops_of
+from jaxwhisker.scan import _guess, _travelled_now, stops_of
 from jaxwhisker.scene import problem
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
@@ -138,11 +139,11 @@ def iterations(scene: jw.Scene, way, control, travel):
 
 def measured(case: Case, kind: str) -> dict:
     """One row of the table."""
-    scene = case.scene(RODS[kind])
+    scene = jax.tree.map(_checks.as_float, case.scene(RODS[kind]))
     control = case.control
     if control is None:
-        first, last = map(float, contact_range(jax.tree.map(jnp.asarray, scene)))
-        control = np.linspace(first, last, STEPS)
+        across = _travelled_now(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
+        control = np.linspace(float(across.start), float(across.stop), STEPS)
     result = jw.scan(scene, control)
     status = np.asarray(result.status)
     ok = status == jw.Status.ok
@@ -151,9 +152,9 @@ def measured(case: Case, kind: str) -> dict:
     missed = {law: float(np.max(amount)) for law, amount in laws.items()}
     law = max(missed, key=missed.__getitem__)
     stops, last = stops_of(control)
-    way = _travelled(jax.tree.map(jnp.asarray, scene), jnp.asarray(stops), jnp.asarray(last))
+    way = _travelled_now(scene, jnp.asarray(stops), jnp.asarray(last))
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])
-    newton = np.asarray(iterations(jax.tree.map(jnp.asarray, scene), way, jnp.asarray(control), jnp.asarray(travel)))
+    newton = np.asarray(iterations(scene, way, jnp.asarray(control), jnp.asarray(travel)))
     kinds = [event.kind.name for event in result.events]
     bad = {jw.Status(s).name: int(np.sum(status == s)) for s in np.unique(status) if s}
     return {

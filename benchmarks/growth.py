@@ -38,12 +38,12 @@ def meshed(springs):
     return lambda c: jw.Support(tuple(jw.Spring(e, 5 * c, 0.05 * (e[1] - e[0])) for e in ends[:springs]))
 
 
-def compiled(support, rod: str, lanes: int, steps: int, end: float):
+def compiled(support, rod, lanes: int, steps: int, end: float):
     """The compiled batch, its compile time and the memory that it needs, in bytes."""
     control = np.linspace(0.9, end, steps)
 
     def scan(c):
-        result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), support(c), RODS[rod]), control)
+        result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), support(c), rod), control)
         return result.fx, result.fy, result.mz, result.status
 
     stiffness = jnp.linspace(60.0, 200.0, lanes) if lanes > 1 else jnp.asarray([70.0])
@@ -63,18 +63,21 @@ def exponent(sizes, values) -> float:
 
 
 def main() -> None:
+    default = RODS["integrated"]
     groups = {
-        "steps": [(n, named("FB"), 1, n, -1.6) for n in (200, 800, 3200, 12800)],
-        "lanes": [(n, named("FB"), n, 400, -1.6) for n in (1, 8, 64, 256, 1024)],
-        "whiskers": [(n, chain(n), 8, 400, -2.4) for n in (1, 2, 4, 8, 16)],
-        "springs (4 whiskers)": [(n, meshed(n), 8, 400, -2.4) for n in (4, 7, 10)],
+        "steps": [(n, named("FB"), default, 1, n, -1.6) for n in (200, 800, 3200, 12800)],
+        "lanes": [(n, named("FB"), default, n, 400, -1.6) for n in (1, 8, 64, 256, 1024)],
+        "whiskers": [(n, chain(n), default, 8, 400, -2.4) for n in (1, 2, 4, 8, 16)],
+        "springs (4 whiskers)": [(n, meshed(n), default, 8, 400, -2.4) for n in (4, 7, 10)],
+        "steps of a rod": [(n, named("FB"), jw.Shooting(steps=n), 64, 400, -1.6) for n in (2, 4, 8, 16, 32)],
     }
     rows = []
     for group, cases in groups.items():
-        made = {n: compiled(support, "integrated", lanes, steps, end) for n, support, lanes, steps, end in cases}
+        jax.clear_caches()  # a process may not map too many compiled scans
+        made = {n: compiled(*case) for n, *case in cases}
         times = interleaved({n: call for n, (call, *_) in made.items()}, 7)
         each, memory = [times[n]["median"] for n in made], [made[n][2] for n in made]
-        for (n, _, lanes, steps, _), t, bytes_ in zip(cases, each, memory, strict=True):
+        for (n, _, _, lanes, steps, _), t, bytes_ in zip(cases, each, memory, strict=True):
             rows.append(
                 {
                     "grows": group,
@@ -92,8 +95,9 @@ def main() -> None:
             )
             print(rows[-1], flush=True)
     for lanes in (1, 1024):
+        jax.clear_caches()
         kinds = [(model, rod) for rod in RODS for model in ENDS]
-        made = {k: compiled(named(k[0]), k[1], lanes, 1600 if lanes == 1 else 800, ENDS[k[0]]) for k in kinds}
+        made = {k: compiled(named(k[0]), RODS[k[1]], lanes, 1600 if lanes == 1 else 800, ENDS[k[0]]) for k in kinds}
         times = interleaved({k: call for k, (call, *_) in made.items()}, 9 if lanes == 1 else 3)
         for (model, rod), (_, taken, bytes_, failed) in made.items():
             t, steps = times[model, rod]["median"], 1600 if lanes == 1 else 800

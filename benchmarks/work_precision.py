@@ -164,7 +164,7 @@ def methods(batch: int, quick: bool):
         steps, few, tolerances, links = 800, 100, tolerances[:2], links[:2]
     for stages, counts in splitting.items():
         for n in counts:
-            rod = jw.Shooting(n, jw.NystromSplitting(stages))
+            rod = jw.Shooting(n, jw.Splitting(stages))
             yield ours(f"splitting of order {6 if stages == 11 else 4}, {n} steps", rod, batch, steps)
     if not quick:
         yield ours("Dopri8, 4 steps", jw.Shooting(4, diffrax.Dopri8()), batch, steps)
