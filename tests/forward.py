@@ -1,8 +1,9 @@
-"""One whisker in contact, shot from its base outwards with scipy: shares nothing with the package but its conventions.
+"""Whiskers in contact, shot from their bases outwards with scipy: shares nothing with the package but its conventions.
 
-Unknown are the force, the slope angle where it acts and, in tangential contact, the arc length to it. They give the
-base's position (x0 = u + rest + f sin(alpha) / c) and the moment everywhere, m(s) = (xi - x) F_y - (eta - y) F_x; the
-rod, integrated from the base on, has to meet the object there, and in tangential contact to be parallel to it.
+Unknown are, of every touching whisker, the force, the slope angle where it acts and, in tangential contact, the arc
+length to it. They give the load on its base, the springs' displacements, with these the base's pose and the moment
+everywhere, m(s) = (xi - x) F_y - (eta - y) F_x; the rod, integrated from the base on, has to meet the object there, and
+in tangential contact to be parallel to it.
 """
 
 from collections.abc import Callable
@@ -15,53 +16,143 @@ from scipy.optimize import root
 INTEGRATION = 1e-12  # relative and absolute tolerance of a rod
 
 
-class State(NamedTuple):
-    """Signals and where the contact is."""
+class Rod(NamedTuple):
+    """A whisker, and how it is mounted."""
 
-    base_x: float
-    fx: float
-    fy: float
-    mz: float
-    contact_slope: float
-    contact_arc: float
+    length: float
+    bending_stiffness: Callable[..., Any]
+    intrinsic_curvature: Callable[..., Any]
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class State(NamedTuple):
+    """Signals and where the contact is; (whiskers,) arrays."""
+
+    base_x: np.ndarray
+    base_y: np.ndarray
+    base_angle: np.ndarray
+    fx: np.ndarray
+    fy: np.ndarray
+    mz: np.ndarray
+    contact_slope: np.ndarray
+    contact_arc: np.ndarray
+
+
+def parabola(distance: float, a: float = 1.0):
+    """Points of a parabola by slope angle."""
+    return lambda slope: (np.tan(slope) / (2 * a), distance + np.tan(slope) ** 2 / (4 * a))
+
+
+def yielding(springs, whiskers: int) -> tuple[np.ndarray, np.ndarray]:
+    """Flexibility (axis, base, base) and rest displacement (axis, base) of springs of finite stiffness.
+
+    Each is (between, stiffness, rest_length, axis).
+    """
+    flexibility, rest = np.zeros((3, whiskers, whiskers)), np.zeros((3, whiskers))
+    for k, axis in enumerate(("x", "y", "phi")):
+        own = [spring for spring in springs if spring[3] == axis]
+        moved = sorted({end for (ends, *_) in own for end in ends} - {0})
+        stiffness, force = np.zeros((whiskers + 1, whiskers + 1)), np.zeros(whiskers + 1)
+        for (first, second), c, length, _ in own:
+            across = np.zeros(whiskers + 1)
+            across[first], across[second] = -1.0, 1.0
+            stiffness += c * np.outer(across, across)
+            force += c * length * across
+        if moved:
+            index = np.array(moved)
+            inverse = np.linalg.inv(stiffness[np.ix_(index, index)])
+            flexibility[k][np.ix_(index - 1, index - 1)] = inverse
+            rest[k, index - 1] = inverse @ force[index]
+    return flexibility, rest
 
 
 def equilibrium(
     *,
-    u: float,
-    guess: tuple[float, ...],
-    bending_stiffness: Callable[..., Any],
-    length: float,
+    drive: tuple[float, float, float],
+    rods: list[Rod],
+    springs: tuple,
     profile: Callable[..., tuple],
-    stiffness: float = np.inf,
-    rest_length: float = 0.0,
-    intrinsic_curvature: Callable[..., Any] = lambda s: 0.0,
+    guess: list[tuple[float, ...]],
 ) -> State:
-    """The equilibrium near a guess: (force, slope) in tip contact, (force, slope, arc) in tangential contact."""
+    """The equilibrium near a guess, of each whisker () if free, (force, slope) in tip contact, else (..., arc)."""
+    n = len(rods)
+    flexibility, rest = yielding(springs, n)
+    drive_x, drive_y, turned = drive
+    cos, sin = np.cos(turned), np.sin(turned)
+    mounts = np.array([rod.mount for rod in rods])
+    splits = np.cumsum([len(own) for own in guess])[:-1]
 
     def at(unknown):
-        force, slope = unknown[:2]
-        arc = unknown[2] if len(unknown) == 3 else length
+        own = [np.append(part, 0.0)[:3] for part in np.split(unknown, splits)]
+        own = [np.zeros(3) if not len(g) else o for g, o in zip(guess, own, strict=True)]
+        force, slope = (np.array([o[k] for o in own]) for k in (0, 1))
+        arc = np.array([o[2] if len(g) == 3 else rod.length for o, g, rod in zip(own, guess, rods, strict=True)])
         force_x, force_y = force * np.sin(slope), -force * np.cos(slope)
-        base_x = u + rest_length + force_x / stiffness
-        return arc, force_x, force_y, base_x, *profile(slope)
+        contact_x, contact_y = (np.array(values) for values in zip(*map(profile, slope), strict=True))
+        # Forces along the drive's axes move the bases; where these are, the moments follow.
+        along_x = rest[0] + flexibility[0] @ (force_x * cos + force_y * sin) + mounts[:, 0]
+        along_y = rest[1] + flexibility[1] @ (force_y * cos - force_x * sin) + mounts[:, 1]
+        base_x, base_y = drive_x + along_x * cos - along_y * sin, drive_y + along_x * sin + along_y * cos
+        moment = (contact_x - base_x) * force_y - (contact_y - base_y) * force_x
+        base_angle = turned + mounts[:, 2] + rest[2] + flexibility[2] @ moment
+        return State(base_x, base_y, base_angle, -force_x, -force_y, -moment, slope, arc), contact_x, contact_y
 
     def missed(unknown):
-        arc, force_x, force_y, base_x, contact_x, contact_y = at(unknown)
+        state, contact_x, contact_y = at(unknown)
+        off = []
+        for k, rod in enumerate(rods):
 
-        def bent(s, state):
-            x, y, angle = state
-            moment = (contact_x - x) * force_y - (contact_y - y) * force_x
-            return np.cos(angle), np.sin(angle), intrinsic_curvature(s) + moment / bending_stiffness(s)
+            def bent(s, r, k=k, rod=rod):
+                x, y, angle = r
+                moment = -(contact_x[k] - x) * state.fy[k] + (contact_y[k] - y) * state.fx[k]
+                return np.cos(angle), np.sin(angle), rod.intrinsic_curvature(s) + moment / rod.bending_stiffness(s)
 
-        start = base_x, 0.0, np.pi / 2
-        end = solve_ivp(bent, (0.0, arc), start, method="DOP853", rtol=INTEGRATION, atol=INTEGRATION).y[:, -1]
-        off = [end[0] - contact_x, end[1] - contact_y, end[2] - unknown[1]]
-        return off[: len(unknown)]
+            start = state.base_x[k], state.base_y[k], np.pi / 2 + state.base_angle[k]
+            if len(guess[k]):
+                span = (0.0, state.contact_arc[k])
+                end = solve_ivp(bent, span, start, method="DOP853", rtol=INTEGRATION, atol=INTEGRATION).y[:, -1]
+                parallel = np.sin(end[2] - state.contact_slope[k])
+                off += [end[0] - contact_x[k], end[1] - contact_y[k], parallel][: len(guess[k])]
+        return np.array(off)
 
-    found = root(missed, guess, tol=1e-13)
+    found = root(missed, np.concatenate(guess), tol=1e-13)
     if np.max(np.abs(found.fun)) > 1e-11:
         raise RuntimeError(f"no equilibrium near {guess}: {found.message}")
-    arc, force_x, force_y, base_x, contact_x, contact_y = at(found.x)
-    moment = (contact_x - base_x) * force_y - contact_y * force_x
-    return State(base_x, -force_x, -force_y, -moment, float(found.x[1]), float(arc))
+    return at(found.x)[0]
+
+
+def misses(
+    result, steps, *, drive=lambda u: (u, 0.0, 0.0), profile=None, phases: set | None = None
+) -> dict[str, float]:
+    """By how much signals of scan steps miss the forward shooting, relative to their largest; and phases seen."""
+    scene = result.scene
+    mounts = [tuple(float(v) for v in (m.x, m.y, m.angle)) for m in scene.support.mounts]
+    rods = [
+        Rod(float(w.length), w.stiffness_at, w.curvature_at, mount)
+        for w, mount in zip(scene.whiskers, mounts, strict=True)
+    ]
+    springs = tuple(
+        (s.between, 1 / float(s.softness), float(s.rest_length), s.axis)
+        for s in scene.support.springs
+        if s.softness > 0
+    )
+    profile = profile or parabola(float(scene.profile.distance), float(scene.profile.a))
+    worst = dict.fromkeys(State._fields, 0.0)
+    for k in steps:
+        near = np.stack([result.contact_force[k], result.contact_slope[k], result.contact_arc[k]], axis=-1)
+        sizes = np.array([0, 2, 3])[np.asarray(result.phase)[k]]
+        guess = [tuple(1.01 * own[:size]) for own, size in zip(near, sizes, strict=True)]
+        exact = equilibrium(
+            drive=drive(float(result.control[k])), rods=rods, springs=springs, profile=profile, guess=guess
+        )
+        touching = sizes > 0
+        for name in worst:
+            found = np.asarray(getattr(result, name))
+            size = np.max(np.abs(found), initial=1.0 if name.startswith("base") else 1e-300)
+            missed = np.abs(found[k] - getattr(exact, name))
+            # Free whiskers have no contact.
+            missed = missed[touching] if name.startswith("contact") else missed
+            worst[name] = max(worst[name], float(np.max(missed, initial=0.0)) / size)
+        if phases is not None:
+            phases |= set(np.asarray(result.phase)[k].tolist())
+    return worst

@@ -4,6 +4,7 @@ from jaxwhisker.contact import Phase
 from jaxwhisker.deflect import Deflection, PointForce, PointMoment, deflect
 from jaxwhisker.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker.energy import stored_energy
+from jaxwhisker.motion import AbstractMotion, Motion, Rotation, Translation
 from jaxwhisker.path import EventKind, Status
 from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
 from jaxwhisker.result import Event, Events, Result, State
@@ -11,11 +12,13 @@ from jaxwhisker.rod import Splitting
 from jaxwhisker.scan import scan
 from jaxwhisker.scene import Scene
 from jaxwhisker.shape import Shapes, shapes
+from jaxwhisker.spring import Spring
 from jaxwhisker.study import study, summary
-from jaxwhisker.support import Spring, Support
+from jaxwhisker.support import Mount, Support
 from jaxwhisker.whisker import Whisker
 
 __all__ = [
+    "AbstractMotion",
     "AbstractProfile",
     "AbstractRod",
     "Circle",
@@ -26,11 +29,14 @@ __all__ = [
     "EventKind",
     "Events",
     "Graph",
+    "Motion",
+    "Mount",
     "Parabola",
     "Phase",
     "PointForce",
     "PointMoment",
     "Result",
+    "Rotation",
     "Scene",
     "Shapes",
     "Shooting",
@@ -39,6 +45,7 @@ __all__ = [
     "State",
     "Status",
     "Support",
+    "Translation",
     "Whisker",
     "deflect",
     "scan",

@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxwhisker._types import Scalar
 from jaxwhisker.elastica import AbstractRod, rod_end, uneven_rod_end
+from jaxwhisker.motion import Frame
 from jaxwhisker.profile import AbstractProfile
 from jaxwhisker.whisker import Section
 
@@ -38,6 +39,8 @@ class Body(NamedTuple):
     profile: AbstractProfile
     rod: AbstractRod
     section: Section | tuple[Section, ...] | None = None  # None if uniform; of several that are not alike, one each
+    frame: Frame | None = None  # in which its base is looked at; None if upright at height 0, and moved along x only
+    frame_rate: Frame | None = None  # its derivative by the control
 
 
 class Base(NamedTuple):
@@ -57,13 +60,18 @@ class Base(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """What the equilibrium is made of: values, or gradients by z."""
+    """What the equilibrium is made of: values, or derivatives, in the base's frame. What a scene has no use for is None.
 
-    x: Float[Array, "*batch"]
+    Of a base that only moves along x, x is its position in the scene, and `turn` stands for the sine of the angle.
+    """
+
+    x: Float[Array, "*batch"]  # pose of the base
     y: Float[Array, "*batch"]
-    cos: Float[Array, "*batch"]
-    force_x: Float[Array, "*batch"]
-    slope_sin: Float[Array, "*batch"]
+    turn: Float[Array, "*batch"]  # angle to the frame's y axis, counter-clockwise
+    force_x: Float[Array, "*batch"]  # of the object on the whisker, and its moment about the base
+    force_y: Float[Array, "*batch"] | None
+    moment: Float[Array, "*batch"] | None
+    slope_sin: Float[Array, "*batch"]  # of the object at the contact, in the scene
 
 
 def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
@@ -107,43 +115,59 @@ def base(
     return _in_scene(body, end, z, side)
 
 
+def seen(b: Base, frame: Frame | None) -> Linear:
+    """A base as it is seen in its frame."""
+    if frame is None:
+        return Linear(b.x, b.y, -b.cos, b.force_x, None, None, b.slope_sin)
+    x, y, cos, sin = b.x - frame.x, b.y - frame.y, frame.cos, frame.sin
+    return Linear(
+        x=x * cos + y * sin,
+        y=y * cos - x * sin,
+        turn=jnp.arctan2(-b.cos * cos - b.sin * sin, b.sin * cos - b.cos * sin),
+        force_x=b.force_x * cos + b.force_y * sin,
+        force_y=b.force_y * cos - b.force_x * sin,
+        moment=b.bend,
+        slope_sin=b.slope_sin,
+    )
+
+
 def equations(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
 ) -> Linear:
     """Values at z of what the equilibrium is made of."""
-    b = base(body, z, phase, side, rates=rates)
-    return Linear(b.x, b.y, b.cos, b.force_x, b.slope_sin)
+    return seen(base(body, z, phase, side, rates=rates), body.frame)
 
 
 def linearise(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod
-) -> tuple[Linear, Linear]:
-    """The equations' values and their gradients by z, each (3,)."""
+) -> tuple[Linear, Linear, Linear | None]:
+    """The equations' values, their gradients by z, each (3,), and their derivatives by the control, with the frame."""
 
     def twice(z):
-        value = equations(body, z, phase, side, rates=rates)
-        return value, value
+        b = base(body, z, phase, side, rates=rates)
+        value = seen(b, body.frame)
+        return value, (value, None if body.frame is None else b)
 
-    gradient, value = jax.jacfwd(twice, has_aux=True)(z)
-    return value, gradient
+    gradient, (value, b) = jax.jacfwd(twice, has_aux=True)(z)
+    if b is None or body.frame_rate is None:
+        return value, gradient, None
+    _, by_control = jax.jvp(lambda frame: seen(b, frame), (body.frame,), (body.frame_rate,))
+    return value, gradient, by_control
 
 
 def of_each(bodies: Body, function: Callable, *args):
     """What a function of a body says of every whisker; each is given its own of the arguments."""
     section = bodies.section
     if not isinstance(section, tuple):
-        axes = Body(0, 0, None, None, None if section is None else 0)  # pyright: ignore[reportArgumentType]
+        frame = None if bodies.frame is None else 0
+        axes = Body(0, 0, None, None, None if section is None else 0, frame, frame)  # pyright: ignore[reportArgumentType]
         return jax.vmap(function, in_axes=(axes, *[0] * len(args)))(bodies, *args)
     # Whiskers that differ by more than numbers: a computation for each.
     found = []
     for k, own in enumerate(section):
-        body = bodies._replace(length=bodies.length[k], bending_stiffness=bodies.bending_stiffness[k], section=own)
+        length, stiffness, frames = jax.tree.map(
+            lambda leaf, k=k: leaf[k], (bodies.length, bodies.bending_stiffness, (bodies.frame, bodies.frame_rate))
+        )
+        body = Body(length, stiffness, bodies.profile, bodies.rod, own, *frames)
         found.append(function(body, *jax.tree.map(lambda leaf, k=k: leaf[k], args)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
-
-
-def clear(
-    x: Float[Array, " whiskers"], right: Float[Array, " whiskers"], left: Float[Array, " whiskers"]
-) -> Bool[Array, " whiskers"]:
-    """Whether an unloaded whisker at x stands clear of the object."""
-    return (x > right) | (x < left)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker import relax
 from jaxwhisker._types import Scalar
 from jaxwhisker.contact import Phase
-from jaxwhisker.equilibrium import Point, Solution, scale_of
+from jaxwhisker.equilibrium import Local, PerWhisker, Point, Poses, Solution, scale_of
 from jaxwhisker.front import (
     AT_STOP,
     MARGIN_NOISE,
@@ -28,6 +28,7 @@ from jaxwhisker.front import (
     stopped,
     turn_of,
 )
+from jaxwhisker.motion import Translation
 from jaxwhisker.path import NO_EVENT, STOP, EventKind, Node, Status, decided, dot, rates
 from jaxwhisker.scene import Problem
 
@@ -79,10 +80,11 @@ def _node(front: Front, trial: Trial) -> Node:
 def _moved(front: Front, trial: Trial, node: Node) -> Front:
     point = trial.solution.point
     return front._replace(
+        mode=front.mode._replace(side=trial.side),
         point=point,
-        base_x=trial.solution.newton.base_x,
+        pose=trial.solution.newton.pose,
         tangent=trial.tangent,
-        tangent_x=trial.tangent_x,
+        tangent_pose=trial.tangent_pose,
         travel=node.travel,
     )
 
@@ -90,7 +92,7 @@ def _moved(front: Front, trial: Trial, node: Node) -> Front:
 def _to_snap(front: Front) -> Front:
     return front._replace(
         task=jnp.asarray(int(Task.kick)),
-        flow=relax.start(front.mode, front.base_x),
+        flow=relax.start(front.mode, front.pose),
         unstable_at=jnp.asarray(jnp.inf),
     )
 
@@ -125,7 +127,7 @@ def after_advance(front: Front, trial: Trial, guess: Point):
     error = jnp.sqrt(dot(miss, miss, scale))
     straight = dot(front.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
     good = solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
-    violated, target = first_violated(trial, front.step)
+    violated, target = first_violated(front, trial, front.step)
     dips, share = dip(front, trial, front.step)
     dips &= ~violated
     twice, turn_share = _folds_twice(front, trial, solution)
@@ -182,18 +184,21 @@ def after_event(problem: Problem, front: Front, trial: Trial):
     """The point where a margin vanishes: into the mode that holds from here on."""
     solution = trial.solution
     scale = scale_of(front.point.z)
-    chord = Point(solution.point.z - front.point.z, solution.point.u - front.point.u)
+    one, kind = front.target.whisker, front.target.kind
+    touches, released, changes = one & (kind == TOUCH), one & (kind == RELEASE), one & (kind == PHASE)
+    z_before = jnp.where(touches[:, None], front.point.z, solution.point.z)
+    chord = Point(z_before - front.point.z, solution.point.u - front.point.u)
     distance = dot(front.tangent, chord, scale)
     reach = jnp.sqrt(dot(chord, chord, scale))
     good = solution.converged & (distance > -1e-9) & (reach <= 1.5 * front.step + 1e-9)
     # Where the margin grows again the path has been beyond the event: its beginning lies before.
     n = front.mode.phase.shape[0]
-    rate = jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_x))[: 4 * n].reshape(4, n)
+    rate = jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_pose))[: 4 * n].reshape(4, n)
     growing = jnp.where(front.target.kind < AT_STOP, rate[jnp.minimum(front.target.kind, VERTEX)], 0.0)
     good &= jnp.sum(front.target.whisker * growing) < MARGIN_NOISE
     again = front._replace(task=jnp.asarray(int(Task.advance)), step=0.4 * front.step)
 
-    violated, earlier = first_violated(trial, distance)
+    violated, earlier = first_violated(front, trial, distance)
     to_earlier = front._replace(target=earlier)
     dips, share = dip(front, trial, distance)
     dips &= good & ~violated
@@ -208,11 +213,10 @@ def after_event(problem: Problem, front: Front, trial: Trial):
         step=_next_step(turn_of(front, front.tangent), distance, turn, jnp.inf),
     )
 
-    one, kind = front.target.whisker, front.target.kind
-    touches, released, changes = one & (kind == TOUCH), one & (kind == RELEASE), one & (kind == PHASE)
     tip = front.mode.phase == Phase.tip
-    z, phase = relax.enter_contact(problem, front.mode.side, touches, solution.point.z, front.mode.phase)
-    z, phase = jnp.where(released[:, None], 0.0, z), jnp.where(released, Phase.free, phase)
+    phase = jnp.where(touches, front.target.phase, front.mode.phase)
+    side = jnp.where(touches, front.target.side, jnp.where(released, relax.side_of(trial.stance), front.mode.side))
+    z, phase = jnp.where(released[:, None], 0.0, solution.point.z), jnp.where(released, Phase.free, phase)
     phase = jnp.where(changes, jnp.where(tip, Phase.tangential, Phase.tip), phase)
     z = z.at[:, 2].set(jnp.where(changes, 0.0, z[:, 2]))
     stops = kind == AT_STOP
@@ -221,11 +225,17 @@ def after_event(problem: Problem, front: Front, trial: Trial):
     smooth = stops | (kind == VERTEX)
     lead_z += jnp.where(smooth, front.tangent.z / scale**2, 0.0)
     lead_u = jnp.where(smooth, front.tangent.u, 0.0)
+    # A whisker is released to where its contact would have to pull.
+    pose_lead, u_lead = _pulling(solution.newton.local)
+    lead_pose = jnp.where(released[:, None], pose_lead, 0.0)
+    lead_u += jnp.sum(jnp.where(released, u_lead, 0.0))
     node = _node(front, trial)
     at_first = stops & (front.goal == 0)
     node = node._replace(
         point=Point(z, solution.point.u),
+        z_before=z_before,
         phase=phase,
+        side=side,
         travel=jnp.where(at_first, 0.0, node.travel),
         kind=_public_kind(front.target, front.mode.phase),
         whiskers=one,
@@ -235,9 +245,9 @@ def after_event(problem: Problem, front: Front, trial: Trial):
     sign = jnp.where(touches, jnp.where(slope_sin < 0, -1.0, 1.0), front.before_vertex)
     arrived = _moved(front, trial, node)._replace(
         task=jnp.asarray(int(Task.arrive)),
-        mode=front.mode._replace(phase=phase),
+        mode=front.mode._replace(phase=phase, side=side),
         point=node.point,
-        lead=Lead(lead_z, jnp.where(released, front.mode.side, 0.0), lead_u),
+        lead=Lead(lead_z, lead_pose, lead_u),
         before_vertex=jnp.where(passed, -sign, sign),
         pending=node,
         goal=front.goal + stops,
@@ -252,6 +262,15 @@ def after_event(problem: Problem, front: Front, trial: Trial):
     return new, jnp.asarray(False), node
 
 
+def _pulling(at: Local) -> tuple[Poses, PerWhisker]:
+    """By which motion of a whisker's base, and by which of the control, the force of its contact falls: weights."""
+    by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
+    force = at.basis[:, 0, :]
+    along = force[:, :1] / by_x
+    weight = -jnp.concatenate([along, force[:, 1:] - along * at.pose_by[:, 0, 1:]], axis=1)
+    return weight, jnp.zeros_like(by_x[:, 0]) if at.pose_by_u is None else -jnp.sum(weight * at.pose_by_u, axis=1)
+
+
 def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]):
     """An event's point in its new mode: leave along the path, or fall off it."""
     stop_kind = front.pending.kind == STOP
@@ -260,7 +279,7 @@ def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Arra
     direction = jnp.where(turned, heading, front.direction)
     reversed_ = direction != front.direction
     lead = front.lead
-    grows = jnp.sum(lead.z * trial.tangent.z) + jnp.sum(lead.x * trial.tangent_x) + lead.u * trial.tangent.u
+    grows = jnp.sum(lead.z * trial.tangent.z) + jnp.sum(lead.pose * trial.tangent_pose) + lead.u * trial.tangent.u
     sign = jnp.where(grows < 0, -1.0, 1.0) * jnp.where(reversed_, -1.0, 1.0)
     tangent = Point(sign * trial.tangent.z, sign * trial.tangent.u)
     node = front.pending._replace(point=trial.solution.point, leaving=tangent)
@@ -272,16 +291,16 @@ def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Arra
     onwards = front._replace(
         task=jnp.asarray(int(Task.advance)),
         point=trial.solution.point,
-        base_x=trial.solution.newton.base_x,
+        pose=trial.solution.newton.pose,
         tangent=tangent,
-        tangent_x=sign * trial.tangent_x,
+        tangent_pose=sign * trial.tangent_pose,
         bend=jax.tree.map(jnp.zeros_like, tangent),
         step=jnp.asarray(FIRST_STEP),
         unstable_at=jnp.asarray(jnp.inf),
         before_vertex=jnp.where(settled, behind, front.before_vertex),
     )
     falls = (turn_of(front, tangent) <= 0) | ~trial.stable
-    over = (stop_kind & (front.goal > last)) | _passed(problem, front, last)
+    over = (stop_kind & (front.goal > last)) | _passed(problem, front, trial, last)
     z = trial.solution.point.z
     moved = Point(z - front.point.z, trial.solution.point.u - front.point.u)
     near = trial.solution.converged & (dot(moved, moved, scale_of(front.point.z)) < ARRIVAL_MISS**2)
@@ -303,10 +322,14 @@ def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Arra
     return new, near & ~early, node
 
 
-def _passed(problem: Problem, front: Front, last: Int[Array, ""]) -> Bool[Array, ""]:
-    # On the last way, leftwards, with every whisker free on the left of the object: nothing can happen any more.
-    left = (front.mode.phase == Phase.free) & (front.mode.side < 0) & (front.base_x < problem.touch_left.x)
-    return jnp.all(left) & (front.goal >= last) & (front.direction < 0) & (front.goal > 0)
+def _passed(problem: Problem, front: Front, trial: Trial, last: Int[Array, ""]) -> Bool[Array, ""]:
+    # On the last way, with every whisker free beyond the object: nothing can happen any more if it goes straight on.
+    if not isinstance(problem.motion, Translation):
+        return jnp.asarray(False)
+    onwards, at = problem.motion.direction, trial.stance
+    gone = jnp.where(onwards < 0, at.x < at.left.x, at.x > at.right.x)
+    beyond = (front.mode.phase == Phase.free) & (front.mode.side * onwards > 0) & gone
+    return jnp.all(beyond) & (front.goal >= last) & (front.direction * onwards > 0) & (front.goal > 0)
 
 
 def after_flow(problem: Problem, front: Front, proposed: relax.Flow, solution: Solution):
@@ -328,10 +351,10 @@ def after_flow(problem: Problem, front: Front, proposed: relax.Flow, solution: S
         task=jnp.where(rested, Task.arrive, Task.flow),
         mode=mode,
         point=Point(z, front.point.u),
-        base_x=flow.base_x,
+        pose=flow.pose,
         flow=flow,
         pending=pending,
-        lead=Lead(none, none[:, 0], front.direction),
+        lead=Lead(none, jnp.zeros_like(flow.pose), front.direction),
     )
     shorter = front._replace(flow=relax.shortened(front.flow))
     followed = solution.converged

@@ -1,12 +1,15 @@
 """Equilibrium of all whiskers on their network of springs: residual, Newton step, stability.
 
-Unknown are the contacts z, (whiskers, 3), and the control u. A whisker's own two equations (height and direction of its
-base) leave one degree of freedom, its branch: z + particular + tangent * step. The network couples the branches by
+Unknown are the contacts z, (whiskers, 3), and the control u. A whisker whose base stays upright at its height has two
+equations of its own, which leave one degree of freedom, its branch; the network couples the branches by
 
-    base_x = u + offset + flexibility @ force_x,
+    pose = rest + flexibility @ load,
 
-and one more equation, the row, says where on the path the solution is sought: at a given control, an arc length
-further, or at an event. What remains to be solved is one (whiskers + 1) square system, regular at folds.
+pose and load being those of the base along x. Where bases yield in y and angle, too, or the drive does not just move
+along x, they are x, y and angle, and x, y and moment, seen in the frame in which the base would be without any load
+(motion.py); a whisker then has three degrees of freedom: along its branch, and the two across it. One more equation,
+the row, says where on the path the solution is sought: at a given control, an arc length further, or at an event. What
+remains to be solved is one square system, regular at folds.
 """
 
 from functools import partial
@@ -26,12 +29,13 @@ from jaxwhisker.scene import Problem
 
 Contacts = Float[Array, "whiskers 3"]
 PerWhisker = Float[Array, " whiskers"]
+Poses = Float[Array, "whiskers axes"]
 
 
 class Row(NamedTuple):
     """The equation that picks a point of the path; a weighted sum, so that each lane of a batch can have its own.
 
-    weight_z . (z - z0) + weight_u (u - u0) + vertex . sin(alpha) + touch . (base_x - touch_x) = 0
+    weight_z . (z - z0) + weight_u (u - u0) + vertex . sin(alpha) = 0
     """
 
     weight_z: Contacts
@@ -39,14 +43,12 @@ class Row(NamedTuple):
     weight_u: Scalar
     u0: Scalar
     vertex: PerWhisker
-    touch: PerWhisker
-    touch_x: PerWhisker
 
 
 def at_control(u: Scalar, like: Contacts) -> Row:
     """The row that asks for a given control."""
     none = jnp.zeros_like(like)
-    return Row(none, none, jnp.asarray(1.0), u, none[:, 0], none[:, 0], none[:, 0])
+    return Row(none, none, jnp.asarray(1.0), u, none[:, 0])
 
 
 class Mode(NamedTuple):
@@ -54,7 +56,8 @@ class Mode(NamedTuple):
 
     phase: Int[Array, " whiskers"]
     side: PerWhisker  # +1: whisker comes (came) from the right of the object; -1: from the left
-    separate: Bool[Array, ""]  # every whisker on its own branch, at rest in `step`: the network is not asked
+    separate: Bool[Array, ""]  # every whisker on its own branch, at rest along it: the network is not asked
+    held: Float[Array, "whiskers 2"] | None = None  # then: the poses across it, where there is more than x
 
 
 class Point(NamedTuple):
@@ -65,18 +68,32 @@ class Point(NamedTuple):
 
 
 class Local(NamedTuple):
-    """The whiskers' own equations, eliminated. Free whiskers have no branch: zeros, and `by_x` one."""
+    """The whiskers' own equations, eliminated: what steps along and across their branches do.
+
+    Free whiskers have no branch: zeros, and a pose that moves with the step.
+    """
 
     particular: Contacts
-    tangent: Contacts
-    x: PerWhisker  # base position; of free whiskers meaningless, the network decides
-    force_x: PerWhisker
-    by_x: PerWhisker  # d base_x / d step along the tangent
-    by_force: PerWhisker
+    basis: Float[Array, "whiskers 3 axes"]  # first: the branch, along which y and angle of the base stay
+    pose: Poses  # of free whiskers meaningless, the network decides
+    load: Poses
+    pose_by: Float[Array, "whiskers axes axes"]  # by the steps
+    load_by: Float[Array, "whiskers axes axes"]
+    pose_by_u: Poses | None  # by the control, at the same contact; None if it just goes with it
+    load_by_u: Poses | None
     slope_sin: PerWhisker
     slope_sin_gradient: Contacts
-    height: PerWhisker  # residuals: base height and direction
-    direction: PerWhisker
+    own: Float[Array, "whiskers 2"]  # residuals of the whisker's own equations
+
+    @property
+    def tangent(self) -> Contacts:
+        """Directions of the branches."""
+        return self.basis[:, :, 0]
+
+    @property
+    def by_x(self) -> PerWhisker:
+        """How bases move along their branches."""
+        return self.pose_by[:, 0, 0]
 
 
 def scale_of(z: Contacts) -> Contacts:
@@ -96,122 +113,182 @@ def harmless(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]) -> t
     return jnp.where(free[:, None], bent, z), jnp.where(free, Phase.tip, phase)
 
 
-def linearised(problem: Problem, z: Contacts, mode: Mode, rates: AbstractRod) -> tuple[Linear, Linear]:
-    """Values and gradients of every whisker's equations."""
-    at, phase = harmless(problem, z, mode.phase)
-    return of_each(problem.bodies, partial(contact.linearise, rates=rates), at, phase, mode.side)
+def linearised(problem: Problem, point: Point, mode: Mode, rates: AbstractRod) -> tuple[Linear, Linear, Linear | None]:
+    """Values, gradients by the contacts and derivatives by the control of every whisker's equations."""
+    at, phase = harmless(problem, point.z, mode.phase)
+    return of_each(problem.bodies(point.u), partial(contact.linearise, rates=rates), at, phase, mode.side)
 
 
-def values(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"], side: PerWhisker) -> Linear:
+def values(problem: Problem, point: Point, phase: Int[Array, " whiskers"], side: PerWhisker) -> Linear:
     """Values of every whisker's equations; contacts and phases have to be `harmless`."""
-    return of_each(problem.bodies, contact.equations, z, phase, side)
+    return of_each(problem.bodies(point.u), contact.equations, point.z, phase, side)
 
 
-def local(z: Contacts, mode: Mode, value: Linear, gradient: Linear) -> Local:
-    """Eliminate every whisker's own two equations."""
+def pose_of(seen: Linear, axes: int) -> Float[Array, "whiskers axes *of"]:
+    """Poses of the bases, or their derivatives, stacked."""
+    return jnp.stack([seen.x, seen.y, seen.turn][:axes], axis=1)
+
+
+def load_of(seen: Linear, axes: int) -> Float[Array, "whiskers axes *of"]:
+    """Loads on the bases, or their derivatives, stacked."""
+    return jnp.stack([seen.force_x, seen.force_y, seen.moment][:axes], axis=1)
+
+
+def local(problem: Problem, z: Contacts, mode: Mode, value: Linear, gradient: Linear, by_u: Linear | None) -> Local:
+    """Eliminate what every whisker's own equations say of it."""
+    axes = problem.axes
     touching = mode.phase != Phase.free
     scale = scale_of(z)
-    y, cos = gradient.y * scale, gradient.cos * scale
-    normal = jnp.cross(y, cos)
+    y, turn = gradient.y * scale, gradient.turn * scale
+    normal = jnp.cross(turn, y)
     length = jnp.sqrt(jnp.sum(normal**2, axis=-1, keepdims=True))
     tangent = normal / length
-    # The step of least size that solves both equations; the rest of the freedom is the tangent.
-    particular = -(value.y[:, None] * jnp.cross(cos, tangent) + value.cos[:, None] * jnp.cross(tangent, y)) / length
+    # Steps of least size that change y and turn, and only one of them; the rest of the freedom is the tangent.
+    by_y, by_turn = jnp.cross(tangent, turn) / length, jnp.cross(y, tangent) / length
+    own = jnp.stack([value.y, value.turn], axis=-1)
+    columns = [tangent]
+    if axes > 1:
+        columns += [by_y, by_turn]
+        own = jnp.where(mode.separate, own if mode.held is None else own - mode.held, 0.0)
+    particular = -(own[:, :1] * by_y + own[:, 1:] * by_turn)
 
     def of_touching(array, otherwise=0.0):
-        return jnp.where(touching[:, None] if array.ndim == 2 else touching, array, otherwise)
+        return jnp.where(jnp.reshape(touching, (-1, *[1] * (array.ndim - 1))), array, otherwise)
 
-    particular, tangent = of_touching(particular * scale), of_touching(tangent * scale)
+    basis, particular = of_touching(jnp.stack(columns, axis=-1) * scale[:, :, None]), particular * scale
+    particular = of_touching(particular)
+    pose_gradient, load_gradient = pose_of(gradient, axes), load_of(gradient, axes)  # (whiskers, axes, 3)
+
+    def by_steps(gradient):
+        return jnp.sum(gradient[:, :, :, None] * basis[:, None, :, :], axis=2)
+
+    def moved(value, gradient):
+        return value + jnp.sum(gradient * particular[:, None, :], axis=2)
+
     return Local(
         particular,
-        tangent,
-        x=value.x + jnp.sum(gradient.x * particular, axis=-1),
-        force_x=of_touching(value.force_x + jnp.sum(gradient.force_x * particular, axis=-1)),
-        by_x=of_touching(jnp.sum(gradient.x * tangent, axis=-1), 1.0),
-        by_force=of_touching(jnp.sum(gradient.force_x * tangent, axis=-1)),
+        basis,
+        pose=moved(pose_of(value, axes), pose_gradient),
+        load=of_touching(moved(load_of(value, axes), load_gradient)),
+        pose_by=of_touching(by_steps(pose_gradient), jnp.eye(axes)),
+        load_by=of_touching(by_steps(load_gradient)),
+        pose_by_u=None if by_u is None else of_touching(pose_of(by_u, axes)),
+        load_by_u=None if by_u is None else of_touching(load_of(by_u, axes)),
         slope_sin=of_touching(value.slope_sin),
         slope_sin_gradient=of_touching(gradient.slope_sin),
-        height=of_touching(value.y),
-        direction=of_touching(value.cos),
+        own=of_touching(own),
     )
 
 
-def yielding(problem: Problem, force_x: PerWhisker) -> PerWhisker:
-    """Displacement of the bases under forces: flexibility @ force_x, nothing for a clamped whisker."""
+def without(local: Local, whisker: Bool[Array, " whiskers"]) -> Local:
+    """The same with some of the whiskers free."""
+
+    def masked(array, otherwise=0.0):
+        return jnp.where(jnp.reshape(whisker, (-1, *[1] * (array.ndim - 1))), otherwise, array)
+
+    free = jax.tree.map(masked, local)
+    return free._replace(pose=local.pose, pose_by=masked(local.pose_by, jnp.eye(local.pose_by.shape[-1])))
+
+
+def yielding(problem: Problem, load: Poses) -> Poses:
+    """Displacement of the bases under loads: flexibility @ load, nothing for a clamped whisker."""
     if problem.flexibility is None:
-        return jnp.zeros_like(force_x)
-    return jnp.sum(problem.flexibility.matrix * force_x, axis=-1)
+        return jnp.zeros_like(load)
+    return jnp.reshape(jnp.sum(problem.flexibility.matrix * jnp.ravel(load), axis=-1), load.shape)
 
 
-def rest(problem: Problem, u: Scalar) -> PerWhisker:
-    """Positions of the unloaded bases."""
-    offset = jnp.zeros_like(problem.length) if problem.flexibility is None else problem.flexibility.offset
-    return u + offset
+def rest(problem: Problem, u: Scalar) -> Poses:
+    """Poses of the unloaded bases: along x in the scene, or all three in their frames."""
+    none = jnp.zeros((problem.length.shape[0], problem.axes))
+    offset = none if problem.flexibility is None else jnp.reshape(problem.flexibility.offset, none.shape)
+    return u + offset if problem.axes == 1 else offset
 
 
 class Step(NamedTuple):
-    """A Newton step and what the same linear system says about the path."""
+    """A Newton step, and what it leads to."""
 
     step: Point
-    tangent: Point  # of the path; row . tangent = 1
     local: Local
     residual: Scalar  # largest violation of any equation, before the step
-    base_x: PerWhisker  # after the step
-    force_x: PerWhisker
-    base_x_tangent: PerWhisker
+    pose: Poses  # after the step
+    load: Poses
 
 
-def missing(problem: Problem, row: Row, point: Point, slope_sin: PerWhisker, force_x: PerWhisker) -> Scalar:
+def missing(row: Row, point: Point, slope_sin: PerWhisker) -> Scalar:
     """By how much the row's equation misses zero."""
-    free_x = rest(problem, point.u) + yielding(problem, force_x)
     along = jnp.sum(row.weight_z * (point.z - row.z0)) + row.weight_u * (point.u - row.u0)
-    return along + jnp.sum(row.vertex * slope_sin) + jnp.sum(row.touch * (free_x - row.touch_x))
+    return along + jnp.sum(row.vertex * slope_sin)
 
 
 def newton_step(problem: Problem, mode: Mode, row: Row, point: Point, rates: AbstractRod | None = None) -> Step:
     """Solve the linearised equations of all whiskers, network and row."""
-    value, gradient = linearised(problem, point.z, mode, problem.rod if rates is None else rates)
-    return coupled(problem, mode, row, point, local(point.z, mode, value, gradient))
+    linear = linearised(problem, point, mode, problem.rod if rates is None else rates)
+    return coupled(problem, mode, row, point, local(problem, point.z, mode, *linear))
+
+
+def _system(problem: Problem, mode: Mode, row: Row, at: Local):
+    """The matrix of the linearised network and row, its columns the whiskers' steps and that of the control."""
+    n, axes = at.load.shape
+    touching, size = (mode.phase != Phase.free)[:, None], n * axes
+    # How poses move away from where the network wants them to be: with the steps ...
+    coupling = jnp.eye(n)[:, None, :, None] * at.pose_by[:, :, None, :]
+    if at.pose_by_u is None or at.load_by_u is None:
+        pull = jnp.where(touching, -1.0, 0.0)
+    else:
+        pull = jnp.where(touching, at.pose_by_u - yielding(problem, at.load_by_u), 0.0)
+    if problem.flexibility is not None:
+        matrix = jnp.reshape(problem.flexibility.matrix, (n, axes, n, axes, 1))
+        yields = jnp.sum(matrix * at.load_by, axis=3)
+        coupling = coupling - jnp.where(touching[:, :, None, None], yields, 0.0)
+    coupling = jnp.reshape(coupling, (size, size))
+    weight = row.weight_z + row.vertex[:, None] * at.slope_sin_gradient
+    along = jnp.ravel(jnp.sum(weight[:, :, None] * at.basis, axis=1))
+    # Separate whiskers stay where they are along their branches: the network is not asked, and the row neither.
+    coupling = jnp.where(mode.separate, jnp.eye(size), coupling)
+    pull, along = jnp.where(mode.separate, 0.0, jnp.ravel(pull)), jnp.where(mode.separate, 0.0, along)
+    row_u = jnp.where(mode.separate, 1.0, row.weight_u)
+    return jnp.block([[coupling, pull[:, None]], [along[None, :], row_u[None, None]]])
 
 
 def coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Local) -> Step:
     """Solve the linearised equations of network and row for what the whiskers leave open."""
-    touching, n = mode.phase != Phase.free, point.z.shape[0]
-    network = jnp.where(touching, at.x - rest(problem, point.u) - yielding(problem, at.force_x), 0.0)
-    coupling = jnp.diag(at.by_x)
+    touching = (mode.phase != Phase.free)[:, None]
+    network = jnp.where(touching, at.pose - rest(problem, point.u) - yielding(problem, at.load), 0.0)
+    network = jnp.where(mode.separate, 0.0, network)
     slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
-    row_value = missing(problem, row, Point(point.z + at.particular, point.u), slope_sin, at.force_x)
-    along = jnp.sum((row.weight_z + row.vertex[:, None] * at.slope_sin_gradient) * at.tangent, axis=-1)
-    row_u = row.weight_u + jnp.sum(row.touch)
-    if problem.flexibility is not None:
-        matrix = problem.flexibility.matrix
-        coupling = coupling - jnp.where(touching[:, None], matrix * at.by_force, 0.0)
-        along += jnp.sum(row.touch[:, None] * matrix, axis=0) * at.by_force
-    pull = jnp.where(touching, -1.0, 0.0)
-    eye = jnp.eye(n)
-    coupling = jnp.where(mode.separate, eye, coupling)
-    pull, along = jnp.where(mode.separate, 0.0, pull), jnp.where(mode.separate, 0.0, along)
-    row_u, row_value = jnp.where(mode.separate, 1.0, row_u), jnp.where(mode.separate, 0.0, row_value)
-    wanted = jnp.where(mode.separate, 0.0, -network)
-    system = jnp.block([[coupling, pull[:, None]], [along[None, :], row_u[None, None]]])
-    right = jnp.zeros((n + 1, 2)).at[:n, 0].set(wanted).at[n, 0].set(-row_value).at[n, 1].set(1.0)
-    solution = solve(system, right)
-    (steps, du), (tangents, tu) = (solution[:n, 0], solution[n, 0]), (solution[:n, 1], solution[n, 1])
-    step = Point(at.particular + at.tangent * steps[:, None], du)
-    tangent = Point(at.tangent * tangents[:, None], tu)
-    force_x = at.force_x + at.by_force * steps
-    free_x = rest(problem, point.u + du) + yielding(problem, force_x)
-    free_x_tangent = tu + yielding(problem, at.by_force * tangents)
-    residual = jnp.max(jnp.abs(jnp.concatenate([at.height, at.direction, jnp.where(mode.separate, 0.0, network)])))
+    missed = jnp.where(mode.separate, 0.0, missing(row, Point(point.z + at.particular, point.u), slope_sin))
+    right = -jnp.append(jnp.ravel(network), missed)
+    solution = solve(_system(problem, mode, row, at), right[:, None])[:, 0]
+    steps, du = jnp.reshape(solution[:-1], at.load.shape), solution[-1]
+    load = at.load + _times(at.load_by, steps)
+    pose = at.pose + _times(at.pose_by, steps)
+    if at.pose_by_u is not None and at.load_by_u is not None:
+        pose, load = pose + at.pose_by_u * du, load + at.load_by_u * du
+    residual = jnp.max(jnp.abs(jnp.concatenate([jnp.ravel(at.own), jnp.ravel(network)])))
     return Step(
-        step,
-        tangent,
+        Point(at.particular + _times(at.basis, steps), du),
         at,
-        residual=jnp.maximum(residual, jnp.abs(row_value)),
-        base_x=jnp.where(touching, at.x + at.by_x * steps, free_x),
-        force_x=force_x,
-        base_x_tangent=jnp.where(touching, at.by_x * tangents, free_x_tangent),
+        residual=jnp.maximum(residual, jnp.abs(missed)),
+        pose=jnp.where(touching, pose, rest(problem, point.u + du) + yielding(problem, load)),
+        load=load,
     )
+
+
+def _times(matrices: Float[Array, "whiskers rows axes"], steps: Poses) -> Float[Array, "whiskers rows"]:
+    return jnp.sum(matrices * steps[:, None, :], axis=-1)
+
+
+def tangent_of(problem: Problem, mode: Mode, row: Row, at: Local) -> tuple[Point, Poses]:
+    """The path's direction, along which the row grows by one, and how the poses move along it."""
+    touching = (mode.phase != Phase.free)[:, None]
+    matrix = _system(problem, mode, row, at)
+    solution = solve(matrix, jnp.zeros((matrix.shape[0], 1)).at[-1, 0].set(1.0))[:, 0]
+    steps, du = jnp.reshape(solution[:-1], at.load.shape), solution[-1]
+    pose, load = _times(at.pose_by, steps), _times(at.load_by, steps)
+    if at.pose_by_u is not None and at.load_by_u is not None:
+        pose, load = pose + at.pose_by_u * du, load + at.load_by_u * du
+    drawn = du if problem.axes == 1 else 0.0
+    return Point(_times(at.basis, steps), du), jnp.where(touching, pose, drawn + yielding(problem, load))
 
 
 class _NewtonState(NamedTuple):
@@ -285,22 +362,42 @@ def find(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solution:
     return Solution(solution.value, solution.aux, converged, solution.stats["num_steps"])
 
 
-def stable(problem: Problem, mode: Mode, at: Local) -> Bool[Array, ""]:
-    """Whether every whisker is on the stable part of its clamped branch, and the network holds them there.
+def slopes(mode: Mode, at: Local) -> Float[Array, "whiskers axes axes"]:
+    """How the load on a touching base changes with its pose, d load / d pose; symmetric, as the load has an energy."""
+    by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
+    along = at.load_by[:, :, 0] / by_x
+    columns = [along]
+    columns += [at.load_by[:, :, k] - along * at.pose_by[:, :1, k] for k in range(1, at.load.shape[-1])]
+    touching = (mode.phase != Phase.free)[:, None, None]
+    return jnp.where(touching, jnp.stack(columns, axis=-1), 0.0)
 
-    The stiffness K of the network minus the slopes d force_x / d base_x has to be positive definite. With K^-1 = L L^T
-    that is 1 - L^T slopes L, which holds for rigid springs too.
+
+def definite(problem: Problem, slope: Float[Array, "whiskers axes axes"]) -> Bool[Array, ""]:
+    """Whether the network holds whiskers with these slopes: its stiffness minus the slopes is positive definite.
+
+    With the flexibility L L^T that is 1 - L^T slopes L, which holds for rigid springs too.
     """
-    touching = mode.phase != Phase.free
-    ahead = mode.side * at.by_x * BRANCH_SIGN
-    own = jnp.all(~touching | (ahead > 0))
     if problem.flexibility is None:
-        return own
-    slope = jnp.where(touching, at.by_force / jnp.where(at.by_x == 0, 1.0, at.by_x), 0.0)
-    root = problem.flexibility.root
-    n = root.shape[0]
-    pull = jnp.sum(root[:, :, None] * slope[:, None, None] * root[:, None, :], axis=0)
-    return own & positive_definite(jnp.eye(n) - pull)
+        return jnp.asarray(True)
+    n, axes, _ = slope.shape
+    root = jnp.reshape(problem.flexibility.root, (n, axes, n * axes))
+    pulled = jnp.sum(slope[:, :, :, None] * root[:, None, :, :], axis=2)
+    pull = jnp.sum(root[:, :, :, None] * pulled[:, :, None, :], axis=(0, 1))
+    return positive_definite(jnp.eye(n * axes) - pull)
 
 
-BRANCH_SIGN = -1.0  # of d base_x along height x direction on a stable branch touched from the right
+def held(mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
+    """Whether whiskers are on the stable part of their clamped branch.
+
+    Along it a whisker's base moves as it did from first touch on; between two folds it moves back.
+    """
+    return mode.side * by_x * BRANCH_SIGN > 0
+
+
+def stable(problem: Problem, mode: Mode, at: Local) -> Bool[Array, ""]:
+    """Whether every whisker is on the stable part of its clamped branch, and the network holds them there."""
+    own = jnp.all((mode.phase == Phase.free) | held(mode, at.by_x))
+    return own & definite(problem, slopes(mode, at)) if problem.flexibility is not None else own
+
+
+BRANCH_SIGN = -1.0  # of d base_x along angle x height on a stable branch touched from the right

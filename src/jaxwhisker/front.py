@@ -9,8 +9,21 @@ from jaxtyping import Array, Bool, Int
 
 from jaxwhisker import relax
 from jaxwhisker._types import Scalar
+from jaxwhisker.clearance import Stance, stance
 from jaxwhisker.contact import Phase
-from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, Solution, scale_of, stable
+from jaxwhisker.equilibrium import (
+    Contacts,
+    Mode,
+    PerWhisker,
+    Point,
+    Poses,
+    Row,
+    Solution,
+    scale_of,
+    stable,
+    tangent_of,
+    without,
+)
 from jaxwhisker.path import Margins, Node, Status, dot, margins, rates, unit
 from jaxwhisker.scene import Problem
 
@@ -32,13 +45,16 @@ class Target(NamedTuple):
     kind: Int[Array, ""]  # index into Margins
     whisker: Bool[Array, " whiskers"]
     distance: Scalar
+    contact: Contacts  # of whiskers that would touch: about where, and how
+    phase: Int[Array, " whiskers"]
+    side: PerWhisker
 
 
 class Lead(NamedTuple):
     """A weighted sum of the tangent that has to grow on leaving an event: what makes the new mode valid."""
 
     z: Contacts
-    x: PerWhisker
+    pose: Poses
     u: Scalar
 
 
@@ -48,9 +64,9 @@ class Front(NamedTuple):
     task: Int[Array, ""]
     mode: Mode
     point: Point
-    base_x: PerWhisker
+    pose: Poses
     tangent: Point
-    tangent_x: PerWhisker
+    tangent_pose: Poses
     bend: Point  # change of the tangent per arc length
     step: Scalar
     unstable_at: Scalar  # distance at which instability is known, or infinity; and how u turns there
@@ -77,58 +93,76 @@ class Trial(NamedTuple):
 
     solution: Solution
     tangent: Point
-    tangent_x: PerWhisker
+    tangent_pose: Poses
     stable: Bool[Array, ""]
     convex: Bool[Array, ""]
     here: Margins
     there: Margins
+    stance: Stance  # there
+    side: PerWhisker  # there, of whiskers that pass below the object out of reach
 
 
-def judge(problem: Problem, front: Front, solution: Solution, stop_u: Scalar) -> Trial:
+def judge(problem: Problem, front: Front, solution: Solution, row: Row, stop_u: Scalar) -> Trial:
+    """What there is to say of a solved end of a step; the path's direction there is taken along the row."""
     newton = solution.newton
-    tangent, length = unit(newton.tangent, solution.point.z)
+    free = front.mode.phase == Phase.free
+    # Whiskers that are about to touch are solved for as if they did: the path comes without them.
+    tangent, tangent_pose = tangent_of(problem, front.mode, row, without(newton.local, free))
+    tangent, length = unit(tangent, solution.point.z)
     ahead = jnp.where(dot(front.tangent, tangent, scale_of(front.point.z)) < 0, -1.0, 1.0)
     tangent = Point(ahead * tangent.z, ahead * tangent.u)
-    touching = front.mode.phase != Phase.free
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
+    there = stance(problem, solution.point.u, newton.pose)
     return Trial(
         solution,
         tangent,
-        ahead * newton.base_x_tangent / length,
+        ahead * tangent_pose / length,
         stable(problem, front.mode, newton.local),
-        jnp.all(convex | ~touching),
-        here=_margins_at(problem, front, front.point, front.base_x, stop_u),
-        there=_margins_at(problem, front, solution.point, newton.base_x, stop_u),
+        jnp.all(convex | free),
+        here=_margins_at(problem, front, front.point, stance(problem, front.point.u, front.pose), stop_u),
+        there=_margins_at(problem, front, solution.point, there, stop_u),
+        stance=there,
+        side=_sides(problem, front.mode, there),
     )
+
+
+def _sides(problem: Problem, mode: Mode, at: Stance) -> PerWhisker:
+    if problem.axes == 1:
+        return mode.side
+    away = (mode.phase == Phase.free) & ~at.right.reaches & ~at.left.reaches
+    return jnp.where(away, relax.side_of(at), mode.side)
 
 
 def stopped(front: Front, status: Status) -> Front:
     return front._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(int(status)))
 
 
-def _margins_at(problem: Problem, front: Front, point: Point, base_x: PerWhisker, stop_u: Scalar) -> Margins:
+def _margins_at(problem: Problem, front: Front, point: Point, at: Stance, stop_u: Scalar) -> Margins:
     slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(point.z[:, 1])
     way = front.direction * (stop_u - point.u)
-    return margins(problem, front.mode, point, base_x, front.before_vertex * slope_sin, way)
+    return margins(front.mode, point, at, front.before_vertex * slope_sin, way)
 
 
-def first_violated(trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
+def first_violated(front: Front, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
     """Whether any event lies between here and there, and the first of them; there is a distance away."""
     n = trial.here.touch.shape[0]
     now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
     violated = then < -MARGIN_NOISE
-    share = jnp.where(violated, jnp.clip(now / (now - then), 0.0, 1.0), jnp.inf)
+    # What was out of reach may be met anywhere.
+    share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
+    share = jnp.where(violated, share, jnp.inf)
     first = jnp.argmin(share)
     hit = jnp.arange(4 * n + 1) == first
-    target = Target(first // n, jnp.any(hit[: 4 * n].reshape(4, n), axis=0), jnp.min(share) * distance)
-    return jnp.any(violated), target
+    contact, phase, side = relax.touching(trial.stance, front.mode.side)
+    one = jnp.any(hit[: 4 * n].reshape(4, n), axis=0)
+    return jnp.any(violated), Target(first // n, one, jnp.min(share) * distance, contact, phase, side)
 
 
 def dip(front: Front, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
     """Whether a margin is negative between here and there, though not at the ends, and at which share of the way."""
     now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
-    start = distance * jnp.concatenate(rates(front.mode, front.tangent, front.tangent_x))
-    end = distance * jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_x))
+    start = distance * jnp.concatenate(rates(front.mode, front.tangent, front.tangent_pose))
+    end = distance * jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_pose))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
     within = now + t * (start + t * ((3 * (then - now) - 2 * start - end) + t * (start + end - 2 * (then - now))))
     # A margin that has just been left is zero at the start; rounding is no dip.

@@ -15,10 +15,11 @@ from jaxwhisker.equilibrium import (
     Row,
     coupled,
     harmless,
+    linearised,
     local,
     missing,
-    newton_step,
     scale_of,
+    tangent_of,
     values,
 )
 from jaxwhisker.path import unit
@@ -80,18 +81,24 @@ def _nothing(tree):
 def _moved(here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot) -> tuple[Local, Point]:
     """The whiskers linearised at a solution, and how it moves with problem and row."""
     z, phase = harmless(problem, here.z, mode.phase)
-    value, differential = _linear(lambda problem, z: values(problem, z, phase, mode.side), problem, z)
+    value, differential = _linear(
+        lambda problem, z, u: values(problem, Point(z, u), phase, mode.side), problem, z, here.u
+    )
     # No whisker knows of another one's contact: three directions for all of them at once.
-    columns = jax.vmap(lambda e: differential(_nothing(problem), jnp.broadcast_to(e, z.shape)))(jnp.eye(3))
+    columns = jax.vmap(lambda e: differential(_nothing(problem), jnp.broadcast_to(e, z.shape), None))(jnp.eye(3))
     gradient = jax.tree.map(jnp.transpose, columns)
-    value_dot = differential(problem_dot, None)
+    by_u = None if problem.axes == 1 else differential(_nothing(problem), None, jnp.ones_like(here.u))
+    value_dot = differential(problem_dot, None, None)
+
+    def at(problem, value):
+        return local(problem, here.z, mode, value, gradient, by_u)
 
     def step(value, problem, row):
         # The Jacobian's own derivative meets equations that are fulfilled.
-        return coupled(problem, mode, row, here, local(here.z, mode, value, gradient)).step
+        return coupled(problem, mode, row, here, at(problem, value)).step
 
     _, point_dot = eqx.filter_jvp(step, (value, problem, row), (value_dot, problem_dot, row_dot))
-    return local(here.z, mode, value, gradient), point_dot
+    return at(problem, value), point_dot
 
 
 @eqx.filter_custom_jvp
@@ -113,18 +120,21 @@ def _(primals, tangents):
     here = solved_event(point, problem, mode, along, row, fold)
     none = jnp.zeros_like(here.z[:, 0])
     weight = jax.lax.stop_gradient(Point(along.z / scale_of(here.z) ** 2, along.u))  # any across the path would do
-    across = Row(weight.z, here.z, weight.u, here.u, none, none, none)
+    across = Row(weight.z, here.z, weight.u, here.u, none)
     at, drift = _moved(here, problem, mode, across, problem_dot, _nothing(across))
-    tangent = coupled(problem, mode, across, here, at).tangent
+    tangent, _ = tangent_of(problem, mode, across, at)
 
     def missed(point, problem, row):
-        value = values(problem, *harmless(problem, point.z, mode.phase), mode.side)
         touching = mode.phase != Phase.free
-        slope_sin, force_x = (jnp.where(touching, v, 0.0) for v in (value.slope_sin, value.force_x))
-        return missing(problem, row, point, slope_sin, force_x)
+        at_contact, _ = harmless(problem, point.z, mode.phase)
+        slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(at_contact[:, 1])
+        return missing(row, point, jnp.where(touching, slope_sin, 0.0))
 
     def turn(point, problem):
-        return unit(newton_step(problem, mode, across, point, problem.rod.for_rates()).tangent, point.z)[0].u
+        row = Row(weight.z, point.z, weight.u, point.u, none)
+        linear = linearised(problem, point, mode, problem.rod.for_rates())
+        tangent, _ = tangent_of(problem, mode, row, local(problem, point.z, mode, *linear))
+        return unit(tangent, point.z)[0].u
 
     def distance(vanishing, holds, known, known_dot):
         """How far the event moves along the path, where it is the vanishing of this function; else zero."""

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker import relax
 from jaxwhisker._types import Scalar
+from jaxwhisker.clearance import stance
 from jaxwhisker.decide import FIRST_STEP, after_advance, after_arrive, after_event, after_flow
 from jaxwhisker.equilibrium import Mode, Point, Row, at_control, find, rest, scale_of
 from jaxwhisker.front import (
@@ -46,47 +47,46 @@ CHUNK = 16  # iterations between two looks at whether all lanes are done
 def _arclength_row(point: Point, tangent: Point, distance: Scalar) -> Row:
     scale = scale_of(point.z)
     ahead = along(point, tangent, distance)
-    none = jnp.zeros_like(point.z[:, 0])
-    return Row(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, none, none, none)
+    return Row(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, 0]))
 
 
-def _event_row(problem: Problem, front: Front, stop_u: Scalar) -> Row:
+def _event_row(front: Front, stop_u: Scalar) -> Row:
     kind, whisker = front.target.kind, front.target.whisker
     none = jnp.zeros_like(front.point.z)
     one = whisker.astype(float)
-    weight = none.at[:, 0].set(one * (kind == RELEASE)).at[:, 2].set(one * (kind == PHASE))
-    first = jnp.where(front.mode.side > 0, problem.touch_right.x, problem.touch_left.x)
-    return Row(
-        weight,
-        none,
-        (kind == AT_STOP).astype(float),
-        stop_u,
-        vertex=one * (kind == VERTEX),
-        touch=one * (kind == TOUCH),
-        touch_x=jnp.where(jnp.isfinite(first), first, 0.0),
-    )
+    # Contacts begin and end without force.
+    weight = none.at[:, 0].set(one * ((kind == RELEASE) | (kind == TOUCH))).at[:, 2].set(one * (kind == PHASE))
+    return Row(weight, none, (kind == AT_STOP).astype(float), stop_u, vertex=one * (kind == VERTEX))
 
 
 def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], front: Front):
     """One iteration: predict, solve, decide. Returns the new front and the node to be written, if any."""
     stop_u = stops[jnp.minimum(front.goal, last)]
-    distance = jnp.where(front.task == Task.event, front.target.distance, front.step)
-    marching = (front.task == Task.advance) | (front.task == Task.event)
+    at_event = front.task == Task.event
+    distance = jnp.where(at_event, front.target.distance, front.step)
+    marching = (front.task == Task.advance) | at_event
     flowing = (front.task == Task.kick) | (front.task == Task.flow)
     ahead = along(front.point, front.tangent, distance, front.bend)
     flow = relax.propose(problem, front.flow, front.mode, front.point)
-    kicked = relax.kick(front.flow, front.point, front.tangent, front.tangent_x)
+    kicked = relax.kick(front.flow, front.point, front.tangent, front.tangent_pose)
     flow = select(front.task == Task.kick, kicked, flow)
     guess = select(marching, ahead, front.point)
     guess = select(flowing, Point(flow.guess, front.point.u), guess)
-    row = select(
-        front.task == Task.advance,
-        _arclength_row(front.point, front.tangent, front.step),
-        select(front.task == Task.event, _event_row(problem, front, stop_u), at_control(front.point.u, guess.z)),
+    onwards = _arclength_row(front.point, front.tangent, front.step)
+    elsewhere = at_control(front.point.u, guess.z)
+    row = select(front.task == Task.advance, onwards, select(at_event, _event_row(front, stop_u), elsewhere))
+    # A touch is the beginning of a contact, and solved for as one.
+    target = front.target
+    begins = target.whisker & at_event & (target.kind == TOUCH)
+    mode = front.mode._replace(
+        phase=jnp.where(begins, target.phase, front.mode.phase),
+        side=jnp.where(begins, target.side, front.mode.side),
+        separate=flowing,
+        held=None if problem.axes == 1 else flow.pose[:, 1:],
     )
-    mode = front.mode._replace(separate=flowing)
+    guess = guess._replace(z=jnp.where(begins[:, None], target.contact, guess.z))
     solution = find(problem, mode, row, guess)
-    trial = judge(problem, front, solution, stop_u)
+    trial = judge(problem, front, solution, select(marching, onwards, elsewhere), stop_u)
     new, write, node = jax.lax.switch(
         jnp.minimum(front.task, Task.kick),
         [
@@ -100,15 +100,30 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     return new._replace(count=new.count + write), (jnp.where(write, front.count, -1), node)
 
 
+def first_touch(problem: Problem) -> Scalar:
+    """The control at which the first whisker touches, of a drive that comes along x; -+inf if none ever does."""
+    onwards = problem.motion.direction
+    at = stance(problem, jnp.asarray(0.0), rest(problem, jnp.asarray(0.0)))
+    first = at.right if onwards < 0 else at.left
+    ahead = jnp.where(first.reaches, -onwards * (first.x - at.x), -jnp.inf)
+    return -onwards * jnp.max(ahead)
+
+
 def _start(problem: Problem, stops: Float[Array, " stops"]) -> Front:
-    n = problem.length.shape[0]
-    first = jnp.max(jnp.where(problem.reaches, problem.touch_right.x - rest(problem, jnp.asarray(0.0)), -jnp.inf))
-    u = jnp.where(stops[0] > first, stops[0], first + FIRST_STEP)
+    n, onwards = problem.length.shape[0], problem.motion.direction
+    if problem.motion.ends is None:
+        first = first_touch(problem)
+        u = jnp.where(-onwards * (stops[0] - first) > 0, stops[0], first - onwards * FIRST_STEP)
+    else:
+        u = problem.motion.ends[0] / problem.unit.control
+        u = jnp.where(-onwards * (stops[0] - u) > 0, stops[0], u)
+    pose = rest(problem, u)
+    at = stance(problem, u, pose)
+    side = relax.side_of(at)
     z, none = jnp.zeros((n, 3)), jnp.zeros(n)
-    mode = Mode(jnp.zeros(n, int), jnp.ones(n), jnp.asarray(False))
+    mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False))
     point = Point(z, u)
-    still = Point(z, jnp.asarray(-1.0))
-    base_x = rest(problem, u)
+    still = Point(z, jnp.asarray(float(onwards)))
     pending = Node(
         point, z, still, still, mode.phase, mode.side, -jnp.abs(u - stops[0]), jnp.asarray(NO_EVENT),
         jnp.zeros(n, bool), mode.phase, mode.side,
@@ -118,21 +133,21 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> Front:
         task=jnp.asarray(int(Task.arrive)),
         mode=mode,
         point=point,
-        base_x=base_x,
+        pose=pose,
         tangent=still,
-        tangent_x=none - 1.0,
+        tangent_pose=jnp.full_like(pose, float(onwards) if problem.axes == 1 else 0.0),
         bend=jax.tree.map(jnp.zeros_like, still),
         step=jnp.asarray(FIRST_STEP),
         unstable_at=jnp.asarray(jnp.inf),
         unstable_turn=zero,
-        target=Target(jnp.asarray(0), jnp.zeros(n, bool), zero),
-        lead=Lead(z, none, jnp.asarray(-1.0)),
+        target=Target(jnp.asarray(0), jnp.zeros(n, bool), zero, z, mode.phase, mode.side),
+        lead=Lead(z, jnp.zeros_like(pose), still.u),
         before_vertex=none + 1.0,
         goal=jnp.asarray(0),
-        direction=jnp.asarray(-1.0),
+        direction=still.u,
         travel=pending.travel,
         pending=pending,
-        flow=relax.start(mode, base_x),
+        flow=relax.start(mode, pose),
         count=jnp.asarray(0),
         status=jnp.asarray(int(Status.ok)),
     )
@@ -146,6 +161,9 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     """
     front = _start(problem, stops)
     front = select(problem.valid, front, stopped(front, Status.invalid))
+    if problem.motion.ends is not None:
+        clear = jnp.all(relax.clear(stance(problem, front.point.u, front.pose)))
+        front = select(clear | ~problem.valid, front, stopped(front, Status.lost))
     # A node is written as one row of a table: a write for each of its fields would be slow to compile.
     blank, unpacked = ravel_pytree(front.pending)
     table = jnp.zeros((capacity, blank.size))

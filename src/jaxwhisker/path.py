@@ -12,9 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._types import Scalar
+from jaxwhisker.clearance import Stance
 from jaxwhisker.contact import Phase
-from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, scale_of
-from jaxwhisker.scene import Problem
+from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, Poses, scale_of
 
 
 class Status(IntEnum):
@@ -107,14 +107,14 @@ class Margins(NamedTuple):
     stop: Float[Array, " 1"]
 
 
-def margins(problem: Problem, mode: Mode, point: Point, base_x: PerWhisker, ahead: PerWhisker, way: Scalar) -> Margins:
+def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, way: Scalar) -> Margins:
     """Margins at a point. `ahead` is the sign of sin(alpha) before the vertex, `way` what the drive still has to go."""
     free = mode.phase == Phase.free
     force, _, slack = point.z.T
-    first = jnp.where(mode.side > 0, problem.touch_right.x, problem.touch_left.x)
+    first = at.first(mode.side)
     far = jnp.inf
     return Margins(
-        touch=jnp.where(free & problem.reaches, mode.side * (base_x - first), far),
+        touch=jnp.where(free & first.reaches, mode.side * (at.x - first.x), far),
         release=jnp.where(free, far, force),
         phase=jnp.where(free, far, jnp.where(mode.phase == Phase.tip, -slack, slack)),
         vertex=jnp.where(free, far, ahead),
@@ -129,12 +129,15 @@ def unit(direction: Point, z: Contacts) -> tuple[Point, Scalar]:
     return Point(direction.z / length, direction.u / length), length
 
 
-def rates(mode: Mode, direction: Point, base_x: PerWhisker) -> Margins:
-    """How the margins change along a direction of the path, but for the vertex and the stop, which are passed once."""
+def rates(mode: Mode, direction: Point, pose: Poses) -> Margins:
+    """How the margins change along a direction of the path, but for the vertex and the stop, which are passed once.
+
+    Where a pose is more than x, the touch's is left out, too.
+    """
     free = mode.phase == Phase.free
-    none = jnp.zeros_like(base_x)
+    none = jnp.zeros_like(pose[:, 0])
     return Margins(
-        touch=jnp.where(free, mode.side * base_x, 0.0),
+        touch=jnp.where(free, mode.side * pose[:, 0], 0.0) if pose.shape[1] == 1 else none,
         release=jnp.where(free, 0.0, direction.z[:, 0]),
         phase=jnp.where(free, 0.0, jnp.where(mode.phase == Phase.tip, -1.0, 1.0) * direction.z[:, 2]),
         vertex=none,

@@ -19,6 +19,8 @@ class State(eqx.Module):
     """
 
     base_x: Float[Array, "*steps whiskers"]  # position of the base, a length
+    base_y: Float[Array, "*steps whiskers"]
+    base_angle: Float[Array, "*steps whiskers"]  # of the whisker there to the upright, rad, counter-clockwise
     fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along x
     fy: Float[Array, "*steps whiskers"]  # force along y
     mz: Float[Array, "*steps whiskers"]  # moment, counter-clockwise positive
@@ -92,8 +94,8 @@ class Result(State):
     A step whose status is not `Status.ok` holds NaN; its phase is that of a free whisker.
     """
 
-    control: Float[Array, " steps"]  # drive position u, a length
-    spring_length: Float[Array, "steps springs"]  # x_second - x_first of every spring
+    control: Float[Array, " steps"]  # drive position u, a length; of a rotation its angle, rad
+    spring_length: Float[Array, "steps springs"]  # x_second - x_first of every spring, or y, or angle
     status: Int[Array, " steps"]  # Status.ok, or what went wrong there
     events: Events
     scene: Scene

@@ -18,13 +18,14 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker import _checks, equilibrium
 from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker._types import Control, Scalar
+from jaxwhisker.clearance import in_scene
 from jaxwhisker.contact import Phase
 from jaxwhisker.equilibrium import Contacts, Mode, Point, at_control, find, scale_of
 from jaxwhisker.implicit import solved
-from jaxwhisker.march import march, nowhere
+from jaxwhisker.march import first_touch, march, nowhere
 from jaxwhisker.path import Path, Status, dot
 from jaxwhisker.result import Events, Result, State
-from jaxwhisker.scene import Problem, Scene, problem
+from jaxwhisker.scene import Problem, Scene, problem, units
 from jaxwhisker.signals import events, signals
 
 STEP = 0.001  # of the default control, in lengths of the first whisker
@@ -101,14 +102,14 @@ def default_control(scene: Scene) -> np.ndarray:
 
 def _across(scene: Scene, way: "_Way") -> np.ndarray:
     start, stop = float(way.start), float(way.stop)
-    step = STEP * float(scene.whiskers[0].length)
-    count = max(2, int(np.ceil((start - stop) / step)) + 1)
+    onwards, step = scene.motion.direction, STEP * float(units(scene).control)
+    count = max(2, int(np.ceil(onwards * (stop - start) / step)) + 1)
     if count > MOST_STEPS:
         raise ValueError(
             f"`control` must be given for so soft springs: from {start:g} to {stop:g} the default has {count:,} steps, "
             f"and at most {MOST_STEPS:,} are allowed."
         )
-    return start - step * np.arange(count)
+    return start + onwards * step * np.arange(count)
 
 
 def stops_of(control: np.ndarray) -> tuple[np.ndarray, int]:
@@ -140,20 +141,33 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
     """March to all stops; with NaN for the first, right across the object."""
     dimensionless = problem(scene)
     unit = dimensionless.unit
-    offset = equilibrium.rest(dimensionless, jnp.asarray(0.0))
-    touches = jnp.where(dimensionless.reaches, dimensionless.touch_right.x - offset, -jnp.inf)
-    middle = dimensionless.profile.vertex()[0] - jnp.mean(offset)
-    start = jnp.where(jnp.any(dimensionless.reaches), jnp.max(touches), middle + 1.0) + MARGIN
-    softness = equilibrium.yielding(dimensionless, jnp.full(dimensionless.length.shape, HIGHEST_FORCE))
-    across = jnp.full_like(stops, start - FAR - jnp.max(softness)).at[0].set(start)
-    capacity = _capacity(scene, stops.shape[0])
-    stops = jnp.where(jnp.isnan(stops[0]), across, stops / unit.length)
+    capacity, onwards = _capacity(scene, stops.shape[0]), dimensionless.motion.direction
+    start, end, far = _ends(dimensionless)
+    across = jnp.full_like(stops, far).at[0].set(start)
+    stops = jnp.where(jnp.isnan(stops[0]), across, stops / unit.control)
     path = march(*jax.lax.stop_gradient((dimensionless, stops)), last, capacity=capacity)
-    event = path.nodes.kind >= 0
-    known = (jnp.arange(capacity) < path.count) & (event | (path.status != Status.ok))
-    end = jnp.min(jnp.where(known, path.nodes.point.u, jnp.inf))
-    stop = jnp.where(jnp.any(known), end, middle - 1.0) - MARGIN
-    return _Way(path, events(dimensionless, path), start * unit.length, stop * unit.length)
+    passed, event = jnp.arange(capacity) < path.count, path.nodes.kind >= 0
+    known = passed & (event | (path.status != Status.ok))
+    way = onwards * path.nodes.point.u
+    stop = onwards * jnp.where(jnp.any(known), jnp.max(jnp.where(known, way, -jnp.inf)), onwards * end)
+    if dimensionless.motion.ends is not None:
+        first = onwards * jnp.min(jnp.where(passed & event, way, jnp.inf))
+        start = jnp.where(jnp.any(passed & event), first - onwards * MARGIN, start)
+    return _Way(path, events(dimensionless, path), start * unit.control, (stop + onwards * MARGIN) * unit.control)
+
+
+def _ends(problem: Problem) -> tuple[Scalar, Scalar, Scalar]:
+    """Where a scan begins, where it ends if nothing happens, and how far it goes on looking."""
+    onwards = problem.motion.direction
+    if problem.motion.ends is not None:
+        start, end = (jnp.asarray(end, dtype=float) / problem.unit.control for end in problem.motion.ends)
+        return start, end, end
+    unloaded = in_scene(problem, jnp.asarray(0.0), equilibrium.rest(problem, jnp.asarray(0.0)))
+    middle, first = problem.profile.vertex()[0] - jnp.mean(unloaded.x), first_touch(problem)
+    start = jnp.where(jnp.isfinite(first), first, middle - onwards) - onwards * MARGIN
+    hardest = jnp.zeros((problem.length.size, problem.axes)).at[:, 0].set(HIGHEST_FORCE)
+    softness = jnp.max(equilibrium.yielding(problem, hardest))
+    return start, middle + onwards, start + onwards * (FAR + softness)
 
 
 FAR = 1e4  # lengths beyond the start; a march past the object ends long before, unless springs are very soft
@@ -279,7 +293,7 @@ def _steps(
     """States, spring lengths and status at control positions that the drive passes after `travel`."""
     dimensionless, path = problem(scene), jax.lax.stop_gradient(path)
     unit = dimensionless.unit
-    u, travel = control / unit.length, travel / unit.length
+    u, travel = control / unit.control, travel / unit.control
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
     end = node_travel[path.count - 1]
     noise = TRAVEL_NOISE * (1 + end)
@@ -298,7 +312,19 @@ def _steps(
     status = jnp.where(dimensionless.valid, status, Status.invalid)
     ok = (status == Status.ok)[:, None]
     state = jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), state)
-    return state, scene.support.spring_length(state.base_x, control), status
+    return state, jax.vmap(partial(_spring_length, scene, dimensionless))(state, u), status
+
+
+def _spring_length(scene: Scene, problem: Problem, state: State, u: Scalar) -> Float[Array, " springs"]:
+    """Lengths of the springs, in the drive's frame."""
+    if problem.mount is None:
+        return scene.support.spring_length((state.base_x - u * problem.unit.length)[:, None])
+    x, y, angle = problem.drive(u)
+    cos, sin, unit = jnp.cos(angle), jnp.sin(angle), problem.unit.length
+    right, up = state.base_x - x * unit, state.base_y - y * unit
+    mount = problem.mount
+    along = [right * cos + up * sin - mount.x * unit, up * cos - right * sin - mount.y * unit]
+    return scene.support.spring_length(jnp.stack([*along, state.base_angle - angle - mount.angle], axis=1))
 
 
 def _result(

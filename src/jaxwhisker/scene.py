@@ -11,6 +11,8 @@ Support reaction: what the support exerts on the whisker at its base,
 
 Inside, everything is dimensionless in length L and bending stiffness EI of the first whisker: forces EI/L^2, moments
 EI/L, spring stiffnesses EI/L^3.
+
+Where the drive turns (motion.py), springs act along the axes of its frame; everything else is told in the scene's.
 """
 
 from typing import NamedTuple
@@ -20,15 +22,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker import _checks, contact, touch
+from jaxwhisker import _checks, touch
 from jaxwhisker._functions import name_of
 from jaxwhisker._lanes import harmless
 from jaxwhisker._types import Scalar
 from jaxwhisker.contact import Body
 from jaxwhisker.elastica import AbstractRod, ClosedForm, Shooting
+from jaxwhisker.motion import AbstractMotion, Frame, Pose, Translation, frame_and_rate
+from jaxwhisker.network import Flexibility
 from jaxwhisker.profile import AbstractProfile, differs, show
-from jaxwhisker.support import Flexibility, Support
-from jaxwhisker.touch import Touch
+from jaxwhisker.support import Support
+from jaxwhisker.touch import Outline, Touch
 from jaxwhisker.whisker import Section, Whisker
 
 
@@ -40,6 +44,7 @@ class Scene(eqx.Module):
         profile: the object.
         support: the springs between drive and bases; clamped by default.
         rod: how rods are computed: Shooting(), or ClosedForm(), which is faster and exact to rounding.
+        motion: of the drive: Translation(), Rotation(), or a Motion of one's own.
 
     Raises:
         ValueError: if an argument is not of that kind, or their numbers of whiskers differ.
@@ -49,6 +54,7 @@ class Scene(eqx.Module):
     profile: AbstractProfile
     support: Support = Support()
     rod: AbstractRod = Shooting()
+    motion: AbstractMotion = Translation()
 
     def __check_init__(self):
         whiskers = self.whisker if isinstance(self.whisker, tuple) else (self.whisker,)
@@ -60,6 +66,8 @@ class Scene(eqx.Module):
             raise ValueError(f"`support` must be a Support, but is {self.support!r}.")
         if not isinstance(self.rod, AbstractRod):
             raise ValueError(f"`rod` must be Shooting() or ClosedForm(), but is {self.rod!r}.")
+        if not isinstance(self.motion, AbstractMotion):
+            raise ValueError(f"`motion` must be a Translation, Rotation or Motion, but is {self.motion!r}.")
         if isinstance(self.whisker, tuple) and len(whiskers) != self.support.whiskers:
             raise ValueError(
                 f"`whisker` must be one Whisker or one per base ({self.support.whiskers} in {self.support.name}), "
@@ -90,7 +98,8 @@ class Scene(eqx.Module):
         elif first.intrinsic_curvature is not None:
             material += f", kappa0 = {show(first.intrinsic_curvature)}"
         rods = "" if self.rod == Shooting() else f", {self.rod}"
-        return f"{self.support.name}: {', '.join(counted)}, {self.profile}{material}{rods}"
+        motion = "" if isinstance(self.motion, Translation) and self.motion.direction < 0 else f", {self.motion}"
+        return f"{self.support.name}: {', '.join(counted)}, {self.profile}{material}{rods}{motion}"
 
     __repr__ = __str__
 
@@ -101,6 +110,7 @@ class Units(NamedTuple):
     length: Scalar
     force: Scalar
     moment: Scalar
+    control: Scalar
 
 
 class Problem(NamedTuple):
@@ -111,23 +121,46 @@ class Problem(NamedTuple):
     section: Section | tuple[Section, ...] | None  # see contact.Body
     profile: AbstractProfile
     rod: AbstractRod
+    motion: AbstractMotion
     flexibility: Flexibility | None
-    touch_right: Touch  # first contact coming from the right
+    mount: Pose | None  # of every whisker; None where bases stay upright at height 0 and move along x only
+    outline: Outline | None  # of the unloaded whiskers, where they have a mount
+    touch_right: Touch  # first contact coming from the right: of whiskers with a mount, at their poses for control 0
     touch_left: Touch
-    reaches: Bool[Array, " whiskers"]  # whether the whisker is long enough to meet the object at all
     valid: Bool[Array, ""]
     unit: Units
 
     @property
-    def bodies(self) -> Body:
-        """All whiskers, stacked."""
-        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section)
+    def axes(self) -> int:
+        """Of a base's pose: x, or x, y and angle."""
+        return 1 if self.mount is None else 3
+
+    def bodies(self, u: Scalar) -> Body:
+        """All whiskers, stacked, at a control."""
+        frame, rate = (None, None) if self.mount is None else self.frames(u)
+        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, frame, rate)
+
+    def frames(self, u: Scalar) -> tuple[Frame, Frame]:
+        """Where bases with a mount would be without load, and the derivative by the control."""
+        assert self.mount is not None
+        return frame_and_rate(self.drive, self.mount, u)
+
+    def drive(self, u: Scalar) -> Pose:
+        """The pose of the drive's frame."""
+        x, y, angle = self.motion.pose(u * self.unit.control)
+        return Pose(x / self.unit.length, y / self.unit.length, angle)
 
 
 def units(scene: Scene) -> Units:
     """Units in which the scene's problem is dimensionless: L, EI/L^2, EI/L of the first whisker's base."""
     length, stiffness = scene.whiskers[0].length, scene.whiskers[0].base_stiffness
-    return Units(length, stiffness / length**2, stiffness / length)
+    return Units(length, stiffness / length**2, stiffness / length, scene.motion.unit(length))
+
+
+def moves_along_x(scene: Scene) -> bool:
+    """Whether all bases stay upright at height 0 and move along x only: the rest is then left out."""
+    along_x = isinstance(scene.motion, Translation) and scene.support.axes in ((), ("x",))
+    return along_x and scene.support.mount is None
 
 
 def problem(scene: Scene) -> Problem:
@@ -142,27 +175,45 @@ def problem(scene: Scene) -> Problem:
     profile = scene.profile.in_unit(unit.length)
     flexibility = scene.support.flexibility()
     if flexibility is not None:
-        spring = unit.force / unit.length
-        flexibility = Flexibility(
-            flexibility.matrix * spring,
-            flexibility.root * jnp.sqrt(jax.lax.stop_gradient(jnp.asarray(spring))),
-            flexibility.offset / unit.length,
-            flexibility.consistent,
-        )
         valid &= flexibility.consistent
-    if all(whisker.intrinsic_curvature is None for whisker in scene.whiskers):
-        right, left = (jax.vmap(lambda h, s=s: touch.of_straight(profile, h, s))(length) for s in (1.0, -1.0))
-        height = length
+    mount, outline, height, angle = None, None, jnp.zeros_like(length), jnp.zeros_like(length)
+    if moves_along_x(scene):
+        flexibility = None if flexibility is None else flexibility.in_unit(unit.length, unit.force)
     else:
-        bodies = Body(length, stiffness, profile, scene.rod, section)
-        right, left, height = contact.of_each(bodies, _touches)
-    reaches = height > profile.vertex()[1]
-    return Problem(length, stiffness, section, profile, scene.rod, flexibility, right, left, reaches, valid, unit)
+        x, y, angle = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in zip(*_mounts(scene), strict=True))
+        mount = Pose(x / unit.length, y / unit.length, angle)
+        flexibility = None if flexibility is None else flexibility.in_frames(angle, unit.length, unit.force)
+        height = mount.y
+    if mount is None and all(whisker.intrinsic_curvature is None for whisker in scene.whiskers):
+        right, left = (jax.vmap(lambda h, s=s: touch.of_straight(profile, h, s))(length) for s in (1.0, -1.0))
+    else:
+        outline = outlines(scene.whiskers, length, section)
+
+        def first(side):
+            return jax.vmap(lambda *own: touch.of_any(profile, *own, side))(length, outline, height, angle)
+
+        right, left = first(1.0), first(-1.0)
+    return Problem(
+        length, stiffness, section, profile, scene.rod, scene.motion, flexibility, mount, outline, right, left, valid,
+        unit,
+    )  # fmt: skip
 
 
-def _touches(body: Body) -> tuple[Touch, Touch, Scalar]:
-    """First touches of a curved whisker from the right and from the left, and the height that it reaches."""
-    return touch.of_curved(body, 1.0), touch.of_curved(body, -1.0), touch.height(body)
+def _mounts(scene: Scene) -> list[tuple[Scalar, Scalar, Scalar]]:
+    return [(mount.x, mount.y, mount.angle) for mount in scene.support.mounts]
+
+
+def outlines(
+    whiskers: tuple[Whisker, ...], length: Float[Array, " whiskers"], section: Section | tuple[Section, ...] | None
+) -> Outline:
+    """Outlines of all whiskers, stacked."""
+    if isinstance(section, tuple):
+        each = [touch.outline(length[k], own) for k, own in enumerate(section)]
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    straight = all(whisker.intrinsic_curvature is None for whisker in whiskers)
+    if section is None or straight:
+        return jax.vmap(lambda length: touch.outline(length, None))(length)
+    return jax.vmap(touch.outline)(length, section)
 
 
 def sections(
@@ -184,4 +235,4 @@ def sections(
 def _valid(scene: Scene) -> Bool[Array, ""]:
     # Whether traced parameters lie where the constructors would have let them.
     whiskers = jnp.all(jnp.stack([whisker.valid() for whisker in scene.whiskers]))
-    return scene.profile.valid() & scene.support.valid() & whiskers
+    return scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers

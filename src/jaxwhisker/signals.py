@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from jaxwhisker import contact, equilibrium
 from jaxwhisker._types import Scalar
+from jaxwhisker.clearance import in_scene
 from jaxwhisker.contact import Phase, of_each
 from jaxwhisker.equilibrium import Contacts, Mode, PerWhisker, Point, Row, at_control, harmless
 from jaxwhisker.implicit import solved, solved_event
@@ -18,23 +19,32 @@ from jaxwhisker.scene import Problem
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
     """Everything about an equilibrium in the scene's units, and by how much it misses its equations."""
-    touching, unit = mode.phase != Phase.free, problem.unit
-    base = of_each(problem.bodies, contact.base, *harmless(problem, z, mode.phase), mode.side)
-    arc = of_each(problem.bodies, contact.arc, z[:, 2], mode.phase)
+    touching, unit, bodies = mode.phase != Phase.free, problem.unit, problem.bodies(u)
+    at = harmless(problem, z, mode.phase)
+    base = of_each(bodies, contact.base, *at, mode.side)
+    arc = of_each(bodies, contact.arc, z[:, 2], mode.phase)
 
     def of_touching(values: PerWhisker) -> PerWhisker:
         return jnp.where(touching, values, 0.0)
 
-    force_x = of_touching(base.force_x)
-    wanted = equilibrium.rest(problem, u) + equilibrium.yielding(problem, force_x)
-    apart = (base.x - wanted) / (1 + jnp.abs(u))
-    misses = jnp.stack([apart, base.y, base.cos, jnp.where(base.sin > 0, 0.0, jnp.inf)])
+    frames = bodies.frame
+    seen = jax.vmap(contact.seen, in_axes=(0, None if frames is None else 0))(base, frames)
+    load = jnp.where(touching[:, None], equilibrium.load_of(seen, problem.axes), 0.0)
+    wanted = equilibrium.rest(problem, u) + equilibrium.yielding(problem, load)
+    pose = equilibrium.pose_of(seen, 3)
+    # Poses across the branch stand on their own where they are no part of the network.
+    apart = pose - jnp.concatenate([wanted, jnp.zeros((touching.size, 3 - problem.axes))], axis=1)
+    apart = apart.at[:, 0].divide(1 + jnp.abs(u))
+    misses = [*apart.T, *([jnp.where(base.sin > 0, 0.0, jnp.inf)] if problem.axes == 1 else [])]
     # Complementarity: the object only pushes, and the phase is what the slack says.
     excess = jnp.where(mode.phase == Phase.tip, z[:, 2], -z[:, 2])
-    misses = jnp.concatenate([jnp.abs(misses), jnp.maximum(jnp.stack([-z[:, 0], excess]), 0.0)])
+    misses = jnp.concatenate([jnp.abs(jnp.stack(misses)), jnp.maximum(jnp.stack([-z[:, 0], excess]), 0.0)])
+    here = in_scene(problem, u, jnp.where(touching[:, None], pose[:, : problem.axes], wanted))
     state = State(
-        base_x=jnp.where(touching, base.x, wanted) * unit.length,
-        fx=-force_x * unit.force,
+        base_x=here.x * unit.length,
+        base_y=here.y * unit.length,
+        base_angle=here.angle,
+        fx=of_touching(-base.force_x) * unit.force,
         fy=of_touching(-base.force_y) * unit.force,
         mz=of_touching(-base.bend) * unit.moment,
         contact_force=of_touching(z[:, 0]) * unit.force,
@@ -47,22 +57,19 @@ def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State
     return state, jnp.max(jnp.where(touching, misses, 0.0))
 
 
-def _event_row(problem: Problem, node: Node) -> Row:
+def _event_row(node: Node) -> Row:
     """The equation whose solution an event is; the control, where the node is none."""
     one = node.whiskers.astype(float)
     change = (node.kind == EventKind.tip_to_tangential) | (node.kind == EventKind.tangential_to_tip)
-    touch = one * (node.kind == EventKind.touch)
+    unloaded = (node.kind == EventKind.release) | (node.kind == EventKind.touch)
     weight = jnp.zeros_like(node.z_before)
-    weight = weight.at[:, 0].set(one * (node.kind == EventKind.release)).at[:, 2].set(one * change)
-    first = jnp.where(node.side_before > 0, problem.touch_right.x, problem.touch_left.x)
+    weight = weight.at[:, 0].set(one * unloaded).at[:, 2].set(one * change)
     return Row(
         weight_z=weight,
         z0=jnp.zeros_like(weight),
         weight_u=(node.kind < 0).astype(float),
         u0=node.point.u,
         vertex=one * (node.kind == EventKind.vertex),
-        touch=touch,
-        touch_x=jnp.where(touch > 0, first, 0.0),
     )
 
 
@@ -73,9 +80,12 @@ def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tup
     no = jnp.asarray(False)
     before_mode, after_mode = Mode(at.phase_before, at.side_before, no), Mode(node.phase, node.side, no)
     fold = snap & (at.kind < 0)
-    before = solved_event(
-        Point(at.z_before, at.point.u), problem, before_mode, at.arriving, _event_row(problem, at), fold
-    )
+    # A touch is solved for as the contact that begins.
+    touches = at.kind == EventKind.touch
+    solved_mode = select(touches, Mode(at.phase, at.side, no), before_mode)
+    along = select(touches, at.leaving, at.arriving)
+    z = jnp.where(touches, at.point.z, at.z_before)
+    before = solved_event(Point(z, at.point.u), problem, solved_mode, along, _event_row(at), fold)
     after = solved(Point(node.point.z, before.u), problem, after_mode, at_control(before.u, node.point.z)).z
     return (before, before_mode), (Point(after, before.u), after_mode)
 

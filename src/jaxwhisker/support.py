@@ -1,6 +1,4 @@
-"""The support: a network of springs between the drive (0) and the bases (1 to N) of the whiskers."""
-
-from typing import NamedTuple
+"""The support: springs between the drive (0) and the bases (1 to N), and how whiskers are mounted on these."""
 
 import equinox as eqx
 import jax
@@ -9,68 +7,40 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker import _checks
 from jaxwhisker._types import PerSpring, Scalar
+from jaxwhisker.network import Flexibility, flexibility, reached
+from jaxwhisker.spring import AXES, Spring
 
 
-class Spring(eqx.Module):
-    """A linear spring along x: it pulls with stiffness * (length - rest_length), length = x_second - x_first.
+class Mount(eqx.Module):
+    """How a whisker is mounted on its base: where it stands, in the drive's frame, when all springs are at rest length 0.
 
     Args:
-        between: (first, second): 0 is the drive, 1 to N are the bases.
-        stiffness: c, force per length; positive, `jnp.inf` for a rigid link.
-        rest_length: lambda, a length: where `second` rests to the right of `first`.
-        compliance: 1/c, instead of the stiffness; 0 for a rigid link, with derivatives by it that do not vanish there.
+        x: offset along x, a length.
+        y: height of the base, a length.
+        angle: of the unloaded whisker's root to the upright, rad, counter-clockwise (towards -x); less than a right
+            angle.
 
     Raises:
-        ValueError: if a value is out of its domain, or not exactly one of stiffness and compliance is given.
+        ValueError: if a value is not a finite number, or the angle a right one or more.
     """
 
-    between: tuple[int, int] = eqx.field(static=True)
-    stiffness: Scalar | None = None
-    rest_length: Scalar = 0.0
-    compliance: Scalar | None = eqx.field(default=None, kw_only=True)
+    x: Scalar = 0.0
+    y: Scalar = 0.0
+    angle: Scalar = 0.0
 
     def __check_init__(self):
-        ends = self.between
-        if not (isinstance(ends, tuple) and len(ends) == 2 and all(isinstance(e, int) and e >= 0 for e in ends)):
-            raise ValueError(
-                f"`between` must be a pair of ints, 0 for the drive or 1 to N for a base, but is {ends!r}."
-            )
-        if ends[0] == ends[1]:
-            raise ValueError(f"`between` must name two different ends, but is {ends!r}.")
-        if (self.stiffness is None) == (self.compliance is None):
-            raise ValueError(
-                f"`stiffness` or `compliance` must be given, and not both, but they are {self.stiffness!r} and "
-                f"{self.compliance!r}."
-            )
-        if self.stiffness is not None:
-            _checks.number("stiffness", self.stiffness, positive=True, finite=False)
-        if self.compliance is not None:
-            _checks.number("compliance", self.compliance)
-            if not _checks.is_traced(self.compliance) and self.compliance < 0:
-                raise ValueError(f"`compliance` must be at least 0, but is {self.compliance}.")
-        _checks.number("rest_length", self.rest_length)
-
-    @property
-    def softness(self) -> Float[Array, ""]:
-        """1/c, whichever of the two was given."""
-        if self.compliance is not None:
-            return jnp.asarray(self.compliance, dtype=float)
-        return 1 / jnp.asarray(self.stiffness, dtype=float)
+        for name in ("x", "y", "angle"):
+            _checks.number(name, getattr(self, name))
+        if not _checks.is_traced(self.angle) and not abs(float(self.angle)) < RIGHT_ANGLE:
+            raise ValueError(f"`angle` must be less than a right angle, but is {float(self.angle):g} rad.")
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters lie where the constructor would have let them."""
-        positive = self.softness >= 0 if self.stiffness is None else jnp.asarray(self.stiffness) > 0
-        return positive & jnp.isfinite(self.softness) & jnp.isfinite(self.rest_length)
+        x, y, angle = (jnp.asarray(value, dtype=float) for value in (self.x, self.y, self.angle))
+        return jnp.isfinite(x) & jnp.isfinite(y) & (jnp.abs(angle) < RIGHT_ANGLE)
 
 
-class Flexibility(NamedTuple):
-    """How the bases of a network yield: base_x = control + offset + matrix @ force_x."""
-
-    matrix: Float[Array, "whiskers whiskers"]
-    root: Float[Array, "whiskers whiskers"]  # matrix = root @ root.T
-    offset: Float[Array, " whiskers"]
-    consistent: Bool[Array, ""]  # rigid loops close with their rest lengths
-
+RIGHT_ANGLE = 1.5707963267948966
 
 _NAMED = {
     "FB": ((0, 1),),
@@ -81,47 +51,75 @@ _NAMED = {
 
 
 class Support(eqx.Module):
-    """Springs between drive and bases; without any, one base clamped to the drive.
+    """Springs between drive and bases; without any, the bases are clamped to the drive.
+
+    Along an axis without springs a base is rigid relative to the drive.
 
     Args:
-        springs: any connected network; every base from 1 to N has to occur.
+        springs: any network; every base from 1 to N has to occur.
+        mount: how whiskers are mounted on their bases: a Mount for all, or a tuple with one per base (without springs
+            their number is that of the whiskers); upright at height 0 by default.
 
     Raises:
-        ValueError: if a base is missing or not connected to the drive.
+        ValueError: if a base is missing, or springs along an axis do not connect it to the drive.
     """
 
     springs: tuple[Spring, ...] = ()
+    mount: Mount | tuple[Mount, ...] | None = None
 
     def __check_init__(self):
         if not isinstance(self.springs, tuple) or not all(isinstance(s, Spring) for s in self.springs):
             raise ValueError(f"`springs` must be a tuple of Spring, but is {self.springs!r}.")
-        reached = {0}
-        for _ in self.springs:
-            reached |= {b for s in self.springs for b in s.between if reached & set(s.between)}
-        wanted = set(range(self.whiskers + 1)) if self.springs else {0}
-        if reached != wanted:
-            raise ValueError(
-                f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, but "
-                f"base {min(wanted - reached)} is not connected (springs between {[s.between for s in self.springs]})."
-            )
+        mounts = self.mount if isinstance(self.mount, tuple) else (self.mount,)
+        if self.mount is not None and not (mounts and all(isinstance(m, Mount) for m in mounts)):
+            raise ValueError(f"`mount` must be a Mount or a tuple of them, but is {self.mount!r}.")
+        if isinstance(self.mount, tuple) and self.springs and len(mounts) != self.whiskers:
+            raise ValueError(f"`mount` must hold one per base ({self.whiskers}), but holds {len(mounts)}.")
+        named = {end for spring in self.springs for end in spring.between}
+        for axis in self.axes:
+            springs = self.along(axis)
+            loose = {end for s in springs for end in s.between} - reached(springs)
+            missing = loose | (set(range(1, self.whiskers + 1)) - named)
+            if missing:
+                raise ValueError(
+                    f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, but along {axis} base "
+                    f"{min(missing)} is not connected (springs between {[s.between for s in springs]})."
+                )
         with jax.ensure_compile_time_eval():  # known values may be checked inside jit, too
             rigid = not _checks.is_traced(self.springs) and any(s.softness == 0 for s in self.springs)
-            flexibility = self.flexibility() if rigid else None
-            loose = flexibility is not None and not flexibility.consistent
-        if loose:
+            open_ = rigid and not all(flexibility(self.along(a), self.whiskers).consistent for a in self.axes)
+        if open_:
             lengths = [float(s.rest_length) for s in self.springs]
             raise ValueError(f"`rest_length` must let loops of infinitely stiff springs close, but is {lengths}.")
+
+    def along(self, axis: str) -> tuple[Spring, ...]:
+        """The springs along an axis."""
+        return tuple(spring for spring in self.springs if spring.axis == axis)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The axes along which there are springs."""
+        return tuple(axis for axis in AXES if self.along(axis))
+
+    @property
+    def mounts(self) -> tuple[Mount, ...]:
+        """One Mount per base."""
+        return self.mount if isinstance(self.mount, tuple) else (self.mount or Mount(),) * self.whiskers
 
     @property
     def whiskers(self) -> int:
         """N, the number of bases."""
-        return max((b for s in self.springs for b in s.between), default=1)
+        if not self.springs:
+            return len(self.mount) if isinstance(self.mount, tuple) else 1
+        return max(b for s in self.springs for b in s.between)
 
     @property
     def name(self) -> str:
-        """The thesis's name of the model, `clamped`, or `network`."""
+        """The thesis's name of the model, `clamped`, `follicle`, or `network`."""
         between = tuple(s.between for s in self.springs)
-        return next((name for name, ends in _NAMED.items() if ends == between), "network" if between else "clamped")
+        if self.axes in ((), ("x",)):
+            return next((name for name, ends in _NAMED.items() if ends == between), "network" if between else "clamped")
+        return "follicle" if set(between) == {(0, 1)} else "network"
 
     @classmethod
     def clamped(cls) -> "Support":
@@ -149,6 +147,27 @@ class Support(eqx.Module):
         return cls.named("FBFBFBR", stiffness, rest_length)
 
     @classmethod
+    def follicle(
+        cls,
+        x: Scalar | None = None,
+        y: Scalar | None = None,
+        phi: Scalar | None = None,
+        *,
+        mount: Mount | None = None,
+    ) -> "Support":
+        """One whisker whose base yields in up to three directions, at rest on the drive.
+
+        Args:
+            x: stiffness across the whisker, force per length; None for rigid.
+            y: stiffness along it.
+            phi: torsional stiffness, moment per rad.
+            mount: how the whisker is mounted.
+        """
+        stiffness = {"x": x, "y": y, "phi": phi}
+        springs = (Spring((0, 1), value, axis=axis) for axis, value in stiffness.items() if value is not None)
+        return cls(tuple(springs), mount)
+
+    @classmethod
     def named(cls, model: str, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
         """A model of the thesis by name: `clamped`, `FB`, `FBFB`, `FBFBR`, `FBFBFBR`.
 
@@ -169,61 +188,40 @@ class Support(eqx.Module):
         return cls(tuple(Spring(e, c, r) for e, c, r in zip(ends, stiffnesses, rest_lengths, strict=True)))
 
     def flexibility(self) -> Flexibility | None:
-        """Flexibility matrix and rest positions of the bases; None without springs.
+        """How the bases yield in the drive's frame; None without springs.
 
-        A spring is a measurement of the distance of its ends with variance 1/stiffness: the springs of a spanning tree
-        add up along their paths, every further one is a rank-one update. Nothing is divided by a difference of
-        stiffnesses, and rigid springs (variance 0) need no path of their own.
+        Where all springs act along x a row for each base, else three: x, y, angle of the first one, and so on.
         """
         if not self.springs:
             return None
-        n = self.whiskers
-        rows: dict[int, dict[int, float]] = {0: {}}  # base -> {spring of the tree: sign}
-        loops = list(range(len(self.springs)))
-        while len(rows) <= n:
-            for k in loops:
-                first, second = self.springs[k].between
-                if (first in rows) != (second in rows):
-                    known, new, sign = (first, second, 1.0) if first in rows else (second, first, -1.0)
-                    rows[new] = {**rows[known], k: sign}
-                    loops.remove(k)
-                    break
-        softness = [s.softness for s in self.springs]
-        rest = [jnp.asarray(s.rest_length, dtype=float) for s in self.springs]
-        tree = sorted(set().union(*rows.values()))
-        signs = jnp.array([[rows[base].get(k, 0.0) for k in tree] for base in range(1, n + 1)])
-        soft = jnp.stack([softness[k] for k in tree])
-        matrix = jnp.sum(signs[:, None, :] * signs[None, :, :] * soft, axis=-1)
-        root = signs * jnp.sqrt(jax.lax.stop_gradient(soft))  # for decisions only: its slope at 0 is infinite
-        offset = jnp.sum(signs * jnp.stack([rest[k] for k in tree]), axis=-1)
+        if self.axes == ("x",):
+            return flexibility(self.springs, self.whiskers)
+        n, k = self.whiskers, len(AXES)
+        matrix, root, offset = jnp.zeros((n, k, n, k)), jnp.zeros((n, k, n, k)), jnp.zeros((n, k))
         consistent = jnp.asarray(True)
-        for k in loops:
-            across = _incidence(self.springs[k].between, n)
-            gap = rest[k] - jnp.sum(across * offset)
-            column = jnp.sum(matrix * across, axis=-1)
-            spread = jnp.sum(across * column)
-            total = softness[k] + spread
-            rigid = total <= 0
-            gain = jnp.where(rigid, 0.0, column / jnp.where(rigid, 1.0, total))
-            consistent &= ~rigid | (jnp.abs(gap) <= 1e-12 * (1 + jnp.abs(rest[k])))
-            matrix = matrix - gain[:, None] * column[None, :]
-            offset = offset + gain * gap
-            # Potter's form of the same update keeps the root a root, whatever the range of stiffnesses.
-            row = jnp.sum(root * across[:, None], axis=0)
-            noise, all_ = jax.lax.stop_gradient((softness[k], jnp.where(rigid, 1.0, total)))
-            scale = jnp.where(rigid, 1.0, all_ + jnp.sqrt(noise * all_))
-            root = root - jnp.sum(root * row, axis=-1)[:, None] * row[None, :] / scale
-        return Flexibility(matrix, root, offset, consistent)
+        for axis in self.axes:
+            a, one = AXES.index(axis), flexibility(self.along(axis), n)
+            matrix, root = matrix.at[:, a, :, a].set(one.matrix), root.at[:, a, :, a].set(one.root)
+            offset = offset.at[:, a].set(one.offset)
+            consistent &= one.consistent
+        return Flexibility(matrix.reshape(n * k, n * k), root.reshape(n * k, n * k), offset.reshape(-1), consistent)
 
-    def spring_length(self, base_x: Float[Array, "*steps whiskers"], control: Float[Array, "*steps"]):
-        """Length x_second - x_first of every spring: (*steps, springs)."""
-        nodes = jnp.concatenate([control[..., None], base_x], axis=-1)
-        lengths = [nodes[..., s.between[1]] - nodes[..., s.between[0]] for s in self.springs]
-        return jnp.stack(lengths, axis=-1) if lengths else jnp.zeros((*control.shape, 0))
+    def spring_length(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
+        """Length of every spring, of torsion springs the angle, from the bases' positions relative to the drive.
+
+        These are along x, or along all axes: see `flexibility`.
+        """
+        still = jnp.zeros_like(displacement[..., :1, :])
+        nodes = jnp.concatenate([still, displacement], axis=-2)
+        lengths = [
+            nodes[..., s.between[1], AXES.index(s.axis)] - nodes[..., s.between[0], AXES.index(s.axis)]
+            for s in self.springs
+        ]
+        return jnp.stack(lengths, axis=-1) if lengths else jnp.zeros((*displacement.shape[:-2], 0))
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters lie where the constructors would have let them."""
-        ok = [spring.valid() for spring in self.springs]
+        ok = [part.valid() for part in (*self.springs, *([] if self.mount is None else self.mounts))]
         return jnp.all(jnp.stack(ok)) if ok else jnp.asarray(True)
 
 
@@ -233,8 +231,3 @@ def _per_spring(name: str, value, shares: list[int]) -> list:
     if jnp.ndim(value if not isinstance(value, (list, tuple)) else 0) > 1 or len(value) != len(shares):
         raise ValueError(f"`{name}` must be one number or one per spring ({len(shares)}), but is {value!r}.")
     return list(value)
-
-
-def _incidence(between: tuple[int, int], whiskers: int) -> Float[Array, " whiskers"]:
-    first, second = between
-    return jnp.array([float(base == second) - float(base == first) for base in range(1, whiskers + 1)])

@@ -4,81 +4,116 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from jaxwhisker import contact, rod
+from jaxwhisker import rod
 from jaxwhisker._types import Scalar
-from jaxwhisker.contact import Body, Phase
 from jaxwhisker.profile import AbstractProfile, ContactPoint
 from jaxwhisker.whisker import Section
 
 SHAFT_FIRST = 1e-12  # share of the length that must stand above the first contact to call it tangential
-POINTS = 65  # of a curved whisker at which the first touch is looked for
+POINTS = 65  # of a whisker that is not upright and straight, at which the first touch is looked for
 SAME_HEIGHT = 1e-6  # by which whisker and object may miss each other there
 NEWTON_STEPS = 8
 
 
 class Touch(NamedTuple):
-    """A contact that is about to begin; each (whiskers,) in a problem."""
+    """A contact that is about to begin, if the base moves along x; each (whiskers,) of several."""
 
     parameter: Float[Array, "*batch"]  # of the profile
     x: Float[Array, "*batch"]  # position of the base
     slack: Float[Array, "*batch"]  # as of any contact: see contact.py
+    side: Float[Array, "*batch"]  # to which the whisker will bend: that from which it comes, but where it leans over
+    reaches: Bool[Array, "*batch"]  # whether it is high enough to meet the object at all; else x: tip below the vertex
 
 
-def _angle(cos: rod.Along, sin: rod.Along, at: ContactPoint, side: Scalar) -> rod.Along:
-    """Angle between a whisker of that direction and the object, as seen from the side that the whisker comes from."""
+class Outline(NamedTuple):
+    """An unloaded whisker at equidistant points, its base at the origin, upright."""
+
+    x: Float[Array, "*batch points"]
+    y: Float[Array, "*batch points"]
+    cos: Float[Array, "*batch points"]
+    sin: Float[Array, "*batch points"]
+
+
+def outline(length: Scalar, section: Section | None) -> Outline:
+    """The outline of a whisker, straight without a section."""
+    zero = jnp.zeros_like(length)
+    upright, nothing = (zero, zero, zero, zero + 1.0), rod.Load(None, zero, None)
+    if section is None:
+        line = length * jnp.linspace(0.0, 1.0, POINTS)
+        return Outline(0.0 * line, line, 0.0 * line, jnp.ones_like(line))
+    return Outline(*rod.points(upright, -length, nothing, section, count=POINTS, from_base=zero))
+
+
+def _angle(cos: Scalar, sin: Scalar, at: ContactPoint, side: Scalar) -> Scalar:
+    """Angle between a whisker of that direction and the object, as seen from the side to which it bends."""
     return jnp.arctan2(sin * at.cos - cos * at.sin, side * (cos * at.cos + sin * at.sin))
 
 
 def of_straight(profile: AbstractProfile, length: Scalar, side: Scalar) -> Touch:
-    """The first touch of a straight whisker, which stands upright."""
+    """The first touch of a straight whisker that stands upright at height 0."""
     touch = profile.first_touch(length, side)
     at = profile.point(touch.parameter)
     beyond = length - touch.y
     # Upright, it never points below the tangent of an object that ends in a wall.
     angle = jnp.arctan2(jnp.abs(at.cos), side * at.sin)
-    return Touch(touch.parameter, touch.x, jnp.where(beyond > SHAFT_FIRST * length, beyond, -angle))
+    slack = jnp.where(beyond > SHAFT_FIRST * length, beyond, -angle)
+    return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), length > profile.vertex()[1])
 
 
-def _unloaded(body: Body):
-    """States of the unloaded whisker at points from the base, at the origin, to the tip."""
-    assert isinstance(body.section, Section)
-    zero = jnp.zeros_like(body.length)
-    upright, nothing = (zero, zero, zero, zero + 1.0), rod.Load(None, zero, None)
-    return rod.points(upright, -body.length, nothing, body.section, count=POINTS, from_base=zero)
+def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> Touch:
+    """The first touch of a whisker with its base at height y, turned by an angle: with its tip or along its shaft.
 
-
-def height(body: Body) -> Float[Array, ""]:
-    """Height of the unloaded whisker's tip."""
-    return _unloaded(body)[1][-1]
-
-
-def of_curved(body: Body, side: Scalar) -> Touch:
-    """The first touch of a curved whisker: with its tip, or where along its shaft it stands out most.
-
-    Looked for at points of the whisker, then solved for with the equations of a contact without force.
+    Looked for at points of the whisker, then solved for between them, where its outline is cubic in arc length. A
+    guess for what is solved with the equations of a contact: exact to some 1e-10, without derivatives.
     """
-    x, y, cos, sin = _unloaded(body)
-    touch = jax.vmap(lambda height: body.profile.first_touch(height, side))(y)
-    at = jax.vmap(body.profile.point)(touch.parameter)
-    meets = (y > body.profile.vertex()[1]) & (jnp.abs(touch.y - y) < SAME_HEIGHT)
-    ahead = jnp.where(meets, side * (touch.x - x), -jnp.inf)
-    k = jnp.argmax(ahead)
-    angle = _angle(cos, sin, at, side)
-    tip = (k == POINTS - 1) & (angle[-1] > 0)
-    beyond = body.length * (1 - jnp.minimum(k, POINTS - 1.5) / (POINTS - 1))
-    found = jnp.stack([touch.parameter[k], jnp.where(tip, -angle[-1], beyond)])
-    found = jnp.where(jnp.any(meets), found, jnp.stack([touch.parameter[-1], -jnp.ones(())]))
-    phase = jnp.where(tip, Phase.tip, Phase.tangential)
+    profile, length, own, y, angle = jax.lax.stop_gradient((profile, length, own, y, angle))
+    lean_cos, lean_sin = jnp.cos(angle), jnp.sin(angle)
+    xs, ys = own.x * lean_cos - own.y * lean_sin, y + own.x * lean_sin + own.y * lean_cos
+    coses, sines = own.cos * lean_cos - own.sin * lean_sin, own.sin * lean_cos + own.cos * lean_sin
+    touch = jax.vmap(lambda height: profile.first_touch(height, side))(ys)
+    meets = (ys > profile.vertex()[1]) & (jnp.abs(touch.y - ys) < SAME_HEIGHT)
+    k = jnp.argmax(jnp.where(meets, side * (touch.x - xs), -jnp.inf))
+    at = profile.point(touch.parameter[k])
+    # What bends it is the way from which its base comes across the whisker.
+    across = side * (at.sin * lean_cos - at.cos * lean_sin)
+    bends_to = jnp.where(across < 0, -side, side)
+    tip_angle = _angle(coses[k], sines[k], at, bends_to)
+    tip = (k == POINTS - 1) & (tip_angle > 0)
+
+    table = jnp.stack([xs, ys, coses * length / (POINTS - 1), sines * length / (POINTS - 1)])
+
+    def whisker(cell):
+        """Position and direction at a number of cells from the base."""
+        first = jnp.clip(jnp.floor(jax.lax.stop_gradient(cell)).astype(int), 0, POINTS - 2)
+        here, there = table[:, first], table[:, first + 1]
+        t, step = cell - first, there[:2] - here[:2]
+        bend, twist = 3 * step - 2 * here[2:] - there[2:], here[2:] + there[2:] - 2 * step
+        return here[:2] + t * (here[2:] + t * (bend + t * twist)), here[2:] + t * (2 * bend + 3 * t * twist)
+
+    def missed(found):
+        at = profile.point(found[0])
+        (_, height), (cos, sin) = whisker(found[1])
+        return jnp.stack([height - at.y, (cos * at.sin - sin * at.cos) * (POINTS - 1) / length])
 
     def newton(_, found):
-        value, gradient = contact.linearise(body, jnp.append(0.0, found), phase, side, rates=body.rod)
-        (a, b), (c, d) = gradient.y[1:], gradient.cos[1:]
-        step = jnp.stack([d * value.y - b * value.cos, a * value.cos - c * value.y]) / (a * d - b * c)
+        (a, b), (c, d) = jax.jacfwd(missed)(found)
+        e, f = missed(found)
+        step = jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
         return found - jnp.where(jnp.isfinite(step), step, 0.0)
 
-    found = jax.lax.stop_gradient(jax.lax.fori_loop(0, NEWTON_STEPS, newton, found))
-    # Each further step carries the derivatives of one more order.
-    found = newton(0, newton(0, found))
-    return Touch(found[0], contact.equations(body, jnp.append(0.0, found), phase, side).x, found[1])
+    start = jnp.stack([touch.parameter[k], jnp.minimum(k, POINTS - 1.5)])
+    parameter, cell = jax.lax.fori_loop(0, NEWTON_STEPS, newton, start)
+    at = profile.point(parameter)
+    (shaft_x, _), (cos, sin) = whisker(cell)
+    along = jnp.where(cos * at.cos + sin * at.sin < 0, -1.0, 1.0)
+    return jax.lax.stop_gradient(
+        Touch(
+            jnp.where(tip, touch.parameter[k], parameter),
+            jnp.where(jnp.any(meets), jnp.where(tip, touch.x[k] - xs[k], at.x - shaft_x), profile.vertex()[0] - xs[-1]),
+            jnp.where(tip, -tip_angle, length * (1 - cell / (POINTS - 1))),
+            jnp.where(tip, bends_to, along),
+            jnp.any(meets),
+        )
+    )
