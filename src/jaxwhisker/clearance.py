@@ -51,10 +51,7 @@ def stance(problem: Problem, u: Scalar, pose: Poses) -> Stance:
     if problem.mount is None:
         return Stance(at.x, problem.touch_right, problem.touch_left)
 
-    def first(side):
-        def one(*own):
-            return touch.of_any(problem.profile, *own, side)
+    def both(*own):
+        return touch.of_both(problem.profile, *own)
 
-        return jax.vmap(one)(problem.length, problem.outline, at.y, at.angle)
-
-    return Stance(at.x, first(1.0), first(-1.0))
+    return Stance(at.x, *jax.vmap(both)(problem.length, problem.outline, at.y, at.angle))

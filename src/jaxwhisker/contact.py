@@ -60,7 +60,7 @@ class Base(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """What the equilibrium is made of: values, or derivatives, in the base's frame. What a scene has no use for is None.
+    """What the equilibrium is made of, seen in the base's frame: values or derivatives. None for what no scene asks.
 
     Of a base that only moves along x, x is its position in the scene, and `turn` stands for the sine of the angle.
     """

@@ -35,6 +35,7 @@ from jaxwhisker.scene import Problem
 PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
 FIRST_STEP = 0.02  # after a corner, in units of length; grows at once where the path is smooth
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
+GLANCES = 64  # at free whiskers whose drive turns, on its way
 SHORTEST_STEP = 1e-10
 FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as found: the state is then exact to it, u to its square
 FOLD_BRACKET = 1e-9  # or the step on which stability is lost
@@ -119,7 +120,7 @@ def _folds_twice(front: Front, trial: Trial, solution: Solution) -> tuple[Bool[A
     return possible & (inside | at_end), jnp.where(inside, jnp.clip(at, 0.2, 0.8), 0.6)
 
 
-def after_advance(front: Front, trial: Trial, guess: Point):
+def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point):
     """End of a step along the path: a new node, an event on the way, a loss of stability, or too far."""
     solution = trial.solution
     scale = scale_of(front.point.z)
@@ -154,7 +155,7 @@ def after_advance(front: Front, trial: Trial, guess: Point):
     all_free = jnp.all(front.mode.phase == Phase.free)
     contacts = trial.tangent._replace(u=jnp.asarray(0.0))
     bending = jnp.sqrt(dot(contacts, contacts, scale))
-    longest = jnp.where(all_free, jnp.inf, LONGEST_STEP / bending)
+    longest = jnp.where(all_free, _longest_free(problem), LONGEST_STEP / bending)
     left = front.unstable_at - front.step
     # Stable all the same: lengths along a curve do not quite add up, and the loss lies further on.
     left = jnp.where(left < FOLD_BRACKET, jnp.inf, left)
@@ -178,6 +179,14 @@ def after_advance(front: Front, trial: Trial, guess: Point):
         otherwise=onwards,
     )
     return new, good & ~violated & (trial.stable | found) & trial.convex, node
+
+
+def _longest_free(problem: Problem) -> Scalar:
+    # A drive that goes straight on meets the object at the end of the step, too; another one may have passed it.
+    if problem.motion.ends is None:
+        return jnp.inf
+    start, stop = problem.motion.ends
+    return jnp.abs(stop - start) / problem.unit.control / GLANCES
 
 
 def after_event(problem: Problem, front: Front, trial: Trial):

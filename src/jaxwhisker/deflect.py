@@ -1,4 +1,4 @@
-"""Deflection of one clamped whisker under given loads: forces and moments at points along it."""
+"""Deflection of one whisker under given loads: forces and moments at points along it."""
 
 import equinox as eqx
 import jax
@@ -12,11 +12,13 @@ from jaxwhisker._lanes import harmless
 from jaxwhisker._types import Scalar
 from jaxwhisker.implicit import without_rule
 from jaxwhisker.path import Status
+from jaxwhisker.support import Support
 from jaxwhisker.whisker import Section, Whisker
 
 LOAD_STEPS = 32  # from rest to the full load: the state that grows out of rest is found, not just any
 STEPS = 32  # of the rod between two loads
 RESIDUAL = 1e-8  # of the base's direction, with twice the steps
+CLAMPED = Support.clamped()
 
 
 class PointForce(eqx.Module):
@@ -61,7 +63,7 @@ class PointMoment(eqx.Module):
 
 
 class Deflection(eqx.Module):
-    """A deflected whisker: support reaction, and shape at arc lengths s from the base at (0, 0).
+    """A deflected whisker: support reaction, pose of its base, and shape at arc lengths s from there.
 
     Everything is NaN unless `status` is `Status.ok`.
     """
@@ -69,10 +71,13 @@ class Deflection(eqx.Module):
     fx: Float[Array, ""]  # support reaction on the whisker
     fy: Float[Array, ""]
     mz: Float[Array, ""]  # counter-clockwise positive
+    base_x: Float[Array, ""]
+    base_y: Float[Array, ""]
+    base_angle: Float[Array, ""]  # to the upright, rad, counter-clockwise
     s: Float[Array, " points"]
     x: Float[Array, " points"]
     y: Float[Array, " points"]
-    angle: Float[Array, " points"]  # of the whisker's direction to +x, rad; pi/2 at the base
+    angle: Float[Array, " points"]  # of the whisker's direction to +x, rad; pi/2 at a clamped base
     curvature: Float[Array, " points"]
     status: Int[Array, ""]
 
@@ -84,6 +89,33 @@ class _Loads(eqx.Module):
     follower: Float[Array, " loads"]
     moment: Float[Array, " loads"]
     position: Float[Array, " loads"]
+
+
+class _Base(eqx.Module):
+    # Where the base is without load, and how it yields to force and moment; dimensionless, x, y and angle.
+    rest: Float[Array, "3"]
+    compliance: Float[Array, "3"] | None  # None for a clamp
+
+    def angle(self, moment: Scalar) -> Scalar:
+        """To the upright, under the moment of the whisker on it."""
+        return self.rest[2] if self.compliance is None else self.rest[2] + self.compliance[2] * moment
+
+    def misses(self, cos: Scalar, sin: Scalar, moment: Scalar) -> Scalar:
+        """By how much a whisker with this direction at its base misses the base's angle."""
+        if self.compliance is None:
+            # The sine of it, which tells a whisker that has wound half round, too, but costs less.
+            return cos * jnp.cos(self.rest[2]) + sin * jnp.sin(self.rest[2])
+        return self.angle(moment) - jnp.arctan2(-cos, sin)
+
+
+def _base(whisker: Whisker, support: Support) -> _Base:
+    length, stiffness = whisker.length, whisker.base_stiffness
+    mount, flexibility = support.mounts[0], support.flexibility()
+    rest = jnp.stack([jnp.asarray(v, dtype=float) for v in (mount.x / length, mount.y / length, mount.angle)])
+    if flexibility is None:
+        return _Base(rest, None)
+    framed = flexibility.in_frames(jnp.zeros(1), length, stiffness / length**2)
+    return _Base(rest + framed.offset, jnp.diagonal(framed.matrix))
 
 
 def _along(whisker: Whisker) -> Section | None:
@@ -141,16 +173,16 @@ def _stretches(
     return stretches, state
 
 
-def _misdirection(tip_angle: Scalar, args: tuple[_Loads, Section | None, Scalar]) -> Scalar:
-    loads, section, factor = args
-    _, (_, _, cos, _) = _stretches(loads, section, tip_angle, factor, STEPS)
-    return cos
+def _misdirection(tip_angle: Scalar, args: tuple[_Loads, Section | None, _Base, Scalar]) -> Scalar:
+    loads, section, base, factor = args
+    stretches, (x, y, cos, sin) = _stretches(loads, section, tip_angle, factor, STEPS)
+    return base.misses(cos, sin, rod.moment(x, y, stretches[-1].load))
 
 
 @eqx.filter_custom_jvp
-def _balanced(tip_angle: Scalar, loads: _Loads, section: Section | None) -> Scalar:
-    """The tip angle, at which the base points up under the loads, with its derivatives (see implicit.py)."""
-    return without_rule(tip_angle, (loads, section))
+def _balanced(tip_angle: Scalar, loads: _Loads, section: Section | None, base: _Base) -> Scalar:
+    """The tip angle, at which the base points as its support lets it, with its derivatives (see implicit.py)."""
+    return without_rule(tip_angle, (loads, section, base))
 
 
 @_balanced.def_jvp
@@ -163,21 +195,22 @@ def _(primals, tangents):
     return here, -missed / slope
 
 
-def _misdirected(loads: _Loads, section: Section | None) -> Scalar:
+def _misdirected(loads: _Loads, section: Section | None, base: _Base) -> Scalar:
     """Direction of the unloaded whisker where the outermost load will act: away from upright if it is curved."""
+    upright = jnp.asarray(jnp.pi / 2)
     if section is None:
-        return jnp.asarray(jnp.pi / 2)
-    _, (_, _, cos, sin) = _stretches(loads, section, jnp.asarray(jnp.pi / 2), jnp.asarray(0.0), STEPS)
-    return jnp.pi - jnp.arctan2(sin, cos)
+        return upright + base.rest[2]
+    _, (_, _, cos, sin) = _stretches(loads, section, upright, jnp.asarray(0.0), STEPS)
+    return jnp.pi - jnp.arctan2(sin, cos) + base.rest[2]
 
 
-def _grown(loads: _Loads, section: Section | None) -> Scalar:
+def _grown(loads: _Loads, section: Section | None, base: _Base) -> Scalar:
     """Direction of the whisker beyond the outermost load, on the branch that grows out of rest."""
     newton = optx.Newton(rtol=1e-10, atol=1e-10)
 
     def solve(guess, factor):
         return optx.root_find(
-            _misdirection, newton, guess, args=(loads, section, factor), max_steps=20, throw=False
+            _misdirection, newton, guess, args=(loads, section, base, factor), max_steps=20, throw=False
         ).value
 
     def grow(carry, factor):
@@ -186,33 +219,41 @@ def _grown(loads: _Loads, section: Section | None) -> Scalar:
         return (found, found - angle), None
 
     factors = jnp.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:]
-    (angle, _), _ = jax.lax.scan(grow, (_misdirected(loads, section), jnp.asarray(0.0)), factors)
+    (angle, _), _ = jax.lax.scan(grow, (_misdirected(loads, section, base), jnp.asarray(0.0)), factors)
     return angle
 
 
-def _found(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> tuple[Scalar, Int[Array, ""]]:
+def _found(
+    whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support
+) -> tuple[Scalar, Int[Array, ""]]:
     """Direction of the tip, and the status."""
-    collected, section = _collect(whisker, loads), _along(whisker)
-    valid = whisker.valid() & jnp.all((collected.position > 0) & (collected.position <= 1))
+    collected, section, base = _collect(whisker, loads), _along(whisker), _base(whisker, support)
+    valid = whisker.valid() & support.valid() & jnp.all((collected.position > 0) & (collected.position <= 1))
     valid &= jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(collected)]))
-    tip_angle = _grown(collected, section)
+    tip_angle = _grown(collected, section, base)
     one = jnp.asarray(1.0)
-    _, (x, y, cos, _) = _stretches(collected, section, tip_angle, one, STEPS)
+    stretches, (x, y, cos, sin) = _stretches(collected, section, tip_angle, one, STEPS)
     _, (fine_x, fine_y, fine_cos, fine_sin) = _stretches(collected, section, tip_angle, one, 2 * STEPS)
-    miss = jnp.max(jnp.abs(jnp.stack([cos, fine_cos, fine_x - x, fine_y - y])))
-    exact = (miss < RESIDUAL) & (fine_sin > 0)
-    return tip_angle, jnp.where(valid, jnp.where(exact, Status.ok, Status.inexact), Status.invalid)
+    load = stretches[-1].load
+    turn, wanted = jnp.arctan2(-cos, sin), base.angle(rod.moment(x, y, load))
+    fine_turn, fine_wanted = jnp.arctan2(-fine_cos, fine_sin), base.angle(rod.moment(fine_x, fine_y, load))
+    miss = jnp.max(jnp.abs(jnp.stack([turn - wanted, fine_turn - fine_wanted, fine_x - x, fine_y - y])))
+    return tip_angle, jnp.where(valid, jnp.where(miss < RESIDUAL, Status.ok, Status.inexact), Status.invalid)
 
 
-def deflect(whisker: Whisker, *loads: PointForce | PointMoment, points: int = 101) -> Deflection:
-    """Reaction and shape of a whisker clamped at (0, 0) along +y under the given loads.
+def deflect(
+    whisker: Whisker, *loads: PointForce | PointMoment, support: Support = CLAMPED, points: int = 101
+) -> Deflection:
+    """Reaction and shape of a whisker under the given loads, clamped at (0, 0) along +y or on a support.
 
     Dead loads are raised from zero, so that the state found is the one that grows out of rest. The rod is integrated
     from the outermost load inwards, with the direction there as the only unknown (Steigenberger 2013).
 
     Args:
         whisker: the whisker.
-        *loads: at least one PointForce or PointMoment, in any order.
+        *loads: at least one PointForce or PointMoment, in any order. Their directions are those at rest of an upright
+            whisker, whatever its mount; a dead load keeps its own.
+        support: of one whisker; the drive stands at (0, 0). A clamp by default.
         points: shape points on each stretch between loads.
 
     Returns:
@@ -220,13 +261,15 @@ def deflect(whisker: Whisker, *loads: PointForce | PointMoment, points: int = 10
         and `invalid` for a load that is off the whisker.
 
     Raises:
-        ValueError: if there is no load, or one lies beyond the tip.
+        ValueError: if there is no load, one lies beyond the tip, or the support is for several whiskers.
     """
     _checks.float64_mode()
     if not isinstance(whisker, Whisker):
         raise ValueError(f"`whisker` must be a Whisker, but is {whisker!r}.")
     if not loads or not all(isinstance(load, PointForce | PointMoment) for load in loads):
         raise ValueError(f"`loads` must be one or more of PointForce and PointMoment, but is {loads!r}.")
+    if not isinstance(support, Support) or support.whiskers != 1:
+        raise ValueError(f"`support` must be a Support of one whisker, but is {support!r}.")
     if not isinstance(points, int) or points < 2:
         raise ValueError(f"`points` must be an int of at least 2, but is {points!r}.")
     for load in loads:
@@ -234,8 +277,8 @@ def deflect(whisker: Whisker, *loads: PointForce | PointMoment, points: int = 10
             continue
         if float(load.position) > float(whisker.length):
             raise ValueError(f"`position` must be at most the length {whisker.length}, but is {load.position}.")
-    whisker, loads = jax.tree.map(_checks.as_float, (whisker, loads))
-    return _deflect(whisker, loads, points)
+    whisker, loads, support = jax.tree.map(_checks.as_float, (whisker, loads, support))
+    return _deflect(whisker, loads, support, points)
 
 
 def _curvature(moment: Scalar | rod.Along, section: Section | None, s: rod.Along) -> Scalar | rod.Along:
@@ -243,12 +286,14 @@ def _curvature(moment: Scalar | rod.Along, section: Section | None, s: rod.Along
 
 
 @eqx.filter_jit
-def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], points: int) -> Deflection:
-    tip_angle, status = _found(*jax.lax.stop_gradient((whisker, loads)))
+def _deflect(
+    whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support, points: int
+) -> Deflection:
+    tip_angle, status = _found(*jax.lax.stop_gradient((whisker, loads, support)))
     ok = status == Status.ok
-    whisker, loads = harmless((whisker, loads), ok)
-    collected, section = _collect(whisker, loads), _along(whisker)
-    tip_angle = _balanced(jnp.where(ok, tip_angle, jnp.pi / 2), collected, section)
+    whisker, loads, support = harmless((whisker, loads, support), ok)
+    collected, section, base = _collect(whisker, loads), _along(whisker), _base(whisker, support)
+    tip_angle = _balanced(jnp.where(ok, tip_angle, jnp.pi / 2), collected, section, base)
     stretches, (base_x, base_y, _, _) = _stretches(collected, section, tip_angle, jnp.asarray(1.0), STEPS)
 
     shapes, bends, arcs = [], [], []
@@ -272,6 +317,11 @@ def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], poin
     load = stretches[-1].load
     assert load.force_x is not None
     length, stiffness = whisker.length, whisker.base_stiffness
+    bent = rod.moment(base_x, base_y, load)
+    # How far its loads move the base.
+    rest_x, rest_y, _ = base.rest
+    if base.compliance is not None:
+        rest_x, rest_y = rest_x + base.compliance[0] * load.force_x, rest_y + base.compliance[1] * load.force_y
 
     def where_ok(value):
         return jnp.where(ok, value, jnp.nan)
@@ -279,10 +329,13 @@ def _deflect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], poin
     return Deflection(
         fx=where_ok(-load.force_x * stiffness / length**2),  # pyright: ignore[reportOptionalOperand]
         fy=where_ok(-load.force_y * stiffness / length**2),
-        mz=where_ok(-rod.moment(base_x, base_y, load) * stiffness / length),
+        mz=where_ok(-bent * stiffness / length),
+        base_x=where_ok(rest_x * length),
+        base_y=where_ok(rest_y * length),
+        base_angle=where_ok(base.angle(bent)),
         s=where_ok(s * length),
-        x=where_ok((x - base_x) * length),
-        y=where_ok((y - base_y) * length),
+        x=where_ok((x - base_x + rest_x) * length),
+        y=where_ok((y - base_y + rest_y) * length),
         angle=where_ok(jnp.unwrap(jnp.arctan2(sin, cos))),
         curvature=where_ok(curvature / length),
         status=status,

@@ -1,14 +1,14 @@
 """The elastic energy stored in whiskers and springs.
 
 Along the loaded part of a whisker, t being its unit tangent and F = (-fx, -fy) the force of the object on it,
-EI kappa' = F x t, so that EI kappa^2 / 2 + F . t is the same everywhere: at the base, where t = (0, 1), it is
-mz^2 / (2 EI) - fy. What is left of the integral of EI kappa^2 / 2 is that of F . t = F . dr/ds, which is a difference:
+EI kappa' = F x t, so that EI kappa^2 / 2 + F . t is the same everywhere: at the base t = t0 and EI kappa = -mz. What is
+left of the integral of EI kappa^2 / 2 is that of F . t = F . dr/ds, which is a difference:
 
-    U = (mz^2 / (2 EI) - fy) s1 + fx (xi - x0) + fy eta,    (xi, eta) the contact point, s1 the contact arc.
+    U = (mz^2 / (2 EI) + F . t0) s1 - F . (r1 - r0),    r0 the base, r1 the contact point, s1 the contact arc.
 
 Of curved whiskers, and where EI changes, EI (kappa - kappa0)^2 / 2 = M^2 / (2 EI) is integrated along the shape.
 
-Springs hold 1/2 F_x . C F_x, C the flexibility matrix of the support and F_x = -fx the forces on the bases.
+Springs hold 1/2 F . C F, C the flexibility matrix of the support and F the loads on the bases in the drive's frame.
 """
 
 import jax
@@ -16,9 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxwhisker.motion import Translation
+from jaxwhisker.network import Flexibility
 from jaxwhisker.result import State
 from jaxwhisker.scene import Scene
-from jaxwhisker.shape import outwards
+from jaxwhisker.shape import base_of, outwards
 from jaxwhisker.whisker import Whisker
 
 
@@ -26,7 +28,8 @@ def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
     """Elastic energy of whiskers and springs (force times length), zero where all whiskers are free.
 
     While the drive moves without a snap, energy is only exchanged with what moves: dE = sum(fx) du; an object that
-    moves does the work of the contact forces, dE = -sum(fx) dx - sum(fy) dy. A snap loses what E drops by.
+    moves does the work of the contact forces, dE = -sum(fx) dx - sum(fy) dy. A snap loses what E drops by. (Along x:
+    of another motion the work is that of forces and moments on the drive.)
 
     Springs that strain each other at rest (a loop whose rest lengths do not add up) hold a constant besides, left out.
 
@@ -48,9 +51,27 @@ def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
     flexibility = scene.support.flexibility()
     if flexibility is None:
         return energy
+    load = _loads(scene, state, flexibility)
     # Elementwise: jax 0.10.2 gets large batches of small matrix products wrong.
-    strain = jnp.sum(flexibility.matrix * state.fx[..., None, :], axis=-1)
-    return energy + jnp.sum(state.fx * strain, axis=-1) / 2
+    strain = jnp.sum(flexibility.matrix * load[..., None, :], axis=-1)
+    return energy + jnp.sum(load * strain, axis=-1) / 2
+
+
+def _loads(scene: Scene, state: State, flexibility: Flexibility) -> Float[Array, "*steps rows"]:
+    """Loads on the bases in the frame of the drive, as its flexibility takes them."""
+    turned, n = jnp.asarray(0.0), scene.support.whiskers
+    if not isinstance(scene.motion, Translation):
+        # The base is turned like the drive, but for its mount and its torsion springs.
+        turned = state.base_angle - jnp.stack([jnp.asarray(m.angle, dtype=float) for m in scene.support.mounts])
+        if flexibility.offset.size > n:
+            yields, rest = jnp.reshape(flexibility.matrix, (n, 3, n, 3))[:, 2, :, 2], flexibility.offset[2::3]
+            turned += jnp.sum(yields * state.mz[..., None, :], axis=-1) - rest
+    cos, sin = jnp.cos(turned), jnp.sin(turned)
+    across = -state.fx * cos - state.fy * sin
+    if flexibility.offset.size == n:
+        return across
+    load = jnp.stack([across, state.fx * sin - state.fy * cos, -state.mz], axis=-1)
+    return jnp.reshape(load, (*load.shape[:-2], 3 * n))
 
 
 INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; its error falls with their fourth power
@@ -59,13 +80,14 @@ INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; its err
 def _bent(whisker: Whisker, state: State) -> Float[Array, "*steps"]:
     """The energy of one bent whisker."""
     if whisker.uniform:
-        density = state.mz**2 / (2 * whisker.base_stiffness) - state.fy
-        along = state.fx * (state.contact_x - state.base_x) + state.fy * state.contact_y
-        return density * state.contact_arc + along
+        along = state.fx * jnp.sin(state.base_angle) - state.fy * jnp.cos(state.base_angle)
+        density = state.mz**2 / (2 * whisker.base_stiffness) + along
+        way_x, way_y = state.contact_x - state.base_x, state.contact_y - state.base_y
+        return density * state.contact_arc + state.fx * way_x + state.fy * way_y
 
     def integral(state: State):
         x, y, _, _ = outwards(
-            whisker, state.base_x, state.fx, state.fy, state.mz, state.contact_arc, count=INTERVALS + 1
+            whisker, base_of(state), state.fx, state.fy, state.mz, state.contact_arc, count=INTERVALS + 1
         )
         moment = (x - state.contact_x) * state.fy - (y - state.contact_y) * state.fx
         s = state.contact_arc * np.linspace(0.0, 1.0, INTERVALS + 1)

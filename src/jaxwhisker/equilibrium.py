@@ -83,7 +83,7 @@ class Local(NamedTuple):
     load_by_u: Poses | None
     slope_sin: PerWhisker
     slope_sin_gradient: Contacts
-    own: Float[Array, "whiskers 2"]  # residuals of the whisker's own equations
+    own: Float[Array, " equations"]  # residuals of the whiskers' own equations
 
     @property
     def tangent(self) -> Contacts:
@@ -144,19 +144,19 @@ def local(problem: Problem, z: Contacts, mode: Mode, value: Linear, gradient: Li
     length = jnp.sqrt(jnp.sum(normal**2, axis=-1, keepdims=True))
     tangent = normal / length
     # Steps of least size that change y and turn, and only one of them; the rest of the freedom is the tangent.
-    by_y, by_turn = jnp.cross(tangent, turn) / length, jnp.cross(y, tangent) / length
-    own = jnp.stack([value.y, value.turn], axis=-1)
-    columns = [tangent]
+    by_y, by_turn = jnp.cross(tangent, turn), jnp.cross(y, tangent)
+    own, columns = (value.y, value.turn), [tangent]
     if axes > 1:
-        columns += [by_y, by_turn]
-        own = jnp.where(mode.separate, own if mode.held is None else own - mode.held, 0.0)
-    particular = -(own[:, :1] * by_y + own[:, 1:] * by_turn)
+        columns += [by_y / length, by_turn / length]
+        held = jnp.zeros((2, 1)) if mode.held is None else mode.held.T
+        own = tuple(jnp.where(mode.separate, has - wants, 0.0) for has, wants in zip(own, held, strict=True))
+    particular = -(own[0][:, None] * by_y + own[1][:, None] * by_turn) / length
 
     def of_touching(array, otherwise=0.0):
         return jnp.where(jnp.reshape(touching, (-1, *[1] * (array.ndim - 1))), array, otherwise)
 
-    basis, particular = of_touching(jnp.stack(columns, axis=-1) * scale[:, :, None]), particular * scale
-    particular = of_touching(particular)
+    basis = of_touching(jnp.stack(columns, axis=-1) * scale[:, :, None])
+    particular = of_touching(particular * scale)
     pose_gradient, load_gradient = pose_of(gradient, axes), load_of(gradient, axes)  # (whiskers, axes, 3)
 
     def by_steps(gradient):
@@ -176,18 +176,8 @@ def local(problem: Problem, z: Contacts, mode: Mode, value: Linear, gradient: Li
         load_by_u=None if by_u is None else of_touching(load_of(by_u, axes)),
         slope_sin=of_touching(value.slope_sin),
         slope_sin_gradient=of_touching(gradient.slope_sin),
-        own=of_touching(own),
+        own=jnp.concatenate([of_touching(part) for part in own]),
     )
-
-
-def without(local: Local, whisker: Bool[Array, " whiskers"]) -> Local:
-    """The same with some of the whiskers free."""
-
-    def masked(array, otherwise=0.0):
-        return jnp.where(jnp.reshape(whisker, (-1, *[1] * (array.ndim - 1))), otherwise, array)
-
-    free = jax.tree.map(masked, local)
-    return free._replace(pose=local.pose, pose_by=masked(local.pose_by, jnp.eye(local.pose_by.shape[-1])))
 
 
 def yielding(problem: Problem, load: Poses) -> Poses:
@@ -205,13 +195,15 @@ def rest(problem: Problem, u: Scalar) -> Poses:
 
 
 class Step(NamedTuple):
-    """A Newton step, and what it leads to."""
+    """A Newton step and what the same linear system says about the path."""
 
     step: Point
+    tangent: Point  # of the path; row . tangent = 1
     local: Local
     residual: Scalar  # largest violation of any equation, before the step
     pose: Poses  # after the step
     load: Poses
+    tangent_pose: Poses
 
 
 def missing(row: Row, point: Point, slope_sin: PerWhisker) -> Scalar:
@@ -226,51 +218,53 @@ def newton_step(problem: Problem, mode: Mode, row: Row, point: Point, rates: Abs
     return coupled(problem, mode, row, point, local(problem, point.z, mode, *linear))
 
 
-def _system(problem: Problem, mode: Mode, row: Row, at: Local):
-    """The matrix of the linearised network and row, its columns the whiskers' steps and that of the control."""
+def coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Local) -> Step:
+    """Solve the linearised equations of network and row for what the whiskers leave open."""
     n, axes = at.load.shape
     touching, size = (mode.phase != Phase.free)[:, None], n * axes
-    # How poses move away from where the network wants them to be: with the steps ...
-    coupling = jnp.eye(n)[:, None, :, None] * at.pose_by[:, :, None, :]
+    network = jnp.where(touching, at.pose - rest(problem, point.u) - yielding(problem, at.load), 0.0)
+    slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
+    missed = missing(row, Point(point.z + at.particular, point.u), slope_sin)
+    # How poses move away from where the network wants them: with the steps, and with the control.
+    coupling = at.pose_by[:, 0, 0, None] * jnp.eye(n) if axes == 1 else _blocks(at.pose_by)
+    if problem.flexibility is not None:
+        yields = by_blocks(problem.flexibility.matrix, at.load_by)
+        coupling = coupling - jnp.where(jnp.repeat(touching, axes, axis=0), yields, 0.0)
     if at.pose_by_u is None or at.load_by_u is None:
         pull = jnp.where(touching, -1.0, 0.0)
     else:
         pull = jnp.where(touching, at.pose_by_u - yielding(problem, at.load_by_u), 0.0)
-    if problem.flexibility is not None:
-        matrix = jnp.reshape(problem.flexibility.matrix, (n, axes, n, axes, 1))
-        yields = jnp.sum(matrix * at.load_by, axis=3)
-        coupling = coupling - jnp.where(touching[:, :, None, None], yields, 0.0)
-    coupling = jnp.reshape(coupling, (size, size))
     weight = row.weight_z + row.vertex[:, None] * at.slope_sin_gradient
     along = jnp.ravel(jnp.sum(weight[:, :, None] * at.basis, axis=1))
     # Separate whiskers stay where they are along their branches: the network is not asked, and the row neither.
-    coupling = jnp.where(mode.separate, jnp.eye(size), coupling)
-    pull, along = jnp.where(mode.separate, 0.0, jnp.ravel(pull)), jnp.where(mode.separate, 0.0, along)
-    row_u = jnp.where(mode.separate, 1.0, row.weight_u)
-    return jnp.block([[coupling, pull[:, None]], [along[None, :], row_u[None, None]]])
+    apart = mode.separate
+    coupling = jnp.where(apart, jnp.eye(size), coupling)
+    pull, along, network = (jnp.where(apart, 0.0, jnp.ravel(value)) for value in (pull, along, network))
+    row_u, missed = jnp.where(apart, 1.0, row.weight_u), jnp.where(apart, 0.0, missed)
+    system = jnp.block([[coupling, pull[:, None]], [along[None, :], row_u[None, None]]])
+    right = jnp.zeros((size + 1, 2)).at[:size, 0].set(-network).at[size, 0].set(-missed).at[size, 1].set(1.0)
+    solution = solve(system, right)
 
+    def moved(column):
+        """Contacts, control, poses and loads, as they move with the whiskers' steps and the control."""
+        steps, du = jnp.reshape(column[:size], (n, axes)), column[size]
+        pose, load = _times(at.pose_by, steps), _times(at.load_by, steps)
+        if at.pose_by_u is not None and at.load_by_u is not None:
+            pose, load = pose + at.pose_by_u * du, load + at.load_by_u * du
+        return Point(_times(at.basis, steps), du), pose, load
 
-def coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Local) -> Step:
-    """Solve the linearised equations of network and row for what the whiskers leave open."""
-    touching = (mode.phase != Phase.free)[:, None]
-    network = jnp.where(touching, at.pose - rest(problem, point.u) - yielding(problem, at.load), 0.0)
-    network = jnp.where(mode.separate, 0.0, network)
-    slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
-    missed = jnp.where(mode.separate, 0.0, missing(row, Point(point.z + at.particular, point.u), slope_sin))
-    right = -jnp.append(jnp.ravel(network), missed)
-    solution = solve(_system(problem, mode, row, at), right[:, None])[:, 0]
-    steps, du = jnp.reshape(solution[:-1], at.load.shape), solution[-1]
-    load = at.load + _times(at.load_by, steps)
-    pose = at.pose + _times(at.pose_by, steps)
-    if at.pose_by_u is not None and at.load_by_u is not None:
-        pose, load = pose + at.pose_by_u * du, load + at.load_by_u * du
-    residual = jnp.max(jnp.abs(jnp.concatenate([jnp.ravel(at.own), jnp.ravel(network)])))
+    step, pose, load = moved(solution[:, 0])
+    tangent, tangent_pose, tangent_load = moved(solution[:, 1])
+    load = at.load + load
+    drawn = tangent.u if axes == 1 else 0.0
     return Step(
-        Point(at.particular + _times(at.basis, steps), du),
+        step._replace(z=step.z + at.particular),
+        tangent,
         at,
-        residual=jnp.maximum(residual, jnp.abs(missed)),
-        pose=jnp.where(touching, pose, rest(problem, point.u + du) + yielding(problem, load)),
+        residual=jnp.max(jnp.abs(jnp.concatenate([at.own, network, missed[None]]))),
+        pose=jnp.where(touching, at.pose + pose, rest(problem, point.u + step.u) + yielding(problem, load)),
         load=load,
+        tangent_pose=jnp.where(touching, tangent_pose, drawn + yielding(problem, tangent_load)),
     )
 
 
@@ -278,17 +272,18 @@ def _times(matrices: Float[Array, "whiskers rows axes"], steps: Poses) -> Float[
     return jnp.sum(matrices * steps[:, None, :], axis=-1)
 
 
-def tangent_of(problem: Problem, mode: Mode, row: Row, at: Local) -> tuple[Point, Poses]:
-    """The path's direction, along which the row grows by one, and how the poses move along it."""
-    touching = (mode.phase != Phase.free)[:, None]
-    matrix = _system(problem, mode, row, at)
-    solution = solve(matrix, jnp.zeros((matrix.shape[0], 1)).at[-1, 0].set(1.0))[:, 0]
-    steps, du = jnp.reshape(solution[:-1], at.load.shape), solution[-1]
-    pose, load = _times(at.pose_by, steps), _times(at.load_by, steps)
-    if at.pose_by_u is not None and at.load_by_u is not None:
-        pose, load = pose + at.pose_by_u * du, load + at.load_by_u * du
-    drawn = du if problem.axes == 1 else 0.0
-    return Point(_times(at.basis, steps), du), jnp.where(touching, pose, drawn + yielding(problem, load))
+def _blocks(blocks: Float[Array, "whiskers axes axes"]) -> Float[Array, "rows rows"]:
+    """The matrix with these blocks on its diagonal."""
+    n, axes, _ = blocks.shape
+    return jnp.reshape(jnp.eye(n)[:, None, :, None] * blocks[:, :, None, :], (n * axes, n * axes))
+
+
+def by_blocks(matrix: Float[Array, "rows rows"], blocks: Float[Array, "whiskers axes axes"]):
+    """A matrix times the one with these blocks on its diagonal."""
+    n, axes, _ = blocks.shape
+    if axes == 1:
+        return matrix * blocks[:, 0, 0]
+    return jnp.reshape(jnp.sum(jnp.reshape(matrix, (-1, n, axes, 1)) * blocks, axis=2), matrix.shape)
 
 
 class _NewtonState(NamedTuple):
@@ -368,8 +363,7 @@ def slopes(mode: Mode, at: Local) -> Float[Array, "whiskers axes axes"]:
     along = at.load_by[:, :, 0] / by_x
     columns = [along]
     columns += [at.load_by[:, :, k] - along * at.pose_by[:, :1, k] for k in range(1, at.load.shape[-1])]
-    touching = (mode.phase != Phase.free)[:, None, None]
-    return jnp.where(touching, jnp.stack(columns, axis=-1), 0.0)
+    return jnp.where((mode.phase != Phase.free)[:, None, None], jnp.stack(columns, axis=-1), 0.0)
 
 
 def definite(problem: Problem, slope: Float[Array, "whiskers axes axes"]) -> Bool[Array, ""]:
@@ -379,11 +373,9 @@ def definite(problem: Problem, slope: Float[Array, "whiskers axes axes"]) -> Boo
     """
     if problem.flexibility is None:
         return jnp.asarray(True)
-    n, axes, _ = slope.shape
-    root = jnp.reshape(problem.flexibility.root, (n, axes, n * axes))
-    pulled = jnp.sum(slope[:, :, :, None] * root[:, None, :, :], axis=2)
-    pull = jnp.sum(root[:, :, :, None] * pulled[:, :, None, :], axis=(0, 1))
-    return positive_definite(jnp.eye(n * axes) - pull)
+    root = problem.flexibility.root
+    pull = jnp.sum(root[:, :, None] * by_blocks(root.T, slope).T[:, None, :], axis=0)
+    return positive_definite(jnp.eye(root.shape[0]) - pull)
 
 
 def held(mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:

@@ -17,14 +17,11 @@ from jaxwhisker.equilibrium import (
     PerWhisker,
     Point,
     Poses,
-    Row,
     Solution,
     scale_of,
     stable,
-    tangent_of,
-    without,
 )
-from jaxwhisker.path import Margins, Node, Status, dot, margins, rates, unit
+from jaxwhisker.path import Margins, Node, Status, dot, margins, rates, select, unit
 from jaxwhisker.scene import Problem
 
 
@@ -102,28 +99,42 @@ class Trial(NamedTuple):
     side: PerWhisker  # there, of whiskers that pass below the object out of reach
 
 
-def judge(problem: Problem, front: Front, solution: Solution, row: Row, stop_u: Scalar) -> Trial:
-    """What there is to say of a solved end of a step; the path's direction there is taken along the row."""
+def judge(problem: Problem, front: Front, solution: Solution, stop_u: Scalar) -> Trial:
+    """What there is to say of a solved end of a step."""
     newton = solution.newton
     free = front.mode.phase == Phase.free
-    # Whiskers that are about to touch are solved for as if they did: the path comes without them.
-    tangent, tangent_pose = tangent_of(problem, front.mode, row, without(newton.local, free))
-    tangent, length = unit(tangent, solution.point.z)
-    ahead = jnp.where(dot(front.tangent, tangent, scale_of(front.point.z)) < 0, -1.0, 1.0)
-    tangent = Point(ahead * tangent.z, ahead * tangent.u)
+    tangent, length = unit(newton.tangent, solution.point.z)
+    ahead = jnp.where(dot(front.tangent, tangent, scale_of(front.point.z)) < 0, -1.0, 1.0) / length
+    tangent, tangent_pose = Point(ahead * length * tangent.z, ahead * length * tangent.u), ahead * newton.tangent_pose
+    # What touches is solved for as a contact; the path comes without it, on a parabola.
+    touches = (front.task == Task.event) & (front.target.kind == TOUCH)
+    chord = Point(jnp.where(free[:, None], 0.0, solution.point.z - front.point.z), solution.point.u - front.point.u)
+    way = dot(front.tangent, chord, scale_of(front.point.z))
+    twice = jnp.where(way > 0, 2 / jnp.where(way > 0, way, 1.0), 0.0)
+    come = Point(twice * chord.z - front.tangent.z, twice * chord.u - front.tangent.u)
+    come_pose = twice * (newton.pose - front.pose) - front.tangent_pose
+    tangent, tangent_pose = select(touches & (way > 0), (come, come_pose), (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
-    there = stance(problem, solution.point.u, newton.pose)
+    here, there = _stances(problem, (front.point.u, front.pose), (solution.point.u, newton.pose))
     return Trial(
         solution,
         tangent,
-        ahead * tangent_pose / length,
+        tangent_pose,
         stable(problem, front.mode, newton.local),
         jnp.all(convex | free),
-        here=_margins_at(problem, front, front.point, stance(problem, front.point.u, front.pose), stop_u),
+        here=_margins_at(problem, front, front.point, here, stop_u),
         there=_margins_at(problem, front, solution.point, there, stop_u),
         stance=there,
         side=_sides(problem, front.mode, there),
     )
+
+
+def _stances(problem: Problem, *at: tuple[Scalar, Poses]) -> list[Stance]:
+    if problem.axes == 1:
+        return [stance(problem, *one) for one in at]
+    # All at once: the search for a touch is compiled once.
+    found = jax.vmap(lambda u, pose: stance(problem, u, pose))(*map(jnp.stack, zip(*at, strict=True)))
+    return [jax.tree.map(lambda leaf, k=k: leaf[k], found) for k in range(len(at))]
 
 
 def _sides(problem: Problem, mode: Mode, at: Stance) -> PerWhisker:

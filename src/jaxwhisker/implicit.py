@@ -15,11 +15,10 @@ from jaxwhisker.equilibrium import (
     Row,
     coupled,
     harmless,
-    linearised,
     local,
     missing,
+    newton_step,
     scale_of,
-    tangent_of,
     values,
 )
 from jaxwhisker.path import unit
@@ -122,7 +121,7 @@ def _(primals, tangents):
     weight = jax.lax.stop_gradient(Point(along.z / scale_of(here.z) ** 2, along.u))  # any across the path would do
     across = Row(weight.z, here.z, weight.u, here.u, none)
     at, drift = _moved(here, problem, mode, across, problem_dot, _nothing(across))
-    tangent, _ = tangent_of(problem, mode, across, at)
+    tangent = coupled(problem, mode, across, here, at).tangent
 
     def missed(point, problem, row):
         touching = mode.phase != Phase.free
@@ -132,9 +131,7 @@ def _(primals, tangents):
 
     def turn(point, problem):
         row = Row(weight.z, point.z, weight.u, point.u, none)
-        linear = linearised(problem, point, mode, problem.rod.for_rates())
-        tangent, _ = tangent_of(problem, mode, row, local(problem, point.z, mode, *linear))
-        return unit(tangent, point.z)[0].u
+        return unit(newton_step(problem, mode, row, point, problem.rod.for_rates()).tangent, point.z)[0].u
 
     def distance(vanishing, holds, known, known_dot):
         """How far the event moves along the path, where it is the vanishing of this function; else zero."""

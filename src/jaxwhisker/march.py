@@ -86,11 +86,11 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     )
     guess = guess._replace(z=jnp.where(begins[:, None], target.contact, guess.z))
     solution = find(problem, mode, row, guess)
-    trial = judge(problem, front, solution, select(marching, onwards, elsewhere), stop_u)
+    trial = judge(problem, front, solution, stop_u)
     new, write, node = jax.lax.switch(
         jnp.minimum(front.task, Task.kick),
         [
-            lambda: after_advance(front, trial, guess),
+            lambda: after_advance(problem, front, trial, guess),
             lambda: after_event(problem, front, trial),
             lambda: after_arrive(problem, front, trial, stops, last),
             lambda: (front, jnp.asarray(False), front.pending),

@@ -25,6 +25,8 @@ _OBJECT, _SUPPORT = "#DDDDDD", "#555555"
 
 _AXIS = {
     "base_x": (r"$x_0/L$", "length"),
+    "base_y": (r"$y_0/L$", "length"),
+    "base_angle": (r"$\varphi_0$", None),
     "fx": (r"$f_x\,L^2/EI$", "force"),
     "fy": (r"$f_y\,L^2/EI$", "force"),
     "mz": (r"$m_z\,L/EI$", "moment"),

@@ -29,6 +29,7 @@ from jaxwhisker.equilibrium import (
     Point,
     Poses,
     Solution,
+    by_blocks,
     definite,
     held,
     rest,
@@ -102,11 +103,9 @@ def _displacement(problem: Problem, flow: Flow, pull: Poses, slope, damping: Sca
     """Solution of (1 + C damping - C slope) displacement = pull."""
     if problem.flexibility is None:
         return pull
-    matrix, (n, axes) = problem.flexibility.matrix, pull.shape
-    # C times the blocks on the diagonal.
-    by_slope = jnp.sum(jnp.reshape(matrix, (n * axes, n, axes, 1)) * slope, axis=2).reshape(n * axes, n * axes)
-    system = jnp.eye(n * axes) + matrix * damping - by_slope
-    return solve(system, jnp.ravel(pull)[:, None]).reshape(n, axes)
+    matrix = problem.flexibility.matrix
+    system = jnp.eye(pull.size) + matrix * damping - by_blocks(matrix, slope)
+    return jnp.reshape(solve(system, jnp.ravel(pull)[:, None]), pull.shape)
 
 
 def _steps(flow: Flow, displacement: Poses) -> Poses:

@@ -143,17 +143,23 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
     unit = dimensionless.unit
     capacity, onwards = _capacity(scene, stops.shape[0]), dimensionless.motion.direction
     start, end, far = _ends(dimensionless)
-    across = jnp.full_like(stops, far).at[0].set(start)
-    stops = jnp.where(jnp.isnan(stops[0]), across, stops / unit.control)
+    across, whole = jnp.full_like(stops, far).at[0].set(start), jnp.isnan(stops[0])
+    stops = jnp.where(whole, across, stops / unit.control)
     path = march(*jax.lax.stop_gradient((dimensionless, stops)), last, capacity=capacity)
     passed, event = jnp.arange(capacity) < path.count, path.nodes.kind >= 0
     known = passed & (event | (path.status != Status.ok))
     way = onwards * path.nodes.point.u
     stop = onwards * jnp.where(jnp.any(known), jnp.max(jnp.where(known, way, -jnp.inf)), onwards * end)
+    stop += onwards * MARGIN
     if dimensionless.motion.ends is not None:
         first = onwards * jnp.min(jnp.where(passed & event, way, jnp.inf))
-        start = jnp.where(jnp.any(passed & event), first - onwards * MARGIN, start)
-    return _Way(path, events(dimensionless, path), start * unit.control, (stop + onwards * MARGIN) * unit.control)
+        begun = jnp.where(jnp.any(passed & event), first - onwards * MARGIN, start)
+        travel = path.nodes.travel - jnp.where(whole, jnp.abs(begun - start), 0.0)
+        path, start = path._replace(nodes=path.nodes._replace(travel=travel)), begun
+        # Whiskers need not come free on such a way.
+        touching = jnp.any(path.nodes.phase[path.count - 1] != Phase.free)
+        stop = jnp.where(touching & (path.status == Status.ok), far, stop)
+    return _Way(path, events(dimensionless, path), start * unit.control, stop * unit.control)
 
 
 def _ends(problem: Problem) -> tuple[Scalar, Scalar, Scalar]:

@@ -188,11 +188,7 @@ def problem(scene: Scene) -> Problem:
         right, left = (jax.vmap(lambda h, s=s: touch.of_straight(profile, h, s))(length) for s in (1.0, -1.0))
     else:
         outline = outlines(scene.whiskers, length, section)
-
-        def first(side):
-            return jax.vmap(lambda *own: touch.of_any(profile, *own, side))(length, outline, height, angle)
-
-        right, left = first(1.0), first(-1.0)
+        right, left = jax.vmap(lambda *own: touch.of_both(profile, *own))(length, outline, height, angle)
     return Problem(
         length, stiffness, section, profile, scene.rod, scene.motion, flexibility, mount, outline, right, left, valid,
         unit,

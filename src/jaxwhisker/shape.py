@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from jaxwhisker import _checks, rod
 from jaxwhisker._types import Control, Scalar
 from jaxwhisker.contact import Phase
+from jaxwhisker.motion import Pose
 from jaxwhisker.result import Result, State
 from jaxwhisker.whisker import Section, Whisker
 
@@ -55,10 +56,10 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
 def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Shapes:
     """Centre lines of whiskers in the given state(s)."""
 
-    def of(whisker: Whisker, base_x, fx, fy, mz, arc, free):
+    def of(whisker: Whisker, base, fx, fy, mz, arc, free):
         arc = jnp.where(free, whisker.length, arc)
         loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
-        x, y, cos, sin = outwards(whisker, base_x, fx, fy, mz, arc, count=loaded)
+        x, y, cos, sin = outwards(whisker, base, fx, fy, mz, arc, count=loaded)
         # Beyond the contact the whisker is as it was: straight, which one point tells, or curved.
         end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
         tip_x, tip_y, _, _ = rod.points(
@@ -66,23 +67,28 @@ def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Sh
         )
         return jnp.append(x, tip_x[1:]), jnp.append(y, tip_y[1:])
 
-    fields = state.base_x, state.fx, state.fy, state.mz, state.contact_arc, state.phase == Phase.free
+    fields = base_of(state), state.fx, state.fy, state.mz, state.contact_arc, state.phase == Phase.free
     lines = []
     for k, whisker in enumerate(whiskers):
         line = partial(of, whisker)
         for _ in range(state.base_x.ndim - 1):
             line = jax.vmap(line)
-        lines.append(line(*(field[..., k] for field in fields)))
+        lines.append(line(*jax.tree.map(lambda field, k=k: field[..., k], fields)))
     x, y = (jnp.stack(coordinates, axis=-2) for coordinates in zip(*lines, strict=True))
     return Shapes(x, y)
 
 
-def outwards(whisker: Whisker, base_x: Scalar, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, *, count: int):
+def base_of(state: State) -> Pose:
+    """The poses of the bases."""
+    return Pose(state.base_x, state.base_y, state.base_angle)
+
+
+def outwards(whisker: Whisker, base: Pose, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, *, count: int):
     """The rod's states at `count` equidistant points from the base up to that arc, under the base's reaction."""
     # Outwards is towards the base with a negative arc. The load is what the reaction balances.
-    load = rod.Load(-fx, -fy, -mz - base_x * fy)
-    up = (base_x, jnp.zeros_like(base_x), jnp.zeros_like(base_x), jnp.ones_like(base_x))
-    return rod.points(up, -arc, load, material(whisker), count=count, from_base=jnp.zeros_like(arc))
+    load = rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
+    start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
+    return rod.points(start, -arc, load, material(whisker), count=count, from_base=jnp.zeros_like(arc))
 
 
 def material(whisker: Whisker) -> rod.Material:

@@ -121,7 +121,7 @@ def events(problem: Problem, path: Path) -> Events:
     both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides)
     states, _ = jax.vmap(lambda point, mode: signals(problem, point.z, point.u, mode))(*both)
     before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)
-    control = sides[0][0].u * problem.unit.length
+    control = sides[0][0].u * problem.unit.control
 
     def filled_with(leaf):
         keep = filled if leaf.ndim == 1 else filled[:, None]

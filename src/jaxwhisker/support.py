@@ -12,7 +12,9 @@ from jaxwhisker.spring import AXES, Spring
 
 
 class Mount(eqx.Module):
-    """How a whisker is mounted on its base: where it stands, in the drive's frame, when all springs are at rest length 0.
+    """How a whisker is mounted on its base: where it stands in the drive's frame if all springs have rest length 0.
+
+    It turns about its root.
 
     Args:
         x: offset along x, a length.
@@ -82,8 +84,8 @@ class Support(eqx.Module):
             missing = loose | (set(range(1, self.whiskers + 1)) - named)
             if missing:
                 raise ValueError(
-                    f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, but along {axis} base "
-                    f"{min(missing)} is not connected (springs between {[s.between for s in springs]})."
+                    f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, but along {axis} "
+                    f"base {min(missing)} is not connected (springs between {[s.between for s in springs]})."
                 )
         with jax.ensure_compile_time_eval():  # known values may be checked inside jit, too
             rigid = not _checks.is_traced(self.springs) and any(s.softness == 0 for s in self.springs)

@@ -117,3 +117,9 @@ def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, an
             jnp.any(meets),
         )
     )
+
+
+def of_both(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar) -> tuple[Touch, Touch]:
+    """First touches of a whisker coming from the right and from the left."""
+    both = jax.vmap(lambda side: of_any(profile, length, own, y, angle, side))(jnp.array([1.0, -1.0]))
+    return jax.tree.map(lambda leaf: leaf[0], both), jax.tree.map(lambda leaf: leaf[1], both)

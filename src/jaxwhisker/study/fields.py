@@ -45,6 +45,8 @@ _STATE = {
     "fy": Field("support reaction along y", "force", STEP),
     "mz": Field("support reaction, moment", "moment", STEP),
     "base_x": Field("position of the base", "length", STEP),
+    "base_y": Field("height of the base", "length", STEP),
+    "base_angle": Field("angle of the base to the upright", "angle", STEP),
     "contact_force": Field("contact force", "force", STEP),
     "contact_slope": Field("slope of the object at the contact", "angle", STEP),
     "contact_arc": Field("arc length from base to contact", "length", STEP),
@@ -78,7 +80,7 @@ GROUPS = {
     "status": ("status",),
     "events": tuple(name for name in FIELDS if name.startswith("event_")),
     "contact": ("phase", *(name for name in FIELDS if name.startswith("contact_"))),
-    "springs": ("base_x", "spring_length"),
+    "springs": ("base_x", "base_y", "base_angle", "spring_length"),
     "event_states": tuple(name for name in FIELDS if name.startswith(("before_", "after_"))),
     "all": tuple(FIELDS),
 }

@@ -62,7 +62,7 @@ def study(
             the last contact of all points in steps of 0.001 whisker lengths; giving it saves a pass over all points.
         points: a table, one column per parameter (a mapping or a DataFrame), instead of axes: one point per row.
         outputs: variables, or groups of them: `reactions` (fx fy mz), `status`, `events`, `contact`, `springs`
-            (base_x spring_length), `event_states`, `all`.
+            (base_x base_y base_angle spring_length), `event_states`, `all`.
         derivatives: parameters by which every real variable is differentiated, at fixed control.
         summary: keep peaks, positions of events, widths and work (see `summary`) instead of what runs along the
             control, chunk by chunk: small, whatever the size of the study.

@@ -1,0 +1,195 @@
+"""Motions of the drive: rotations and one's own, against forward shooting, limits, moved objects, derivatives."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import forward
+import jaxwhisker as jw
+from scenes import all_ok
+
+EXACT = 1e-7  # of signals relative to their size: the rods' steps
+SAME = 1e-9  # of signals: the same equilibria, computed in another frame
+MODES = 1e-10  # forward against reverse, relative to the sum of sizes: the same sums in another order
+DIFFERENCES = 3e-6  # central differences lose half the digits
+DIFFERENCE = 1e-5
+VISIBLE = 1e-4  # weighted signals change by this share at least when a parameter doubles
+FAR = (
+    1e-2  # of signals, with a pivot 1e4 lengths away: the path is bent by 1e-4, and signals are some ten times steeper
+)
+SIGNALS = ("base_x", "base_y", "base_angle", "fx", "fy", "mz")
+
+
+def circle(distance, radius):
+    return lambda slope: (radius * np.sin(slope), distance + radius * (1 - np.cos(slope)))
+
+
+def follicle(x=np.inf, y=np.inf, phi=np.inf, mount=(0.0, 0.0, 0.0)):
+    """One base that may yield in everything: scenes with these supports share what is compiled."""
+    return jw.Support.follicle(x=x, y=y, phi=phi, mount=jw.Mount(*mount))
+
+
+def turning(support, distance=0.85, **rotation):
+    rotation = dict(pivot=(-0.3, -0.5), radius=0.5) | rotation
+    return jw.Scene(jw.Whisker(), jw.Circle(distance, 0.3), support, motion=jw.Rotation(**rotation))
+
+
+@pytest.mark.parametrize(
+    "support",
+    [follicle(), follicle(x=50.0, y=200.0, phi=20.0, mount=(0.02, 0.05, -0.1))],
+    ids=["clamped", "follicle"],
+)
+def test_rotation_against_forward_shooting(support):
+    result = jw.scan(turning(support))
+    assert all_ok(result)
+    assert next(e.kind for e in result.events) == jw.EventKind.touch
+    touching = np.flatnonzero(np.asarray(result.phase)[:, 0] != jw.Phase.free)
+
+    def drive(u):
+        return -0.3 - 0.5 * np.sin(u), -0.5 + 0.5 * np.cos(u), u
+
+    missed = forward.misses(result, touching[2 :: touching.size // 8], drive=drive, profile=circle(0.85, 0.3))
+    assert max(missed.values()) < EXACT, missed
+
+
+def test_the_mirror_image_turns_the_other_way():
+    support = follicle(x=50.0, phi=20.0)
+    result = jw.scan(turning(support), np.linspace(-0.6, 0.5, 64))
+    mirrored = jw.scan(turning(support, pivot=(0.3, -0.5), direction=-1), np.linspace(0.6, -0.5, 64))
+    assert all_ok(result) and all_ok(mirrored)
+    for name, sign in (("base_x", -1), ("base_y", 1), ("base_angle", -1), ("fx", -1), ("fy", 1), ("mz", -1)):
+        np.testing.assert_allclose(getattr(mirrored, name), sign * getattr(result, name), atol=SAME)
+    np.testing.assert_allclose([e.control for e in mirrored.events], [-e.control for e in result.events], atol=SAME)
+
+
+def test_a_pivot_far_away_is_a_translation():
+    control = np.linspace(1.0, -1.2, 56)
+    straight = jw.scan(jw.Scene(jw.Whisker(), jw.Circle(0.2, 0.9), jw.Support.fb(70.0, 0.0)), control)
+    missed = []
+    for radius in (1e4, 1e5):
+        far = turning(follicle(x=70.0), pivot=(0.0, -radius), radius=radius)
+        far = eqx.tree_at(lambda s: s.profile, far, jw.Circle(0.2, 0.9))
+        result = jw.scan(far, -np.arcsin(control / radius))
+        assert all_ok(result) and all_ok(straight)
+        missed.append(np.max(np.abs(result.mz - straight.mz)))
+    # What is left falls with the curvature of the path.
+    assert missed[0] < FAR
+    assert missed[1] == pytest.approx(missed[0] / 10, rel=0.05)
+
+
+class Wave(eqx.Module):
+    """Towards -x, up and down, and turning."""
+
+    rise: float
+    turn: float
+
+    def __call__(self, u):
+        return 1.2 - u, self.rise * jnp.sin(2 * u), self.turn * jnp.sin(u)
+
+
+def test_a_motion_of_ones_own_against_forward_shooting():
+    motion = jw.Motion(Wave(0.03, 0.1), 0.0, 2.6)
+    result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.25), follicle(x=80.0, phi=30.0), motion=motion))
+    assert all_ok(result)
+    kinds = [e.kind.name for e in result.events]
+    assert kinds[0] == "touch" and kinds[-1] == "snap_off"
+    touching = np.flatnonzero(np.asarray(result.phase)[:, 0] != jw.Phase.free)
+
+    def drive(u):
+        return 1.2 - u, 0.03 * np.sin(2 * u), 0.1 * np.sin(u)
+
+    missed = forward.misses(result, touching[2 :: touching.size // 8], drive=drive)
+    assert max(missed.values()) < EXACT, missed
+
+
+def test_translation_written_as_a_motion_is_translation():
+    control = np.linspace(1.0, -1.5, 64)
+    plain = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0, 0.0)), control)
+    motion = jw.Motion(Wave(0.0, 0.0), 0.0, 3.0)
+    own = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), follicle(x=70.0), motion=motion), 1.2 - control)
+    for name in SIGNALS:
+        np.testing.assert_allclose(getattr(own, name), getattr(plain, name), atol=SAME)
+    assert [(e.kind, e.whiskers) for e in own.events] == [(e.kind, e.whiskers) for e in plain.events]
+    np.testing.assert_allclose([1.2 - e.control for e in own.events], [e.control for e in plain.events], atol=SAME)
+
+
+def test_the_other_way_is_the_mirror_image():
+    scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0, 0.2))
+    back = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0, -0.2), motion=jw.Translation(1))
+    one, other = jw.scan(scene), jw.scan(back)
+    np.testing.assert_allclose(other.control, -one.control, atol=SAME)
+    np.testing.assert_allclose(other.mz, -one.mz, atol=SAME)
+    np.testing.assert_allclose([e.control for e in other.events], [-e.control for e in one.events], atol=SAME)
+
+
+def test_moving_the_object_is_moving_the_whisker():
+    # A rotation about the circle's centre is a circle that stands still: with the whisker turned, everything turns.
+    control = np.linspace(-0.5, 0.4, 32)
+    shifted = turning(follicle(x=50.0, phi=20.0), pivot=(0.1, -0.4))
+    shifted = eqx.tree_at(lambda s: s.profile, shifted, jw.Circle(0.95, 0.3, 0.4))
+    one, other = jw.scan(turning(follicle(x=50.0, phi=20.0)), control), jw.scan(shifted, control)
+    for name in ("fx", "fy", "mz", "base_angle"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=SAME)
+    np.testing.assert_allclose(other.base_x, one.base_x + 0.4, atol=SAME)
+    np.testing.assert_allclose(other.base_y, one.base_y + 0.1, atol=SAME)
+
+
+def test_starting_inside_the_object_is_lost():
+    motion = jw.Motion(Wave(0.0, 0.0), 1.2, 2.0)
+    scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), follicle(x=70.0), motion=motion)
+    result = jw.scan(scene, np.linspace(1.2, 1.7, 8))
+    assert np.all(result.status == jw.Status.lost)
+    assert np.all(np.isnan(result.mz))
+
+
+@pytest.mark.unchecked
+def test_bad_motions():
+    with pytest.raises(ValueError, match="`direction` must be -1 or 1, but is 0"):
+        jw.Translation(0)
+    with pytest.raises(ValueError, match="`pivot` must be a pair of numbers"):
+        jw.Rotation(pivot=1.0)
+    with pytest.raises(ValueError, match="`stop` must differ from `start`"):
+        jw.Motion(lambda u: (u, 0.0, 0.0), 1.0, 1.0)
+    with pytest.raises(ValueError, match="`motion` must be a Translation, Rotation or Motion"):
+        jw.Scene(jw.Whisker(), jw.Parabola(0.2), motion="rotation")
+
+
+# Stiffnesses along x, y, phi; rest lengths; mount; pivot, radius; distance and radius of the object.
+P = jnp.array([50.0, 200.0, 20.0, 0.02, 0.03, 0.05, 0.02, 0.04, -0.1, -0.3, -0.5, 0.5, 0.85, 0.3])
+
+
+def observed(p):
+    springs = tuple(jw.Spring((0, 1), p[k], p[3 + k], axis) for k, axis in enumerate(("x", "y", "phi")))
+    scene = jw.Scene(
+        jw.Whisker(),
+        jw.Circle(p[12], p[13]),
+        jw.Support(springs, jw.Mount(p[6], p[7], p[8])),
+        motion=jw.Rotation((p[9], p[10]), p[11]),
+    )
+    result = jw.scan(scene, jnp.array([-0.4, -0.1, 0.1]))
+    events = result.events
+    signals = [result.fx, result.fy, result.mz, result.base_x, result.base_y, result.base_angle]
+    return jnp.concatenate([*(jnp.ravel(s) for s in signals), jnp.ravel(result.spring_length), events.control[:1]])
+
+
+def test_derivatives_by_all_that_supports_and_motions_have():
+    rng = np.random.default_rng(5)
+    direction = P * jnp.asarray(rng.uniform(0.5, 1.0, P.size))
+    once = jax.jit(observed)
+    value = once(P)
+    assert np.all(np.isfinite(value))
+    weights = jnp.asarray(rng.normal(size=value.size)) / jnp.maximum(jnp.abs(value), 0.1)
+
+    @jax.jit
+    def both(p):
+        return jax.jvp(observed, (p,), (direction,))[1], jax.vjp(observed, p)[1](weights)[0]
+
+    pushed, pulled = both(P)
+    assert np.all(np.abs(pulled * P) > VISIBLE)
+    assert abs(weights @ pushed - pulled @ direction) < MODES * np.sum(np.abs(pulled * direction))
+    for k, size in enumerate(P):
+        step = DIFFERENCE * size
+        difference = weights @ (once(P.at[k].add(step)) - once(P.at[k].add(-step))) / (2 * step)
+        assert abs(difference - pulled[k]) < DIFFERENCES * np.max(np.abs(pulled * P)) / np.abs(size), k
