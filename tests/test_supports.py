@@ -14,7 +14,7 @@ from discrete import Chains
 from scenes import all_ok
 
 EXACT = 1e-7  # of signals relative to their size: the rods' steps
-SAME = 1e-7  # of signals: a stiffness of 1e9 is a clamp
+SAME = 1e-9  # of signals: the same equilibria, computed in another way
 CONTROL = np.linspace(1.2, -1.9, 125)
 SIGNALS = ("base_x", "base_y", "base_angle", "fx", "fy", "mz")
 PARABOLA = jw.Parabola(0.2)
@@ -132,14 +132,14 @@ def close(one, other, within):
         assert np.max(np.abs(np.asarray(getattr(one, name) - getattr(other, name)))) < within * size, name
 
 
-@pytest.mark.parametrize("stiff", [1e9, np.inf])
-def test_stiff_along_y_and_in_angle_is_the_clamp(stiff):
-    # (Beside a spring along x that is just stiffer than the critical one, 1e9 more give way visibly: by 2e-7.)
+# A base on a vertical spring of 1e9 gives way by 2e-8 under the largest force, which changes by 214 per length.
+@pytest.mark.parametrize(("stiff", "within"), [(1e9, 2.2e-7), (np.inf, SAME)])
+def test_stiff_along_y_and_in_angle_is_the_clamp(stiff, within):
     clamp = jw.scan(jw.Scene(jw.Whisker(), PARABOLA, jw.Support.clamped()), CONTROL)
     result = jw.scan(jw.Scene(jw.Whisker(), PARABOLA, follicle(y=stiff, phi=stiff)), CONTROL)
-    close(result, clamp, SAME)
+    close(result, clamp, within)
     lost = clamp.events.of(jw.EventKind.snap_off)[0].control
-    assert abs(result.events.of(jw.EventKind.snap_off)[0].control - lost) < SAME
+    assert abs(result.events.of(jw.EventKind.snap_off)[0].control - lost) < within
 
 
 def test_a_mount_in_place_of_a_rest_length():
