@@ -160,9 +160,45 @@ def soak() -> str:
     return f"{table(read('soak')['rows'])}\n\n{environment('soak')}"
 
 
+def settings() -> str:
+    rows = [row for row in read("settings")["rows"] if row["rest"] == 0]
+    hidden = ("axis", "rest", "curve")
+    return f"{table([{k: v for k, v in row.items() if k not in hidden} for row in rows])}\n\n{environment('settings')}"
+
+
+def claims() -> str:
+    """What becomes of the thesis's claims about one whisker, with the largest change of any peak."""
+    rows = read("settings")["rows"]
+    peaks = ("peak fx", "peak fy", "peak mz")
+    kept = []
+    for setting in dict.fromkeys(row["setting"] for row in rows):
+        own = [row for row in rows if row["setting"] == setting]
+        plain, shifted = [row for row in own if row["rest"] == 0], own[-1]
+        rigid = plain[-1]
+        same = next(row for row in plain if row["stiffness"] == shifted["stiffness"])
+        softest = max(abs(plain[0][peak] / rigid[peak] - 1) for peak in peaks)
+        moved = max(abs(shifted[peak] / same[peak] - 1) for peak in peaks)
+        later = abs(plain[0]["peak mz at"]) > abs(rigid["peak mz at"])
+        kept.append({
+            "setting": setting,
+            "softest": plain[0]["stiffness"],
+            "stiffness leaves maxima unchanged": "yes" if softest < SAME else f"no: {softest:.0%}",
+            "... and narrows the moment": f"{'yes' if plain[0]['width of mz'] < rigid['width of mz'] else 'no'}: "
+            f"{plain[0]['width of mz'] / rigid['width of mz'] - 1:+.0%}",
+            "... and shifts its peak onwards": "yes" if later else "no",
+            "a rest length only shifts": "yes" if moved < SAME else f"no: {moved:.0%}",
+        })  # fmt: skip
+    return table(kept)
+
+
+SAME = 1e-3  # peaks on a grid of steps of 0.001
+
 TABLES = {
     f.__name__: f
-    for f in (in_short, work_precision, speed_up, roofline, growth, models, ladder, cold_start, extremes, soak)
+    for f in (
+        *(in_short, work_precision, speed_up, roofline, growth, models, ladder, cold_start, extremes, soak),
+        *(settings, claims),
+    )
 }
 
 
@@ -250,11 +286,52 @@ def draw_numbers() -> None:
     fig.savefig(ROOT / "docs" / "numbers.png", dpi=110)
 
 
+def draw_settings() -> None:
+    """What compliance, taper, curvature and rotation do to the signals."""
+    rows = [row for row in read("settings")["rows"] if row["rest"] == 0]
+    fig, axs = plt.subplots(2, 4, figsize=(13, 5.6), layout="constrained", sharey="row")
+    shades = ["#56B4E9", "#0072B2", "#009E73", "#000000"]
+    panels = ("springs across (thesis)", "springs along", "torsion springs", "rotation, torsion")
+    for column, setting in enumerate(panels):
+        own = [row for row in rows if row["setting"] == setting]
+        for colour, row in zip(shades, own, strict=True):
+            u, _, fy, mz = (np.array(values) for values in row["curve"])
+            label = "rigid" if row["stiffness"] == "inf" else f"c = {row['stiffness']:g}"
+            for ax, values in zip(axs[:, column], (mz, fy), strict=True):
+                ax.plot(u, np.where(values == 0, np.nan, values), color=colour, lw=1.2, label=label)
+        axs[0, column].set_title(setting, fontsize=9)
+        axs[0, column].legend(fontsize=7, frameon=False)
+        axs[1, column].set_xlabel("angle of the drive (rad)" if "rotation" in setting else r"$u/L$")
+        if "rotation" not in setting:
+            axs[0, column].invert_xaxis()
+            axs[1, column].invert_xaxis()
+    axs[0, 0].set_ylabel(r"$m_z\,L/EI$")
+    axs[1, 0].set_ylabel(r"$f_y\,L^2/EI$")
+    fig.savefig(ROOT / "docs" / "supports.png", dpi=110)
+
+    shapes = ("springs across (thesis)", "a cone 2:1, across", "curved forwards by 0.5, across",
+              "curved backwards by 0.5, across")  # fmt: skip
+    names = ("uniform", "cone 2:1", "curved forwards", "curved backwards")
+    fig, axs = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
+    for colour, setting, name in zip(["#000000", "#D55E00", "#0072B2", "#009E73"], shapes, names, strict=True):
+        row = next(row for row in rows if row["setting"] == setting and row["stiffness"] == "inf")
+        u, fx, fy, mz = (np.array(values) for values in row["curve"])
+        for ax, values, label in zip(axs, (fx, fy, mz), (r"$f_x$", r"$f_y$", r"$m_z$"), strict=True):
+            ax.plot(u, np.where(mz == 0, np.nan, values), color=colour, lw=1.2, label=name)
+            ax.set_xlabel(r"$u/L$")
+            ax.set_title(label, fontsize=9)
+    for ax in axs:
+        ax.invert_xaxis()
+    axs[0].legend(fontsize=7, frameon=False)
+    fig.savefig(ROOT / "docs" / "whiskers.png", dpi=110)
+
+
 def main() -> None:
     for page in PAGES:
         page.write_text(written(page.read_text()))
     draw_work_precision()
     draw_numbers()
+    draw_settings()
 
 
 if __name__ == "__main__":

@@ -166,3 +166,29 @@ def test_a_lane_without_stiffness_is_invalid_and_its_neighbour_never_notices():
     (good, bad), status = jax.jit(jax.vmap(mz))(jnp.array([0.2, -1.0]))
     assert np.all(status[1] == jw.Status.invalid) and np.all(np.isnan(bad))
     np.testing.assert_allclose(good, np.asarray(scanned().mz)[::12], atol=EXACT)
+
+
+def test_a_rat_has_the_whiskers_of_the_regressions():
+    # C2: 43 + 1.8 * 3 - 7.6 * 2 mm long, 0.041 + 0.002 * 33.2 + 0.011 * 3 - 0.0039 * 2 mm thick.
+    whisker = jw.Whisker.rat("C", 2)
+    assert float(whisker.length) == pytest.approx(33.2e-3, rel=1e-12)
+    assert float(whisker.base_stiffness) == pytest.approx(3e9 * np.pi / 64 * 132.6e-6**4, rel=1e-12)
+    # The radius falls by 0.0012 + 0.00017 * 3 - 0.000066 + 0.00011 per length.
+    shorter = jw.Whisker.rat("C", 1, length=0.03, youngs_modulus=4e9, intrinsic_curvature=10.0)
+    base = 0.041 + 0.002 * 30 + 0.011 * 3 - 0.0039
+    tip = base - 2 * 30 * (0.0012 + 0.00017 * 3 - 0.000066 + 0.00011)
+    assert float(shorter.stiffness_at(0.03)) == pytest.approx(4e9 * np.pi / 64 * (tip * 1e-3) ** 4, rel=1e-9)
+    assert float(shorter.curvature_at(0.01)) == 10.0
+    with pytest.raises(ValueError, match="`row` must be one of A, B, C, D, E, but is 'F'"):
+        jw.Whisker.rat("F", 1)
+    with pytest.raises(ValueError, match="`column` must be an int from 0 to 4 in row B, but is 5"):
+        jw.Whisker.rat("B", 5)
+
+
+def test_a_pointed_whisker_scans():
+    cone = jw.Whisker(1.0, lambda s: (1 - s) ** 4)
+    result = jw.scan(jw.Scene(cone, jw.Parabola(0.2), jw.Support.fb(70.0, 0.2)), np.linspace(0.65, -1.0, 64))
+    blunt = jw.Whisker(1.0, lambda s: (1 - 0.9999 * s) ** 4)
+    near = jw.scan(jw.Scene(blunt, jw.Parabola(0.2), jw.Support.fb(70.0, 0.2)), np.linspace(0.65, -1.0, 64))
+    assert np.all(np.asarray(result.status) == jw.Status.ok)
+    assert np.max(np.abs(result.mz - near.mz)) < 1e-3

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from jaxwhisker.contact import Phase
+from jaxwhisker.motion import Rotation, Translation
 from jaxwhisker.profile import AbstractProfile, Graph, Parabola
 from jaxwhisker.scene import units
 from jaxwhisker.shape import shapes
@@ -39,6 +40,7 @@ _AXIS = {
 }
 QUANTITIES = tuple(_AXIS)
 CONTROL_AXIS = r"$u/L$"
+_ANGLE = "angle of the drive (rad)"
 
 
 def _new_axes(ax: Axes | None) -> Axes:
@@ -61,7 +63,14 @@ def axis_label(quantity: str) -> str:
 
 
 def _control(result) -> np.ndarray:
-    return np.asarray(result.control) / float(units(result.scene).length)
+    along_x = isinstance(result.scene.motion, Translation)
+    return np.asarray(result.control) / (float(units(result.scene).length) if along_x else 1.0)
+
+
+def control_axis(result) -> str:
+    """What the control of a scan is."""
+    motion = result.scene.motion
+    return CONTROL_AXIS if isinstance(motion, Translation) else _ANGLE if isinstance(motion, Rotation) else "control"
 
 
 def compare(
@@ -115,7 +124,7 @@ def _over_control(curves, quantity: str, ax: Axes | None) -> Axes:
     ax = _new_axes(ax)
     for result, values, label, colour, width in curves:
         ax.plot(_control(result), values, color=colour, linewidth=width, label=label)
-    ax.set_xlabel(CONTROL_AXIS)
+        ax.set_xlabel(control_axis(result))
     ax.set_ylabel(_AXIS[quantity][0])
     ax.grid(alpha=0.3)
     low, high = ax.get_ylim()
@@ -166,8 +175,9 @@ def _zigzag(start: float, end: float, height: float, amplitude: float = 0.018) -
 
 
 def _springs(support, nodes: np.ndarray, ax: Axes) -> None:
+    """Springs along x; the others have no picture."""
     below = 0
-    for spring in support.springs:
+    for spring in support.along("x"):
         first, second = spring.between
         height = 0.0
         if abs(second - first) > 1:  # a feedback spring passes other bases: it hangs below them
@@ -206,18 +216,24 @@ def state(result, at: float, *, whole: bool = True, ax: Axes | None = None) -> A
     """
     ax = _new_axes(ax)
     size, step = float(units(result.scene).length), _nearest(result, at)
-    u, x, y = _lines(result, at)
+    _, x, y = _lines(result, at)
     profile(result.scene.profile, length=size, whole=whole, ax=ax)
     ax.axhline(0, color=_SUPPORT, linewidth=0.5, alpha=0.5, zorder=0)
-    nodes = np.concatenate([[u], np.asarray(result.base_x[step]) / size])
-    _springs(result.scene.support, nodes, ax)
-    ax.plot(u, 0, marker="s", markersize=8, color=_SUPPORT, zorder=2, linestyle="none", label="drive")
+    drive_x, drive_y, turned = (float(v) for v in result.scene.motion.pose(result.control[step]))
+    drive_x, drive_y = drive_x / size, drive_y / size
+    nodes, heights = (
+        np.concatenate([[own], np.asarray(bases[step]) / size])
+        for own, bases in ((drive_x, result.base_x), (drive_y, result.base_y))
+    )
+    if turned == 0 and np.all(heights == 0):
+        _springs(result.scene.support, nodes, ax)
+    ax.plot(drive_x, drive_y, marker="s", markersize=8, color=_SUPPORT, zorder=2, linestyle="none", label="drive")
     forces = np.nan_to_num(np.asarray(result.contact_force))
     share = forces[step] / max(forces.max(), 1e-300)
     for k in range(x.shape[0]):
         colour = COLOURS[k % len(COLOURS)]
         ax.plot(x[k], y[k], color=colour, linewidth=2, zorder=3, label=f"whisker {k + 1}")
-        ax.plot(nodes[k + 1], 0, marker="o", markersize=5, color=colour, zorder=4)
+        ax.plot(nodes[k + 1], heights[k + 1], marker="o", markersize=5, color=colour, zorder=4)
         if share[k] > 0:
             point = np.array([float(result.contact_x[step, k]), float(result.contact_y[step, k])]) / size
             slope = float(result.contact_slope[step, k])

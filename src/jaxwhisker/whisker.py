@@ -144,6 +144,53 @@ class Whisker(eqx.Module):
             raise ValueError(f"`tip_diameter` must be at least 0, but is {float(tip_diameter)}.")
         return cls.from_material(length, youngs_modulus, Linear(base_diameter, tip_diameter, length))
 
+    @classmethod
+    def rat(
+        cls,
+        row: str,
+        column: int,
+        *,
+        length: Scalar | None = None,
+        youngs_modulus: AlongWhisker = 3e9,
+        intrinsic_curvature: AlongWhisker | None = None,
+    ) -> "Whisker":
+        """The average vibrissa of a rat at a place of its array, in SI units: a cone.
+
+        With r = 1 to 5 for the rows A to E and c for the column, in millimetres: arc length S = 43 + 1.8 r - 7.6 c,
+        diameter at the base 0.041 + 0.002 S + 0.011 r - 0.0039 c; the radius falls by 0.0012 + 0.00017 r - 0.000066 c +
+        0.00011 c^2 per length, down to 1.5 micrometres at least.
+
+        Args:
+            row: "A", the uppermost, to "E".
+            column: 0, the Greek arc at the back, to 5.
+            length: S, m, instead of the average one.
+            youngs_modulus: E, Pa; 3 GPa is a usual round value, measured ones scatter by more than its half.
+            intrinsic_curvature: 1/m, number or function, as of any whisker.
+
+        Raises:
+            ValueError: if there is no such place in the array.
+
+        Source: Belli, Yang, Bresee and Hartmann (2017), J. Neurophysiol. 117, 1807, regressions over seven studies;
+        with the coefficients and the least tip of the simulator WHISKiT Physics (Zweifel et al. 2021, PNAS 118,
+        e2011905118), which takes its whiskers from there.
+        """
+        if row not in ROWS:
+            raise ValueError(f"`row` must be one of {', '.join(ROWS)}, but is {row!r}.")
+        if not isinstance(column, int) or not 0 <= column <= COLUMNS[row]:
+            raise ValueError(f"`column` must be an int from 0 to {COLUMNS[row]} in row {row}, but is {column!r}.")
+        r, c = ROWS.index(row) + 1, column
+        arc = 43 + 1.8 * r - 7.6 * c if length is None else length * 1e3
+        base = 0.041 + 0.002 * arc + 0.011 * r - 0.0039 * c
+        slope = 0.0012 + 0.00017 * r - 0.000066 * c + 0.00011 * c**2
+        tip = jnp.maximum(base - 2 * slope * arc, 2 * LEAST_TIP_RADIUS)
+        cone = cls.conical(arc * 1e-3, youngs_modulus, base * 1e-3, tip * 1e-3)
+        return cls(cone.length, cone.bending_stiffness, intrinsic_curvature)
+
+
+ROWS = "ABCDE"
+COLUMNS = {"A": 4, "B": 4, "C": 5, "D": 5, "E": 5}  # up to which the regression gives a length
+LEAST_TIP_RADIUS = 0.0015  # mm
+
 
 class Linear(eqx.Module):
     """A straight line over the arc length: from `base` at 0 to `tip` at `length`."""
