@@ -156,15 +156,16 @@ def test_bad_motions():
         jw.Scene(jw.Whisker(), jw.Parabola(0.2), motion="rotation")
 
 
-# Stiffnesses along x, y, phi; rest lengths; mount; pivot, radius; distance and radius of the object.
-P = jnp.array([50.0, 200.0, 20.0, 0.02, 0.03, 0.05, 0.02, 0.04, -0.1, -0.3, -0.5, 0.5, 0.85, 0.3])
+# Stiffnesses along x, y, phi; rest lengths; mount; pivot, radius; distance and radius of the object, its tilt.
+P = [50.0, 200.0, 20.0, 0.02, 0.03, 0.05, 0.02, 0.04, -0.1, -0.3, -0.5, 0.5, 0.85, 0.3, 0.1, 0.1, 0.7]
+P = jnp.array(P)
 
 
 def observed(p):
     springs = tuple(jw.Spring((0, 1), p[k], p[3 + k], axis) for k, axis in enumerate(("x", "y", "phi")))
     scene = jw.Scene(
         jw.Whisker(),
-        jw.Circle(p[12], p[13]),
+        jw.Tilted(jw.Circle(p[12], p[13]), p[14], (p[15], p[16])),
         jw.Support(springs, jw.Mount(p[6], p[7], p[8])),
         motion=jw.Rotation((p[9], p[10]), p[11]),
     )
@@ -193,3 +194,30 @@ def test_derivatives_by_all_that_supports_and_motions_have():
         step = DIFFERENCE * size
         difference = weights @ (once(P.at[k].add(step)) - once(P.at[k].add(-step))) / (2 * step)
         assert abs(difference - pulled[k]) < DIFFERENCES * np.max(np.abs(pulled * P)) / np.abs(size), k
+
+
+def test_tilting_the_object_is_turning_everything_else():
+    # In the frame of a parabola that is tilted by tau, the whisker leans by -tau and moves along a line that does.
+    tau, control = 0.15, np.linspace(1.1, -0.9, 33)
+    tilted = jw.scan(jw.Scene(jw.Whisker(), jw.Tilted(jw.Parabola(0.2), tau), follicle(x=90.0, phi=30.0)), control)
+    way = jw.Motion(Line(-tau), -1.5, 2.0)
+    turned = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), follicle(x=90.0, phi=30.0), motion=way), -control)
+    assert all_ok(tilted) and all_ok(turned)
+    assert np.max(np.asarray(tilted.contact_force)) > 1
+    cos, sin = np.cos(tau), np.sin(tau)
+    for one, right, up in ((tilted.fx, turned.fx, turned.fy), (tilted.base_x, turned.base_x, turned.base_y)):
+        np.testing.assert_allclose(one, right * cos - up * sin, atol=SAME)
+    np.testing.assert_allclose(tilted.fy, turned.fx * sin + turned.fy * cos, atol=SAME)
+    np.testing.assert_allclose(tilted.mz, turned.mz, atol=SAME)
+    np.testing.assert_allclose(tilted.base_angle, turned.base_angle + tau, atol=SAME)
+    kinds = [[e.kind for e in result.events if e.kind != jw.EventKind.vertex] for result in (tilted, turned)]
+    assert kinds[0] == kinds[1]
+
+
+class Line(eqx.Module):
+    """Straight on, with the drive turned to the line."""
+
+    angle: float
+
+    def __call__(self, u):
+        return -u * jnp.cos(self.angle), -u * jnp.sin(self.angle), self.angle

@@ -236,3 +236,20 @@ def test_a_lane_without_stiffness_is_invalid_and_its_neighbour_never_notices():
     assert np.all(status[1] == jw.Status.invalid) and np.all(np.isnan(mz[1]))
     np.testing.assert_allclose(mz[0], scanned("torsion").mz[::8], atol=1e-9)
     np.testing.assert_allclose(angle[0], scanned("torsion").base_angle[::8], atol=1e-9)
+
+
+def test_derivatives_of_a_deflection_by_its_support():
+    p = jnp.array([20.0, 30.0, 8.0, 0.1, 0.05, 0.2, 2.0])
+
+    def observed(p):
+        support = jw.Support.follicle(x=p[0], y=p[1], phi=p[2], mount=jw.Mount(p[3], p[4], p[5]))
+        bent = jw.deflect(jw.Whisker(), jw.PointForce(p[6], direction=2.5), support=support, points=3)
+        return jnp.stack([bent.mz, bent.base_x, bent.base_y, bent.base_angle, bent.x[-1], bent.y[-1], bent.angle[-1]])
+
+    forward, reverse = jax.jit(jax.jacfwd(observed))(p), jax.jit(jax.jacrev(observed))(p)
+    np.testing.assert_allclose(forward, reverse, atol=1e-10)
+    for k in range(p.size):
+        step = 1e-5 * p[k]
+        difference = (observed(p.at[k].add(step)) - observed(p.at[k].add(-step))) / (2 * step)
+        np.testing.assert_allclose(forward[:, k], difference, atol=1e-7)
+        assert np.max(np.abs(forward[:, k] * p[k])) > 1e-2

@@ -15,6 +15,7 @@ from jaxwhisker.shape import Shapes, shapes
 from jaxwhisker.spring import Spring
 from jaxwhisker.study import study, summary
 from jaxwhisker.support import Mount, Support
+from jaxwhisker.tilted import Tilted
 from jaxwhisker.whisker import Whisker
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "State",
     "Status",
     "Support",
+    "Tilted",
     "Translation",
     "Whisker",
     "deflect",

@@ -17,6 +17,7 @@ from jaxwhisker.motion import Rotation, Translation
 from jaxwhisker.profile import AbstractProfile, Graph, Parabola
 from jaxwhisker.scene import units
 from jaxwhisker.shape import shapes
+from jaxwhisker.tilted import Tilted
 
 # Okabe and Ito's colours, told apart with every kind of colour blindness; black stands last.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
@@ -153,10 +154,11 @@ def profile(object: AbstractProfile, *, length: float = 1.0, whole: bool = True,
         ax: where to draw; a new figure by default.
     """
     ax = _new_axes(ax)
-    if isinstance(object, Parabola):
-        parameter = np.linspace(-1, 1, 481) * np.arctan(2 * float(object.a) * FAR * length)
-    elif isinstance(object, Graph):
-        parameter = np.linspace(-1, 1, 481) * FAR * length / float(object.unit)
+    upright = object.profile if isinstance(object, Tilted) else object
+    if isinstance(upright, Parabola):
+        parameter = np.linspace(-1, 1, 481) * np.arctan(2 * float(upright.a) * FAR * length)
+    elif isinstance(upright, Graph):
+        parameter = np.linspace(-1, 1, 481) * FAR * length / float(upright.unit)
     else:
         parameter = np.linspace(-1, 1, 241) * (np.pi if whole else np.pi / 2)
     at = jax.vmap(object.point)(jnp.asarray(parameter))

@@ -32,6 +32,9 @@ class FirstTouch(NamedTuple):
     y: Float[Array, "*batch"]
 
 
+STEEPEST = 1.5707963267948966 - 1e-6  # nearly upright
+
+
 class AbstractProfile(eqx.Module):
     """A profile is a smooth curve `point(parameter)`, run through from left to right.
 
@@ -57,6 +60,10 @@ class AbstractProfile(eqx.Module):
     @abc.abstractmethod
     def in_unit(self, length: Scalar) -> "AbstractProfile":
         """The same object with lengths measured in `length`."""
+
+    def ends(self) -> tuple[Scalar, Scalar]:
+        """Parameters between which the profile lies: those of a slope, almost up to the upright, unless it says so."""
+        return -STEEPEST, STEEPEST
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters lie where the constructor would have let them."""
@@ -268,15 +275,18 @@ class Graph(AbstractProfile):
         bend = jax.grad(jax.grad(self._height))(jnp.asarray(parameter, dtype=float))
         return bend > 0
 
+    def ends(self):
+        return -self.extent / self.unit, self.extent / self.unit
+
     def _lowest(self):
-        extent = self.extent / self.unit
+        low, high = self.ends()
 
         def falls(x):
             # Left of the vertex g falls; outside its domain (NaN) the object ends, as a wall would.
             y, slope = jax.value_and_grad(self._height)(x)
             return jnp.where(jnp.isfinite(y) & jnp.isfinite(slope), slope < 0, x < 0)
 
-        return _bisect(falls, -extent, extent)
+        return bisect(falls, low, high)
 
     def first_touch(self, height, side):
         vertex = self._lowest()
@@ -285,7 +295,7 @@ class Graph(AbstractProfile):
             return self._height(x) < height  # False outside the domain
 
         reach = self.extent / self.unit
-        x = jax.lax.stop_gradient(vertex + side * _bisect(lambda d: below(vertex + side * d), 0.0, reach))
+        x = jax.lax.stop_gradient(vertex + side * bisect(lambda d: below(vertex + side * d), 0.0, reach))
         # A last Newton step carries the derivative, unless the object ends there.
         y, slope = jax.value_and_grad(self._height)(x)
         crosses = jnp.isfinite(slope) & (slope != 0) & (jnp.abs(y - height) < 1e-9)
@@ -306,8 +316,9 @@ class Graph(AbstractProfile):
         return f"graph y = {name_of(self.g)}(x){differs(', x = ', self.position)}"
 
 
-def _bisect(inside: Callable, low: Scalar, high: Scalar) -> Float[Array, ""]:
-    # The last point from `low` on at which `inside` still holds, to rounding; derivatives are attached elsewhere.
+def bisect(inside: Callable, low: Scalar, high: Scalar) -> Float[Array, ""]:
+    """The last point from `low` on at which `inside` still holds, to rounding; derivatives are attached elsewhere."""
+
     def halve(_, bracket):
         low, high = bracket
         middle = (low + high) / 2

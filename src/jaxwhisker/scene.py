@@ -61,7 +61,9 @@ class Scene(eqx.Module):
         if not whiskers or not all(isinstance(w, Whisker) for w in whiskers):
             raise ValueError(f"`whisker` must be a Whisker or a tuple of them, but is {self.whisker!r}.")
         if not isinstance(self.profile, AbstractProfile):
-            raise ValueError(f"`profile` must be a Parabola, Circle, Ellipse or Graph, but is {self.profile!r}.")
+            raise ValueError(
+                f"`profile` must be a Parabola, Circle, Ellipse, Graph or Tilted, but is {self.profile!r}."
+            )
         if not isinstance(self.support, Support):
             raise ValueError(f"`support` must be a Support, but is {self.support!r}.")
         if not isinstance(self.rod, AbstractRod):

@@ -62,13 +62,14 @@ class Layout(NamedTuple):
         if self.parameters.paired:
             point = np.arange(self.parameters.shape[0])
             coords["point"] = ("point", point, {"long_name": "row of the table of points", "units": "1"})
-        drive = {"long_name": "drive position", "units": unit("length", plain)}
+        words, kind = self.structure.control
+        drive = {"long_name": words, "units": unit(kind, plain)}
         coords["control"] = ("control", self.control, drive)
         for dim, words in (("whisker", "number of the whisker"), ("spring", "number of the spring")):
             if dim in used:
                 coords[dim] = (dim, np.arange(1, self.sizes[dim] + 1), {"long_name": words, "units": "1"})
         if "spring" in used:
-            ends = np.array([f"{first}-{second}" for first, second in self.structure.springs], dtype=object)
+            ends = np.array(self.structure.springs, dtype=object)
             coords["between"] = ("spring", ends, {"long_name": "ends of the spring, 0 the drive", "units": "1"})
         attrs = {
             "title": f"scans with tactile whiskers: {self.structure.words}",

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from jaxwhisker.motion import Rotation, Translation
 from jaxwhisker.scene import Scene
 from jaxwhisker.study.parameters import Parameters
 
@@ -20,7 +21,8 @@ class Structure(NamedTuple):
     """What the scenes of a study have in common."""
 
     whiskers: int
-    springs: tuple[tuple[int, int], ...]  # between what
+    springs: tuple[str, ...]  # between what, and along which axis if not x
+    control: tuple[str, str]  # what the control is, and its kind (fields.KINDS)
     dimensionless: bool  # the first whisker's length and bending stiffness are 1 at every point
     words: str
 
@@ -44,8 +46,15 @@ def structure_of(build: Callable, parameters: Parameters) -> Structure:
     first = traced.whiskers[0]
     units = (first.length, first.bending_stiffness)
     known = not any(callable(unit) or isinstance(unit, Tracer) for unit in units)
-    springs = tuple(s.between for s in traced.support.springs)
-    return Structure(traced.support.whiskers, springs, known and all(np.all(u == 1.0) for u in units), str(traced))
+    plain = known and all(np.all(u == 1.0) for u in units)
+    springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in traced.support.springs)
+    return Structure(traced.support.whiskers, springs, _control(traced), plain, str(traced))
+
+
+def _control(scene: Scene) -> tuple[str, str]:
+    if isinstance(scene.motion, Translation):
+        return "drive position", "length"
+    return ("angle of the drive", "angle") if isinstance(scene.motion, Rotation) else ("control", "number")
 
 
 def _checked(scene: Any) -> Scene:
