@@ -82,6 +82,7 @@ class Front(NamedTuple):
 
 TOUCH, RELEASE, PHASE, VERTEX, AT_STOP = range(len(Margins._fields))  # indices into Margins
 MARGIN_NOISE = 1e-12  # margins are exact to this: two events at once are not each other's violation
+SHORTEST_CHORD = 1e-6  # that tells a direction; below, the path is as straight as it was
 DIP_POINTS = 7  # at which a margin is looked at within a step
 
 
@@ -110,10 +111,12 @@ def judge(problem: Problem, front: Front, solution: Solution, stop_u: Scalar) ->
     touches = (front.task == Task.event) & (front.target.kind == TOUCH)
     chord = Point(jnp.where(free[:, None], 0.0, solution.point.z - front.point.z), solution.point.u - front.point.u)
     way = dot(front.tangent, chord, scale_of(front.point.z))
-    twice = jnp.where(way > 0, 2 / jnp.where(way > 0, way, 1.0), 0.0)
-    come = Point(twice * chord.z - front.tangent.z, twice * chord.u - front.tangent.u)
-    come_pose = twice * (newton.pose - front.pose) - front.tangent_pose
-    tangent, tangent_pose = select(touches & (way > 0), (come, come_pose), (tangent, tangent_pose))
+    known = way > SHORTEST_CHORD
+    twice = jnp.where(known, 2 / jnp.where(known, way, 1.0), 0.0)
+    onwards = jnp.where(known, -1.0, 1.0)
+    come = Point(twice * chord.z + onwards * front.tangent.z, twice * chord.u + onwards * front.tangent.u)
+    come_pose = twice * (newton.pose - front.pose) + onwards * front.tangent_pose
+    tangent, tangent_pose = select(touches, (come, come_pose), (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
     here, there = _stances(problem, (front.point.u, front.pose), (solution.point.u, newton.pose))
     return Trial(
