@@ -139,13 +139,18 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     steps = jnp.where(slipping_now, jnp.where(slipping[:, None], to_land, 0.0), share * steps)
     moves = jnp.where(slipping_now, 0.0, share * moves)
     longer = jnp.where(resolved, jnp.where(share < 1, 0.7, 1.4), 0.25)
-    # Across their branches bases are held where the flow has them; along these they come with the contacts.
-    came = jnp.where(free[:, None], True, jnp.arange(axes) > 0)
+    # Across their branches bases are held where the flow has them; along these they come with the contacts. A contact
+    # whose branch is not known yet waits.
+    moved = free[:, None] | (_known(flow)[:, None] & (jnp.arange(axes) > 0))
     return flow._replace(
         guess=point.z + jnp.sum(flow.basis * steps[:, None, :], axis=-1),
-        pose=flow.pose + jnp.where(came, moves, 0.0),
+        pose=flow.pose + jnp.where(moved, moves, 0.0),
         time_step=flow.time_step * jnp.where(slipping_now, 1.0, longer),
     )
+
+
+def _known(flow: Flow) -> Bool[Array, " whiskers"]:
+    return jnp.any(flow.basis[:, :, 0] != 0, axis=-1)
 
 
 def _not_along(slope):
@@ -230,7 +235,7 @@ def shortened(flow: Flow) -> Flow:
 def at_rest(problem: Problem, flow: Flow, mode: Mode, solution: Solution, u: Scalar) -> Bool[Array, ""]:
     """Whether a stable equilibrium is near enough for Newton's method."""
     free = mode.phase == Phase.free
-    known = jnp.all(free | jnp.any(flow.basis[:, :, 0] != 0, axis=-1))
+    known = jnp.all(free | _known(flow))
     slope = jnp.where(free[:, None, None], 0.0, flow.slope)
     pull = rest(problem, u) + yielding(problem, flow.load) - flow.pose
     moves = _displacement(problem, flow, pull, slope, jnp.asarray(0.0))
