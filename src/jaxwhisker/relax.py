@@ -189,11 +189,11 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
     z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, how, phase)
     landing_x = jnp.where(slides, pose[:, 0], flow.landing_x)
     first = at.first(side)
-    shift = first.x - at.x
+    shift = (first.x - at.x)[:, None]
     if problem.mount is not None:
         frame, _ = problem.frames(u)
-        shift = shift * frame.cos
-    pose = pose.at[:, 0].add(jnp.where(fresh, shift, 0.0))
+        shift = shift * jnp.stack([frame.cos, -frame.sin, jnp.zeros_like(frame.cos)], axis=1)
+    pose = pose + jnp.where(fresh[:, None], shift, 0.0)
     side = jnp.where(fresh, bends, side)
     astray = jnp.abs(landing_x - pose[:, 0]) > LANDED * jnp.minimum(jnp.abs(by_x), 1.0)
     sliding = ((flow.sliding & (astray | ~holds)) | slides) & ~lands
