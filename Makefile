@@ -32,14 +32,14 @@ types: $(VENV)/installed-dev ## check types (pyright)
 bench: $(VENV)/installed-bench ## error against run time, beside other simulators (half an hour; QUICK=1: three minutes)
 	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision growth cold_start ladder roofline report))
 
-bench-more: $(VENV)/installed-dev ## gradients, studies, the map of the critical stiffness
-	@$(call run,gradient_cost study_speed critical_map)
+bench-more: $(VENV)/installed-dev ## gradients, studies, the map of the critical stiffness, what supports do
+	@$(call run,gradient_cost study_speed critical_map settings report)
 
 extremes: $(VENV)/installed-dev ## scans at the ends of every parameter's range
 	@$(call run,extremes report)
 
 soak: $(VENV)/installed-dev ## check 100,000 random scenes (half an hour on two cores)
-	@$(call run,soak report)
+	@$(call run,soak soak_supports report)
 
 run = for name in $(1); do echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit 1; done
 

@@ -191,13 +191,17 @@ def claims() -> str:
     return table(kept)
 
 
+def soak_supports() -> str:
+    return f"{table(read('soak_supports')['rows'])}\n\n{environment('soak_supports')}"
+
+
 SAME = 1e-3  # peaks on a grid of steps of 0.001
 
 TABLES = {
     f.__name__: f
     for f in (
         *(in_short, work_precision, speed_up, roofline, growth, models, ladder, cold_start, extremes, soak),
-        *(settings, claims),
+        *(settings, claims, soak_supports),
     )
 }
 
