@@ -126,7 +126,7 @@ def misses(
 ) -> dict[str, float]:
     """By how much signals of scan steps miss the forward shooting, relative to their largest; and phases seen."""
     scene = result.scene
-    mounts = [tuple(float(v) for v in (m.x, m.y, m.angle)) for m in scene.support.mounts]
+    mounts = [(float(m.x), float(m.y), float(m.angle)) for m in scene.support.mounts]
     rods = [
         Rod(float(w.length), w.stiffness_at, w.curvature_at, mount)
         for w, mount in zip(scene.whiskers, mounts, strict=True)

@@ -31,9 +31,8 @@ def follicle(x=np.inf, y=np.inf, phi=np.inf, mount=(0.0, 0.0, 0.0)):
     return jw.Support.follicle(x=x, y=y, phi=phi, mount=jw.Mount(*mount))
 
 
-def turning(support, distance=0.85, **rotation):
-    rotation = dict(pivot=(-0.3, -0.5), radius=0.5) | rotation
-    return jw.Scene(jw.Whisker(), jw.Circle(distance, 0.3), support, motion=jw.Rotation(**rotation))
+def turning(support, *, pivot=(-0.3, -0.5), radius=0.5, direction=1):
+    return jw.Scene(jw.Whisker(), jw.Circle(0.85, 0.3), support, motion=jw.Rotation(pivot, radius, direction))
 
 
 @pytest.mark.parametrize(
@@ -149,16 +148,15 @@ def test_bad_motions():
     with pytest.raises(ValueError, match="`direction` must be -1 or 1, but is 0"):
         jw.Translation(0)
     with pytest.raises(ValueError, match="`pivot` must be a pair of numbers"):
-        jw.Rotation(pivot=1.0)
+        jw.Rotation(pivot=1.0)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="`stop` must differ from `start`"):
         jw.Motion(lambda u: (u, 0.0, 0.0), 1.0, 1.0)
     with pytest.raises(ValueError, match="`motion` must be a Translation, Rotation or Motion"):
-        jw.Scene(jw.Whisker(), jw.Parabola(0.2), motion="rotation")
+        jw.Scene(jw.Whisker(), jw.Parabola(0.2), motion="rotation")  # pyright: ignore[reportArgumentType]
 
 
 # Stiffnesses along x, y, phi; rest lengths; mount; pivot, radius; distance and radius of the object, its tilt.
-P = [50.0, 200.0, 20.0, 0.02, 0.03, 0.05, 0.02, 0.04, -0.1, -0.3, -0.5, 0.5, 0.85, 0.3, 0.1, 0.1, 0.7]
-P = jnp.array(P)
+P = jnp.array([50.0, 200.0, 20.0, 0.02, 0.03, 0.05, 0.02, 0.04, -0.1, -0.3, -0.5, 0.5, 0.85, 0.3, 0.1, 0.1, 0.7])  # fmt: skip
 
 
 def observed(p):

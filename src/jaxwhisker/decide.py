@@ -335,7 +335,7 @@ def _passed(problem: Problem, front: Front, trial: Trial, last: Int[Array, ""]) 
     # On the last way, with every whisker free beyond the object: nothing can happen any more if it goes straight on.
     if not isinstance(problem.motion, Translation):
         return jnp.asarray(False)
-    onwards, at = problem.motion.direction, trial.stance
+    onwards, at = problem.motion.onwards, trial.stance
     gone = jnp.where(onwards < 0, at.x < at.left.x, at.x > at.right.x)
     beyond = (front.mode.phase == Phase.free) & (front.mode.side * onwards > 0) & gone
     return jnp.all(beyond) & (front.goal >= last) & (front.direction * onwards > 0) & (front.goal > 0)

@@ -102,7 +102,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
 
 def first_touch(problem: Problem) -> Scalar:
     """The control at which the first whisker touches, of a drive that comes along x; -+inf if none ever does."""
-    onwards = problem.motion.direction
+    onwards = problem.motion.onwards
     at = stance(problem, jnp.asarray(0.0), rest(problem, jnp.asarray(0.0)))
     first = at.right if onwards < 0 else at.left
     ahead = jnp.where(first.reaches, -onwards * (first.x - at.x), -jnp.inf)
@@ -110,7 +110,7 @@ def first_touch(problem: Problem) -> Scalar:
 
 
 def _start(problem: Problem, stops: Float[Array, " stops"]) -> Front:
-    n, onwards = problem.length.shape[0], problem.motion.direction
+    n, onwards = problem.length.shape[0], problem.motion.onwards
     if problem.motion.ends is None:
         first = first_touch(problem)
         u = jnp.where(-onwards * (stops[0] - first) > 0, stops[0], first - onwards * FIRST_STEP)

@@ -26,8 +26,6 @@ class Pose(NamedTuple):
 class AbstractMotion(eqx.Module):
     """A motion takes the drive along a curve of poses; a scan runs through it from where all whiskers are free."""
 
-    direction: eqx.AbstractVar[int]  # +1 if the control grows on the way, else -1
-
     @abc.abstractmethod
     def pose(self, control: Scalar) -> Pose:
         """The pose of the drive's frame."""
@@ -36,6 +34,11 @@ class AbstractMotion(eqx.Module):
     @abc.abstractmethod
     def ends(self) -> tuple[Scalar, Scalar] | None:
         """Controls between which a scan lies, the first one with all whiskers free; None if far away on both sides."""
+
+    @property
+    @abc.abstractmethod
+    def onwards(self) -> int:
+        """+1 if the control grows on the way, else -1."""
 
     @abc.abstractmethod
     def unit(self, length: Scalar) -> Scalar:
@@ -68,6 +71,10 @@ class Translation(AbstractMotion):
     @property
     def ends(self):
         return None
+
+    @property
+    def onwards(self):
+        return self.direction
 
     def unit(self, length):
         return length
@@ -113,6 +120,10 @@ class Rotation(AbstractMotion):
     def ends(self):
         return -self.direction * np.pi / 2, self.direction * np.pi / 2
 
+    @property
+    def onwards(self):
+        return self.direction
+
     def unit(self, length):
         del length
         return 1.0
@@ -157,6 +168,10 @@ class Motion(AbstractMotion):
     @property
     def ends(self):
         return self.start, self.stop
+
+    @property
+    def onwards(self):
+        return self.direction
 
     def unit(self, length):
         del length

@@ -102,7 +102,7 @@ def default_control(scene: Scene) -> np.ndarray:
 
 def _across(scene: Scene, way: "_Way") -> np.ndarray:
     start, stop = float(way.start), float(way.stop)
-    onwards, step = scene.motion.direction, STEP * float(units(scene).control)
+    onwards, step = scene.motion.onwards, STEP * float(units(scene).control)
     count = max(2, int(np.ceil(onwards * (stop - start) / step)) + 1)
     if count > MOST_STEPS:
         raise ValueError(
@@ -141,7 +141,7 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
     """March to all stops; with NaN for the first, right across the object."""
     dimensionless = problem(scene)
     unit = dimensionless.unit
-    capacity, onwards = _capacity(scene, stops.shape[0]), dimensionless.motion.direction
+    capacity, onwards = _capacity(scene, stops.shape[0]), dimensionless.motion.onwards
     start, end, far = _ends(dimensionless)
     across, whole = jnp.full_like(stops, far).at[0].set(start), jnp.isnan(stops[0])
     stops = jnp.where(whole, across, stops / unit.control)
@@ -164,7 +164,7 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
 
 def _ends(problem: Problem) -> tuple[Scalar, Scalar, Scalar]:
     """Where a scan begins, where it ends if nothing happens, and how far it goes on looking."""
-    onwards = problem.motion.direction
+    onwards = problem.motion.onwards
     if problem.motion.ends is not None:
         start, end = (jnp.asarray(end, dtype=float) / problem.unit.control for end in problem.motion.ends)
         return start, end, end

@@ -100,7 +100,7 @@ class Scene(eqx.Module):
         elif first.intrinsic_curvature is not None:
             material += f", kappa0 = {show(first.intrinsic_curvature)}"
         rods = "" if self.rod == Shooting() else f", {self.rod}"
-        motion = "" if isinstance(self.motion, Translation) and self.motion.direction < 0 else f", {self.motion}"
+        motion = "" if isinstance(self.motion, Translation) and self.motion.onwards < 0 else f", {self.motion}"
         return f"{self.support.name}: {', '.join(counted)}, {self.profile}{material}{rods}{motion}"
 
     __repr__ = __str__
