@@ -84,7 +84,8 @@ KINDS = {
 def drawn(ranges, count, seed):
     """Random parameters."""
     rng = np.random.default_rng(seed)
-    columns = [10 ** rng.uniform(*r, count) if isinstance(r, list) else rng.uniform(*r, count) for r in ranges]
+    columns = [rng.uniform(low, high, count) for low, high in ranges]
+    columns = [10**column if isinstance(r, list) else column for column, r in zip(columns, ranges, strict=True)]
     return jnp.asarray(np.stack(columns, axis=-1))
 
 

@@ -156,7 +156,7 @@ def test_bad_motions():
 
 
 # Stiffnesses along x, y, phi; rest lengths; mount; pivot, radius; distance and radius of the object, its tilt.
-P = jnp.array([50.0, 200.0, 20.0, 0.02, 0.03, 0.05, 0.02, 0.04, -0.1, -0.3, -0.5, 0.5, 0.85, 0.3, 0.1, 0.1, 0.7])  # fmt: skip
+P = jnp.array(np.r_[50.0, 200.0, 20.0, 0.02, 0.03, 0.05, 0.02, 0.04, -0.1, -0.3, -0.5, 0.5, 0.85, 0.3, 0.1, 0.1, 0.7])
 
 
 def observed(p):

@@ -152,7 +152,7 @@ def local(problem: Problem, z: Contacts, mode: Mode, value: Linear, gradient: Li
         own = tuple(jnp.where(mode.separate, has - wants, 0.0) for has, wants in zip(own, held, strict=True))
     particular = -(own[0][:, None] * by_y + own[1][:, None] * by_turn) / length
 
-    def of_touching(array, otherwise=0.0):
+    def of_touching(array, otherwise: float | Array = 0.0):
         return jnp.where(jnp.reshape(touching, (-1, *[1] * (array.ndim - 1))), array, otherwise)
 
     basis = of_touching(jnp.stack(columns, axis=-1) * scale[:, :, None])

@@ -159,7 +159,8 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
         # Whiskers need not come free on such a way.
         touching = jnp.any(path.nodes.phase[path.count - 1] != Phase.free)
         stop = jnp.where(touching & (path.status == Status.ok), far, stop)
-    return _Way(path, events(dimensionless, path), start * unit.control, stop * unit.control)
+    ends = jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control)
+    return _Way(path, events(dimensionless, path), *ends)
 
 
 def _ends(problem: Problem) -> tuple[Scalar, Scalar, Scalar]:

@@ -59,7 +59,8 @@ def of_straight(profile: AbstractProfile, length: Scalar, side: Scalar) -> Touch
     # Upright, it never points below the tangent of an object that ends in a wall.
     angle = jnp.arctan2(jnp.abs(at.cos), side * at.sin)
     slack = jnp.where(beyond > SHAFT_FIRST * length, beyond, -angle)
-    return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), length > profile.vertex()[1])
+    reaches = jnp.asarray(length > profile.vertex()[1])
+    return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), reaches)
 
 
 def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> Touch:
