@@ -136,7 +136,7 @@ def test_reverse_is_forward(fb):
         np.testing.assert_allclose(reverse[along], expected, rtol=MODES, atol=MODES * np.max(np.abs(expected)))
 
 
-@pytest.mark.parametrize("name", ["FBFBR", "FBFBFBR"])
+@pytest.mark.parametrize("name", ["FBFBFBR"])
 def test_networks_in_both_modes(name):
     # Steps and the positions of all events, along two directions in the space of parameters.
     def signals(p):

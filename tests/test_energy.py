@@ -17,7 +17,7 @@ QUADRATURE = 1e-7  # relative to the largest: Gauss points between two events
 COMPLIANCE = 1e-8  # relative: points along the deflected rod
 NODES = 48  # between two events
 
-MODELS = ("FB", "FBFBR", "FBFBFBR")
+MODELS = ("FB", "FBFBFBR")
 SNAPS = (jw.EventKind.snap_through, jw.EventKind.snap_off)
 CONTROL = np.linspace(0.9, -2.2, 140)
 

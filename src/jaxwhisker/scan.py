@@ -43,10 +43,11 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
 
     Args:
         scene: whiskers, object and support.
-        control: drive positions u, a length each, any spacing, reversing if you like; shape (steps,). The drive comes
-            from the right of the object, all whiskers free, to control[0] and then moves as told. Default: from just
-            before the first touch to just after the last whisker is free, in steps of 0.001 whisker lengths (while
-            traced, 2048 equal steps over that range).
+        control: drive positions u, a length each (of a Rotation angles, rad), any spacing, reversing if you like;
+            shape (steps,). The drive comes from the right of the object, or where its motion begins, all whiskers
+            free, to control[0] and then moves as told. Default: from just before the first touch to just after the
+            last whisker is free, in steps of 0.001 whisker lengths or rad (while traced, 2048 equal steps over that
+            range); to the end of the motion where whiskers do not come free.
 
     Returns:
         A Result. What fails is NaN with a status at that step: `invalid` (a parameter outside its domain), `lost`,
