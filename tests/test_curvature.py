@@ -176,3 +176,21 @@ def test_a_whisker_that_curls_round_is_refused():
     mz, status = jax.jit(jax.vmap(lambda k: (lambda r: (r.mz, r.status))(jw.scan(curved(k), CONTROL[::16]))))(kappa)
     assert np.all(status[1] == jw.Status.invalid) and np.all(np.isnan(mz[1]))
     assert np.all(status[0] == jw.Status.ok) and np.all(np.isfinite(mz[0]))
+
+
+def test_a_whisker_that_would_touch_twice_is_refused():
+    # Leaning away and then over the object, it stands out with its lower half and with its tip.
+    bent = jw.Whisker(intrinsic_curvature=Spiral(-3.0, 8.0))
+    with pytest.raises(ValueError, match=r"`intrinsic_curvature` must let .* in one place only"):
+        jw.scan(jw.Scene(bent, jw.Parabola(0.2, 10.0)), CONTROL[::16])
+    # In front of a flatter object the same whisker meets it with its tip only.
+    assert all_ok(jw.scan(jw.Scene(bent, jw.Parabola(0.2, 0.3)), CONTROL[:32:8]))
+    growth = jnp.array([8.0, 2.0])
+
+    def status(growth):
+        whisker = jw.Whisker(intrinsic_curvature=Spiral(-3.0 * growth / 8, growth))
+        return jw.scan(jw.Scene(whisker, jw.Parabola(0.2, 10.0)), CONTROL[::16]).status
+
+    found = jax.jit(jax.vmap(status))(growth)
+    assert np.all(found[0] == jw.Status.invalid)
+    assert np.all(found[1] == jw.Status.ok)

@@ -119,6 +119,10 @@ def judge(problem: Problem, front: Front, solution: Solution, stop_u: Scalar) ->
     tangent, tangent_pose = select(touches, (come, come_pose), (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
     here, there = _stances(problem, (front.point.u, front.pose), (solution.point.u, newton.pose))
+    margins_there = _margins_at(problem, front, solution.point, there, stop_u)
+    # It touches here as its contact's equations say; where that is looked up in its outline is less exact.
+    touching = touches & front.target.whisker
+    margins_there = margins_there._replace(touch=jnp.where(touching, jnp.inf, margins_there.touch))
     return Trial(
         solution,
         tangent,
@@ -126,7 +130,7 @@ def judge(problem: Problem, front: Front, solution: Solution, stop_u: Scalar) ->
         stable(problem, front.mode, newton.local),
         jnp.all(convex | free),
         here=_margins_at(problem, front, front.point, here, stop_u),
-        there=_margins_at(problem, front, solution.point, there, stop_u),
+        there=margins_there,
         stance=there,
         side=_sides(problem, front.mode, there),
     )

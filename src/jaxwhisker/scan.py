@@ -55,7 +55,8 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
 
     Raises:
         ValueError: if an argument is wrong before tracing, if the default control would be longer than a million steps
-            (springs so soft that the drive goes on for a thousand lengths), or JAX is in float32 mode.
+            (springs so soft that the drive goes on for a thousand lengths), if a whisker is so curved that it would
+            touch in two places, or JAX is in float32 mode.
 
     Goes through jax.jit, vmap and derivatives, first and second, in both modes, by every numeric field of the scene and
     by the control: of signals, states and the events' positions. Derivatives are those of the step's own branch, at
@@ -78,6 +79,12 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     leaves, structure = jax.tree.flatten(scene)
     _compile(structure, tuple(leaf.shape if _checks.is_numeric(leaf) else leaf for leaf in leaves), stops.size)
     way = _travelled_now(scene, jnp.asarray(stops), jnp.asarray(last))
+    if way.path.status == Status.invalid:
+        # All else that is wrong with a scene its constructors have told.
+        raise ValueError(
+            "`intrinsic_curvature` must let an unloaded whisker stand out towards the object in one place only, but "
+            "there are two, in both of which it would touch."
+        )
     if control is None:
         control = _across(scene, way)
     # Blocks of one size: one compilation serves scans of every length.

@@ -191,6 +191,9 @@ def problem(scene: Scene) -> Problem:
     else:
         outline = outlines(scene.whiskers, length, section)
         right, left = jax.vmap(lambda *own: touch.of_both(profile, *own))(length, outline, height, angle)
+        if any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers):
+            twice = jax.vmap(lambda *own: touch.in_two_places(profile, *own))(outline, height, angle)
+            valid &= ~jnp.any(twice)
     return Problem(
         length, stiffness, section, profile, scene.rod, scene.motion, flexibility, mount, outline, right, left, valid,
         unit,

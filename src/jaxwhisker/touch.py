@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker import rod
 from jaxwhisker._types import Scalar
-from jaxwhisker.profile import AbstractProfile, ContactPoint
+from jaxwhisker.profile import AbstractProfile, ContactPoint, FirstTouch
 from jaxwhisker.whisker import Section
 
 SHAFT_FIRST = 1e-12  # share of the length that must stand above the first contact to call it tangential
@@ -63,6 +63,36 @@ def of_straight(profile: AbstractProfile, length: Scalar, side: Scalar) -> Touch
     return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), reaches)
 
 
+class _Approach(NamedTuple):
+    # Points of a whisker with its base at x = 0, and how far each is ahead of the rest of it as it comes along x.
+    x: Float[Array, " points"]
+    y: Float[Array, " points"]
+    cos: Float[Array, " points"]
+    sin: Float[Array, " points"]
+    touch: FirstTouch
+    ahead: Float[Array, " points"]  # -inf of those that are too low
+
+
+def _approach(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> _Approach:
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    x, y = own.x * cos - own.y * sin, y + own.x * sin + own.y * cos
+    touch = jax.vmap(lambda height: profile.first_touch(height, side))(y)
+    meets = (y > profile.vertex()[1]) & (jnp.abs(touch.y - y) < SAME_HEIGHT)
+    ahead = jnp.where(meets, side * (touch.x - x), -jnp.inf)
+    return _Approach(x, y, own.cos * cos - own.sin * sin, own.sin * cos + own.cos * sin, touch, ahead)
+
+
+def in_two_places(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar) -> Bool[Array, ""]:
+    """Whether a whisker that comes along x stands out towards the object in more than one place, from either side."""
+
+    def dips(side):
+        ahead = _approach(profile, own, y, angle, side).ahead
+        before, after = jax.lax.cummax(ahead), jax.lax.cummax(ahead, reverse=True)
+        return jnp.any(jnp.isfinite(ahead) & (jnp.minimum(before, after) - ahead > SAME_HEIGHT))
+
+    return dips(1.0) | dips(-1.0)
+
+
 def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> Touch:
     """The first touch of a whisker with its base at height y, turned by an angle: with its tip or along its shaft.
 
@@ -70,15 +100,11 @@ def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, an
     guess for what is solved with the equations of a contact: exact to some 1e-10, without derivatives.
     """
     profile, length, own, y, angle = jax.lax.stop_gradient((profile, length, own, y, angle))
-    lean_cos, lean_sin = jnp.cos(angle), jnp.sin(angle)
-    xs, ys = own.x * lean_cos - own.y * lean_sin, y + own.x * lean_sin + own.y * lean_cos
-    coses, sines = own.cos * lean_cos - own.sin * lean_sin, own.sin * lean_cos + own.cos * lean_sin
-    touch = jax.vmap(lambda height: profile.first_touch(height, side))(ys)
-    meets = (ys > profile.vertex()[1]) & (jnp.abs(touch.y - ys) < SAME_HEIGHT)
-    k = jnp.argmax(jnp.where(meets, side * (touch.x - xs), -jnp.inf))
+    xs, ys, coses, sines, touch, ahead = _approach(profile, own, y, angle, side)
+    k, reaches = jnp.argmax(ahead), jnp.any(jnp.isfinite(ahead))
     at = profile.point(touch.parameter[k])
     # What bends it is the way from which its base comes across the whisker.
-    across = side * (at.sin * lean_cos - at.cos * lean_sin)
+    across = side * (at.sin * jnp.cos(angle) - at.cos * jnp.sin(angle))
     bends_to = jnp.where(across < 0, -side, side)
     tip_angle = _angle(coses[k], sines[k], at, bends_to)
     tip = (k == POINTS - 1) & (tip_angle > 0)
@@ -112,10 +138,10 @@ def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, an
     return jax.lax.stop_gradient(
         Touch(
             jnp.where(tip, touch.parameter[k], parameter),
-            jnp.where(jnp.any(meets), jnp.where(tip, touch.x[k] - xs[k], at.x - shaft_x), profile.vertex()[0] - xs[-1]),
+            jnp.where(reaches, jnp.where(tip, touch.x[k] - xs[k], at.x - shaft_x), profile.vertex()[0] - xs[-1]),
             jnp.where(tip, -tip_angle, length * (1 - cell / (POINTS - 1))),
             jnp.where(tip, bends_to, along),
-            jnp.any(meets),
+            reaches,
         )
     )
 
