@@ -143,8 +143,18 @@ def test_starting_inside_the_object_is_lost():
     assert np.all(np.isnan(result.mz))
 
 
+def test_a_motion_that_is_none_is_no_result():
+    motion = jw.Motion(Wave(np.nan, 0.0), 0.0, 3.0)
+    scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), follicle(x=70.0), motion=motion)
+    result = jw.scan(scene, np.linspace(0.0, 2.5, 8))
+    assert np.all(result.status != jw.Status.ok)
+    assert np.all(np.isnan(result.mz)) and np.all(np.isnan(result.base_y))
+
+
 @pytest.mark.unchecked
 def test_bad_motions():
+    with pytest.raises(ValueError, match="`function` must take the control to"):
+        jw.Motion(3.0, 0.0, 1.0)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="`direction` must be -1 or 1, but is 0"):
         jw.Translation(0)
     with pytest.raises(ValueError, match="`pivot` must be a pair of numbers"):

@@ -154,6 +154,8 @@ class Motion(AbstractMotion):
     direction: int = eqx.field(static=True)
 
     def __init__(self, function: Callable, start: float, stop: float):
+        if not callable(function):
+            raise ValueError(f"`function` must take the control to (x, y, angle), but is {function!r}.")
         _checks.number("start", start)
         _checks.number("stop", stop)
         if float(start) == float(stop):
@@ -162,8 +164,10 @@ class Motion(AbstractMotion):
         self.direction = 1 if float(stop) > float(start) else -1
 
     def pose(self, control):
-        x, y, angle = (jnp.asarray(value, dtype=float) for value in self.function(control))
-        return Pose(x, y, angle)
+        pose = tuple(self.function(control))
+        if len(pose) != len(Pose._fields):
+            raise ValueError(f"`function` must return x, y and angle, but returned {len(pose)} values.")
+        return Pose(*(jnp.asarray(value, dtype=float) for value in pose))
 
     @property
     def ends(self):

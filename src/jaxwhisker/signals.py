@@ -54,7 +54,11 @@ def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State
         contact_y=of_touching(base.contact_y) * unit.length,
         phase=mode.phase,
     )
-    return state, jnp.max(jnp.where(touching, misses, 0.0))
+    missed = jnp.max(jnp.where(touching, misses, 0.0))
+    if problem.mount is None:
+        return state, missed
+    # A motion of one's own may be none somewhere; free whiskers have no equation that would miss it.
+    return state, jnp.where(jnp.all(jnp.isfinite(jnp.stack(here))), missed, jnp.inf)
 
 
 def _event_row(node: Node) -> Row:

@@ -178,6 +178,8 @@ class Whisker(eqx.Module):
             raise ValueError(f"`row` must be one of {', '.join(ROWS)}, but is {row!r}.")
         if not isinstance(column, int) or not 0 <= column <= COLUMNS[row]:
             raise ValueError(f"`column` must be an int from 0 to {COLUMNS[row]} in row {row}, but is {column!r}.")
+        if length is not None:
+            _checks.number("length", length, positive=True)
         r, c = ROWS.index(row) + 1, column
         arc = 43 + 1.8 * r - 7.6 * c if length is None else length * 1e3
         base = 0.041 + 0.002 * arc + 0.011 * r - 0.0039 * c
