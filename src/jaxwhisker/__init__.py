@@ -1,16 +1,24 @@
 """jaxwhisker: exact, fast, differentiable scans with artificial tactile whiskers."""
 
 from jaxwhisker.contact import Phase
+from jaxwhisker.contour import Contour
 from jaxwhisker.deflect import Deflection, PointForce, PointMoment, deflect
 from jaxwhisker.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker.energy import stored_energy
+from jaxwhisker.fit_contour import ContourFit, fit_contour
+from jaxwhisker.fit_profile import ProfileFit, fit_profile
+from jaxwhisker.fit_status import FitStatus
+from jaxwhisker.identify import Fit, Information, design, identify, information
 from jaxwhisker.motion import AbstractMotion, Motion, Rotation, Translation
 from jaxwhisker.path import EventKind, Status
 from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
+from jaxwhisker.reconstruct import reconstruct
+from jaxwhisker.reconstruction import PointStatus, Reconstruction
 from jaxwhisker.result import Event, Events, Result, State
 from jaxwhisker.rod import Splitting
 from jaxwhisker.scan import scan
 from jaxwhisker.scene import Scene
+from jaxwhisker.sensor import Sensor
 from jaxwhisker.shape import Shapes, shapes
 from jaxwhisker.spring import Spring
 from jaxwhisker.study import study, summary
@@ -24,21 +32,30 @@ __all__ = [
     "AbstractRod",
     "Circle",
     "ClosedForm",
+    "Contour",
+    "ContourFit",
     "Deflection",
     "Ellipse",
     "Event",
     "EventKind",
     "Events",
+    "Fit",
+    "FitStatus",
     "Graph",
+    "Information",
     "Motion",
     "Mount",
     "Parabola",
     "Phase",
     "PointForce",
     "PointMoment",
+    "PointStatus",
+    "ProfileFit",
+    "Reconstruction",
     "Result",
     "Rotation",
     "Scene",
+    "Sensor",
     "Shapes",
     "Shooting",
     "Splitting",
@@ -50,6 +67,12 @@ __all__ = [
     "Translation",
     "Whisker",
     "deflect",
+    "design",
+    "fit_contour",
+    "fit_profile",
+    "identify",
+    "information",
+    "reconstruct",
     "scan",
     "shapes",
     "stored_energy",

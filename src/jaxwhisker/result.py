@@ -65,6 +65,7 @@ class Events(eqx.Module):
     kind: Int[Array, " events"]  # EventKind; -1 beyond count
     whiskers: Bool[Array, "events whiskers"]
     control: Float[Array, " events"]  # NaN beyond count
+    travel: Float[Array, " events"]  # way of the drive since the first step; no derivatives
     before: State  # fields (events, whiskers)
     after: State
     count: Int[Array, ""]

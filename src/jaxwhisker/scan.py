@@ -197,6 +197,24 @@ def along(scene: Scene, control: Float[Array, " steps"], stops: Float[Array, " s
     return _finished(scene, control, _travelled(scene, stops, last))
 
 
+class Ways:
+    """The way of a traced scene: its events, and the signals wherever the drive passes.
+
+    For whoever fits scans. With NaN for the first stop the way leads right across the object, and begins at `start`.
+    """
+
+    def __init__(self, scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]):
+        self._scene, self._way = scene, _travelled(scene, stops, last)
+        self.events, self.start, self.status = self._way.events, self._way.start, self._way.path.status
+
+    def signals(
+        self, control: Float[Array, " steps"], travel: Float[Array, " steps"]
+    ) -> tuple[Float[Array, "steps whiskers 3"], Bool[Array, " steps"]]:
+        """Reactions fx, fy, mz at controls that the drive passes after `travel`, and whether they are ok."""
+        state, _, status = _steps(self._scene, self._way.path, control, travel)
+        return jnp.stack([state.fx, state.fy, state.mz], axis=-1), status == Status.ok
+
+
 def _finished(scene: Scene, control: Float[Array, " steps"], way: "_Way") -> Result:
     travel = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
     return _result(scene, way, control, *_steps(scene, way.path, control, travel))

@@ -135,6 +135,7 @@ def events(problem: Problem, path: Path) -> Events:
         kind=jnp.where(filled, node.kind, -1),
         whiskers=node.whiskers & filled[:, None],
         control=filled_with(control),
+        travel=filled_with(jax.lax.stop_gradient(node.travel) * problem.unit.control),
         before=jax.tree.map(filled_with, before),
         after=jax.tree.map(filled_with, after),
         count=count,

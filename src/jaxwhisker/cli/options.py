@@ -65,6 +65,27 @@ def check_picture(path: Path | None) -> None:
         raise UsageError(f"--plot must end with .png, .pdf, .svg or another format of matplotlib, but is {path}.")
 
 
+def add_sensor(command: argparse.ArgumentParser) -> None:
+    """Add the options of whiskers and springs."""
+    add = command.add_argument_group("whiskers and springs").add_argument
+    add("--model", type=model, default="FB", metavar="NAME", help=f"{', '.join(MODELS)} (default: %(default)s)")
+    add(
+        "--stiffness",
+        type=numbers,
+        metavar="C[,C...]",
+        help="stiffness of all springs, or of each, in the order c1, c2, ...; inf is a rigid link (default: 70)",
+    )
+    add(
+        "--rest-length",
+        type=numbers,
+        metavar="L[,L...]",
+        help="rest length of each spring of the row, or one per spring, feedback included; one number gives a feedback "
+        "spring the sum of those that it spans (default: 0.2)",
+    )
+    add("--length", type=number, default=1.0, metavar="L", help="length of the whiskers (default: %(default)s)")
+    add("--bending-stiffness", type=number, default=1.0, metavar="EI", help="of the whiskers (default: %(default)s)")
+
+
 def add_object(command: argparse.ArgumentParser, kind) -> None:
     """Add the options of the object, whose values are of some kind."""
     add = command.add_argument_group("object").add_argument

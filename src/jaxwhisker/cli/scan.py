@@ -6,20 +6,18 @@ from pathlib import Path
 import numpy as np
 
 from jaxwhisker.cli.options import (
-    MODELS,
     NOT_ALL_OK,
     OK,
     PROFILES,
     UsageError,
     add_drive,
     add_object,
+    add_sensor,
     check_drive,
     check_picture,
     check_springs,
     check_writable,
-    model,
     number,
-    numbers,
     positions,
     shape_of,
 )
@@ -63,23 +61,7 @@ def add(commands) -> None:
         epilog=END,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add = command.add_argument_group("whiskers and springs").add_argument
-    add("--model", type=model, default="FB", metavar="NAME", help=f"{', '.join(MODELS)} (default: %(default)s)")
-    add(
-        "--stiffness",
-        type=numbers,
-        metavar="C[,C...]",
-        help="stiffness of all springs, or of each, in the order c1, c2, ...; inf is a rigid link (default: 70)",
-    )
-    add(
-        "--rest-length",
-        type=numbers,
-        metavar="L[,L...]",
-        help="rest length of each spring of the row, or one per spring, feedback included; one number gives a feedback "
-        "spring the sum of those that it spans (default: 0.2)",
-    )
-    add("--length", type=number, default=1.0, metavar="L", help="length of the whiskers (default: %(default)s)")
-    add("--bending-stiffness", type=number, default=1.0, metavar="EI", help="of the whiskers (default: %(default)s)")
+    add_sensor(command)
     add_object(command, number)
     add_drive(command)
     add = command.add_argument_group("output").add_argument

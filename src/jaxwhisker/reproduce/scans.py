@@ -120,7 +120,9 @@ def _result(data: "xr.Dataset", scene: Scene) -> Result:
 
     before, after = (State(**of(State.__dataclass_fields__, side)) for side in ("before_", "after_"))
     whiskers = jnp.asarray(data.event_whisker.values)
-    events = Events(**of(("kind", "control", "count"), "event_"), whiskers=whiskers, before=before, after=after)
+    told = of(("kind", "control", "count"), "event_")
+    travel = jnp.abs(told["control"] - jnp.asarray(data.control.values)[0])
+    events = Events(**told, travel=travel, whiskers=whiskers, before=before, after=after)
     signals = of([*State.__dataclass_fields__, "control", "spring_length", "status"])
     return Result(**signals, events=events, scene=scene)
 

@@ -1,0 +1,185 @@
+"""The joint fit: a contour of any strictly convex shape, and what is not known of the sensor, from all signals at once.
+
+Points that are reconstructed one by one are as noisy as their signals, and weak contacts tell next to nothing. A whole
+scan tells more: it has to be the scan of one contour. That is identification (identify) with the contour's radii of
+curvature for parameters; points (reconstruct) are where it starts.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxwhisker.contour import Contour
+from jaxwhisker.fit_profile import fit_profile
+from jaxwhisker.identify.fit import Fit
+from jaxwhisker.identify.run import identify
+from jaxwhisker.measured import measured_of
+from jaxwhisker.profile import AbstractProfile
+from jaxwhisker.reconstruct import reconstruct
+from jaxwhisker.scene import Scene
+from jaxwhisker.sensor import Sensor
+
+GRID = 0.1  # rad, to which knots are rounded: alike contours need no other code
+OWN = "radius_"  # names of the contour's parameters among those of the fit
+
+
+class Band(NamedTuple):
+    """Points of a contour, and how exactly it is known across."""
+
+    slope: Float[np.ndarray, " slopes"]
+    x: Float[np.ndarray, " slopes"]
+    y: Float[np.ndarray, " slopes"]
+    error: Float[np.ndarray, " slopes"]  # standard error along the normal, a length; NaN where it is not known
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ContourFit:
+    """A contour fitted to all signals at once, with what was unknown of the sensor."""
+
+    profile: Contour
+    fit: Fit  # its parameters are the unknown ones, `distance`, `position`, and a radius of curvature per knot
+    sensor: Sensor  # with the fitted parameters
+
+    def band(self, slopes: Any = None) -> Band:
+        """The contour at slope angles (default: 101 between its outermost knots), with its standard error.
+
+        Errors come from the noise and from whatever was fitted along; NaN where the data do not tell.
+        """
+        knots = self.profile.slopes
+        at = np.linspace(knots[0], knots[-1], 101) if slopes is None else np.asarray(slopes, dtype=float)
+        own = [name for name in self.fit.names if name in ("distance", "position") or name.startswith(OWN)]
+        pick = [self.fit.names.index(name) for name in own]
+        values = jnp.array([self.fit.estimates[name] for name in own])
+        x, y, by = _across(knots, values, jnp.asarray(at))
+        covariance = self.fit.covariance[np.ix_(pick, pick)]
+        variance = np.einsum("si,ij,sj->s", np.asarray(by), covariance, np.asarray(by))
+        return Band(at, np.asarray(x), np.asarray(y), np.sqrt(variance))
+
+    def __str__(self) -> str:
+        return str(self.fit)
+
+    __repr__ = __str__
+
+
+class _Known(NamedTuple):
+    """A sensor of which nothing is sought."""
+
+    leaves: tuple
+    structure: Any
+
+    def __call__(self) -> Sensor:
+        return jax.tree.unflatten(self.structure, self.leaves)
+
+
+class _Before(NamedTuple):
+    """Builds the scene of a sensor and a contour; equal ones share what was compiled."""
+
+    sensor: Callable[..., Sensor | Scene]
+    known: tuple[tuple[str, float], ...]
+    slopes: tuple[float, ...]
+
+    def __call__(self, distance, position, **values) -> Scene:
+        radii = [values.pop(f"{OWN}{k}") for k in range(len(self.slopes))]
+        contour = _contour(self.slopes, distance, position, radii)
+        return _sensor(self.sensor(**dict(self.known), **values)).before(contour)
+
+
+def fit_contour(
+    measured: Any,
+    sensor: Sensor | Scene | Callable[..., Sensor | Scene],
+    *,
+    sigma: Any = None,
+    parameters: Mapping[str, float] | None = None,
+    unknown: Sequence[str] = (),
+    knots: int | Sequence[float] = 9,
+    guess: AbstractProfile | None = None,
+) -> ContourFit:
+    """Find the contour whose scan the signals are, together with unknown parameters of the sensor.
+
+    Args:
+        measured: as of `identify`.
+        sensor: as of `reconstruct`: a Sensor, or a function of named parameters.
+        sigma: standard deviation of the noise, as of `identify`.
+        parameters: of the function, with their values; of the unknown ones first guesses.
+        unknown: names of those that are fitted, too.
+        knots: at how many slope angles there is a radius of curvature; more follow finer shapes, and more noise. Or
+            these angles, rad: fits of equal ones share what was compiled.
+        guess: a profile to start from. Default: one fitted to the reconstructed points.
+
+    Raises:
+        ValueError: if an argument is not of that kind.
+    """
+    values = {str(name): float(value) for name, value in (parameters or {}).items()}
+    for name in unknown:
+        if name not in values:
+            raise ValueError(f"`unknown` must name some of `parameters` ({', '.join(values)}), but one is {name!r}.")
+    if isinstance(knots, bool) or (isinstance(knots, int) and knots < 2):
+        raise ValueError(f"`knots` must be an int of at least 2, or slope angles, but is {knots!r}.")
+    make = sensor if not isinstance(sensor, (Sensor, Scene)) else _fixed(_sensor(sensor))
+    known = _sensor(make(**values))
+    noise = sigma
+    if sigma is None:
+        data = measured_of(measured, None, whiskers=len(known.whiskers))
+        noise = _noise(data)
+    points = reconstruct(measured, known, sigma=noise)
+    slopes = _knots(np.asarray(points.slope)[points.clear], knots) if isinstance(knots, int) else tuple(knots)
+    if guess is None:
+        guess = fit_profile(points, Contour, knots=np.array(slopes)).profile
+    start = guess if isinstance(guess, Contour) and guess.slopes == slopes else Contour.like(guess, slopes)
+    x, y = start.vertex()
+    first = {name: values[name] for name in unknown} | {"distance": float(y), "position": float(x)}
+    first |= {f"{OWN}{k}": float(np.exp(v)) for k, v in enumerate(np.asarray(start.log_radius))}
+    build = _Before(make, tuple((n, v) for n, v in values.items() if n not in unknown), slopes)
+    fit = identify(build, first, measured, sigma=sigma, starts=0, near=True)
+    radii = [fit.estimates[f"{OWN}{k}"] for k in range(len(slopes))]
+    profile = _contour(slopes, fit.estimates["distance"], fit.estimates["position"], radii)
+    fitted = make(**{**values, **{name: fit.estimates[name] for name in unknown}})
+    return ContourFit(profile, fit, _sensor(fitted))
+
+
+def _contour(slopes: tuple[float, ...], distance, position, radii) -> Contour:
+    return Contour(distance, jnp.log(jnp.stack([jnp.asarray(r, dtype=float) for r in radii])), slopes, position)
+
+
+def _sensor(found: Sensor | Scene) -> Sensor:
+    if not isinstance(found, (Sensor, Scene)):
+        raise ValueError(f"`sensor` must be a Sensor, or a function that returns one, but is {found!r}.")
+    return Sensor.of(found) if isinstance(found, Scene) else found
+
+
+def _fixed(sensor: Sensor) -> _Known:
+    leaves, structure = jax.tree.flatten(sensor)
+    return _Known(tuple(float(leaf) for leaf in leaves), structure)
+
+
+def _noise(data: Any) -> dict[str, float]:
+    from jaxwhisker.identify.features import noise_of, peaks
+
+    rough = np.maximum(noise_of(data), 1e-9 * peaks(data))
+    return dict(zip(("fx", "fy", "mz"), rough.tolist(), strict=True))
+
+
+def _knots(slopes: Float[np.ndarray, " points"], count: int) -> tuple[float, ...]:
+    if slopes.size < count:
+        raise ValueError(f"`measured` must show at least {count} contacts clear of the noise, but shows {slopes.size}.")
+    low, high = np.quantile(slopes, [0.02, 0.98])
+    low, high = GRID * np.ceil(low / GRID), GRID * np.floor(high / GRID)
+    if not high > low:
+        raise ValueError(f"`measured` must show contacts of different slopes, but shows {low:.3g} to {high:.3g} rad.")
+    return tuple(np.linspace(low, high, count).round(12).tolist())
+
+
+@eqx.filter_jit
+def _across(slopes: tuple[float, ...], values, at):
+    def position(values):
+        found = jax.vmap(_contour(slopes, values[0], values[1], list(values[2:])).tabulated().point)(at)
+        return found.x * jnp.sin(at) - found.y * jnp.cos(at), (found.x, found.y)
+
+    by, (x, y) = jax.jacfwd(position, has_aux=True)(values)
+    return x, y, by

@@ -1,0 +1,14 @@
+"""How a fit ended."""
+
+from enum import IntEnum
+
+
+class FitStatus(IntEnum):
+    """How a fit ended; only one that ended `ok` has standard errors."""
+
+    ok = 0
+    implausible = 1  # noise does not explain the misfit: another scene, another minimum, or too small a sigma
+    not_converged = 2  # the least-squares solver did not come to an end
+    at_bound = 3  # a parameter ended at its bound
+    failed = 4  # the scene could not be scanned there
+    undetermined = 5  # the data do not tell all parameters of a profile

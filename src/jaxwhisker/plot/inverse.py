@@ -1,0 +1,129 @@
+"""Pictures of what signals tell: fits beside what was measured, information along a scan, reconstructed contours."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from jaxwhisker.measured import CHANNELS
+from jaxwhisker.plot.scans import COLOURS
+
+if TYPE_CHECKING:
+    from jaxwhisker.fit_contour import ContourFit
+    from jaxwhisker.identify import Fit, Information
+    from jaxwhisker.profile import AbstractProfile
+    from jaxwhisker.reconstruction import Reconstruction
+
+BAND = 1.959964  # standard deviations that hold 95 %
+_GREY = "#777777"
+
+
+def fit(fit: "Fit", *, axs: Sequence[Axes] | None = None) -> np.ndarray:
+    """Draw measured signals (dots) and those of the fit (lines), one Axes a measured channel, in the data's units.
+
+    Args:
+        fit: of `identify`.
+        axs: where to draw, one per measured channel; a new figure by default.
+    """
+    measured = fit.measured
+    channels = [c for c in range(len(CHANNELS)) if measured.known[:, :, c].any()]
+    axes = _column(axs, len(channels))
+    for ax, c in zip(axes, channels, strict=True):
+        for k in range(measured.values.shape[1]):
+            colour = COLOURS[k % len(COLOURS)]
+            ax.plot(measured.control, measured.values[:, k, c], ".", color=colour, markersize=2, alpha=0.4)
+            ax.plot(measured.control, fit.signals[:, k, c], color=colour, linewidth=1, label=f"whisker {k + 1}")
+        ax.set_ylabel(f"{CHANNELS[c]}")
+    axes[-1].set_xlabel("control")
+    if measured.values.shape[1] > 1:
+        axes[0].legend(frameon=False)
+    axes[0].set_title("measured (dots) and fitted" + ("" if fit.status == 0 else f": {fit.status.name}"), fontsize=9)
+    _onwards(axes, measured.control)
+    return axes
+
+
+def information(information: "Information", *, ax: Axes | None = None) -> Axes:
+    """Draw where along the scan the signals know about each parameter: the share of its information that has come in.
+
+    A steep line is where the signals tell most; grey lines are events.
+
+    Args:
+        information: of `jw.information`.
+        ax: where to draw; a new figure by default.
+    """
+    (axes,) = _column(None if ax is None else [ax], 1)
+    for k, name in enumerate(information.names):
+        gained = np.cumsum(information.density[:, k])
+        if gained[-1] > 0:
+            axes.plot(information.control, gained / gained[-1], color=COLOURS[k % len(COLOURS)], label=name)
+    for event in information.events:
+        axes.axvline(event.control, color=_GREY, linewidth=0.5, zorder=0)
+    axes.set_xlabel("control")
+    axes.set_ylabel("share of the information so far")
+    axes.legend(frameon=False)
+    _onwards([axes], information.control)
+    return axes
+
+
+def contour(
+    found: "Reconstruction | ContourFit", *, profile: "AbstractProfile | None" = None, ax: Axes | None = None
+) -> Axes:
+    """Draw reconstructed points, or a fitted contour with its 95 % band, equal scales on both axes.
+
+    Args:
+        found: of `reconstruct` (points clear of the noise are drawn, with bars across the contour) or `fit_contour`.
+        profile: drawn beside it: the object, where it is known, or one that was fitted to points.
+        ax: where to draw; a new figure by default.
+    """
+    (axes,) = _column(None if ax is None else [ax], 1)
+    if hasattr(found, "band") and callable(found.band):
+        band = found.band()
+        across = BAND * band.error * np.array([[1.0], [-1.0]])
+        x_out, x_in = band.x + across * np.sin(band.slope)
+        y_out, y_in = band.y - across * np.cos(band.slope)
+        axes.fill(np.append(x_out, x_in[::-1]), np.append(y_out, y_in[::-1]), color=COLOURS[0], alpha=0.25, linewidth=0)
+        axes.plot(band.x, band.y, color=COLOURS[0], label="fitted, 95 % band")
+        ends = band.slope[[0, -1]]
+    else:
+        x, y, slope, error = (np.asarray(v) for v in (found.x, found.y, found.slope, found.normal_error))
+        clear = np.asarray(found.clear)
+        for k in range(x.shape[1]):
+            own, colour = clear[:, k], COLOURS[k % len(COLOURS)]
+            reach = BAND * np.nan_to_num(error[own, k]) * np.array([[1.0], [-1.0]])
+            bars_x, bars_y = x[own, k] + reach * np.sin(slope[own, k]), y[own, k] - reach * np.cos(slope[own, k])
+            axes.plot(bars_x, bars_y, color=colour, linewidth=0.5, alpha=0.3)
+            axes.plot(x[own, k], y[own, k], ".", color=colour, markersize=2.5, label=f"whisker {k + 1}")
+        ends = np.quantile(slope[clear], [0.02, 0.98]) if clear.any() else np.array([-1.0, 1.0])
+    if profile is not None:
+        at = [profile.point(p) for p in _parameters(profile, ends)]
+        axes.plot([float(p.x) for p in at], [float(p.y) for p in at], color="black", linewidth=0.8, label=str(profile))
+    axes.set_aspect("equal")
+    axes.set_xlabel("x")
+    axes.set_ylabel("y")
+    axes.legend(frameon=False)
+    return axes
+
+
+def _parameters(profile: Any, slopes: np.ndarray) -> np.ndarray:
+    """Parameters of a profile between two slope angles."""
+    low, high = profile.ends()
+    grid = np.linspace(float(low), float(high), 2001)
+    points = [profile.point(p) for p in grid]
+    angles = np.array([np.arctan2(float(p.sin), float(p.cos)) for p in points])
+    return grid[(angles >= slopes[0]) & (angles <= slopes[1])]
+
+
+def _column(axs: Sequence[Axes] | None, count: int) -> np.ndarray:
+    if axs is not None:
+        return np.atleast_1d(np.asarray(axs, dtype=object))
+    from matplotlib import pyplot
+
+    return pyplot.subplots(count, 1, sharex=True, squeeze=False, layout="constrained")[1][:, 0]
+
+
+def _onwards(axes: Sequence[Axes], control: np.ndarray) -> None:
+    """Time runs to the right, as in all pictures of scans."""
+    if control[-1] < control[0]:
+        for ax in axes:
+            ax.set_xlim(float(np.max(control)), float(np.min(control)))

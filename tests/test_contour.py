@@ -1,0 +1,129 @@
+"""Contours by their radius of curvature: points, vertex, first touch, scans, derivatives."""
+
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
+
+import jaxwhisker as jw
+from jaxwhisker.contour import Contour
+from scenes import all_ok
+
+EXACT = 1e-12  # rounding, of a circle, whose radius every spline tells
+QUADRATURE = 1e-11  # of the radius: the interpolant between nodes
+CIRCLE = 1e-9  # of signals: what Newton leaves
+PARABOLA = 1e-4  # of signals' peaks: log rho = -3 log cos(alpha) by a spline through 16 knots
+DIFFERENCE = 1e-5
+DIFFERENCES = 1e-5  # central differences, relative: steps of a scan pass a change of phase between the two
+MODES = 1e-9
+KNOTS = tuple(np.linspace(-1.2, 1.2, 16))
+CONTROL = np.linspace(0.9, -1.7, 131)
+
+
+def quadrature(contour, slope):
+    """x and y relative to the vertex, by scipy."""
+    spline = CubicSpline(contour.slopes, np.asarray(contour.log_radius))
+    low, high = sorted([0.0, slope])
+    ends = [low, *[k for k in contour.slopes if low < k < high], high]
+
+    def along(function):
+        pieces = pairwise(ends)
+        return np.sign(slope) * sum(
+            quad(lambda a: np.exp(spline(a)) * function(a), *p, epsabs=1e-14)[0] for p in pieces
+        )
+
+    return along(np.cos), along(np.sin)
+
+
+def test_a_constant_radius_is_a_circle():
+    contour, circle = Contour.like(jw.Circle(0.2, 0.7, -0.1), KNOTS), jw.Circle(0.2, 0.7, -0.1)
+    slopes = jnp.linspace(-1.57, 1.57, 201)
+    ours, exact = (jax.vmap(profile.point)(slopes) for profile in (contour, circle))
+    for found, expected in zip(ours, exact, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=EXACT)
+    assert contour.vertex() == pytest.approx(circle.vertex(), abs=EXACT)
+    for side in (1.0, -1.0):
+        for height in (0.5, 0.85):
+            found, expected = (profile.first_touch(height, side) for profile in (contour, circle))
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+    higher = contour.first_touch(1.5, 1.0)
+    assert abs(higher.x - 0.6) < EXACT and abs(higher.y - 0.9) < 1e-5
+
+
+@pytest.mark.parametrize("slope", [-1.15, -0.3, 0.01, 0.7, 1.19])
+def test_points_are_the_integrals(slope):
+    contour = Contour.like(jw.Parabola(0.2, 1.0, 0.3), KNOTS)
+    x, y = quadrature(contour, slope)
+    at = contour.point(slope)
+    radius = float(contour.radius(slope))
+    assert abs(at.x - 0.3 - x) < QUADRATURE * radius
+    assert abs(at.y - 0.2 - y) < QUADRATURE * radius
+    np.testing.assert_allclose([at.cos, at.sin], [np.cos(slope), np.sin(slope)], atol=EXACT)
+
+
+def test_the_vertex_may_lie_beyond_the_knots():
+    contour = Contour(0.3, np.zeros(3), (0.2, 0.5, 0.9), 0.1)
+    at, circle = contour.point(-0.7), jw.Circle(0.3, 1.0, 0.1).point(-0.7)
+    np.testing.assert_allclose(at, circle, atol=EXACT)
+
+
+def test_other_units():
+    contour = Contour.like(jw.Parabola(0.2), KNOTS)
+    at, small = contour.point(0.6), contour.in_unit(10.0).point(0.6)
+    np.testing.assert_allclose([small.x, small.y], [at.x / 10, at.y / 10], atol=EXACT)
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return jax.jit(lambda contour: jw.scan(jw.Scene(jw.Whisker(), contour, jw.Support.fb(70.0)), CONTROL))
+
+
+@pytest.mark.parametrize(("profile", "error"), [(jw.Circle(0.3, 1.0), CIRCLE), (jw.Parabola(0.2), PARABOLA)])
+def test_scans(scan, profile, error):
+    found = scan(Contour.like(profile, KNOTS))
+    exact = jw.scan(jw.Scene(jw.Whisker(), profile, jw.Support.fb(70.0)), CONTROL)
+    assert all_ok(found)
+    for name in ("fx", "fy", "mz"):
+        expected = np.asarray(getattr(exact, name))
+        assert np.max(np.abs(getattr(found, name) - expected)) < error * np.max(np.abs(expected)), name
+
+
+def test_derivatives(scan):
+    contour = Contour.like(jw.Parabola(0.2), KNOTS)
+
+    def signal(log_radius):
+        return jnp.sum(scan(Contour(0.2, log_radius, KNOTS)).mz ** 2)
+
+    def touch(log_radius):
+        return Contour(0.2, log_radius, KNOTS).first_touch(1.0, 1.0).x
+
+    direction = jnp.asarray(np.random.default_rng(3).standard_normal(len(KNOTS)))
+    for function in (touch, signal):
+        forward = jax.jvp(function, (contour.log_radius,), (direction,))[1]
+        ends = [function(contour.log_radius + h * direction) for h in (DIFFERENCE, -DIFFERENCE)]
+        difference = (ends[0] - ends[1]) / (2 * DIFFERENCE)
+        assert abs(forward - difference) < DIFFERENCES * abs(difference)
+    reverse = jnp.sum(jax.grad(touch)(contour.log_radius) * direction)
+    assert abs(reverse - jax.jvp(touch, (contour.log_radius,), (direction,))[1]) < MODES * abs(reverse)
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ((-0.1, [0.0, 0.0], (0.0, 1.0)), "distance"),
+        ((0.1, [0.0, 0.0], (1.0, 0.0)), "slopes"),
+        ((0.1, [0.0, 0.0], (0.0, 1.6)), "slopes"),
+        ((0.1, [0.0], (0.0,)), "slopes"),
+        ((0.1, [0.0, 0.0, 0.0], (0.0, 1.0)), "log_radius"),
+        ((0.1, [0.0, np.nan], (0.0, 1.0)), "log_radius"),
+        ((0.1, [0.0, 0.0], (0.0, 1.0), np.inf), "position"),
+    ],
+)
+def test_wrong_arguments(arguments, told):
+    with pytest.raises(ValueError, match=f"`{told}`"):
+        Contour(*arguments)
