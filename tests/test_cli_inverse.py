@@ -1,0 +1,76 @@
+"""The commands `identify` and `reconstruct`, on the example's data: tables, files, exit codes, messages."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from jaxwhisker import cli
+
+ROOT = Path(__file__).parent.parent
+sys.path.append(str(ROOT / "examples"))
+
+import make_measured  # noqa: E402
+
+DATA = str(ROOT / "examples" / "measured.csv")
+LIKELY = 4.0  # standard errors: one in 16,000 is further off
+WRITTEN = 1e-5  # relative: six digits
+
+NOISE = ",".join(f"{name}={value}" for name, value in make_measured.NOISE.items())
+
+
+def test_the_example_is_what_its_script_makes(tmp_path):
+    make_measured.write(tmp_path / "measured.csv")
+    made, stored = (np.loadtxt(p, delimiter=",", skiprows=2) for p in (tmp_path / "measured.csv", DATA))
+    np.testing.assert_allclose(made, stored, rtol=WRITTEN, atol=WRITTEN)
+
+
+def test_identify(tmp_path, capsys):
+    csv, plot = tmp_path / "fit.csv", tmp_path / "fit.png"
+    options = ["--model", "FBFBR", "--guess", "stiffness=100,distance=0.25", "--free", "stiffness,distance"]
+    assert cli.main(["identify", DATA, *options, "--csv", str(csv), "--plot", str(plot)]) == cli.OK
+    said = capsys.readouterr().out
+    assert "standard error" in said and "identified" in said and "not identified" not in said
+    rows = [line.split(",") for line in csv.read_text().splitlines()]
+    assert rows[0] == ["parameter", "estimate", "standard_error", "low", "high"]
+    truth = dict(zip(("c1", "c2", "c3", "distance"), (*make_measured.STIFFNESS, 0.3), strict=True))
+    assert {row[0] for row in rows[1:]} == set(truth)
+    for name, estimate, error, low, high in rows[1:]:
+        assert abs(float(estimate) - truth[name]) < LIKELY * float(error)
+        assert float(low) < float(estimate) < float(high)
+    assert imread(plot).std() > 0
+
+
+def test_reconstruct(tmp_path, capsys):
+    csv, plot = tmp_path / "points.csv", tmp_path / "points.pdf"
+    stiffness = ",".join(map(str, make_measured.STIFFNESS))
+    options = ["--model", "FBFBR", "--stiffness", stiffness, "--sigma", NOISE, "--family", "parabola"]
+    assert cli.main(["reconstruct", DATA, *options, "--csv", str(csv), "--plot", str(plot)]) == cli.OK
+    assert "whisker 2: vertex at" in capsys.readouterr().out
+    table = np.genfromtxt(csv, delimiter=",", names=True, comments="#")
+    clear = table["normal_error_1"] < 0.01
+    off = np.abs(table["y_1"] - 0.3 - table["x_1"] ** 2) / np.sqrt(1 + 4 * table["x_1"] ** 2)
+    assert clear.sum() > 100 and np.all(off[clear] < LIKELY * table["normal_error_1"][clear])
+    assert plot.stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["identify", "none.csv", "--free", "distance"], ["none.csv"]),
+        (["identify", DATA, "--model", "FBFBR", "--free", "radius"], ["radius", "distance"]),
+        (["identify", DATA, "--free", "distance"], ["2"]),
+        (["identify", DATA, "--model", "FBFBR", "--free", "distance", "--guess", "distance"], ["NAME=VALUE"]),
+        (["identify", DATA, "--model", "FBFBR", "--free", "distance", "--sigma", "fx=0"], ["`sigma`", "0.0"]),
+        (["identify", DATA, "--model", "FBFBR", "--free", "distance", "--csv", "/none/fit.csv"], ["/none"]),
+        (["reconstruct", DATA, "--model", "FBFBR", "--sigma", "-1"], ["`sigma`", "-1.0"]),
+        (["reconstruct", DATA, "--model", "FB"], ["whiskers"]),
+        (["reconstruct", DATA, "--model", "FBFBR", "--plot", "x.abc"], ["x.abc"]),
+    ],
+)
+def test_wrong_options_are_one_line_and_exit_code_2(options, words, capsys):
+    assert cli.main(options) == cli.USAGE
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and all(word in error for word in words)
