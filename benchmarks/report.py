@@ -197,11 +197,25 @@ def soak_supports() -> str:
 
 SAME = 1e-3  # peaks on a grid of steps of 0.001
 
+
+def identify_guesses() -> str:
+    return f"{table(read('identify_guesses')['rows'])}\n\n{environment('identify_guesses')}"
+
+
+def identify_noise() -> str:
+    return f"{table(read('identify_noise')['rows'])}\n\n{environment('identify_noise')}"
+
+
+def reconstruct() -> str:
+    return f"{table(read('reconstruct')['rows'])}\n\n{environment('reconstruct')}"
+
+
 TABLES = {
     f.__name__: f
     for f in (
         *(in_short, work_precision, speed_up, roofline, growth, models, ladder, cold_start, extremes, soak),
         *(settings, claims, soak_supports),
+        *(identify_guesses, identify_noise, reconstruct),
     )
 }
 

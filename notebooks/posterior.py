@@ -7,9 +7,9 @@
 # %% [markdown]
 # # A posterior for the stiffness of springs
 #
-# `jw.identify` gives estimates with standard errors from the curvature of the misfit at its minimum. Where few samples or
-# much noise leave more than a parabola, the likelihood itself can be sampled: `fit.log_density` is its logarithm, with
-# derivatives. Needs `pip install 'jaxwhisker[posterior]'`. About two minutes on two cores.
+# `jw.identify` gives estimates with standard errors from the curvature of the misfit at its minimum. Where few samples
+# or much noise leave more than a parabola, the likelihood itself can be sampled: `fit.log_density` is its logarithm,
+# with derivatives. Needs `pip install 'jaxwhisker[posterior]'`. About two minutes on two cores.
 
 # %%
 import jax
@@ -44,8 +44,8 @@ fit = jw.identify(build, {"c": 80.0, "q": 0.25}, measured, sigma=noise)
 print(fit)
 
 # %% [markdown]
-# The No-U-Turn sampler on the same density. The variables are logarithms (`fit.variables`, `fit.parameters`): with nothing
-# added, the prior is flat in them.
+# The No-U-Turn sampler on the same density. The variables are logarithms (`fit.variables`, `fit.parameters`): with
+# nothing added, the prior is flat in them.
 
 # %%
 key_warmup, key_run = jax.random.split(jax.random.key(0))

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib import pyplot
 
 import jaxwhisker as jw
 from jaxwhisker.identify.identifiability import identifiability
@@ -284,6 +285,23 @@ def test_event_rates_are_those_of_differences(told):
             for s in (step, -step)
         ]
         assert snap.by_parameter[k] == pytest.approx((at[0] - at[1]) / (2 * step), rel=1e-4)
+
+
+def test_pictures_of_fits_and_of_information(data, told):
+    ax = jw.plot.information(told)
+    curves = {line.get_label(): line for line in ax.get_lines() if not line.get_label().startswith("_")}
+    assert set(curves) == set(TRUTH)
+    for k, name in enumerate(told.names):
+        gained = curves[name].get_ydata()
+        assert gained[-1] == pytest.approx(1.0) and np.all(np.diff(gained) >= 0)
+        np.testing.assert_allclose(np.diff(gained), told.density[1:, k] / told.density[:, k].sum(), atol=1e-12)
+    lacking = {name: values for name, values in data.items() if name != "fx"}
+    axes = jw.plot.fit(jw.identify(fb, TRUTH, lacking, sigma=NOISE))
+    assert [ax.get_ylabel() for ax in axes] == ["fy", "mz"]
+    dots, line = axes[0].get_lines()
+    np.testing.assert_allclose(dots.get_ydata(), data["fy"][:, 0])
+    np.testing.assert_allclose(line.get_ydata(), data["fy"][:, 0], atol=NOISE["fy"])
+    pyplot.close("all")
 
 
 def test_design_finds_the_best_spring(told):

@@ -10,9 +10,9 @@ import pytest
 import exact
 import jaxwhisker as jw
 from jaxwhisker.contour import Contour
-from jaxwhisker.fit_profile import FitStatus, fit_profile
 from jaxwhisker.reconstruct import reconstruct
-from jaxwhisker.reconstruction import NORMAL_95, PointStatus
+from jaxwhisker.reconstruct.fit_profile import FitStatus, fit_profile
+from jaxwhisker.reconstruct.points import NORMAL_95, PointStatus
 from jaxwhisker.sensor import Sensor
 
 POINT = 1e-7  # of the length; of exact signals 1e-13 is usual

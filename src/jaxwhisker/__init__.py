@@ -5,15 +5,20 @@ from jaxwhisker.contour import Contour
 from jaxwhisker.deflect import Deflection, PointForce, PointMoment, deflect
 from jaxwhisker.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker.energy import stored_energy
-from jaxwhisker.fit_contour import ContourFit, fit_contour
-from jaxwhisker.fit_profile import ProfileFit, fit_profile
 from jaxwhisker.fit_status import FitStatus
 from jaxwhisker.identify import Fit, Information, design, identify, information
 from jaxwhisker.motion import AbstractMotion, Motion, Rotation, Translation
 from jaxwhisker.path import EventKind, Status
 from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
-from jaxwhisker.reconstruct import reconstruct
-from jaxwhisker.reconstruction import PointStatus, Reconstruction
+from jaxwhisker.reconstruct import (
+    ContourFit,
+    PointStatus,
+    ProfileFit,
+    Reconstruction,
+    fit_contour,
+    fit_profile,
+    reconstruct,
+)
 from jaxwhisker.result import Event, Events, Result, State
 from jaxwhisker.rod import Splitting
 from jaxwhisker.scan import scan

@@ -15,7 +15,7 @@ EI/L, spring stiffnesses EI/L^3.
 Where the drive turns (motion.py), springs act along the axes of its frame; everything else is told in the scene's.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -57,25 +57,14 @@ class Scene(eqx.Module):
     motion: AbstractMotion = Translation()
 
     def __check_init__(self):
-        whiskers = self.whisker if isinstance(self.whisker, tuple) else (self.whisker,)
-        if not whiskers or not all(isinstance(w, Whisker) for w in whiskers):
-            raise ValueError(f"`whisker` must be a Whisker or a tuple of them, but is {self.whisker!r}.")
         if not isinstance(self.profile, AbstractProfile):
             raise ValueError(
-                f"`profile` must be a Parabola, Circle, Ellipse, Graph or Tilted, but is {self.profile!r}."
+                f"`profile` must be a Parabola, Circle, Ellipse, Graph, Contour or Tilted, but is {self.profile!r}."
             )
-        if not isinstance(self.support, Support):
-            raise ValueError(f"`support` must be a Support, but is {self.support!r}.")
+        check_sensor(self.whisker, self.support, self.motion)
         if not isinstance(self.rod, AbstractRod):
             raise ValueError(f"`rod` must be Shooting() or ClosedForm(), but is {self.rod!r}.")
-        if not isinstance(self.motion, AbstractMotion):
-            raise ValueError(f"`motion` must be a Translation, Rotation or Motion, but is {self.motion!r}.")
-        if isinstance(self.whisker, tuple) and len(whiskers) != self.support.whiskers:
-            raise ValueError(
-                f"`whisker` must be one Whisker or one per base ({self.support.whiskers} in {self.support.name}), "
-                f"but is a tuple of {len(whiskers)}."
-            )
-        if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in whiskers):
+        if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):
             raise ValueError(
                 "`rod` must be Shooting() for whiskers that are curved or not uniform, but is ClosedForm(): elliptic "
                 "functions solve uniform straight whiskers only."
@@ -84,7 +73,7 @@ class Scene(eqx.Module):
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
         """One Whisker per base."""
-        return self.whisker if isinstance(self.whisker, tuple) else (self.whisker,) * self.support.whiskers
+        return each_whisker(self.whisker, self.support)
 
     def __str__(self) -> str:
         n, springs = self.support.whiskers, len(self.support.springs)
@@ -104,6 +93,31 @@ class Scene(eqx.Module):
         return f"{self.support.name}: {', '.join(counted)}, {self.profile}{material}{rods}{motion}"
 
     __repr__ = __str__
+
+
+def check_sensor(whisker: Any, support: Any, motion: Any) -> None:
+    """Check what a scene has but its object.
+
+    Raises:
+        ValueError: if an argument is not of its kind, or their numbers of whiskers differ.
+    """
+    whiskers = whisker if isinstance(whisker, tuple) else (whisker,)
+    if not whiskers or not all(isinstance(w, Whisker) for w in whiskers):
+        raise ValueError(f"`whisker` must be a Whisker or a tuple of them, but is {whisker!r}.")
+    if not isinstance(support, Support):
+        raise ValueError(f"`support` must be a Support, but is {support!r}.")
+    if not isinstance(motion, AbstractMotion):
+        raise ValueError(f"`motion` must be a Translation, Rotation or Motion, but is {motion!r}.")
+    if isinstance(whisker, tuple) and len(whiskers) != support.whiskers:
+        raise ValueError(
+            f"`whisker` must be one Whisker or one per base ({support.whiskers} in {support.name}), "
+            f"but is a tuple of {len(whiskers)}."
+        )
+
+
+def each_whisker(whisker: Whisker | tuple[Whisker, ...], support: Support) -> tuple[Whisker, ...]:
+    """One Whisker per base."""
+    return whisker if isinstance(whisker, tuple) else (whisker,) * support.whiskers
 
 
 class Units(NamedTuple):
@@ -154,9 +168,14 @@ class Problem(NamedTuple):
 
 
 def units(scene: Scene) -> Units:
-    """Units in which the scene's problem is dimensionless: L, EI/L^2, EI/L of the first whisker's base."""
-    length, stiffness = scene.whiskers[0].length, scene.whiskers[0].base_stiffness
-    return Units(length, stiffness / length**2, stiffness / length, scene.motion.unit(length))
+    """Units in which the scene's problem is dimensionless."""
+    return units_of(scene.whiskers[0], scene.motion)
+
+
+def units_of(first: Whisker, motion: AbstractMotion) -> Units:
+    """L, EI/L^2, EI/L of the first whisker's base, and the motion's own."""
+    length, stiffness = first.length, first.base_stiffness
+    return Units(length, stiffness / length**2, stiffness / length, motion.unit(length))
 
 
 def moves_along_x(scene: Scene) -> bool:

@@ -3,8 +3,8 @@
 import equinox as eqx
 
 from jaxwhisker.motion import AbstractMotion, Translation
-from jaxwhisker.profile import AbstractProfile, Parabola
-from jaxwhisker.scene import Scene
+from jaxwhisker.profile import AbstractProfile
+from jaxwhisker.scene import Scene, check_sensor, each_whisker
 from jaxwhisker.support import Support
 from jaxwhisker.whisker import Whisker
 
@@ -26,7 +26,7 @@ class Sensor(eqx.Module):
     motion: AbstractMotion = Translation()
 
     def __check_init__(self):
-        self.before(Parabola(1.0))  # as of any scene
+        check_sensor(self.whisker, self.support, self.motion)
 
     @classmethod
     def of(cls, scene: Scene) -> "Sensor":
@@ -40,4 +40,4 @@ class Sensor(eqx.Module):
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
         """One Whisker per base."""
-        return self.whisker if isinstance(self.whisker, tuple) else (self.whisker,) * self.support.whiskers
+        return each_whisker(self.whisker, self.support)

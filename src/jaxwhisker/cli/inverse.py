@@ -208,9 +208,9 @@ def _save(ax: Any, path: Path) -> None:
 
 
 def _reconstruct(args: argparse.Namespace) -> int:
-    from jaxwhisker.fit_contour import fit_contour
-    from jaxwhisker.fit_profile import fit_profile
     from jaxwhisker.reconstruct import reconstruct
+    from jaxwhisker.reconstruct.fit_contour import fit_contour
+    from jaxwhisker.reconstruct.fit_profile import fit_profile
     from jaxwhisker.sensor import Sensor
 
     for path in (args.plot, args.csv):

@@ -1,6 +1,6 @@
 """Pictures of what signals tell: fits beside what was measured, information along a scan, reconstructed contours."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,16 +10,16 @@ from jaxwhisker.measured import CHANNELS
 from jaxwhisker.plot.scans import COLOURS
 
 if TYPE_CHECKING:
-    from jaxwhisker.fit_contour import ContourFit
     from jaxwhisker.identify import Fit, Information
     from jaxwhisker.profile import AbstractProfile
-    from jaxwhisker.reconstruction import Reconstruction
+    from jaxwhisker.reconstruct.fit_contour import ContourFit
+    from jaxwhisker.reconstruct.points import Reconstruction
 
 BAND = 1.959964  # standard deviations that hold 95 %
 _GREY = "#777777"
 
 
-def fit(fit: "Fit", *, axs: Sequence[Axes] | None = None) -> np.ndarray:
+def fit(fit: "Fit", *, axs: Iterable[Axes] | None = None) -> np.ndarray:
     """Draw measured signals (dots) and those of the fit (lines), one Axes a measured channel, in the data's units.
 
     Args:
@@ -114,15 +114,15 @@ def _parameters(profile: Any, slopes: np.ndarray) -> np.ndarray:
     return grid[(angles >= slopes[0]) & (angles <= slopes[1])]
 
 
-def _column(axs: Sequence[Axes] | None, count: int) -> np.ndarray:
+def _column(axs: Iterable[Axes] | None, count: int) -> np.ndarray:
     if axs is not None:
-        return np.atleast_1d(np.asarray(axs, dtype=object))
+        return np.asarray(list(axs), dtype=object)
     from matplotlib import pyplot
 
     return pyplot.subplots(count, 1, sharex=True, squeeze=False, layout="constrained")[1][:, 0]
 
 
-def _onwards(axes: Sequence[Axes], control: np.ndarray) -> None:
+def _onwards(axes: Iterable[Axes], control: np.ndarray) -> None:
     """Time runs to the right, as in all pictures of scans."""
     if control[-1] < control[0]:
         for ax in axes:

@@ -16,7 +16,7 @@ from jaxwhisker._types import Scalar
 from jaxwhisker.contour import Contour, Spline, spline, tabulate
 from jaxwhisker.fit_status import FitStatus
 from jaxwhisker.profile import STEEPEST, AbstractProfile, Circle, Ellipse, Parabola
-from jaxwhisker.reconstruction import Reconstruction
+from jaxwhisker.reconstruct.points import Reconstruction
 
 KNOTS = 8  # of a Contour
 REWEIGHTINGS = 5  # weights depend on the profile: they are those of the last one

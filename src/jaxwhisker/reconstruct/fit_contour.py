@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker.contour import Contour
-from jaxwhisker.fit_profile import fit_profile
 from jaxwhisker.identify.fit import Fit
 from jaxwhisker.identify.run import identify
 from jaxwhisker.measured import measured_of
 from jaxwhisker.profile import AbstractProfile
-from jaxwhisker.reconstruct import reconstruct
+from jaxwhisker.reconstruct.fit_profile import fit_profile
+from jaxwhisker.reconstruct.run import reconstruct
 from jaxwhisker.scene import Scene
 from jaxwhisker.sensor import Sensor
 

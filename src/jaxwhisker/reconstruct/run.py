@@ -19,15 +19,16 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from jaxwhisker import _checks, inverse
+from jaxwhisker import _checks
 from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker._types import Scalar
 from jaxwhisker.contact import Phase
-from jaxwhisker.inverse import Told
 from jaxwhisker.measured import CHANNELS, measured_of
 from jaxwhisker.motion import AbstractMotion
-from jaxwhisker.reconstruction import PointStatus, Reconstruction, Step
-from jaxwhisker.scene import Scene, Units, sections
+from jaxwhisker.reconstruct import inverse
+from jaxwhisker.reconstruct.inverse import Told
+from jaxwhisker.reconstruct.points import PointStatus, Reconstruction, Step
+from jaxwhisker.scene import Scene, Units, sections, units_of
 from jaxwhisker.sensor import Sensor
 from jaxwhisker.whisker import Section
 
@@ -200,8 +201,7 @@ def _of_parameters(build, names, values, covariance, control, signals, noise, po
 def instrument(sensor: Sensor) -> Instrument:
     """The sensor without dimensions: in units of the first whisker."""
     whiskers, support = sensor.whiskers, sensor.support
-    length, stiffness = whiskers[0].length, whiskers[0].base_stiffness
-    unit = Units(length, stiffness / length**2, stiffness / length, sensor.motion.unit(length))
+    unit = units_of(whiskers[0], sensor.motion)
     n = len(whiskers)
     flexibility, yields, offset = support.flexibility(), jnp.zeros((n, 3, n, 3)), jnp.zeros((n, 3))
     if flexibility is not None:
