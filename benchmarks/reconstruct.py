@@ -23,7 +23,7 @@ from common import interleaved, write
 
 STEPS = 500
 NOISE = 0.01  # of each channel's peak
-KNOTS = 9
+KNOTS = 11
 WHISKER_MM = 20.0  # on which a published learned reconstruction is off by 0.8 +- 0.5 mm
 
 
@@ -65,7 +65,7 @@ def signals(profile, support) -> dict[str, np.ndarray]:
     """Exact signals."""
     scene = jw.Scene(jw.Whisker(), profile, support, rod=jw.ClosedForm())
     ends = np.asarray(jw.scan(scene).control)[[0, -1]]
-    control = np.linspace(*ends, STEPS)
+    control = np.linspace(ends[0], ends[1], STEPS)
     result = jw.scan(scene, control)
     found = {name: np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz", "contact_x", "contact_y")}
     return {"control": control} | found

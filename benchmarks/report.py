@@ -5,6 +5,7 @@ python benchmarks/report.py
 A table stands between `<!-- table: NAME -->` and `<!-- end -->` in README.md or docs/*.md and is written anew.
 """
 
+import math
 import re
 from pathlib import Path
 
@@ -210,12 +211,107 @@ def reconstruct() -> str:
     return f"{table(read('reconstruct')['rows'])}\n\n{environment('reconstruct')}"
 
 
+KNOWN = (  # of the subsets in known_subsets: those that the page shows
+    (),
+    ("position",),
+    ("rest length", "position"),
+    ("stiffness", "rest length", "position"),
+    ("distance", "shape", "position"),
+)
+
+
+def told(value, percent: bool = True) -> str | None:
+    """A standard error in a table."""
+    if value is None:
+        return None
+    if math.isnan(value):
+        return "not told"
+    return f"{value:.2%}" if percent else f"{1e3 * value:.2f}"
+
+
+def known_subsets() -> str:
+    """What is told of the rest if some of it is known; lengths in thousandths."""
+    rows, kept = read("known_subsets")["rows"], []
+    found = {(row["scene"], row["shape"], tuple(row["known"])): row for row in rows}
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        for known in KNOWN:
+            row = found[scene, "parabola", (*known, "whisker")]
+            free = found.get((scene, "any", (*known, "whisker")), {})
+            counted = (row.get("shifts"), "shift"), (row.get("pre-strains"), "strain")
+            apart = [f"{n} x {what}" for n, what in counted if n]
+            kept.append({
+                "scene": scene,
+                "known": ", ".join(known) or "nothing",
+                "sought": ", ".join(row["sought"]),
+                "told": f"{row['rank']} of {row['number']}",
+                "condition": f"{row['condition']:.0f}" if row["rank"] == row["number"] else "infinite",
+                "stiffness": told(row["stiffness"]),
+                "q": told(row["distance"]),
+                "a": told(row["shape told"]),
+                "base 1": told(row.get("place of base 1"), False),
+                "spacing": told(row.get("spacing of bases"), False),
+                "any shape: stiffness": told(free.get("stiffness")),
+                "contour": told(free.get("contour"), False),
+                "not told": ", ".join(apart) or None,
+            })  # fmt: skip
+    return table(kept)
+
+
+def known_errors() -> str:
+    """How wrong the contour gets by the worst of each kind, and from which error on the best hidden one is noticed."""
+    rows = read("known_errors")["rows"]
+    kinds = {"c": "a stiffness", "l": "a rest length", "EI": "EI", "L": "L", "angle": "angle"}
+    looks = ("noticed in points from", "noticed between whiskers from", "noticed in a fit from")
+
+    def own(scene, kind):
+        return [row for row in rows if row["scene"] == scene and kind in (row["parameter"], row["parameter"][0])]
+
+    def size(worst):
+        full, rate = ([1e3 * worst[f"{size}, {how}"] for size in ("mean", "max")] for how in ("full", "derivative"))
+        name = f"{worst['parameter']}: " if worst["parameter"][1:].isdigit() else ""
+        return name + "{:.2f} / {:.2f} ({:.2f} / {:.2f})".format(*full, *rate)
+
+    def noticed(found):
+        each = [[row.get(look) for row in found] for look in looks]
+        return " / ".join("-" if None in values else f"{max(values):.2g}" for values in each)
+
+    sizes, seen = [], []
+    for kind, words in kinds.items():
+        unit = "deg" if kind == "angle" else "%"
+        scenes = {scene: own(scene, kind) for scene in dict.fromkeys(row["scene"] for row in rows)}
+        worst = {scene: max(found, key=lambda row: row["max, full"]) for scene, found in scenes.items()}
+        sizes.append({"wrong": f"{words}, by 1 {unit}"} | {scene: size(row) for scene, row in worst.items()})
+        seen.append({"noticed": f"{words}, {unit}"} | {scene: noticed(found) for scene, found in scenes.items()})
+    return f"{table(sizes)}\n\n{table(seen)}"
+
+
+def known_buys() -> str:
+    """Standard errors over scene and stiffness; of the contour in thousandths of a length."""
+    kept = [
+        {
+            "scene": row["scene"],
+            "c": row["stiffness"],
+            "signals": row["channels"],
+            "worst stiffness": told(row["worst stiffness"]),
+            "first": told(row["first stiffness"]),
+            "q": told(row["q"]),
+            "a": told(row["a"]),
+            "any shape: worst stiffness": told(row["worst stiffness, any shape"]),
+            "q, any shape": told(row["q, any shape"]),
+            "contour": told(row["contour"], False),
+        }
+        for row in read("known_buys")["rows"]
+        if row["stiffness"] != 200  # only in the figure
+    ]
+    return f"{table(kept)}\n\n{environment('known_buys')}"
+
+
 TABLES = {
     f.__name__: f
     for f in (
         *(in_short, work_precision, speed_up, roofline, growth, models, ladder, cold_start, extremes, soak),
         *(settings, claims, soak_supports),
-        *(identify_guesses, identify_noise, reconstruct),
+        *(identify_guesses, identify_noise, reconstruct, known_subsets, known_errors, known_buys),
     )
 }
 

@@ -95,7 +95,7 @@ def add(commands) -> None:
         default="points",
         help="points only, or a shape fitted to them; free: any convex contour, to all signals (default: %(default)s)",
     )
-    add("--knots", type=int, default=9, metavar="N", help="of a free contour (default: %(default)s)")
+    add("--knots", type=int, default=11, metavar="N", help="of a free contour (default: %(default)s)")
     _add_output(command, "points with slope, phase and standard error")
     command.set_defaults(run=_reconstruct)
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 NULL = 1e-7  # of the largest singular value: below it a combination changes no signal, derivatives being good to 1e-9
-UNTOLD = 1.0  # standard error of a combination, relative or in units of its scale, above which data do not tell it
+UNTOLD = 1.0  # standard error of a logarithm above which data do not tell it: a factor of e
 SHARE = 0.05  # of a combination's largest member: what is named with it
 INVOLVED = 1e-4  # share of a direction that no signal sees, above which a parameter is not known
 
@@ -37,17 +37,20 @@ def identifiability(
     null = singular <= NULL * largest
     with np.errstate(divide="ignore"):
         error = np.where(null, np.inf, 1 / np.where(singular > 0, singular, 1.0))
-    told = ~null & (error <= UNTOLD)
+    # Of a parameter that may have any sign there is no telling what would be a large error.
+    leading = np.argmax(np.abs(directions), axis=1) if singular.size else np.zeros(0, int)
+    weak = ~null & (error > UNTOLD) & log[leading]
+    told = ~null & ~weak
     safe = np.where(null, 0.0, error)
     covariance = (directions.T * safe**2) @ directions
     involved = np.any(np.abs(directions[null]) > INVOLVED, axis=0) if null.any() else np.zeros(len(names), bool)
-    identified = ~involved & (np.sqrt(np.diag(covariance)) <= UNTOLD) & (largest > 0)
+    identified = ~involved & (~log | (np.sqrt(np.diag(covariance)) <= UNTOLD)) & (largest > 0)
     covariance = np.where(identified[:, None] & identified[None, :], covariance, np.nan)
     rotated = _simplest(directions[null]) if null.any() else directions[:0]
     words = [_words(v, np.inf, names, log, scale) for v in rotated]
-    words += [_words(v, e, names, log, scale) for v, e in zip(directions, error, strict=True) if UNTOLD < e < np.inf]
+    words += [_words(v, e, names, log, scale) for v, e in zip(directions[weak], error[weak], strict=True)]
     smallest = float(singular[-1]) if singular.size else 0.0
-    condition = largest / smallest if smallest > 0 else np.inf
+    condition = np.inf if null.any() else largest / smallest
     return Identifiability(covariance, identified, tuple(words), int(np.sum(told)), condition)
 
 

@@ -17,8 +17,40 @@ from jaxwhisker.identify.misfit import Compared, Samples, Sought, residuals
 from jaxwhisker.scene import Scene
 
 MOST_STEPS = 60  # of Levenberg-Marquardt
-FINE = 1e-7  # tolerances, relative and absolute, of variables of size one and of whitened residuals
-COARSE = 1e-2
+FINE = 1e-6  # of the sum of squares, by which another step would lower it: within 1e-3 standard errors of the minimum
+COARSE = 1e-4
+SMALL = 1e-7  # change of variables of size one, and of residuals, at which a fit ends, too
+
+
+class LevenbergMarquardt(optx.LevenbergMarquardt):
+    """Levenberg-Marquardt that ends when another step would not lower the misfit by more than `fall`.
+
+    What data hardly tell moves on long after that, and at the minimum rounding decides which steps are taken.
+    """
+
+    fall: Any = 0.0
+
+    def __init__(self, fall: Any):
+        super().__init__(rtol=SMALL, atol=SMALL)
+        self.fall = fall
+
+    def terminate(self, fn, y, args, options, state, tags):
+        """As of any solver of optimistix."""
+        small, result = super().terminate(fn, y, args, options, state, tags)
+        jacobian = jax.vmap(state.f_info.jac.mv, out_axes=1)(jnp.eye(y.size))
+        settled = could_fall(state.f_info.residual, jacobian) < self.fall
+        return small | (settled & ~state.first_step), result
+
+
+def could_fall(residual: Float[Array, " residuals"], jacobian: Float[Array, "residuals sought"]) -> Float[Array, ""]:
+    """By how much a step of Gauss and Newton lowers the sum of squares, by its own account."""
+    size = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
+    scaled = jacobian / jnp.where(size > 0, size, 1.0)
+    slope, bend = scaled.T @ residual, scaled.T @ scaled + ROUNDING * jnp.eye(size.size)
+    return slope @ jnp.linalg.solve(bend, slope)
+
+
+ROUNDING = 1e-14  # of a scaled normal matrix; what is not sought has no row of its own
 
 
 class Solved(NamedTuple):
@@ -44,10 +76,10 @@ class Kernel:
         self._build, self._sought = build, sought
         self._compiled: dict[Any, Any] = {}
 
-    def __call__(self, y: np.ndarray, data: Samples, free: np.ndarray | None = None, tolerance: float = FINE) -> Solved:
+    def __call__(self, y: np.ndarray, data: Samples, free: np.ndarray | None = None, fall: float = FINE) -> Solved:
         """Fit from y on; what is not free stays."""
         free = np.ones(y.shape, bool) if free is None else free
-        arguments = jax.tree.map(jnp.asarray, (y, data, free, tolerance))
+        arguments = jax.tree.map(jnp.asarray, (y, data, free, fall))
         return jax.tree.map(np.asarray, self._function(data)(*arguments))
 
     def compile(self, *several: Samples) -> None:
@@ -71,7 +103,7 @@ def kernel(build: Callable[..., Scene], sought: Sought) -> Kernel:
 
 
 def _fit(
-    build: Callable[..., Scene], sought: Sought, y: Float[Array, " sought"], data: Samples, free: Any, tolerance: Any
+    build: Callable[..., Scene], sought: Sought, y: Float[Array, " sought"], data: Samples, free: Any, fall: Any
 ) -> Solved:
     # Traced and compiled once, although a solver asks for values here and for derivatives there.
     @jax.jit
@@ -98,7 +130,7 @@ def _fit(
         return value(jnp.where(free, y, jax.lax.stop_gradient(start)), data)
 
     start = y
-    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
+    solver = LevenbergMarquardt(fall)
     solution = optx.least_squares(
         of_free, solver, y, has_aux=True, max_steps=MOST_STEPS, throw=False, adjoint=optx.RecursiveCheckpointAdjoint()
     )

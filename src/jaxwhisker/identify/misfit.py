@@ -32,7 +32,8 @@ WIDE_EVENT = 0.03  # lengths: of where contact begins, ends and jumps then
 WIDE_PRIOR = 50.0  # of a parameter in log or in its scale then, in units of the mean signal's
 PRIOR = 1e4  # ... later: what the data do not see at all stays where it is
 BETWEEN = 12**-0.5  # of the gap between two samples: standard deviation of a snap that is anywhere in it
-OUTSIDE = 1 / 30  # ... of one outside of it
+OUTSIDE = 8.0  # times that weight and more have snaps far outside of it,
+WIDTH = 2.0  # from so many gaps on; smoothly: a least-squares step cannot foresee a wall
 NO_EVENT = 1.0  # lengths by which an event misses that the model does not have
 
 
@@ -65,8 +66,8 @@ class Samples(NamedTuple):
     touch: Any  # (whiskers,) way; NaN where it is not seen
     release: Any
     event_weight: Any
-    between_weight: Any  # (JUMPS,) of a snap's distance from the middle between two samples, and from both
-    outside_weight: Any
+    jump_weight: Any  # (JUMPS,) of a snap's distance from the middle between two samples
+    jump_width: Any
     transforms: Any  # table of the fit's variables: see transforms.py
     prior: Any  # (sought,)
     prior_weight: Any
@@ -116,8 +117,8 @@ def samples(
         touch=seen.touch,
         release=seen.release,
         event_weight=np.asarray(1 / (WIDE_EVENT * length)),
-        between_weight=np.zeros(JUMPS) if overlaid else 1 / (BETWEEN * gap),
-        outside_weight=1 / (np.full(JUMPS, WIDE_EVENT * length) if overlaid else OUTSIDE * gap),
+        jump_weight=1 / (np.full(JUMPS, WIDE_EVENT * length) if overlaid else BETWEEN * gap),
+        jump_width=np.full(JUMPS, np.inf) if overlaid else WIDTH * gap,
         transforms=table(transforms),
         prior=prior,
         prior_weight=np.asarray(1 / (WIDE_PRIOR if overlaid else PRIOR)),
@@ -167,9 +168,9 @@ def residuals(
     nearest = jnp.argmin(apart, axis=1)
     paired = jump & jnp.isfinite(jnp.min(apart, axis=1))
     low, high, middle, snapped = (jnp.where(paired, v, 0.0) for v in (low, high, middle, at[nearest]))
-    outside = jnp.maximum(snapped - high, 0.0) - jnp.maximum(low - snapped, 0.0)
-    missed = (snapped - middle) * data.between_weight + outside * data.outside_weight
-    of_jumps = jnp.where(paired, missed, jnp.where(jump, NO_EVENT, 0.0) * data.outside_weight)
+    outside = ((snapped - middle) / data.jump_width) ** 4
+    missed = (snapped - middle) * (1 + OUTSIDE * outside / (1 + outside))
+    of_jumps = jnp.where(paired, missed, jnp.where(jump, NO_EVENT, 0.0)) * data.jump_weight
 
     low, high, snapped, here = jax.lax.stop_gradient((low, high, snapped, along[:, None]))
     between = ((here <= low) & (here > snapped)) | ((here >= high) & (here < snapped))

@@ -13,7 +13,7 @@ from jaxwhisker.fit_status import FitStatus
 from jaxwhisker.identify.features import Features, features, noise_of, peaks
 from jaxwhisker.identify.fit import Fit
 from jaxwhisker.identify.identifiability import identifiability
-from jaxwhisker.identify.kernel import COARSE, FINE, Kernel, Solved, kernel
+from jaxwhisker.identify.kernel import COARSE, Kernel, Solved, could_fall, kernel
 from jaxwhisker.identify.misfit import BLOCK, Samples, Sought, samples
 from jaxwhisker.identify.transforms import Transform, checked_guess, natural, table, transforms_of
 from jaxwhisker.measured import CHANNELS, Measured, has_contact, measured_of
@@ -28,7 +28,7 @@ SPREAD = np.log(4.0)  # of starts around the guess: half the range of the fit's 
 FAR = {"control": (1e-2, 1e3), "reaction": (1e-3, 1e4)}  # ratios to the scene's units outside of which one is warned
 BASELINE = 5  # first samples, from which constant offsets are guessed
 SAME = 1e-3  # difference of the fit's variables up to which two minima are one
-FALL = 1e-2  # of chi^2, much less than what tells a parameter from its estimate: a minimum all the same
+FALL = 1e-2  # of chi^2, within a tenth of a standard error: a minimum, although the solver did not come to an end
 END = 1e-3  # share of the way between bounds: as near is at one
 
 
@@ -170,17 +170,17 @@ class _Problem(NamedTuple):
             self.kernel.compile(part, whole)
         steps = 0
         if self.one_way and not near:
-            found = self.kernel(y, self.samples(y, overlaid=True, thin=True), tolerance=COARSE)
+            found = self.kernel(y, self.samples(y, overlaid=True, thin=True), fall=COARSE)
             y, steps = (found.y if np.isfinite(found.y).all() else y), int(found.steps)
         if two:
-            found = self.kernel(y, self.samples(y, overlaid=False, thin=True), tolerance=COARSE)
+            found = self.kernel(y, self.samples(y, overlaid=False, thin=True), fall=COARSE)
             y, steps = (found.y if np.isfinite(found.y).all() else y), steps + int(found.steps)
         found, more = self.fine(y)
         return found, steps + more
 
     def fine(self, y: np.ndarray) -> tuple[Solved, int]:
         """From nearby."""
-        found = self.kernel(y, self.samples(y, overlaid=False, thin=False), tolerance=FINE)
+        found = self.kernel(y, self.samples(y, overlaid=False, thin=False))
         return found, int(found.steps)
 
     def compared(self, found: Solved) -> np.ndarray:
@@ -281,15 +281,9 @@ def _judged(problem: _Problem, found: Solved, unknown: bool) -> tuple[FitStatus,
         share = np.sqrt(np.nanmean((problem.misses(found) / peaks(problem.data)) ** 2))
         words = f"{share:.2g} of the peaks" + ("" if unknown else f", {size:.3g} standard deviations of the noise")
         return FitStatus.implausible, f"the residuals are {words} (root mean square)"
-    if not bool(found.converged) and _could_fall(found) > FALL:
+    if not bool(found.converged) and float(could_fall(jnp.asarray(found.residual), jnp.asarray(found.jacobian))) > FALL:
         return FitStatus.not_converged, f"no minimum was found in {int(found.steps)} steps"
     return FitStatus.ok, ""
-
-
-def _could_fall(found: Solved) -> float:
-    """By how much another Gauss-Newton step would lower chi^2, by its own account."""
-    triangle = np.linalg.qr(np.column_stack([found.jacobian, found.residual]), mode="r")
-    return float(np.sum(triangle[:-1, -1] ** 2))
 
 
 def _check_used(build: Callable[..., Scene], guess: dict[str, float]) -> None:

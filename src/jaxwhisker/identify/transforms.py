@@ -110,7 +110,7 @@ def transforms_of(
             raise ValueError(
                 f"`transform` must be linear where the guess is not positive, but {name} = {value} has log."
             )
-        found[name] = Transform(log, 1.0 if log else abs(value) or _length(build, guess), low, high)
+        found[name] = Transform(log, 1.0 if log else max(abs(value), _length(build, guess)), low, high)
     return found
 
 

@@ -20,12 +20,14 @@ from jaxwhisker.identify.fit import Fit
 from jaxwhisker.identify.run import identify
 from jaxwhisker.measured import measured_of
 from jaxwhisker.profile import AbstractProfile
-from jaxwhisker.reconstruct.fit_profile import fit_profile
+from jaxwhisker.reconstruct.points import Reconstruction
 from jaxwhisker.reconstruct.run import reconstruct
 from jaxwhisker.scene import Scene
 from jaxwhisker.sensor import Sensor
 
 GRID = 0.1  # rad, to which knots are rounded: alike contours need no other code
+FINE = 401  # slopes between which points are integrated for a start
+LEAST = 0.1  # of the median radius, and of the lowest point, for a start
 OWN = "radius_"  # names of the contour's parameters among those of the fit
 
 
@@ -57,9 +59,12 @@ class ContourFit:
         pick = [self.fit.names.index(name) for name in own]
         values = jnp.array([self.fit.estimates[name] for name in own])
         x, y, by = _across(knots, values, jnp.asarray(at))
-        covariance = self.fit.covariance[np.ix_(pick, pick)]
-        variance = np.einsum("si,ij,sj->s", np.asarray(by), covariance, np.asarray(by))
-        return Band(at, np.asarray(x), np.asarray(y), np.sqrt(variance))
+        covariance, by = self.fit.covariance[np.ix_(pick, pick)], np.asarray(by)
+        error = np.sqrt(np.einsum("si,ij,sj->s", by, np.nan_to_num(covariance), by))
+        # A radius that the data do not tell, beyond the last contacts, matters where it moves the contour.
+        untold = np.isnan(np.diag(covariance))
+        lost = np.max(np.abs(by * np.asarray(values)) * untold, axis=1)
+        return Band(at, np.asarray(x), np.asarray(y), np.where(lost > error, np.nan, error))
 
     def __str__(self) -> str:
         return str(self.fit)
@@ -97,7 +102,7 @@ def fit_contour(
     sigma: Any = None,
     parameters: Mapping[str, float] | None = None,
     unknown: Sequence[str] = (),
-    knots: int | Sequence[float] = 9,
+    knots: int | Sequence[float] = 11,
     guess: AbstractProfile | None = None,
 ) -> ContourFit:
     """Find the contour whose scan the signals are, together with unknown parameters of the sensor.
@@ -130,11 +135,12 @@ def fit_contour(
     points = reconstruct(measured, known, sigma=noise)
     slopes = _knots(np.asarray(points.slope)[points.clear], knots) if isinstance(knots, int) else tuple(knots)
     if guess is None:
-        guess = fit_profile(points, Contour, knots=np.array(slopes)).profile
-    start = guess if isinstance(guess, Contour) and guess.slopes == slopes else Contour.like(guess, slopes)
-    x, y = start.vertex()
+        x, y, radii = _through(points, slopes)
+    else:
+        start = guess if isinstance(guess, Contour) and guess.slopes == slopes else Contour.like(guess, slopes)
+        (x, y), radii = start.vertex(), np.exp(np.asarray(start.log_radius))
     first = {name: values[name] for name in unknown} | {"distance": float(y), "position": float(x)}
-    first |= {f"{OWN}{k}": float(np.exp(v)) for k, v in enumerate(np.asarray(start.log_radius))}
+    first |= {f"{OWN}{k}": float(radius) for k, radius in enumerate(radii)}
     build = _Before(make, tuple((n, v) for n, v in values.items() if n not in unknown), slopes)
     fit = identify(build, first, measured, sigma=sigma, starts=0, near=True)
     radii = [fit.estimates[f"{OWN}{k}"] for k in range(len(slopes))]
@@ -165,11 +171,34 @@ def _noise(data: Any) -> dict[str, float]:
     return dict(zip(("fx", "fy", "mz"), rough.tolist(), strict=True))
 
 
+def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, float, np.ndarray]:
+    """Vertex and radii of a contour near points, by linear least squares: radii linear between knots, slopes exact."""
+    x, y, slope, error = (np.asarray(v)[points.clear] for v in (points.x, points.y, points.slope, points.normal_error))
+    weight = 1 / error if (error > 0).all() else np.ones_like(x)
+    fine = np.linspace(min(slopes[0], slope.min(), 0.0), max(slopes[-1], slope.max(), 0.0), FINE)
+    hats = np.array([np.interp(fine, slopes, row) for row in np.eye(len(slopes))])
+
+    def along(direction):
+        """What the radius at each knot moves the points by."""
+        steps = np.diff(fine) * (hats[:, 1:] * direction[1:] + hats[:, :-1] * direction[:-1]) / 2
+        way = np.concatenate([np.zeros((len(slopes), 1)), np.cumsum(steps, axis=1)], axis=1)
+        return np.array([np.interp(slope, fine, w) - np.interp(0.0, fine, w) for w in way]).T
+
+    one, none = np.ones_like(x), np.zeros_like(x)
+    rows = np.concatenate([
+        np.column_stack([one, none, along(np.cos(fine))]) * weight[:, None],
+        np.column_stack([none, one, along(np.sin(fine))]) * weight[:, None],
+    ])  # fmt: skip
+    found, *_ = np.linalg.lstsq(rows, np.concatenate([x * weight, y * weight]), rcond=None)
+    middle = np.median(np.abs(found[2:]))
+    return found[0], max(found[1], LEAST * float(np.min(y))), np.maximum(found[2:], LEAST * middle)
+
+
 def _knots(slopes: Float[np.ndarray, " points"], count: int) -> tuple[float, ...]:
     if slopes.size < count:
         raise ValueError(f"`measured` must show at least {count} contacts clear of the noise, but shows {slopes.size}.")
     low, high = np.quantile(slopes, [0.02, 0.98])
-    low, high = GRID * np.ceil(low / GRID), GRID * np.floor(high / GRID)
+    low, high = GRID * np.floor(low / GRID), GRID * np.ceil(high / GRID)
     if not high > low:
         raise ValueError(f"`measured` must show contacts of different slopes, but shows {low:.3g} to {high:.3g} rad.")
     return tuple(np.linspace(low, high, count).round(12).tolist())

@@ -287,13 +287,15 @@ def _step(known: Instrument, nothing: float, drive, reaction, deviation, pose) -
         missing = missing | jnp.any(jnp.isnan(pose), axis=-1)
         pose = jnp.where(missing[:, None], 0.0, pose)
     told_of = jnp.where(missing[:, None], _SOME, reaction)
+    # Contacts that are lost in the noise move the bases of others all the same.
+    measured = jnp.where(missing[:, None], 0.0, reaction)
     significance = jnp.sum((told_of / jnp.where(missing[:, None], 1.0, deviation)) ** 2, axis=-1)
     free = ~missing & (significance < nothing)
     touching = ~missing & ~free
     told_of = jnp.where(touching[:, None], told_of, _SOME)
 
     rest = known.mount + known.offset
-    loads = _turned(jnp.where(touching[:, None], -told_of, 0.0), -drive[2])  # in the drive's frame
+    loads = _turned(-measured, -drive[2])  # in the drive's frame
     by_angle = yields[:, 2]  # (whiskers, whiskers, 3): how bases turn
     own = jnp.eye(n, dtype=bool)
     turned = rest[:, 2] + jnp.sum(jnp.where(own[:, :, None], 0.0, by_angle * loads), axis=(1, 2))
@@ -324,7 +326,7 @@ def _step(known: Instrument, nothing: float, drive, reaction, deviation, pose) -
     values, by_z_angle, follows, ambiguous, near = _of_each(known.section, whisker, *fields)
     ok, failed = touching & near.good, touching & ~near.good
 
-    loads = _turned(jnp.where(ok[:, None], -values[:, 4:7], 0.0), -drive[2])
+    loads = _turned(-jnp.where(ok[:, None], values[:, 4:7], measured), -drive[2])
     moved = rest + jnp.sum(yields * loads, axis=(2, 3))
     bases = drive + _turned(moved, drive[2])
     if pose is not None:
