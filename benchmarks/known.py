@@ -83,8 +83,9 @@ class Before(NamedTuple):
         """Where the bases stand at rest, and how that follows the parameters: (whiskers, parameters)."""
 
         def at(x):
-            springs = self.sensor(dict(zip(values, x, strict=True))).support
-            return springs.flexibility().offset
+            flexibility = self.sensor(dict(zip(values, x, strict=True))).support.flexibility()
+            assert flexibility is not None  # there are springs
+            return flexibility.offset
 
         return np.asarray(jax.jacfwd(at)(jnp.array(list(values.values()))))
 
@@ -101,7 +102,7 @@ def signals(model, stiffness=STIFFNESS):
     build = Before(model)
     scene = build(**build.truth(stiffness))
     ends = np.asarray(jw.scan(scene).control)[[0, -1]]
-    result = jw.scan(scene, np.linspace(*ends, STEPS))
+    result = jw.scan(scene, np.linspace(ends[0], ends[1], STEPS))
     assert np.all(np.asarray(result.status) == jw.Status.ok), result
     data = {name: np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz")}
     sigma = {name: NOISE * float(np.abs(values).max()) for name, values in data.items()}

@@ -264,7 +264,7 @@ def test_a_contour_is_fitted():
 
 
 def test_points_without_slopes_or_errors():
-    slopes = np.linspace(-0.8, 0.9, 40)
+    slopes = jnp.linspace(-0.8, 0.9, 40)
     at = jax.vmap(jw.Ellipse(0.2, 0.5, 0.8, 0.1).point)(slopes)
     found = fit_profile({"x": np.asarray(at.x), "y": np.asarray(at.y)}, jw.Ellipse)
     np.testing.assert_allclose(list(found.estimates.values()), [0.2, 0.5, 0.8, 0.1], atol=1e-6)
@@ -276,7 +276,7 @@ def test_points_without_slopes_or_errors():
 def test_wrong_input():
     measured, known = signals("FB")[1], sensor("FB")
     with pytest.raises(ValueError, match="`sensor`"):
-        reconstruct(measured, jw.Whisker())
+        reconstruct(measured, jw.Whisker())  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="`parameters`"):
         reconstruct(measured, known, parameters={"a": 1.0})
     with pytest.raises(ValueError, match="`covariance`"):
@@ -284,9 +284,9 @@ def test_wrong_input():
     with pytest.raises(ValueError, match="`measured`"):
         reconstruct({"fx": measured["fx"]}, known)
     with pytest.raises(ValueError, match="`base`"):
-        reconstruct(measured, known, base=(np.zeros(3),) * 3)
+        reconstruct(measured, known, base=(np.zeros(3), np.zeros(3), np.zeros(3)))
     with pytest.raises(ValueError, match="`whisker`"):
-        Sensor(3.0)
+        Sensor(3.0)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="`family`"):
         fit_profile({"x": np.zeros(3), "y": np.zeros(3)}, jw.Graph)
     with pytest.raises(ValueError, match="`points`"):

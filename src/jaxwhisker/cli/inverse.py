@@ -137,11 +137,11 @@ def _springs(args: argparse.Namespace) -> Support:
 def _parameters(args: argparse.Namespace) -> tuple[dict[str, float], Callable[..., Scene]]:
     """Every number of the scene by name, and the function that makes it from them."""
     ends = [spring.between for spring in _springs(args).springs]
-    values = {f"c{k + 1}": float(s.softness**-1) for k, s in enumerate(_springs(args).springs)}
+    values: dict[str, float] = {f"c{k + 1}": float(s.softness**-1) for k, s in enumerate(_springs(args).springs)}
     values |= {f"l{k + 1}": float(s.rest_length) for k, s in enumerate(_springs(args).springs)}
-    shape = shape_of(args)
-    values |= {"distance": args.distance, "position": args.position, **shape}
-    values |= {"length": args.length, "bending_stiffness": args.bending_stiffness}
+    shape = {name: float(value) for name, value in shape_of(args).items()}
+    values |= {name: float(getattr(args, name)) for name in ("distance", "position", "length", "bending_stiffness")}
+    values |= shape
 
     def build(**v) -> Scene:
         stiffness, rest = ([v[f"{name}{k + 1}"] for k in range(len(ends))] for name in "cl")
@@ -155,9 +155,7 @@ def _parameters(args: argparse.Namespace) -> tuple[dict[str, float], Callable[..
 def _expanded(name: str, values: dict[str, float]) -> list[str]:
     """The parameters that a name of the command line stands for."""
     letter = {"stiffness": "c", "rest_length": "l"}.get(name)
-    found = (
-        [n for n in values if letter and n[0] == letter and n[1:].isdigit()] if letter else [name] * (name in values)
-    )
+    found = [n for n in values if n == name or (letter is not None and n[0] == letter and n[1:].isdigit())]
     if not found:
         raise UsageError(f"{name} is no parameter of this scene, which has {', '.join(values)}")
     return found
@@ -173,7 +171,7 @@ def _identify(args: argparse.Namespace) -> int:
         values, whole = _parameters(args)
         free = [n for name in args.free.split(",") for n in _expanded(name.strip().replace("-", "_"), values)]
         for name, value in args.guess.items():
-            values |= dict.fromkeys(_expanded(name, values), value)
+            values.update(dict.fromkeys(_expanded(name, values), float(value)))
         fixed = {name: value for name, value in values.items() if name not in free}
 
         def build(**sought) -> Scene:
@@ -220,15 +218,15 @@ def _reconstruct(args: argparse.Namespace) -> int:
         sensor = Sensor(Whisker(args.length, args.bending_stiffness), _springs(args))
         found = reconstruct(args.data, sensor, sigma=args.sigma)
         print(found)
-        fit, good = None, bool(np.isfinite(np.asarray(found.x)).any())
+        shape, joint, good = None, None, bool(np.isfinite(np.asarray(found.x)).any())
         if good and args.family == "free":
-            fit = fit_contour(args.data, sensor, sigma=args.sigma, knots=args.knots)
-            print(f"\n{fit}")
-            good = fit.fit.status == FitStatus.ok
+            joint = fit_contour(args.data, sensor, sigma=args.sigma, knots=args.knots)
+            print(f"\n{joint}")
+            good = joint.fit.status == FitStatus.ok
         elif good and args.family != "points":
-            fit = fit_profile(found, PROFILES[args.family][0])
-            print(f"\n{fit}")
-            good = fit.status == FitStatus.ok
+            shape = fit_profile(found, PROFILES[args.family][0])
+            print(f"\n{shape}")
+            good = shape.status == FitStatus.ok
     except ValueError as error:
         raise UsageError(str(error)) from None
     if args.csv is not None:
@@ -241,9 +239,8 @@ def _reconstruct(args: argparse.Namespace) -> int:
     if args.plot is not None:
         from jaxwhisker import plot
 
-        joint = args.family == "free"
-        ax = plot.contour(found, profile=None if fit is None or joint else fit.profile)
-        if fit is not None and joint:
-            plot.contour(fit, ax=ax)
+        ax = plot.contour(found, profile=None if shape is None else shape.profile)
+        if joint is not None:
+            plot.contour(joint, ax=ax)
         _save(ax, args.plot)
     return OK if good else NOT_ALL_OK

@@ -99,7 +99,7 @@ def _contact(way: np.ndarray, values: np.ndarray, loud: np.ndarray, peak: np.nda
     if steps.size == 0:
         return np.nan, np.nan
     first, last = steps[0], steps[-1]
-    release = np.nan if last == way.size - 1 else way[last + 1]
+    release = float("nan") if last == way.size - 1 else float(way[last + 1])
     if first == 0:
         return np.nan, release
     # Noise hides the touch itself: it is where what follows, nearly a parabola, comes from.
@@ -108,7 +108,7 @@ def _contact(way: np.ndarray, values: np.ndarray, loud: np.ndarray, peak: np.nda
     until = int(np.nanargmax(np.abs(signal) > EARLY * np.nanmax(np.abs(signal))))
     part = np.flatnonzero(np.isfinite(signal[: until + 1]))
     if part.size < 6:
-        return way[max(first - 1, 0)], release
+        return float(way[max(first - 1, 0)]), release
     return _onset(way[part], signal[part]), release
 
 

@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 
 from jaxwhisker.measured import CHANNELS
 from jaxwhisker.plot.scans import COLOURS
+from jaxwhisker.reconstruct.fit_contour import ContourFit
 
 if TYPE_CHECKING:
     from jaxwhisker.identify import Fit, Information
     from jaxwhisker.profile import AbstractProfile
-    from jaxwhisker.reconstruct.fit_contour import ContourFit
     from jaxwhisker.reconstruct.points import Reconstruction
 
 BAND = 1.959964  # standard deviations that hold 95 %
@@ -77,7 +77,7 @@ def contour(
         ax: where to draw; a new figure by default.
     """
     (axes,) = _column(None if ax is None else [ax], 1)
-    if hasattr(found, "band") and callable(found.band):
+    if isinstance(found, ContourFit):
         band = found.band()
         across = BAND * band.error * np.array([[1.0], [-1.0]])
         x_out, x_in = band.x + across * np.sin(band.slope)

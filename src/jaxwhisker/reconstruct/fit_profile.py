@@ -38,6 +38,9 @@ FAMILIES: dict[type, tuple[str, ...]] = {
 }
 
 
+_COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
+
+
 class ProfileFit(eqx.Module):
     """A profile fitted to points.
 
@@ -166,7 +169,9 @@ def _points_of(points: Any, significance: float) -> _Points:
     if isinstance(points, Reconstruction):
         noise = np.asarray(points.covariance)[..., :3, :3].reshape(-1, 3, 3)
         clear = ~(np.asarray(points.significance) < significance)
-        table = {name: np.where(clear, getattr(points, name), np.nan).ravel() for name in ("x", "y", "slope")}
+        table: dict[str, Any] = {
+            name: np.where(clear, getattr(points, name), np.nan).ravel() for name in ("x", "y", "slope")
+        }
         known = np.isfinite(noise).all(axis=(1, 2))
         table["covariance"] = noise if known.any() else None
     elif isinstance(points, Mapping) and {"x", "y"} <= set(points) <= {"x", "y", "slope", "covariance", "sigma"}:
@@ -176,7 +181,7 @@ def _points_of(points: Any, significance: float) -> _Points:
             f"`points` must be a Reconstruction or a mapping with x, y and perhaps slope, covariance or sigma, but is "
             f"{sorted(points) if isinstance(points, Mapping) else repr(points)}."
         )
-    x, y, slope = (table.get(name) for name in ("x", "y", "slope"))
+    x, y, slope = table["x"], table["y"], table.get("slope")
     for name, values in (("x", x), ("y", y), ("slope", slope)):
         if values is not None and (values.ndim != 1 or values.shape != x.shape):
             raise ValueError(f"`points` must hold one-dimensional arrays of one length, but {name} is {values.shape}.")
@@ -201,8 +206,8 @@ def _points_of(points: Any, significance: float) -> _Points:
     at = np.concatenate([np.flatnonzero(known), np.full(-known.sum() % 256, np.flatnonzero(known)[0])])
     weight = jnp.asarray((np.arange(at.size) < known.sum()).astype(float))
     angle = np.zeros_like(x) if slope is None else slope
-    x, y, angle, noise = (None if values is None else jnp.asarray(values[at]) for values in (x, y, angle, noise))
-    return _Points(x, y, angle, noise, weight, slope is not None)
+    x, y, angle = (jnp.asarray(values[at]) for values in (x, y, angle))
+    return _Points(x, y, angle, None if noise is None else jnp.asarray(noise[at]), weight, slope is not None)
 
 
 def _guess(known: _Points, family: type, knots: Any) -> AbstractProfile:
@@ -349,7 +354,7 @@ def _robust(like: "_Family", values, known: _Points) -> Float[Array, "points 2 2
     return weights * share[:, None, None]
 
 
-@eqx.filter_jit(compiler_options=COMPILER_OPTIONS)
+@eqx.filter_jit(**_COMPILED)
 def _fitted(like: _Family, values, known: _Points):
     solver = optx.LevenbergMarquardt(rtol=RTOL, atol=1e-2 * RTOL)
 
@@ -372,7 +377,7 @@ def _fitted(like: _Family, values, known: _Points):
     return values, residual, gradient
 
 
-@eqx.filter_jit(compiler_options=COMPILER_OPTIONS)
+@eqx.filter_jit(**_COMPILED)
 def _along(like: _Family, values, slopes: Float[Array, " slopes"]):
     def across(values):
         profile = like.profile(values)

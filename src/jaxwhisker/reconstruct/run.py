@@ -87,12 +87,14 @@ def reconstruct(
             f"`parameters` must be given with a function for `sensor`, and only then, but is {parameters}."
         )
     values = None if parameters is None else _values_of(parameters)
+    made: Any = sensor
+    if parameters is not None and values is not None:
+        made = made(**dict(zip(parameters, values, strict=True)))
     if covariance is not None:
         covariance = _covariance_of(covariance, values)
-    known = sensor if values is None else sensor(**dict(zip(parameters, values, strict=True)))
-    known = _sensor_of(known)
+    known = _sensor_of(made)
     control, signals, noise = _signals(measured, sigma, len(known.whiskers))
-    poses = None if base is None else _poses(base, signals.shape[:2])
+    poses = None if base is None else _poses(base, (signals.shape[0], signals.shape[1]))
     steps = control.shape[0]
     spare = -steps % STEPS_AT_ONCE
 
@@ -107,6 +109,7 @@ def reconstruct(
         inside = _checks.is_traced((known, control, signals, noise, poses))
         found = (_of_sensor if inside else _of_sensor_now)(known, control, signals, noise, poses)
     else:
+        assert parameters is not None
         found = _of_parameters(sensor, tuple(parameters), values, covariance, control, signals, noise, poses)
     found = jax.tree.map(lambda leaf: leaf[:steps], found)
     fields = {field.name: getattr(found, field.name) for field in dataclasses.fields(Step)}
@@ -305,13 +308,13 @@ def _step(known: Instrument, nothing: float, drive, reaction, deviation, pose) -
     side = jnp.where(told_of[:, 2] < 0, -1.0, 1.0)
 
     def whisker(section, *fields):
-        told = Told(*fields, section)
+        told = Told(*fields, section)  # pyright: ignore[reportCallIssue]
         near = inverse.found(told)
 
-        def at(z_angle, tip=near.tip):
+        def at(z_angle: Float[Array, "3"], tip: Any = near.tip):
             there = inverse.state(z_angle[:2], tip, told._replace(angle=z_angle[2]))
             values = jnp.stack([there.x, there.y, there.slope, there.arc])
-            return jnp.concatenate([values, there.reaction, there.angle[None]])
+            return jnp.concatenate([values, there.reaction, there.angle[None]])  # pyright: ignore[reportIndexIssue]
 
         values, by_z_angle = inverse.with_gradient(at, jnp.append(near.z, told.angle))
         apart = jnp.where(near.doubt > 0, at(jnp.append(near.other, told.angle), ~near.tip) - values, 0.0)[:4]
