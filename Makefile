@@ -11,10 +11,10 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint types bench bench-more extremes soak clean distclean
+.PHONY: help demo test lint types bench bench-more bench-inverse extremes soak clean distclean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
 demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (3 to 4 minutes on two cores)
 	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
@@ -34,6 +34,9 @@ bench: $(VENV)/installed-bench ## error against run time, beside other simulator
 
 bench-more: $(VENV)/installed-dev ## gradients, studies, the map of the critical stiffness, what supports do
 	@$(call run,gradient_cost study_speed critical_map settings report)
+
+bench-inverse: $(VENV)/installed-dev ## what comes back from signals: parameters, contours, what has to be known (an hour)
+	@$(call run,identify reconstruct known report)
 
 extremes: $(VENV)/installed-dev ## scans at the ends of every parameter's range
 	@$(call run,extremes report)
