@@ -45,6 +45,9 @@ TRUTH = {
 }
 
 
+COUNTS = {"FBFBR, c1 c2 c3 q": (100, 500), "three whiskers, c1 to c5": (30, 100)}  # fits without and with noise
+
+
 def signals(build, truth, rng):
     """Exact signals at 512 positions."""
     scene = build(**truth)
@@ -134,8 +137,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     quick = parser.parse_args().quick
-    write("identify_guesses", [from_wrong_guesses(name, 10 if quick else 100) for name in SCENES])
-    write("identify_noise", [row for name in SCENES for row in from_noise(name, 20 if quick else 500)])
+    guesses, noise = [], []
+    for name, (wrong, noisy) in COUNTS.items():
+        guesses.append(from_wrong_guesses(name, 10 if quick else wrong))
+        write("identify_guesses", guesses)
+        noise += from_noise(name, 20 if quick else noisy)
+        write("identify_noise", noise)
 
 
 if __name__ == "__main__":

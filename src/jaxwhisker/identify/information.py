@@ -210,7 +210,7 @@ def information(
     _checks.vector("control", control)
     control = np.asarray(control, dtype=float)
     transforms = transforms_of(build, values, {}, {})
-    found = _kernel(build, tuple(values), control.size)(values, control)
+    found = _kernel(build, tuple(values))(values, control)
     return of_rates(found, values, control, sigma, channels, np.array([t.log for t in transforms.values()]))
 
 
@@ -249,20 +249,29 @@ def of_rates(
     return Information(tuple(at), dict(at), control, names, np.nan_to_num(rates), events, log)
 
 
-@lru_cache(maxsize=32)
-def _kernel(build: Callable[..., Scene], names: tuple[str, ...], steps: int) -> Callable[[dict, np.ndarray], Rates]:
-    """Signals, events and their derivatives, compiled."""
-    compiled: dict[int, Any] = {}
+def _kernel(build: Callable[..., Scene], names: tuple[str, ...]) -> Callable[[dict, np.ndarray], Rates]:
+    """Signals, events and their derivatives, compiled once for each number of steps."""
+    try:
+        hash(build)
+    except TypeError:  # a module with arrays
+        return _compiled(build, names)
+    return _kept(build, names)
+
+
+def _compiled(build: Callable[..., Scene], names: tuple[str, ...]) -> Callable[[dict, np.ndarray], Rates]:
+    compiled: dict[tuple, Any] = {}
 
     def call(values: dict[str, float], control: np.ndarray) -> Rates:
         arguments = jnp.array(list(values.values())), jnp.asarray(control), *map(jnp.asarray, stops_of(control))
-        room = arguments[2].size
-        if room not in compiled:
-            compiled[room] = jax.jit(rates_of(build, names)).lower(*arguments).compile(COMPILER_OPTIONS)
-        return jax.tree.map(np.asarray, compiled[room](*arguments))
+        sizes = arguments[1].size, arguments[2].size
+        if sizes not in compiled:
+            compiled[sizes] = jax.jit(rates_of(build, names)).lower(*arguments).compile(COMPILER_OPTIONS)
+        return jax.tree.map(np.asarray, compiled[sizes](*arguments))
 
-    del steps  # a compiled function serves one number of them
     return call
+
+
+_kept = lru_cache(maxsize=32)(_compiled)
 
 
 def rates_of(build: Callable[..., Scene], names: tuple[str, ...]) -> Callable[..., Rates]:

@@ -96,10 +96,16 @@ class Kernel:
         return self._compiled[shape]
 
 
-@lru_cache(maxsize=32)
 def kernel(build: Callable[..., Scene], sought: Sought) -> Kernel:
     """The kernel of a `build`; kept, since compiling takes longer than fitting."""
-    return Kernel(build, sought)
+    try:
+        hash(build)
+    except TypeError:  # a module with arrays
+        return Kernel(build, sought)
+    return _kept(build, sought)
+
+
+_kept = lru_cache(maxsize=32)(Kernel)
 
 
 def _fit(

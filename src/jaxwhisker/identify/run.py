@@ -27,6 +27,7 @@ MISFIT = 0.05  # share of the peak, root mean square, above which it is where th
 SPREAD = np.log(4.0)  # of starts around the guess: half the range of the fit's variables
 FAR = {"control": (1e-2, 1e3), "reaction": (1e-3, 1e4)}  # ratios to the scene's units outside of which one is warned
 BASELINE = 5  # first samples, from which constant offsets are guessed
+ENOUGH = 3  # starts that end in the same plausible minimum: no more are tried
 SAME = 1e-3  # difference of the fit's variables up to which two minima are one
 FALL = 1e-2  # of chi^2, within a tenth of a standard error: a minimum, although the solver did not come to an end
 END = 1e-3  # share of the way between bounds: as near is at one
@@ -64,7 +65,7 @@ def identify(
         bounds: pairs (low, high) by name, None for no bound; they are kept.
         transform: "log" or "linear" by name. Default: log of what the scene wants to be positive.
         near: whether the guess is near: leaves out the first stage.
-        starts: how many other starts to try where the first misfit is implausible; 0 for none.
+        starts: how many other starts to try at most where the first misfit is implausible; 0 for none.
 
     Returns:
         A Fit. Its status tells whether it ended well; what the data do not tell has no standard error, and
@@ -114,10 +115,14 @@ def identify(
     found, steps = problem.fit(y, near)
     tried = agreeing = 1
     if starts and not problem.plausible(found):
-        others = [found, *(problem.fit(other)[0] for other in _starts(y, starts))]
-        found = min(others, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
+        others = [found]
+        for other in _starts(y, starts):
+            others.append(problem.fit(other)[0])
+            found = min(others, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
+            agreeing = sum(bool(np.max(np.abs(s.y - found.y)) < SAME) for s in others)
+            if agreeing >= ENOUGH and problem.plausible(found):
+                break
         tried = len(others)
-        agreeing = sum(bool(np.max(np.abs(s.y - found.y)) < SAME) for s in others)
     if unknown:
         problem = problem.with_noise(found)
         found, more = problem.fine(found.y)
