@@ -69,7 +69,7 @@ def information(information: "Information", *, ax: Axes | None = None) -> Axes:
 def contour(
     found: "Reconstruction | ContourFit", *, profile: "AbstractProfile | None" = None, ax: Axes | None = None
 ) -> Axes:
-    """Draw reconstructed points, or a fitted contour with its 95 % band, equal scales on both axes.
+    """Draw reconstructed points, or a fitted contour with its 95 % band where it is known, equal scales on both axes.
 
     Args:
         found: of `reconstruct` (points clear of the noise are drawn, with bars across the contour) or `fit_contour`.
@@ -79,12 +79,14 @@ def contour(
     (axes,) = _column(None if ax is None else [ax], 1)
     if isinstance(found, ContourFit):
         band = found.band()
-        across = BAND * band.error * np.array([[1.0], [-1.0]])
-        x_out, x_in = band.x + across * np.sin(band.slope)
-        y_out, y_in = band.y - across * np.cos(band.slope)
+        known = np.isfinite(band.error) if np.isfinite(band.error).any() else np.ones(band.error.shape, bool)
+        slope, x, y, error = (v[known] for v in band)
+        across = BAND * np.nan_to_num(error) * np.array([[1.0], [-1.0]])
+        x_out, x_in = x + across * np.sin(slope)
+        y_out, y_in = y - across * np.cos(slope)
         axes.fill(np.append(x_out, x_in[::-1]), np.append(y_out, y_in[::-1]), color=COLOURS[0], alpha=0.25, linewidth=0)
-        axes.plot(band.x, band.y, color=COLOURS[0], label="fitted, 95 % band")
-        ends = band.slope[[0, -1]]
+        axes.plot(x, y, color=COLOURS[0], label="fitted, 95 % band")
+        ends = slope[[0, -1]]
     else:
         x, y, slope, error = (np.asarray(v) for v in (found.x, found.y, found.slope, found.normal_error))
         clear = np.asarray(found.clear)

@@ -26,6 +26,7 @@ from jaxwhisker.scene import Scene
 from jaxwhisker.sensor import Sensor
 
 GRID = 0.1  # rad, to which knots are rounded: alike contours need no other code
+SURE = 0.05  # rad: standard error of slopes between which there are knots
 FINE = 401  # slopes between which points are integrated for a start
 LEAST = 0.1  # of the median radius, and of the lowest point, for a start
 OWN = "radius_"  # names of the contour's parameters among those of the fit
@@ -133,7 +134,7 @@ def fit_contour(
         data = measured_of(measured, None, whiskers=len(known.whiskers))
         noise = _noise(data)
     points = reconstruct(measured, known, sigma=noise)
-    slopes = _knots(np.asarray(points.slope)[points.clear], knots) if isinstance(knots, int) else tuple(knots)
+    slopes = _knots(_sure(points), knots) if isinstance(knots, int) else tuple(knots)
     if guess is None:
         x, y, radii = _through(points, slopes)
     else:
@@ -194,10 +195,16 @@ def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, 
     return found[0], max(found[1], LEAST * float(np.min(y))), np.maximum(found[2:], LEAST * middle)
 
 
+def _sure(points: Reconstruction) -> Float[np.ndarray, " points"]:
+    """Slopes that are known well."""
+    slope, error = np.asarray(points.slope), np.asarray(points.standard_error)[..., 2]
+    return slope[points.clear & ~(error > SURE)]
+
+
 def _knots(slopes: Float[np.ndarray, " points"], count: int) -> tuple[float, ...]:
     if slopes.size < count:
         raise ValueError(f"`measured` must show at least {count} contacts clear of the noise, but shows {slopes.size}.")
-    low, high = np.quantile(slopes, [0.02, 0.98])
+    low, high = np.quantile(slopes, [0.005, 0.995])
     low, high = GRID * np.floor(low / GRID), GRID * np.ceil(high / GRID)
     if not high > low:
         raise ValueError(f"`measured` must show contacts of different slopes, but shows {low:.3g} to {high:.3g} rad.")
