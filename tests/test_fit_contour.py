@@ -66,6 +66,7 @@ def test_the_band_is_drawn(fit):
     [
         ({"unknown": ("k",)}, "`unknown`.*'k'"),
         ({"knots": 1}, "`knots`.*1"),
+        ({"knots": (0.3, 0.1)}, "`knots`.*0.1"),
         ({"sensor": lambda c: 3.0}, "`sensor`.*3.0"),
         ({"measured": {"control": CONTROL, **dict.fromkeys(("fx", "fy", "mz"), np.zeros(CONTROL.size))}}, "`measured`"),
     ],

@@ -215,6 +215,9 @@ TABLE = {"control": np.linspace(0.7, -1.3, 50), "fx": np.ones(50)}
         ({"sigma": {"fx": -1.0}}, "`sigma`.*-1.0"),
         ({"sigma": {"mz": 1.0}}, "`sigma`.*fx"),
         ({"sigma": {"fq": 1.0}}, "`sigma`.*'fq'"),
+        ({"sigma": "a"}, "`sigma`.*'a'"),
+        ({"sigma": {"fx": 1.0, "fx_3": 1.0}}, "`sigma`.*'fx_3'"),
+        ({"measured": {"control": TABLE["control"], "fx_0": np.ones(50)}}, "`measured`.*whisker 0"),
         ({"guess": {"c": 60.0, "q": np.nan}}, "`guess`.*`q`"),
         ({"guess": {"c": 60.0}}, "`guess`.*'q'"),
         ({"guess": {"c": 60.0, "q": 0.3, "k": 1.0}}, "`guess`.*'k'"),
@@ -324,6 +327,7 @@ def test_design_finds_the_best_spring(told):
         (lambda: jw.information(fb, {"c": 1.0}, sigma=1.0), "`guess`"),
         (lambda: jw.design(fb, TRUTH, sigma=1.0), "`axes`"),
         (lambda: jw.design(fb, TRUTH, sigma=1.0, c=[1.0]), "`c`"),
+        (lambda: jw.design(fb, {"q": 0.3}, sigma=1.0, c=[50.0, -1.0], control=[0.7, 0.1]), "`stiffness`.*-1.0"),
     ],
 )
 def test_wrong_arguments_of_information_and_design(call, words):

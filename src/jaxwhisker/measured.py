@@ -88,9 +88,12 @@ def measured_of(data: Any, sigma: Any = None, *, whiskers: int | None = None) ->
             columns[first + k, channel] = column
     if not columns:
         raise ValueError(f"`measured` must hold at least one of {', '.join(CHANNELS)}, but holds {', '.join(table)}.")
-    found = 1 + max(k for k, _ in columns)
-    if min(k for k, _ in columns) < 0 or (whiskers is not None and found > whiskers):
-        raise ValueError(f"`measured` must hold channels of {whiskers or 'numbered'} whiskers, but holds {found}.")
+    least, found = 1 + min(k for k, _ in columns), 1 + max(k for k, _ in columns)
+    if least < 1 or (whiskers is not None and found > whiskers):
+        raise ValueError(
+            f"`measured` must hold channels of whiskers 1 to {whiskers or 'their number'}, but holds one of whisker "
+            f"{found if least > 0 else least}."
+        )
     values = np.full((control.size, whiskers or found, len(CHANNELS)), np.nan)
     for (k, channel), column in columns.items():
         values[:, k, channel] = column
@@ -168,7 +171,12 @@ def _sigma_of(sigma: Any, values: np.ndarray) -> np.ndarray:
         matched = _NUMBERED.fullmatch(str(name))
         if matched is None:
             raise ValueError(f"`sigma` must name channels among {', '.join(CHANNELS)}, but one is {name!r}.")
-        value = np.asarray(value, dtype=float)
+        try:
+            value = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            raise ValueError(f"`sigma` must hold numbers, but of {name} it is {value!r}.") from None
+        if matched[2] is not None and not 1 <= int(matched[2]) <= values.shape[1]:
+            raise ValueError(f"`sigma` must name channels of whiskers 1 to {values.shape[1]}, but one is {name!r}.")
         bad = value[~(np.isfinite(value) & (value > 0))]
         if bad.size:
             raise ValueError(f"`sigma` must be positive and finite, but of {name} it is {bad.ravel()[0]}.")

@@ -67,6 +67,8 @@ def design(
     points = [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
     told = {**at, **points[0]}
     values = {name: value for name, value in checked_guess(build, told).items() if name in at}
+    for point in points[1:]:
+        build(**values, **point)  # says itself what is wrong with it
     transforms = transforms_of(build, {**values, **points[0]}, {}, {})
     log = np.array([transforms[name].log for name in values])
     if control is None:

@@ -19,7 +19,7 @@ from jaxwhisker.contour import Contour
 from jaxwhisker.identify.fit import Fit
 from jaxwhisker.identify.run import identify
 from jaxwhisker.measured import measured_of
-from jaxwhisker.profile import AbstractProfile
+from jaxwhisker.profile import STEEPEST, AbstractProfile
 from jaxwhisker.reconstruct.points import Reconstruction
 from jaxwhisker.reconstruct.run import reconstruct
 from jaxwhisker.scene import Scene
@@ -134,7 +134,7 @@ def fit_contour(
         data = measured_of(measured, None, whiskers=len(known.whiskers))
         noise = _noise(data)
     points = reconstruct(measured, known, sigma=noise)
-    slopes = _knots(_sure(points), knots) if isinstance(knots, int) else tuple(knots)
+    slopes = _knots(_sure(points), knots) if isinstance(knots, int) else _given(points, knots)
     if guess is None:
         x, y, radii = _through(points, slopes)
     else:
@@ -193,6 +193,17 @@ def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, 
     found, *_ = np.linalg.lstsq(rows, np.concatenate([x * weight, y * weight]), rcond=None)
     middle = np.median(np.abs(found[2:]))
     return found[0], max(found[1], LEAST * float(np.min(y))), np.maximum(found[2:], LEAST * middle)
+
+
+def _given(points: Reconstruction, knots: Sequence[float]) -> tuple[float, ...]:
+    slopes = np.asarray(knots, dtype=float)
+    if slopes.ndim != 1 or slopes.size < 2 or not (np.diff(slopes) > 0).all() or np.abs(slopes).max() > STEEPEST:
+        raise ValueError(f"`knots` must be strictly increasing slope angles, less than right angles, but is {knots!r}.")
+    if points.clear.sum() < slopes.size:
+        raise ValueError(
+            f"`measured` must show at least {slopes.size} contacts clear of the noise, but shows {points.clear.sum()}."
+        )
+    return tuple(slopes.tolist())
 
 
 def _sure(points: Reconstruction) -> Float[np.ndarray, " points"]:
