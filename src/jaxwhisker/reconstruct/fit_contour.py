@@ -25,7 +25,7 @@ from jaxwhisker.reconstruct.run import reconstruct
 from jaxwhisker.scene import Scene
 from jaxwhisker.sensor import Sensor
 
-GRID = 0.1  # rad, to which knots are rounded: alike contours need no other code
+GRID = 0.05  # rad, to which outermost knots are rounded: alike contours need no other code
 SURE = 0.05  # rad: standard error of slopes between which there are knots
 FINE = 401  # slopes between which points are integrated for a start
 LEAST = 0.1  # of the median radius, and of the lowest point, for a start
@@ -134,7 +134,12 @@ def fit_contour(
         data = measured_of(measured, None, whiskers=len(known.whiskers))
         noise = _noise(data)
     points = reconstruct(measured, known, sigma=noise)
-    slopes = _knots(_sure(points), knots) if isinstance(knots, int) else _given(points, knots)
+    if isinstance(knots, int):
+        # Slopes of single points are noisy; where they lie along a first contour is not.
+        rough = _knots(_sure(points), knots)
+        slopes = _knots(_along(points, rough, *_through(points, rough)), knots)
+    else:
+        slopes = _given(points, knots)
     if guess is None:
         x, y, radii = _through(points, slopes)
     else:
@@ -195,6 +200,14 @@ def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, 
     return found[0], max(found[1], LEAST * float(np.min(y))), np.maximum(found[2:], LEAST * middle)
 
 
+def _along(points: Reconstruction, slopes: tuple[float, ...], x, y, radii) -> Float[np.ndarray, " points"]:
+    """Slopes of a contour where it is closest to each point."""
+    fine = np.linspace(slopes[0], slopes[-1], FINE)
+    near_x, near_y, _ = _across(slopes, jnp.array([y, x, *radii]), jnp.asarray(fine))
+    apart = np.hypot(points.x[points.clear][:, None] - near_x, points.y[points.clear][:, None] - near_y)
+    return fine[np.argmin(apart, axis=1)]
+
+
 def _given(points: Reconstruction, knots: Sequence[float]) -> tuple[float, ...]:
     slopes = np.asarray(knots, dtype=float)
     if slopes.ndim != 1 or slopes.size < 2 or not (np.diff(slopes) > 0).all() or np.abs(slopes).max() > STEEPEST:
@@ -216,7 +229,7 @@ def _knots(slopes: Float[np.ndarray, " points"], count: int) -> tuple[float, ...
     if slopes.size < count:
         raise ValueError(f"`measured` must show at least {count} contacts clear of the noise, but shows {slopes.size}.")
     low, high = np.quantile(slopes, [0.005, 0.995])
-    low, high = GRID * np.floor(low / GRID), GRID * np.ceil(high / GRID)
+    low, high = GRID * np.round(low / GRID), GRID * np.round(high / GRID)
     if not high > low:
         raise ValueError(f"`measured` must show contacts of different slopes, but shows {low:.3g} to {high:.3g} rad.")
     return tuple(np.linspace(low, high, count).round(12).tolist())
