@@ -127,13 +127,15 @@ def test_every_form_of_data_gives_the_same_fit(data, tmp_path):
 
 def test_data_recorded_backwards_are_a_scan_from_the_other_side():
     control = np.linspace(-1.35, 0.75, STEPS)
-    fit = jw.identify(fb, {"c": 60.0, "q": 0.28}, exact(fb(**TRUTH), control=control))
+    fit = jw.identify(fb, {"c": 3 * TRUTH["c"], "q": TRUTH["q"] / 2}, exact(fb(**TRUTH), control=control))
+    assert fit.starts == 1
     assert max(abs(fit.estimates[k] / v - 1) for k, v in TRUTH.items()) < RECOVERED
 
 
 def test_reversing_data():
     control = np.concatenate([np.linspace(0.75, -0.6, STEPS // 2), np.linspace(-0.6, 0.75, STEPS // 2)])
-    fit = jw.identify(fb, {"c": 60.0, "q": 0.28}, exact(fb(**TRUTH), control=control))
+    fit = jw.identify(fb, {"c": 3 * TRUTH["c"], "q": TRUTH["q"] / 2}, exact(fb(**TRUTH), control=control))
+    assert fit.starts == 1
     assert max(abs(fit.estimates[k] / v - 1) for k, v in TRUTH.items()) < RECOVERED
 
 

@@ -111,7 +111,9 @@ def identify(
     for n, (k, c) in enumerate(channels):
         zeroed[:, k, c] -= list(start.values())[len(guess) + n]
     seen = features(Measured(data.control, zeroed, data.sigma))
-    problem = _Problem(kernel(build, sought), sought, transforms, data, seen, scene)
+    leg = _until_turn(data.control)
+    begun = features(Measured(data.control[leg], zeroed[leg], data.sigma[leg]))
+    problem = _Problem(kernel(build, sought), sought, transforms, data, seen, begun, scene)
     found, steps = problem.fit(y, near)
     tried = agreeing = 1
     if starts and not problem.plausible(found):
@@ -128,6 +130,18 @@ def identify(
         found, more = problem.fine(found.y)
         steps += more
     return _told(build, problem, found, steps, tried, agreeing, unknown)
+
+
+def _until_turn(control: np.ndarray) -> slice:
+    """The steps before the drive first turns back."""
+    back = np.flatnonzero(np.diff(control) * _heading(control) < 0)
+    return slice(0, back[0] + 1 if back.size else control.size)
+
+
+def _heading(control: np.ndarray) -> float:
+    """The sign of the drive's first move."""
+    moves = np.diff(control)
+    return float(np.sign(moves[moves != 0][:1]).sum())
 
 
 def _starts(y: np.ndarray, count: int) -> list[np.ndarray]:
@@ -148,11 +162,15 @@ class _Problem(NamedTuple):
     transforms: tuple[Transform, ...]
     data: Measured
     seen: Features
+    begun: Features  # of the data before the drive turns, which can be laid over a scan
     scene: Scene
 
     def samples(self, prior: np.ndarray, *, overlaid: bool, thin: bool) -> Samples:
         """What is compared: all of it, or so much as one block holds."""
         data, seen = self.data, self.seen
+        if overlaid:
+            leg, seen = _until_turn(data.control), self.begun
+            data = Measured(data.control[leg], data.values[leg], data.sigma[leg])
         if thin and data.control.size > BLOCK:
             pick = np.unique(np.linspace(0, data.control.size - 1, BLOCK).astype(int))
             data = Measured(data.control[pick], data.values[pick], data.sigma[pick])
@@ -162,10 +180,10 @@ class _Problem(NamedTuple):
         return samples(data, seen, self.transforms, prior, stops, overlaid=overlaid, length=length)
 
     @property
-    def one_way(self) -> bool:
-        """Whether the drive moves as a default scan does, so that scans can be laid over each other."""
-        moves = np.sign(np.diff(self.data.control))
-        return bool(np.all(moves[moves != 0] == self.scene.motion.onwards)) and bool(np.isfinite(self.seen.touch).any())
+    def overlayable(self) -> bool:
+        """Whether the drive sets out as a default scan does and there is a touch, so that scans have a beginning."""
+        sets_out = _heading(self.data.control) == self.scene.motion.onwards
+        return sets_out and bool(np.isfinite(self.begun.touch).any())
 
     def fit(self, y: np.ndarray, near: bool = False) -> tuple[Solved, int]:
         """From a guess, in stages."""
@@ -174,7 +192,7 @@ class _Problem(NamedTuple):
         if two:
             self.kernel.compile(part, whole)
         steps = 0
-        if self.one_way and not near:
+        if self.overlayable and not near:
             found = self.kernel(y, self.samples(y, overlaid=True, thin=True), fall=COARSE)
             y, steps = (found.y if np.isfinite(found.y).all() else y), int(found.steps)
         if two:
