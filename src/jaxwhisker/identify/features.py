@@ -13,6 +13,7 @@ STEEPER = 4.0  # a jump than what is beside it
 JUMP = 0.02  # of the peak, at least
 EARLY = 0.2  # of the peak, up to which a signal is a parabola after a touch
 ONSETS = 60  # that are tried
+FEWEST = 6  # samples that tell one
 
 
 class Features(NamedTuple):
@@ -22,6 +23,7 @@ class Features(NamedTuple):
     low: np.ndarray  # (JUMPS,) way before and behind each jump; NaN beyond their number
     high: np.ndarray
     touch: np.ndarray  # (whiskers,) way at the first touch, NaN where it is not seen
+    touch_error: np.ndarray  # (whiskers,) its standard error
     release: np.ndarray  # (whiskers,) way where contact ends for good
 
 
@@ -32,9 +34,9 @@ def features(measured: Measured) -> Features:
     noise = np.where(np.isfinite(measured.sigma), measured.sigma, 0.0)
     low, high = _jumps(way, measured.values / peak, noise / peak)
     loud = np.abs(measured.values) > np.maximum(ABOVE_NOISE * noise, LEAST * peak)
-    ends = [_contact(way, measured.values[:, k], loud[:, k], peak) for k in range(loud.shape[1])]
-    touch, release = np.array(ends).T
-    return Features(way, low, high, touch, release)
+    ends = [_contact(way, measured.values[:, k], loud[:, k]) for k in range(loud.shape[1])]
+    touch, touch_error, release = np.array(ends).T
+    return Features(way, low, high, touch, touch_error, release)
 
 
 def peaks(measured: Measured) -> np.ndarray:
@@ -93,27 +95,29 @@ def _jumps_of(way: np.ndarray, signal: np.ndarray, noise: np.ndarray) -> list[tu
     return [(float(way[seen[k]]), float(way[seen[k + 1]]), float(size[k])) for k in at]
 
 
-def _contact(way: np.ndarray, values: np.ndarray, loud: np.ndarray, peak: np.ndarray) -> tuple[float, float]:
-    """Way at the first touch and the last contact of one whisker; NaN where the data do not show them."""
+def _contact(way: np.ndarray, values: np.ndarray, loud: np.ndarray) -> tuple[float, float, float]:
+    """Way at the first touch, its error, and way at the last contact of one whisker; NaN where they are not shown."""
     steps = np.flatnonzero(loud.any(axis=1))
     if steps.size == 0:
-        return np.nan, np.nan
+        return np.nan, np.nan, np.nan
     first, last = steps[0], steps[-1]
     release = float("nan") if last == way.size - 1 else float(way[last + 1])
     if first == 0:
-        return np.nan, release
-    # Noise hides the touch itself: it is where what follows, nearly a parabola, comes from.
-    channel = int(np.argmax([np.nanmax(np.abs(v), initial=0.0) / p for v, p in zip(values.T, peak, strict=True)]))
-    signal = values[:, channel]
-    until = int(np.nanargmax(np.abs(signal) > EARLY * np.nanmax(np.abs(signal))))
-    part = np.flatnonzero(np.isfinite(signal[: until + 1]))
-    if part.size < 6:
-        return float(way[max(first - 1, 0)]), release
-    return _onset(way[part], signal[part]), release
+        return np.nan, np.nan, release
+    # Noise hides the touch itself: it is where what follows, nearly a parabola, comes from. Of some channels it is one
+    # for longer than of others.
+    found = [_onset(way, signal) for signal in values.T]
+    error, touch = min((error, touch) for touch, error in found)
+    return (touch, error, release) if np.isfinite(error) else (float(way[max(first - 1, 0)]), 0.0, release)
 
 
-def _onset(way: np.ndarray, signal: np.ndarray) -> float:
-    """Where a signal that was zero sets out along a parabola, by least squares."""
+def _onset(way: np.ndarray, signal: np.ndarray) -> tuple[float, float]:
+    """Where a signal that was zero sets out along a parabola, by least squares, and its error; infinite if unknown."""
+    size = np.nan_to_num(np.abs(signal))
+    part = np.flatnonzero(np.isfinite(signal[: int(np.argmax(size > EARLY * size.max())) + 1]))
+    if part.size < FEWEST:
+        return np.nan, np.inf
+    way, signal = way[part], signal[part]
 
     def missed(onset: float) -> float:
         past = np.maximum(way - onset, 0.0)
@@ -122,4 +126,6 @@ def _onset(way: np.ndarray, signal: np.ndarray) -> float:
         return float(np.sum((columns @ curve - signal) ** 2))
 
     onsets = np.linspace(way[0], way[-1], ONSETS + 1)[:-1]
-    return float(onsets[np.argmin([missed(onset) for onset in onsets])])
+    misfit = np.array([missed(onset) for onset in onsets])
+    near = onsets[misfit <= misfit.min() * (1 + 1 / part.size)]  # one standard deviation
+    return float(onsets[np.argmin(misfit)]), float(near[-1] - near[0] + onsets[1] - onsets[0]) / 2

@@ -65,7 +65,8 @@ class Samples(NamedTuple):
     high: Any
     touch: Any  # (whiskers,) way; NaN where it is not seen
     release: Any
-    event_weight: Any
+    touch_weight: Any  # (whiskers,)
+    release_weight: Any
     jump_weight: Any  # (JUMPS,) of a snap's distance from the middle between two samples
     jump_width: Any
     transforms: Any  # table of the fit's variables: see transforms.py
@@ -116,7 +117,8 @@ def samples(
         high=seen.high,
         touch=seen.touch,
         release=seen.release,
-        event_weight=np.asarray(1 / (WIDE_EVENT * length)),
+        touch_weight=1 / np.hypot(WIDE_EVENT * length, np.nan_to_num(seen.touch_error)),
+        release_weight=np.asarray(1 / (WIDE_EVENT * length)),
         jump_weight=1 / (np.full(JUMPS, WIDE_EVENT * length) if overlaid else BETWEEN * gap),
         jump_width=np.full(JUMPS, np.inf) if overlaid else WIDTH * gap,
         transforms=table(transforms),
@@ -178,12 +180,15 @@ def residuals(
     left_out = jnp.any((between | (here == low)) & paired, axis=1)
     of_signals = jnp.where(left_out[:, None, None], 0.0, (signals - data.values) * data.weight)
 
-    def of_events(where, seen, measured):
+    def of_events(where, seen, measured, weight):
         wanted = data.control[0] + onwards * jnp.where(jnp.isfinite(measured), measured, 0.0)
         missed = jnp.where(seen, start + onwards * where - wanted, NO_EVENT)
-        return jnp.where(data.overlaid & jnp.isfinite(measured), missed, 0.0) * data.event_weight
+        return jnp.where(data.overlaid & jnp.isfinite(measured), missed, 0.0) * weight
 
-    of_ends = [of_events(touch, touches, data.touch), of_events(release, releases, data.release)]
+    of_ends = [
+        of_events(touch, touches, data.touch, data.touch_weight),
+        of_events(release, releases, data.release, data.release_weight),
+    ]
     everything = [of_signals.ravel(), of_jumps, *of_ends, (y - data.prior) * data.prior_weight]
     compared = Compared(jnp.where(ok[:, None, None], signals, jnp.nan), left_out, way.status)
     return jnp.concatenate(everything), compared
