@@ -7,7 +7,10 @@ import pytest
 from matplotlib import pyplot
 
 import jaxwhisker as jw
+from jaxwhisker.identify.features import features
 from jaxwhisker.identify.identifiability import identifiability
+from jaxwhisker.identify.misfit import WIDE_EVENT
+from jaxwhisker.measured import Measured
 
 RECOVERED = 1e-6  # relative: least squares stop at 1e-7, signals by the closed form and by integration agree to 1e-9
 STEPS = 256  # one block of samples, so that all fits of a scene share a compiled function
@@ -137,6 +140,19 @@ def test_reversing_data():
     fit = jw.identify(fb, {"c": 3 * TRUTH["c"], "q": TRUTH["q"] / 2}, exact(fb(**TRUTH), control=control))
     assert fit.starts == 1
     assert max(abs(fit.estimates[k] / v - 1) for k, v in TRUTH.items()) < RECOVERED
+
+
+def test_a_touch_in_noise_lies_where_it_is_told():
+    # fx is loudest, but no parabola; mz tells where.
+    control, touch, noise = np.linspace(0.0, -1.0, STEPS), 0.3, 0.02
+    past = np.maximum(-control - touch, 0.0)
+    values = np.stack([0.2 * past + 20 * past**7, np.full(STEPS, np.nan), past + past**2], axis=-1)
+    misses = []
+    for seed in range(20):
+        found = values + noise * np.random.default_rng(seed).standard_normal(values.shape)
+        seen = features(Measured(control, found[:, None], np.full(found[:, None].shape, noise)))
+        misses.append(abs(seen.touch[0] - touch))
+    assert np.median(misses) < WIDE_EVENT / 2
 
 
 def test_what_is_only_told_together_is_said_and_has_no_error(data):
@@ -304,7 +320,7 @@ def test_pictures_of_fits_and_of_information(data, told):
         np.testing.assert_allclose(np.diff(gained), told.density[1:, k] / told.density[:, k].sum(), atol=1e-12)
     lacking = {name: values for name, values in data.items() if name != "fx"}
     axes = jw.plot.fit(jw.identify(fb, TRUTH, lacking, sigma=NOISE))
-    assert [ax.get_ylabel() for ax in axes] == ["fy", "mz"]
+    assert [ax.get_ylabel() for ax in axes] == [jw.plot.axis_label(name) for name in ("fy", "mz")]
     dots, line = axes[0].get_lines()
     np.testing.assert_allclose(dots.get_ydata(), data["fy"][:, 0])
     np.testing.assert_allclose(line.get_ydata(), data["fy"][:, 0], atol=NOISE["fy"])

@@ -106,15 +106,15 @@ def _contact(way: np.ndarray, values: np.ndarray, loud: np.ndarray) -> tuple[flo
         return np.nan, np.nan, release
     # Noise hides the touch itself: it is where what follows, nearly a parabola, comes from. Of some channels it is one
     # for longer than of others.
-    found = [_onset(way, signal) for signal in values.T]
+    found = [_onset(way, signal, clear) for signal, clear in zip(values.T, loud.T, strict=True)]
     error, touch = min((error, touch) for touch, error in found)
     return (touch, error, release) if np.isfinite(error) else (float(way[max(first - 1, 0)]), 0.0, release)
 
 
-def _onset(way: np.ndarray, signal: np.ndarray) -> tuple[float, float]:
+def _onset(way: np.ndarray, signal: np.ndarray, loud: np.ndarray) -> tuple[float, float]:
     """Where a signal that was zero sets out along a parabola, by least squares, and its error; infinite if unknown."""
     size = np.nan_to_num(np.abs(signal))
-    part = np.flatnonzero(np.isfinite(signal[: int(np.argmax(size > EARLY * size.max())) + 1]))
+    part = np.flatnonzero(np.isfinite(signal[: int(np.argmax(loud & (size > EARLY * size.max()))) + 1]))
     if part.size < FEWEST:
         return np.nan, np.inf
     way, signal = way[part], signal[part]
