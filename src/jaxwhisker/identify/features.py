@@ -11,6 +11,8 @@ ABOVE_NOISE = 5.0  # standard deviations, of what is called contact
 LEAST = 2e-3  # of the peak, where noise is unknown or small
 STEEPER = 4.0  # a jump than what is beside it
 JUMP = 0.02  # of the peak, at least
+BEFORE = 5  # samples before a jump that is
+LARGER = 2.0  # times as large, there are no others
 EARLY = 0.2  # of the peak, up to which a signal is a parabola after a touch
 ONSETS = 60  # that are tried
 FEWEST = 6  # samples that tell one
@@ -75,11 +77,17 @@ def _jumps(way: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple[np.n
             last = merged.pop()
             low, high, size = max(low, last[0]), min(high, last[1]), max(size, last[2])
         merged.append((low, high, size))
+    merged = [jump for jump in merged if not any(_steepens(jump, snap) for snap in merged)]
     largest = sorted(sorted(merged, key=lambda jump: -jump[2])[:JUMPS])
     low, high = np.full(JUMPS, np.nan), np.full(JUMPS, np.nan)
     for k, jump in enumerate(largest):
         low[k], high[k] = jump[:2]
     return low, high
+
+
+def _steepens(jump: tuple[float, float, float], snap: tuple[float, float, float]) -> bool:
+    """Whether what looks like a jump is the steep signal before a larger one: at a fold it is steep without bound."""
+    return snap[2] > LARGER * jump[2] and 0 <= snap[0] - jump[1] < BEFORE * (snap[1] - snap[0])
 
 
 def _jumps_of(way: np.ndarray, signal: np.ndarray, noise: np.ndarray) -> list[tuple[float, float, float]]:

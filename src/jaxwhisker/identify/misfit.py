@@ -1,8 +1,8 @@
 """The misfit: residuals of a scan against measured signals, and their derivatives by what is sought.
 
 Signals jump at snaps. A sample that lies between the model's snap and the measured one tells nothing by its size and
-misleads by its slope; it is left out, as is the last one before a measured snap, and the snap's position takes its
-place: it lies anywhere between the two samples between which the signals jump, and not outside.
+misleads by its slope; it is left out at a fixed price, as is the last one before a measured snap at none, and the
+snap's position takes its place: it lies anywhere between the two samples between which the signals jump, not outside.
 
 First guesses may be far off. Then scans are laid over each other: the model's way from first touch to last contact is
 stretched to the measured one, signals are compared at equal shares of it, and where contact begins and ends is compared
@@ -34,6 +34,7 @@ PRIOR = 1e4  # ... later: what the data do not see at all stays where it is
 BETWEEN = 12**-0.5  # of the gap between two samples: standard deviation of a snap that is anywhere in it
 OUTSIDE = 8.0  # times that weight and more have snaps far outside of it,
 WIDTH = 2.0  # from so many gaps on; smoothly: a least-squares step cannot foresee a wall
+LEFT_OUT = 3.0  # standard deviations, as which a value counts that lies between the model's snap and the measured one
 NO_EVENT = 1.0  # lengths by which an event misses that the model does not have
 
 
@@ -175,10 +176,13 @@ def residuals(
     of_jumps = jnp.where(paired, missed, jnp.where(jump, NO_EVENT, 0.0)) * data.jump_weight
 
     low, high, snapped, here = jax.lax.stop_gradient((low, high, snapped, along[:, None]))
-    between = ((here <= low) & (here > snapped)) | ((here >= high) & (here < snapped))
+    between = jnp.any((((here <= low) & (here > snapped)) | ((here >= high) & (here < snapped))) & paired, axis=1)
     # Before a fold signals change without bound: the last sample there is worth little, and bends the misfit.
-    left_out = jnp.any((between | (here == low)) & paired, axis=1)
+    left_out = between | jnp.any((here == low) & paired, axis=1)
     of_signals = jnp.where(left_out[:, None, None], 0.0, (signals - data.values) * data.weight)
+    # Nothing is gained by a snap that has a sample left out.
+    at_wrong_side = (between & ~data.overlaid)[:, None, None] & (data.weight > 0)
+    of_signals = jnp.where(at_wrong_side, LEFT_OUT, of_signals)
 
     def of_events(where, seen, measured, weight):
         wanted = data.control[0] + onwards * jnp.where(jnp.isfinite(measured), measured, 0.0)
