@@ -4,7 +4,7 @@ python benchmarks/reconstruct.py [--quick]
 
 Signals of straight whiskers come from the closed form. A contour's error is its distance from the object along the
 normal, at 101 slopes between the outermost knots of its fit, in lengths of the whisker; knots are chosen once a scene,
-from the first signals.
+from the first signals, and lie within the slopes that were touched.
 """
 
 import argparse

@@ -171,9 +171,9 @@ def residuals(
     nearest = jnp.argmin(apart, axis=1)
     paired = jump & jnp.isfinite(jnp.min(apart, axis=1))
     low, high, middle, snapped = (jnp.where(paired, v, 0.0) for v in (low, high, middle, at[nearest]))
-    outside = ((snapped - middle) / data.jump_width) ** 4
-    missed = (snapped - middle) * (1 + OUTSIDE * outside / (1 + outside))
-    of_jumps = jnp.where(paired, missed, jnp.where(jump, NO_EVENT, 0.0)) * data.jump_weight
+    missed = jnp.where(paired, snapped - middle, jnp.where(jump, NO_EVENT, 0.0))
+    outside = (missed / data.jump_width) ** 4
+    of_jumps = missed * (1 + OUTSIDE * outside / (1 + outside)) * data.jump_weight
 
     low, high, snapped, here = jax.lax.stop_gradient((low, high, snapped, along[:, None]))
     between = jnp.any((((here <= low) & (here > snapped)) | ((here >= high) & (here < snapped))) & paired, axis=1)

@@ -76,7 +76,7 @@ def identify(
             no contact in them.
 
     Warns:
-        If measured values and the scene's units differ by orders of magnitude.
+        UserWarning: if measured values and the scene's units differ by orders of magnitude.
     """
     _checks.float64_mode()
     guess = checked_guess(build, guess)

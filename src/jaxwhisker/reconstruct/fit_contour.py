@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker.contour import Contour
+from jaxwhisker.fit_status import FitStatus
 from jaxwhisker.identify.fit import Fit
 from jaxwhisker.identify.run import identify
 from jaxwhisker.measured import measured_of
@@ -28,6 +29,8 @@ from jaxwhisker.sensor import Sensor
 GRID = 0.05  # rad, to which outermost knots are rounded: alike contours need no other code
 SURE = 0.05  # rad: standard error of slopes between which there are knots
 FINE = 401  # slopes between which points are integrated for a start
+SMOOTH = 0.3  # of the mean radius: second difference of radii, a standard deviation, for a start
+SHARP = 0.4  # of the radii beside them: outermost ones, for another start
 LEAST = 0.1  # of the median radius, and of the lowest point, for a start
 OWN = "radius_"  # names of the contour's parameters among those of the fit
 
@@ -142,13 +145,21 @@ def fit_contour(
         slopes = _given(points, knots)
     if guess is None:
         x, y, radii = _through(points, slopes)
+        starts = [(x, y, radii), (x, y, np.r_[SHARP * radii[1], radii[1:-1], SHARP * radii[-2]])]
     else:
         start = guess if isinstance(guess, Contour) and guess.slopes == slopes else Contour.like(guess, slopes)
-        (x, y), radii = start.vertex(), np.exp(np.asarray(start.log_radius))
-    first = {name: values[name] for name in unknown} | {"distance": float(y), "position": float(x)}
-    first |= {f"{OWN}{k}": float(radius) for k, radius in enumerate(radii)}
+        starts = [(*start.vertex(), np.exp(np.asarray(start.log_radius)))]
     build = _Before(make, tuple((n, v) for n, v in values.items() if n not in unknown), slopes)
-    fit = identify(build, first, measured, sigma=sigma, starts=0, near=True)
+    found: list[Fit] = []
+    for x, y, radii in starts:
+        first = {name: values[name] for name in unknown} | {"distance": float(y), "position": float(x)}
+        first |= {f"{OWN}{k}": float(radius) for k, radius in enumerate(radii)}
+        found.append(identify(build, first, measured, sigma=sigma, starts=0, near=True))
+        # Flanks at which no contact was strong decide whether a scan ends with a snap; without it a fit is stuck. Of
+        # sharper ones there is one.
+        if found[-1].status == FitStatus.ok:
+            break
+    fit = min(found, key=lambda fit: (fit.status != FitStatus.ok, np.nan_to_num(fit.chi2, nan=np.inf)))
     radii = [fit.estimates[f"{OWN}{k}"] for k in range(len(slopes))]
     profile = _contour(slopes, fit.estimates["distance"], fit.estimates["position"], radii)
     fitted = make(**{**values, **{name: fit.estimates[name] for name in unknown}})
@@ -191,11 +202,15 @@ def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, 
         return np.array([np.interp(slope, fine, w) - np.interp(0.0, fine, w) for w in way]).T
 
     one, none = np.ones_like(x), np.zeros_like(x)
+    # Where points tell little radii go on as they do beside.
+    usual = np.hypot(np.ptp(x), np.ptp(y)) / (slopes[-1] - slopes[0])
+    bends = np.diff(np.eye(len(slopes)), n=2, axis=0) / (SMOOTH * usual)
     rows = np.concatenate([
         np.column_stack([one, none, along(np.cos(fine))]) * weight[:, None],
         np.column_stack([none, one, along(np.sin(fine))]) * weight[:, None],
+        np.column_stack([np.zeros((len(bends), 2)), bends]),
     ])  # fmt: skip
-    found, *_ = np.linalg.lstsq(rows, np.concatenate([x * weight, y * weight]), rcond=None)
+    found, *_ = np.linalg.lstsq(rows, np.concatenate([x * weight, y * weight, np.zeros(len(bends))]), rcond=None)
     middle = np.median(np.abs(found[2:]))
     return found[0], max(found[1], LEAST * float(np.min(y))), np.maximum(found[2:], LEAST * middle)
 
@@ -229,7 +244,7 @@ def _knots(slopes: Float[np.ndarray, " points"], count: int) -> tuple[float, ...
     if slopes.size < count:
         raise ValueError(f"`measured` must show at least {count} contacts clear of the noise, but shows {slopes.size}.")
     low, high = np.quantile(slopes, [0.005, 0.995])
-    low, high = GRID * np.round(low / GRID), GRID * np.round(high / GRID)
+    low, high = GRID * np.ceil(low / GRID), GRID * np.floor(high / GRID)  # inwards: beyond, nothing was touched
     if not high > low:
         raise ValueError(f"`measured` must show contacts of different slopes, but shows {low:.3g} to {high:.3g} rad.")
     return tuple(np.linspace(low, high, count).round(12).tolist())
