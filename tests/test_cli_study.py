@@ -8,7 +8,8 @@ from matplotlib.image import imread
 import jaxwhisker as jw
 from jaxwhisker import cli
 from jaxwhisker.cli.study import axis
-from jaxwhisker.study import picture as pictures
+from jaxwhisker.plot import studies
+from jaxwhisker.study import steepness as steepnesses
 from jaxwhisker.study.kernel import Kernel
 from scenes import model
 
@@ -112,13 +113,13 @@ def test_critical_stiffness_is_where_the_picture_has_it():
     stiffness, distance = np.linspace(10, 60, 6), np.array([0.15, 0.2])
     build = lambda stiffness, distance=0.2: model("FB", stiffness, distance=distance)  # noqa: E731
     data = xr.Dataset(coords={"stiffness": stiffness})
-    steepness = pictures.steepness(build, data)
-    (at,) = pictures._crossings(steepness.stiffness.values, steepness.values)
+    steepness = steepnesses.steepness(build, data)
+    (at,) = studies._crossings(steepness.stiffness.values, steepness.values)
     assert abs(at / CRITICAL - 1) < READ
-    grid = pictures.steepness(build, xr.Dataset(coords={"stiffness": stiffness, "distance": distance}))
+    grid = steepnesses.steepness(build, xr.Dataset(coords={"stiffness": stiffness, "distance": distance}))
     np.testing.assert_allclose(grid.isel(distance=-1), steepness, rtol=1e-12)
     assert np.all(grid.isel(distance=0) > grid.isel(distance=-1))
-    bad = pictures.steepness(build, xr.Dataset(coords={"stiffness": [-10.0, 10.0]}))
+    bad = steepnesses.steepness(build, xr.Dataset(coords={"stiffness": [-10.0, 10.0]}))
     np.testing.assert_array_equal(np.isnan(bad), bad.stiffness <= 0)
 
 
@@ -126,8 +127,7 @@ def test_one_range_is_drawn_as_lines(stored):
     _, _, folder = stored
     found = jw.summary(opened(folder)).isel(distance=1, drop=True)
     steepness = xr.DataArray([2.0, 0.5], {"stiffness": [30.0, 120.0]}, ["stiffness"])
-    figure = pictures.picture(found, steepness)
-    (ax,) = figure.axes
+    (ax,) = jw.plot.study(found, critical=steepness)
     curve, critical = ax.lines
     np.testing.assert_array_equal(np.asarray(curve.get_xdata()), [-5.0, 50.0, 80.0])  # infinity has no place
     np.testing.assert_array_equal(np.asarray(curve.get_ydata()), found.max_mz.values[:3, 0])

@@ -13,7 +13,6 @@ from jaxwhisker.scene import Scene, units
 NOISE = 1e-9  # share of a unit below which a number is shown as zero
 
 REACTIONS = ("fx", "fy", "mz")
-_COLUMNS = (*REACTIONS, "base_x", "contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y")
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -111,33 +110,12 @@ def status_line(result: Result) -> tuple[int, str]:
     return failed, f"{status.size} steps: {', '.join(parts)}"
 
 
-def scan_columns(result: Result) -> dict[str, np.ndarray]:
-    """Every signal of a scan by name: control, fx_1, fy_1, mz_1, base_x_1, ..., spring_1, ..., phase_1, status."""
-    columns = {"control": np.asarray(result.control)}
-    for k in range(np.asarray(result.fx).shape[1]):
-        columns |= {f"{name}_{k + 1}": np.asarray(getattr(result, name))[:, k] for name in _COLUMNS}
-    lengths = np.asarray(result.spring_length)
-    columns |= {f"spring_{k + 1}": lengths[:, k] for k in range(lengths.shape[1])}
-    phase = np.asarray(result.phase)
-    columns |= {f"phase_{k + 1}": phase[:, k] for k in range(phase.shape[1])}
-    return columns | {"status": np.asarray(result.status)}
-
-
 def write_columns(columns: dict[str, np.ndarray], path: Path, comment: str) -> None:
     """Write columns of one length as CSV below a comment line."""
     kinds = ["%d" if np.asarray(c).dtype.kind in "iu" else "%.9g" for c in columns.values()]
     header = f"# {comment}\n{','.join(columns)}"
     values = np.column_stack(list(columns.values())) + 0.0  # no minus sign before a zero
     np.savetxt(path, values, kinds, delimiter=",", header=header, comments="")
-
-
-def write_scan(result: Result, path: Path) -> None:
-    """Write every signal of a scan as CSV, in the scene's own units."""
-    comment = (
-        f"{result.scene}; lengths in the unit of L, forces in EI/L^2, moments in EI/L, slopes in rad; "
-        "phase 0 free, 1 tip, 2 tangential; status 0 ok"
-    )
-    write_columns(scan_columns(result), path, comment)
 
 
 def write_rows(rows: Sequence[Sequence[str]], path: Path) -> None:

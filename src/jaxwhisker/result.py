@@ -1,7 +1,7 @@
 """What a scan returns: signals over the control, and the events."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,6 +10,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker.path import EventKind, Status
 from jaxwhisker.scene import Scene
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 class State(eqx.Module):
@@ -101,6 +104,19 @@ class Result(State):
     events: Events
     scene: Scene
 
+    def to_xarray(self) -> "xr.Dataset":
+        """The scan as a Dataset: dimensions `control`, `whisker`, `spring` and `event`, units and long names.
+
+        Its variables are those of a `study` with `outputs="all"`.
+
+        Raises:
+            ValueError: if it is a batch of scans.
+            ImportError: if xarray is missing: `pip install jaxwhisker[study]`.
+        """
+        from jaxwhisker.export import to_xarray
+
+        return to_xarray(self)
+
     def __str__(self) -> str:
         statuses, counts = np.unique(np.asarray(self.status), return_counts=True)
         bad = {Status(int(s)).name: int(n) for s, n in zip(statuses, counts, strict=True)}
@@ -112,3 +128,19 @@ class Result(State):
         return "\n".join([*lines, *map(str, self.events)])
 
     __repr__ = __str__
+
+
+def check_one_scan(result: Any) -> Result:
+    """The result, which has to be that of one scan.
+
+    Raises:
+        ValueError: if it is none, or a batch of them.
+    """
+    if not isinstance(result, Result):
+        raise ValueError(f"`result` must be the Result of a scan, but is {result!r}.")
+    if np.ndim(result.control) != 1 or np.ndim(result.fx) != 2:
+        raise ValueError(
+            f"`result` must be of one scan, but is a batch of shape {np.shape(result.fx)[:-2]}: pick a lane first, "
+            "jax.tree.map(lambda leaf: leaf[0], result)."
+        )
+    return result

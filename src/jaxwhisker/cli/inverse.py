@@ -201,7 +201,9 @@ def _cell(value: float) -> str:
 
 
 def _save(ax: Any, path: Path) -> None:
-    ax.figure.savefig(path, dpi=130)
+    from jaxwhisker import plot
+
+    plot.save(ax, path, dpi=130)
     print(f"wrote {path}")
 
 

@@ -21,7 +21,8 @@ from jaxwhisker.cli.options import (
     positions,
     shape_of,
 )
-from jaxwhisker.report import event_rows, peak_rows, status_line, table, write_scan
+from jaxwhisker.export import to_csv
+from jaxwhisker.report import event_rows, peak_rows, status_line, table
 from jaxwhisker.scan import STEP, scan
 from jaxwhisker.scene import Scene
 from jaxwhisker.support import Support
@@ -112,11 +113,11 @@ def _run(args: argparse.Namespace) -> int:
     print()
     print(line)
     if args.csv is not None:
-        write_scan(result, args.csv)
+        to_csv(result, args.csv)
         print(f"wrote {args.csv}")
     if args.plot is not None:
-        from jaxwhisker.plot import overview
+        from jaxwhisker import plot
 
-        overview(result).savefig(args.plot, dpi=130)
+        plot.save(plot.overview(result), args.plot, dpi=130)
         print(f"wrote {args.plot}")
     return NOT_ALL_OK if failed else OK

@@ -166,9 +166,12 @@ def _run(args: argparse.Namespace) -> int:
     if args.store is not None:
         print(f"wrote {args.store}")
     if args.plot is not None:
-        from jaxwhisker.study.picture import picture, steepness
+        from jaxwhisker import plot
+        from jaxwhisker.study.steepness import steepness
 
-        picture(found, steepness(chosen, found)).savefig(args.plot, dpi=130)
+        axes = plot.study(found, critical=steepness(chosen, found))
+        axes[0].figure.suptitle(data.attrs["scene"], fontsize="medium")
+        plot.save(axes, args.plot, dpi=130)
         print(f"wrote {args.plot}")
     return OK if bool((found.steps_failed == 0).all()) else NOT_ALL_OK
 

@@ -7,8 +7,20 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from jaxwhisker.measured import CHANNELS
-from jaxwhisker.plot.scans import COLOURS
+from jaxwhisker.plot.axes import (
+    COLOURS,
+    axis_label,
+    colour,
+    column,
+    control_axis,
+    control_size,
+    legend_above,
+    mark_events,
+    one_axes,
+    title,
+)
 from jaxwhisker.reconstruct.fit_contour import ContourFit
+from jaxwhisker.scene import units
 
 if TYPE_CHECKING:
     from jaxwhisker.identify import Fit, Information
@@ -16,30 +28,34 @@ if TYPE_CHECKING:
     from jaxwhisker.reconstruct.points import Reconstruction
 
 BAND = 1.959964  # standard deviations that hold 95 %
-_GREY = "#777777"
+_UNIT = "(scan's unit)"
 
 
 def fit(fit: "Fit", *, axs: Iterable[Axes] | None = None) -> np.ndarray:
-    """Draw measured signals (dots) and those of the fit (lines), one Axes a measured channel, in the data's units.
+    """Draw measured signals (dots) and those of the fit (lines), one Axes a measured channel.
 
     Args:
         fit: of `identify`.
         axs: where to draw, one per measured channel; a new figure by default.
+
+    Raises:
+        ValueError: if the number of `axs` is another one.
     """
     measured = fit.measured
     channels = [c for c in range(len(CHANNELS)) if measured.known[:, :, c].any()]
-    axes = _column(axs, len(channels))
+    axes, unit = column(axs, len(channels)), units(fit.scene)
+    control = measured.control / control_size(fit.scene)
     for ax, c in zip(axes, channels, strict=True):
+        size = float(unit.moment if CHANNELS[c] == "mz" else unit.force)
         for k in range(measured.values.shape[1]):
-            colour = COLOURS[k % len(COLOURS)]
-            ax.plot(measured.control, measured.values[:, k, c], ".", color=colour, markersize=2, alpha=0.4)
-            ax.plot(measured.control, fit.signals[:, k, c], color=colour, linewidth=1, label=f"whisker {k + 1}")
-        ax.set_ylabel(f"{CHANNELS[c]}")
-    axes[-1].set_xlabel("control")
+            ax.plot(control, measured.values[:, k, c] / size, ".", color=colour(k), markersize=2, alpha=0.4)
+            ax.plot(control, fit.signals[:, k, c] / size, color=colour(k), linewidth=1, label=f"whisker {k + 1}")
+        ax.set_ylabel(axis_label(CHANNELS[c]))
+    axes[-1].set_xlabel(control_axis(fit.scene))
     if measured.values.shape[1] > 1:
-        axes[0].legend(frameon=False)
-    axes[0].set_title("measured (dots) and fitted" + ("" if fit.status == 0 else f": {fit.status.name}"), fontsize=9)
-    _onwards(axes, measured.control)
+        legend_above(axes[0], axes[0].get_legend_handles_labels()[0])
+    title(axes[0], "measured (dots) and fitted" + ("" if fit.status == 0 else f": {fit.status.name}"))
+    _onwards(axes, control)
     return axes
 
 
@@ -52,16 +68,15 @@ def information(information: "Information", *, ax: Axes | None = None) -> Axes:
         information: of `jw.information`.
         ax: where to draw; a new figure by default.
     """
-    (axes,) = _column(None if ax is None else [ax], 1)
+    axes = one_axes(ax)
     for k, name in enumerate(information.names):
         gained = np.cumsum(information.density[:, k])
         if gained[-1] > 0:
-            axes.plot(information.control, gained / gained[-1], color=COLOURS[k % len(COLOURS)], label=name)
-    for event in information.events:
-        axes.axvline(event.control, color=_GREY, linewidth=0.5, zorder=0)
-    axes.set_xlabel("control")
-    axes.set_ylabel("share of the information so far")
-    axes.legend(frameon=False)
+            axes.plot(information.control, gained / gained[-1], color=colour(k), label=name)
+    mark_events(axes, [event.control for event in information.events])
+    axes.set_xlabel(f"$u$ {_UNIT}")
+    axes.set_ylabel("share of information")
+    legend_above(axes, axes.get_legend_handles_labels()[0], least=1)
     _onwards([axes], information.control)
     return axes
 
@@ -76,7 +91,7 @@ def contour(
         profile: drawn beside it: the object, where it is known, or one that was fitted to points.
         ax: where to draw; a new figure by default.
     """
-    (axes,) = _column(None if ax is None else [ax], 1)
+    axes = one_axes(ax)
     if isinstance(found, ContourFit):
         band = found.band()
         known = np.isfinite(band.error) if np.isfinite(band.error).any() else np.ones(band.error.shape, bool)
@@ -91,19 +106,19 @@ def contour(
         x, y, slope, error = (np.asarray(v) for v in (found.x, found.y, found.slope, found.normal_error))
         clear = np.asarray(found.clear)
         for k in range(x.shape[1]):
-            own, colour = clear[:, k], COLOURS[k % len(COLOURS)]
+            own = clear[:, k]
             reach = BAND * np.nan_to_num(error[own, k]) * np.array([[1.0], [-1.0]])
             bars_x, bars_y = x[own, k] + reach * np.sin(slope[own, k]), y[own, k] - reach * np.cos(slope[own, k])
-            axes.plot(bars_x, bars_y, color=colour, linewidth=0.5, alpha=0.3)
-            axes.plot(x[own, k], y[own, k], ".", color=colour, markersize=2.5, label=f"whisker {k + 1}")
+            axes.plot(bars_x, bars_y, color=colour(k), linewidth=0.5, alpha=0.3)
+            axes.plot(x[own, k], y[own, k], ".", color=colour(k), markersize=2.5, label=f"whisker {k + 1}")
         ends = np.quantile(slope[clear], [0.02, 0.98]) if clear.any() else np.array([-1.0, 1.0])
     if profile is not None:
         at = [profile.point(p) for p in _parameters(profile, ends)]
         axes.plot([float(p.x) for p in at], [float(p.y) for p in at], color="black", linewidth=0.8, label=str(profile))
     axes.set_aspect("equal")
-    axes.set_xlabel("x")
-    axes.set_ylabel("y")
-    axes.legend(frameon=False)
+    axes.set_xlabel(f"$x$ {_UNIT}")
+    axes.set_ylabel(f"$y$ {_UNIT}")
+    legend_above(axes, axes.get_legend_handles_labels()[0], least=1)
     return axes
 
 
@@ -116,16 +131,8 @@ def _parameters(profile: Any, slopes: np.ndarray) -> np.ndarray:
     return grid[(angles >= slopes[0]) & (angles <= slopes[1])]
 
 
-def _column(axs: Iterable[Axes] | None, count: int) -> np.ndarray:
-    if axs is not None:
-        return np.asarray(list(axs), dtype=object)
-    from matplotlib import pyplot
-
-    return pyplot.subplots(count, 1, sharex=True, squeeze=False, layout="constrained")[1][:, 0]
-
-
 def _onwards(axes: Iterable[Axes], control: np.ndarray) -> None:
-    """Time runs to the right, as in all pictures of scans."""
+    """What is read in the order of time runs to the right."""
     if control[-1] < control[0]:
         for ax in axes:
             ax.set_xlim(float(np.max(control)), float(np.min(control)))

@@ -91,12 +91,14 @@ def _(shows: States, scans: Scans):
     result = scans(shows.case)
     ats = [_midway(result, moments) for moments in shows.between]
     canvas = Canvas()
-    axes = canvas.subplots(2, 2, sharex=True, sharey=True)
+    axes = canvas.subplots(2, 2)
     for ax, at, letter in zip(axes.flat, ats, "abcd", strict=True):
-        plot.state(result, at, whole=not shows.case.semicircle, ax=ax)
+        plot.shapes(result, at, whole=not shows.case.semicircle, ax=ax)
+        if legend := ax.get_legend():
+            legend.remove()  # one of them is enough
         ax.set_title(f"{letter}) $u/L$ = {at:.3f}; {_in_words(result, at)}", fontsize=9)
         ax.label_outer()
-    plot.frame_states(list(axes.flat), [result] * 4, ats)
+    plot.same_window(axes.flat)
     (left, right), (bottom, top) = axes[0, 0].get_xlim(), axes[0, 0].get_ylim()
     panel = 4.2 * (top - bottom) / (right - left)
     _arrange(canvas, width=9.6, panel=panel, rows=2, head=0.7, between=0.35)
@@ -122,7 +124,7 @@ def _arrange(canvas: Canvas, width: float, panel: float, rows: int, head: float,
 
 
 def _in_words(result, at: float) -> str:
-    words = plot.phases(result, at)
+    words = plot.in_words(result, at)
     return words.removeprefix("1: ") + " contact" if "," not in words else "whisker " + words
 
 

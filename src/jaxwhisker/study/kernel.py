@@ -41,7 +41,8 @@ class Job:
     key: str = ""  # names the compiled function where several processes compute
 
 
-def _arrays(scene: Scene, result: Result) -> dict:
+def fields_of(scene: Scene, result: Result) -> dict:
+    """All that `FIELDS` names, of a scan."""
     states = {"": result, "before_": result.events.before, "after_": result.events.after}
     found = {prefix + name: getattr(s, name) for prefix, s in states.items() for name in State.__dataclass_fields__}
     events = result.events
@@ -65,7 +66,7 @@ def _point(job: Job) -> Callable[[dict], dict]:
 
     def split(values):
         scene = job.build(**values)
-        found = _arrays(scene, along(scene, control, jnp.asarray(stops), jnp.asarray(last)))
+        found = fields_of(scene, along(scene, control, jnp.asarray(stops), jnp.asarray(last)))
         found = {name: found[name].astype(FIELDS[name].dtype) for name in names}
         return {name: found.pop(name) for name in smooth}, found
 

@@ -1,0 +1,120 @@
+"""Pictures of studies: a peak over one or two parameters, and where scans begin to snap through the vertex."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from jaxwhisker.plot.axes import COLOURS, colour, given, legend_above, one_axes, title
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_CRITICAL = COLOURS[1]
+
+
+def study(
+    data: "xr.Dataset",
+    name: str = "max_mz",
+    *,
+    critical: "xr.DataArray | None" = None,
+    axs: Iterable[Axes] | None = None,
+) -> np.ndarray:
+    """Draw a variable of a summary over the study's one or two axes; return the Axes.
+
+    Over one axis there is a line for every whisker in one Axes, over two a map in one Axes each.
+
+    Args:
+        data: of `summary`, or of `study` with `summary=True`.
+        name: a variable with one value per whisker.
+        critical: how steep the clamped whisker's force is, times the flexibility (`study.steepness.steepness`): drawn
+            in where it is 1, the critical stiffness.
+        axs: where to draw; a new figure by default.
+
+    Raises:
+        ValueError: if there is no such variable, the study has not one or two axes, or the number of `axs` is wrong.
+    """
+    if name not in data.data_vars or "whisker" not in data[name].dims:
+        known = [str(n) for n, variable in data.data_vars.items() if "whisker" in variable.dims]
+        raise ValueError(f"`name` must be one of {', '.join(known)}, but is {name!r}.")
+    dims = [str(dim) for dim in data[name].dims if dim != "whisker"]
+    if len(dims) not in (1, 2) or {"control", "event"} & set(dims):
+        raise ValueError(f"`data` must hold {name} over one or two axes, but has {', '.join(dims) or 'none'}.")
+    data = _finite(data)
+    word = "critical" if data.sizes["whisker"] == 1 else "critical, estimated"
+    axes = _panels(axs, 1 if len(dims) == 1 else data.sizes["whisker"])
+    if len(dims) == 1:
+        _lines(data[name], critical, dims[0], word, axes[0])
+        return axes
+    low, high = float(data[name].min()), float(data[name].max())
+    for whisker, ax in zip(data.whisker.values, axes, strict=True):
+        mesh = _map(data[name].sel(whisker=whisker), critical, word, ax, low, high)
+        if axes.size > 1:
+            title(ax, f"whisker {whisker}")
+        if axs is None:
+            ax.label_outer()
+    axes[0].figure.colorbar(mesh, ax=list(axes), label=_label(data[name]))
+    return axes
+
+
+def _panels(axs: Iterable[Axes] | None, count: int) -> np.ndarray:
+    if axs is not None:
+        return given(axs, count)
+    if count == 1:
+        return np.array([one_axes(None)], dtype=object)
+    from matplotlib import pyplot
+
+    size = {"figsize": (2.0 + 3.6 * count, 4.0), "layout": "constrained"}
+    return pyplot.subplots(1, count, sharex=True, sharey=True, squeeze=False, **size)[1][0]
+
+
+def _finite(data: "xr.Dataset") -> "xr.Dataset":
+    """Without the points at infinity, which have no place in a picture."""
+    for dim in data.dims:
+        if dim != "whisker":
+            data = data.isel({dim: np.isfinite(data[dim].values)}).sortby(dim)
+    return data
+
+
+def _label(variable: "xr.DataArray") -> str:
+    name, unit = variable.attrs.get("long_name", str(variable.name)), variable.attrs.get("units", "1")
+    return name if unit == "1" else f"{name} [{unit}]"
+
+
+def _lines(values: "xr.DataArray", critical: "xr.DataArray | None", axis: str, word: str, ax: Axes) -> None:
+    for k, whisker in enumerate(values.whisker.values):
+        y = values.sel(whisker=whisker).values
+        ax.plot(values[axis].values, y, marker=".", color=colour(k), label=f"whisker {whisker}")
+    for k, at in enumerate([] if critical is None else _crossings(critical[axis].values, critical.values)):
+        ax.axvline(at, color="black", linestyle="--", label=None if k else f"{word}: {at:.4g}")
+    ax.set_xlabel(_label(values[axis]))
+    ax.set_ylabel(_label(values))
+    ax.grid(alpha=0.3)
+    legend_above(ax, ax.get_legend_handles_labels()[0], columns=2)
+
+
+def _crossings(x: np.ndarray, steepness: np.ndarray) -> list[float]:
+    """Where the steepness passes 1; its logarithm is nearly straight over the logarithm of x."""
+    if not np.all(x > 0):
+        return []
+    height, at = np.log(steepness), np.log(x)
+    turn = np.flatnonzero(height[:-1] * height[1:] <= 0)
+    share = height[turn] / (height[turn] - height[turn + 1])
+    return np.exp(at[turn] + share * (at[turn + 1] - at[turn])).tolist()
+
+
+def _map(values: "xr.DataArray", critical: "xr.DataArray | None", word: str, ax: Axes, low: float, high: float):
+    first, second = (str(dim) for dim in values.dims)
+    x, y = values[first].values, values[second].values
+    mesh = ax.pcolormesh(x, y, values.values.T, shading="nearest", cmap="viridis", vmin=low, vmax=high)
+    if critical is not None:
+        x, y = critical[first].values, critical[second].values
+        height = np.ma.log(np.ma.masked_invalid(critical.transpose(first, second).values.T))
+        if np.ma.min(height) < 0 < np.ma.max(height):
+            ax.contour(x, y, height, levels=[0.0], colors=_CRITICAL, linewidths=2)
+            legend_above(ax, [Line2D([], [], color=_CRITICAL, linewidth=2, label=word)], least=1)
+    ax.set_xlabel(_label(values[first]))
+    ax.set_ylabel(_label(values[second]))
+    return mesh

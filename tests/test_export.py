@@ -1,0 +1,125 @@
+"""Tables and Datasets of scans: names, values, and that they are read back."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker.measured import CHANNELS, measured_of
+from jaxwhisker.study.fields import FIELDS
+from scenes import model
+
+CONTROL = np.linspace(0.72, -1.62, 118)
+PARSED = 1e-15  # relative: the usual parser of pandas 2 is off by a last digit here and there
+SAME = 1e-9  # a scan in a batch and alone, relative to the largest value
+
+
+def scene(stiffness):
+    return jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfbr(stiffness), rod=jw.ClosedForm())
+
+
+@pytest.fixture(scope="module")
+def result():
+    return jw.scan(scene(70.0), CONTROL)
+
+
+@pytest.fixture(scope="module")
+def failed(result):
+    """The same with three steps that failed."""
+    lost = slice(40, 43)
+
+    def fail(leaf):
+        return leaf.at[lost].set(jnp.nan) if eqx.is_inexact_array(leaf) else leaf
+
+    signals = [getattr(result, name) for name in ("fx", "fy", "mz", "base_x", "contact_force", "spring_length")]
+    result = eqx.tree_at(
+        lambda r: [r.fx, r.fy, r.mz, r.base_x, r.contact_force, r.spring_length], result, list(map(fail, signals))
+    )
+    return eqx.tree_at(lambda r: r.status, result, result.status.at[lost].set(jw.Status.lost))
+
+
+def assert_same(measured, result):
+    np.testing.assert_array_equal(measured.control, result.control)
+    for c, name in enumerate(CHANNELS):
+        np.testing.assert_array_equal(measured.values[:, :, c], getattr(result, name))
+
+
+def test_table_holds_a_row_a_step(result):
+    table = jw.to_dataframe(result)
+    assert len(table) == CONTROL.size and list(table)[:5] == ["control", "fx_1", "fy_1", "mz_1", "base_x_1"]
+    assert {"base_angle_2", "contact_y_2", "spring_3", "phase_2", "status"} <= set(table) and "fx_3" not in table
+    np.testing.assert_array_equal(table.mz_2, result.mz[:, 1])
+    np.testing.assert_array_equal(table.spring_3, result.spring_length[:, 2])
+    assert table.phase_1.dtype.kind == "i" and set(table.phase_1) == {0, 1, 2}
+
+
+@pytest.mark.parametrize("kind", ["result", "failed"])
+def test_table_is_read_back(kind, request):
+    scanned = request.getfixturevalue(kind)
+    assert_same(measured_of(jw.to_dataframe(scanned)), scanned)
+
+
+@pytest.mark.parametrize("kind", ["result", "failed"])
+def test_file_is_read_back_to_the_last_digit(kind, request, tmp_path):
+    scanned, path = request.getfixturevalue(kind), tmp_path / "scan.csv"
+    jw.to_csv(scanned, path)
+    assert_same(measured_of(path), scanned)
+    read = pd.read_csv(path, comment="#")
+    pd.testing.assert_frame_equal(read, jw.to_dataframe(scanned), rtol=PARSED, atol=0, check_dtype=False)
+    assert path.read_text().startswith(f"# {scanned.scene}") and ",-0.0" not in path.read_text()
+
+
+def test_table_of_a_clamped_whisker_has_no_springs(result):
+    fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
+    clamped = model("clamped")
+    table = jw.to_dataframe(jw.Result(**fields | {"spring_length": jnp.zeros((CONTROL.size, 0)), "scene": clamped}))
+    assert not any(name.startswith("spring") for name in table)
+
+
+def test_dataset_is_that_of_a_study(result):
+    data = result.to_xarray()
+    studied = jw.study(scene, control=CONTROL, outputs="all", stiffness=[70.0]).isel(stiffness=0, drop=True)
+    assert set(data.variables) == set(studied.variables) and set(FIELDS) <= set(data.variables)
+    assert data.sizes == studied.sizes
+    for name, one in studied.variables.items():
+        other = data[name]
+        assert (one.dims, one.dtype, str(one.attrs)) == (other.dims, other.dtype, str(other.attrs)), name
+        if one.dtype.kind == "f":
+            np.testing.assert_allclose(other, one, rtol=0, atol=SAME * max(np.nanmax(np.abs(one)), 1.0), err_msg=name)
+        else:
+            np.testing.assert_array_equal(other, one, err_msg=name)
+    assert data.attrs.keys() == studied.attrs.keys()
+    assert all(data.attrs[name] == studied.attrs[name] for name in data.attrs if name != "date")
+    assert_same(measured_of(data), result)
+
+
+def test_dataset_tells_what_failed(failed):
+    assert failed.to_xarray().attrs["points"] == "0 of 1 ok; 1: lost"
+
+
+def test_dataset_has_the_units_of_the_scene(result):
+    assert result.to_xarray().fx.attrs["units"] == "EI/L^2"
+    long = eqx.tree_at(lambda r: r.scene.whisker.length, result, jnp.asarray(2.0))
+    assert long.to_xarray().fx.attrs["units"] == "force"
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize("export", [jw.to_dataframe, lambda r: jw.to_csv(r, "never.csv"), jw.Result.to_xarray])
+def test_a_batch_is_refused(export, result, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    batch = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 3), result)
+    with pytest.raises(ValueError, match=r"`result` must be of one scan, but is a batch of shape \(3,\): pick a lane"):
+        export(batch)
+    assert not list(tmp_path.iterdir())
+    first = jax.tree.map(lambda leaf: leaf[0], batch)
+    export(first)
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize("export", [jw.to_dataframe, lambda r: jw.to_csv(r, "never.csv")])
+def test_what_is_no_scan_is_refused(export):
+    with pytest.raises(ValueError, match="`result` must be the Result of a scan, but is 3"):
+        export(3)
