@@ -1,0 +1,5 @@
+"""Films of scans."""
+
+from jaxwhisker.film.animate import Film, animate
+
+__all__ = ["Film", "animate"]

@@ -1,0 +1,136 @@
+"""The flow between the two states of a snap: the one that decides the march (relax.py), told state by state.
+
+The march keeps where a snap begins and where it ends. Here its overdamped bases run once more, from the node of the
+path at which stability was lost, and every state on the way is kept in which no whisker is slipping.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int
+
+from jaxwhisker import _checks, relax
+from jaxwhisker._compile import COMPILER_OPTIONS
+from jaxwhisker._types import Scalar
+from jaxwhisker.clearance import in_scene
+from jaxwhisker.contact import Phase
+from jaxwhisker.equilibrium import (
+    Contacts,
+    Mode,
+    PerWhisker,
+    Point,
+    Poses,
+    Row,
+    at_control,
+    find,
+    newton_step,
+    scale_of,
+)
+from jaxwhisker.path import Node, dot, select, unit
+from jaxwhisker.result import Result, State
+from jaxwhisker.scan import _travelled_now, stops_of
+from jaxwhisker.scene import Problem, Scene, problem
+from jaxwhisker.signals import signals
+
+ROOM = 1024  # states kept of one flow; the march's own snaps take some hundred steps
+
+
+class _Kept(NamedTuple):
+    """Where contacts and bases are in a state of the flow."""
+
+    z: Contacts
+    phase: Int[Array, " whiskers"]
+    side: PerWhisker
+    pose: Poses
+
+
+class _Going(NamedTuple):
+    flow: relax.Flow
+    mode: Mode
+    z: Contacts
+    begun: Bool[Array, ""]
+    over: Bool[Array, ""]
+    kept: _Kept  # (ROOM, ...)
+    count: Int[Array, ""]
+
+
+def flows(result: Result, numbers: Sequence[int]) -> list[State]:
+    """States (states, whiskers) of the flow of each of these events of a scan, without the first and the last.
+
+    A whisker that swings free or over to the far side while its base stands does so between two of the states.
+    """
+    if not numbers:
+        return []
+    scene = jax.tree.map(_checks.as_float, result.scene)
+    stops, last = stops_of(np.asarray(result.control))
+    path = _travelled_now(scene, jnp.asarray(stops), jnp.asarray(last)).path
+    kind, travel = np.asarray(path.nodes.kind), np.asarray(path.nodes.travel)
+    passed = np.arange(kind.size) < int(path.count)
+    nodes = np.flatnonzero((kind >= 0) & passed & (np.cumsum(passed & (travel >= 0)) > 0))
+    found = []
+    for number in numbers:
+        before = jax.tree.map(lambda leaf, k=nodes[number] - 1: leaf[k], path.nodes)
+        states, count = _flow_now(scene, before)
+        found.append(jax.tree.map(lambda leaf, n=int(count): np.asarray(leaf)[:n], states))
+    return found
+
+
+def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
+    """States of the flow that begins at a node of the path, padded, and how many there are."""
+    dimensionless, u = problem(scene), before.point.u
+    still = Mode(before.phase, before.side, jnp.asarray(False))
+    tangent, tangent_pose, pose = _leaving(dimensionless, still, before)
+
+    def step(at: _Going) -> _Going:
+        kicked = relax.kick(at.flow, before.point, tangent, tangent_pose)
+        flow = select(at.begun, relax.propose(dimensionless, at.flow, at.mode, Point(at.z, u)), kicked)
+        held = None if dimensionless.axes == 1 else flow.pose[:, 1:]
+        mode = at.mode._replace(separate=jnp.asarray(True), held=held)
+        solution = find(dimensionless, mode, at_control(u, flow.guess), Point(flow.guess, u))
+        flow, mode, z = relax.advance(dimensionless, flow, at.mode, solution)
+        rested = relax.at_rest(dimensionless, flow, mode, solution, u)
+        keep = ~jnp.any(flow.sliding | flow.landing)
+        now = _Kept(z, mode.phase, mode.side, flow.pose)
+        index = jnp.where(keep, at.count, ROOM)
+        kept = jax.tree.map(lambda all, one: all.at[index].set(one, mode="drop"), at.kept, now)
+        onwards = _Going(flow, mode, z, jnp.asarray(True), rested | flow.exhausted, kept, at.count + keep)
+        shorter = relax.shortened(at.flow)
+        return select(solution.converged, onwards, at._replace(flow=shorter, over=shorter.exhausted))
+
+    first = _Kept(before.point.z, before.phase, before.side, pose)
+    room = jax.tree.map(lambda leaf: jnp.zeros((ROOM, *leaf.shape), leaf.dtype), first)
+    no = jnp.asarray(False)
+    start = _Going(relax.start(still, pose), still, before.point.z, no, no, room, jnp.asarray(0))
+    end = jax.lax.while_loop(lambda at: ~at.over & (at.count < ROOM), step, start)
+    return jax.vmap(lambda kept: _state(dimensionless, u, kept))(end.kept), end.count
+
+
+def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, Poses]:
+    """How the path leaves a node, contacts and bases, and where the bases are."""
+    point, leaving = before.point, before.leaving
+    scale, none = scale_of(point.z), jnp.zeros_like(point.z[:, 0])
+    here = newton_step(problem, mode, Row(leaving.z / scale**2, point.z, leaving.u, point.u, none), point)
+    tangent, length = unit(here.tangent, point.z)
+    sign = jnp.where(dot(leaving, tangent, scale) < 0, -1.0, 1.0)
+    return Point(sign * tangent.z, sign * tangent.u), sign / length * here.tangent_pose, here.pose
+
+
+def _state(problem: Problem, u: Scalar, kept: _Kept) -> State:
+    """The state in the scene's units; bases without contact are where the flow has them."""
+    state, _ = signals(problem, kept.z, u, Mode(kept.phase, kept.side, jnp.asarray(False)))
+    here, free = in_scene(problem, u, kept.pose), kept.phase == Phase.free
+    return dataclasses.replace(
+        state,
+        base_x=jnp.where(free, here.x * problem.unit.length, state.base_x),
+        base_y=jnp.where(free, here.y * problem.unit.length, state.base_y),
+        base_angle=jnp.where(free, here.angle, state.base_angle),
+    )
+
+
+_COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
+_flow_now = eqx.filter_jit(_flow, **_COMPILED)
