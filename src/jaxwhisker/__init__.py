@@ -5,6 +5,9 @@ from jaxwhisker.contour import Contour
 from jaxwhisker.deflect import Deflection, PointForce, PointMoment, deflect
 from jaxwhisker.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker.energy import stored_energy
+from jaxwhisker.explore import explore
+from jaxwhisker.export import to_csv, to_dataframe
+from jaxwhisker.film import animate
 from jaxwhisker.fit_status import FitStatus
 from jaxwhisker.identify import Fit, Information, design, identify, information
 from jaxwhisker.motion import AbstractMotion, Motion, Rotation, Translation
@@ -71,8 +74,10 @@ __all__ = [
     "Tilted",
     "Translation",
     "Whisker",
+    "animate",
     "deflect",
     "design",
+    "explore",
     "fit_contour",
     "fit_profile",
     "identify",
@@ -83,6 +88,8 @@ __all__ = [
     "stored_energy",
     "study",
     "summary",
+    "to_csv",
+    "to_dataframe",
 ]
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""The command `jaxwhisker`: `scan` one scene, `study` many, `identify` and `reconstruct`, `reproduce` the thesis."""
+"""The command `jaxwhisker`: `scan` one scene, `film` or `explore` it, `study` many, and the way back from signals."""
 
 import argparse
 import sys
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import jax
 
 import jaxwhisker
-from jaxwhisker.cli import inverse, reproduce, scan, study
+from jaxwhisker.cli import explore, film, inverse, reproduce, scan, study
 from jaxwhisker.cli.options import INTERRUPTED, NOT_ALL_OK, OK, USAGE, UsageError
 
 __all__ = ["INTERRUPTED", "NOT_ALL_OK", "OK", "USAGE", "main"]
@@ -23,7 +23,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="jaxwhisker", description="Quasi-static scans with elastically coupled tactile whiskers.")
     parser.add_argument("--version", action="version", version=f"jaxwhisker {jaxwhisker.__version__}")
     commands = parser.add_subparsers(dest="command", metavar="command", required=True)
-    for command in (scan, study, inverse, reproduce):
+    for command in (scan, film, explore, study, inverse, reproduce):
         command.add(commands)
     return parser
 

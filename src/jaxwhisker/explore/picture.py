@@ -1,0 +1,58 @@
+"""What there is to show of a scene: a scan over its default range, all shapes, the drive and the object.
+
+One function, compiled once for scenes of one structure, whatever their numbers are.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jaxwhisker._compile import COMPILER_OPTIONS
+from jaxwhisker.motion import Pose
+from jaxwhisker.profile import Graph, Parabola
+from jaxwhisker.result import Result
+from jaxwhisker.scan import _finished, _travelled
+from jaxwhisker.scene import Scene
+from jaxwhisker.shape import Shapes, shapes_of
+from jaxwhisker.tilted import Tilted
+
+STEPS = 400  # of a scan, evenly over the range of the default control
+POINTS = 32  # of a whisker's centre line
+OUTLINE = 241  # points of the object
+FAR = 3.0  # lengths from the vertex to where an endless object is cut off
+
+
+class Picture(NamedTuple):
+    """A scan and its geometry, in the scene's own units."""
+
+    result: Result
+    lines: Shapes  # fields (steps, whiskers, points)
+    drive: Pose  # fields (steps,)
+    outline: Float[jax.Array, "points 2"]  # of the object; NaN where a graph ends
+
+
+@partial(eqx.filter_jit, compiler_options=COMPILER_OPTIONS)
+def picture(scene: Scene) -> Picture:
+    """The picture of a scene."""
+    # As `contact_range` and `along`, but the way is travelled once for both.
+    way = _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
+    control = way.start + (way.stop - way.start) * jnp.linspace(0.0, 1.0, STEPS)
+    result = _finished(scene, control, way)
+    lines = shapes_of(result, scene.whiskers, points=POINTS)
+    return Picture(result, lines, jax.vmap(scene.motion.pose)(control), _outline(scene))
+
+
+def _outline(scene: Scene) -> Float[jax.Array, "points 2"]:
+    object, length = scene.profile, scene.whiskers[0].length
+    upright = object.profile if isinstance(object, Tilted) else object
+    end = jnp.pi  # half a turn to both sides
+    if isinstance(upright, Parabola):
+        end = jnp.arctan(2 * upright.a * FAR * length)
+    elif isinstance(upright, Graph):
+        end = FAR * length / upright.unit
+    at = jax.vmap(object.point)(end * jnp.linspace(-1.0, 1.0, OUTLINE))
+    return jnp.stack([at.x, at.y], axis=-1)

@@ -1,0 +1,371 @@
+"""Sliders in a browser: dragged, read, looked at; on the local page and, if asked for, in JupyterLab.
+
+JAXWHISKER_BROWSER=required   fail, rather than skip, where there is no Chromium
+JAXWHISKER_JUPYTERLAB=1       also drag in JupyterLab (needs jupyterlab and anywidget)
+"""
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker.explore import page
+from jaxwhisker.explore.session import Session
+
+SHOWN = 1e-6  # numbers are shown with six decimals
+LONG = 600.0  # s: the first picture is compiled, perhaps on a busy machine
+FLAGS = (
+    "headless=new no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
+    "disable-component-update disable-sync force-device-scale-factor=2"
+)
+
+
+def build(stiffness, distance):
+    if distance > 0.8:
+        raise ValueError("`distance` must leave room.")
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.fb(stiffness), rod=jw.ClosedForm())
+
+
+RANGES = {"stiffness": (10, 500, 70.0), "distance": (0.1, 0.9, 0.25)}
+
+
+class Watched(Session):
+    """A session that writes down what it is asked, and how many ask at once."""
+
+    def __init__(self):
+        super().__init__(build, RANGES)
+        self.asked, self.most, self._now = [], 0, 0
+
+    def answer(self, values):
+        self._now += 1
+        self.most = max(self.most, self._now)
+        self.asked.append(values)
+        try:
+            return super().answer(values)
+        finally:
+            self._now -= 1
+
+
+@pytest.fixture(scope="module")
+def driver(tmp_path_factory):
+    """A browser without a window."""
+    binary = shutil.which("chromium") or shutil.which("google-chrome")
+    chromedriver = shutil.which("chromedriver")
+    missing = [name for name, found in (("chromium", binary), ("chromedriver", chromedriver)) if found is None]
+    try:
+        from selenium import webdriver
+        from selenium.webdriver.chrome.service import Service
+    except ImportError:
+        missing.append("selenium")
+    if missing:
+        if os.environ.get("JAXWHISKER_BROWSER") == "required":
+            pytest.fail(f"there is no {', '.join(missing)}")
+        pytest.skip(f"there is no {', '.join(missing)}")
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for flag in (*FLAGS.split(), f"user-data-dir={tmp_path_factory.mktemp('chromium')}", "window-size=1200,1000"):
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    found = webdriver.Chrome(options=options, service=Service(chromedriver))
+    yield found
+    found.quit()
+
+
+@pytest.fixture(scope="module")
+def sliders():
+    return Watched()
+
+
+@pytest.fixture(scope="module")
+def url(sliders):
+    with page.Server(sliders) as served:
+        thread = threading.Thread(target=served.serve_forever)
+        thread.start()
+        yield served.url
+        served.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def shown(driver, url):
+    """The page, its first picture drawn; nothing may be wrong on its console in the end."""
+    driver.set_window_size(1200, 1000)
+    driver.get(url)
+    settle(driver)
+    yield driver
+    assert [entry["message"] for entry in driver.get_log("browser")] == []
+
+
+def find(driver, selector):
+    return driver.find_element("css selector", selector)
+
+
+def settle(driver):
+    """Wait for the picture of the current values."""
+    end = time.monotonic() + LONG
+    while time.monotonic() < end:
+        roots = driver.find_elements("css selector", ".jaxwhisker")
+        if roots and roots[0].get_attribute("aria-busy") == "false":
+            return
+        time.sleep(0.05)
+    pytest.fail("no picture")
+
+
+def drag(driver, name, right):
+    """Drag a slider's thumb by some pixels, as a hand does."""
+    from selenium.webdriver import ActionChains
+
+    slider = find(driver, f"input[name={name}]")
+    share = float(slider.get_attribute("value")) / float(slider.get_attribute("max"))
+    width = slider.size["width"]
+    thumb = int((share - 0.5) * (width - 16))
+    chain = ActionChains(driver).move_to_element_with_offset(slider, thumb, 0).click_and_hold()
+    for _ in range(5):
+        chain.move_by_offset(right // 5, 0)
+    chain.release().perform()
+    settle(driver)
+
+
+def let(driver, name, share):
+    """Put a slider there."""
+    driver.execute_script(
+        "const input = document.querySelector(`input[name=${arguments[0]}]`);"
+        "input.value = arguments[1] * input.max; input.dispatchEvent(new Event('input'));",
+        name,
+        share,
+    )
+    settle(driver)
+
+
+def value(driver, name):
+    return float(find(driver, f"input[name={name}]").get_attribute("aria-valuetext").removeprefix("u = "))
+
+
+def pixels(driver):
+    """Both pictures as they are drawn."""
+    script = "return [...document.querySelectorAll('.jaxwhisker canvas')].map((canvas) => canvas.toDataURL())"
+    return driver.execute_script(script)
+
+
+def numbers(driver):
+    cells = driver.find_elements("css selector", ".jaxwhisker tbody td")
+    return [cell.text for cell in cells]
+
+
+def check_numbers(driver):
+    """What the table shows is the scan of the sliders' values at the drive's position."""
+    scene = build(value(driver, "stiffness"), value(driver, "distance"))
+    control = np.asarray(jw.scan(scene).control)
+    u = value(driver, "drive")
+    result = jw.scan(scene, np.array([control[0], u]))
+    phase, *found = numbers(driver)
+    assert phase == jw.Phase(int(result.phase[1, 0])).name
+    # The control is rounded, too: states change with it by their slopes.
+    near = jw.scan(scene, np.array([control[0], u + SHOWN]))
+    for text, name in zip(found, ("fx", "fy", "mz", "base_x", "contact_arc"), strict=True):
+        exact, next_ = (float(getattr(r, name)[1, 0]) for r in (result, near))
+        assert abs(float(text) - exact) <= SHOWN + abs(next_ - exact)
+
+
+def test_dragging_a_parameter_draws_another_scene(shown, tmp_path):
+    before, start = pixels(shown), value(shown, "stiffness")
+    check_numbers(shown)
+    drag(shown, "stiffness", 60)
+    assert value(shown, "stiffness") > start
+    assert all(one != other for one, other in zip(before, pixels(shown), strict=True))
+    check_numbers(shown)
+    assert shown.save_screenshot(str(tmp_path / "dragged.png"))
+    events = [item.text for item in shown.find_elements("css selector", ".jaxwhisker li")]
+    assert events == list(map(str, jw.scan(build(value(shown, "stiffness"), value(shown, "distance"))).events))
+
+
+def test_dragging_the_drive_asks_nobody(shown, sliders):
+    before, start, asked = pixels(shown), value(shown, "drive"), len(sliders.asked)
+    drag(shown, "drive", 200)
+    assert value(shown, "drive") > start + 0.1
+    assert all(one != other for one, other in zip(before, pixels(shown), strict=True))
+    assert len(sliders.asked) == asked
+    check_numbers(shown)
+
+
+def test_keys_move_the_sliders(shown):
+    from selenium.webdriver.common.keys import Keys
+
+    before = value(shown, "distance"), value(shown, "drive")
+    find(shown, "input[name=distance]").send_keys(Keys.ARROW_RIGHT * 5)
+    find(shown, "input[name=drive]").send_keys(Keys.ARROW_LEFT * 5)
+    settle(shown)
+    step = 0.8 / 1000
+    assert value(shown, "distance") == pytest.approx(before[0] + 5 * step, abs=step)
+    assert value(shown, "drive") < before[1]
+    check_numbers(shown)
+
+
+def test_a_click_on_the_signals_takes_the_drive_there(shown):
+    from selenium.webdriver import ActionChains
+
+    signals, before = find(shown, "canvas.signals"), value(shown, "drive")
+    ActionChains(shown).move_to_element_with_offset(signals, signals.size["width"] // 4, 0).click().perform()
+    settle(shown)
+    assert value(shown, "drive") > before
+    check_numbers(shown)
+
+
+def test_many_changes_are_one_request_and_the_latest_wins(shown, sliders):
+    sliders.most, asked = 0, len(sliders.asked)
+    shown.execute_script(
+        "const input = document.querySelector('input[name=stiffness]');"
+        "for (let k = 0; k <= 50; k++) { input.value = 10 * k; input.dispatchEvent(new Event('input')); }"
+    )
+    settle(shown)
+    assert len(sliders.asked) == asked + 2 and sliders.most == 1
+    assert sliders.asked[-1]["stiffness"] == value(shown, "stiffness") == pytest.approx(np.sqrt(10 * 500), rel=1e-3)
+    check_numbers(shown)
+
+
+def test_a_refused_scene_tells_why_and_the_page_goes_on(shown):
+    let(shown, "distance", 0.95)
+    assert find(shown, ".message").text == "`distance` must leave room."
+    assert "refused" in find(shown, ".jaxwhisker").get_attribute("class")
+    let(shown, "distance", 0.5)
+    assert find(shown, ".message").text == ""
+    assert "refused" not in find(shown, ".jaxwhisker").get_attribute("class")
+    check_numbers(shown)
+
+
+def test_the_code_prints_the_numbers_of_the_page(shown):
+    let(shown, "stiffness", 0.6)
+    let(shown, "drive", 0.3)
+    code = find(shown, ".jaxwhisker pre")
+    assert not code.is_displayed()
+    find(shown, ".jaxwhisker button[aria-expanded]").click()
+    settle(shown)
+    assert code.is_displayed()
+    printed = []
+    exec(code.text, {"__name__": "fresh", "print": lambda *words: printed.append(words[0])})
+    words = printed[-1].replace(",", "").split()
+    told = {name: float(words[words.index(name) + 2]) for name in ("u", "fx", "fy", "mz")}
+    assert told["u"] == pytest.approx(value(shown, "drive"), abs=SHOWN)
+    for text, name in zip(numbers(shown)[1:4], ("fx", "fy", "mz"), strict=True):
+        assert float(text) == pytest.approx(told[name], abs=2 * SHOWN)
+
+
+def test_everything_has_a_name(shown):
+    for slider in shown.find_elements("css selector", "input"):
+        assert slider.accessible_name in ("drive", "stiffness (log)", "distance") and slider.aria_role == "slider"
+        assert slider.get_attribute("aria-valuetext")
+    for canvas in shown.find_elements("css selector", "canvas"):
+        assert canvas.get_attribute("role") == "img" and canvas.get_attribute("aria-label")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pictures_are_as_fine_as_the_screen_and_fit_a_narrow_window(scheme, shown, tmp_path):
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    for width in (1200, 500):
+        shown.set_window_size(width, 1000)
+        let(shown, "drive", 0.4)
+        sizes = shown.execute_script(
+            "return [...document.querySelectorAll('canvas')].map((c) => [c.width, c.clientWidth, devicePixelRatio])"
+        )
+        assert all(fine == round(size * ratio) and ratio == 2 for fine, size, ratio in sizes)
+        assert shown.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+        assert shown.save_screenshot(str(tmp_path / f"{scheme}_{width}.png"))
+    # Text and background stay apart.
+    back, text = shown.execute_script(
+        "const found = getComputedStyle(document.body); return [found.backgroundColor, found.color].map((c) =>"
+        "c.match(/[0-9]+/g).slice(0, 3).reduce((sum, part) => sum + Number(part), 0) / 765)"
+    )
+    assert (back < 0.2 and text > 0.8) if scheme == "dark" else (back > 0.8 and text < 0.2)
+    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_a_page_whose_command_has_ended_says_so(driver, sliders):
+    with page.Server(sliders) as served:
+        thread = threading.Thread(target=served.serve_forever)
+        thread.start()
+        driver.get(served.url)
+        settle(driver)
+        served.shutdown()
+        thread.join()
+    offline = {"offline": True, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
+    driver.execute_cdp_cmd("Network.enable", {})
+    driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline)  # the connection that was kept, too
+    let(driver, "stiffness", 0.9)
+    assert "has ended" in find(driver, ".message").text
+    driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline | {"offline": False})
+    driver.get_log("browser")  # of the lost connection the browser tells
+
+
+NOTEBOOK = """\
+import jax
+jax.config.update("jax_enable_x64", True)
+import jaxwhisker as jw
+jw.explore(lambda stiffness, distance: jw.Scene(
+    jw.Whisker(), jw.Parabola(distance), jw.Support.fb(stiffness), rod=jw.ClosedForm()),
+    stiffness=(10, 500, 70.0), distance=(0.1, 0.9, 0.25))
+"""
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """The address of a JupyterLab with one notebook."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    cell = {"cell_type": "code", "id": "one", "metadata": {}, "outputs": [], "execution_count": None}
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    notebook = {"cells": [cell | {"source": NOTEBOOK}], "metadata": {"kernelspec": kernel}}
+    (tmp_path / "explore.ipynb").write_text(json.dumps(notebook | {"nbformat": 4, "nbformat_minor": 5}))
+    folders = {f"JUPYTER_{name}_DIR": str(tmp_path / name.lower()) for name in ("CONFIG", "DATA", "RUNTIME")}
+    line = [sys.executable, "-m", "jupyterlab", "--allow-root", "--no-browser", f"--port={port}", "--ip=127.0.0.1"]
+    line += ["--IdentityProvider.token=local", f"--ServerApp.root_dir={tmp_path}", "--LabApp.news_url=None"]
+    here = f"http://127.0.0.1:{port}"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(
+        line, env=os.environ | folders | {"IPYTHONDIR": str(tmp_path / "ipython")}, **quiet
+    ) as process:
+        try:
+            for _ in range(120):
+                time.sleep(0.5)
+                try:
+                    urllib.request.urlopen(f"{here}/api?token=local", timeout=5).close()
+                    break
+                except OSError:
+                    assert process.poll() is None
+            yield f"{here}/lab/tree/explore.ipynb?token=local&reset"
+        finally:
+            process.terminate()
+            process.wait(60)
+
+
+@pytest.mark.skipif(not os.environ.get("JAXWHISKER_JUPYTERLAB"), reason="JAXWHISKER_JUPYTERLAB is not set")
+def test_jupyterlab_draws_what_is_dragged(driver, lab, tmp_path):
+    from selenium.webdriver import ActionChains, Keys
+
+    driver.set_window_size(1500, 1200)
+    driver.get(lab)
+    for _ in range(120):
+        time.sleep(0.5)
+        if driver.find_elements("css selector", ".jp-Notebook .jp-Cell .cm-content"):
+            break
+    time.sleep(3)  # what opens last takes the focus
+    find(driver, ".jp-Notebook .jp-Cell .cm-content").click()
+    ActionChains(driver).key_down(Keys.SHIFT).send_keys(Keys.ENTER).key_up(Keys.SHIFT).perform()
+    settle(driver)
+    driver.execute_script("document.querySelector('.jaxwhisker').scrollIntoView()")
+    before = pixels(driver)
+    drag(driver, "stiffness", 60)
+    assert value(driver, "stiffness") > 70.0
+    assert all(one != other for one, other in zip(before, pixels(driver), strict=True))
+    check_numbers(driver)
+    assert driver.save_screenshot(str(tmp_path / "lab.png"))
