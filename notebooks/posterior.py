@@ -63,6 +63,7 @@ for name, values in posterior.items():
     low, high = np.quantile(values, [0.025, 0.975])
     print(f"{name}: posterior {values.mean():.5g} +- {values.std():.2g}, 95 % {low:.5g} to {high:.5g};", end=" ")
     print(f"least squares {fit.estimates[name]:.5g} +- {fit.standard_error[name]:.2g}")
+    assert abs(values.mean() - fit.estimates[name]) < fit.standard_error[name]
 
 # %% [markdown]
 # Something to try: leave out every second sample, or all before the vertex. When do the two disagree?

@@ -1,0 +1,144 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: py:percent
+# ---
+
+# %% [markdown]
+# # Real whiskers: taper, curvature, follicles, whisking
+#
+# Vibrissae are cones, they are curved, their bases yield in all directions, and they turn about the follicle rather
+# than move along a line. This notebook adds these one by one, and ends with a rat's whisker in SI units. Before that
+# everything is dimensionless: lengths in L, forces in EI/L², moments in EI/L, with EI at the base. Two minutes, most of
+# it for the compiler: each new kind of scene is compiled once.
+
+# %%
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import numpy as np
+
+import jaxwhisker as jw
+
+# %% [markdown]
+# ## Taper and curvature
+#
+# `Whisker.conical` has a diameter that falls linearly from base to tip; positive `intrinsic_curvature` bends the
+# unloaded whisker towards -x, where the scan goes. With E = 64/pi and a base diameter of 1 the bending stiffness at the
+# base is 1.
+
+
+# %%
+def clamped(tip_diameter, curvature):
+    cone = jw.Whisker.conical(1.0, youngs_modulus=64 / np.pi, base_diameter=1.0, tip_diameter=tip_diameter)
+    return jw.Scene(jw.Whisker(1.0, cone.bending_stiffness, curvature), jw.Parabola(0.2))
+
+
+scans = {
+    "uniform, straight": jw.scan(clamped(1.0, 0.0)),
+    "cone 2:1": jw.scan(clamped(0.5, 0.0)),
+    "cone 5:1": jw.scan(clamped(0.2, 0.0)),
+    "cone 2:1, curved forwards": jw.scan(clamped(0.5, 0.5)),
+    "cone 2:1, curved backwards": jw.scan(clamped(0.5, -0.5)),
+}
+ax = jw.plot.compare(scans, "mz")
+legend = ax.legend(fontsize="small", frameon=False)
+
+# %% [markdown]
+# The moment over the position of the drive, which moves from right to left. A taper makes the signal lower and shorter:
+# the slender end slips off earlier. A whisker that is curved forwards touches earlier and gives more, one that is
+# curved backwards less.
+
+# %%
+for name, result in scans.items():
+    events = ", ".join(f"{event.kind.name} at {event.control:.3f}" for event in list(result.events)[-2:])
+    print(f"{name:27} peak of mz {float(result.mz.max()):.3f}; {events}")
+uniform = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), rod=jw.ClosedForm()))
+assert np.isclose(scans["uniform, straight"].mz.max(), uniform.mz.max(), rtol=1e-5)
+
+# %% [markdown]
+# The uniform one is checked against elliptic functions. The cone of 5:1 loses its hold with a part of the shaft still
+# beyond the contact. Unbent it would stand in the object there, so it swings over to the far side, where it leans on
+# the object the other way round (mz < 0) until it is released:
+
+# %%
+ax = jw.plot.shapes(scans["cone 5:1"], [-0.70, -0.80])
+
+# %% [markdown]
+# ## A base that yields
+#
+# `Support.follicle` is a spring for each direction in which the base gives way: across the whisker (x), along it (y),
+# and in angle (phi). Here is a torsion spring, from soft to rigid, in EI/L.
+
+
+# %%
+def turning_base(phi):
+    return jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.follicle(phi=phi), rod=jw.ClosedForm())
+
+
+by_torsion = {f"phi = {phi:g}": jw.scan(turning_base(phi)) for phi in (5.0, 10.0, 30.0, 300.0)}
+ax = jw.plot.compare(by_torsion, "mz")
+legend = ax.legend(fontsize="small", frameon=False)
+
+# %% [markdown]
+# With springs across the whisker the height of the signal does not depend on the stiffness (notebook 03_studies). With
+# a torsion spring it does: the base leans under the very load that makes the peak.
+
+# %%
+peaks = np.array([result.mz.max() for result in by_torsion.values()])
+print(", ".join(f"{name}: {peak:.3f}" for name, peak in zip(by_torsion, peaks, strict=True)))
+assert np.all(np.diff(peaks) > 0)
+
+# %% [markdown]
+# ## A rat's whisker, whisking
+#
+# `Whisker.rat` has average length and diameters for each place of the array, in SI units. The support yields across and
+# in angle, and the drive turns about the follicle: the control is its angle, in rad. (Stiffnesses of follicles are
+# hardly known; these two are for comparison.)
+
+# %%
+rat = jw.Whisker.rat("C", 2, intrinsic_curvature=10.0)
+stiffness = float(rat.base_stiffness)
+print(f"length {1e3 * rat.length:.1f} mm, bending stiffness at the base {stiffness:.2e} N m²")
+
+
+def whisking(across, torsion):
+    support = jw.Support.follicle(x=across, phi=torsion)
+    post = jw.Circle(distance=0.6 * rat.length, radius=0.15 * rat.length)
+    return jw.Scene(rat, post, support, motion=jw.Rotation())
+
+
+soft, firm = jw.scan(whisking(0.1, 1e-5)), jw.scan(whisking(10.0, 1e-3))
+print(soft)
+
+# %%
+ax = jw.plot.shapes(soft)
+
+# %% [markdown]
+# The whisker turns counter-clockwise about its base, from the right, against a post 10 mm thick and 20 mm away, bends,
+# and slips past it. Lengths are in L = 33 mm; the zigzag and the coil are the two springs.
+
+# %%
+ax = jw.plot.compare({"firm follicle": firm, "soft follicle": soft}, "mz")
+ax.legend(fontsize="small", frameon=False)
+leaning = {}
+for name, result in {"firm": firm, "soft": soft}.items():
+    leaning[name] = np.degrees(np.abs(result.base_angle[:, 0] - result.control).max())
+    moment, force = 1e6 * float(result.mz.max()), 1e6 * float(result.contact_force.max())
+    print(f"{name}: up to {moment:.2f} µN m and {force:.0f} µN; the base leans by up to {leaning[name]:.1f} degrees")
+assert leaning["soft"] > leaning["firm"]
+assert soft.events[-1].control > firm.events[-1].control
+assert np.all(soft.status == jw.Status.ok) and np.all(firm.status == jw.Status.ok)
+
+# %% [markdown]
+# The soft follicle leans back under the load, so that the whisker comes later, and lets go later: in the angle of the
+# drive at the contact there is the follicle's stiffness, too.
+#
+# ## Something to try
+#
+# - Other whiskers of the array: rows "A" to "E", columns 0 to 5. Which one feels the post first?
+# - The post nearer, or to the side: `jw.Circle(..., position=0.1 * rat.length)`. Is the moment still a measure of the
+#   distance?
+# - Two whiskers on one plate that leans: `jw.Support(springs=(...), mount=(jw.Mount(...), jw.Mount(...)))`, see
+#   docs/supports.md.

@@ -1,0 +1,76 @@
+"""Notebooks: those that compile little run here, from top to bottom; what the others call exists. `make notebooks`."""
+
+import ast
+import importlib
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+from matplotlib import pyplot
+
+import jaxwhisker as jw
+
+ROOT = Path(__file__).parent.parent
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
+RUN_HERE = ("01_first_scan", "05_stiffness")  # all others compile for a minute and more
+HEADER = "# ---\n# jupyter:\n#   jupytext:\n#     formats: py:percent\n# ---\n\n# %% [markdown]\n# # "
+CELL = re.compile(r"^# %%(.*)\n", re.MULTILINE)
+
+
+def name_of(notebook):
+    return notebook.stem
+
+
+def tree(notebook):
+    return ast.parse(notebook.read_text("utf-8"), str(notebook))
+
+
+def calls(notebook):
+    """What a notebook calls by `jw.`, with the names of the arguments."""
+    for node in ast.walk(tree(notebook)):
+        if isinstance(node, ast.Call) and (path := ast.unparse(node.func)).startswith("jw."):
+            yield path, [keyword.arg for keyword in node.keywords if keyword.arg]
+
+
+@pytest.mark.parametrize("name", RUN_HERE)
+def test_notebook_runs(name, tmp_path, monkeypatch):
+    # Beside what it reads, where nothing that it writes is left behind.
+    for folder in ("examples", "benchmarks"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    (tmp_path / "notebooks").mkdir()
+    monkeypatch.chdir(tmp_path / "notebooks")
+    notebook = ROOT / "notebooks" / f"{name}.py"
+    exec(compile(notebook.read_text("utf-8"), notebook, "exec"), {"__name__": "__main__"})
+    assert pyplot.get_fignums()
+    pyplot.close("all")
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=name_of)
+def test_what_a_notebook_calls_exists(notebook):
+    found = list(calls(notebook))
+    assert found
+    for path, arguments in found:
+        called = jw
+        for part in path.split(".")[1:]:
+            called = getattr(called, part)
+        known = inspect.signature(called).parameters
+        free = any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values())
+        assert free or set(arguments) <= set(known), f"{path} has no {set(arguments) - set(known)}"
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=name_of)
+def test_what_a_notebook_imports_exists(notebook):
+    for node in ast.walk(tree(notebook)):
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("jaxwhisker"):
+            module = importlib.import_module(node.module)
+            assert all(hasattr(module, alias.name) for alias in node.names), ast.unparse(node)
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=name_of)
+def test_a_notebook_has_a_title_a_check_and_something_to_try(notebook):
+    text = notebook.read_text("utf-8")
+    assert text.startswith(HEADER)
+    *_, (kind, last) = zip(CELL.findall(text), CELL.split(text)[2::2], strict=True)
+    assert kind == " [markdown]" and "omething to try" in last
+    assert any(isinstance(node, ast.Assert) for node in ast.walk(tree(notebook)))
