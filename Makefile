@@ -11,7 +11,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint types bench bench-more bench-inverse extremes soak clean distclean
+.PHONY: help demo test lint types docs notebooks bench bench-more bench-inverse extremes soak clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -28,6 +28,16 @@ lint: $(VENV)/installed-dev ## check style and formatting (ruff)
 
 types: $(VENV)/installed-dev ## check types (pyright)
 	@$(BIN)/pyright
+
+docs: $(VENV)/installed-dev ## build the documentation in out/site, notebooks without outputs (EXECUTE=1: with them)
+	@NO_MKDOCS_2_WARNING=1 EXECUTE_NOTEBOOKS=$(if $(EXECUTE),true,false) $(BIN)/mkdocs build --quiet --strict
+
+notebooks: $(VENV)/installed-dev ## run all notebooks, with their outputs in out/notebooks (10 to 20 minutes)
+	@mkdir -p $(OUT)/notebooks
+	@for notebook in notebooks/*.py; do \
+	    name=$$(basename $$notebook .py); echo "== $$name"; \
+	    $(BIN)/jupytext --quiet --to ipynb --execute --output $(OUT)/notebooks/$$name.ipynb $$notebook || exit 1; \
+	done
 
 bench: $(VENV)/installed-bench ## error against run time, beside other simulators (half an hour; QUICK=1: three minutes)
 	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision growth cold_start ladder roofline report))

@@ -1,47 +1,68 @@
-"""The Python code of README and docs runs, each page from top to bottom."""
+"""The Python code of README and docs runs, each page from top to bottom; its tables are those of the stored results."""
 
 import re
 import sys
 from pathlib import Path
+from unittest import SkipTest
 
 import pytest
 from matplotlib import pyplot
+from sybil import Region, Sybil
+from sybil.evaluators.skip import Skipper
+from sybil.parsers.markdown import PythonCodeBlockParser
 
 ROOT = Path(__file__).parent.parent
 sys.path.append(str(ROOT / "benchmarks"))
 
 import report  # noqa: E402
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-BLOCK = re.compile(r"(<!-- run by hand[^\n]*-->\n)?```python\n(.*?)```", re.DOTALL)
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BY_HAND = re.compile(r"^<!-- run by hand: (.+) -->\n(?=```python\n)", re.MULTILINE)
+SKIPPED = Skipper("run by hand")
 
 
-def blocks(page):
-    """The blocks of a page at the lines where they stand, but for those that are run by hand."""
-    text = page.read_text(encoding="utf-8")
-    found = [match for match in BLOCK.finditer(text) if not match[1]]
-    return [compile("\n" * text.count("\n", 0, match.start(2)) + match[2], str(page), "exec") for match in found]
+def by_hand(document):
+    """A comment `run by hand: reason` right before a block: it is not run."""
+    for match in BY_HAND.finditer(document.text):
+        yield Region(match.start(), match.end(), ("next", repr(match[1])), SKIPPED)
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page)], ids=lambda page: page.name)
+CODE = Sybil(parsers=[PythonCodeBlockParser(), by_hand])
+
+
+def name_of(page):
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if "```python" in page.read_text("utf-8")], ids=name_of)
 def test_code_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names = {"__name__": page.stem}
-    for block in blocks(page):
-        exec(block, names)
+    for block in CODE.parse(page):
+        try:
+            block.evaluate()
+        except SkipTest:
+            continue
     pyplot.close("all")
 
 
-def test_pages_with_code_are_found():
-    assert {"README.md", "studies.md"} <= {page.name for page in PAGES if blocks(page)}
+def test_every_block_is_found():
+    for page in PAGES:
+        blocks = [block for block in CODE.parse(page) if block.region.evaluator is not SKIPPED]
+        assert len(blocks) == len(re.findall(r"^```python", page.read_text("utf-8"), re.MULTILINE)), page
 
 
-@pytest.mark.parametrize("page", report.PAGES, ids=lambda page: page.name)
+def test_a_block_is_run_by_hand_for_a_reason():
+    for page in PAGES:
+        comments = re.findall(r"^<!-- run by hand", page.read_text("utf-8"), re.MULTILINE)
+        assert len(comments) == len(BY_HAND.findall(page.read_text("utf-8"))), page
+
+
+@pytest.mark.parametrize("page", report.PAGES, ids=name_of)
 def test_tables_are_those_of_the_stored_results(page):
-    text = page.read_text(encoding="utf-8")
+    text = page.read_text("utf-8")
     assert report.written(text) == text, "run `python benchmarks/report.py`"
 
 
 def test_every_table_stands_on_a_page():
-    pages = "".join(page.read_text(encoding="utf-8") for page in report.PAGES)
+    pages = "".join(page.read_text("utf-8") for page in report.PAGES)
     assert all(f"<!-- table: {name} -->" in pages for name in report.TABLES)

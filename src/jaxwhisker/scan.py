@@ -50,8 +50,8 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
             range); to the end of the motion where whiskers do not come free.
 
     Returns:
-        A Result. What fails is NaN with a status at that step: `invalid` (a parameter outside its domain), `lost`,
-        `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`.
+        A Result. What fails is NaN with a status at that step (`invalid`, of a parameter outside its domain, `lost`,
+        `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`).
 
     Raises:
         ValueError: if an argument is wrong before tracing, if the default control would be longer than a million steps

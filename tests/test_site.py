@@ -1,0 +1,98 @@
+"""The documentation's site: every public name has its place, every name and file that a page speaks of exists."""
+
+import ast
+import re
+from collections import Counter
+from pathlib import Path
+
+import griffe
+import pytest
+import yaml
+
+import jaxwhisker as jw
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+DESCRIBED = re.compile(r"^::: (\S+)$", re.MULTILINE)
+SPOKEN_OF = re.compile(r"\bjw((?:\.[A-Za-z]\w*)+)")
+LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
+FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+
+
+def name_of(page):
+    return str(page.relative_to(ROOT))
+
+
+def described():
+    """What the reference describes, one path each time."""
+    return [
+        path
+        for page in sorted((DOCS / "reference").glob("*.md"))
+        for path in DESCRIBED.findall(page.read_text("utf-8"))
+    ]
+
+
+def test_every_public_name_is_described_once():
+    counts = Counter(path.split(".")[-1] for path in described() if not path.startswith("jaxwhisker.plot."))
+    assert counts == dict.fromkeys(jw.__all__, 1)
+
+
+def test_what_is_described_is_what_the_package_gives():
+    # `jaxwhisker.scan` is a module where files are read, and a function where they are imported.
+    read = griffe.load("jaxwhisker", search_paths=[ROOT / "src"])
+    for path in described():
+        found = read[path.removeprefix("jaxwhisker.")]
+        name = path.split(".")[-1]
+        own = getattr(jw.plot if path.startswith("jaxwhisker.plot.") else jw, name)
+        assert not found.is_module, path
+        assert f"{own.__module__}.{own.__qualname__}" == found.canonical_path, path
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_names_on_pages_exist(page):
+    for name in sorted(set(SPOKEN_OF.findall(page.read_text("utf-8")))):
+        # An attribute of an instance is none of its class.
+        first, *further = name.removeprefix(".").split(".")
+        found = getattr(jw, first)
+        if further and (first == "plot" or first[0].isupper()):
+            getattr(found, further[0])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_linked_files_exist(page):
+    for link in LINK.findall(FENCED.sub("", page.read_text("utf-8"))):
+        assert "://" in link or (page.parent / link).exists(), link
+
+
+def test_the_navigation_has_every_page():
+    class Loader(yaml.SafeLoader):
+        """Of what the site's file holds beyond plain YAML."""
+
+    Loader.add_constructor("!ENV", lambda *_: None)
+    settings = yaml.load((ROOT / "mkdocs.yml").read_text("utf-8"), Loader)
+
+    def leaves(entry):
+        if isinstance(entry, str):
+            return [entry]
+        return [leaf for part in (entry.values() if isinstance(entry, dict) else entry) for leaf in leaves(part)]
+
+    assert sorted(leaves(settings["nav"])) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+
+
+def test_imports_point_upwards_in_the_table_of_rooms():
+    table = (DOCS / "developing.md").read_text("utf-8").split("| --- | --- | --- |")[1].split("\n\n")[0]
+    rooms = [re.findall(r"`(\w+)/?`", row.split("|")[2]) for row in table.strip().splitlines()]
+    floor = {name: number for number, room in enumerate(rooms) for name in room}
+    package = ROOT / "src" / "jaxwhisker"
+    for file in sorted(package.rglob("*.py")):
+        own = file.relative_to(package).parts[0].removesuffix(".py")
+        if own.startswith("_"):
+            continue
+        # At the top of a file; what is imported where it is needed is another matter.
+        for statement in ast.parse(file.read_text("utf-8")).body:
+            module = statement.module or "" if isinstance(statement, ast.ImportFrom) else ""
+            if isinstance(statement, ast.ImportFrom) and module.startswith("jaxwhisker"):
+                _, *names = module.split(".")
+                used = names[:1] or [alias.name for alias in statement.names]
+                assert all(floor[name] <= floor[own] for name in used if not name.startswith("_")), (file, used)
