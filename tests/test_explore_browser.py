@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 import urllib.request
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,7 +71,7 @@ def driver(tmp_path_factory):
         if os.environ.get("JAXWHISKER_BROWSER") == "required":
             pytest.fail(f"there is no {', '.join(missing)}")
         pytest.skip(f"there is no {', '.join(missing)}")
-    options = webdriver.ChromeOptions()
+    options: Any = webdriver.ChromeOptions()
     options.binary_location = binary
     for flag in (*FLAGS.split(), f"user-data-dir={tmp_path_factory.mktemp('chromium')}", "window-size=1200,1000"):
         options.add_argument(f"--{flag}")
@@ -330,7 +331,7 @@ def lab(tmp_path):
     line = [sys.executable, "-m", "jupyterlab", "--allow-root", "--no-browser", f"--port={port}", "--ip=127.0.0.1"]
     line += ["--IdentityProvider.token=local", f"--ServerApp.root_dir={tmp_path}", "--LabApp.news_url=None"]
     here = f"http://127.0.0.1:{port}"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(
         line, env=os.environ | folders | {"IPYTHONDIR": str(tmp_path / "ipython")}, **quiet
     ) as process:

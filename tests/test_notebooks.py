@@ -5,6 +5,7 @@ import importlib
 import inspect
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from matplotlib import pyplot
@@ -51,7 +52,7 @@ def test_what_a_notebook_calls_exists(notebook):
     found = list(calls(notebook))
     assert found
     for path, arguments in found:
-        called = jw
+        called: Any = jw
         for part in path.split(".")[1:]:
             called = getattr(called, part)
         known = inspect.signature(called).parameters
@@ -62,8 +63,8 @@ def test_what_a_notebook_calls_exists(notebook):
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=name_of)
 def test_what_a_notebook_imports_exists(notebook):
     for node in ast.walk(tree(notebook)):
-        if isinstance(node, ast.ImportFrom) and node.module.startswith("jaxwhisker"):
-            module = importlib.import_module(node.module)
+        if isinstance(node, ast.ImportFrom) and (name := node.module or "").startswith("jaxwhisker"):
+            module = importlib.import_module(name)
             assert all(hasattr(module, alias.name) for alias in node.names), ast.unparse(node)
 
 

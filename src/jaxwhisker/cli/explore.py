@@ -125,12 +125,13 @@ def _given(args: argparse.Namespace) -> dict[str, Range]:
 def _range(name: str, given: Range) -> Range | None:
     """A parameter's slider; None if it has none."""
     usual = RANGES.get({"c": "stiffness", "l": "rest_length"}.get(name[:1], name) if name[1:].isdecimal() else name)
+    *_, start = given
     if len(given) > 1:
         return given
-    if usual is None or given[0] == float("inf"):
+    if usual is None or start == float("inf"):
         return None
     # It reaches out for where it starts.
-    return (min(usual[0], given[0]), max(usual[1], given[0]), given[0])
+    return (min(usual[0], start), max(usual[1], start), start)
 
 
 def _builder(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, Range]]:

@@ -4,7 +4,7 @@ from importlib.resources import files
 
 
 def _packaged(name: str) -> str:
-    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return files("jaxwhisker.explore").joinpath(name).read_text(encoding="utf-8")
 
 
 PAGE, STYLE = _packaged("explore.html"), _packaged("explore.css")

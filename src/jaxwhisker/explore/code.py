@@ -113,7 +113,7 @@ def _importable(value: Any) -> bool:
     module, name = getattr(value, "__module__", None), getattr(value, "__name__", None)
     if not isinstance(name, str) or module == "__main__":
         return False
-    return getattr(sys.modules.get(module), name, None) is value
+    return getattr(sys.modules.get(str(module)), name, None) is value
 
 
 def _used(function: types.FunctionType) -> list[tuple[str, Any]]:

@@ -22,7 +22,7 @@ class _Lifted(eqx.Module):
     numbers: tuple[Any, ...]  # by cell of its closure; None where it is no number
 
     def __call__(self, x):
-        first = self.function
+        first: Any = self.function
         cells = tuple(
             cell if number is None else types.CellType(number)
             for cell, number in zip(first.__closure__ or (), self.numbers, strict=True)

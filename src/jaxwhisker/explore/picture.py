@@ -3,8 +3,7 @@
 One function, compiled once for scenes of one structure, whatever their numbers are.
 """
 
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,8 +34,7 @@ class Picture(NamedTuple):
     outline: Float[jax.Array, "points 2"]  # of the object; NaN where a graph ends
 
 
-@partial(eqx.filter_jit, compiler_options=COMPILER_OPTIONS)
-def picture(scene: Scene) -> Picture:
+def _picture(scene: Scene) -> Picture:
     """The picture of a scene."""
     # As `contact_range` and `along`, but the way is travelled once for both.
     way = _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
@@ -44,6 +42,10 @@ def picture(scene: Scene) -> Picture:
     result = _finished(scene, control, way)
     lines = shapes_of(result, scene.whiskers, points=POINTS)
     return Picture(result, lines, jax.vmap(scene.motion.pose)(control), _outline(scene))
+
+
+_COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
+picture = eqx.filter_jit(_picture, **_COMPILED)
 
 
 def _outline(scene: Scene) -> Float[jax.Array, "points 2"]:

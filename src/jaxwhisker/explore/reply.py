@@ -46,7 +46,7 @@ def success(picture: Picture, code: str) -> bytes:
         "springs": _springs(scene),
         "lowest": min(0.0, *(float(mount.y) for mount in scene.support.mounts)),
         "length": float(scene.whiskers[0].length),
-        "code": scanned(code, result.control),
+        "code": scanned(code, np.asarray(result.control)),
     }
     return _packed(header, arrays)
 

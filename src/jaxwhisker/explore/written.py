@@ -74,7 +74,8 @@ def _named(support: Support) -> str | None:
         return None
     if any(spring.stiffness is None for spring in springs):
         return None
-    stiffness, rest_length = tuple(s.stiffness for s in springs), tuple(s.rest_length for s in springs)
+    stiffness: Any = tuple(s.stiffness for s in springs)
+    rest_length = tuple(s.rest_length for s in springs)
     # One number for all, where that makes the same.
     for c, rest in product((stiffness[0], stiffness), (rest_length[0], rest_length)):
         if written(Support.named(support.name, c, rest).springs) == written(springs):
