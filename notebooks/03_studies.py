@@ -98,6 +98,7 @@ both = jw.study(
 )
 print(both.attrs["points"])
 left = both.assign(share=both.max_mz / both.max_mz.isel(stiffness=-1))
+left.share.attrs = {"long_name": "largest mz, share of that with the stiffest spring", "units": "1"}
 ax = jw.plot.study(left, "share", critical=steepness(build, both))[0]
 
 # %% [markdown]

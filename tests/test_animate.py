@@ -179,6 +179,24 @@ def test_whiskers_move_steadily_unless_they_let_go_or_touch(flows_of_soft):
         assert np.abs(np.diff(flow.contact_x[:, 0])[stays]).max() < ONE_STEP
 
 
+def test_a_clamped_whisker_swings_over_to_the_far_side_while_its_base_stands():
+    # A cone, five times thinner at its tip: the flow looks for its far side from where it would touch there.
+    cone = jw.Whisker(1.0, lambda s: (1 - 0.8 * s) ** 4)
+    result = jw.scan(jw.Scene(cone, jw.Parabola(0.2)), np.linspace(-0.6, -0.8, 11))
+    (number,) = snaps(result)
+    (flow,) = flows(result, [number])
+    np.testing.assert_allclose(flow.base_x, result.events[number].control, atol=SETTLED)
+    assert np.all(flow.phase != jw.Phase.free)
+    assert flow.mz[0] > 0 > flow.mz[-1]
+    shown, marks = frames(result, 2, outline(result.scene))
+    first = starts(marks)[0][0]
+    snap = row(shown.state, slice(first, first + SNAP_FRAMES))
+    # Bent one way, then without a contact that could be told, then bent the other way.
+    touching = snap.phase[:, 0] != jw.Phase.free
+    assert touching[0] and touching[-1] and not touching[SNAP_FRAMES // 2]
+    assert np.all(snap.contact_force[~touching] == 0) and np.all(snap.mz[~touching] == 0)
+
+
 def test_a_film_of_no_snap_has_no_flow(stiff):
     assert flows(stiff, []) == []
 

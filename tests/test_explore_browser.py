@@ -351,14 +351,19 @@ def lab(tmp_path):
 
 @pytest.mark.skipif(not os.environ.get("JAXWHISKER_JUPYTERLAB"), reason="JAXWHISKER_JUPYTERLAB is not set")
 def test_jupyterlab_draws_what_is_dragged(driver, lab, tmp_path):
+    from selenium.common.exceptions import WebDriverException
     from selenium.webdriver import ActionChains, Keys
 
     driver.set_window_size(1500, 1200)
     driver.get(lab)
-    for _ in range(120):
-        time.sleep(0.5)
-        if driver.find_elements("css selector", ".jp-Notebook .jp-Cell .cm-content"):
+    end = time.monotonic() + LONG
+    while True:  # until it has started
+        try:
+            find(driver, ".jp-Notebook .jp-Cell .cm-content").click()
             break
+        except WebDriverException:
+            assert time.monotonic() < end
+            time.sleep(0.5)
     time.sleep(3)  # what opens last takes the focus
     find(driver, ".jp-Notebook .jp-Cell .cm-content").click()
     ActionChains(driver).key_down(Keys.SHIFT).send_keys(Keys.ENTER).key_up(Keys.SHIFT).perform()

@@ -241,13 +241,13 @@ function drawSignals(canvas, reply, step) {
       segment(context, [X(control), snap ? top : bottom - 7, X(control), bottom], style, look);
     }
     const here = X(reply.control[step]);
+    segment(context, [here, top, here, bottom], ink, { alpha: 0.8 });
     for (let whisker = 0; whisker < reply.whiskers; whisker++) {
       const style = colour(whisker, ink);
       const value = (k) => Y(reply[name][k * reply.whiskers + whisker]);
       line(context, reply.steps, (k) => X(reply.control[k]), value, style, 1.8);
       dot(context, here, value(step), 3.5, style);
     }
-    segment(context, [here, top, here, bottom], ink, { alpha: 0.8 });
   });
 }
 

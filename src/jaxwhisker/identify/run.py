@@ -26,6 +26,7 @@ DEVIATIONS = 6.0  # of chi^2 above which a misfit is implausible
 MISFIT = 0.05  # share of the peak, root mean square, above which it is where the noise is not known
 SPREAD = np.log(4.0)  # of starts around the guess: half the range of the fit's variables
 FAR = {"control": (1e-2, 1e3), "reaction": (1e-3, 1e4)}  # ratios to the scene's units outside of which one is warned
+REWEIGHTINGS = 4  # at most, where the residuals tell the noise
 BASELINE = 5  # first samples, from which constant offsets are guessed
 ENOUGH = 3  # starts that end in the same plausible minimum: no more are tried
 SAME = 1e-3  # difference of the fit's variables up to which two minima are one
@@ -126,10 +127,12 @@ def identify(
             if agreeing >= ENOUGH and problem.plausible(found):
                 break
         tried = len(others)
-    if unknown:
+    for _ in range(REWEIGHTINGS if unknown else 0):
         problem = problem.with_noise(found)
         found, more = problem.fine(found.y)
         steps += more
+        if found.misfit > problem.degrees(found) / 2:  # or the fit has gone on, and there is less noise than it seemed
+            break
     return _told(build, problem, found, steps, tried, agreeing, unknown)
 
 
