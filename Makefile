@@ -42,8 +42,8 @@ notebooks: $(VENV)/installed-dev ## run all notebooks, with their outputs in out
 bench: $(VENV)/installed-bench ## error against run time, beside other simulators (half an hour; QUICK=1: three minutes)
 	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision growth cold_start ladder roofline report))
 
-bench-more: $(VENV)/installed-dev ## gradients, studies, the map of the critical stiffness, what supports do
-	@$(call run,gradient_cost study_speed critical_map settings report)
+bench-more: $(VENV)/installed-dev ## gradients, studies, critical stiffness, supports, films and sliders (ffmpeg, chromium)
+	@$(call run,gradient_cost study_speed critical_map settings showing report)
 
 bench-inverse: $(VENV)/installed-dev ## what comes back from signals: parameters, contours, what has to be known (an hour)
 	@$(call run,identify reconstruct known report)

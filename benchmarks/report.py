@@ -306,12 +306,26 @@ def known_buys() -> str:
     return f"{table(kept)}\n\n{environment('known_buys')}"
 
 
+def films() -> str:
+    return table([_only(row, "what") for row in read("showing")["rows"] if row["what"] == "film"])
+
+
+def sliders() -> str:
+    rows = [_only(row, "what") for row in read("showing")["rows"] if row["what"] == "sliders"]
+    return f"{table(rows)}\n\n{environment('showing')}"
+
+
+def _only(row: dict, *left_out: str) -> dict:
+    return {name: value for name, value in row.items() if name not in left_out}
+
+
 TABLES = {
     f.__name__: f
     for f in (
         *(in_short, work_precision, speed_up, roofline, growth, models, ladder, cold_start, extremes, soak),
         *(settings, claims, soak_supports),
         *(identify_guesses, identify_noise, reconstruct, known_subsets, known_errors, known_buys),
+        *(films, sliders),
     )
 }
 

@@ -22,6 +22,23 @@ def test_slope_is_the_derivative(profile):
         np.testing.assert_allclose([point.cos, point.sin], [dx / size, dy / size], atol=EXACT)
 
 
+@pytest.mark.parametrize(
+    "profile",
+    [
+        *(jw.Parabola(0.3, 2.0, 0.4), jw.Circle(0.2, 0.7, -0.1), jw.Ellipse(0.2, 0.5, 0.9)),
+        *(jw.Graph(lambda x: 0.2 * jnp.cosh(9 * x)), jw.Tilted(jw.Ellipse(0.2, 0.5, 0.9), 0.4)),
+        jw.Contour.like(jw.Circle(0.2, 0.7), (-1.0, 1.0)),
+    ],
+    ids=str,
+)
+def test_a_slope_is_found_again(profile):
+    for slope in (-0.9, 0.0, 0.6):
+        at = profile.point(profile.at_slope(slope))
+        np.testing.assert_allclose(jnp.arctan2(at.sin, at.cos), slope, atol=EXACT)
+    at = profile.point(profile.lowest())
+    np.testing.assert_allclose((at.x, at.y), profile.vertex(), atol=SAME)
+
+
 def test_points_lie_on_the_object():
     p = jw.Parabola(0.3, 2.0, 0.4).point(0.8)
     assert abs(p.y - (0.3 + 2.0 * (p.x - 0.4) ** 2)) < EXACT

@@ -166,14 +166,7 @@ def _radius(profile: AbstractProfile, slope: Scalar) -> Float[Array, ""]:
     def rate(function, parameter):
         return jax.jvp(function, (parameter,), (jnp.ones_like(parameter),))[1]
 
-    low, high = profile.ends()
-
-    def flatter(parameter):
-        # Where the object has ended it is steeper than anything.
-        here = angle(parameter)
-        return jnp.where(jnp.isfinite(here), here < slope, parameter < (low + high) / 2)
-
-    parameter = jax.lax.stop_gradient(bisect(flatter, low, high))
+    parameter = jax.lax.stop_gradient(profile.at_slope(slope))
     parameter = parameter - (angle(parameter) - slope) / rate(angle, parameter)
     x, y = rate(lambda p: jnp.stack(profile.point(p)[:2]), parameter)
     return jnp.hypot(x, y) / rate(angle, parameter)

@@ -65,6 +65,23 @@ class AbstractProfile(eqx.Module):
         """Parameters between which the profile lies: those of a slope, almost up to the upright, unless it says so."""
         return -STEEPEST, STEEPEST
 
+    def around(self) -> tuple[Scalar, Scalar] | None:
+        """Parameters between which `point` runs once around the object, for pictures; None unless it is closed."""
+        return None
+
+    def lowest(self) -> Scalar:
+        """The parameter of the object's lowest point."""
+        return self.at_slope(0.0)
+
+    def at_slope(self, slope: Scalar) -> Scalar:
+        """The parameter, between the ends, at which the profile has that slope angle, rad; without a derivative."""
+
+        def angle(p):
+            at = self.point(p)
+            return jnp.where(jnp.isfinite(at.y), jnp.arctan2(at.sin, at.cos), jnp.nan)
+
+        return _steepened_to(slope, angle, *self.ends())
+
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters lie where the constructor would have let them."""
         leaves = [jnp.asarray(x) for x in jax.tree.leaves(self) if _checks.is_numeric(x)]
@@ -157,6 +174,9 @@ class Ellipse(AbstractProfile):
     def point(self, parameter):
         return _elliptic_point(self, self.a, self.b, parameter)
 
+    def around(self):
+        return -jnp.pi, jnp.pi
+
     def first_touch(self, height, side):
         return _elliptic_touch(self, self.a, self.b, height, side)
 
@@ -194,6 +214,9 @@ class Circle(AbstractProfile):
 
     def point(self, parameter):
         return _elliptic_point(self, self.radius, self.radius, parameter)
+
+    def around(self):
+        return -jnp.pi, jnp.pi
 
     def first_touch(self, height, side):
         return _elliptic_touch(self, self.radius, self.radius, height, side)
@@ -278,18 +301,16 @@ class Graph(AbstractProfile):
     def ends(self):
         return -self.extent / self.unit, self.extent / self.unit
 
-    def _lowest(self):
-        low, high = self.ends()
+    def at_slope(self, slope):
+        def angle(x):
+            # Not by the unit tangent: far out the square of g' may be too large for it.
+            y, rise = jax.value_and_grad(self._height)(x)
+            return jnp.where(jnp.isfinite(y) & jnp.isfinite(rise), jnp.arctan(rise), jnp.nan)
 
-        def falls(x):
-            # Left of the vertex g falls; outside its domain (NaN) the object ends, as a wall would.
-            y, slope = jax.value_and_grad(self._height)(x)
-            return jnp.where(jnp.isfinite(y) & jnp.isfinite(slope), slope < 0, x < 0)
-
-        return bisect(falls, low, high)
+        return _steepened_to(slope, angle, *self.ends())
 
     def first_touch(self, height, side):
-        vertex = self._lowest()
+        vertex = self.lowest()
 
         def below(x):
             return self._height(x) < height  # False outside the domain
@@ -303,7 +324,7 @@ class Graph(AbstractProfile):
         return FirstTouch(x, self.position + x, self._height(x))
 
     def vertex(self):
-        x = self._lowest()
+        x = self.lowest()
         return self.position + x, self._height(x)
 
     def in_unit(self, length):
@@ -314,6 +335,17 @@ class Graph(AbstractProfile):
 
     def __str__(self):
         return f"graph y = {name_of(self.g)}(x){differs(', x = ', self.position)}"
+
+
+def _steepened_to(slope: Scalar, angle: Callable, low: Scalar, high: Scalar) -> Float[Array, ""]:
+    """Where a slope angle, which grows, has grown to that."""
+
+    def flatter(parameter):
+        here = angle(parameter)
+        # Outside of its domain (NaN) the object ends, as a wall would.
+        return jnp.where(jnp.isfinite(here), here < slope, parameter < (low + high) / 2)
+
+    return bisect(flatter, low, high)
 
 
 def bisect(inside: Callable, low: Scalar, high: Scalar) -> Float[Array, ""]:

@@ -53,18 +53,11 @@ class Tilted(AbstractProfile):
     def ends(self):
         return self.profile.ends()
 
-    def _lowest(self):
-        low, high = self.ends()
-
-        def falls(p):
-            # Outside of its domain the object ends, as a wall would.
-            at = self.point(p)
-            return jnp.where(jnp.isfinite(at.y) & jnp.isfinite(at.sin), at.sin < 0, p < (low + high) / 2)
-
-        return bisect(falls, low, high)
+    def around(self):
+        return self.profile.around()
 
     def first_touch(self, height, side):
-        lowest, (low, high) = self._lowest(), self.ends()
+        lowest, (low, high) = self.lowest(), self.ends()
         end = jnp.where(side > 0, high, low)
 
         def below(p):
@@ -78,7 +71,7 @@ class Tilted(AbstractProfile):
         return FirstTouch(p, at.x, at.y)
 
     def vertex(self):
-        at = self.point(self._lowest())
+        at = self.point(self.lowest())
         return at.x, at.y
 
     def in_unit(self, length):

@@ -12,17 +12,15 @@ from jaxtyping import Float
 
 from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker.motion import Pose
-from jaxwhisker.profile import Graph, Parabola
 from jaxwhisker.result import Result
 from jaxwhisker.scan import _finished, _travelled
 from jaxwhisker.scene import Scene
 from jaxwhisker.shape import Shapes, shapes_of
-from jaxwhisker.tilted import Tilted
+from jaxwhisker.silhouette import silhouette
 
 STEPS = 400  # of a scan, evenly over the range of the default control
 POINTS = 32  # of a whisker's centre line
 OUTLINE = 241  # points of the object
-FAR = 3.0  # lengths from the vertex to where an endless object is cut off
 
 
 class Picture(NamedTuple):
@@ -41,20 +39,9 @@ def _picture(scene: Scene) -> Picture:
     control = way.start + (way.stop - way.start) * jnp.linspace(0.0, 1.0, STEPS)
     result = _finished(scene, control, way)
     lines = shapes_of(result, scene.whiskers, points=POINTS)
-    return Picture(result, lines, jax.vmap(scene.motion.pose)(control), _outline(scene))
+    drive = jax.vmap(scene.motion.pose)(control)
+    return Picture(result, lines, drive, silhouette(scene.profile, scene.whiskers[0].length, points=OUTLINE))
 
 
 _COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
 picture = eqx.filter_jit(_picture, **_COMPILED)
-
-
-def _outline(scene: Scene) -> Float[jax.Array, "points 2"]:
-    object, length = scene.profile, scene.whiskers[0].length
-    upright = object.profile if isinstance(object, Tilted) else object
-    end = jnp.pi  # half a turn to both sides
-    if isinstance(upright, Parabola):
-        end = jnp.arctan(2 * upright.a * FAR * length)
-    elif isinstance(upright, Graph):
-        end = FAR * length / upright.unit
-    at = jax.vmap(object.point)(end * jnp.linspace(-1.0, 1.0, OUTLINE))
-    return jnp.stack([at.x, at.y], axis=-1)

@@ -12,8 +12,8 @@ from jaxwhisker.plot.axes import SUPPORT, colour
 from jaxwhisker.plot.drawing import Drawing
 from jaxwhisker.plot.states import profile
 from jaxwhisker.scene import Scene, moves_along_x, units
+from jaxwhisker.silhouette import silhouette_of
 
-NEAR = 1.5  # lengths from the drive up to which a pivot is shown
 ROOM = 0.03  # around what moves, of the window
 FOR_WORDS = 0.1  # above it
 
@@ -40,15 +40,10 @@ class Window(NamedTuple):
 
 def window(scene: Scene, drawn: list[Drawing]) -> Window:
     """One window for all drawings, that holds whatever moves, and the object down to its vertex."""
-    lines = [line for one in drawn for line in (*one.whiskers, *one.springs)]
-    points = [(one.drive.x, one.drive.y) for one in drawn]
-    points += [arrow.tail for one in drawn for arrow in one.arrows if arrow is not None]
-    arms = [one.arm for one in drawn if one.arm is not None]
-    points += [(arm.x[0], arm.y[0]) for arm in arms if np.hypot(np.ptp(arm.x), np.ptp(arm.y)) < NEAR]
+    x, y = (np.concatenate(coordinate) for coordinate in zip(*(one.extent() for one in drawn), strict=True))
     vertex_x, vertex_y = (float(v) / float(units(scene).length) for v in scene.profile.vertex())
-    x, y = (np.concatenate([*[line[k] for line in lines], np.array(points, float)[:, k]]) for k in (0, 1))
     x, y = np.append(x, vertex_x), np.append(y, [vertex_y, 0.0])
-    left, right, bottom, top = np.nanmin(x), np.nanmax(x), np.nanmin(y), max(np.nanmax(y), 1.0)
+    left, right, bottom, top = x.min(), x.max(), y.min(), max(y.max(), 1.0)
     beside, around = ROOM * (right - left), ROOM * (top - bottom)
     top += FOR_WORDS * (top - bottom)
     return Window(float(left - beside), float(right + beside), float(bottom - around), float(top + around))
@@ -56,9 +51,7 @@ def window(scene: Scene, drawn: list[Drawing]) -> Window:
 
 def outline(scene: Scene) -> Outline:
     """The contour of the object as it is drawn, in the scene's units."""
-    size = float(units(scene).length)
-    line = profile(scene.profile, length=size, ax=Figure().add_subplot()).lines[-1]
-    return Outline(np.asarray(line.get_xdata()) * size, np.asarray(line.get_ydata()) * size)
+    return Outline(*silhouette_of(scene.profile, float(units(scene).length)))
 
 
 class Stage:

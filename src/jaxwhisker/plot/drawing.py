@@ -31,6 +31,7 @@ STAND = 0.16  # ... are drawn longer by this, from a wall that moves with the dr
 DEPTH = 0.08  # by which springs hang that pass other bases, one below the other
 COIL = 0.085  # radius of a torsion spring
 THIN, THICK = 0.9, 2.5  # line widths, points
+NEAR = 1.5  # lengths from the drive up to which a pivot is shown
 AHEAD = 0.05  # lengths before the first touch
 LOOKED_AT = 241  # controls of a motion at which the first touch is looked for
 _TURNS = 2.25  # of a torsion spring at rest: it ends below to the right, away from springs along x and y
@@ -61,6 +62,18 @@ class Drawing(NamedTuple):
     bases: Line  # the bases as points, one per whisker
     springs: tuple[Line, ...]  # as the support has them; rigid ones straight and thick, as what holds clamped bases
     arrows: tuple[Arrow | None, ...]  # per whisker; None where it is free or unknown
+
+    def extent(self, *, springs: bool = True) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+        """x and y of whatever a window should hold; without springs only of whiskers and drive."""
+        lines = [*self.whiskers, Line(np.array([self.drive.x]), np.array([self.drive.y]))]
+        if springs:
+            lines += self.springs
+            lines += [Line(*np.array(arrow.tail)[:, None]) for arrow in self.arrows if arrow is not None]
+            if self.arm is not None and np.hypot(np.ptp(self.arm.x), np.ptp(self.arm.y)) < NEAR:
+                lines += [self.arm]
+        x, y = (np.concatenate([line[k] for line in lines]) for k in (0, 1))
+        known = np.isfinite(x)
+        return x[known], y[known]
 
 
 def drawing(scene: Scene, control: float, state: State, *, largest: float | None = None) -> Drawing:

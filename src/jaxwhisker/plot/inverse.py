@@ -1,11 +1,16 @@
 """Pictures of what signals tell: fits beside what was measured, information along a scan, reconstructed contours."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 
+from jaxwhisker import _checks
 from jaxwhisker.measured import CHANNELS
 from jaxwhisker.plot.axes import (
     COLOURS,
@@ -19,15 +24,16 @@ from jaxwhisker.plot.axes import (
     one_axes,
     title,
 )
+from jaxwhisker.profile import AbstractProfile, ContactPoint
 from jaxwhisker.reconstruct.fit_contour import ContourFit
 from jaxwhisker.scene import units
 
 if TYPE_CHECKING:
     from jaxwhisker.identify import Fit, Information
-    from jaxwhisker.profile import AbstractProfile
     from jaxwhisker.reconstruct.points import Reconstruction
 
 BAND = 1.959964  # standard deviations that hold 95 %
+POINTS = 241  # of a known profile
 _UNIT = "(scan's unit)"
 
 
@@ -82,7 +88,7 @@ def information(information: "Information", *, ax: Axes | None = None) -> Axes:
 
 
 def contour(
-    found: "Reconstruction | ContourFit", *, profile: "AbstractProfile | None" = None, ax: Axes | None = None
+    found: "Reconstruction | ContourFit", *, profile: AbstractProfile | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw reconstructed points, or a fitted contour with its 95 % band where it is known, equal scales on both axes.
 
@@ -113,8 +119,8 @@ def contour(
             axes.plot(x[own, k], y[own, k], ".", color=colour(k), markersize=2.5, label=f"whisker {k + 1}")
         ends = np.quantile(slope[clear], [0.02, 0.98]) if clear.any() else np.array([-1.0, 1.0])
     if profile is not None:
-        at = [profile.point(p) for p in _parameters(profile, ends)]
-        axes.plot([float(p.x) for p in at], [float(p.y) for p in at], color="black", linewidth=0.8, label=str(profile))
+        at = _between(jax.tree.map(_checks.as_float, profile), jnp.asarray(ends))
+        axes.plot(at.x, at.y, color="black", linewidth=0.8, label=str(profile))
     axes.set_aspect("equal")
     axes.set_xlabel(f"$x$ {_UNIT}")
     axes.set_ylabel(f"$y$ {_UNIT}")
@@ -122,13 +128,11 @@ def contour(
     return axes
 
 
-def _parameters(profile: Any, slopes: np.ndarray) -> np.ndarray:
-    """Parameters of a profile between two slope angles."""
-    low, high = profile.ends()
-    grid = np.linspace(float(low), float(high), 2001)
-    points = [profile.point(p) for p in grid]
-    angles = np.array([np.arctan2(float(p.sin), float(p.cos)) for p in points])
-    return grid[(angles >= slopes[0]) & (angles <= slopes[1])]
+@eqx.filter_jit
+def _between(profile: AbstractProfile, slopes: Float[jax.Array, " 2"]) -> ContactPoint:
+    """Points of a profile between two slope angles."""
+    low, high = jax.vmap(profile.at_slope)(slopes)
+    return jax.vmap(profile.point)(jnp.linspace(low, high, POINTS))
 
 
 def _onwards(axes: Iterable[Axes], control: np.ndarray) -> None:

@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
@@ -13,12 +11,11 @@ from jaxwhisker import _checks
 from jaxwhisker.contact import Phase
 from jaxwhisker.plot.axes import OBJECT, SUPPORT, colour, control_axis, control_of, legend_above, one_axes, title
 from jaxwhisker.plot.drawing import Drawing, drawing, drawing_at, rest_state, start_of
-from jaxwhisker.profile import AbstractProfile, Graph, Parabola
+from jaxwhisker.profile import AbstractProfile
 from jaxwhisker.result import Result, check_one_scan
 from jaxwhisker.scene import Scene, moves_along_x, units
-from jaxwhisker.tilted import Tilted
+from jaxwhisker.silhouette import silhouette_of
 
-FAR = 3.0  # lengths from the vertex to where an endless object is cut off
 STATES = 5  # drawn if nobody says which
 MOST_TOLD = 6  # positions that a title has room for
 PALEST = 0.25  # opacity of the earliest of several states
@@ -26,7 +23,6 @@ NARROWEST = 1.3  # lengths that a picture is wide at least
 WIDE = 3.0  # lengths up to which there is a tick at every half
 ROOM = 0.1  # lengths around what is drawn
 BEYOND = 0.5  # lengths beside the vertex that the picture of a scene holds
-NEAR = 1.5  # lengths from the drive up to which a pivot is shown
 
 
 def scene(scene: Scene, *, ax: Axes | None = None) -> Axes:
@@ -88,16 +84,7 @@ def profile(object: AbstractProfile, *, length: float = 1.0, whole: bool = True,
         ax: where to draw; a new figure by default.
     """
     ax = one_axes(ax)
-    upright = object.profile if isinstance(object, Tilted) else object
-    if isinstance(upright, Parabola):
-        parameter = np.linspace(-1, 1, 481) * np.arctan(2 * float(upright.a) * FAR * length)
-    elif isinstance(upright, Graph):
-        parameter = np.linspace(-1, 1, 481) * FAR * length / float(upright.unit)
-    else:
-        parameter = np.linspace(-1, 1, 241) * (np.pi if whole else np.pi / 2)
-    at = jax.vmap(object.point)(jnp.asarray(parameter))
-    known = np.isfinite(np.asarray(at.y))  # a graph may end
-    x, y = np.asarray(at.x)[known] / length, np.asarray(at.y)[known] / length
+    x, y = (coordinate / length for coordinate in silhouette_of(object, length, whole=whole))
     ax.fill(x, y, color=OBJECT, linewidth=0, zorder=0)
     ax.plot(x, y, color=SUPPORT, linewidth=1, zorder=0.5)
     return ax
@@ -170,14 +157,8 @@ def _draw(scene: Scene, drawn: Sequence[Drawing], whole: bool, ax: Axes) -> None
 
 def _frame(scene: Scene, drawn: Sequence[Drawing], ax: Axes) -> None:
     """A window that holds drive, whiskers, springs and forces, and the object down to its vertex."""
-    last = drawn[-1]
-    lines = [(line.x, line.y) for line in (*(line for one in drawn for line in one.whiskers), *last.springs)]
-    near = last.arm is not None and np.hypot(np.ptp(last.arm.x), np.ptp(last.arm.y)) < NEAR
-    points = [(float(one.drive.x), float(one.drive.y)) for one in drawn]
-    points += [arrow.tail for arrow in last.arrows if arrow is not None]
-    points += [(last.arm.x[0], last.arm.y[0])] if near and last.arm is not None else []
-    x, y = (np.concatenate([*(line[k] for line in lines), [p[k] for p in points]]) for k in (0, 1))
-    x, y = x[np.isfinite(x)], y[np.isfinite(y)]
+    parts = [one.extent(springs=one is drawn[-1]) for one in drawn]
+    x, y = (np.concatenate(coordinate) for coordinate in zip(*parts, strict=True))
     vertex = float(scene.profile.vertex()[1]) / float(units(scene).length)
     if x.size:
         middle, reach = (x.min() + x.max()) / 2, max(np.ptp(x) / 2 + ROOM, NARROWEST / 2)
