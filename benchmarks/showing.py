@@ -1,0 +1,205 @@
+"""Films and sliders: seconds that a film takes, and pictures a second while a slider is dragged in Chromium.
+
+python benchmarks/showing.py
+
+A slider is dragged to and fro by the page itself, at every frame of the browser; counted are pictures of a scene that
+came anew (of the drive: of another step of the same scan). It needs ffmpeg, chromium and chromedriver.
+"""
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import numpy as np
+from selenium import webdriver
+from selenium.common.exceptions import WebDriverException
+from selenium.webdriver import ActionChains, Keys
+from selenium.webdriver.chrome.service import Service
+
+import jaxwhisker as jw
+from common import summary, write
+from jaxwhisker.explore import page
+from jaxwhisker.explore.session import Session
+from jaxwhisker.scan import contact_range
+
+STEPS = 1900  # of the filmed scan
+FILMS = 3
+SECONDS = 8.0  # of dragging
+LONG = 600.0  # s to wait for the first picture
+MODELS = ("FB", "FBFBR", "FBFBFBR")
+
+BUILD = """\
+def build(stiffness, distance):
+    support = jw.Support.named("{}", stiffness, 0.2)
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance), support{})
+"""
+RANGES = "stiffness=(20, 500, 70.0), distance=(0.1, 0.5, 0.2)"
+CLOSED, INTEGRATED = ", rod=jw.ClosedForm()", ""
+
+# To and fro for so many seconds; then pictures, the time taken, and the gaps between pictures.
+DRAG = """
+const [name, seconds, done] = arguments;
+const root = document.querySelector(".jaxwhisker"), input = root.querySelector(`input[name=${name}]`);
+const start = performance.now(), first = Number(root.dataset.drawn), gaps = [];
+let drawn = first, last = start;
+const frame = () => {
+  const now = performance.now();
+  if (Number(root.dataset.drawn) !== drawn) {
+    gaps.push(now - last);
+    [drawn, last] = [Number(root.dataset.drawn), now];
+  }
+  if (now - start > 1000 * seconds) return done([drawn - first, (now - start) / 1000, gaps]);
+  const share = (now - start) / 3000;
+  input.value = input.max * Math.abs((share % 2) - 1);
+  input.dispatchEvent(new Event("input"));
+  requestAnimationFrame(frame);
+};
+requestAnimationFrame(frame);
+"""
+
+
+def browser(folder: Path) -> webdriver.Chrome:
+    options: Any = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium")
+    flags = "headless=new no-sandbox disable-gpu disable-quic no-first-run disable-background-networking"
+    for flag in (*flags.split(), f"user-data-dir={folder / 'chromium'}", "window-size=1200,1000"):
+        options.add_argument(f"--{flag}")
+    driver = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
+    driver.set_script_timeout(60)
+    return driver
+
+
+def settle(driver: webdriver.Chrome) -> None:
+    """Wait for the first picture."""
+    end = time.monotonic() + LONG
+    while time.monotonic() < end:
+        roots = driver.find_elements("css selector", ".jaxwhisker")
+        if roots and roots[0].get_attribute("aria-busy") == "false":
+            return
+        time.sleep(0.1)
+    raise TimeoutError("no picture")
+
+
+def dragged(driver: webdriver.Chrome, where: str, model: str, rod: str) -> dict[str, Any]:
+    """Pictures a second of each slider."""
+    rods = "closed form" if rod else "integrated"
+    row: dict[str, Any] = {"what": "sliders", "where": where, "model": model, "rods": rods}
+    for name in ("stiffness", "distance", "drive"):
+        driver.execute_async_script(DRAG, name, 1.0)
+        settle(driver)
+        count, seconds, gaps = driver.execute_async_script(DRAG, name, SECONDS)
+        settle(driver)
+        row |= {f"{name}, pictures/s": count / seconds, f"{name}, longest wait of 95 %, ms": np.percentile(gaps, 95)}
+    return row
+
+
+def on_page(driver: webdriver.Chrome, model: str, rod: str) -> dict[str, Any]:
+    names: dict[str, Any] = {"jw": jw}
+    exec(BUILD.format(model, rod), names)
+    session = Session(names["build"], eval(f"dict({RANGES})"))
+    with page.Server(session) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        driver.get(server.url)
+        settle(driver)
+        row = dragged(driver, "local page", model, rod)
+        driver.get("about:blank")
+        server.shutdown()
+        thread.join()
+    return row
+
+
+def in_jupyter(driver: webdriver.Chrome, folder: Path, model: str, rod: str) -> dict[str, Any]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    head = 'import jax\njax.config.update("jax_enable_x64", True)\nimport jaxwhisker as jw\n'
+    source = f"{head}{BUILD.format(model, rod)}jw.explore(build, {RANGES})"
+    cell = {"cell_type": "code", "id": "one", "metadata": {}, "outputs": [], "execution_count": None, "source": source}
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    notebook = {"cells": [cell], "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
+    root = folder / "notebooks"
+    root.mkdir(exist_ok=True)
+    (root / "explore.ipynb").write_text(json.dumps(notebook))
+    here, own = f"http://127.0.0.1:{port}", {"IPYTHONDIR": str(folder / "ipython")}
+    own |= {f"JUPYTER_{name}_DIR": str(folder / name.lower()) for name in ("CONFIG", "DATA", "RUNTIME")}
+    line = [sys.executable, "-m", "jupyterlab", "--allow-root", "--no-browser", f"--port={port}", "--ip=127.0.0.1"]
+    line += ["--IdentityProvider.token=local", f"--ServerApp.root_dir={root}", "--LabApp.news_url=None"]
+    quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(line, env=os.environ | own, **quiet) as process:
+        try:
+            _patiently(lambda: urllib.request.urlopen(f"{here}/api?token=local", timeout=5).close())
+            driver.get(f"{here}/lab/tree/explore.ipynb?token=local&reset")
+            first = ".jp-Notebook .jp-Cell .cm-content"
+            _patiently(lambda: driver.find_element("css selector", first).click())
+            time.sleep(3)  # what opens last takes the focus
+            driver.find_element("css selector", first).click()
+            ActionChains(driver).key_down(Keys.SHIFT).send_keys(Keys.ENTER).key_up(Keys.SHIFT).perform()
+            settle(driver)
+            driver.execute_script("document.querySelector('.jaxwhisker').scrollIntoView()")
+            return dragged(driver, "JupyterLab", model, rod)
+        finally:
+            process.terminate()
+            process.wait(60)
+
+
+def _patiently(attempt) -> None:
+    end = time.monotonic() + LONG
+    while True:
+        try:
+            return attempt()
+        except (OSError, WebDriverException):
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.5)
+
+
+def films(model: str, folder: Path) -> list[dict[str, Any]]:
+    """Seconds for a film of a scan that is there; the first one of a structure compiles."""
+    scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.named(model, 70.0, 0.2), rod=jw.ClosedForm())
+    first, last = (float(end) for end in contact_range(scene))
+    result = jax.block_until_ready(jw.scan(scene, np.linspace(first, last, STEPS)))
+    rows = []
+    for suffix in ("mp4", "gif"):
+        times = []
+        for _ in range(1 + FILMS):
+            start = time.perf_counter()
+            path = jw.animate(result, folder / f"film.{suffix}", progress=False)
+            times.append(time.perf_counter() - start)
+        row: dict[str, Any] = {"what": "film", "where": suffix, "model": model, "rods": "closed form", "steps": STEPS}
+        size = Path(str(path)).stat().st_size / 1e6
+        rows.append(row | {"first, s": times[0], "again, s": summary(times[1:])["median"], "MB": size})
+    return rows
+
+
+def main() -> None:
+    rows = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for model in MODELS[:2]:
+            rows += films(model, folder)
+        driver = browser(folder)
+        try:
+            rows += [on_page(driver, model, CLOSED) for model in MODELS]
+            rows += [on_page(driver, model, INTEGRATED) for model in MODELS[:2]]
+            rows += [in_jupyter(driver, folder, model, CLOSED) for model in MODELS[:2]]
+        finally:
+            driver.quit()
+    write("showing", rows)
+
+
+if __name__ == "__main__":
+    main()

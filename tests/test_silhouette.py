@@ -1,0 +1,62 @@
+"""What is drawn of an object: its contour, cut off far out, up to where it ends, or all around."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker.silhouette import FAR, POINTS, silhouette_of
+
+ROUNDING = 1e-9  # of lengths: an end is found by halving
+SEMICIRCLE = jw.Graph(lambda x: 0.9 - jnp.sqrt(0.49 - x**2))
+
+
+@pytest.mark.parametrize("length", [1.0, 20.0])
+@pytest.mark.parametrize(
+    "profile", [jw.Parabola(0.2, 2.0, 0.4), jw.Graph(lambda x: 0.2 + 2 * x**2, 0.4), jw.Graph(jnp.cosh, 0.4)]
+)
+def test_what_has_no_end_is_cut_off(profile, length):
+    x, y = silhouette_of(profile, length)
+    assert x.size == POINTS and (np.diff(x) > 0).all()
+    np.testing.assert_allclose(x[[0, -1]], 0.4 + FAR * length * np.array([-1.0, 1.0]), rtol=ROUNDING)
+    if not isinstance(profile, jw.Graph):
+        np.testing.assert_allclose(y, 0.2 + 2 * (x - 0.4) ** 2, rtol=ROUNDING)
+
+
+def test_a_graph_is_drawn_up_to_where_it_ends():
+    x, y = silhouette_of(SEMICIRCLE, 1.0)
+    assert x.size >= POINTS - 2  # its very ends may be rounded out of it
+    np.testing.assert_allclose(x[[0, -1]], (-0.7, 0.7), atol=0.01)
+    np.testing.assert_allclose(np.hypot(x, y - 0.9), 0.7, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_what_is_closed_is_drawn_all_around_or_its_lower_side(turned):
+    profile = jw.Circle(0.2, 0.7, -0.1)
+    centre = np.array([-0.1, 0.9])
+    if turned:
+        profile, angle = jw.Tilted(profile, 0.3), 0.3
+        centre = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ centre
+    x, y = silhouette_of(profile, 1.0)
+    np.testing.assert_allclose(np.hypot(x - centre[0], y - centre[1]), 0.7, atol=ROUNDING)
+    assert np.hypot(x[0] - x[-1], y[0] - y[-1]) < ROUNDING and y.max() > centre[1] + 0.69
+    x, y = silhouette_of(profile, 1.0, whole=False)
+    half = np.hypot(x[0] - x[-1], y[0] - y[-1])
+    assert half == pytest.approx(1.4, abs=1e-5)
+    assert y.max() < centre[1] + 0.7 * np.sin(0.3) + ROUNDING
+
+
+def test_a_contour_is_drawn_up_to_its_upright_ends():
+    contour = jw.Contour.like(jw.Circle(0.2, 0.7), np.linspace(-1.0, 1.0, 5))
+    x, y = silhouette_of(contour, 1.0)
+    np.testing.assert_allclose(np.hypot(x, y - 0.9), 0.7, atol=1e-6)
+    np.testing.assert_allclose(x[[0, -1]], (-0.7, 0.7), atol=1e-6)
+
+
+def test_objects_of_one_kind_share_what_is_compiled():
+    from jaxwhisker import silhouette
+
+    silhouette_of(jw.Parabola(0.2), 1.0)
+    counted = silhouette._compiled._cached._cache_size()
+    silhouette_of(jw.Parabola(0.7, 3.0), 2.0)
+    assert silhouette._compiled._cached._cache_size() == counted
