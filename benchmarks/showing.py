@@ -186,19 +186,21 @@ def films(model: str, folder: Path) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for model in MODELS[:2]:
-            rows += films(model, folder)
         driver = browser(folder)
+        calls = [lambda model=model: in_jupyter(driver, folder, model, CLOSED) for model in MODELS[:2]]
+        calls += [lambda model=model: on_page(driver, model, CLOSED) for model in MODELS]
+        calls += [lambda model=model: on_page(driver, model, INTEGRATED) for model in MODELS[:2]]
+        calls += [lambda model=model: films(model, folder) for model in MODELS[:2]]
+        rows = []
         try:
-            rows += [on_page(driver, model, CLOSED) for model in MODELS]
-            rows += [on_page(driver, model, INTEGRATED) for model in MODELS[:2]]
-            rows += [in_jupyter(driver, folder, model, CLOSED) for model in MODELS[:2]]
+            for call in calls:
+                found = call()
+                rows += found if isinstance(found, list) else [found]
+                write("showing", rows)
         finally:
             driver.quit()
-    write("showing", rows)
 
 
 if __name__ == "__main__":

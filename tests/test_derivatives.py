@@ -214,7 +214,7 @@ def total(stiffness, distance, bending_stiffness):
 def test_failed_lanes_have_zero_weight_and_leak_nothing():
     gradient = jax.jit(jax.value_and_grad(total, argnums=(0, 1, 2), has_aux=True))
     stiffness, distance = jnp.array([70.0, 50.0, 90.0, 60.0]), jnp.array([0.2, 0.3, 0.25, 0.35])
-    (_, ok), (by_c, by_q, _) = gradient(stiffness, distance, 1.0)
+    (_, ok), (by_c, by_q, shared) = gradient(stiffness, distance, 1.0)
     assert np.all(ok == CONTROL.size) and np.all(by_c != 0) and np.all(by_q != 0)
     # A NaN, and a value outside its domain; 1e-9 above the bases the path is lost or the scan goes on, finite anyway.
     bad_c, bad_q = stiffness.at[1].set(jnp.nan), distance.at[2].set(-0.3).at[3].set(1e-9)
@@ -225,9 +225,12 @@ def test_failed_lanes_have_zero_weight_and_leak_nothing():
     assert np.all(bad_by_c[1:3] == 0) and np.all(bad_by_q[1:3] == 0)
     assert bad_by_c[0] == by_c[0] and bad_by_q[0] == by_q[0]
     # What all lanes share gets exactly what the good ones contribute.
-    (_, ok), (_, _, alone) = gradient(bad_c, bad_q.at[3].set(-1.0), 1.0)
-    one = jax.grad(lambda e: total(stiffness[:1], distance[:1], e)[0])(1.0)
-    np.testing.assert_allclose(alone, one, rtol=MODES)
+    first = jnp.arange(4) == 0
+    (_, ok), (_, _, alone) = gradient(stiffness, jnp.where(first, distance, -1.0), 1.0)
+    (_, others), (_, _, rest) = gradient(jnp.where(first, jnp.nan, stiffness), distance, 1.0)
+    assert np.array_equal(ok == CONTROL.size, first) and np.array_equal(others == CONTROL.size, ~first)
+    assert alone != 0 and rest != 0
+    np.testing.assert_allclose(alone + rest, shared, rtol=MODES)
 
 
 def test_a_rigid_spring_is_differentiated_by_its_compliance():
@@ -237,12 +240,19 @@ def test_a_rigid_spring_is_differentiated_by_its_compliance():
         result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support(tuple(springs))), CONTROL)
         return result.fx, result.events.control[:8]
 
-    jacobian = jax.jit(jax.jacfwd(signals, argnums=(0, 1)))
-    value = jax.jit(signals)
+    def both(*at):
+        value = signals(*at)
+        return value, value
+
+    derived = jax.jit(jax.jacfwd(both, argnums=(0, 1), has_aux=True))
+
+    def value(*at):
+        return derived(*at)[1]
+
     rigid = jnp.array([1 / 80.0, 0.0])
     ahead, behind = value(rigid + jnp.array([0.0, 2e-6]), 0.25), value(rigid + jnp.array([0.0, 1e-6]), 0.25)
     at = value(rigid, 0.25)
-    for field, (by_compliance, by_distance) in enumerate(jacobian(rigid, 0.25)):
+    for field, (by_compliance, by_distance) in enumerate(derived(rigid, 0.25)[0]):
         # A compliance is not negative: one-sided differences of second order.
         difference = (4 * behind[field] - ahead[field] - 3 * at[field]) / 2e-6
         assert np.max(np.abs(by_compliance[..., 1])) > 0.1
@@ -286,7 +296,12 @@ def curved(p, weights):
         steps, _, at, *_ = observed("FB", p, CONTROL)
         return sum(jnp.sum(w * jnp.where(w == 0, 0.0, x)) for w, x in zip(weights, (steps, at), strict=True))
 
-    return jax.grad(weighted)(p), jax.hessian(weighted)(p)
+    def slope(p):
+        found = jax.grad(weighted)(p)
+        return found, found
+
+    hessian, gradient = jax.jacfwd(slope, has_aux=True)(p)
+    return gradient, hessian
 
 
 def test_second_derivatives(fb):

@@ -3,6 +3,7 @@
 // A host gives `ask(values)`, a promise of one reply (see reply.py), a whole scan: moving the drive asks nobody.
 
 const POSITIONS = 1000; // of a slider
+const UNDER_WAY = 2; // requests at a time: one travels while the other is computed
 const COMPILING = "Compiling: the first picture of such a scene takes 10 to 30 seconds.";
 const ARRAYS = { f8: Float64Array, f4: Float32Array, i1: Int8Array };
 
@@ -68,8 +69,8 @@ function number(value, dimensionless) {
 /** Show the sliders in an element; `ask` takes their values to a promise of a reply. Returns how to take them away. */
 export function explore(el, { sliders, phases, statuses }, ask) {
   const values = Object.fromEntries(sliders.map(({ name, start }) => [name, start]));
-  let reply, step, wished, asking, wanted, due;
-  let drawn = 0;
+  let reply, step, wished, wanted, due;
+  let [asked, answered, waiting, drawn] = [0, 0, 0, 0];
 
   const title = make("p", { className: "title" });
   const summary = make("p", { className: "summary" });
@@ -119,25 +120,32 @@ export function explore(el, { sliders, phases, statuses }, ask) {
     draw();
   }
 
-  /** Ask for the current values: at most one request is under way, and the latest values win. */
-  async function refresh() {
-    wanted = true;
-    if (asking) return;
-    asking = true;
+  /** Ask for the current values, as soon as not too many requests are under way. */
+  function refresh() {
+    wanted = waiting === UNDER_WAY;
+    if (!wanted) request(++asked);
+  }
+
+  async function request(number) {
+    waiting++;
     root.ariaBusy = "true";
-    while (wanted) {
-      wanted = false;
-      const slow = setTimeout(() => say(reply ? "Computing ..." : COMPILING), reply ? 1000 : 0);
-      try {
-        take(decoded(await ask({ ...values })));
-        say("");
-      } catch (error) {
-        say(error.message, true);
-      }
-      clearTimeout(slow);
-      draw();
+    const slow = setTimeout(() => say(reply ? "Computing ..." : COMPILING), reply ? 1000 : 0);
+    let found, wrong;
+    try {
+      found = decoded(await ask({ ...values }));
+    } catch (error) {
+      wrong = error.message;
     }
-    asking = false;
+    clearTimeout(slow);
+    waiting--;
+    if (number > answered) {
+      // Replies may overtake each other; the latest values win.
+      answered = number;
+      if (found) take(found);
+      say(wrong ?? "", Boolean(wrong));
+    }
+    if (wanted) refresh();
+    draw();
   }
 
   function take(next) {
@@ -176,7 +184,7 @@ export function explore(el, { sliders, phases, statuses }, ask) {
         write(failure);
         root.dataset.drawn = ++drawn;
       }
-      root.ariaBusy = `${Boolean(asking)}`;
+      root.ariaBusy = `${waiting > 0}`;
     });
   }
 
@@ -256,7 +264,7 @@ export default { render };
 
 // The local page
 
-async function answered(...request) {
+async function fetched(...request) {
   const response = await fetch(...request).catch(() => {
     throw new Error("No answer: the command that serves this page has ended.");
   });
@@ -267,8 +275,8 @@ async function answered(...request) {
 async function open() {
   const headers = { "Content-Type": "application/json" };
   const ask = async (values) =>
-    (await answered("scan", { method: "POST", headers, body: JSON.stringify(values) })).arrayBuffer();
-  explore(document.body, await (await answered("sliders")).json(), ask);
+    (await fetched("scan", { method: "POST", headers, body: JSON.stringify(values) })).arrayBuffer();
+  explore(document.body, await (await fetched("sliders")).json(), ask);
 }
 
 if (document.body.classList.contains("jaxwhisker-page")) open();

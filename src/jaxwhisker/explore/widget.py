@@ -13,7 +13,7 @@ except ImportError as error:
 
 
 class Explorer(anywidget.AnyWidget):
-    """The sliders of a session. A kernel answers one message at a time, and a page has at most one under way."""
+    """The sliders of a session. A kernel answers one message after the other."""
 
     _esm = SCRIPT
     _css = STYLE
