@@ -23,7 +23,7 @@ from common import write
 from jaxwhisker import _checks
 from jaxwhisker.critical import steepest
 from jaxwhisker.equilibrium import Mode, at_control, find
-from jaxwhisker.scan import _guess, _travelled_now, stops_of
+from jaxwhisker.scan import _guess, stops_of, travelled_now
 from jaxwhisker.scene import problem
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
@@ -142,7 +142,7 @@ def measured(case: Case, kind: str) -> dict:
     scene = jax.tree.map(_checks.as_float, case.scene(RODS[kind]))
     control = case.control
     if control is None:
-        across = _travelled_now(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
+        across = travelled_now(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
         control = np.linspace(float(across.start), float(across.stop), STEPS)
     result = jw.scan(scene, control)
     status = np.asarray(result.status)
@@ -152,7 +152,7 @@ def measured(case: Case, kind: str) -> dict:
     missed = {law: float(np.max(amount)) for law, amount in laws.items()}
     law = max(missed, key=missed.__getitem__)
     stops, last = stops_of(control)
-    way = _travelled_now(scene, jnp.asarray(stops), jnp.asarray(last))
+    way = travelled_now(scene, jnp.asarray(stops), jnp.asarray(last))
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])
     newton = np.asarray(iterations(scene, way, jnp.asarray(control), jnp.asarray(travel)))
     kinds = [event.kind.name for event in result.events]

@@ -117,5 +117,5 @@ def test_the_first_scan_compiles_each_of_its_parts_once(caplog):
     scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), rod=jw.Shooting(steps=3))
     with jax.log_compiles(), caplog.at_level("WARNING"):
         jw.scan(scene, CONTROL)
-    compiled = [record.getMessage() for record in caplog.records if record.getMessage().startswith("Compiling jit(_")]
-    assert sorted(message.split(")")[0] for message in compiled) == ["Compiling jit(_steps", "Compiling jit(_travelled"]
+    compiled = [record.getMessage().split(")")[0].removeprefix("Compiling jit(") for record in caplog.records]
+    assert sorted(name for name in compiled if name.startswith(("_", "travelled"))) == ["_steps", "travelled"]

@@ -78,7 +78,7 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
         stops, last = stops_of(control)
     leaves, structure = jax.tree.flatten(scene)
     _compile(structure, tuple(leaf.shape if _checks.is_numeric(leaf) else leaf for leaf in leaves), stops.size)
-    way = _travelled_now(scene, jnp.asarray(stops), jnp.asarray(last))
+    way = travelled_now(scene, jnp.asarray(stops), jnp.asarray(last))
     if way.path.status == Status.invalid:
         # All else that is wrong with a scene its constructors have told.
         raise ValueError(
@@ -105,10 +105,10 @@ def default_control(scene: Scene) -> np.ndarray:
     if _checks.is_traced(scene):
         raise ValueError("`scene` must be concrete, but is traced: the number of positions depends on its values.")
     scene = jax.tree.map(_checks.as_float, scene)
-    return _across(scene, _travelled_now(scene, jnp.full(2, jnp.nan), jnp.asarray(1)))
+    return _across(scene, travelled_now(scene, jnp.full(2, jnp.nan), jnp.asarray(1)))
 
 
-def _across(scene: Scene, way: "_Way") -> np.ndarray:
+def _across(scene: Scene, way: "Way") -> np.ndarray:
     start, stop = float(way.start), float(way.stop)
     onwards, step = scene.motion.onwards, STEP * float(units(scene).control)
     count = max(2, int(np.ceil(onwards * (stop - start) / step)) + 1)
@@ -130,7 +130,7 @@ def stops_of(control: np.ndarray) -> tuple[np.ndarray, int]:
     return np.concatenate([stops, np.full(room - stops.size, stops[-1])]), stops.size - 1
 
 
-class _Way(NamedTuple):
+class Way(NamedTuple):
     """A path, its events, and the range of control in which they lie."""
 
     path: Path
@@ -145,7 +145,7 @@ def _capacity(scene: Scene, stops: int) -> int:
 
 
 @eqx.filter_jit
-def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]) -> _Way:
+def travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]) -> Way:
     """March to all stops; with NaN for the first, right across the object."""
     dimensionless = problem(scene)
     unit = dimensionless.unit
@@ -168,7 +168,7 @@ def _travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]
         touching = jnp.any(path.nodes.phase[path.count - 1] != Phase.free)
         stop = jnp.where(touching & (path.status == Status.ok), far, stop)
     ends = jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control)
-    return _Way(path, events(dimensionless, path), *ends)
+    return Way(path, events(dimensionless, path), *ends)
 
 
 def _ends(problem: Problem) -> tuple[Scalar, Scalar, Scalar]:
@@ -194,7 +194,7 @@ def along(scene: Scene, control: Float[Array, " steps"], stops: Float[Array, " s
 
     For whoever compiles scans themselves: `stops_of` tells the stops of a concrete control.
     """
-    return _finished(scene, control, _travelled(scene, stops, last))
+    return finished(scene, control, travelled(scene, stops, last))
 
 
 class Ways:
@@ -204,7 +204,7 @@ class Ways:
     """
 
     def __init__(self, scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]):
-        self._scene, self._way = scene, _travelled(scene, stops, last)
+        self._scene, self._way = scene, travelled(scene, stops, last)
         self.events, self.start, self.status = self._way.events, self._way.start, self._way.path.status
 
     def signals(
@@ -215,22 +215,23 @@ class Ways:
         return jnp.stack([state.fx, state.fy, state.mz], axis=-1), status == Status.ok
 
 
-def _finished(scene: Scene, control: Float[Array, " steps"], way: "_Way") -> Result:
+def finished(scene: Scene, control: Float[Array, " steps"], way: "Way") -> Result:
+    """The states at all positions of the control, once the way is travelled."""
     travel = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
     return _result(scene, way, control, *_steps(scene, way.path, control, travel))
 
 
 def contact_range(scene: Scene) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """First and last position of the drive that the default control of a scene, traced or not, spans."""
-    way = _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
+    way = travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
     return way.start, way.stop
 
 
 def _traced(scene: Scene, control: Control | None) -> Result:
     if control is None:
-        way = _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
+        way = travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
         start, stop = jax.lax.stop_gradient((way.start, way.stop))  # derivatives are those at fixed positions
-        return _finished(scene, start + (stop - start) * jnp.linspace(0.0, 1.0, TRACED_STEPS), way)
+        return finished(scene, start + (stop - start) * jnp.linspace(0.0, 1.0, TRACED_STEPS), way)
     if not _checks.is_traced(control):
         control = np.asarray(control, dtype=float)
         stops, last = stops_of(control)
@@ -242,12 +243,12 @@ def _traced(scene: Scene, control: Control | None) -> Result:
     turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
     turns = turns[-control.size :].at[0].set(True)
     index = jnp.nonzero(turns, size=min(2 * TURNS, control.size), fill_value=control.size - 1)[0]
-    way = _travelled(scene, control[index], jnp.minimum(jnp.sum(turns), index.size) - 1)
+    way = travelled(scene, control[index], jnp.minimum(jnp.sum(turns), index.size) - 1)
     # Of a path with more turns than there is room for, or with positions that are none, nothing is known.
     finite, short = jnp.all(jnp.isfinite(control)), jnp.sum(turns) <= index.size
     status = jnp.where(finite, jnp.where(short, way.path.status, Status.too_long), Status.invalid)
     count = jnp.where(finite & short, way.path.count, 0)
-    return _finished(scene, control, way._replace(path=way.path._replace(count=count, status=status)))
+    return finished(scene, control, way._replace(path=way.path._replace(count=count, status=status)))
 
 
 TURNS = 8  # stops of a control that turns are padded to a multiple of this; a traced control may have twice as many
@@ -362,7 +363,7 @@ def _spring_length(scene: Scene, problem: Problem, state: State, u: Scalar) -> F
 
 def _result(
     scene: Scene,
-    way: _Way,
+    way: Way,
     control: Float[Array, " steps"],
     state: State,
     spring_length: Float[Array, "steps springs"],
@@ -377,7 +378,7 @@ TRAVEL_NOISE = 1e-12
 
 # Of concrete scenes; options of the compiler are allowed in no other function's jit.
 _COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
-_travelled_now = eqx.filter_jit(_travelled.__wrapped__, **_COMPILED)
+travelled_now = eqx.filter_jit(travelled.__wrapped__, **_COMPILED)
 _steps_now = eqx.filter_jit(_steps.__wrapped__, **_COMPILED)
 
 
@@ -390,7 +391,7 @@ def _compile(structure: Any, leaves: tuple, stops: int) -> None:
     filled = [jnp.asarray(np.ones(leaf)) if isinstance(leaf, tuple) else leaf for leaf in leaves]
     scene = jax.tree.unflatten(structure, filled)
     with ThreadPoolExecutor(1) as aside:
-        lowered = _travelled_now.lower(scene, jnp.asarray(np.ones(stops)), jnp.asarray(1))
+        lowered = travelled_now.lower(scene, jnp.asarray(np.ones(stops)), jnp.asarray(1))
         compiled = aside.submit(lowered.compile)
         path = jax.eval_shape(lambda: nowhere(problem(scene), _capacity(scene, stops)))
         path = jax.tree.map(lambda leaf: jnp.asarray(np.zeros(leaf.shape, leaf.dtype)), path)

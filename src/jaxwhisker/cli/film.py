@@ -13,7 +13,7 @@ from jaxwhisker.cli.options import (
     check_writable,
     number,
 )
-from jaxwhisker.cli.scan import _control, _scene
+from jaxwhisker.cli.scan import control_of, scene_of
 from jaxwhisker.film.animate import FPS, animate, check
 from jaxwhisker.report import status_line
 from jaxwhisker.scan import scan
@@ -63,8 +63,8 @@ def _run(args: argparse.Namespace) -> int:
     check_writable(args.file)
     try:
         check(args.file, args.seconds, args.fps, args.width)
-        scene = _scene(args)
-        control = _control(args, scene)
+        scene = scene_of(args)
+        control = control_of(args, scene)
     except ValueError as error:
         raise UsageError(str(error)) from None
     print(scene, flush=True)

@@ -71,7 +71,8 @@ def add(commands) -> None:
     command.set_defaults(run=_run)
 
 
-def _scene(args: argparse.Namespace) -> Scene:
+def scene_of(args: argparse.Namespace) -> Scene:
+    """The scene that the options tell."""
     check_springs(args)
     stiffness = 70.0 if args.stiffness is None else args.stiffness
     rest_length = 0.2 if args.rest_length is None else args.rest_length
@@ -80,7 +81,7 @@ def _scene(args: argparse.Namespace) -> Scene:
     return Scene(Whisker(args.length, args.bending_stiffness), profile, support)
 
 
-def _control(args: argparse.Namespace, scene: Scene) -> np.ndarray | None:
+def control_of(args: argparse.Namespace, scene: Scene) -> np.ndarray | None:
     """Positions of the drive, None for the default ones."""
     check_drive(args)
     if args.start is None and args.stop is None and args.step is None:
@@ -97,8 +98,8 @@ def _run(args: argparse.Namespace) -> int:
         check_writable(path)
     check_picture(args.plot)
     try:
-        scene = _scene(args)
-        control = _control(args, scene)
+        scene = scene_of(args)
+        control = control_of(args, scene)
     except ValueError as error:
         raise UsageError(str(error)) from None
     print(scene, flush=True)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker.motion import Pose
 from jaxwhisker.result import Result
-from jaxwhisker.scan import _finished, _travelled
+from jaxwhisker.scan import finished, travelled
 from jaxwhisker.scene import Scene
 from jaxwhisker.shape import Shapes, shapes_of
 from jaxwhisker.silhouette import silhouette
@@ -35,9 +35,9 @@ class Picture(NamedTuple):
 def _picture(scene: Scene) -> Picture:
     """The picture of a scene."""
     # As `contact_range` and `along`, but the way is travelled once for both.
-    way = _travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
+    way = travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
     control = way.start + (way.stop - way.start) * jnp.linspace(0.0, 1.0, STEPS)
-    result = _finished(scene, control, way)
+    result = finished(scene, control, way)
     lines = shapes_of(result, scene.whiskers, points=POINTS)
     drive = jax.vmap(scene.motion.pose)(control)
     return Picture(result, lines, drive, silhouette(scene.profile, scene.whiskers[0].length, points=OUTLINE))

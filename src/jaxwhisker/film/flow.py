@@ -33,7 +33,7 @@ from jaxwhisker.equilibrium import (
 )
 from jaxwhisker.path import Node, dot, select, unit
 from jaxwhisker.result import Result, State
-from jaxwhisker.scan import _travelled_now, stops_of
+from jaxwhisker.scan import stops_of, travelled_now
 from jaxwhisker.scene import Problem, Scene, problem
 from jaxwhisker.signals import signals
 
@@ -68,7 +68,7 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
         return []
     scene = jax.tree.map(_checks.as_float, result.scene)
     stops, last = stops_of(np.asarray(result.control))
-    path = _travelled_now(scene, jnp.asarray(stops), jnp.asarray(last)).path
+    path = travelled_now(scene, jnp.asarray(stops), jnp.asarray(last)).path
     kind, travel = np.asarray(path.nodes.kind), np.asarray(path.nodes.travel)
     passed = np.arange(kind.size) < int(path.count)
     nodes = np.flatnonzero((kind >= 0) & passed & (np.cumsum(passed & (travel >= 0)) > 0))
