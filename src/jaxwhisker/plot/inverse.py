@@ -131,8 +131,8 @@ def contour(
 @eqx.filter_jit
 def _between(profile: AbstractProfile, slopes: Float[jax.Array, " 2"]) -> ContactPoint:
     """Points of a profile between two slope angles."""
-    low, high = jax.vmap(profile.at_slope)(slopes)
-    return jax.vmap(profile.point)(jnp.linspace(low, high, POINTS))
+    ends = jnp.asarray(jax.vmap(profile.at_slope)(slopes))
+    return jax.vmap(profile.point)(jnp.linspace(ends[0], ends[1], POINTS))
 
 
 def _onwards(axes: Iterable[Axes], control: np.ndarray) -> None:
