@@ -107,7 +107,7 @@ def contour(
         y_out, y_in = y - across * np.cos(slope)
         axes.fill(np.append(x_out, x_in[::-1]), np.append(y_out, y_in[::-1]), color=COLOURS[0], alpha=0.25, linewidth=0)
         axes.plot(x, y, color=COLOURS[0], label="fitted, 95 % band")
-        ends = slope[[0, -1]]
+        ends, left, right = slope[[0, -1]], x.min(), x.max()
     else:
         x, y, slope, error = (np.asarray(v) for v in (found.x, found.y, found.slope, found.normal_error))
         clear = np.asarray(found.clear)
@@ -117,10 +117,14 @@ def contour(
             bars_x, bars_y = x[own, k] + reach * np.sin(slope[own, k]), y[own, k] - reach * np.cos(slope[own, k])
             axes.plot(bars_x, bars_y, color=colour(k), linewidth=0.5, alpha=0.3)
             axes.plot(x[own, k], y[own, k], ".", color=colour(k), markersize=2.5, label=f"whisker {k + 1}")
-        ends = np.quantile(slope[clear], [0.02, 0.98]) if clear.any() else np.array([-1.0, 1.0])
+        ends, left, right = np.array([-1.0, 1.0]), -np.inf, np.inf
+        if clear.any():
+            ends, (left, right) = np.quantile(slope[clear], [0.02, 0.98]), np.quantile(x[clear], [0.02, 0.98])
     if profile is not None:
         at = _between(jax.tree.map(_checks.as_float, profile), jnp.asarray(ends))
-        axes.plot(at.x, at.y, color="black", linewidth=0.8, label=str(profile))
+        # Slopes are known less well than points are: not beyond these.
+        known = (at.x >= left) & (at.x <= right)
+        axes.plot(at.x[known], at.y[known], color="black", linewidth=0.8, label=str(profile))
     axes.set_aspect("equal")
     axes.set_xlabel(f"$x$ {_UNIT}")
     axes.set_ylabel(f"$y$ {_UNIT}")
