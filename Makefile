@@ -36,7 +36,7 @@ notebooks: $(VENV)/installed-dev ## run all notebooks, with their outputs in out
 	@mkdir -p $(OUT)/notebooks
 	@for notebook in notebooks/*.py; do \
 	    name=$$(basename $$notebook .py); echo "== $$name"; \
-	    $(BIN)/jupytext --quiet --set-kernel python3 --to ipynb --execute --output $(OUT)/notebooks/$$name.ipynb $$notebook || exit 1; \
+	    $(BIN)/jupytext --quiet --set-kernel python3 --to ipynb --execute --run-path notebooks --output $(OUT)/notebooks/$$name.ipynb $$notebook || exit 1; \
 	done
 
 bench: $(VENV)/installed-bench ## error against run time, beside other simulators (half an hour; QUICK=1: three minutes)
