@@ -129,7 +129,8 @@ export function explore(el, { sliders, phases, statuses }, ask) {
   async function request(number) {
     waiting++;
     root.ariaBusy = "true";
-    const slow = setTimeout(() => say(reply ? "Computing ..." : COMPILING), reply ? 1000 : 0);
+    const told = () => number > answered && say(reply ? "Computing ..." : COMPILING);
+    const slow = setTimeout(told, reply ? 1000 : 0);
     let found, wrong;
     try {
       found = decoded(await ask({ ...values }));
