@@ -1,5 +1,6 @@
 """What the site does beyond its plugins: formulas as MathML, notebooks as pages, links to files beside docs/."""
 
+import os
 import re
 from html import unescape
 from pathlib import Path
@@ -19,6 +20,11 @@ def on_config(config):
     """The navigation's empty list of notebooks is filled."""
     section = next(entry for entry in config.nav if "Notebooks" in entry)
     section["Notebooks"] = [f"notebooks/{notebook.name}" for notebook in NOTEBOOKS]
+
+
+def on_pre_build(**_):
+    """Notebooks that are executed find what stands beside them."""
+    os.chdir(ROOT / "notebooks")
 
 
 def on_files(files, config):
