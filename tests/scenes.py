@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -37,3 +38,14 @@ def all_ok(result):
 def told(result):
     """The events as plain tuples (kind, whiskers, control)."""
     return [(e.kind.name, e.whiskers, e.control) for e in result.events]
+
+
+def in_both_modes(function, direction):
+    """By parameters and weights: a function's value, its forward and its reverse derivative, in one compilation."""
+
+    @jax.jit
+    def both(p, weights):
+        value, pull = jax.vjp(function, p)
+        return value, jax.jvp(function, (p,), (direction,))[1], pull(weights)[0]
+
+    return both

@@ -8,7 +8,7 @@ import pytest
 
 import forward
 import jaxwhisker as jw
-from scenes import all_ok
+from scenes import all_ok, in_both_modes
 
 EXACT = 1e-7  # of signals relative to their size: the rods' steps
 SAME = 1e-9  # of signals: the same equilibria, computed in another frame
@@ -188,11 +188,7 @@ def test_derivatives_by_all_that_supports_and_motions_have():
     direction = P * jnp.asarray(rng.uniform(0.5, 1.0, P.size))
     weights = jnp.asarray(rng.normal(size=jax.eval_shape(observed, P).size))
 
-    @jax.jit
-    def both(p, weights):
-        value, pull = jax.vjp(observed, p)
-        return value, jax.jvp(observed, (p,), (direction,))[1], pull(weights)[0]
-
+    both = in_both_modes(observed, direction)
     value, pushed, _ = both(P, weights)
     assert np.all(np.isfinite(value))
     weights = weights / jnp.maximum(jnp.abs(value), 0.1)

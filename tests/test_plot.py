@@ -207,6 +207,9 @@ def test_saved_text_is_text(result, tmp_path):
     ("draw", "words"),
     [
         (lambda r: plot.scene(r), "`scene` must be a Scene"),
+        (lambda r: plot.profile(r), "`object` must be a profile"),
+        (lambda r: plot.profile(r.scene.profile, length=0.0), "`length` must be .*positive.*0"),
+        (lambda r: plot.profile(r.scene.profile, length=jnp.nan), "`length` must be .*nan"),
         (lambda r: plot.shapes(r.scene), "`result` must be the Result of a scan"),
         (lambda r: plot.shapes(r, "middle"), "`at` must be .*'middle'"),
         (lambda r: plot.shapes(r, jnp.nan), "`at` must be .*nan"),

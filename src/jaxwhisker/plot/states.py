@@ -82,7 +82,13 @@ def profile(object: AbstractProfile, *, length: float = 1.0, whole: bool = True,
         length: what is drawn as one.
         whole: draw the upper half of a circle or ellipse too, which no whisker touches.
         ax: where to draw; a new figure by default.
+
+    Raises:
+        ValueError: if `object` is no profile, or `length` not positive.
     """
+    if not isinstance(object, AbstractProfile):
+        raise ValueError(f"`object` must be a profile, but is {object!r}.")
+    _checks.number("length", length, positive=True)
     ax = one_axes(ax)
     x, y = (coordinate / length for coordinate in silhouette_of(object, length, whole=whole))
     ax.fill(x, y, color=OBJECT, linewidth=0, zorder=0)
