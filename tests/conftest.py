@@ -1,11 +1,13 @@
 """Float64, a compilation cache that workers and runs share, reproducible random scenes, not too much compiled code."""
 
+import gc
 import hashlib
 import os
 import platform
 import subprocess
 import sys
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 # Before jax starts: on some processors it logs an error for every cached executable, though this very one wrote it.
@@ -16,9 +18,12 @@ import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Compiling takes most of the tests' time. XLA's older, plainer code takes half of that, and runs slower. Tests of what
-# everybody else gets: XLA_FLAGS= make test
-PLAIN = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+# Compiling takes most of the tests' time. XLA's older, plainer code takes half of that, and runs slower; both cores are
+# busy anyway, so that splitting a program among threads only costs. Tests of what everybody else gets:
+# XLA_FLAGS= make test
+PLAIN = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
+if version("jaxlib").startswith("0.10."):
+    PLAIN += " --xla_cpu_use_fusion_emitters=false"
 if "XLA_FLAGS" not in os.environ:
     # A process that is given a flag which its XLA does not know is aborted, so another one tries; workers inherit.
     command = [sys.executable, "-c", "import jax; jax.devices()"]
@@ -58,6 +63,13 @@ def _machine() -> str:
         lines = []
     features = sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
     return hashlib.sha256("\n".join([platform.machine(), *features]).encode()).hexdigest()[:12]
+
+
+def pytest_collection_finish() -> None:
+    """Tracing makes millions of objects, and Python looks through all of them for rings; most live as long as it."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 50, 100)
 
 
 def pytest_configure(config: pytest.Config) -> None:

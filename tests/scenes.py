@@ -41,11 +41,14 @@ def told(result):
 
 
 def in_both_modes(function, direction):
-    """By parameters and weights: a function's value, its forward and its reverse derivative, in one compilation."""
+    """By parameters and weights: a function's value, its forward and its reverse derivative, in one compilation.
+
+    The function itself, which both modes pass through, is compiled once.
+    """
 
     @jax.jit
     def both(p, weights):
-        value, pull = jax.vjp(function, p)
-        return value, jax.jvp(function, (p,), (direction,))[1], pull(weights)[0]
+        value, along = jax.linearize(function, p)
+        return value, along(direction), jax.linear_transpose(along, p)(weights)[0]
 
     return both

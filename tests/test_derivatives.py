@@ -46,9 +46,12 @@ def compiled(name):
     """Values, forward Jacobians by parameters and control, and the reverse pass with weights: one compilation."""
 
     def all_of(p, control, weights):
-        value, pull = jax.vjp(lambda p, control: observed(name, p, control), p, control)
-        forward = jax.jacfwd(lambda p, control: observed(name, p, control), argnums=(0, 1))
-        return value, forward(p, control), pull(weights)
+        value, along = jax.linearize(lambda p, control: observed(name, p, control), p, control)
+        columns = jax.vmap(along, out_axes=-1)
+        by_p = columns(jnp.eye(p.size), jnp.zeros((p.size, control.size)))
+        by_control = columns(jnp.zeros((control.size, p.size)), jnp.eye(control.size))
+        forward = jax.tree.map(lambda *both: both, by_p, by_control)
+        return value, forward, jax.linear_transpose(along, p, control)(weights)
 
     shapes = jax.eval_shape(lambda p, control: observed(name, p, control), P, CONTROL)
     rng = np.random.default_rng(1)
@@ -145,9 +148,8 @@ def test_networks_in_both_modes(name):
 
     @jax.jit
     def all_of(p, direction, weights):
-        value, pull = jax.vjp(signals, p)
-        _, forward = jax.jvp(signals, (p,), (direction,))
-        return value, forward, pull(weights)[0]
+        value, along = jax.linearize(signals, p)
+        return value, along(direction), jax.linear_transpose(along, p)(weights)[0]
 
     rng = np.random.default_rng(2)
     weights = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), jax.eval_shape(signals, P))
@@ -263,7 +265,7 @@ def test_a_rigid_spring_is_differentiated_by_its_compliance():
         springs = (jw.Spring((0, 1), 80.0, 0.2), jw.Spring((1, 2), c, 0.2))
         return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.25), jw.Support(springs)), CONTROL).fx
 
-    assert np.all(jax.jacfwd(by_stiffness)(jnp.inf) == 0)
+    assert np.all(jax.jit(jax.jacfwd(by_stiffness))(jnp.inf) == 0)
 
 
 class Bowl(eqx.Module):

@@ -16,9 +16,7 @@ MODES = 1e-10  # forward against reverse, relative to the sum of sizes: the same
 DIFFERENCES = 3e-6  # central differences lose half the digits
 DIFFERENCE = 1e-5
 VISIBLE = 1e-4  # weighted signals change by this share at least when a parameter doubles
-FAR = (
-    1e-2  # of signals, with a pivot 1e4 lengths away: the path is bent by 1e-4, and signals are some ten times steeper
-)
+FAR = 1e-2  # of signals, with a pivot 1e4 lengths away: the path is bent by 1e-4, and signals are far steeper
 SIGNALS = ("base_x", "base_y", "base_angle", "fx", "fy", "mz")
 
 

@@ -177,9 +177,16 @@ def summary():
 
 def test_derivatives(summary):
     points, at = summary
-    value = jax.jit(points)
-    forward = jax.jit(jax.jacfwd(points, argnums=(0, 1)))(*at)
-    reverse = jax.jit(jax.jacrev(points, argnums=(0, 1)))(*at)
+
+    @jax.jit
+    def both(*at):
+        value, pull = jax.vjp(points, *at)
+        return value, jax.jacfwd(points, argnums=(0, 1))(*at), jax.vmap(pull)(jnp.eye(value.size))
+
+    def value(*at):
+        return both(*at)[0]
+
+    _, forward, reverse = both(*at)
     for ahead, back in zip(forward, reverse, strict=True):
         np.testing.assert_allclose(ahead, back, rtol=0, atol=MODES * np.max(np.abs(ahead)))
     shift = jnp.zeros((3, 2, 3)).at[1, 0, 2].set(DIFFERENCE)
