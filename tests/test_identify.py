@@ -342,7 +342,11 @@ def test_design_finds_the_best_spring(told):
     [
         (lambda: jw.information(fb, TRUTH, sigma=-1.0, control=[0.7, 0.1]), "`sigma`"),
         (lambda: jw.information(fb, TRUTH, sigma=1.0, channels=("fz",), control=[0.7, 0.1]), "`channels`.*'fz'"),
-        (lambda: jw.information(fb, {"c": 1.0}, sigma=1.0), "`guess`"),
+        (lambda: jw.information(fb, TRUTH, sigma={"fx": 1.0}, control=[0.7, 0.1]), "`sigma`.*fy, mz"),
+        (lambda: jw.information(fb, TRUTH, sigma=1.0, channels=(), control=[0.7, 0.1]), "`channels`.*empty"),
+        (lambda: jw.information(fb, {"c": 1.0}, sigma=1.0), "`at` must name the parameters of `build`"),
+        (lambda: jw.information(fb, 3.0, sigma=1.0), "`at`.*3.0"),
+        (lambda: jw.design(fb, [0.3], sigma=1.0, c=[1.0, 2.0]), r"`at`.*\[0.3\]"),
         (lambda: jw.design(fb, TRUTH, sigma=1.0), "`axes`"),
         (lambda: jw.design(fb, TRUTH, sigma=1.0, c=[1.0]), "`c`"),
         (lambda: jw.design(fb, {"q": 0.3}, sigma=1.0, c=[50.0, -1.0], control=[0.7, 0.1]), "`stiffness`.*-1.0"),

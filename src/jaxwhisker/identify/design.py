@@ -11,8 +11,8 @@ import numpy as np
 from jaxwhisker import _checks
 from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker._types import Control
-from jaxwhisker.identify.information import of_rates, rates_of
-from jaxwhisker.identify.transforms import checked_guess, transforms_of
+from jaxwhisker.identify.information import noise_by_channel, of_rates, rates_of
+from jaxwhisker.identify.transforms import checked_scene, checked_values, transforms_of
 from jaxwhisker.measured import CHANNELS
 from jaxwhisker.scan import default_control, stops_of
 from jaxwhisker.scene import Scene
@@ -57,27 +57,26 @@ def design(
     import xarray as xr
 
     _checks.float64_mode()
+    values = checked_values("at", at)
     if not axes:
         raise ValueError("`axes` must be at least one parameter of `build` with its values, but there is none.")
-    for name, values in axes.items():
-        _checks.vector(name, values)
-        if name in at:
+    for name, choices in axes.items():
+        _checks.vector(name, choices)
+        if name in values:
             raise ValueError(f"`{name}` must be sought or chosen, but is in `at` and among the axes.")
-    grids = {name: np.asarray(values, dtype=float) for name, values in axes.items()}
-    points = [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
-    told = {**at, **points[0]}
-    values = {name: value for name, value in checked_guess(build, told).items() if name in at}
-    for point in points[1:]:
-        build(**values, **point)  # says itself what is wrong with it
+    grids = {name: np.asarray(choices, dtype=float) for name, choices in axes.items()}
+    points = [dict(zip(grids, chosen, strict=True)) for chosen in itertools.product(*grids.values())]
+    scenes = [checked_scene("at", build, {**values, **point}) for point in points]
     transforms = transforms_of(build, {**values, **points[0]}, {}, {})
     log = np.array([transforms[name].log for name in values])
     if control is None:
-        ends = [default_control(build(**values, **point))[[0, -1]] for point in points]
+        ends = [default_control(scene)[[0, -1]] for scene in scenes]
         onwards = np.sign(ends[0][1] - ends[0][0])
         first, last = (onwards * pick([onwards * e[k] for e in ends]) for k, pick in ((0, min), (1, max)))
         control = np.linspace(first, last, STEPS)
     _checks.vector("control", control)
     control = np.asarray(control, dtype=float)
+    noise = noise_by_channel(len(scenes[0].whiskers), control.size, sigma, channels)
 
     def of_point(x, chosen, control, stops, last):
         return rates_of(lambda **sought: build(**sought, **chosen), tuple(values))(x, control, stops, last)
@@ -89,7 +88,7 @@ def design(
     for point in points:
         chosen = {name: jnp.asarray(value) for name, value in point.items()}
         rates = jax.tree.map(np.asarray, compiled(x, chosen, jnp.asarray(control), *stops))
-        one = of_rates(rates, values, control, sigma, channels, log)
+        one = of_rates(rates, values, control, noise, log)
         errors = np.array(list(one.standard_error.values()))
         size = np.abs(np.array(list(values.values())))
         found["standard_error"].append(errors)

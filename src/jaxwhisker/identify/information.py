@@ -14,7 +14,7 @@ from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker._types import Control
 from jaxwhisker.identify.identifiability import identifiability
 from jaxwhisker.identify.misfit import BETWEEN
-from jaxwhisker.identify.transforms import checked_guess, transforms_of
+from jaxwhisker.identify.transforms import checked_scene, checked_values, transforms_of
 from jaxwhisker.measured import CHANNELS, measured_of
 from jaxwhisker.path import EventKind
 from jaxwhisker.report import table
@@ -204,34 +204,46 @@ def information(
         ValueError: if an argument is wrong.
     """
     _checks.float64_mode()
-    values = checked_guess(build, at)
+    values = checked_values("at", at)
+    scene = checked_scene("at", build, values)
     if control is None:
-        control = default_control(build(**values))
+        control = default_control(scene)
     _checks.vector("control", control)
     control = np.asarray(control, dtype=float)
+    noise = noise_by_channel(len(scene.whiskers), control.size, sigma, channels)
     transforms = transforms_of(build, values, {}, {})
     found = _kernel(build, tuple(values))(values, control)
-    return of_rates(found, values, control, sigma, channels, np.array([t.log for t in transforms.values()]))
+    return of_rates(found, values, control, noise, np.array([t.log for t in transforms.values()]))
 
 
-def of_rates(
-    found: Rates,
-    at: dict[str, float],
-    control: np.ndarray,
-    sigma: Any,
-    channels: Sequence[str],
-    log: np.ndarray,
-) -> Information:
-    """Information from derivatives."""
-    whiskers = found.signals.shape[1]
+class Noise(NamedTuple):
+    """Of one channel of one whisker."""
+
+    whisker: int
+    channel: int
+    sigma: np.ndarray  # (steps,)
+
+
+def noise_by_channel(whiskers: int, steps: int, sigma: Any, channels: Sequence[str]) -> dict[str, Noise]:
+    """The channels that are measured, by name, checked before anything is compiled."""
+    if not channels:
+        raise ValueError(f"`channels` must name at least one of {', '.join(CHANNELS)}, but is empty.")
     for name in channels:
         if name not in CHANNELS and not any(name == f"{c}_{k + 1}" for c in CHANNELS for k in range(whiskers)):
             raise ValueError(f"`channels` must be among {', '.join(CHANNELS)}, but one is {name!r}.")
     named = [(k, c, CHANNELS[c] + (f"_{k + 1}" if whiskers > 1 else "")) for k in range(whiskers) for c in range(3)]
     wanted = [(k, c, name) for k, c, name in named if name in channels or CHANNELS[c] in channels]
-    table = {"control": control} | {name: found.signals[:, k, c] for k, c, name in wanted}
-    noise = measured_of(table, sigma, whiskers=whiskers).sigma
-    rates = np.stack([found.by_parameter[:, k, c] / noise[:, k, c, None] for k, c, _ in wanted], axis=1)
+    some = np.zeros(steps)
+    found = measured_of({"control": some} | {name: some for *_, name in wanted}, sigma, whiskers=whiskers).sigma
+    return {name: Noise(k, c, found[:, k, c]) for k, c, name in wanted}
+
+
+def of_rates(
+    found: Rates, at: dict[str, float], control: np.ndarray, noise: dict[str, Noise], log: np.ndarray
+) -> Information:
+    """Information from derivatives."""
+    whitened = [found.by_parameter[:, n.whisker, n.channel] / n.sigma[:, None] for n in noise.values()]
+    rates = np.stack(whitened, axis=1)
     events = tuple(
         EventInformation(
             EventKind(int(kind)),
@@ -245,8 +257,7 @@ def of_rates(
         )
         if kind >= 0
     )
-    names = tuple(name for *_, name in wanted)
-    return Information(tuple(at), dict(at), control, names, np.nan_to_num(rates), events, log)
+    return Information(tuple(at), dict(at), control, tuple(noise), np.nan_to_num(rates), events, log)
 
 
 def _kernel(build: Callable[..., Scene], names: tuple[str, ...]) -> Callable[[dict, np.ndarray], Rates]:

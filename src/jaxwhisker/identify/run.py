@@ -15,7 +15,7 @@ from jaxwhisker.identify.fit import Fit
 from jaxwhisker.identify.identifiability import identifiability
 from jaxwhisker.identify.kernel import COARSE, Kernel, Solved, could_fall, kernel
 from jaxwhisker.identify.misfit import BLOCK, Samples, Sought, samples
-from jaxwhisker.identify.transforms import Transform, checked_guess, natural, table, transforms_of
+from jaxwhisker.identify.transforms import Transform, checked_scene, checked_values, natural, table, transforms_of
 from jaxwhisker.measured import CHANNELS, Measured, has_contact, measured_of
 from jaxwhisker.path import Status
 from jaxwhisker.scan import stops_of
@@ -80,7 +80,8 @@ def identify(
         UserWarning: if measured values and the scene's units differ by orders of magnitude.
     """
     _checks.float64_mode()
-    guess = checked_guess(build, guess)
+    guess = checked_values("guess", guess)
+    checked_scene("guess", build, guess)
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
         raise ValueError(f"`starts` must be an int of at least 0, but is {starts!r}.")
     transforms = transforms_of(build, guess, bounds or {}, transform or {})

@@ -140,26 +140,34 @@ def _length(build: Callable[..., Scene], guess: Mapping[str, float]) -> float:
     return float(np.asarray(build(**guess).whiskers[0].length))
 
 
-def checked_guess(build: Any, guess: Any) -> dict[str, float]:
-    """The guess as floats.
+def checked_values(argument: str, given: Any) -> dict[str, float]:
+    """Values of parameters as floats.
 
     Raises:
-        ValueError: if it is not a mapping of finite numbers that `build` takes, or makes no scene.
+        ValueError: if they are not a mapping of finite numbers, naming the argument.
     """
-    if not callable(build):
-        raise ValueError(f"`build` must be a function that returns a Scene, but is {build!r}.")
-    if not isinstance(guess, Mapping) or not guess:
-        raise ValueError(f"`guess` must be a mapping of parameters to numbers, but is {guess!r}.")
-    for name, value in guess.items():
+    if not isinstance(given, Mapping) or not given:
+        raise ValueError(f"`{argument}` must be a mapping of parameters to numbers, but is {given!r}.")
+    for name, value in given.items():
         try:
             _checks.number(str(name), value)
         except ValueError as error:
-            raise ValueError(f"`guess` must hold finite numbers: {error}") from None
-    values = {str(name): float(value) for name, value in guess.items()}
+            raise ValueError(f"`{argument}` must hold finite numbers: {error}") from None
+    return {str(name): float(value) for name, value in given.items()}
+
+
+def checked_scene(argument: str, build: Any, values: Mapping[str, float]) -> Scene:
+    """The scene that `build` makes of values.
+
+    Raises:
+        ValueError: if `build` does not take them, naming the argument they come from, or makes no scene.
+    """
+    if not callable(build):
+        raise ValueError(f"`build` must be a function that returns a Scene, but is {build!r}.")
     try:
         scene = build(**values)
     except TypeError as error:
-        raise ValueError(f"`guess` must name the parameters of `build`: {error}.") from None
+        raise ValueError(f"`{argument}` must name the parameters of `build`: {error}.") from None
     if not isinstance(scene, Scene):
         raise ValueError(f"`build` must return a Scene, but returned {scene!r}.")
-    return values
+    return scene
