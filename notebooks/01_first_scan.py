@@ -35,7 +35,12 @@ import jaxwhisker as jw
 # of all kinds.
 
 # %%
-scene = jw.Scene(jw.Whisker(), jw.Parabola(distance=0.2), jw.Support.fb(70.0, rest_length=0.2), rod=jw.ClosedForm())
+scene = jw.Scene(
+    jw.Whisker(),
+    jw.Parabola(distance=0.2),
+    jw.Support.fb(70.0, rest_length=0.2),
+    rod=jw.ClosedForm(),
+)
 print(scene)
 ax = jw.plot.scene(scene)
 
@@ -71,7 +76,9 @@ axs = jw.plot.reactions(result)
 # before the vertex, where fx changes its sign, and everything drops to zero at once where the whisker snaps off.
 
 # %%
-ax = jw.plot.phases(result, ax=pyplot.figure(figsize=(6.4, 1.7), layout="constrained").subplots())
+ax = jw.plot.phases(
+    result, ax=pyplot.figure(figsize=(6.4, 1.7), layout="constrained").subplots()
+)
 
 # %% [markdown]
 # What the whisker does where: contact of the tip is hatched, contact of the shaft is solid.
@@ -83,7 +90,19 @@ ax = jw.plot.phases(result, ax=pyplot.figure(figsize=(6.4, 1.7), layout="constra
 
 # %%
 table = jw.to_dataframe(result)
-table.loc[::250, ["control", "base_x_1", "fx_1", "fy_1", "mz_1", "contact_arc_1", "spring_1", "phase_1"]]
+table.loc[
+    ::250,
+    [
+        "control",
+        "base_x_1",
+        "fx_1",
+        "fy_1",
+        "mz_1",
+        "contact_arc_1",
+        "spring_1",
+        "phase_1",
+    ],
+]
 
 # %% [markdown]
 # ## As a film
@@ -103,11 +122,17 @@ jw.animate(result, seconds=4, fps=15, width=720, progress=False)
 # %%
 wire = jw.Whisker.from_material(length=0.06, youngs_modulus=210e9, diameter=0.2e-3)
 in_units = jw.Scene(
-    wire, jw.Parabola(distance=0.012, a=1 / 0.06), jw.Support.fb(5.345, rest_length=0.012), rod=jw.ClosedForm()
+    wire,
+    jw.Parabola(distance=0.012, a=1 / 0.06),
+    jw.Support.fb(5.345, rest_length=0.012),
+    rod=jw.ClosedForm(),
 )
 of_wire = jw.scan(in_units)
 print(f"EI = {wire.bending_stiffness:.3g} N m²")
-print(f"largest fy: {1e3 * of_wire.fy.max():.1f} mN, largest mz: {1e3 * of_wire.mz.max():.3f} mN m")
+print(
+    f"largest fy: {1e3 * of_wire.fy.max():.1f} mN,",
+    f"largest mz: {1e3 * of_wire.mz.max():.3f} mN m",
+)
 print(f"dimensionless: {result.fy.max():.2f} EI/L², {result.mz.max():.3f} EI/L")
 
 # %% [markdown]
@@ -118,7 +143,9 @@ print(f"dimensionless: {result.fy.max():.2f} EI/L², {result.mz.max():.3f} EI/L"
 # %%
 assert np.all(result.status == jw.Status.ok)
 assert np.allclose(np.hypot(result.fx, result.fy), result.contact_force, rtol=1e-12)
-assert np.isclose(of_wire.mz.max() * wire.length / wire.bending_stiffness, result.mz.max(), rtol=1e-4)
+assert np.isclose(
+    of_wire.mz.max() * wire.length / wire.bending_stiffness, result.mz.max(), rtol=1e-4
+)
 
 # %% [markdown]
 # ## Something to try

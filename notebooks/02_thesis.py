@@ -37,7 +37,9 @@ from jaxwhisker.reproduce.tables import TABLES, rows
 # %%
 shown = ("6.1", "6.2", "6.3", "6.10", "6.18", "7.4")
 cases = [case for name in shown for case in FIGURES[name].cases]
-cases += [case for family in varied("stiffness", STIFFNESSES).values() for case in family]
+cases += [
+    case for family in varied("stiffness", STIFFNESSES).values() for case in family
+]
 scans, folder = Scans(cases), Path(tempfile.mkdtemp())
 
 # %% [markdown]
@@ -51,7 +53,9 @@ table = rows(TABLES["A.1"])
 Markdown(markdown([Table(table)]))
 
 # %%
-assert all(abs(float(difference)) <= 0.5e-4 for *_, difference, _ in table[1:])  # half a printed digit
+assert all(
+    abs(float(difference)) <= 0.5e-4 for *_, difference, _ in table[1:]
+)  # half a printed digit
 Image(filename=draw(FIGURES["5.10"], scans, folder)[0])
 
 # %% [markdown]
@@ -111,7 +115,10 @@ Image(filename=draw(FIGURES["6.18"], scans, folder)[0])
 
 # %%
 feedback = coupling.feedback(scans)
-Markdown(markdown([Table(feedback.rows)]) + f"\n\n**{feedback.says}.** {feedback.verdict} {feedback.why}")
+Markdown(
+    markdown([Table(feedback.rows)])
+    + f"\n\n**{feedback.says}.** {feedback.verdict} {feedback.why}"
+)
 
 # %% [markdown]
 # ## Chapter 7: three whiskers
@@ -128,7 +135,11 @@ Markdown(f"**{third.says}.** {third.verdict}")
 
 # %%
 for claim in (crossing, unchanged, letting_go, feedback, third):
-    print("holds" if claim.verdict.startswith("holds") else "DOES NOT HOLD", claim.says, sep=": ")
+    print(
+        "holds" if claim.verdict.startswith("holds") else "DOES NOT HOLD",
+        claim.says,
+        sep=": ",
+    )
     assert claim.verdict.startswith("holds")
 
 # %% [markdown]

@@ -39,15 +39,24 @@ def build(stiffness, distance=0.2):
 # %%
 control = np.linspace(0.75, -1.5, 451)  # steps of 0.005
 stiffness = [20, 22, 24, 26, 28, 30, 32, 36, 40, 50, 70, 100, 140, 200]
-data = jw.study(build, stiffness=stiffness, control=control, outputs=("reactions", "status", "events", "springs"))
-data[["fx", "fy", "mz", "event_kind", "event_control"]]
+data = jw.study(
+    build,
+    stiffness=stiffness,
+    control=control,
+    outputs=("reactions", "status", "events", "springs"),
+)
+print(data[["fx", "fy", "mz", "event_kind", "event_control"]])
 
 # %% [markdown]
 # An `xarray.Dataset`: signals over stiffness, control and whisker, with units and names, and the events of every scan.
 # (`data` holds more than is shown here.)
 
 # %%
-lines = data.mz.sel(stiffness=[22, 30, 50, 100, 200]).isel(whisker=0, drop=True).plot.line(x="control")
+lines = (
+    data.mz.sel(stiffness=[22, 30, 50, 100, 200])
+    .isel(whisker=0, drop=True)
+    .plot.line(x="control")
+)
 
 # %% [markdown]
 # The moment, one curve a stiffness; the drive moves from right to left. Softer springs let the base lag behind, so that
@@ -56,7 +65,9 @@ lines = data.mz.sel(stiffness=[22, 30, 50, 100, 200]).isel(whisker=0, drop=True)
 
 # %%
 peaks = jw.summary(data)
-peaks[["max_mz", "control_of_max_mz", "contact_width", "snaps", "snap_work"]].to_dataframe()
+peaks[
+    ["max_mz", "control_of_max_mz", "contact_width", "snaps", "snap_work"]
+].to_dataframe()
 
 # %% [markdown]
 # `summary` has the peaks, and where they are, for each scan. (`snap_work` is the energy lost in snaps, in EI/L.)
@@ -68,7 +79,10 @@ peaks[["max_mz", "control_of_max_mz", "contact_width", "snaps", "snap_work"]].to
 
 # %%
 critical = steepest(jw.Whisker(), jw.Parabola(0.2))
-print(f"critical stiffness {critical.slope:.3f} EI/L³, reached with the base at x0 = {critical.base_x:.3f} L")
+print(
+    f"critical stiffness {critical.slope:.3f} EI/L³,",
+    f"reached with the base at x0 = {critical.base_x:.3f} L",
+)
 ax = jw.plot.study(peaks, critical=steepness(build, peaks))[0]
 
 # %% [markdown]
@@ -77,8 +91,13 @@ ax = jw.plot.study(peaks, critical=steepness(build, peaks))[0]
 
 # %%
 above = peaks.stiffness > critical.slope
-unchanged, skipped = (peaks.max_mz.isel(whisker=0).sel(stiffness=which) for which in (above, ~above))
-print(f"above: {float(unchanged.min()):.6f} to {float(unchanged.max()):.6f}; below: at most {float(skipped.max()):.3f}")
+unchanged, skipped = (
+    peaks.max_mz.isel(whisker=0).sel(stiffness=which) for which in (above, ~above)
+)
+print(
+    f"above: {float(unchanged.min()):.6f} to {float(unchanged.max()):.6f};",
+    f"below: at most {float(skipped.max()):.3f}",
+)
 assert unchanged.max() - unchanged.min() < 1e-4  # with steps of 0.005
 assert skipped.max() < unchanged.min() - 1e-3
 
@@ -98,7 +117,10 @@ both = jw.study(
 )
 print(both.attrs["points"])
 left = both.assign(share=both.max_mz / both.max_mz.isel(stiffness=-1))
-left.share.attrs = {"long_name": "largest mz, share of that with the stiffest spring", "units": "1"}
+left.share.attrs = {
+    "long_name": "largest mz, share of that with the stiffest spring",
+    "units": "1",
+}
 ax = jw.plot.study(left, "share", critical=steepness(build, both))[0]
 
 # %% [markdown]

@@ -26,7 +26,12 @@ import jaxwhisker as jw
 
 
 def build(stiffness, distance):
-    return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.fb(stiffness, 0.2), rod=jw.ClosedForm())
+    return jw.Scene(
+        jw.Whisker(),
+        jw.Parabola(distance),
+        jw.Support.fb(stiffness, 0.2),
+        rod=jw.ClosedForm(),
+    )
 
 
 # %% [markdown]
@@ -39,7 +44,9 @@ def build(stiffness, distance):
 scene = build(70.0, 0.2)
 snap_off = jw.scan(scene).events[-1].control
 way = np.geomspace(0.3, 1e-8, 150)  # that is left to the snap-off
-along = jnp.asarray(np.sort(np.concatenate([np.linspace(0.75, -1.45, 441), snap_off + way]))[::-1])
+along = jnp.asarray(
+    np.sort(np.concatenate([np.linspace(0.75, -1.45, 441), snap_off + way]))[::-1]
+)
 
 
 def moment_and_snap_off(scene):
@@ -48,7 +55,8 @@ def moment_and_snap_off(scene):
 
 
 at = jnp.array([70.0, 0.2])  # stiffness, distance
-by_moment, by_snap_off = jax.jit(jax.jacfwd(lambda x: moment_and_snap_off(build(*x))))(at)
+slopes = jax.jit(jax.jacfwd(lambda x: moment_and_snap_off(build(*x))))
+by_moment, by_snap_off = slopes(at)
 moment, _ = moment_and_snap_off(scene)
 by_peak = by_moment[moment.argmax()]
 print("                by stiffness, by distance")
@@ -89,11 +97,20 @@ near = (left > 0) & (left < 0.3)
 figure, (whole, beside) = pyplot.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
 whole.plot(along, by_moment[:, 0])
 whole.set(xlabel="$u/L$", ylabel=r"$\partial m_z/\partial c$", ylim=(-0.01, 0.04))
-beside.loglog(left[near], np.abs(by_moment[near, 0]), label=r"$|\partial m_z/\partial c|$ at fixed $u$")
-beside.axhline(abs(by_snap_off[0]), color="C1", label=r"$|\partial u_s/\partial c|$ of the snap-off")
+beside.loglog(
+    left[near],
+    np.abs(by_moment[near, 0]),
+    label=r"$|\partial m_z/\partial c|$ at fixed $u$",
+)
+beside.axhline(
+    abs(by_snap_off[0]),
+    color="C1",
+    label=r"$|\partial u_s/\partial c|$ of the snap-off",
+)
 beside.set(xlabel="$(u - u_s)/L$, way to the snap-off")
 beside.legend(frameon=False)
-exponent = np.polyfit(np.log(left[near][-100:]), np.log(by_moment[near, 0][-100:]), 1)[0]
+last = np.log(left[near])[-100:], np.log(by_moment[near, 0])[-100:]
+exponent, _ = np.polyfit(*last, 1)
 print(f"exponent beside the snap-off: {exponent:.3f}")
 assert abs(exponent + 0.5) < 0.02
 
@@ -120,7 +137,9 @@ scans = [jw.scan(build(c, 0.2), control) for c in stiffness]
 misfit = np.array([np.sum((scan.mz - measured.mz) ** 2) for scan in scans])
 moved = np.array([scan.events[-1].control - snap_off for scan in scans])
 
-figure, (usual, position) = pyplot.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
+figure, (usual, position) = pyplot.subplots(
+    1, 2, figsize=(9, 3.4), layout="constrained"
+)
 usual.plot(stiffness, misfit, ".-", markersize=3)
 usual.set(xlabel="$c$ of the model", ylabel=r"$\sum (m_z - m_z^{70})^2$")
 position.plot(stiffness, moved)
@@ -148,7 +167,10 @@ for h in (0.005, 0.0005):
     rates = np.interp(-steps, -np.asarray(along), by_moment[:, 0])
     by_moments = 0.065 / np.sqrt(np.sum(rates**2))
     by_position = h / np.sqrt(12) / abs(by_snap_off[0])
-    print(f"h = {h} L: from all moments +- {by_moments:.2f} EI/L³, from the snap-off alone +- {by_position:.2f} EI/L³")
+    print(
+        f"h = {h} L: from all moments +- {by_moments:.2f} EI/L³,",
+        f"from the snap-off alone +- {by_position:.2f} EI/L³",
+    )
 assert by_position < by_moments
 
 # %% [markdown]

@@ -48,7 +48,9 @@ ax = data.plot("control", ["mz_1", "mz_2"], xlabel="$u/L$", ylabel=r"$m_z\,L/EI$
 # %%
 def build(c1, c2, c3, q, rest=0.2, position=0.0):
     support = jw.Support.fbfbr((c1, c2, c3), rest_length=(rest, 0.2, rest + 0.2))
-    return jw.Scene(jw.Whisker(), jw.Parabola(q, position=position), support, rod=jw.ClosedForm())
+    return jw.Scene(
+        jw.Whisker(), jw.Parabola(q, position=position), support, rod=jw.ClosedForm()
+    )
 
 
 fit = jw.identify(build, guess=dict(c1=100.0, c2=50.0, c3=90.0, q=0.25), measured=FILE)
@@ -60,8 +62,14 @@ print(fit)
 
 # %%
 truth = dict(c1=60.0, c2=80.0, c3=70.0, q=0.3)
-off = {name: (fit.estimates[name] - truth[name]) / fit.standard_error[name] for name in truth}
-print("estimate - truth, in standard errors:", {name: round(value, 2) for name, value in off.items()})
+off = {
+    name: (fit.estimates[name] - truth[name]) / fit.standard_error[name]
+    for name in truth
+}
+print(
+    "estimate - truth, in standard errors:",
+    {name: round(value, 2) for name, value in off.items()},
+)
 assert fit.status == jw.FitStatus.ok
 assert max(map(abs, off.values())) < 3
 
@@ -78,7 +86,10 @@ axs = jw.plot.fit(fit)
 figure, ax = pyplot.subplots(figsize=(6.4, 2.2), layout="constrained")
 ax.plot(fit.measured.control, fit.residuals[:, :, 2], ".", markersize=2)
 ax.set(xlabel="$u/L$", ylabel="measured $-$ fitted $m_z$")
-print(f"standard deviation: {np.nanstd(fit.residuals[:, :, 2]):.4f}; the noise was 0.045")
+print(
+    f"standard deviation: {np.nanstd(fit.residuals[:, :, 2]):.4f};",
+    "the noise was 0.045",
+)
 
 # %% [markdown]
 # ## How well is it known?
@@ -95,7 +106,13 @@ ax.plot(profile.values, from_estimate**2, "--", label="parabola")
 ax.axhline(3.84, color="0.6", linewidth=0.8)
 ax.set(xlabel="$c_2$", ylabel=r"$\chi^2 - \chi^2_{min}$")
 ax.legend(frameon=False)
-print("95 %:", np.round(profile.interval, 2), "by the profile,", np.round(fit.interval["c2"], 2), "by standard errors")
+print(
+    "95 %:",
+    np.round(profile.interval, 2),
+    "by the profile,",
+    np.round(fit.interval["c2"], 2),
+    "by standard errors",
+)
 
 # %% [markdown]
 # The two agree: with 441 samples the parabola is good enough. (Where it isn't, the notebook posterior tells more.)
@@ -109,7 +126,10 @@ print("95 %:", np.round(profile.interval, 2), "by the profile,", np.round(fit.in
 # %%
 noise = dict(fx=0.05, fy=0.1, mz=0.045)
 everything = jw.information(
-    build, at=truth | dict(rest=0.2, position=0.0), sigma=noise, control=data.control.to_numpy()
+    build,
+    at=truth | dict(rest=0.2, position=0.0),
+    sigma=noise,
+    control=data.control.to_numpy(),
 )
 told = everything.known("rest", "position")
 print(told)
@@ -134,8 +154,13 @@ print(everything)
 
 # %%
 assert everything.rank == 5
-assert {name for name, error in everything.standard_error.items() if np.isnan(error)} == {"rest", "position"}
-assert all(np.isclose(told.standard_error[name], fit.standard_error[name], rtol=0.3) for name in truth)
+assert {
+    name for name, error in everything.standard_error.items() if np.isnan(error)
+} == {"rest", "position"}
+assert all(
+    np.isclose(told.standard_error[name], fit.standard_error[name], rtol=0.3)
+    for name in truth
+)
 
 # %% [markdown]
 # ## Something to try

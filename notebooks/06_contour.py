@@ -30,7 +30,9 @@ import jaxwhisker as jw
 FILE = Path("../examples/stone.csv")
 data = pd.read_csv(FILE, comment="#")
 figure, axs = pyplot.subplots(3, 1, sharex=True, layout="constrained")
-for ax, (name, unit) in zip(axs, {"fx": "mN", "fy": "mN", "mz": "mN m"}.items(), strict=True):
+for ax, (name, unit) in zip(
+    axs, {"fx": "mN", "fy": "mN", "mz": "mN m"}.items(), strict=True
+):
     ax.plot(1e3 * data.control, 1e3 * data[name], linewidth=0.8)
     ax.set(xlabel="position of the drive (mm)", ylabel=f"{name} ({unit})")
     ax.label_outer()
@@ -82,7 +84,10 @@ print(fit)
 # %%
 ax = jw.plot.contour(fit)
 band = fit.band()
-print(f"standard error across the contour: {1e3 * np.nanmedian(band.error):.4f} mm in the middle")
+print(
+    "standard error across the contour:",
+    f"{1e3 * np.nanmedian(band.error):.4f} mm in the middle",
+)
 
 # %% [markdown]
 # The contour with its 95 % band, which is hardly wider than the line: the points share one noise, and a contour that is
@@ -99,7 +104,10 @@ ax.fill_between(1e3 * band.x, 1e3 * 1.96 * band.error, alpha=0.25, label="95 % b
 ax.plot(1e3 * band.x, 1e3 * away, label="distance to the stone")
 ax.set(xlabel="x (mm)", ylabel="mm")
 ax.legend(frameon=False)
-print(f"{np.mean(inside):.0%} of the contour lies within its band; largest distance {1e3 * np.nanmax(away):.3f} mm")
+print(
+    f"{np.mean(inside):.0%} of the contour lies within its band;",
+    f"largest distance {1e3 * np.nanmax(away):.3f} mm",
+)
 assert fit.fit.status == jw.FitStatus.ok
 assert np.nanmax(away / band.error) < 4
 
@@ -112,7 +120,10 @@ assert np.nanmax(away / band.error) < 4
 believed = jw.Sensor(wire, jw.Support.fb(5.5, rest_length=0.012))
 wrong = jw.reconstruct(data, believed, sigma=sigma)
 shift = np.hypot(wrong.x - points.x, wrong.y - points.y)[points.clear]
-print(f"points move by up to {1e3 * shift.max():.2f} mm, {1e3 * np.median(shift):.2f} mm in the middle")
+print(
+    f"points move by up to {1e3 * shift.max():.2f} mm,",
+    f"{1e3 * np.median(shift):.2f} mm in the middle",
+)
 
 # %% [markdown]
 # One whisker can hardly tell; several whiskers disagree on the contour (`points.consistency()`). What has to be known,

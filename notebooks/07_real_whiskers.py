@@ -31,8 +31,12 @@ import jaxwhisker as jw
 
 # %%
 def clamped(tip_diameter, curvature):
-    cone = jw.Whisker.conical(1.0, youngs_modulus=64 / np.pi, base_diameter=1.0, tip_diameter=tip_diameter)
-    return jw.Scene(jw.Whisker(1.0, cone.bending_stiffness, curvature), jw.Parabola(0.2))
+    cone = jw.Whisker.conical(
+        1.0, youngs_modulus=64 / np.pi, base_diameter=1.0, tip_diameter=tip_diameter
+    )
+    return jw.Scene(
+        jw.Whisker(1.0, cone.bending_stiffness, curvature), jw.Parabola(0.2)
+    )
 
 
 scans = {
@@ -52,7 +56,10 @@ legend = ax.legend(fontsize="small", frameon=False)
 
 # %%
 for name, result in scans.items():
-    events = ", ".join(f"{event.kind.name} at {event.control:.3f}" for event in list(result.events)[-2:])
+    events = ", ".join(
+        f"{event.kind.name} at {event.control:.3f}"
+        for event in list(result.events)[-2:]
+    )
     print(f"{name:27} peak of mz {float(result.mz.max()):.3f}; {events}")
 uniform = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), rod=jw.ClosedForm()))
 assert np.isclose(scans["uniform, straight"].mz.max(), uniform.mz.max(), rtol=1e-5)
@@ -74,10 +81,17 @@ ax = jw.plot.shapes(scans["cone 5:1"], [-0.70, -0.80])
 
 # %%
 def turning_base(phi):
-    return jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.follicle(phi=phi), rod=jw.ClosedForm())
+    return jw.Scene(
+        jw.Whisker(),
+        jw.Parabola(0.2),
+        jw.Support.follicle(phi=phi),
+        rod=jw.ClosedForm(),
+    )
 
 
-by_torsion = {f"phi = {phi:g}": jw.scan(turning_base(phi)) for phi in (5.0, 10.0, 30.0, 300.0)}
+by_torsion = {
+    f"phi = {phi:g}": jw.scan(turning_base(phi)) for phi in (5.0, 10.0, 30.0, 300.0)
+}
 ax = jw.plot.compare(by_torsion, "mz")
 legend = ax.legend(fontsize="small", frameon=False)
 
@@ -87,7 +101,11 @@ legend = ax.legend(fontsize="small", frameon=False)
 
 # %%
 peaks = np.array([result.mz.max() for result in by_torsion.values()])
-print(", ".join(f"{name}: {peak:.3f}" for name, peak in zip(by_torsion, peaks, strict=True)))
+print(
+    ", ".join(
+        f"{name}: {peak:.3f}" for name, peak in zip(by_torsion, peaks, strict=True)
+    )
+)
 assert np.all(np.diff(peaks) > 0)
 
 # %% [markdown]
@@ -100,7 +118,10 @@ assert np.all(np.diff(peaks) > 0)
 # %%
 rat = jw.Whisker.rat("C", 2, intrinsic_curvature=10.0)
 stiffness = float(rat.base_stiffness)
-print(f"length {1e3 * rat.length:.1f} mm, bending stiffness at the base {stiffness:.2e} N m²")
+print(
+    f"length {1e3 * rat.length:.1f} mm,",
+    f"bending stiffness at the base {stiffness:.2e} N m²",
+)
 
 
 def whisking(across, torsion):
@@ -125,8 +146,14 @@ ax.legend(fontsize="small", frameon=False)
 leaning = {}
 for name, result in {"firm": firm, "soft": soft}.items():
     leaning[name] = np.degrees(np.abs(result.base_angle[:, 0] - result.control).max())
-    moment, force = 1e6 * float(result.mz.max()), 1e6 * float(result.contact_force.max())
-    print(f"{name}: up to {moment:.2f} µN m and {force:.0f} µN; the base leans by up to {leaning[name]:.1f} degrees")
+    moment, force = (
+        1e6 * float(result.mz.max()),
+        1e6 * float(result.contact_force.max()),
+    )
+    print(
+        f"{name}: up to {moment:.2f} µN m and {force:.0f} µN;",
+        f"the base leans by up to {leaning[name]:.1f} degrees",
+    )
 assert leaning["soft"] > leaning["firm"]
 assert soft.events[-1].control > firm.events[-1].control
 assert np.all(soft.status == jw.Status.ok) and np.all(firm.status == jw.Status.ok)

@@ -48,7 +48,9 @@ control = np.linspace(0.69, -1.33, 4096)  # in contact all the way
 
 
 def scan(rod):
-    return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0), rod), control)
+    return jw.scan(
+        jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0), rod), control
+    )
 
 
 # %% [markdown]
@@ -65,11 +67,21 @@ for name, rod in rods.items():
         begin = time.perf_counter()
         scan(rod)
         times.append(time.perf_counter() - begin)
-    rows.append({"rod": name, "us per step": 1e6 * min(times) / control.size, "first scan, s": first, "result": result})
+    rows.append(
+        {
+            "rod": name,
+            "us per step": 1e6 * min(times) / control.size,
+            "first scan, s": first,
+            "result": result,
+        }
+    )
 measured = pd.DataFrame(rows).set_index("rod")
 exact = measured.result["elliptic functions"]
 measured["error"] = [
-    max(float(abs((getattr(r, n) - getattr(exact, n)) / getattr(exact, n).max()).max()) for n in ("fx", "fy", "mz"))
+    max(
+        float(abs((getattr(r, n) - getattr(exact, n)) / getattr(exact, n).max()).max())
+        for n in ("fx", "fy", "mz")
+    )
     for r in measured.result
 ]
 measured[["us per step", "error", "first scan, s"]]
@@ -79,7 +91,12 @@ shown = measured[measured.error > 0]
 figure, ax = pyplot.subplots(figsize=(8, 3.5), layout="constrained")
 for name, row in shown.iterrows():
     ax.semilogy(row["us per step"], row.error, "o", label=name)
-ax.axvline(measured["us per step"]["elliptic functions"], color="0.5", linewidth=1, label="elliptic functions")
+ax.axvline(
+    measured["us per step"]["elliptic functions"],
+    color="0.5",
+    linewidth=1,
+    label="elliptic functions",
+)
 ax.set(xlabel="us per step", ylabel="largest error, share of the peak", xlim=(0, None))
 legend = ax.legend(fontsize="small", bbox_to_anchor=(1.0, 1.0), frameon=False)
 
@@ -97,7 +114,9 @@ stiffness, few = jnp.linspace(60.0, 200.0, 256), jnp.asarray(control[::16])
 
 
 def moments(c):
-    return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(c), jw.ClosedForm()), few).mz
+    return jw.scan(
+        jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(c), jw.ClosedForm()), few
+    ).mz
 
 
 batch = jax.jit(jax.vmap(moments))
@@ -111,10 +130,18 @@ print(f"{together.size:,} equilibria of {stiffness.size} scans: {each:.1f} us ea
 # Every equilibrium of the batch is that of its scan alone.
 
 # %%
-alone = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(stiffness[100]), jw.ClosedForm()), few).mz
+alone = jw.scan(
+    jw.Scene(
+        jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(stiffness[100]), jw.ClosedForm()
+    ),
+    few,
+).mz
 assert np.allclose(together[100], alone, rtol=1e-9)
 assert measured.error["splitting, order 6, 8 steps (default)"] < 1e-8
-assert measured.error["splitting, order 4, 16 steps"] < measured.error["splitting, order 4, 4 steps"] / 50
+assert (
+    measured.error["splitting, order 4, 16 steps"]
+    < measured.error["splitting, order 4, 4 steps"] / 50
+)
 
 # %% [markdown]
 # ## Beside others
@@ -124,7 +151,12 @@ assert measured.error["splitting, order 4, 16 steps"] < measured.error["splittin
 
 # %%
 stored = json.loads(Path("../benchmarks/results/work_precision.json").read_text())
-print({name: stored["environment"][name] for name in ("processor", "cores", "date", "jax")})
+print(
+    {
+        name: stored["environment"][name]
+        for name in ("processor", "cores", "date", "jax")
+    }
+)
 rows = pd.DataFrame(stored["rows"])
 one = rows[(rows.batch == 1) & (rows.error < 1)]
 figure, ax = pyplot.subplots(figsize=(8, 4.5), layout="constrained")

@@ -261,6 +261,13 @@ def test_fits(name, family, truth):
     assert family.__name__.lower() in str(found)
 
 
+def test_a_shape_that_is_another_one_is_implausible():
+    measured, sigma = noisy("circle", 2)
+    found = fit_profile(reconstruct(measured, sensor("circle"), sigma=sigma), jw.Parabola)
+    assert found.status == FitStatus.implausible and found.chi2 > 2 * found.degrees_of_freedom
+    assert np.isnan(list(found.standard_error.values())).all() and "implausible" in str(found)
+
+
 def test_a_contour_is_fitted():
     measured, sigma = noisy("circle", 3)
     found = fit_profile(reconstruct(measured, sensor("circle"), sigma=sigma), Contour, knots=5)

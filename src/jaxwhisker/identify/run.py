@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker import _checks
-from jaxwhisker.fit_status import FitStatus
+from jaxwhisker.fit_status import FitStatus, plausible
 from jaxwhisker.identify.features import Features, features, noise_of, peaks
 from jaxwhisker.identify.fit import Fit
 from jaxwhisker.identify.identifiability import identifiability
@@ -22,7 +22,6 @@ from jaxwhisker.scan import stops_of
 from jaxwhisker.scene import Scene, units
 
 LEAST_NOISE = 1e-4  # as a share of the peak, until the residuals tell
-DEVIATIONS = 6.0  # of chi^2 above which a misfit is implausible
 MISFIT = 0.05  # share of the peak, root mean square, above which it is where the noise is not known
 SPREAD = np.log(4.0)  # of starts around the guess: half the range of the fit's variables
 FAR = {"control": (1e-2, 1e3), "reaction": (1e-3, 1e4)}  # ratios to the scene's units outside of which one is warned
@@ -233,7 +232,7 @@ class _Problem(NamedTuple):
         if unknown:
             return bool(np.sqrt(np.nanmean((misses / peaks(self.data)) ** 2)) < MISFIT)
         degrees = max(1, self.degrees(found))
-        return bool(found.misfit < degrees + DEVIATIONS * np.sqrt(2 * degrees))
+        return plausible(found.misfit, degrees)
 
     def with_noise(self, found: Solved) -> "_Problem":
         """The same with the noise of each channel that the residuals tell."""

@@ -14,7 +14,7 @@ from jaxwhisker import _checks
 from jaxwhisker._compile import COMPILER_OPTIONS
 from jaxwhisker._types import Scalar
 from jaxwhisker.contour import Contour, Spline, spline, tabulate
-from jaxwhisker.fit_status import FitStatus
+from jaxwhisker.fit_status import FitStatus, plausible
 from jaxwhisker.profile import STEEPEST, AbstractProfile, Circle, Ellipse, Parabola
 from jaxwhisker.reconstruct.points import Reconstruction
 
@@ -45,7 +45,7 @@ class ProfileFit(eqx.Module):
     """A profile fitted to points.
 
     Standard errors are those of the points' covariances; without any, of their scatter about the profile. They are NaN
-    where the status is not ok.
+    where the status is not ok: `implausible` where covariances do not explain how far the points are from the profile.
     """
 
     profile: AbstractProfile
@@ -127,6 +127,8 @@ def fit_profile(
     residual, gradient = np.asarray(residual).ravel(), np.asarray(gradient).reshape(-1, values.size)
     chi2 = float(np.sum(residual**2))
     status, covariance = _ended(residual, gradient)
+    if known.covariance is not None and np.isfinite(chi2) and not plausible(chi2, free):
+        status, covariance = FitStatus.implausible, np.full_like(covariance, np.nan)
     if known.covariance is None:
         covariance = covariance * (chi2 / free if free else np.nan)
     estimates, rates = map(np.asarray, like.estimates(values))
