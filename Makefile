@@ -29,7 +29,7 @@ lint: $(VENV)/installed-dev ## check style and formatting (ruff)
 types: $(VENV)/installed-dev ## check types (pyright)
 	@$(BIN)/pyright
 
-docs: $(VENV)/installed-dev ## build the documentation in out/site, notebooks without outputs (EXECUTE=1: with them)
+docs: $(VENV)/installed-dev ## build the documentation in out/site, notebooks without outputs (EXECUTE=1: with, 15 minutes)
 	@NO_MKDOCS_2_WARNING=1 EXECUTE_NOTEBOOKS=$(if $(EXECUTE),true,false) $(BIN)/mkdocs build --quiet --strict
 
 notebooks: $(VENV)/installed-dev ## run all notebooks, with their outputs in out/notebooks (10 to 20 minutes)
