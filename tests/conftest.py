@@ -66,7 +66,7 @@ def _machine() -> str:
 
 
 def pytest_collection_finish() -> None:
-    """Tracing makes millions of objects, and Python looks through all of them for rings; most live as long as it."""
+    """Tracing makes millions of objects, and Python looks through all of them for rings, again and again."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 50, 100)

@@ -352,6 +352,7 @@ NO_MAPPING: Any = 3.0
         (lambda: jw.information(fb, {"c": 1.0}, sigma=1.0), "`at` must name the parameters of `build`"),
         (lambda: jw.information(fb, NO_MAPPING, sigma=1.0), "`at`.*3.0"),
         (lambda: jw.design(fb, NO_MAPPING, sigma=1.0, c=[1.0, 2.0]), "`at`.*3.0"),
+        (lambda: jw.design(fb, {"q": 0.3}, sigma=1.0, k=[1.0], control=[0.7, 0.1]), "`axes` must name .*'k'"),
         (lambda: jw.design(fb, TRUTH, sigma=1.0), "`axes`"),
         (lambda: jw.design(fb, TRUTH, sigma=1.0, c=[1.0]), "`c`"),
         (lambda: jw.design(fb, {"q": 0.3}, sigma=1.0, c=[50.0, -1.0], control=[0.7, 0.1]), "`stiffness`.*-1.0"),

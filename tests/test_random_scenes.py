@@ -13,7 +13,7 @@ from random_scenes import drawn, mechanics, scans
 
 SOUND = 1e-7  # by how much a state may miss a law, relative to its size: the engine asks 1e-8 of itself
 REFUSED = 0.01  # share of scenes that may end with a status; some 0.2 % do, all of them for a named reason
-KINDS = {("FB", "parabola"): 300, ("FBFB", "ellipse"): 200}  # scenes of each
+KINDS = {("FB", "parabola"): 600, ("FBFB", "ellipse"): 400}  # scenes of each
 COUPLED = ("FBFB", "ellipse")
 
 

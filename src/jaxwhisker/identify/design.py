@@ -66,7 +66,7 @@ def design(
             raise ValueError(f"`{name}` must be sought or chosen, but is in `at` and among the axes.")
     grids = {name: np.asarray(choices, dtype=float) for name, choices in axes.items()}
     points = [dict(zip(grids, chosen, strict=True)) for chosen in itertools.product(*grids.values())]
-    scenes = [checked_scene("at", build, {**values, **point}) for point in points]
+    scenes = [checked_scene("at` and `axes", build, {**values, **point}) for point in points]
     transforms = transforms_of(build, {**values, **points[0]}, {}, {})
     log = np.array([transforms[name].log for name in values])
     if control is None:
