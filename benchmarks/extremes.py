@@ -20,11 +20,11 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import write
-from jaxwhisker import _checks
-from jaxwhisker.critical import steepest
-from jaxwhisker.equilibrium import Mode, at_control, find
-from jaxwhisker.scan import _guess, stops_of, travelled_now
-from jaxwhisker.scene import problem
+from jaxwhisker._base import checks
+from jaxwhisker._equilibrium.newton import Mode, at_control, find
+from jaxwhisker._model.scene import problem
+from jaxwhisker._scan.scan import _guess, stops_of, travelled_now
+from jaxwhisker._study.critical import steepest
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 import exact
@@ -139,7 +139,7 @@ def iterations(scene: jw.Scene, way, control, travel):
 
 def measured(case: Case, kind: str) -> dict:
     """One row of the table."""
-    scene = jax.tree.map(_checks.as_float, case.scene(RODS[kind]))
+    scene = jax.tree.map(checks.as_float, case.scene(RODS[kind]))
     control = case.control
     if control is None:
         across = travelled_now(scene, jnp.full(2, jnp.nan), jnp.asarray(1))

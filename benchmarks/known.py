@@ -24,7 +24,7 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import write
-from jaxwhisker.identify.identifiability import INVOLVED, NULL
+from jaxwhisker._inverse.identifiability import INVOLVED, NULL
 
 NETWORKS = {
     "FB": ((0, 1),),

@@ -31,9 +31,9 @@ from selenium.webdriver.chrome.service import Service
 
 import jaxwhisker as jw
 from common import summary, write
-from jaxwhisker.explore import page
-from jaxwhisker.explore.session import Session
-from jaxwhisker.scan import contact_range
+from jaxwhisker._explore import page
+from jaxwhisker._explore.session import Session
+from jaxwhisker._scan.scan import contact_range
 
 STEPS = 1900  # of the filmed scan
 FILMS = 3

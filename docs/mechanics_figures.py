@@ -215,7 +215,7 @@ def draw_fold() -> None:
     canvas.savefig(HERE / "mechanics_fold.png", dpi=150)
     print({kind.name: (event.control, float(event.before.base_x[0]), float(event.after.base_x[0]))
            for kind, event in snaps.items()})  # fmt: skip
-    from jaxwhisker.critical import steepest
+    from jaxwhisker._study.critical import steepest
 
     print(steepest(jw.Whisker(), OBJECT))
 

@@ -11,13 +11,13 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-from jaxwhisker.reproduce import CHOSEN, TABLES_ABOUT
-from jaxwhisker.reproduce.catalogue import FIGURES
-from jaxwhisker.reproduce.claims import all_claims, needed
-from jaxwhisker.reproduce.figures import draw
-from jaxwhisker.reproduce.page import Table, markdown
-from jaxwhisker.reproduce.scans import Scans
-from jaxwhisker.reproduce.tables import TABLES, rows
+from jaxwhisker.thesis import CHOSEN, TABLES_ABOUT
+from jaxwhisker.thesis.catalogue import FIGURES
+from jaxwhisker.thesis.claims import all_claims, needed
+from jaxwhisker.thesis.figures import draw
+from jaxwhisker.thesis.page import Table, markdown
+from jaxwhisker.thesis.scans import Scans
+from jaxwhisker.thesis.tables import TABLES, rows
 
 HERE = Path(__file__).parent
 SHOWN = ("6.2", "6.10", "7.4")

@@ -22,14 +22,14 @@ jax.config.update("jax_enable_x64", True)
 
 from IPython.display import Image, Markdown
 
-from jaxwhisker.reproduce import coupling, shifts
-from jaxwhisker.reproduce.catalogue import FIGURES
-from jaxwhisker.reproduce.claim import varied
-from jaxwhisker.reproduce.claims import unchanged_by_stiffness
-from jaxwhisker.reproduce.figures import draw
-from jaxwhisker.reproduce.page import Table, markdown
-from jaxwhisker.reproduce.scans import STIFFNESSES, Scans
-from jaxwhisker.reproduce.tables import TABLES, rows
+from jaxwhisker.thesis import coupling, shifts
+from jaxwhisker.thesis.catalogue import FIGURES
+from jaxwhisker.thesis.claim import varied
+from jaxwhisker.thesis.claims import unchanged_by_stiffness
+from jaxwhisker.thesis.figures import draw
+from jaxwhisker.thesis.page import Table, markdown
+from jaxwhisker.thesis.scans import STIFFNESSES, Scans
+from jaxwhisker.thesis.tables import TABLES, rows
 
 # %% [markdown]
 # The scans behind what is shown are computed in the background from here on, one study for each kind of scene.

@@ -16,6 +16,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 import jaxwhisker as jw
+from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker.cli import film as command
 from jaxwhisker.cli.options import OK, UsageError
 from jaxwhisker.film import Film, animate, writers
@@ -26,7 +27,6 @@ from jaxwhisker.film.frames import SNAP_FRAMES, SWINGS, frames, lines_of
 from jaxwhisker.film.stage import outline
 from jaxwhisker.film.swing import DEEPEST, Outline, between
 from jaxwhisker.plot.drawing import drawing_at
-from jaxwhisker.shape import Shapes, shapes_of
 from pictured import ANGLES, turning
 
 COUNT = 40  # frames of a scan's steps

@@ -12,8 +12,8 @@ from matplotlib.ticker import NullFormatter
 
 import jaxwhisker as jw
 from jaxwhisker import plot
-from jaxwhisker.identify.information import EventInformation
-from jaxwhisker.measured import Measured
+from jaxwhisker._inverse.information import EventInformation
+from jaxwhisker._inverse.measured import Measured
 from jaxwhisker.plot import axes, drawing, inverse, signals, strips
 from pictured import ANGLES, CONTROL, MIDDLE, coupled, failed, of_steps, steepness, summarised, there_and_back, turning
 

@@ -12,13 +12,13 @@ from matplotlib.image import imread
 
 import jaxwhisker as jw
 from jaxwhisker import cli, reproduce
+from jaxwhisker._path.path import Status
 from jaxwhisker.cli import scan as command
-from jaxwhisker.path import Status
-from jaxwhisker.reproduce import page
-from jaxwhisker.reproduce.catalogue import FIGURES
-from jaxwhisker.reproduce.claim import CLAMPED, MAXIMA
-from jaxwhisker.reproduce.critical import bracket, slope, trials
-from jaxwhisker.reproduce.scans import Case, Scans, snap_through
+from jaxwhisker.thesis import page
+from jaxwhisker.thesis.catalogue import FIGURES
+from jaxwhisker.thesis.claim import CLAMPED, MAXIMA
+from jaxwhisker.thesis.critical import bracket, slope, trials
+from jaxwhisker.thesis.scans import Case, Scans, snap_through
 
 CSV_DIGITS = 1e-8  # files hold nine significant digits
 PRINTED = 1e-6  # the table of events shows six decimals of the control

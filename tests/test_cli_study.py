@@ -7,10 +7,9 @@ from matplotlib.image import imread
 
 import jaxwhisker as jw
 from jaxwhisker import cli
+from jaxwhisker._study.kernel import Kernel
 from jaxwhisker.cli.study import axis
 from jaxwhisker.plot import studies
-from jaxwhisker.study import steepness as steepnesses
-from jaxwhisker.study.kernel import Kernel
 from scenes import model
 
 SAME = 1e-9  # a scan in a batch and alone, relative to the peak

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
 import jaxwhisker as jw
-from jaxwhisker.contour import Contour
+from jaxwhisker._model.contour import Contour
 from scenes import all_ok, in_both_modes
 
 EXACT = 1e-12  # rounding, of a circle, whose radius every spline tells

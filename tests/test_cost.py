@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker.equilibrium import Mode, Point, at_control, newton_step
-from jaxwhisker.scene import problem
+from jaxwhisker._equilibrium.newton import Mode, Point, at_control, newton_step
+from jaxwhisker._model.scene import problem
 from operations import operations, rods, traced
 from scenes import model
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker.critical import softest, steepest
+from jaxwhisker._study.critical import softest, steepest
 from scenes import all_ok, model
 
 # Largest dF_x/dx0 in tangential contact, and x0 there, by distance (a = 1): the closed form's F_x'(alpha) / x0'(alpha),

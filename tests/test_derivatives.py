@@ -11,7 +11,7 @@ import pytest
 
 import closed_form
 import jaxwhisker as jw
-from jaxwhisker.implicit import without_rule
+from jaxwhisker._equilibrium.implicit import without_rule
 
 EXACT = 1e-9  # against closed forms, of the largest derivative: the rod's own error times the power in which it enters
 MODES = 1e-10  # forward against reverse: the same sums in another order

@@ -19,15 +19,15 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker import cli
+from jaxwhisker._explore import page, session
+from jaxwhisker._explore.code import code_of, code_of_scene, scanned
+from jaxwhisker._explore.lifted import Lifting
+from jaxwhisker._explore.picture import STEPS
+from jaxwhisker._explore.reply import unpacked
+from jaxwhisker._explore.session import Session
+from jaxwhisker._explore.sliders import sliders_of
+from jaxwhisker._explore.written import UnwritableError
 from jaxwhisker.cli import explore as command
-from jaxwhisker.explore import page, session
-from jaxwhisker.explore.code import code_of, code_of_scene, scanned
-from jaxwhisker.explore.lifted import Lifting
-from jaxwhisker.explore.picture import STEPS
-from jaxwhisker.explore.reply import unpacked
-from jaxwhisker.explore.session import Session
-from jaxwhisker.explore.sliders import sliders_of
-from jaxwhisker.explore.written import UnwritableError
 
 SAME = 1e-9  # of the peak: a scan's path depends a little on where it is told to end, its states do not
 SINGLE = 1e-6  # lengths: lines are sent in float32
@@ -461,7 +461,7 @@ def test_outside_of_jupyter_a_page_opens(monkeypatch):
 
 def test_the_widget_answers_messages(sliders, replied, monkeypatch):
     pytest.importorskip("anywidget", reason="pip install jaxwhisker[explore]")
-    from jaxwhisker.explore.widget import Explorer
+    from jaxwhisker._explore.widget import Explorer
 
     shown, sent = Explorer(sliders), []
     monkeypatch.setattr(shown, "send", lambda content, buffers=None: sent.append((content, buffers)))
@@ -476,8 +476,8 @@ def test_the_widget_answers_messages(sliders, replied, monkeypatch):
 
 def test_jupyter_without_anywidget_tells_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "anywidget", None)
-    monkeypatch.delitem(sys.modules, "jaxwhisker.explore.widget", raising=False)
-    monkeypatch.setattr(sys.modules["jaxwhisker.explore"], "_in_jupyter", lambda: True)
+    monkeypatch.delitem(sys.modules, "jaxwhisker._explore.widget", raising=False)
+    monkeypatch.setattr(sys.modules["jaxwhisker._explore"], "_in_jupyter", lambda: True)
     with pytest.raises(ImportError, match=re.escape("pip install jaxwhisker[explore]")):
         jw.explore(build, stiffness=(10, 500))
 

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker.explore import page
-from jaxwhisker.explore.session import Session
+from jaxwhisker._explore import page
+from jaxwhisker._explore.session import Session
 
 SHOWN = 1e-6  # numbers are shown with six decimals
 LONG = 600.0  # s: the first picture is compiled, perhaps on a busy machine

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker.measured import CHANNELS, measured_of
-from jaxwhisker.study.fields import FIELDS
+from jaxwhisker._inverse.measured import CHANNELS, measured_of
+from jaxwhisker._study.fields import FIELDS
 from scenes import model
 
 CONTROL = np.linspace(0.72, -1.62, 118)

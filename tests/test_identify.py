@@ -9,10 +9,10 @@ import pytest
 from matplotlib import pyplot
 
 import jaxwhisker as jw
-from jaxwhisker.identify.features import features
-from jaxwhisker.identify.identifiability import identifiability
-from jaxwhisker.identify.misfit import WIDE_EVENT
-from jaxwhisker.measured import Measured
+from jaxwhisker._inverse.features import features
+from jaxwhisker._inverse.identifiability import identifiability
+from jaxwhisker._inverse.measured import Measured
+from jaxwhisker._inverse.misfit import WIDE_EVENT
 
 RECOVERED = 1e-6  # relative: least squares stop at 1e-7, signals by the closed form and by integration agree to 1e-9
 STEPS = 256  # one block of samples, so that all fits of a scene share a compiled function

@@ -10,7 +10,7 @@ import pytest
 
 import closed_form
 import jaxwhisker as jw
-from jaxwhisker.jacobi import jacobi
+from jaxwhisker._rod.jacobi import jacobi
 
 mp.mp.dps = closed_form.DIGITS
 ROUNDING = 1e-14

@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ellipeinc, ellipj, ellipkinc
 
-from jaxwhisker import contact, rod
-from jaxwhisker.contact import Body, Phase
-from jaxwhisker.elastica import ClosedForm, Shooting, rod_end
-from jaxwhisker.profile import Parabola
+from jaxwhisker._equilibrium import contact
+from jaxwhisker._equilibrium.contact import Body, Phase
+from jaxwhisker._model.profile import Parabola
+from jaxwhisker._rod import rod
+from jaxwhisker._rod.elastica import ClosedForm, Shooting, rod_end
 
 STEPS = Shooting().steps
 CLOSED_FORM = 1e-9  # what is promised of position, direction and curvature, for every bend that a scan meets

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker.silhouette import FAR, POINTS, silhouette_of
+from jaxwhisker._model.silhouette import FAR, POINTS, silhouette_of
 
 ROUNDING = 1e-9  # of lengths: an end is found by halving
 SEMICIRCLE = jw.Graph(lambda x: 0.9 - jnp.sqrt(0.49 - x**2))
@@ -54,7 +54,7 @@ def test_a_contour_is_drawn_up_to_its_upright_ends():
 
 
 def test_objects_of_one_kind_share_what_is_compiled():
-    from jaxwhisker import silhouette
+    from jaxwhisker._model import silhouette
 
     silhouette_of(jw.Parabola(0.2), 1.0)
     counted = silhouette._compiled._cached._cache_size()

@@ -11,9 +11,9 @@ import xarray as xr
 from jax.core import Tracer
 
 import jaxwhisker as jw
-from jaxwhisker.scan import STEP, default_control
-from jaxwhisker.study.control import common_control
-from jaxwhisker.study.parameters import parameters_of
+from jaxwhisker._scan.scan import STEP, default_control
+from jaxwhisker._study.control import common_control
+from jaxwhisker._study.parameters import parameters_of
 
 CONTROL = np.linspace(0.8, -1.6, 61)
 STIFFNESS = np.array([70.0, -1.0, 40.0, np.nan, 200.0])  # two of them are none
@@ -213,7 +213,7 @@ class TestErrors:
         ids=lambda value: None if isinstance(value, str) else "-".join(value),
     )
     def test_are_told_before_anything_is_computed(self, call, told, monkeypatch):
-        monkeypatch.setattr(importlib.import_module("jaxwhisker.study.run"), "Kernel", None)
+        monkeypatch.setattr(importlib.import_module("jaxwhisker._study.study"), "Kernel", None)
         arguments = {"build": build, "control": CONTROL} | AXES | call
         with pytest.raises(ValueError, match=told):
             jw.study(**arguments)
@@ -246,7 +246,7 @@ class TestErrors:
             jw.study(build, points=points)
 
     def test_a_control_too_long(self, monkeypatch):
-        monkeypatch.setattr(importlib.import_module("jaxwhisker.study.control"), "MAX_STEPS", 100)
+        monkeypatch.setattr(importlib.import_module("jaxwhisker._study.control"), "MAX_STEPS", 100)
         with pytest.raises(ValueError, match=r"`control` must be given: from .* more than 100"):
             jw.study(build, points={"stiffness": [50.0, 200.0, 70.0], "distance": [0.1, 0.4, 0.2]})
 

@@ -16,8 +16,8 @@ import pytest
 import xarray as xr
 
 import jaxwhisker as jw
-from jaxwhisker.study.kernel import fingerprint
-from jaxwhisker.study.store import Store
+from jaxwhisker._study.kernel import fingerprint
+from jaxwhisker._study.store import Store
 from study_child import AXES, CONTROL, build
 
 CHILD = Path(__file__).parent / "study_child.py"

@@ -5,9 +5,9 @@ import pytest
 import xarray as xr
 
 import jaxwhisker as jw
-from jaxwhisker.study import summaries
-from jaxwhisker.study.fields import FIELDS, SUMMARY
-from jaxwhisker.study.summaries import summarise, summary
+from jaxwhisker._study import summaries
+from jaxwhisker._study.fields import FIELDS, SUMMARY
+from jaxwhisker._study.summaries import summarise, summary
 from scenes import model
 
 PEAK = 1e-7  # relative: a polynomial through steps of 0.001 next to the steepest peak

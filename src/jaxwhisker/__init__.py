@@ -1,38 +1,37 @@
 """jaxwhisker: exact, fast, differentiable scans with artificial tactile whiskers."""
 
-from jaxwhisker.contact import Phase
-from jaxwhisker.contour import Contour
-from jaxwhisker.deflect import Deflection, PointForce, PointMoment, deflect
-from jaxwhisker.elastica import AbstractRod, ClosedForm, Shooting
-from jaxwhisker.energy import stored_energy
-from jaxwhisker.explore import explore
-from jaxwhisker.export import to_csv, to_dataframe
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._explore import explore
+from jaxwhisker._inverse.design import design
+from jaxwhisker._inverse.fit import Fit
+from jaxwhisker._inverse.fit_contour import ContourFit, fit_contour
+from jaxwhisker._inverse.fit_profile import ProfileFit, fit_profile
+from jaxwhisker._inverse.fit_status import FitStatus
+from jaxwhisker._inverse.identify import identify
+from jaxwhisker._inverse.information import Information, information
+from jaxwhisker._inverse.points import PointStatus, Reconstruction
+from jaxwhisker._inverse.reconstruct import reconstruct
+from jaxwhisker._model.contour import Contour
+from jaxwhisker._model.motion import AbstractMotion, Motion, Rotation, Translation
+from jaxwhisker._model.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.sensor import Sensor
+from jaxwhisker._model.spring import Spring
+from jaxwhisker._model.support import Mount, Support
+from jaxwhisker._model.tilted import Tilted
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._path.path import EventKind, Status
+from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
+from jaxwhisker._rod.rod import Splitting
+from jaxwhisker._scan.deflect import Deflection, PointForce, PointMoment, deflect
+from jaxwhisker._scan.energy import stored_energy
+from jaxwhisker._scan.export import to_csv, to_dataframe
+from jaxwhisker._scan.result import Event, Events, Result, State
+from jaxwhisker._scan.scan import scan
+from jaxwhisker._scan.shapes import Shapes, shapes
+from jaxwhisker._study.study import study
+from jaxwhisker._study.summaries import summary
 from jaxwhisker.film import animate
-from jaxwhisker.fit_status import FitStatus
-from jaxwhisker.identify import Fit, Information, design, identify, information
-from jaxwhisker.motion import AbstractMotion, Motion, Rotation, Translation
-from jaxwhisker.path import EventKind, Status
-from jaxwhisker.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
-from jaxwhisker.reconstruct import (
-    ContourFit,
-    PointStatus,
-    ProfileFit,
-    Reconstruction,
-    fit_contour,
-    fit_profile,
-    reconstruct,
-)
-from jaxwhisker.result import Event, Events, Result, State
-from jaxwhisker.rod import Splitting
-from jaxwhisker.scan import scan
-from jaxwhisker.scene import Scene
-from jaxwhisker.sensor import Sensor
-from jaxwhisker.shape import Shapes, shapes
-from jaxwhisker.spring import Spring
-from jaxwhisker.study import study, summary
-from jaxwhisker.support import Mount, Support
-from jaxwhisker.tilted import Tilted
-from jaxwhisker.whisker import Whisker
 
 __all__ = [
     "AbstractMotion",

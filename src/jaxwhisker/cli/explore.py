@@ -4,11 +4,11 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.support import Support
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod.elastica import ClosedForm
 from jaxwhisker.cli.options import MODELS, OK, PROFILES, UsageError, check_springs, model, number, shape_of
-from jaxwhisker.elastica import ClosedForm
-from jaxwhisker.scene import Scene
-from jaxwhisker.support import Support
-from jaxwhisker.whisker import Whisker
 
 HELP = """\
 Drag the parameters of a scene, and its drive, on a page in the browser; its
@@ -159,9 +159,9 @@ def _builder(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, 
 
 
 def _run(args: argparse.Namespace) -> int:
-    from jaxwhisker.explore.code import code_of_scene
-    from jaxwhisker.explore.page import serve
-    from jaxwhisker.explore.session import Session
+    from jaxwhisker._explore.code import code_of_scene
+    from jaxwhisker._explore.page import serve
+    from jaxwhisker._explore.session import Session
 
     try:
         build, ranges = _builder(args)

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from jaxwhisker._scan.report import status_line
+from jaxwhisker._scan.scan import scan
 from jaxwhisker.cli.options import (
     NOT_ALL_OK,
     OK,
@@ -15,8 +17,6 @@ from jaxwhisker.cli.options import (
 )
 from jaxwhisker.cli.scan import control_of, scene_of
 from jaxwhisker.film.animate import FPS, animate, check
-from jaxwhisker.report import status_line
-from jaxwhisker.scan import scan
 
 HELP = """\
 Scan one object with the whiskers of one model and make a film of it: whiskers,

@@ -7,6 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxwhisker._inverse.fit_status import FitStatus
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.support import Support
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._scan.report import write_columns, write_rows
 from jaxwhisker.cli.options import (
     NOT_ALL_OK,
     OK,
@@ -20,11 +25,6 @@ from jaxwhisker.cli.options import (
     number,
     shape_of,
 )
-from jaxwhisker.fit_status import FitStatus
-from jaxwhisker.report import write_columns, write_rows
-from jaxwhisker.scene import Scene
-from jaxwhisker.support import Support
-from jaxwhisker.whisker import Whisker
 
 DATA = """\
 The file has a line of names, control and any of fx, fy, mz (fx_1, fx_2, ... of
@@ -162,7 +162,7 @@ def _expanded(name: str, values: dict[str, float]) -> list[str]:
 
 
 def _identify(args: argparse.Namespace) -> int:
-    from jaxwhisker.identify import identify
+    from jaxwhisker._inverse.identify import identify
 
     for path in (args.plot, args.csv):
         check_writable(path)
@@ -208,10 +208,10 @@ def _save(ax: Any, path: Path) -> None:
 
 
 def _reconstruct(args: argparse.Namespace) -> int:
-    from jaxwhisker.reconstruct import reconstruct
-    from jaxwhisker.reconstruct.fit_contour import fit_contour
-    from jaxwhisker.reconstruct.fit_profile import fit_profile
-    from jaxwhisker.sensor import Sensor
+    from jaxwhisker._inverse.fit_contour import fit_contour
+    from jaxwhisker._inverse.fit_profile import fit_profile
+    from jaxwhisker._inverse.reconstruct import reconstruct
+    from jaxwhisker._model.sensor import Sensor
 
     for path in (args.plot, args.csv):
         check_writable(path)

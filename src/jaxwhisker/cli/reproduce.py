@@ -32,7 +32,7 @@ def add(commands) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from jaxwhisker.reproduce import names, reproduce
+    from jaxwhisker.thesis import names, reproduce
 
     try:
         wanted = None if args.only is None else names(args.only)

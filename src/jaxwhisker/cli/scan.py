@@ -5,6 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.support import Support
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._scan.export import to_csv
+from jaxwhisker._scan.report import event_rows, peak_rows, status_line, table
+from jaxwhisker._scan.scan import STEP, scan
 from jaxwhisker.cli.options import (
     NOT_ALL_OK,
     OK,
@@ -21,12 +27,6 @@ from jaxwhisker.cli.options import (
     positions,
     shape_of,
 )
-from jaxwhisker.export import to_csv
-from jaxwhisker.report import event_rows, peak_rows, status_line, table
-from jaxwhisker.scan import STEP, scan
-from jaxwhisker.scene import Scene
-from jaxwhisker.support import Support
-from jaxwhisker.whisker import Whisker
 
 HELP = """\
 Scan one object with the whiskers of one model. A table of events, the peaks

@@ -8,6 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.support import Support
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._scan.report import table
+from jaxwhisker._scan.scan import STEP
 from jaxwhisker.cli.options import (
     MODELS,
     NOT_ALL_OK,
@@ -25,11 +30,6 @@ from jaxwhisker.cli.options import (
     positions,
     shape_of,
 )
-from jaxwhisker.report import table
-from jaxwhisker.scan import STEP
-from jaxwhisker.scene import Scene
-from jaxwhisker.support import Support
-from jaxwhisker.whisker import Whisker
 
 HELP = """\
 Scan the scenes of one model at every combination of parameters. Each takes a
@@ -139,8 +139,8 @@ def _control(args: argparse.Namespace) -> np.ndarray | None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from jaxwhisker.study.run import SUMMARISED, study
-    from jaxwhisker.study.summaries import summary
+    from jaxwhisker._study.study import SUMMARISED, study
+    from jaxwhisker._study.summaries import summary
 
     check_writable(args.plot)
     check_picture(args.plot)
@@ -167,7 +167,7 @@ def _run(args: argparse.Namespace) -> int:
         print(f"wrote {args.store}")
     if args.plot is not None:
         from jaxwhisker import plot
-        from jaxwhisker.study.steepness import steepness
+        from jaxwhisker._study.steepness import steepness
 
         axes = plot.study(found, critical=steepness(chosen, found))
         axes[0].figure.suptitle(data.attrs["scene"], fontsize="medium")

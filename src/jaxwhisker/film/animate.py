@@ -5,8 +5,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from jaxwhisker import _checks
-from jaxwhisker.result import Result, check_one_scan
+from jaxwhisker._base import checks
+from jaxwhisker._scan.result import Result, check_one_scan
 
 FPS = 25  # whole hundredths of a second, as GIFs have them
 FASTEST = 60  # frames per second
@@ -83,11 +83,11 @@ def check(path: Any, seconds: Any, fps: Any, width: Any) -> Path | None:
     Raises:
         ValueError: as `animate` says.
     """
-    _checks.number("seconds", seconds, positive=True)
-    _checks.count("fps", fps)
+    checks.number("seconds", seconds, positive=True)
+    checks.count("fps", fps)
     if fps > FASTEST:
         raise ValueError(f"`fps` must be at most {FASTEST}, but is {fps}.")
-    _checks.count("width", width)
+    checks.count("width", width)
     if not LEAST_WIDTH <= width <= MOST_WIDTH:
         raise ValueError(f"`width` must lie between {LEAST_WIDTH} and {MOST_WIDTH} pixels, but is {width}.")
     if path is None:

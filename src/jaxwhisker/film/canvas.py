@@ -7,15 +7,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._scan.report import REACTIONS
+from jaxwhisker._scan.result import Event, Result
 from jaxwhisker.film.captions import Captions
 from jaxwhisker.film.curves import Curves
 from jaxwhisker.film.frames import Frames
 from jaxwhisker.film.stage import Stage, window
 from jaxwhisker.plot.axes import colour
 from jaxwhisker.plot.drawing import Drawing, drawing, largest_force
-from jaxwhisker.report import REACTIONS
-from jaxwhisker.result import Event, Result
-from jaxwhisker.scene import Scene, units
 
 # Inches; pixels follow from the width asked for.
 WIDTH, LOWEST, TALLEST = 9.6, 3.9, 6.4  # the height follows from the scene

@@ -5,13 +5,13 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 
-from jaxwhisker.contact import Phase
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.motion import Rotation, Translation
+from jaxwhisker._model.scene import units
+from jaxwhisker._path.path import EventKind, Status
+from jaxwhisker._scan.result import Event, Result
 from jaxwhisker.film.frames import SNAP_FRAMES, Frames
-from jaxwhisker.motion import Rotation, Translation
-from jaxwhisker.path import EventKind, Status
 from jaxwhisker.plot.axes import GREY, colour, control_size
-from jaxwhisker.result import Event, Result
-from jaxwhisker.scene import units
 
 FLASH = 0.5  # seconds; of a snap, after it
 SHOWN = 3  # of the events that flash at once, the latest

@@ -5,11 +5,11 @@ from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
+from jaxwhisker._model.scene import units
+from jaxwhisker._scan.report import REACTIONS
+from jaxwhisker._scan.result import Result
 from jaxwhisker.film.frames import Frames
 from jaxwhisker.plot.axes import axis_label, colour, control_axis, control_of, control_size, in_units
-from jaxwhisker.report import REACTIONS
-from jaxwhisker.result import Result
-from jaxwhisker.scene import units
 
 ROOM = 0.08  # above and below, of what is shown
 LEAST_HEIGHT = 1e-3  # of an axis: what is constant but for rounding looks constant

@@ -1,4 +1,4 @@
-"""The flow between the two states of a snap: the one that decides the march (relax.py), told state by state.
+"""The flow between the two states of a snap: the one that decides the march (snap_flow.py), told state by state.
 
 The march keeps where a snap begins and where it ends. Here its overdamped bases run once more, from the node of the
 path at which stability was lost, and every state on the way is kept in which no whisker is slipping.
@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
 
-from jaxwhisker import _checks, relax
-from jaxwhisker._compile import COMPILER_OPTIONS
-from jaxwhisker._types import Scalar
-from jaxwhisker.clearance import in_scene
-from jaxwhisker.contact import Phase
-from jaxwhisker.equilibrium import (
+from jaxwhisker._base import checks
+from jaxwhisker._base.jit import COMPILER_OPTIONS
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.clearance import in_scene
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.newton import (
     Contacts,
     Mode,
     PerWhisker,
@@ -31,11 +31,12 @@ from jaxwhisker.equilibrium import (
     newton_step,
     scale_of,
 )
-from jaxwhisker.path import Node, dot, select, unit
-from jaxwhisker.result import Result, State
-from jaxwhisker.scan import stops_of, travelled_now
-from jaxwhisker.scene import Problem, Scene, problem
-from jaxwhisker.signals import signals
+from jaxwhisker._model.scene import Problem, Scene, problem
+from jaxwhisker._path import snap_flow
+from jaxwhisker._path.path import Node, dot, select, unit
+from jaxwhisker._scan.result import Result, State
+from jaxwhisker._scan.scan import stops_of, travelled_now
+from jaxwhisker._scan.signals import signals
 
 ROOM = 1024  # states kept of one flow; the march's own snaps take some hundred steps
 
@@ -50,7 +51,7 @@ class _Kept(NamedTuple):
 
 
 class _Going(NamedTuple):
-    flow: relax.Flow
+    flow: snap_flow.Flow
     mode: Mode
     z: Contacts
     begun: Bool[Array, ""]
@@ -66,7 +67,7 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
     """
     if not numbers:
         return []
-    scene = jax.tree.map(_checks.as_float, result.scene)
+    scene = jax.tree.map(checks.as_float, result.scene)
     stops, last = stops_of(np.asarray(result.control))
     path = travelled_now(scene, jnp.asarray(stops), jnp.asarray(last)).path
     kind, travel = np.asarray(path.nodes.kind), np.asarray(path.nodes.travel)
@@ -87,25 +88,25 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
     tangent, tangent_pose, pose = _leaving(dimensionless, still, before)
 
     def step(at: _Going) -> _Going:
-        kicked = relax.kick(at.flow, before.point, tangent, tangent_pose)
-        flow = select(at.begun, relax.propose(dimensionless, at.flow, at.mode, Point(at.z, u)), kicked)
+        kicked = snap_flow.kick(at.flow, before.point, tangent, tangent_pose)
+        flow = select(at.begun, snap_flow.propose(dimensionless, at.flow, at.mode, Point(at.z, u)), kicked)
         held = None if dimensionless.axes == 1 else flow.pose[:, 1:]
         mode = at.mode._replace(separate=jnp.asarray(True), held=held)
         solution = find(dimensionless, mode, at_control(u, flow.guess), Point(flow.guess, u))
-        flow, mode, z = relax.advance(dimensionless, flow, at.mode, solution)
-        rested = relax.at_rest(dimensionless, flow, mode, solution, u)
+        flow, mode, z = snap_flow.advance(dimensionless, flow, at.mode, solution)
+        rested = snap_flow.at_rest(dimensionless, flow, mode, solution, u)
         keep = ~jnp.any(flow.sliding | flow.landing)
         now = _Kept(z, mode.phase, mode.side, flow.pose)
         index = jnp.where(keep, at.count, ROOM)
         kept = jax.tree.map(lambda all, one: all.at[index].set(one, mode="drop"), at.kept, now)
         onwards = _Going(flow, mode, z, jnp.asarray(True), rested | flow.exhausted, kept, at.count + keep)
-        shorter = relax.shortened(at.flow)
+        shorter = snap_flow.shortened(at.flow)
         return select(solution.converged, onwards, at._replace(flow=shorter, over=shorter.exhausted))
 
     first = _Kept(before.point.z, before.phase, before.side, pose)
     room = jax.tree.map(lambda leaf: jnp.zeros((ROOM, *leaf.shape), leaf.dtype), first)
     no = jnp.asarray(False)
-    start = _Going(relax.start(still, pose), still, before.point.z, no, no, room, jnp.asarray(0))
+    start = _Going(snap_flow.start(still, pose), still, before.point.z, no, no, room, jnp.asarray(0))
     end = jax.lax.while_loop(lambda at: ~at.over & (at.count < ROOM), step, start)
     return jax.vmap(lambda kept: _state(dimensionless, u, kept))(end.kept), end.count
 

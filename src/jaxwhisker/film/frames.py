@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxwhisker import _checks
-from jaxwhisker.contact import Phase
+from jaxwhisker._base import checks
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._path.path import EventKind
+from jaxwhisker._scan.result import Event, Result, State
+from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker.film.flow import flows
 from jaxwhisker.film.swing import Outline, between
-from jaxwhisker.path import EventKind
-from jaxwhisker.result import Event, Result, State
-from jaxwhisker.shape import Shapes, shapes_of
 
 SNAP_FRAMES = 13  # of a snap, its states before and after included
 POINTS = 64  # of a centre line
@@ -87,7 +87,7 @@ def lines_of(groups: Sequence[State], result: Result) -> list[Shapes]:
     sizes = np.array([group.phase.shape[0] for group in groups])
     states = _joined(groups)
     padded = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, [(0, -sizes.sum() % BLOCK), (0, 0)])), states)
-    lines = shapes_of(padded, jax.tree.map(_checks.as_float, result.scene.whiskers), points=POINTS)
+    lines = shapes_of(padded, jax.tree.map(checks.as_float, result.scene.whiskers), points=POINTS)
     ends = np.cumsum(sizes)
     rows = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
     return [jax.tree.map(lambda leaf, own=own: np.asarray(leaf)[own], lines) for own in rows]

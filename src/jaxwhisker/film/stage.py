@@ -7,12 +7,12 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
+from jaxwhisker._model.scene import Scene, moves_along_x, units
+from jaxwhisker._model.silhouette import silhouette_of
 from jaxwhisker.film.swing import Outline
 from jaxwhisker.plot.axes import SUPPORT, colour
 from jaxwhisker.plot.drawing import Drawing
 from jaxwhisker.plot.states import profile
-from jaxwhisker.scene import Scene, moves_along_x, units
-from jaxwhisker.silhouette import silhouette_of
 
 ROOM = 0.03  # around what moves, of the window
 FOR_WORDS = 0.1  # above it

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxwhisker.shape import Shapes
+from jaxwhisker._scan.shapes import Shapes
 
 DEEPEST = 3e-3  # of a line in the object, of its length: contacts and outlines are drawn no better
 CURLS = np.concatenate([[0.0], *([curl, -curl] for curl in np.linspace(0.1, 6.0, 60))])

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 
-from jaxwhisker.motion import Rotation, Translation
-from jaxwhisker.result import Result
-from jaxwhisker.scene import Scene, units
+from jaxwhisker._model.motion import Rotation, Translation
+from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._scan.result import Result
 
 # Okabe and Ito's colours, told apart with every kind of colour blindness; black stands last.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")

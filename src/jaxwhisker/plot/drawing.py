@@ -12,17 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxwhisker import _checks
-from jaxwhisker.clearance import in_scene, stance
-from jaxwhisker.contact import Phase
-from jaxwhisker.equilibrium import rest
-from jaxwhisker.march import first_touch
-from jaxwhisker.motion import Pose, Rotation
-from jaxwhisker.relax import clear
-from jaxwhisker.result import Result, State
-from jaxwhisker.scene import Scene, problem, units
-from jaxwhisker.shape import shapes_of
-from jaxwhisker.spring import AXES, Spring
+from jaxwhisker._base import checks
+from jaxwhisker._equilibrium.clearance import in_scene, stance
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.newton import rest
+from jaxwhisker._model.motion import Pose, Rotation
+from jaxwhisker._model.scene import Scene, problem, units
+from jaxwhisker._model.spring import AXES, Spring
+from jaxwhisker._path.march import first_touch
+from jaxwhisker._path.snap_flow import clear
+from jaxwhisker._scan.result import Result, State
+from jaxwhisker._scan.shapes import shapes_of
 
 POINTS = 64  # of a whisker's centre line
 AMPLITUDE = 0.018  # of a spring's zigzag
@@ -86,7 +86,7 @@ def drawing(scene: Scene, control: float, state: State, *, largest: float | None
         largest: the contact force whose arrow is longest; by default that of the state.
     """
     size = float(units(scene).length)
-    whiskers = jax.tree.map(_checks.as_float, scene.whiskers)
+    whiskers = jax.tree.map(checks.as_float, scene.whiskers)
     lines = shapes_of(jax.tree.map(np.asarray, state), whiskers, points=POINTS)
     x, y = np.asarray(lines.x) / size, np.asarray(lines.y) / size
     bases = Line(np.asarray(state.base_x) / size, np.asarray(state.base_y) / size)
@@ -116,7 +116,7 @@ def start_of(scene: Scene) -> float:
 
     The vertex, for whiskers that never do; of a motion of one's own, where it then begins.
     """
-    equations = problem(jax.tree.map(_checks.as_float, scene))
+    equations = problem(jax.tree.map(checks.as_float, scene))
     motion, unit = equations.motion, float(equations.unit.control)
     if motion.ends is None:
         first = float(first_touch(equations)) - AHEAD * motion.onwards
@@ -133,7 +133,7 @@ def start_of(scene: Scene) -> float:
 
 def rest_state(scene: Scene, control: float) -> State:
     """The unloaded whiskers with the drive there, whether or not the object stands in their way."""
-    equations = problem(jax.tree.map(_checks.as_float, scene))
+    equations = problem(jax.tree.map(checks.as_float, scene))
     u = jnp.asarray(control, dtype=float) / equations.unit.control
     at = in_scene(equations, u, rest(equations, u))
     size, none = float(units(scene).length), np.zeros(scene.support.whiskers)

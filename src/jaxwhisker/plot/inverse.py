@@ -10,8 +10,11 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from jaxwhisker import _checks
-from jaxwhisker.measured import CHANNELS
+from jaxwhisker._base import checks
+from jaxwhisker._inverse.fit_contour import ContourFit
+from jaxwhisker._inverse.measured import CHANNELS
+from jaxwhisker._model.profile import AbstractProfile, ContactPoint
+from jaxwhisker._model.scene import units
 from jaxwhisker.plot.axes import (
     COLOURS,
     axis_label,
@@ -24,13 +27,11 @@ from jaxwhisker.plot.axes import (
     one_axes,
     title,
 )
-from jaxwhisker.profile import AbstractProfile, ContactPoint
-from jaxwhisker.reconstruct.fit_contour import ContourFit
-from jaxwhisker.scene import units
 
 if TYPE_CHECKING:
-    from jaxwhisker.identify import Fit, Information
-    from jaxwhisker.reconstruct.points import Reconstruction
+    from jaxwhisker._inverse.fit import Fit
+    from jaxwhisker._inverse.information import Information
+    from jaxwhisker._inverse.points import Reconstruction
 
 BAND = 1.959964  # standard deviations that hold 95 %
 POINTS = 241  # of a known profile
@@ -121,7 +122,7 @@ def contour(
         if clear.any():
             ends, (left, right) = np.quantile(slope[clear], [0.02, 0.98]), np.quantile(x[clear], [0.02, 0.98])
     if profile is not None:
-        at = _between(jax.tree.map(_checks.as_float, profile), jnp.asarray(ends))
+        at = _between(jax.tree.map(checks.as_float, profile), jnp.asarray(ends))
         # Slopes are known less well than points are: not beyond these.
         known = (at.x >= left) & (at.x <= right)
         axes.plot(at.x[known], at.y[known], color="black", linewidth=0.8, label=str(profile))

@@ -2,11 +2,11 @@
 
 from matplotlib.figure import Figure
 
+from jaxwhisker._scan.report import REACTIONS
+from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker.plot.axes import control_size
 from jaxwhisker.plot.signals import contact_range, reactions, spring_lengths
 from jaxwhisker.plot.states import shapes
-from jaxwhisker.report import REACTIONS
-from jaxwhisker.result import Result, check_one_scan
 
 
 def overview(result: Result) -> Figure:

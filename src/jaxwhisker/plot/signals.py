@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxwhisker._scan.report import REACTIONS
+from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker.plot.axes import (
     AXIS,
     COLOURS,
@@ -21,8 +23,6 @@ from jaxwhisker.plot.axes import (
     mark_events,
     one_axes,
 )
-from jaxwhisker.report import REACTIONS
-from jaxwhisker.result import Result, check_one_scan
 
 _ANGLES = r"$\varphi$ (rad)"
 LEAST_HEIGHT = 1e-3  # of an axis: what is constant but for rounding looks constant

@@ -7,14 +7,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 
-from jaxwhisker import _checks
-from jaxwhisker.contact import Phase
+from jaxwhisker._base import checks
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.profile import AbstractProfile
+from jaxwhisker._model.scene import Scene, moves_along_x, units
+from jaxwhisker._model.silhouette import silhouette_of
+from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker.plot.axes import OBJECT, SUPPORT, colour, control_axis, control_of, legend_above, one_axes, title
 from jaxwhisker.plot.drawing import Drawing, drawing, drawing_at, rest_state, start_of
-from jaxwhisker.profile import AbstractProfile
-from jaxwhisker.result import Result, check_one_scan
-from jaxwhisker.scene import Scene, moves_along_x, units
-from jaxwhisker.silhouette import silhouette_of
 
 STATES = 5  # drawn if nobody says which
 MOST_TOLD = 6  # positions that a title has room for
@@ -88,7 +88,7 @@ def profile(object: AbstractProfile, *, length: float = 1.0, whole: bool = True,
     """
     if not isinstance(object, AbstractProfile):
         raise ValueError(f"`object` must be a profile, but is {object!r}.")
-    _checks.number("length", length, positive=True)
+    checks.number("length", length, positive=True)
     ax = one_axes(ax)
     x, y = (coordinate / length for coordinate in silhouette_of(object, length, whole=whole))
     ax.fill(x, y, color=OBJECT, linewidth=0, zorder=0)
@@ -113,9 +113,9 @@ def in_words(result: Result, at: float) -> str:
 
 def _steps_at(result: Result, at: Any) -> list[int]:
     if np.ndim(at) == 0:
-        _checks.number("at", at)
+        checks.number("at", at)
     else:
-        _checks.vector("at", at)
+        checks.vector("at", at)
     return [int(np.argmin(np.abs(np.asarray(result.control) - u))) for u in np.atleast_1d(np.asarray(at, dtype=float))]
 
 

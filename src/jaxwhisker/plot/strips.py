@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from jaxwhisker.contact import Phase
-from jaxwhisker.path import EventKind, Status
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._path.path import EventKind, Status
+from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker.plot.axes import GREY, colour, control_axis, control_of, legend_above, one_axes
-from jaxwhisker.result import Result, check_one_scan
 
 _HEIGHT = 0.6  # of a row
 _MARKERS = {

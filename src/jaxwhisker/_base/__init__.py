@@ -1,0 +1,1 @@
+"""Foundations: argument checks, types, compilation, small linear algebra."""

@@ -1,0 +1,1 @@
+"""The dimensionless problem: contact, touch, Newton steps, stability, implicit derivatives."""

@@ -1,0 +1,173 @@
+"""One whisker in contact: from the unknowns at the contact to pose and reaction at the base.
+
+A contact is described by z = (force, parameter, slack): the force's magnitude f >= 0, the profile's parameter where it
+acts, and the slack: the arc of the whisker beyond the contact (> 0, tangential contact) or minus the angle between
+whisker and object (< 0, tip contact). Both phases are one system, smooth within each, and regular at first touch
+(f = 0) and across the phases. The rod is integrated in the frame of the contact; whiskers on the far side (side = -1),
+bent the other way, are its mirror image.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from enum import IntEnum
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.motion import Frame
+from jaxwhisker._model.profile import AbstractProfile
+from jaxwhisker._model.whisker import Section
+from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
+
+
+class Phase(IntEnum):
+    """How a whisker touches the object."""
+
+    free = 0
+    tip = 1
+    tangential = 2
+
+
+class Body(NamedTuple):
+    """What a contact needs to know of its whisker and object; dimensionless. Of several: see of_each."""
+
+    length: Float[Array, "*batch"]
+    bending_stiffness: Float[Array, "*batch"]  # at the base
+    profile: AbstractProfile
+    rod: AbstractRod
+    section: Section | tuple[Section, ...] | None = None  # None if uniform; of several that are not alike, one each
+    frame: Frame | None = None  # in which its base is looked at; None if upright at height 0, and moved along x only
+    frame_rate: Frame | None = None  # its derivative by the control
+
+
+class Base(NamedTuple):
+    """Pose of the base and what the contact does to it."""
+
+    x: Float[Array, "*batch"]
+    y: Float[Array, "*batch"]
+    cos: Float[Array, "*batch"]  # direction of the whisker at its base
+    sin: Float[Array, "*batch"]
+    force_x: Float[Array, "*batch"]  # of the object on the whisker
+    force_y: Float[Array, "*batch"]
+    bend: Float[Array, "*batch"]  # EI (kappa - kappa0) at the base
+    slope_sin: Float[Array, "*batch"]  # of the object at the contact
+    slope_cos: Float[Array, "*batch"]
+    contact_x: Float[Array, "*batch"]
+    contact_y: Float[Array, "*batch"]
+
+
+class Linear(NamedTuple):
+    """What the equilibrium is made of, seen in the base's frame: values or derivatives. None for what no scene asks.
+
+    Of a base that only moves along x, x is its position in the scene, and `turn` stands for the sine of the angle.
+    """
+
+    x: Float[Array, "*batch"]  # pose of the base
+    y: Float[Array, "*batch"]
+    turn: Float[Array, "*batch"]  # angle to the frame's y axis, counter-clockwise
+    force_x: Float[Array, "*batch"]  # of the object on the whisker, and its moment about the base
+    force_y: Float[Array, "*batch"] | None
+    moment: Float[Array, "*batch"] | None
+    slope_sin: Float[Array, "*batch"]  # of the object at the contact, in the scene
+
+
+def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
+    """Arc length from base to contact."""
+    return body.length - jnp.where(phase == Phase.tangential, slack, 0.0)
+
+
+def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Scalar) -> Base:
+    force, parameter, _ = z
+    x, y, cos, sin = end
+    x, cos = side * x, side * cos
+    at = body.profile.point(parameter)
+    return Base(
+        x=at.x + x * at.cos - y * at.sin,
+        y=at.y + x * at.sin + y * at.cos,
+        cos=cos * at.cos - sin * at.sin,
+        sin=cos * at.sin + sin * at.cos,
+        force_x=force * at.sin,
+        force_y=-force * at.cos,
+        bend=force * x,
+        slope_sin=at.sin,
+        slope_cos=at.cos,
+        contact_x=at.x,
+        contact_y=at.y,
+    )
+
+
+def base(
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
+) -> Base:
+    """Pose and reaction of the base for the contact z; its derivatives are taken with `rates`."""
+    angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
+    rates = body.rod.for_rates() if rates is None else rates
+    s = arc(body, z[2], phase)
+    if body.section is None:
+        end = rod_end(z[0] / body.bending_stiffness, s, angle, body.rod, rates)
+    else:
+        assert isinstance(body.section, Section)  # of one whisker
+        section = dataclasses.replace(body.section, orientation=side)
+        end = uneven_rod_end(z[0], s, angle, section, body.rod, rates)
+    return _in_scene(body, end, z, side)
+
+
+def seen(b: Base, frame: Frame | None) -> Linear:
+    """A base as it is seen in its frame."""
+    if frame is None:
+        return Linear(b.x, b.y, -b.cos, b.force_x, None, None, b.slope_sin)
+    x, y, cos, sin = b.x - frame.x, b.y - frame.y, frame.cos, frame.sin
+    return Linear(
+        x=x * cos + y * sin,
+        y=y * cos - x * sin,
+        turn=jnp.arctan2(-b.cos * cos - b.sin * sin, b.sin * cos - b.cos * sin),
+        force_x=b.force_x * cos + b.force_y * sin,
+        force_y=b.force_y * cos - b.force_x * sin,
+        moment=b.bend,
+        slope_sin=b.slope_sin,
+    )
+
+
+def equations(
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
+) -> Linear:
+    """Values at z of what the equilibrium is made of."""
+    return seen(base(body, z, phase, side, rates=rates), body.frame)
+
+
+def linearise(
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod
+) -> tuple[Linear, Linear, Linear | None]:
+    """The equations' values, their gradients by z, each (3,), and their derivatives by the control, with the frame."""
+
+    def twice(z):
+        b = base(body, z, phase, side, rates=rates)
+        value = seen(b, body.frame)
+        return value, (value, None if body.frame is None else b)
+
+    gradient, (value, b) = jax.jacfwd(twice, has_aux=True)(z)
+    if b is None or body.frame_rate is None:
+        return value, gradient, None
+    _, by_control = jax.jvp(lambda frame: seen(b, frame), (body.frame,), (body.frame_rate,))
+    return value, gradient, by_control
+
+
+def of_each(bodies: Body, function: Callable, *args):
+    """What a function of a body says of every whisker; each is given its own of the arguments."""
+    section = bodies.section
+    if not isinstance(section, tuple):
+        frame = None if bodies.frame is None else 0
+        axes = Body(0, 0, None, None, None if section is None else 0, frame, frame)  # pyright: ignore[reportArgumentType]
+        return jax.vmap(function, in_axes=(axes, *[0] * len(args)))(bodies, *args)
+    # Whiskers that differ by more than numbers: a computation for each.
+    found = []
+    for k, own in enumerate(section):
+        length, stiffness, frames = jax.tree.map(
+            lambda leaf, k=k: leaf[k], (bodies.length, bodies.bending_stiffness, (bodies.frame, bodies.frame_rate))
+        )
+        body = Body(length, stiffness, bodies.profile, bodies.rod, own, *frames)
+        found.append(function(body, *jax.tree.map(lambda leaf, k=k: leaf[k], args)))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)

@@ -1,0 +1,152 @@
+"""First touch: where an unloaded whisker that comes from one side meets the object."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch
+from jaxwhisker._model.whisker import Section
+from jaxwhisker._rod import rod
+
+SHAFT_FIRST = 1e-12  # share of the length that must stand above the first contact to call it tangential
+POINTS = 65  # of a whisker that is not upright and straight, at which the first touch is looked for
+SAME_HEIGHT = 1e-6  # by which whisker and object may miss each other there
+NEWTON_STEPS = 8
+
+
+class Touch(NamedTuple):
+    """A contact that is about to begin, if the base moves along x; each (whiskers,) of several."""
+
+    parameter: Float[Array, "*batch"]  # of the profile
+    x: Float[Array, "*batch"]  # position of the base
+    slack: Float[Array, "*batch"]  # as of any contact: see contact.py
+    side: Float[Array, "*batch"]  # to which the whisker will bend: that from which it comes, but where it leans over
+    reaches: Bool[Array, "*batch"]  # whether it is high enough to meet the object at all; else x: tip below the vertex
+
+
+class Outline(NamedTuple):
+    """An unloaded whisker at equidistant points, its base at the origin, upright."""
+
+    x: Float[Array, "*batch points"]
+    y: Float[Array, "*batch points"]
+    cos: Float[Array, "*batch points"]
+    sin: Float[Array, "*batch points"]
+
+
+def outline(length: Scalar, section: Section | None) -> Outline:
+    """The outline of a whisker, straight without a section."""
+    zero = jnp.zeros_like(length)
+    upright, nothing = (zero, zero, zero, zero + 1.0), rod.Load(None, zero, None)
+    if section is None:
+        line = length * jnp.linspace(0.0, 1.0, POINTS)
+        return Outline(0.0 * line, line, 0.0 * line, jnp.ones_like(line))
+    return Outline(*rod.points(upright, -length, nothing, section, count=POINTS, from_base=zero))
+
+
+def _angle(cos: Scalar, sin: Scalar, at: ContactPoint, side: Scalar) -> Scalar:
+    """Angle between a whisker of that direction and the object, as seen from the side to which it bends."""
+    return jnp.arctan2(sin * at.cos - cos * at.sin, side * (cos * at.cos + sin * at.sin))
+
+
+def of_straight(profile: AbstractProfile, length: Scalar, side: Scalar) -> Touch:
+    """The first touch of a straight whisker that stands upright at height 0."""
+    touch = profile.first_touch(length, side)
+    at = profile.point(touch.parameter)
+    beyond = length - touch.y
+    # Upright, it never points below the tangent of an object that ends in a wall.
+    angle = jnp.arctan2(jnp.abs(at.cos), side * at.sin)
+    slack = jnp.where(beyond > SHAFT_FIRST * length, beyond, -angle)
+    reaches = jnp.asarray(length > profile.vertex()[1])
+    return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), reaches)
+
+
+class _Approach(NamedTuple):
+    # Points of a whisker with its base at x = 0, and how far each is ahead of the rest of it as it comes along x.
+    x: Float[Array, " points"]
+    y: Float[Array, " points"]
+    cos: Float[Array, " points"]
+    sin: Float[Array, " points"]
+    touch: FirstTouch
+    ahead: Float[Array, " points"]  # -inf of those that are too low
+
+
+def _approach(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> _Approach:
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    x, y = own.x * cos - own.y * sin, y + own.x * sin + own.y * cos
+    touch = jax.vmap(lambda height: profile.first_touch(height, side))(y)
+    meets = (y > profile.vertex()[1]) & (jnp.abs(touch.y - y) < SAME_HEIGHT)
+    ahead = jnp.where(meets, side * (touch.x - x), -jnp.inf)
+    return _Approach(x, y, own.cos * cos - own.sin * sin, own.sin * cos + own.cos * sin, touch, ahead)
+
+
+def in_two_places(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar) -> Bool[Array, ""]:
+    """Whether a whisker that comes along x stands out towards the object in more than one place, from either side."""
+
+    def dips(side):
+        ahead = _approach(profile, own, y, angle, side).ahead
+        before, after = jax.lax.cummax(ahead), jax.lax.cummax(ahead, reverse=True)
+        return jnp.any(jnp.isfinite(ahead) & (jnp.minimum(before, after) - ahead > SAME_HEIGHT))
+
+    return dips(1.0) | dips(-1.0)
+
+
+def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> Touch:
+    """The first touch of a whisker with its base at height y, turned by an angle: with its tip or along its shaft.
+
+    Looked for at points of the whisker, then solved for between them, where its outline is cubic in arc length. A
+    guess for what is solved with the equations of a contact: exact to some 1e-10, without derivatives.
+    """
+    profile, length, own, y, angle = jax.lax.stop_gradient((profile, length, own, y, angle))
+    xs, ys, coses, sines, touch, ahead = _approach(profile, own, y, angle, side)
+    k, reaches = jnp.argmax(ahead), jnp.any(jnp.isfinite(ahead))
+    at = profile.point(touch.parameter[k])
+    # What bends it is the way from which its base comes across the whisker.
+    across = side * (at.sin * jnp.cos(angle) - at.cos * jnp.sin(angle))
+    bends_to = jnp.where(across < 0, -side, side)
+    tip_angle = _angle(coses[k], sines[k], at, bends_to)
+    tip = (k == POINTS - 1) & (tip_angle > 0)
+
+    table = jnp.stack([xs, ys, coses * length / (POINTS - 1), sines * length / (POINTS - 1)])
+
+    def whisker(cell):
+        """Position and direction at a number of cells from the base."""
+        first = jnp.clip(jnp.floor(jax.lax.stop_gradient(cell)).astype(int), 0, POINTS - 2)
+        here, there = table[:, first], table[:, first + 1]
+        t, step = cell - first, there[:2] - here[:2]
+        bend, twist = 3 * step - 2 * here[2:] - there[2:], here[2:] + there[2:] - 2 * step
+        return here[:2] + t * (here[2:] + t * (bend + t * twist)), here[2:] + t * (2 * bend + 3 * t * twist)
+
+    def missed(found):
+        at = profile.point(found[0])
+        (_, height), (cos, sin) = whisker(found[1])
+        return jnp.stack([height - at.y, (cos * at.sin - sin * at.cos) * (POINTS - 1) / length])
+
+    def newton(_, found):
+        (a, b), (c, d) = jax.jacfwd(missed)(found)
+        e, f = missed(found)
+        step = jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
+        return found - jnp.where(jnp.isfinite(step), step, 0.0)
+
+    start = jnp.stack([touch.parameter[k], jnp.minimum(k, POINTS - 1.5)])
+    parameter, cell = jax.lax.fori_loop(0, NEWTON_STEPS, newton, start)
+    at = profile.point(parameter)
+    (shaft_x, _), (cos, sin) = whisker(cell)
+    along = jnp.where(cos * at.cos + sin * at.sin < 0, -1.0, 1.0)
+    return jax.lax.stop_gradient(
+        Touch(
+            jnp.where(tip, touch.parameter[k], parameter),
+            jnp.where(reaches, jnp.where(tip, touch.x[k] - xs[k], at.x - shaft_x), profile.vertex()[0] - xs[-1]),
+            jnp.where(tip, -tip_angle, length * (1 - cell / (POINTS - 1))),
+            jnp.where(tip, bends_to, along),
+            reaches,
+        )
+    )
+
+
+def of_both(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar) -> tuple[Touch, Touch]:
+    """First touches of a whisker coming from the right and from the left."""
+    both = jax.vmap(lambda side: of_any(profile, length, own, y, angle, side))(jnp.array([1.0, -1.0]))
+    return jax.tree.map(lambda leaf: leaf[0], both), jax.tree.map(lambda leaf: leaf[1], both)

@@ -1,0 +1,203 @@
+"""What a reconstruction returns: points of the object, how exactly they are known, and what follows from them."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._equilibrium.contact import Phase
+
+NORMAL_95 = 1.959963984540054  # standard deviations on either side that hold 95 %
+NEAR_VERTEX = 0.2  # largest |tan(slope)| of points by which it is told
+AT_LEAST = 8  # points
+SIGNIFICANT = 20.0  # standard deviations: the errors of weaker contacts are no linear matter
+
+
+class PointStatus(IntEnum):
+    """What became of one whisker at one step."""
+
+    ok = 0
+    free = 1  # its signals are compatible with nothing
+    failed = 2  # no state of the whisker was found near its signals
+    missing = 3  # a signal is NaN: its own, or one on which the position of its base depends
+
+
+class Step(eqx.Module):
+    """Whiskers whose contact was found; every field (steps, whiskers), in the sensor's units.
+
+    NaN, and Phase.free, where the status is not ok; the pose of the base is known of free whiskers, too.
+    """
+
+    x: Float[Array, "*steps whiskers"]  # contact: a point of the object
+    y: Float[Array, "*steps whiskers"]
+    slope: Float[Array, "*steps whiskers"]  # alpha of the object there, rad
+    arc: Float[Array, "*steps whiskers"]  # arc length from base to contact
+    force: Float[Array, "*steps whiskers"]  # f > 0
+    phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
+    base_x: Float[Array, "*steps whiskers"]
+    base_y: Float[Array, "*steps whiskers"]
+    base_angle: Float[Array, "*steps whiskers"]  # of the whisker there to the upright, rad, counter-clockwise
+    chi2: Float[Array, "*steps whiskers"]  # by how much the signals miss a possible state: one degree of freedom
+    significance: Float[Array, "*steps whiskers"]  # of the signals: how many standard deviations of their noise
+    status: Int[Array, "*steps whiskers"]  # PointStatus
+    covariance: Float[Array, "*steps whiskers 4 4"]  # of x, y, slope and arc
+
+
+class Vertex(NamedTuple):
+    """The object's lowest point as every whisker tells it, each (whiskers,); NaN of one that never passed it."""
+
+    x: Float[np.ndarray, " whiskers"]
+    x_error: Float[np.ndarray, " whiskers"]  # standard errors
+    y: Float[np.ndarray, " whiskers"]
+    y_error: Float[np.ndarray, " whiskers"]
+    radius: Float[np.ndarray, " whiskers"]  # of curvature there
+    base_x: Float[np.ndarray, " whiskers"]  # of the base there, where fx crosses zero
+
+
+class Consistency(NamedTuple):
+    """How far the points of whiskers 2, 3, ... lie outside of the contour that whisker 1 tells."""
+
+    distance: Float[np.ndarray, "steps others"]  # along the outward normal; NaN where not known
+    error: Float[np.ndarray, "steps others"]  # standard error of the distance
+    chi2: float  # mean square of their ratio: 1 if all whiskers tell of one contour, and NaN without a noise
+
+    def __str__(self) -> str:
+        known = np.isfinite(self.distance)
+        largest = np.max(np.abs(self.distance[known]), initial=0.0)
+        return f"{known.sum()} points compared, at most {largest:.3g} apart, reduced chi^2 {self.chi2:.3g}"
+
+
+class Reconstruction(Step):
+    """Points of the object, at every step of a scan and of every whisker, and how exactly they are known.
+
+    Errors are first order in the noise, of which a step's three reactions of all whiskers, and parameters of the sensor
+    if their covariance was given, are the sources; where both phases may be, their difference is added. NaN where
+    neither noise nor covariance is known.
+    """
+
+    control: Float[Array, " steps"]
+
+    @property
+    def standard_error(self) -> Float[Array, "steps whiskers 4"]:
+        """Of x, y, slope and arc."""
+        return jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
+
+    @property
+    def clear(self) -> np.ndarray:
+        """Which points stand clear of the noise, so that their errors are linear in it: (steps, whiskers)."""
+        return (np.asarray(self.status) == PointStatus.ok) & ~(np.asarray(self.significance) < SIGNIFICANT)
+
+    @property
+    def normal_error(self) -> Float[Array, "steps whiskers"]:
+        """Standard error of the position across the contour, a length."""
+        across = jnp.stack([jnp.sin(self.slope), -jnp.cos(self.slope)], axis=-1)
+        return jnp.sqrt(
+            jnp.sum(across[..., :, None] * across[..., None, :] * self.covariance[..., :2, :2], axis=(-2, -1))
+        )
+
+    @property
+    def band(self) -> tuple[Float[Array, "2 steps whiskers"], Float[Array, "2 steps whiskers"]]:
+        """x and y of the two borders of the 95 % band: outside, towards the whiskers, and inside of the object."""
+        reach = NORMAL_95 * self.normal_error * jnp.array([1.0, -1.0])[:, None, None]
+        return self.x + reach * jnp.sin(self.slope), self.y - reach * jnp.cos(self.slope)
+
+    def vertex(self) -> Vertex:
+        """The object's lowest point, from the points near it, where the force is vertical and the spring's load zero.
+
+        There x = x0 + radius t + O(t^2) and y = y0 + radius t^2 / 2 + O(t^3), with t = tan(slope): two more powers are
+        fitted, weighted with the covariances; errors are NaN where these are not known.
+        """
+        found = [self._vertex(k) for k in range(self.x.shape[1])]
+        return Vertex(*(np.array(values) for values in zip(*found, strict=True)))
+
+    def _vertex(self, k: int) -> tuple[float, ...]:
+        x, y, slope, base_x = (np.asarray(v)[:, k] for v in (self.x, self.y, self.slope, self.base_x))
+        near = (np.abs(np.tan(slope)) < NEAR_VERTEX) & self.clear[:, k]  # False where it is NaN
+        t = np.tan(slope[near])
+        if t.size < AT_LEAST or not t.min() < 0 < t.max():
+            return (np.nan,) * len(Vertex._fields)
+        spread = np.asarray(self.covariance)[near, k, :3, :3]
+        noisy = bool(np.isfinite(spread).all() and (spread[:, [0, 1, 2], [0, 1, 2]] > 0).all())
+        columns = np.stack([t**0, t, t**2, t**3], axis=1)
+
+        def at_zero(values, columns, by_slope):
+            """Coefficients of a fit, and the standard error of the first; `by_slope`: what an error of slope does."""
+            by = np.concatenate([values[1], -by_slope[:, None]], axis=1)
+            variance = np.sum(by[:, :, None] * spread * by[:, None, :], axis=(1, 2)) if noisy else np.ones_like(t)
+            columns = columns / np.sqrt(variance)[:, None]
+            inverse = np.linalg.inv(columns.T @ columns)
+            error = np.sqrt(inverse[0, 0]) if noisy else np.nan
+            return inverse @ (columns.T @ (values[0] / np.sqrt(variance))), error
+
+        along, up = np.tile([1.0, 0.0], (t.size, 1)), np.tile([0.0, 1.0], (t.size, 1))
+        (_, radius, *_), _ = at_zero((x[near], along), columns, 0 * t)
+        turn = radius * (1 + t**2)
+        (x0, radius, *_), x_error = at_zero((x[near], along), columns, turn)
+        (y0, *_), y_error = at_zero((y[near], up), np.stack([t**0, t**2, t**3, t**4], axis=1), turn * t)
+        (crossing, *_), _ = at_zero((base_x[near], along), columns, turn)
+        return x0, x_error, y0, y_error, radius, crossing
+
+    def consistency(self) -> Consistency:
+        """Whether all whiskers tell of one contour: each one's points against the contour that whisker 1 tells.
+
+        That is a cubic through its nearest points, weighted with their errors. Noise that two whiskers have in common
+        is left out: they are at that place at other times.
+        """
+        others = [self._against_first(k) for k in range(1, self.x.shape[1])]
+        if not others:
+            return Consistency(np.zeros((self.x.shape[0], 0)), np.zeros((self.x.shape[0], 0)), np.nan)
+        distance, error = (np.stack(values, axis=1) for values in zip(*others, strict=True))
+        known = np.isfinite(distance) & (error > 0)
+        chi2 = float(np.mean((distance[known] / error[known]) ** 2)) if known.any() else np.nan
+        return Consistency(distance, error, chi2)
+
+    def _against_first(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        x, y, slope = (np.asarray(v) for v in (self.x, self.y, self.slope))
+        covariance = np.asarray(self.covariance)[:, :, :2, :2]
+        first, here = (np.flatnonzero(self.clear[:, own]) for own in (0, k))
+        distance, error = np.full((2, x.shape[0]), np.nan)
+        if first.size < AT_LEAST:
+            return distance, error
+        from_x, from_y = x[first, 0] - x[here, k, None], y[first, 0] - y[here, k, None]
+        nearest = np.argpartition(from_x**2 + from_y**2, AT_LEAST - 1, axis=1)[:, :AT_LEAST]
+        from_x, from_y = (np.take_along_axis(v, nearest, axis=1) for v in (from_x, from_y))
+        cos, sin = np.cos(slope[here, k, None]), np.sin(slope[here, k, None])
+        along, across = from_x * cos + from_y * sin, from_x * sin - from_y * cos
+        normal = np.concatenate([sin, -cos], axis=1)
+        noise = covariance[first, 0][nearest]
+        variance = np.sum(normal[:, None, :, None] * noise * normal[:, None, None, :], axis=(2, 3))
+        own = np.sum(normal[:, :, None] * covariance[here, k] * normal[:, None, :], axis=(1, 2))
+        weight = np.where(variance > 0, 1 / variance, 1.0)
+        size = np.maximum(np.abs(along).max(axis=1, keepdims=True), 1e-300)
+        columns = (along / size)[:, :, None] ** np.arange(4)
+        normal_matrix = np.sum(weight[:, :, None, None] * columns[..., :, None] * columns[..., None, :], axis=1)
+        between = (along.min(axis=1) < 0) & (along.max(axis=1) > 0) & (np.linalg.cond(normal_matrix) < 1e12)
+        inverse = np.linalg.inv(np.where(between[:, None, None], normal_matrix, np.eye(4)))
+        there = np.sum(inverse[:, 0] * np.sum((weight * across)[:, :, None] * columns, axis=1), axis=1)
+        distance[here] = np.where(between, -there, np.nan)
+        error[here] = np.where(between, np.sqrt(own + inverse[:, 0, 0]), np.nan)
+        return distance, error
+
+    def __str__(self) -> str:
+        status, phase = np.asarray(self.status), np.asarray(self.phase)
+        steps, whiskers = status.shape
+        counted = [f"{np.sum(phase == p)} {p.name}" for p in (Phase.tip, Phase.tangential)]
+        counted += [f"{np.sum(status == s)} {s.name}" for s in list(PointStatus)[1:] if np.any(status == s)]
+        lines = [f"{steps} steps of {whiskers} whisker{'s' * (whiskers > 1)}: {', '.join(counted)}"]
+        error = np.asarray(self.normal_error)
+        if np.isfinite(error).any():
+            lines.append(f"standard error across the contour: {np.nanmedian(error):.3g} (median)")
+        vertex = self.vertex()
+        for k in np.flatnonzero(np.isfinite(vertex.x)):
+            x, y = (_with_error(*pair) for pair in ((vertex.x[k], vertex.x_error[k]), (vertex.y[k], vertex.y_error[k])))
+            lines.append(f"whisker {k + 1}: vertex at x = {x}, y = {y}")
+        return "\n".join([*lines, *([str(self.consistency())] * (whiskers > 1))])
+
+    __repr__ = __str__
+
+
+def _with_error(value: float, error: float) -> str:
+    return f"{value:.6g}" if np.isnan(error) else f"{value:.6g} +- {error:.2g}"

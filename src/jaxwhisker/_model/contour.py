@@ -1,0 +1,252 @@
+"""A contour of any strictly convex shape: its radius of curvature over the slope angle."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.profile import STEEPEST, AbstractProfile, ContactPoint, FirstTouch, bisect, differs, show
+
+CELLS = 32  # between two knots: x and y are good to 1e-11 of the radius even if that grows by e^2 from knot to knot
+GAUSS = 4  # points of quadrature a cell
+
+
+class Contour(AbstractProfile):
+    """A strictly convex contour by its radius of curvature rho, by slope angle alpha.
+
+        x = position + int_0^alpha rho cos(a) da,  y = distance + int_0^alpha rho sin(a) da.
+
+    log rho is a cubic spline over alpha, constant beyond the outermost knots: whatever its values, the contour is
+    strictly convex, and smooth. The parameter is the slope angle.
+
+    Args:
+        distance: q, height of the lowest point above the bases; positive.
+        log_radius: log of the radius of curvature, in the unit of length, at the knots; a one-dimensional array.
+        slopes: the knots: slope angles, rad, strictly increasing, less than a right angle; two at least.
+        position: x of the lowest point.
+
+    Raises:
+        ValueError: if an argument is not of that kind.
+    """
+
+    distance: Scalar
+    log_radius: Float[Array, " knots"] = eqx.field(converter=lambda values: _as_array(values))
+    slopes: tuple[float, ...] = eqx.field(static=True, converter=lambda values: _as_tuple(values))
+    position: Scalar = 0.0
+
+    def __check_init__(self):
+        checks.number("distance", self.distance, positive=True)
+        checks.number("position", self.position)
+        knots = np.asarray(self.slopes)
+        checks.vector("slopes", knots)
+        if knots.size < 2 or not (np.diff(knots) > 0).all() or np.abs(knots).max() > STEEPEST:
+            raise ValueError(
+                "`slopes` must be two strictly increasing slope angles or more, each less than a right angle, but is "
+                f"{self.slopes}."
+            )
+        if isinstance(self.log_radius, (np.ndarray, jax.Array)) and jnp.shape(self.log_radius) == ():
+            return  # one of many, as transformations rebuild it
+        checks.vector("log_radius", self.log_radius)
+        if self.log_radius.shape != knots.shape:
+            raise ValueError(
+                f"`log_radius` must hold one per knot ({knots.size}), but its shape is {self.log_radius.shape}."
+            )
+
+    @classmethod
+    def like(cls, profile: AbstractProfile, slopes) -> "Contour":
+        """A contour with the vertex of another profile, and its radii of curvature at the knots.
+
+        Args:
+            profile: with a smooth point of every one of these slopes.
+            slopes: as of a Contour.
+        """
+        x, y = profile.vertex()
+        radius = jax.vmap(lambda slope: _radius(profile, slope))(jnp.asarray(slopes, dtype=float))
+        return cls(y, jnp.log(radius), slopes, x)
+
+    def radius(self, slope: Scalar) -> Float[Array, ""]:
+        """The radius of curvature at a slope angle, a length."""
+        x_rate, y_rate = jax.jvp(lambda a: self.point(a)[:2], (jnp.asarray(slope, dtype=float),), (jnp.ones(()),))[1]
+        return x_rate * jnp.cos(slope) + y_rate * jnp.sin(slope)
+
+    def tabulated(self) -> "Tabulated":
+        """The same, made ready for points."""
+        return tabulate(spline(self.slopes), self.distance, self.position, self.log_radius)
+
+    def point(self, parameter):
+        return self.tabulated().point(parameter)
+
+    def first_touch(self, height, side):
+        return self.tabulated().first_touch(height, side)
+
+    def vertex(self):
+        return self.position, self.distance
+
+    def in_unit(self, length):
+        return self.tabulated().in_unit(length)
+
+    def _positive(self):
+        return [self.distance]
+
+    def __str__(self):
+        return f"contour q = {show(self.distance)}, {len(self.slopes)} knots{differs(', x = ', self.position)}"
+
+
+class Tabulated(AbstractProfile):
+    """A contour as polynomials of degree 5 between nodes, CELLS of them from knot to knot."""
+
+    distance: Scalar
+    position: Scalar
+    knots: Float[Array, " knots"]
+    cells: Float[Array, "cells 12"]  # coefficients of x, then of y, by the share of the cell
+    ends_at: Float[Array, "2 3"]  # x, y, radius at the first knot, and at the last one
+
+    def point(self, parameter):
+        cos, sin = jnp.cos(parameter), jnp.sin(parameter)
+        knots = jax.lax.stop_gradient(self.knots)
+        x, y = _within(self.cells, knots, parameter)
+        for beyond, at, (end_x, end_y, radius) in (
+            (parameter < knots[0], knots[0], self.ends_at[0]),
+            (parameter > knots[-1], knots[-1], self.ends_at[1]),
+        ):
+            x = jnp.where(beyond, end_x + radius * (sin - jnp.sin(at)), x)
+            y = jnp.where(beyond, end_y + radius * (jnp.cos(at) - cos), y)
+        return ContactPoint(x, y, cos, sin)
+
+    def first_touch(self, height, side):
+        still = jax.lax.stop_gradient(self)
+        a = bisect(lambda a: still.point(side * a).y < jax.lax.stop_gradient(height), 0.0, STEEPEST)
+        a = jax.lax.stop_gradient(side * a)
+        # A last Newton step carries the derivative, unless the shaft of the whisker meets the widest point.
+        y, rate = jax.jvp(lambda a: self.point(a).y, (a,), (jnp.ones_like(a),))
+        crosses = (rate != 0) & (jnp.abs(a) < STEEPEST * (1 - 1e-12))
+        a = a - jnp.where(crosses, (y - height) / jnp.where(crosses, jax.lax.stop_gradient(rate), 1.0), 0.0)
+        at = self.point(a)
+        return FirstTouch(a, at.x, at.y)
+
+    def vertex(self):
+        return self.position, self.distance
+
+    def in_unit(self, length):
+        sizes = self.distance / length, self.position / length
+        return Tabulated(*sizes, self.knots, self.cells / length, self.ends_at / length)
+
+    def _positive(self):
+        return [self.distance]
+
+    def __str__(self):
+        return f"contour q = {show(self.distance)}"
+
+
+def _as_array(values):
+    # What transformations of jax put in the place of leaves stays.
+    try:
+        return jnp.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        return values
+
+
+def _as_tuple(values):
+    return tuple(float(value) for value in np.ravel(np.asarray(values, dtype=float)))
+
+
+def _radius(profile: AbstractProfile, slope: Scalar) -> Float[Array, ""]:
+    """The radius of curvature of any profile at a slope angle."""
+
+    def angle(parameter):
+        at = profile.point(parameter)
+        return jnp.arctan2(at.sin, at.cos)
+
+    def rate(function, parameter):
+        return jax.jvp(function, (parameter,), (jnp.ones_like(parameter),))[1]
+
+    parameter = jax.lax.stop_gradient(profile.at_slope(slope))
+    parameter = parameter - (angle(parameter) - slope) / rate(angle, parameter)
+    x, y = rate(lambda p: jnp.stack(profile.point(p)[:2]), parameter)
+    return jnp.hypot(x, y) / rate(angle, parameter)
+
+
+class Spline(NamedTuple):
+    """Linear maps from values at the knots to those at nodes, their derivatives there, and values at Gauss points."""
+
+    knots: np.ndarray
+    node: np.ndarray
+    value: np.ndarray
+    rate: np.ndarray
+    gauss: np.ndarray  # angles (cells, GAUSS)
+    at_gauss: np.ndarray
+    width: np.ndarray  # (cells,)
+    weight: np.ndarray  # (GAUSS,)
+
+
+@lru_cache(maxsize=64)
+def spline(slopes: tuple[float, ...]) -> Spline:
+    """The cubic spline through values at these slopes."""
+    from scipy.interpolate import CubicSpline  # loaded when the first contour is
+
+    knots = np.asarray(slopes)
+    share = np.arange(CELLS) / CELLS
+    node = np.append((knots[:-1, None] + share * np.diff(knots)[:, None]).ravel(), knots[-1])
+    cubic = CubicSpline(knots, np.eye(knots.size))
+    at, weight = np.polynomial.legendre.leggauss(GAUSS)
+    width = np.diff(node)
+    gauss = node[:-1, None] + width[:, None] * (1 + at) / 2
+    return Spline(knots, node, cubic(node), cubic(node, 1), gauss, cubic(gauss), width, weight / 2)
+
+
+# y'' and the like at both ends of a cell to the coefficients 3, 4 and 5 of the quintic Hermite interpolant.
+_HERMITE = np.linalg.inv(np.array([[1.0, 1.0, 1.0], [3.0, 4.0, 5.0], [6.0, 12.0, 20.0]]))
+
+
+def tabulate(spline: Spline, distance: Scalar, position: Scalar, log_radius: Float[Array, " knots"]) -> Tabulated:
+    """The contour of that vertex and these radii."""
+    values = jnp.asarray(log_radius, dtype=float)
+    radius = jnp.exp(jnp.sum(spline.value * values, axis=-1))
+    radius_rate = radius * jnp.sum(spline.rate * values, axis=-1)
+    at_gauss = jnp.exp(jnp.sum(spline.at_gauss * values, axis=-1))
+    cos, sin = jnp.cos(spline.node), jnp.sin(spline.node)
+
+    def along(direction, turned, at):
+        """Coefficients of the integral of radius times `direction`, whose derivative is `turned`."""
+        rises = spline.width * jnp.sum(spline.weight * at_gauss * at, axis=-1)
+        start = jnp.concatenate([jnp.zeros(1), jnp.cumsum(rises)])
+        rate, bend = radius * direction, radius_rate * direction + radius * turned
+        a0, a1, a2 = start[:-1], rate[:-1] * spline.width, bend[:-1] * spline.width**2 / 2
+        ends = jnp.stack([
+            rises - a1 - a2,
+            rate[1:] * spline.width - a1 - 2 * a2,
+            bend[1:] * spline.width**2 - 2 * a2,
+        ])  # fmt: skip
+        return jnp.stack([a0, a1, a2, *(jnp.sum(row[:, None] * ends, axis=0) for row in _HERMITE)], axis=-1), start[-1]
+
+    x, x_end = along(cos, -sin, jnp.cos(spline.gauss))
+    y, y_end = along(sin, cos, jnp.sin(spline.gauss))
+    distance, position = jnp.asarray(distance, dtype=float), jnp.asarray(position, dtype=float)
+    cells, knots = jnp.concatenate([x, y], axis=-1), jnp.asarray(spline.knots)
+    ends = jnp.stack([jnp.stack([0.0, 0.0, radius[0]]), jnp.stack([x_end, y_end, radius[-1]])])
+    # So far the first knot was the origin.
+    lowest = Tabulated(distance, position, knots, cells, ends).point(jnp.zeros(()))
+    dx, dy = position - lowest.x, distance - lowest.y
+    cells = cells.at[:, 0].add(dx).at[:, 6].add(dy)
+    return Tabulated(distance, position, knots, cells, ends + jnp.stack([dx, dy, 0.0]))
+
+
+def _within(cells: Float[Array, "cells 12"], knots: Float[Array, " knots"], slope: Scalar):
+    """The polynomials' x and y at a slope between the outermost knots; beyond, at these."""
+    inside = jnp.clip(slope, knots[0], knots[-1])
+    still = jax.lax.stop_gradient(inside)
+    interval = jnp.sum(still >= knots[1:-1])
+    way = (inside - knots[interval]) / (knots[interval + 1] - knots[interval]) * CELLS
+    cell = jnp.clip(jnp.floor(jax.lax.stop_gradient(way)).astype(int), 0, CELLS - 1)
+    t, row = way - cell, cells[interval * CELLS + cell]
+
+    def horner(c):
+        return c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5]))))
+
+    return horner(row[:6]), horner(row[6:])

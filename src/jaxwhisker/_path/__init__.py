@@ -1,0 +1,1 @@
+"""Continuation through events, folds and snaps."""

@@ -1,0 +1,262 @@
+"""The rod: a planar elastica integrated from a loaded point back to its base.
+
+With the load known where the integration starts, the internal moment is an affine function of position, so that the
+state is (x, y, cos phi, sin phi) and the right-hand side a polynomial:
+
+    dx/ds = cos phi,  dy/ds = sin phi,  dphi/ds = kappa = kappa0 + (M0 - x Fy + y Fx) / EI.
+
+Position and angle alone drive each other (x, y turn with the angle, the angle with the moment), which is what a
+Runge-Kutta-Nystroem splitting needs: shifts with the direction frozen, rotations with the moment frozen. Where EI
+or kappa0 depend on s, s goes with the position.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeAlias
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.whisker import Section
+
+RodState: TypeAlias = tuple[Scalar, Scalar, Scalar, Scalar]  # x, y, cos phi, sin phi
+Along: TypeAlias = Float[Array, " points"]  # a value at points of the rod
+
+
+class Load(eqx.Module):
+    """What acts on the rod beyond the integrated stretch: force (x, y) and moment about the origin; None for none."""
+
+    force_x: Scalar | None
+    force_y: Scalar
+    moment: Scalar | None
+
+
+Material: TypeAlias = Scalar | Section | None  # bending stiffness, or what changes along the rod; None for EI = 1
+
+
+class _RodArgs(eqx.Module):
+    arc: Scalar
+    load: Load
+    material: Material
+    from_base: Scalar | None  # arc length from the base where the integration starts; None if nothing depends on it
+
+
+def moment(x: Scalar | Along, y: Scalar | Along, load: Load) -> Scalar | Along:
+    """The internal moment M0 - x Fy + y Fx at (x, y)."""
+    # What is not there is left out: this is the innermost loop of everything.
+    found = -x * load.force_y
+    found = found if load.force_x is None else found + y * load.force_x
+    return found if load.moment is None else found + load.moment
+
+
+def _towards_base(t, state: RodState, args: _RodArgs) -> RodState:
+    x, y, cos, sin = state
+    bent = moment(x, y, args.load)
+    if isinstance(args.material, Section):
+        bent = args.material.bent(bent, args.from_base - t * args.arc)
+    elif args.material is not None:
+        bent = bent / args.material
+    turn = args.arc * bent
+    return -args.arc * cos, -args.arc * sin, turn * sin, -turn * cos
+
+
+def _cos_sin(angle: Scalar) -> tuple[Scalar, Scalar]:
+    # Taylor polynomials: with 8 steps a stage turns by at most 0.2, where they are exact to 1e-14 (with 4 to 1e-12).
+    # They are three times cheaper than the library functions inside a fused loop.
+    u = angle * angle
+    cos = 1 + u * (-1 / 2 + u * (1 / 24 + u * (-1 / 720 + u * (1 / 40320 - u / 3628800))))
+    sin = angle * (1 + u * (-1 / 6 + u * (1 / 120 + u * (-1 / 5040 + u / 362880))))
+    return cos, sin
+
+
+def _symmetric(half: list[float], total: float, middle: bool) -> list[float]:
+    # `half` is one side of a palindrome whose sum is `total`; its innermost entry follows from the sum.
+    inner = total - 2 * sum(half) if middle else total / 2 - sum(half)
+    return [*half, inner, *([] if middle else [inner]), *half[::-1]]
+
+
+# Shifts and rotations of a step, by the number of rotations; to be taken in turn, a shift first.
+_METHODS = {
+    6: (
+        _symmetric([0.0829844064174052, 0.396309801498368, -0.0390563049223486], total=1.0, middle=True),
+        _symmetric([0.245298957184271, 0.604872665711080], total=1.0, middle=False),
+    ),
+    10: (
+        _symmetric(
+            [0.0502627644003922, 0.413514300428344, 0.0450798897943977, -0.188054853819569, 0.541960678450780],
+            total=1.0,
+            middle=True,
+        ),
+        _symmetric(
+            [0.148816447901042, -0.132385865767784, 0.067307604692185, 0.432666402578175],
+            total=1.0,
+            middle=False,
+        ),
+    ),
+    11: (
+        _symmetric(
+            [0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879],
+            total=1.0,
+            middle=False,
+        ),
+        _symmetric(
+            [0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928],
+            total=1.0,
+            middle=True,
+        ),
+    ),
+}
+
+
+class Splitting(diffrax.AbstractSolver):
+    """Splitting methods for rods: shift, rotate, shift, ..., of order 4 with 6 rotations a step or 6 with 10 or 11.
+
+    One stage is a dozen operations on a state that stays in registers, and the stages run as a loop, so that it
+    compiles ten times faster and runs two to four times faster at the same error than an eighth-order Runge-Kutta
+    step with its stages unrolled. Rotations keep cos^2 + sin^2 = 1.
+
+    Args:
+        stages: 6, 10 or 11, the number of rotations a step. Those with 6 and 11 owe their order to the moment being
+            linear in position; where the section changes along the rod they converge with order 4 only.
+
+    Source: Blanes and Moan (2002), J. Comput. Appl. Math. 142, 313, methods SRKN 6 (order 4), S 10 and SRKN 11 (6).
+    """
+
+    term_structure: ClassVar = diffrax.ODETerm
+    interpolation_cls: ClassVar[Callable[..., Any]] = diffrax.LocalLinearInterpolation
+
+    stages: int = eqx.field(static=True, default=11)
+
+    def __check_init__(self):
+        if self.stages not in _METHODS:
+            raise ValueError(f"`stages` must be 6, 10 or 11, but is {self.stages!r}.")
+
+    def order(self, terms):
+        del terms
+        return {6: 4, 10: 6, 11: 6}[self.stages]
+
+    def init(self, terms, t0, t1, y0, args):
+        del terms, t0, t1, y0, args
+        return None
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        del solver_state, made_jump
+        h = t1 - t0
+
+        def shift(state, fraction):
+            x, y, cos, sin = state
+            dx, dy, _, _ = terms.vf(t0, state, args)
+            return x + fraction * h * dx, y + fraction * h * dy, cos, sin
+
+        def rotate(state, fraction, passed):
+            x, y, cos, sin = state
+            # The rate does not depend on the direction; of (1, 0) it is the second component's.
+            *_, rate = terms.vf(t0 + passed * h, (x, y, 1.0, 0.0), args)
+            c, s = _cos_sin(fraction * h * rate)
+            return x, y, cos * c - sin * s, sin * c + cos * s
+
+        def stage(state, fractions):
+            rotation, passed, next_shift = fractions
+            return shift(rotate(state, rotation, passed), next_shift), None
+
+        shifts, rotations = _METHODS[self.stages]
+        passed = np.cumsum(shifts)[:-1]  # the time goes with the position
+        stages = tuple(jnp.asarray(fractions) for fractions in (rotations, passed, shifts[1:]))
+        y1, _ = jax.lax.scan(stage, shift(y0, shifts[0]), stages)
+        return y1, None, dict(y0=y0, y1=y1), None, diffrax.RESULTS.successful
+
+
+def default_solver(material: Material) -> Splitting:
+    """The best of order 6."""
+    return Splitting(10 if isinstance(material, Section) else 11)
+
+
+def integrate(
+    start: RodState,
+    arc: Scalar,
+    load: Load,
+    material: Material = None,
+    *,
+    steps: int,
+    solver: diffrax.AbstractSolver | None = None,
+    from_base: Scalar | None = None,
+) -> RodState:
+    """State of the rod an arc length `arc` nearer to the base than `start`.
+
+    `start` is the state (x, y, cos phi, sin phi) at the loaded point; `load` acts there and beyond. Of a rod
+    with a section the loaded point lies `from_base` away from its base. Constant steps: an adaptive
+    controller would wait for the slowest lane of a batch and put noise into the residual of a Newton solve.
+    """
+    args = _RodArgs(arc, load, material, from_base)
+    terms, no = diffrax.ODETerm(_towards_base), jnp.asarray(False)
+    solver = solver or default_solver(material)
+    if isinstance(solver, diffrax.AbstractRungeKutta) and solver.scan_kind is None:
+        # Of the ways in which these take their stages the one with forward derivatives: no others go through a rod.
+        solver = dataclasses.replace(solver, scan_kind="lax")
+    start = jax.tree.map(jnp.asarray, start)
+
+    def step(carry, ends):
+        state, memory = carry
+        t0, t1 = ends
+        state, _, _, memory, _ = solver.step(terms, t0, t1, state, args, memory, no)
+        return (state, memory), None
+
+    times = jnp.arange(steps + 1) / steps
+    if isinstance(material, Section):
+        assert from_base is not None
+        times = _graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
+    memory = solver.init(terms, times[0], times[1], start, args)
+    (end, _), _ = jax.lax.scan(step, (start, memory), (times[:-1], times[1:]))
+    return end
+
+
+THICKEST = 100.0  # ratio of thicknesses by which steps are graded at most
+
+
+def _graded(times: Float[Array, " times"], first: Scalar, last: Scalar) -> Float[Array, " times"]:
+    """Times graded so that a conical rod changes its thickness by the same ratio in each step."""
+    # Thickness is the fourth root of the stiffness. Where the steps end is no part of what is solved.
+    first, last = jax.lax.stop_gradient((first, last))
+    ratio = (last / jnp.where(first > 0, first, last)) ** (1 / 4)
+    ratio = jnp.where(first > 0, jnp.clip(ratio, 1 / THICKEST, THICKEST), THICKEST)
+    growth = jnp.log(ratio)
+    even = jnp.abs(growth) < 1e-6
+    growth = jnp.where(even, 1.0, growth)
+    return jnp.where(even, times, jnp.expm1(times * growth) / jnp.expm1(growth))
+
+
+def points(
+    start: RodState,
+    arc: Scalar,
+    load: Load,
+    material: Material,
+    *,
+    count: int,
+    from_base: Scalar | None = None,
+) -> tuple[Along, Along, Along, Along]:
+    """The rod's states at `count` equidistant points from `start` back to `arc` before it: (count,) arrays."""
+    fractions = np.linspace(0.0, 1.0, count)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(_towards_base),
+        default_solver(material),
+        t0=0.0,
+        t1=1.0,
+        dt0=None,
+        y0=start,
+        args=_RodArgs(arc, load, material, from_base),
+        stepsize_controller=diffrax.StepTo(jnp.asarray(fractions)),
+        saveat=diffrax.SaveAt(steps=True, t0=True),
+        adjoint=diffrax.DirectAdjoint(),
+        max_steps=count - 1,
+        throw=False,
+    )
+    x, y, cos, sin = solution.ys  # pyright: ignore[reportGeneralTypeIssues]
+    return x, y, cos, sin

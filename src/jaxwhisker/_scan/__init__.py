@@ -1,0 +1,1 @@
+"""Scans, given loads, results, events, quantities and export."""

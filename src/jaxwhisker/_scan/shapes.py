@@ -1,0 +1,97 @@
+"""Shapes: the whiskers' centre lines at steps of a scan."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.types import Control, Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.motion import Pose
+from jaxwhisker._model.whisker import Section, Whisker
+from jaxwhisker._rod import rod
+from jaxwhisker._scan.result import Result, State
+
+
+class Shapes(eqx.Module):
+    """Centre lines: the last axis runs from base to contact in equal arcs; its last point is the tip.
+
+    Of curved whiskers half of the points lie between contact and tip.
+    """
+
+    x: Float[Array, "*at whiskers points"]
+    y: Float[Array, "*at whiskers points"]
+
+
+def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Shapes:
+    """Centre lines of all whiskers at the scan steps nearest to the controls `at` (default: at every step).
+
+    They are integrated from the bases outwards with the scan's reactions.
+
+    Args:
+        result: a scan.
+        at: drive positions, a length each; where the drive came by more than once, its first time.
+        points: points a whisker, at least 3.
+
+    Raises:
+        ValueError: if `at` is not a one-dimensional array of finite numbers, or `points` is below 3.
+    """
+    if not isinstance(result, Result):
+        raise ValueError(f"`result` must be the Result of a scan, but is {result!r}.")
+    if not isinstance(points, int) or points < 3:
+        raise ValueError(f"`points` must be an int of at least 3, but is {points!r}.")
+    index = np.arange(result.control.shape[0])
+    if at is not None:
+        checks.vector("at", at)
+        index = np.argmin(np.abs(np.asarray(result.control)[:, None] - np.asarray(at)), axis=0)
+    fields = {name: getattr(result, name)[index] for name in State.__dataclass_fields__}
+    whiskers = result.scene.whiskers
+    return shapes_of(State(**fields), jax.tree.map(checks.as_float, whiskers), points=points)
+
+
+@eqx.filter_jit
+def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Shapes:
+    """Centre lines of whiskers in the given state(s)."""
+
+    def of(whisker: Whisker, base, fx, fy, mz, arc, free):
+        arc = jnp.where(free, whisker.length, arc)
+        loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
+        x, y, cos, sin = outwards(whisker, base, fx, fy, mz, arc, count=loaded)
+        # Beyond the contact the whisker is as it was: straight, which one point tells, or curved.
+        end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
+        tip_x, tip_y, _, _ = rod.points(
+            end, arc - whisker.length, nothing, material(whisker), count=points - loaded + 1, from_base=arc
+        )
+        return jnp.append(x, tip_x[1:]), jnp.append(y, tip_y[1:])
+
+    fields = base_of(state), state.fx, state.fy, state.mz, state.contact_arc, state.phase == Phase.free
+    lines = []
+    for k, whisker in enumerate(whiskers):
+        line = partial(of, whisker)
+        for _ in range(state.base_x.ndim - 1):
+            line = jax.vmap(line)
+        lines.append(line(*jax.tree.map(lambda field, k=k: field[..., k], fields)))
+    x, y = (jnp.stack(coordinates, axis=-2) for coordinates in zip(*lines, strict=True))
+    return Shapes(x, y)
+
+
+def base_of(state: State) -> Pose:
+    """The poses of the bases."""
+    return Pose(state.base_x, state.base_y, state.base_angle)
+
+
+def outwards(whisker: Whisker, base: Pose, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, *, count: int):
+    """The rod's states at `count` equidistant points from the base up to that arc, under the base's reaction."""
+    # Outwards is towards the base with a negative arc. The load is what the reaction balances.
+    load = rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
+    start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
+    return rod.points(start, -arc, load, material(whisker), count=count, from_base=jnp.zeros_like(arc))
+
+
+def material(whisker: Whisker) -> rod.Material:
+    """What the rod is made of, in the whisker's own units."""
+    return whisker.base_stiffness if whisker.uniform else Section(whisker, 1.0, 1.0)
