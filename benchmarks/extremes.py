@@ -22,8 +22,10 @@ import jaxwhisker as jw
 from common import write
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.newton import Mode, at_control, find
-from jaxwhisker._model.scene import problem
-from jaxwhisker._scan.scan import _guess, stops_of, travelled_now
+from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._scan.route import across, route_of
+from jaxwhisker._scan.scan import follow_path_now, problem_now
+from jaxwhisker._scan.steps import interpolate
 from jaxwhisker._study.critical import steepest
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
@@ -123,14 +125,14 @@ def cases() -> list[Case]:
 @jax.jit
 def iterations(scene: jw.Scene, way, control, travel):
     """Newton steps at every control, from the path's interpolation."""
-    dimensionless, path = problem(scene), way.path
+    dimensionless, path = problem_of(scene), way.path
     u, travel = control / dimensionless.unit.length, travel / dimensionless.unit.length
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
     index = jnp.clip(jnp.searchsorted(node_travel, travel, side="right") - 1, 0, path.count - 1)
 
     def one(step):
         i, at = step
-        guess = _guess(path, i, at)
+        guess = interpolate(path, i, at)
         mode = Mode(path.nodes.phase[i], path.nodes.side[i], jnp.asarray(False))
         return find(dimensionless, mode, at_control(at, guess.z), guess).iterations
 
@@ -142,8 +144,8 @@ def measured(case: Case, kind: str) -> dict:
     scene = jax.tree.map(checks.as_float, case.scene(RODS[kind]))
     control = case.control
     if control is None:
-        across = travelled_now(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
-        control = np.linspace(float(across.start), float(across.stop), STEPS)
+        whole = follow_path_now(problem_now(scene), *map(jnp.asarray, across()))
+        control = np.linspace(float(whole.start), float(whole.stop), STEPS)
     result = jw.scan(scene, control)
     status = np.asarray(result.status)
     ok = status == jw.Status.ok
@@ -151,10 +153,9 @@ def measured(case: Case, kind: str) -> dict:
     laws = violations(case.mechanics(), control[None], SimpleNamespace(**fields))  # pyright: ignore[reportArgumentType]
     missed = {law: float(np.max(amount)) for law, amount in laws.items()}
     law = max(missed, key=missed.__getitem__)
-    stops, last = stops_of(control)
-    way = travelled_now(scene, jnp.asarray(stops), jnp.asarray(last))
-    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])
-    newton = np.asarray(iterations(scene, way, jnp.asarray(control), jnp.asarray(travel)))
+    route = route_of(control)
+    way = follow_path_now(problem_now(scene), jnp.asarray(route.stops), jnp.asarray(route.last))
+    newton = np.asarray(iterations(scene, way, jnp.asarray(control), jnp.asarray(route.travel)))
     kinds = [event.kind.name for event in result.events]
     bad = {jw.Status(s).name: int(np.sum(status == s)) for s in np.unique(status) if s}
     return {

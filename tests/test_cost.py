@@ -10,7 +10,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.newton import Mode, Point, at_control, newton_step
-from jaxwhisker._model.scene import problem
+from jaxwhisker._equilibrium.problem import problem_of
 from operations import operations, rods, traced
 from scenes import model
 
@@ -19,7 +19,7 @@ CONTROL = np.linspace(0.8, -1.6, 64)
 
 def newton_operations(scene):
     """Operations of one Newton step, and of what the step's network adds."""
-    dimensionless = problem(scene)
+    dimensionless = problem_of(scene)
     n = scene.support.whiskers
     z = jnp.ones((n, 3))
     mode = Mode(jnp.full(n, 2), jnp.ones(n), jnp.asarray(False))
@@ -33,7 +33,7 @@ def test_each_rung_costs_more_than_the_last():
 
 
 def test_a_clamped_whisker_has_no_network():
-    assert problem(model("clamped")).flexibility is None
+    assert problem_of(model("clamped")).flexibility is None
     # A network brings flexibility @ force, and its slope, into the step.
     assert newton_operations(model("FB")) - newton_operations(model("clamped")) >= 6
 

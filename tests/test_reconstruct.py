@@ -13,7 +13,7 @@ from jaxwhisker._inverse.fit_profile import FitStatus, fit_profile
 from jaxwhisker._inverse.points import NORMAL_95, PointStatus
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._model.contour import Contour
-from jaxwhisker._model.sensor import Sensor
+from jaxwhisker._model.scene import Sensor
 
 POINT = 1e-7  # of the length; of exact signals 1e-13 is usual
 CHANGE = 1e-6  # within which of a change the phase may be the other one

@@ -14,8 +14,7 @@ from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.motion import AbstractMotion, Motion, Rotation, Translation
 from jaxwhisker._model.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
-from jaxwhisker._model.scene import Scene
-from jaxwhisker._model.sensor import Sensor
+from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.spring import Spring
 from jaxwhisker._model.support import Mount, Support
 from jaxwhisker._model.tilted import Tilted

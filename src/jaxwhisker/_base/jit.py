@@ -1,9 +1,43 @@
-"""How XLA compiles what the library compiles itself; within a jit of the caller's, the caller says."""
+"""Compilation: one wrapper for every function that the library compiles itself."""
 
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from typing import Any
 
+import equinox as eqx
+import jax
 from jaxlib.version import __version_info__ as version
 
-# Until 0.10 jaxlib can emit CPU kernels in two ways. The other one than the default takes half the time to compile, and
-# the kernels are as fast.
+from jaxwhisker._base.checks import is_traced
+
+# Until 0.10 jaxlib can emit CPU kernels in two ways. The one that is not the default compiles in half the time, and its
+# kernels are as fast.
 COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if version < (0, 11) else {}
+
+
+class jit:  # noqa: N801, a decorator
+    """Compile a function with the library's compiler options; inside a caller's jit, the caller's options apply.
+
+    Arguments that are not arrays (functions, names, integers) are static, as in `equinox.filter_jit`.
+    """
+
+    def __init__(self, function: Callable):
+        self._inside = eqx.filter_jit(function)
+        # XLA takes compiler options for a whole program only.
+        options: Any = {"compiler_options": COMPILER_OPTIONS}
+        self._outermost = eqx.filter_jit(function, **options)
+        self.__doc__, self.__wrapped__ = function.__doc__, function
+
+    def __call__(self, *args, **kwargs):
+        if is_traced((args, kwargs)):
+            return self._inside(*args, **kwargs)
+        with jax.ensure_compile_time_eval():  # concrete arguments are evaluated even while something else is traced
+            return self._outermost(*args, **kwargs)
+
+    def compile(self, *args) -> None:
+        """Compile for arguments of these shapes without running."""
+        self._outermost.lower(*args).compile()
+
+    def compile_aside(self, pool: Executor, *args) -> Future:
+        """Trace for arguments of these shapes, and compile in a pool."""
+        return pool.submit(self._outermost.lower(*args).compile)

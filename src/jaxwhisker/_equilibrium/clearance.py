@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.newton import PerWhisker, Poses
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.touch import Touch
-from jaxwhisker._model.scene import Problem
 
 
 class Stance(NamedTuple):

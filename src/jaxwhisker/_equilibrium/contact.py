@@ -19,8 +19,8 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.whisker import Section
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
+from jaxwhisker._rod.rod import Section
 
 
 class Phase(IntEnum):

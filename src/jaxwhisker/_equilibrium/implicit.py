@@ -19,10 +19,10 @@ from jaxwhisker._equilibrium.newton import (
     missing,
     newton_step,
     scale_of,
+    unit,
     values,
 )
-from jaxwhisker._model.scene import Problem
-from jaxwhisker._path.path import unit
+from jaxwhisker._equilibrium.problem import Problem
 
 Tree = TypeVar("Tree")
 

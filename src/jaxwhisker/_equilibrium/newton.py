@@ -24,7 +24,7 @@ from jaxwhisker._base.linear_algebra import positive_definite, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import Linear, Phase, of_each
-from jaxwhisker._model.scene import Problem
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._rod.elastica import AbstractRod
 
 Contacts = Float[Array, "whiskers 3"]
@@ -99,6 +99,25 @@ class Local(NamedTuple):
 def scale_of(z: Contacts) -> Contacts:
     """Sizes in which changes of a contact are measured."""
     return jnp.ones_like(z).at[:, 0].add(jnp.abs(z[:, 0]))
+
+
+def dot(a: Point, b: Point, scale: Contacts) -> Scalar:
+    """Inner product of two directions, contacts measured in `scale`."""
+    return jnp.sum(a.z * b.z / scale**2) + a.u * b.u
+
+
+def along(start: Point, direction: Point, distance: Scalar, bend: Point | None = None) -> Point:
+    """The point a distance away, on a straight line or on a parabola."""
+    half = 0.0 if bend is None else distance**2 / 2
+    bend = direction if bend is None else bend
+    return Point(start.z + distance * direction.z + half * bend.z, start.u + distance * direction.u + half * bend.u)
+
+
+def unit(direction: Point, z: Contacts) -> tuple[Point, Scalar]:
+    """The direction with unit length in the scale of z, and its length."""
+    scale = scale_of(z)
+    length = jnp.sqrt(dot(direction, direction, scale))
+    return Point(direction.z / length, direction.u / length), length
 
 
 def harmless(problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]) -> tuple[Contacts, Int[Array, " whiskers"]]:

@@ -8,8 +8,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch
-from jaxwhisker._model.whisker import Section
 from jaxwhisker._rod import rod
+from jaxwhisker._rod.rod import Section
 
 SHAFT_FIRST = 1e-12  # share of the length that must stand above the first contact to call it tangential
 POINTS = 65  # of a whisker that is not upright and straight, at which the first touch is looked for

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Float
 
 from jaxwhisker._base.jit import COMPILER_OPTIONS
@@ -15,7 +14,7 @@ from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.silhouette import silhouette
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.scan import finished, travelled
+from jaxwhisker._scan.scan import scan_across
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 
 STEPS = 400  # of a scan, evenly over the range of the default control
@@ -34,12 +33,9 @@ class Picture(NamedTuple):
 
 def _picture(scene: Scene) -> Picture:
     """The picture of a scene."""
-    # As `contact_range` and `along`, but the way is travelled once for both.
-    way = travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
-    control = way.start + (way.stop - way.start) * jnp.linspace(0.0, 1.0, STEPS)
-    result = finished(scene, control, way)
+    result = scan_across(scene, STEPS)
     lines = shapes_of(result, scene.whiskers, points=POINTS)
-    drive = jax.vmap(scene.motion.pose)(control)
+    drive = jax.vmap(scene.motion.pose)(result.control)
     return Picture(result, lines, drive, silhouette(scene.profile, scene.whiskers[0].length, points=OUTLINE))
 
 

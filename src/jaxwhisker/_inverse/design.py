@@ -15,7 +15,8 @@ from jaxwhisker._inverse.information import noise_by_channel, of_rates, rates_of
 from jaxwhisker._inverse.measured import CHANNELS
 from jaxwhisker._inverse.transforms import checked_scene, checked_values, transforms_of
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._scan.scan import default_control, stops_of
+from jaxwhisker._scan.route import route_of
+from jaxwhisker._scan.scan import default_control
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -81,7 +82,10 @@ def design(
     def of_point(x, chosen, control, stops, last):
         return rates_of(lambda **sought: build(**sought, **chosen), tuple(values))(x, control, stops, last)
 
-    x, stops = jnp.array(list(values.values())), [jnp.asarray(v) for v in stops_of(control)]
+    x, stops = (
+        jnp.array(list(values.values())),
+        [jnp.asarray(v) for v in route_of(np.asarray(control, dtype=float))[2:]],
+    )
     first = {name: jnp.asarray(value) for name, value in points[0].items()}
     compiled = jax.jit(of_point).lower(x, first, jnp.asarray(control), *stops).compile(COMPILER_OPTIONS)
     found = {name: [] for name in ("standard_error", "relative_error", "condition", "rank")}

@@ -23,8 +23,7 @@ from jaxwhisker._inverse.points import Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.profile import STEEPEST, AbstractProfile
-from jaxwhisker._model.scene import Scene
-from jaxwhisker._model.sensor import Sensor
+from jaxwhisker._model.scene import Scene, Sensor
 
 GRID = 0.05  # rad, to which outermost knots are rounded: alike contours need no other code
 SURE = 0.05  # rad: standard error of slopes between which there are knots

@@ -19,7 +19,7 @@ from jaxwhisker._inverse.misfit import BLOCK, Samples, Sought, samples
 from jaxwhisker._inverse.transforms import Transform, checked_scene, checked_values, natural, table, transforms_of
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.scan import stops_of
+from jaxwhisker._scan.route import route_of
 
 LEAST_NOISE = 1e-4  # as a share of the peak, until the residuals tell
 MISFIT = 0.05  # share of the peak, root mean square, above which it is where the noise is not known
@@ -180,8 +180,8 @@ class _Problem(NamedTuple):
             data = Measured(data.control[pick], data.values[pick], data.sigma[pick])
             seen = seen._replace(way=seen.way[pick])
         length = float(units(self.scene).control)
-        stops = stops_of(self.data.control)
-        return samples(data, seen, self.transforms, prior, stops, overlaid=overlaid, length=length)
+        route = route_of(self.data.control)
+        return samples(data, seen, self.transforms, prior, (route.stops, route.last), overlaid=overlaid, length=length)
 
     @property
     def overlayable(self) -> bool:

@@ -19,7 +19,8 @@ from jaxwhisker._inverse.transforms import checked_scene, checked_values, transf
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.report import table
-from jaxwhisker._scan.scan import Ways, default_control, stops_of
+from jaxwhisker._scan.route import route_of
+from jaxwhisker._scan.scan import TracedScan, default_control
 
 
 class Rates(NamedTuple):
@@ -273,7 +274,11 @@ def _compiled(build: Callable[..., Scene], names: tuple[str, ...]) -> Callable[[
     compiled: dict[tuple, Any] = {}
 
     def call(values: dict[str, float], control: np.ndarray) -> Rates:
-        arguments = jnp.array(list(values.values())), jnp.asarray(control), *map(jnp.asarray, stops_of(control))
+        arguments = (
+            jnp.array(list(values.values())),
+            jnp.asarray(control),
+            *map(jnp.asarray, route_of(np.asarray(control, dtype=float))[2:]),
+        )
         sizes = arguments[1].size, arguments[2].size
         if sizes not in compiled:
             compiled[sizes] = jax.jit(rates_of(build, names)).lower(*arguments).compile(COMPILER_OPTIONS)
@@ -290,7 +295,7 @@ def rates_of(build: Callable[..., Scene], names: tuple[str, ...]) -> Callable[..
 
     def rates(x, control, stops, last):
         def value(x):
-            ways = Ways(build(**dict(zip(names, x, strict=True))), stops, last)
+            ways = TracedScan(build(**dict(zip(names, x, strict=True))), stops, last)
             signals, ok = ways.signals(control, travel)
             return (signals, ways.events.control), (ok, ways.events)
 

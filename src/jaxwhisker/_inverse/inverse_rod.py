@@ -17,9 +17,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.implicit import without_rule
-from jaxwhisker._model.whisker import Section
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting, rod_end, uneven_rod_end
+from jaxwhisker._rod.rod import Section
 
 UNEVEN_STEPS = 12  # Shooting takes twice as many of rods that are not uniform: 1e-8 of a cone
 ITERATIONS = 7  # of Gauss-Newton; 3 without noise

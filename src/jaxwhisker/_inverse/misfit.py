@@ -24,7 +24,7 @@ from jaxwhisker._inverse.transforms import Transform, natural, table
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.result import Events
-from jaxwhisker._scan.scan import Ways
+from jaxwhisker._scan.scan import TracedScan
 
 BLOCK = 512  # samples are padded to a multiple of it: one compilation serves measurements of every length
 WIDE = 0.1  # of the peak: standard deviation of signals laid over each other
@@ -143,7 +143,7 @@ def residuals(
         offset = offset.at[whisker, channel].set(x[n + k])
 
     stops = jnp.where(data.overlaid, jnp.nan, data.stops + shift)
-    way = Ways(scene, stops, jnp.where(data.overlaid, 1, data.last))
+    way = TracedScan(scene, stops, jnp.where(data.overlaid, 1, data.last))
     events, onwards = way.events, data.onwards
     there = jnp.arange(events.kind.size) < events.count
     moved = jnp.where(there, events.control - jax.lax.stop_gradient(events.control), 0.0)

@@ -23,14 +23,14 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.jit import COMPILER_OPTIONS
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.problem import sections
 from jaxwhisker._inverse import inverse_rod
 from jaxwhisker._inverse.inverse_rod import Told
 from jaxwhisker._inverse.measured import CHANNELS, measured_of
 from jaxwhisker._inverse.points import PointStatus, Reconstruction, Step
 from jaxwhisker._model.motion import AbstractMotion
-from jaxwhisker._model.scene import Scene, Units, sections, units_of
-from jaxwhisker._model.sensor import Sensor
-from jaxwhisker._model.whisker import Section
+from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
+from jaxwhisker._rod.rod import Section
 
 STEPS_AT_ONCE = 512  # lengths of scans are rounded up to multiples: most are then compiled for already
 FREE = 16.266  # chi^2 of three reactions, 99.9 %: below it they may be nothing but noise

@@ -1,7 +1,6 @@
 """The whisker: a slender, inextensible, shearless elastic rod, straight or curved when unloaded."""
 
-from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import equinox as eqx
 import jax
@@ -12,8 +11,9 @@ from jaxtyping import Array, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.functions import as_field
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._rod.rod import AlongRod, Section, at_arc
 
-AlongWhisker: TypeAlias = Scalar | Callable[[Any], Any]  # a number, or a function of the arc length from the base
+AlongWhisker: TypeAlias = AlongRod  # a number, or a function of the arc length from the base
 LOOKED_AT = 65  # points at which a function of arc length is looked at
 
 
@@ -72,8 +72,7 @@ class Whisker(eqx.Module):
 
     def stiffness_at(self, s: Scalar) -> Float[Array, ""]:
         """EI at an arc length from the base."""
-        value = self.bending_stiffness(s) if callable(self.bending_stiffness) else self.bending_stiffness
-        return jnp.asarray(value, dtype=float)
+        return at_arc(self.bending_stiffness, s)
 
     @property
     def base_stiffness(self) -> Scalar:
@@ -88,8 +87,12 @@ class Whisker(eqx.Module):
 
     def curvature_at(self, s: Scalar) -> Float[Array, ""]:
         """kappa0 at an arc length from the base."""
-        value = self.intrinsic_curvature
-        return jnp.asarray(0.0 if value is None else value(s) if callable(value) else value, dtype=float)
+        return at_arc(0.0 if self.intrinsic_curvature is None else self.intrinsic_curvature, s)
+
+    def section(self, length_unit: Scalar, stiffness_unit: Scalar) -> Section:
+        """Bending stiffness and intrinsic curvature along the whisker, in these units of length and EI."""
+        one = jnp.asarray(1.0)  # an array, since the orientation of each whisker differs in a batch
+        return Section(self.bending_stiffness, self.intrinsic_curvature, length_unit, stiffness_unit, one)
 
     def _largest_turn(self) -> Float[Array, ""]:
         """The largest angle of the unloaded whisker to the upright."""
@@ -214,28 +217,3 @@ class RoundSection(eqx.Module):
     def __call__(self, s: Scalar) -> Scalar:
         modulus, diameter = (value(s) if callable(value) else value for value in (self.youngs_modulus, self.diameter))
         return modulus * (np.pi / 64) * diameter**4
-
-
-class Section(eqx.Module):
-    """What a whisker that is not uniform is along its arc length; without dimensions, in units of length and EI."""
-
-    whisker: Whisker
-    length_unit: Scalar
-    stiffness_unit: Scalar
-    orientation: Scalar = 1.0  # -1.0 of the mirror image
-
-    def stiffness(self, s: Scalar) -> Float[Array, ""]:
-        """EI at an arc length from the base."""
-        return self.whisker.stiffness_at(s * self.length_unit) / self.stiffness_unit
-
-    def curvature(self, s: Scalar) -> Scalar:
-        """Intrinsic curvature."""
-        if self.whisker.intrinsic_curvature is None:
-            return 0.0
-        return self.orientation * self.whisker.curvature_at(s * self.length_unit) * self.length_unit
-
-    def bent(self, moment: Scalar, s: Scalar) -> Scalar:
-        """Curvature under a moment; a point without stiffness, where there can be none, keeps its own."""
-        stiffness = self.stiffness(s)
-        some = stiffness > 0
-        return jnp.where(some, moment / jnp.where(some, stiffness, 1.0), 0.0) + self.curvature(s)

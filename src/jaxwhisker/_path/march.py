@@ -22,8 +22,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.clearance import stance
-from jaxwhisker._equilibrium.newton import Mode, Point, Row, at_control, find, rest, scale_of
-from jaxwhisker._model.scene import Problem
+from jaxwhisker._equilibrium.newton import Mode, Point, Row, along, at_control, find, rest, scale_of
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.march_state import (
     AT_STOP,
@@ -38,7 +38,7 @@ from jaxwhisker._path.march_state import (
     judge,
     stopped,
 )
-from jaxwhisker._path.path import NO_EVENT, Node, Path, Status, along, select
+from jaxwhisker._path.path import NO_EVENT, Node, Path, Status, select
 from jaxwhisker._path.transitions import FIRST_STEP, after_advance, after_arrive, after_event, after_flow
 
 CHUNK = 16  # iterations between two looks at whether all lanes are done
@@ -187,7 +187,7 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     return Path(jax.vmap(unpacked)(table), jnp.minimum(front.count, capacity).astype(int), front.status.astype(int))
 
 
-def nowhere(problem: Problem, capacity: int) -> Path:
+def no_path(problem: Problem, capacity: int) -> Path:
     """A path without nodes, as large as that of a march with the same capacity."""
     front = _start(problem, jnp.zeros(1))
     nodes = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), front.pending)

@@ -17,12 +17,14 @@ from jaxwhisker._equilibrium.newton import (
     Point,
     Poses,
     Solution,
+    dot,
     scale_of,
     stable,
+    unit,
 )
-from jaxwhisker._model.scene import Problem
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.path import Margins, Node, Status, dot, margins, rates, select, unit
+from jaxwhisker._path.path import Margins, Node, Status, margins, rates, select
 
 
 class Task(IntEnum):

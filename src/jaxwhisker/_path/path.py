@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.clearance import Stance
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import Contacts, Mode, PerWhisker, Point, Poses, scale_of
+from jaxwhisker._equilibrium.newton import Contacts, Mode, PerWhisker, Point, Poses
 
 
 class Status(IntEnum):
@@ -85,18 +85,6 @@ def decided(*cases, otherwise):
     return otherwise
 
 
-def dot(a: Point, b: Point, scale: Contacts) -> Scalar:
-    """Inner product of two directions, contacts measured in `scale`."""
-    return jnp.sum(a.z * b.z / scale**2) + a.u * b.u
-
-
-def along(start: Point, direction: Point, distance: Scalar, bend: Point | None = None) -> Point:
-    """The point a distance away, on a straight line or on a parabola."""
-    half = 0.0 if bend is None else distance**2 / 2
-    bend = direction if bend is None else bend
-    return Point(start.z + distance * direction.z + half * bend.z, start.u + distance * direction.u + half * bend.u)
-
-
 class Margins(NamedTuple):
     """How far each whisker is from each event; an event is where its margin turns negative."""
 
@@ -120,13 +108,6 @@ def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, way: Scalar
         vertex=jnp.where(free, far, ahead),
         stop=jnp.reshape(way, 1),
     )
-
-
-def unit(direction: Point, z: Contacts) -> tuple[Point, Scalar]:
-    """The direction with unit length in the scale of z, and its length."""
-    scale = scale_of(z)
-    length = jnp.sqrt(dot(direction, direction, scale))
-    return Point(direction.z / length, direction.u / length), length
 
 
 def rates(mode: Mode, direction: Point, pose: Poses) -> Margins:

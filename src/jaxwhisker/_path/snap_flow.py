@@ -38,7 +38,7 @@ from jaxwhisker._equilibrium.newton import (
     slopes,
     yielding,
 )
-from jaxwhisker._model.scene import Problem
+from jaxwhisker._equilibrium.problem import Problem
 
 STEP = 0.02  # largest change of any contact, in its scale; the flow is first order in it
 SHORTEST = 1e-7  # ... tried where a whisker cannot follow a longer one

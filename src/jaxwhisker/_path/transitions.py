@@ -9,9 +9,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import Local, PerWhisker, Point, Poses, Solution, scale_of
+from jaxwhisker._equilibrium.newton import Local, PerWhisker, Point, Poses, Solution, dot, scale_of
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.motion import Translation
-from jaxwhisker._model.scene import Problem
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.march_state import (
     AT_STOP,
@@ -30,7 +30,7 @@ from jaxwhisker._path.march_state import (
     stopped,
     turn_of,
 )
-from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, decided, dot, rates
+from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, decided, rates
 
 PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
 FIRST_STEP = 0.02  # after a corner, in units of length; grows at once where the path is smooth

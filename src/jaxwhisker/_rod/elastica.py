@@ -18,9 +18,9 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.whisker import Section
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.jacobi import jacobi
+from jaxwhisker._rod.rod import Section
 
 End = Float[Array, "4"]  # x, y, cos phi, sin phi at the base
 

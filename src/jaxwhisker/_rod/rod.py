@@ -22,10 +22,43 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.whisker import Section
 
 RodState: TypeAlias = tuple[Scalar, Scalar, Scalar, Scalar]  # x, y, cos phi, sin phi
 Along: TypeAlias = Float[Array, " points"]  # a value at points of the rod
+
+
+AlongRod: TypeAlias = Scalar | Callable[[Any], Any]  # a number, or a function of the arc length from the base
+
+
+class Section(eqx.Module):
+    """Bending stiffness and intrinsic curvature along a rod that is not uniform, in units of length and EI."""
+
+    bending_stiffness: AlongRod
+    intrinsic_curvature: AlongRod | None
+    length_unit: Scalar
+    stiffness_unit: Scalar
+    orientation: Scalar = 1.0  # -1.0 for the mirror image
+
+    def stiffness(self, s: Scalar) -> Float[Array, ""]:
+        """EI at an arc length from the base."""
+        return at_arc(self.bending_stiffness, s * self.length_unit) / self.stiffness_unit
+
+    def curvature(self, s: Scalar) -> Scalar:
+        """Intrinsic curvature at an arc length from the base."""
+        if self.intrinsic_curvature is None:
+            return 0.0
+        return self.orientation * at_arc(self.intrinsic_curvature, s * self.length_unit) * self.length_unit
+
+    def bent(self, moment: Scalar, s: Scalar) -> Scalar:
+        """Curvature under a moment. A point without stiffness carries no moment and keeps its own curvature."""
+        stiffness = self.stiffness(s)
+        stiff = stiffness > 0
+        return jnp.where(stiff, moment / jnp.where(stiff, stiffness, 1.0), 0.0) + self.curvature(s)
+
+
+def at_arc(value: AlongRod, s: Scalar) -> Float[Array, ""]:
+    """The value of a number or function at an arc length."""
+    return jnp.asarray(value(s) if callable(value) else value, dtype=float)
 
 
 class Load(eqx.Module):

@@ -12,9 +12,10 @@ from jaxwhisker._base.lanes import harmless
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.implicit import without_rule
 from jaxwhisker._model.support import Support
-from jaxwhisker._model.whisker import Section, Whisker
+from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._rod import rod
+from jaxwhisker._rod.rod import Section
 
 LOAD_STEPS = 32  # from rest to the full load: the state that grows out of rest is found, not just any
 STEPS = 32  # of the rod between two loads
@@ -121,7 +122,7 @@ def _base(whisker: Whisker, support: Support) -> _Base:
 
 def _along(whisker: Whisker) -> Section | None:
     """What changes along the whisker, dimensionless; None if it is uniform."""
-    return None if whisker.uniform else Section(whisker, whisker.length, whisker.base_stiffness)
+    return None if whisker.uniform else whisker.section(whisker.length, whisker.base_stiffness)
 
 
 def _collect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> _Loads:

@@ -1,42 +1,40 @@
 """The scan: drag whiskers past an object, quasi-statically, and read the signals at their bases.
 
-A scan has two parts. The march (march.py) follows the path of equilibria from free to the end of the control, with
-steps of its own, and finds all events: what is stable, what snaps and where to does not depend on the caller's grid.
-Then every control position is solved for on its own, from the path's interpolation, all at once.
+A scan has two parts. The march follows the path of equilibria from free to the end of the control, with steps of its
+own, and finds all events: stability, snaps and where they end do not depend on the caller's grid. Then the equilibrium
+at every control position is solved for, starting from the path's interpolation, all positions at once.
+
+Both parts are programs of the dimensionless problem, compiled once per problem shape.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import COMPILER_OPTIONS
+from jaxwhisker._base.jit import jit
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium import newton
 from jaxwhisker._equilibrium.clearance import in_scene
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.implicit import solved
-from jaxwhisker._equilibrium.newton import Contacts, Mode, Point, at_control, find, scale_of
-from jaxwhisker._model.scene import Problem, Scene, problem, units
-from jaxwhisker._path.march import first_touch, march, nowhere
-from jaxwhisker._path.path import Path, Status, dot
+from jaxwhisker._equilibrium.problem import Problem, problem_of
+from jaxwhisker._model.scene import Scene, moves_along_x, units
+from jaxwhisker._path.march import first_touch, march, no_path
+from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.result import Events, Result, State
-from jaxwhisker._scan.signals import events, signals
+from jaxwhisker._scan.route import Route, across, route_of, straight, traced_route
+from jaxwhisker._scan.signals import events
+from jaxwhisker._scan.steps import solve_steps
 
 STEP = 0.001  # of the default control, in lengths of the first whisker
 MOST_STEPS = 1_000_000  # of the default control
 MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free
-TRACED_STEPS = 2048  # of the default control where its length has to be known before its ends
+TRACED_STEPS = 2048  # of the default control of a traced scene, whose length must not depend on values
 BLOCK = 512  # steps computed by one call; a control is padded to a multiple
-BATCH = 32  # steps of a block solved for at once
-RESIDUAL = 1e-8  # of a step that is called ok: directions and, relative to the drive's, positions at the base
-JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
 
 
 def scan(scene: Scene, control: Control | None = None) -> Result:
@@ -44,56 +42,50 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
 
     Args:
         scene: whiskers, object and support.
-        control: drive positions u, a length each (of a Rotation angles, rad), any spacing, reversing if you like;
-            shape (steps,). The drive comes from the right of the object, or where its motion begins, all whiskers
-            free, to control[0] and then moves as told. Default: from just before the first touch to just after the
-            last whisker is free, in steps of 0.001 whisker lengths or rad (while traced, 2048 equal steps over that
-            range); to the end of the motion where whiskers do not come free.
+        control: drive positions u, shape (steps,): lengths, or angles in rad for a Rotation; arbitrarily spaced; may
+            reverse direction. The drive approaches control[0] from where all whiskers are free (the right of the
+            object, or the start of its motion) and then visits the positions in order. Default: from just before the
+            first touch to just after the last whisker is free, or to the end of the motion, in steps of 0.001 whisker
+            lengths or rad. While the scene is traced, the default has 2048 equal steps over the same range.
 
     Returns:
-        A Result. What fails is NaN with a status at that step (`invalid`, of a parameter outside its domain, `lost`,
+        A Result. A step that fails is NaN and has a status (`invalid`: a parameter is outside its domain; `lost`,
         `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`).
 
     Raises:
-        ValueError: if an argument is wrong before tracing, if the default control would be longer than a million steps
-            (springs so soft that the drive goes on for a thousand lengths), if a whisker is so curved that it would
-            touch in two places, or JAX is in float32 mode.
+        ValueError: if an argument is wrong before tracing, if the default control would have more than a million steps
+            (springs so soft that the drive travels a thousand lengths), if a whisker is so curved that it would touch
+            in two places, or if JAX is in float32 mode.
 
-    Goes through jax.jit, vmap and derivatives, first and second, in both modes, by every numeric field of the scene and
-    by the control: of signals, states and the events' positions. Derivatives are those of the step's own branch, at
-    fixed control; exactly at a change of phase those of the phase that begins. What failed, or is free, has derivative
-    0. Within a lax.map or lax.scan of your own, jax.hessian is NaN with jax 0.10: use vmap, or jacfwd of jacfwd.
+    `scan` works under jax.jit and jax.vmap. Signals, states and event positions have first and second derivatives, in
+    both modes, with respect to every numeric field of the scene and to the control. Derivatives are taken at fixed
+    control along the step's own branch; exactly at a change of phase they are those of the phase that begins. Steps
+    that failed or are free have derivative 0. Inside your own lax.map or lax.scan, jax.hessian returns NaN with jax
+    0.10; use vmap, or jacfwd of jacfwd.
     """
     checks.float64_mode()
     if not isinstance(scene, Scene):
-        raise ValueError(f"`scene` must be a Scene, but is {scene!r}.")
+        raise ValueError(f"`scene` must be a Scene, got {scene!r}.")
     if control is not None:
         checks.vector("control", control)
     scene = jax.tree.map(checks.as_float, scene)
     if checks.is_traced((scene, control)):
-        return _traced(scene, control)
-    if control is None:
-        stops, last = np.full(2, np.nan), 1
-    else:
-        control = np.asarray(control, dtype=float)
-        stops, last = stops_of(control)
-    leaves, structure = jax.tree.flatten(scene)
-    _compile(structure, tuple(leaf.shape if checks.is_numeric(leaf) else leaf for leaf in leaves), stops.size)
-    way = travelled_now(scene, jnp.asarray(stops), jnp.asarray(last))
-    if way.path.status == Status.invalid:
-        # All else that is wrong with a scene its constructors have told.
-        raise ValueError(
-            "`intrinsic_curvature` must let an unloaded whisker stand out towards the object in one place only, but "
-            "there are two, in both of which it would touch."
-        )
-    if control is None:
-        control = _across(scene, way)
-    # Blocks of one size: one compilation serves scans of every length.
-    padded = np.concatenate([control, np.full(-control.size % BLOCK, control[-1])]).reshape(-1, BLOCK)
-    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(padded.ravel())))]).reshape(-1, BLOCK)
-    blocks = [_steps_now(scene, way.path, jnp.asarray(u), jnp.asarray(s)) for u, s in zip(padded, travel, strict=True)]
-    joined = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[: control.size]), *blocks)
-    return _result(scene, way, jnp.asarray(control), *joined)
+        return _scan_traced(scene, control)
+    route = None if control is None else route_of(np.asarray(control, dtype=float))
+    problem = problem_now(scene)
+    _check_valid(scene, problem)
+    stops, last = across() if route is None else (route.stops, route.last)
+    _compile(problem, stops.size)
+    path = follow_path_now(problem, jnp.asarray(stops), jnp.asarray(last))
+    if route is None:
+        route = route_of(_default_control(scene, path))
+    # Blocks of one size: one program serves scans of every length.
+    count, room = route.control.size, -route.control.size % BLOCK
+    padded = (np.pad(values, (0, room), mode="edge").reshape(-1, BLOCK) for values in (route.control, route.travel))
+    blocks = [solve_steps_now(problem, path.path, jnp.asarray(u), jnp.asarray(s)) for u, s in zip(*padded, strict=True)]
+    state, status = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:count]), *blocks)
+    control = jnp.asarray(route.control)
+    return _result(scene, path, control, state, _spring_length_now(scene, state, control), status)
 
 
 def default_control(scene: Scene) -> np.ndarray:
@@ -104,34 +96,40 @@ def default_control(scene: Scene) -> np.ndarray:
     """
     checks.float64_mode()
     if checks.is_traced(scene):
-        raise ValueError("`scene` must be concrete, but is traced: the number of positions depends on its values.")
+        raise ValueError("`scene` must be concrete, got a traced one: the number of positions depends on its values.")
     scene = jax.tree.map(checks.as_float, scene)
-    return _across(scene, travelled_now(scene, jnp.full(2, jnp.nan), jnp.asarray(1)))
+    return _default_control(scene, follow_path_now(problem_now(scene), *map(jnp.asarray, across())))
 
 
-def _across(scene: Scene, way: "Way") -> np.ndarray:
-    start, stop = float(way.start), float(way.stop)
+def _default_control(scene: Scene, path: "ScanPath") -> np.ndarray:
+    start, stop = float(path.start), float(path.stop)
     onwards, step = scene.motion.onwards, STEP * float(units(scene).control)
     count = max(2, int(np.ceil(onwards * (stop - start) / step)) + 1)
     if count > MOST_STEPS:
         raise ValueError(
-            f"`control` must be given for so soft springs: from {start:g} to {stop:g} the default has {count:,} steps, "
-            f"and at most {MOST_STEPS:,} are allowed."
+            f"Springs this soft need an explicit `control`: the default, from {start:g} to {stop:g}, would have "
+            f"{count:,} steps, and at most {MOST_STEPS:,} are allowed."
         )
     return start + onwards * step * np.arange(count)
 
 
-def stops_of(control: np.ndarray) -> tuple[np.ndarray, int]:
-    """First position, turning points and last position, padded; and the index of the last."""
-    moves = np.flatnonzero(np.diff(control))
-    signs = np.sign(np.diff(control)[moves])
-    turns = moves[1:][signs[1:] != signs[:-1]]
-    stops = np.concatenate([control[:1], control[turns], control[-1:]])
-    room = 2 if stops.size == 2 else TURNS * int(np.ceil(stops.size / TURNS))
-    return np.concatenate([stops, np.full(room - stops.size, stops[-1])]), stops.size - 1
+def _check_valid(scene: Scene, problem: Problem) -> None:
+    """Raise an error for what the constructors cannot check without tracing."""
+    if bool(problem.valid):
+        return
+    if not bool(scene.profile.valid()):
+        _, height = scene.profile.vertex()
+        raise ValueError(
+            "`profile` must be strictly convex with its lowest point above the bases, but the lowest point of "
+            f"{scene.profile} is at height {float(height):.4g}."
+        )
+    raise ValueError(
+        "`intrinsic_curvature` must let each unloaded whisker touch the object in one place only, but a whisker would "
+        "touch it in two."
+    )
 
 
-class Way(NamedTuple):
+class ScanPath(NamedTuple):
     """A path, its events, and the range of control in which they lie."""
 
     path: Path
@@ -140,40 +138,38 @@ class Way(NamedTuple):
     stop: Float[Array, ""]
 
 
-def _capacity(scene: Scene, stops: int) -> int:
-    """How many nodes the path to so many stops may have."""
-    return (256 + 64 * scene.support.whiskers) * max(1, stops // 2)
+def _capacity(problem: Problem, stops: int) -> int:
+    """How many nodes the path to this many stops may have."""
+    return (256 + 64 * problem.length.shape[0]) * max(1, stops // 2)
 
 
-@eqx.filter_jit
-def travelled(scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]) -> Way:
-    """March to all stops; with NaN for the first, right across the object."""
-    dimensionless = problem(scene)
-    unit = dimensionless.unit
-    capacity, onwards = _capacity(scene, stops.shape[0]), dimensionless.motion.onwards
-    start, end, far = _ends(dimensionless)
-    across, whole = jnp.full_like(stops, far).at[0].set(start), jnp.isnan(stops[0])
-    stops = jnp.where(whole, across, stops / unit.control)
-    path = march(*jax.lax.stop_gradient((dimensionless, stops)), last, capacity=capacity)
+def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:
+    """March to all stops, in the scene's units; right across the object if the first one is NaN."""
+    unit = problem.unit
+    capacity, onwards = _capacity(problem, stops.shape[0]), problem.motion.onwards
+    start, end, far = _ends(problem)
+    whole = jnp.isnan(stops[0])
+    stops = jnp.where(whole, jnp.full_like(stops, far).at[0].set(start), stops / unit.control)
+    path = march(*jax.lax.stop_gradient((problem, stops)), last, capacity=capacity)
     passed, event = jnp.arange(capacity) < path.count, path.nodes.kind >= 0
     known = passed & (event | (path.status != Status.ok))
     way = onwards * path.nodes.point.u
     stop = onwards * jnp.where(jnp.any(known), jnp.max(jnp.where(known, way, -jnp.inf)), onwards * end)
     stop += onwards * MARGIN
-    if dimensionless.motion.ends is not None:
+    if problem.motion.ends is not None:
         first = onwards * jnp.min(jnp.where(passed & event, way, jnp.inf))
         begun = jnp.where(jnp.any(passed & event), first - onwards * MARGIN, start)
         travel = path.nodes.travel - jnp.where(whole, jnp.abs(begun - start), 0.0)
         path, start = path._replace(nodes=path.nodes._replace(travel=travel)), begun
-        # Whiskers need not come free on such a way.
+        # Whiskers need not come free on such a motion.
         touching = jnp.any(path.nodes.phase[path.count - 1] != Phase.free)
         stop = jnp.where(touching & (path.status == Status.ok), far, stop)
     ends = jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control)
-    return Way(path, events(dimensionless, path), *ends)
+    return ScanPath(path, events(problem, path), *ends)
 
 
 def _ends(problem: Problem) -> tuple[Scalar, Scalar, Scalar]:
-    """Where a scan begins, where it ends if nothing happens, and how far it goes on looking."""
+    """Where a scan begins, where it ends if nothing happens, and how far it searches."""
     onwards = problem.motion.onwards
     if problem.motion.ends is not None:
         start, end = (jnp.asarray(end, dtype=float) / problem.unit.control for end in problem.motion.ends)
@@ -187,215 +183,117 @@ def _ends(problem: Problem) -> tuple[Scalar, Scalar, Scalar]:
 
 
 FAR = 1e4  # lengths beyond the start; a march past the object ends long before, unless springs are very soft
-HIGHEST_FORCE = 1e3  # EI / L^2 on every whisker, which a scan before snap-off hardly meets
+HIGHEST_FORCE = 1e3  # EI / L^2 on every whisker; a scan before snap-off hardly ever meets it
 
 
-def along(scene: Scene, control: Float[Array, " steps"], stops: Float[Array, " stops"], last: Int[Array, ""]) -> Result:
-    """Scan a traced scene, the stops of the control known: its ends and turning points, and the index of the last.
+class TracedScan:
+    """The path of a traced scene: its events, and the signals at any controls. For callers that jit scans themselves.
 
-    For whoever compiles scans themselves: `stops_of` tells the stops of a concrete control.
-    """
-    return finished(scene, control, travelled(scene, stops, last))
-
-
-class Ways:
-    """The way of a traced scene: its events, and the signals wherever the drive passes.
-
-    For whoever fits scans. With NaN for the first stop the way leads right across the object, and begins at `start`.
+    With NaN for the first stop (see `route.across`) the path leads right across the object and begins at `start`.
     """
 
     def __init__(self, scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]):
-        self._scene, self._way = scene, travelled(scene, stops, last)
-        self.events, self.start, self.status = self._way.events, self._way.start, self._way.path.status
+        self.scene, self.problem = scene, problem_of(scene)
+        self._path = follow_path(self.problem, stops, last)
+        self.events, self.start, self.stop = self._path.events, self._path.start, self._path.stop
+        self.status = self._path.path.status
 
     def signals(
         self, control: Float[Array, " steps"], travel: Float[Array, " steps"]
     ) -> tuple[Float[Array, "steps whiskers 3"], Bool[Array, " steps"]]:
         """Reactions fx, fy, mz at controls that the drive passes after `travel`, and whether they are ok."""
-        state, _, status = _steps(self._scene, self._way.path, control, travel)
+        state, status = solve_steps(self.problem, self._path.path, control, travel)
         return jnp.stack([state.fx, state.fy, state.mz], axis=-1), status == Status.ok
 
+    def result(self, route: Route, status: Int[Array, ""] | None = None) -> Result:
+        """The result along a route to these stops; the status of the route, if given, precedes that of the path."""
+        path, count = self._path.path, self._path.path.count
+        if status is not None:
+            good = status == Status.ok
+            path = path._replace(count=jnp.where(good, count, 0), status=jnp.where(good, path.status, status))
+        control = jnp.asarray(route.control)
+        state, step_status = solve_steps(self.problem, path, control, jnp.asarray(route.travel))
+        return _result(self.scene, self._path, control, state, _spring_length(self.scene, state, control), step_status)
 
-def finished(scene: Scene, control: Float[Array, " steps"], way: "Way") -> Result:
-    """The states at all positions of the control, once the way is travelled."""
-    travel = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
-    return _result(scene, way, control, *_steps(scene, way.path, control, travel))
+
+def scan_route(scene: Scene, route: Route) -> Result:
+    """Scan a traced scene along a route. For callers that jit scans themselves."""
+    return TracedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route)
+
+
+def scan_across(scene: Scene, steps: int) -> Result:
+    """Scan a traced scene right across the object, in equal steps over the range of its default control."""
+    traced = TracedScan(scene, *map(jnp.asarray, across()))
+    start, stop = jax.lax.stop_gradient((traced.start, traced.stop))  # derivatives are taken at fixed positions
+    return traced.result(straight(start + (stop - start) * jnp.linspace(0.0, 1.0, steps)))
 
 
 def contact_range(scene: Scene) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """First and last position of the drive that the default control of a scene, traced or not, spans."""
-    way = travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
-    return way.start, way.stop
+    """First and last position of the default control of a scene, traced or not."""
+    path = follow_path(problem_of(scene), *map(jnp.asarray, across()))
+    return path.start, path.stop
 
 
-def _traced(scene: Scene, control: Control | None) -> Result:
+def _scan_traced(scene: Scene, control: Control | None) -> Result:
     if control is None:
-        way = travelled(scene, jnp.full(2, jnp.nan), jnp.asarray(1))
-        start, stop = jax.lax.stop_gradient((way.start, way.stop))  # derivatives are those at fixed positions
-        return finished(scene, start + (stop - start) * jnp.linspace(0.0, 1.0, TRACED_STEPS), way)
+        return scan_across(scene, TRACED_STEPS)
     if not checks.is_traced(control):
-        control = np.asarray(control, dtype=float)
-        stops, last = stops_of(control)
-        return along(scene, jnp.asarray(control), jnp.asarray(stops), jnp.asarray(last))
-    control = jnp.asarray(control, dtype=float)
-    moves = jnp.sign(jnp.diff(control))
-    # A turn is where a move has the other sign than the last one; standing still carries the last sign on.
-    carried = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
-    turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
-    turns = turns[-control.size :].at[0].set(True)
-    index = jnp.nonzero(turns, size=min(2 * TURNS, control.size), fill_value=control.size - 1)[0]
-    way = travelled(scene, control[index], jnp.minimum(jnp.sum(turns), index.size) - 1)
-    # Of a path with more turns than there is room for, or with positions that are none, nothing is known.
-    finite, short = jnp.all(jnp.isfinite(control)), jnp.sum(turns) <= index.size
-    status = jnp.where(finite, jnp.where(short, way.path.status, Status.too_long), Status.invalid)
-    count = jnp.where(finite & short, way.path.count, 0)
-    return finished(scene, control, way._replace(path=way.path._replace(count=count, status=status)))
+        return scan_route(scene, route_of(np.asarray(control, dtype=float)))
+    route, status = traced_route(jnp.asarray(control, dtype=float))
+    return TracedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route, status)
 
 
-TURNS = 8  # stops of a control that turns are padded to a multiple of this; a traced control may have twice as many
-
-
-def _guess(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
-    """The path between a node and the next, at a control in between: cubic in arc length."""
-    here = jax.tree.map(lambda leaf: leaf[index], path.nodes)
-    there = jax.tree.map(lambda leaf: leaf[jnp.minimum(index + 1, path.count - 1)], path.nodes)
-    end = Point(there.z_before, there.point.u)
-    scale = scale_of(here.point.z)
-    chord = Point(end.z - here.point.z, end.u - here.point.u)
-    length = dot(here.leaving, chord, scale)
-    apart = length > 0
-    length = jnp.where(apart, length, 1.0)
-    into = dot(here.leaving, there.arriving, scale)
-    into = jnp.where(into > 0, into, 1.0)
-
-    def cubic(start, end, leaving, arriving, t):
-        leaving, arriving = leaving * length, arriving * length / into
-        bend = 3 * (end - start) - 2 * leaving - arriving
-        twist = leaving + arriving - 2 * (end - start)
-        return start + t * (leaving + t * (bend + t * twist)), leaving + t * (2 * bend + t * 3 * twist)
-
-    def towards(_, t):
-        value, slope = cubic(here.point.u, end.u, here.leaving.u, there.arriving.u, t)
-        return jnp.clip(t - (value - u) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
-
-    span = end.u - here.point.u
-    t = jnp.clip((u - here.point.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
-    t = jax.lax.fori_loop(0, 6, towards, t)
-    z, _ = cubic(here.point.z, end.z, here.leaving.z, there.arriving.z, t)
-    return Point(jnp.where(apart, z, here.point.z), u)
-
-
-class _Found(NamedTuple):
-    """A solved step and what is thought of it."""
-
-    z: Contacts
-    mode: Mode
-    exact: Bool[Array, ""]
-    stable: Bool[Array, ""]
-
-
-def _found(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Bool[Array, ""]) -> _Found:
-    """The equilibrium at a control behind a node of the path, if the path is known there."""
-    mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
-    guess = _guess(path, index, u)
-    solution = find(problem, mode, at_control(u, guess.z), guess)
-    z = solution.point.z
-    near = jnp.max(jnp.abs(z - guess.z) / scale_of(z)) < JUMP
-    exact = solution.converged & near
-    stable = newton.stable(problem, mode, solution.newton.local)
-    sound = known & exact & stable
-    # What is not sound is computed on as if it were free: finite, and so are its derivatives (see _lanes.py).
-    mode = mode._replace(phase=jnp.where(sound, mode.phase, Phase.free))
-    return _Found(jnp.where(sound, z, 0.0), mode, exact, stable)
-
-
-def _moving(problem: Problem, u: Scalar, found: _Found) -> Point:
-    """The equilibrium, with its derivatives."""
-    return solved(Point(found.z, jax.lax.stop_gradient(u)), problem, found.mode, at_control(u, found.z))
-
-
-def _state(problem: Problem, point: Point, found: _Found) -> tuple[State, Int[Array, ""]]:
-    """State and status."""
-    state, residual = signals(problem, point.z, point.u, found.mode)
-    exact = found.exact & (residual < RESIDUAL)
-    return state, jnp.where(exact, jnp.where(found.stable, Status.ok, Status.unstable), Status.inexact)
-
-
-@eqx.filter_jit
-def _steps(
-    scene: Scene, path: Path, control: Float[Array, " steps"], travel: Float[Array, " steps"]
-) -> tuple[State, Float[Array, "steps springs"], Int[Array, " steps"]]:
-    """States, spring lengths and status at control positions that the drive passes after `travel`."""
-    dimensionless, path = problem(scene), jax.lax.stop_gradient(path)
-    unit = dimensionless.unit
-    u, travel = control / unit.control, travel / unit.control
-    node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
-    end = node_travel[path.count - 1]
-    noise = TRAVEL_NOISE * (1 + end)
-    # Exactly at an event a step belongs to what begins there, whichever side rounding puts it on.
-    index = jnp.clip(jnp.searchsorted(node_travel, travel + noise, side="right") - 1, 0, path.count - 1)
-    beyond = (travel > end + noise) | (path.count == 0)
-
-    known = dimensionless.valid & ~(beyond & (path.status != Status.ok))
-    fixed, steps = jax.lax.stop_gradient((dimensionless, (index, u, known)))
-    batch = min(BATCH, control.shape[0])
-    found = jax.lax.map(lambda step: _found(fixed, path, *step), steps, batch_size=batch)
-    # In no loop: differentiated backwards, a loop forgets the rules by which derivatives have derivatives.
-    points = jax.vmap(partial(_moving, dimensionless))(jnp.where(jnp.isfinite(u), u, 0.0), found)
-    state, status = jax.lax.map(lambda step: _state(dimensionless, *step), (points, found), batch_size=batch)
-    status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
-    status = jnp.where(dimensionless.valid, status, Status.invalid)
-    ok = (status == Status.ok)[:, None]
-    state = jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), state)
-    return state, jax.vmap(partial(_spring_length, scene, dimensionless))(state, u), status
-
-
-def _spring_length(scene: Scene, problem: Problem, state: State, u: Scalar) -> Float[Array, " springs"]:
+def _spring_length(scene: Scene, state: State, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
     """Lengths of the springs, in the drive's frame."""
-    if problem.mount is None:
-        return scene.support.spring_length((state.base_x - u * problem.unit.length)[:, None])
-    x, y, angle = problem.drive(u)
-    cos, sin, unit = jnp.cos(angle), jnp.sin(angle), problem.unit.length
-    right, up = state.base_x - x * unit, state.base_y - y * unit
-    mount = problem.mount
-    along = [right * cos + up * sin - mount.x * unit, up * cos - right * sin - mount.y * unit]
-    return scene.support.spring_length(jnp.stack([*along, state.base_angle - angle - mount.angle], axis=1))
+    if moves_along_x(scene):
+        return scene.support.spring_length((state.base_x - control[:, None])[:, :, None])
+    x, y, angle = jax.tree.map(lambda leaf: leaf[:, None], jax.vmap(scene.motion.pose)(control))
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    right, up = state.base_x - x, state.base_y - y
+    mounts = ((mount.x, mount.y, mount.angle) for mount in scene.support.mounts)
+    mount_x, mount_y, mount_angle = (
+        jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in zip(*mounts, strict=True)
+    )
+    displacement = [
+        right * cos + up * sin - mount_x,
+        up * cos - right * sin - mount_y,
+        state.base_angle - angle - mount_angle,
+    ]
+    return scene.support.spring_length(jnp.stack(displacement, axis=-1))
 
 
 def _result(
     scene: Scene,
-    way: Way,
+    path: ScanPath,
     control: Float[Array, " steps"],
     state: State,
     spring_length: Float[Array, "steps springs"],
     status: Int[Array, " steps"],
 ) -> Result:
     fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
-    return Result(**fields, control=control, spring_length=spring_length, status=status, events=way.events, scene=scene)
+    return Result(
+        **fields, control=control, spring_length=spring_length, status=status, events=path.events, scene=scene
+    )
 
 
-TRAVEL_NOISE = 1e-12
+problem_now, follow_path_now, solve_steps_now = jit(problem_of), jit(follow_path), jit(solve_steps)
+_spring_length_now = jit(_spring_length)
 
 
-# Of concrete scenes; options of the compiler are allowed in no other function's jit.
-_COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
-travelled_now = eqx.filter_jit(travelled.__wrapped__, **_COMPILED)
-_steps_now = eqx.filter_jit(_steps.__wrapped__, **_COMPILED)
+_COMPILED: set[tuple] = set()
 
 
-@lru_cache(maxsize=1024)
-def _compile(structure: Any, leaves: tuple, stops: int) -> None:
-    """Compile march and steps for scenes of this structure, whose numeric leaves are given by their shapes.
-
-    Not needed, but when both are compiled at once the second costs little: the compiler of one leaves a core idle.
-    """
-    filled = [jnp.asarray(np.ones(leaf)) if isinstance(leaf, tuple) else leaf for leaf in leaves]
-    scene = jax.tree.unflatten(structure, filled)
+def _compile(problem: Problem, stops: int) -> None:
+    """Compile the march and the steps for a problem shape at the same time: one compiler alone leaves a core idle."""
+    leaves, structure = jax.tree.flatten(problem)
+    shape = (stops, structure, *((leaf.shape, leaf.dtype) if checks.is_numeric(leaf) else leaf for leaf in leaves))
+    if shape in _COMPILED:
+        return
     with ThreadPoolExecutor(1) as aside:
-        lowered = travelled_now.lower(scene, jnp.asarray(np.ones(stops)), jnp.asarray(1))
-        compiled = aside.submit(lowered.compile)
-        path = jax.eval_shape(lambda: nowhere(problem(scene), _capacity(scene, stops)))
+        marching = follow_path_now.compile_aside(aside, problem, jnp.asarray(np.ones(stops)), jnp.asarray(1))
+        path = jax.eval_shape(lambda: no_path(problem, _capacity(problem, stops)))
         path = jax.tree.map(lambda leaf: jnp.asarray(np.zeros(leaf.shape, leaf.dtype)), path)
         block = jnp.asarray(np.zeros(BLOCK))
-        _steps_now.lower(scene, path, block, block).compile()
-        compiled.result()
+        solve_steps_now.compile(problem, path, block, block)
+        marching.result()
+    _COMPILED.add(shape)

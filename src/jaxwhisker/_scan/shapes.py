@@ -12,7 +12,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Pose
-from jaxwhisker._model.whisker import Section, Whisker
+from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.result import Result, State
 
@@ -94,4 +94,4 @@ def outwards(whisker: Whisker, base: Pose, fx: Scalar, fy: Scalar, mz: Scalar, a
 
 def material(whisker: Whisker) -> rod.Material:
     """What the rod is made of, in the whisker's own units."""
-    return whisker.base_stiffness if whisker.uniform else Section(whisker, 1.0, 1.0)
+    return whisker.base_stiffness if whisker.uniform else whisker.section(1.0, 1.0)

@@ -12,7 +12,7 @@ from jaxwhisker._equilibrium.clearance import in_scene
 from jaxwhisker._equilibrium.contact import Phase, of_each
 from jaxwhisker._equilibrium.implicit import solved, solved_event
 from jaxwhisker._equilibrium.newton import Contacts, Mode, PerWhisker, Point, Row, at_control, harmless
-from jaxwhisker._model.scene import Problem
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, select
 from jaxwhisker._scan.result import Events, State
 

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base.jit import COMPILER_OPTIONS
-from jaxwhisker._model.scene import Scene, problem
+from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._model.scene import Scene
 from jaxwhisker._scan.scan import MARGIN, STEP, contact_range
 from jaxwhisker._study.local import threads
 from jaxwhisker._study.parameters import Parameters, padded
@@ -27,7 +28,7 @@ def common_control(build: Callable[..., Scene], parameters: Parameters) -> Float
 
     def point(values):
         scene = build(**values)
-        valid, length = problem(scene).valid, jnp.asarray(scene.whiskers[0].length, dtype=float)
+        valid, length = problem_of(scene).valid, jnp.asarray(scene.whiskers[0].length, dtype=float)
         return tuple(jnp.where(valid, x, jnp.nan) for x in (*contact_range(scene), length))
 
     total = int(np.prod(parameters.shape))

@@ -16,8 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.scene import Scene, problem, units
+from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.scan import scan
@@ -49,7 +50,7 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
             "`whisker` and `profile` must be concrete, but are traced: the steepest slope is searched for."
         )
     scene = jax.tree.map(checks.as_float, Scene(whisker, profile))
-    touch, length = problem(scene), float(units(scene).length)
+    touch, length = problem_of(scene), float(units(scene).length)
     first, last = float(touch.touch_right.x[0]) * length, float(touch.touch_left.x[0]) * length
     best = Steepest(np.nan, np.nan)
     for _ in range(SEARCHES):

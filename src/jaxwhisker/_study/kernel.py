@@ -17,7 +17,8 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.result import Result, State
-from jaxwhisker._scan.scan import along, stops_of
+from jaxwhisker._scan.route import route_of
+from jaxwhisker._scan.scan import scan_route
 from jaxwhisker._study.fields import FIELDS, derivative_name
 from jaxwhisker._study.parameters import padded
 from jaxwhisker._study.summaries import summarise
@@ -60,13 +61,13 @@ def fields_of(scene: Scene, result: Result) -> dict:
 
 def _point(job: Job) -> Callable[[dict], dict]:
     """The function of one point's parameters."""
-    control, (stops, last) = jnp.asarray(job.control), stops_of(job.control)
+    route = route_of(job.control)
     names = tuple(dict.fromkeys((*job.outputs, "status")))
     smooth = [name for name in names if FIELDS[name].dtype == "float64"]
 
     def split(values):
         scene = job.build(**values)
-        found = fields_of(scene, along(scene, control, jnp.asarray(stops), jnp.asarray(last)))
+        found = fields_of(scene, scan_route(scene, route))
         found = {name: found[name].astype(FIELDS[name].dtype) for name in names}
         return {name: found.pop(name) for name in smooth}, found
 

@@ -211,7 +211,7 @@ def _reconstruct(args: argparse.Namespace) -> int:
     from jaxwhisker._inverse.fit_contour import fit_contour
     from jaxwhisker._inverse.fit_profile import fit_profile
     from jaxwhisker._inverse.reconstruct import reconstruct
-    from jaxwhisker._model.sensor import Sensor
+    from jaxwhisker._model.scene import Sensor
 
     for path in (args.plot, args.csv):
         check_writable(path)

@@ -27,15 +27,19 @@ from jaxwhisker._equilibrium.newton import (
     Poses,
     Row,
     at_control,
+    dot,
     find,
     newton_step,
     scale_of,
+    unit,
 )
-from jaxwhisker._model.scene import Problem, Scene, problem
+from jaxwhisker._equilibrium.problem import Problem, problem_of
+from jaxwhisker._model.scene import Scene
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.path import Node, dot, select, unit
+from jaxwhisker._path.path import Node, select
 from jaxwhisker._scan.result import Result, State
-from jaxwhisker._scan.scan import stops_of, travelled_now
+from jaxwhisker._scan.route import route_of
+from jaxwhisker._scan.scan import follow_path_now, problem_now
 from jaxwhisker._scan.signals import signals
 
 ROOM = 1024  # states kept of one flow; the march's own snaps take some hundred steps
@@ -68,8 +72,8 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
     if not numbers:
         return []
     scene = jax.tree.map(checks.as_float, result.scene)
-    stops, last = stops_of(np.asarray(result.control))
-    path = travelled_now(scene, jnp.asarray(stops), jnp.asarray(last)).path
+    route = route_of(np.asarray(result.control))
+    path = follow_path_now(problem_now(scene), jnp.asarray(route.stops), jnp.asarray(route.last)).path
     kind, travel = np.asarray(path.nodes.kind), np.asarray(path.nodes.travel)
     passed = np.arange(kind.size) < int(path.count)
     nodes = np.flatnonzero((kind >= 0) & passed & (np.cumsum(passed & (travel >= 0)) > 0))
@@ -83,7 +87,7 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
 
 def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
     """States of the flow that begins at a node of the path, padded, and how many there are."""
-    dimensionless, u = problem(scene), before.point.u
+    dimensionless, u = problem_of(scene), before.point.u
     still = Mode(before.phase, before.side, jnp.asarray(False))
     tangent, tangent_pose, pose = _leaving(dimensionless, still, before)
 

@@ -16,8 +16,9 @@ from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.clearance import in_scene, stance
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import rest
+from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._model.motion import Pose, Rotation
-from jaxwhisker._model.scene import Scene, problem, units
+from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.spring import AXES, Spring
 from jaxwhisker._path.march import first_touch
 from jaxwhisker._path.snap_flow import clear
@@ -116,7 +117,7 @@ def start_of(scene: Scene) -> float:
 
     The vertex, for whiskers that never do; of a motion of one's own, where it then begins.
     """
-    equations = problem(jax.tree.map(checks.as_float, scene))
+    equations = problem_of(jax.tree.map(checks.as_float, scene))
     motion, unit = equations.motion, float(equations.unit.control)
     if motion.ends is None:
         first = float(first_touch(equations)) - AHEAD * motion.onwards
@@ -133,7 +134,7 @@ def start_of(scene: Scene) -> float:
 
 def rest_state(scene: Scene, control: float) -> State:
     """The unloaded whiskers with the drive there, whether or not the object stands in their way."""
-    equations = problem(jax.tree.map(checks.as_float, scene))
+    equations = problem_of(jax.tree.map(checks.as_float, scene))
     u = jnp.asarray(control, dtype=float) / equations.unit.control
     at = in_scene(equations, u, rest(equations, u))
     size, none = float(units(scene).length), np.zeros(scene.support.whiskers)

@@ -1,0 +1,59 @@
+"""The route of the drive: its positions, how far it has travelled, and where it turns."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._path.path import Status
+
+ROOM = 8  # stops of a route that turns are padded to a multiple of this; a traced route has room for twice as many
+
+
+class Route(NamedTuple):
+    """Drive positions of a scan, in the unit of the control."""
+
+    control: Float[Array, " steps"] | Float[np.ndarray, " steps"]
+    travel: Float[Array, " steps"] | Float[np.ndarray, " steps"]  # length of the way since the first position
+    stops: Float[Array, " stops"] | Float[np.ndarray, " stops"]  # first position, turning points, last one; padded
+    last: Int[Array, ""] | int  # index of the last stop
+
+
+def route_of(control: Float[np.ndarray, " steps"]) -> Route:
+    """The route through concrete positions."""
+    moves = np.flatnonzero(np.diff(control))
+    signs = np.sign(np.diff(control)[moves])
+    turns = moves[1:][signs[1:] != signs[:-1]]
+    stops = np.concatenate([control[:1], control[turns], control[-1:]])
+    room = 2 if stops.size == 2 else ROOM * int(np.ceil(stops.size / ROOM))
+    padded = np.concatenate([stops, np.full(room - stops.size, stops[-1])])
+    return Route(control, np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))]), padded, stops.size - 1)
+
+
+def straight(control: Float[Array, " steps"]) -> Route:
+    """The route through traced positions between which the drive does not turn."""
+    return Route(control, _travel(control), control[jnp.array([0, -1])], jnp.asarray(1))
+
+
+def traced_route(control: Float[Array, " steps"]) -> tuple[Route, Int[Array, ""]]:
+    """The route through traced positions, and its status: `invalid` where one is not finite, or `too_long`."""
+    moves = jnp.sign(jnp.diff(control))
+    # A turn is a move with the other sign than the last one; while the drive stands still, the last sign is carried on.
+    carried = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
+    turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
+    turns = turns[-control.size :].at[0].set(True)
+    index = jnp.nonzero(turns, size=min(2 * ROOM, control.size), fill_value=control.size - 1)[0]
+    route = Route(control, _travel(control), control[index], jnp.minimum(jnp.sum(turns), index.size) - 1)
+    status = jnp.where(jnp.sum(turns) <= index.size, Status.ok, Status.too_long)
+    return route, jnp.where(jnp.all(jnp.isfinite(control)), status, Status.invalid)
+
+
+def across() -> tuple[Float[np.ndarray, "2"], int]:
+    """Stops, and the index of the last, of a route right across the object: its ends are not known yet."""
+    return np.full(2, np.nan), 1
+
+
+def _travel(control: Float[Array, " steps"]) -> Float[Array, " steps"]:
+    return jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])

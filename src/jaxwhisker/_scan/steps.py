@@ -1,0 +1,117 @@
+"""The steps of a scan: the equilibrium at every drive position, solved for from the path's interpolation."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium import newton
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.implicit import solved
+from jaxwhisker._equilibrium.newton import Contacts, Mode, Point, at_control, dot, find, scale_of
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._path.path import Path, Status
+from jaxwhisker._scan.result import State
+from jaxwhisker._scan.signals import signals
+
+BATCH = 32  # steps solved for at once
+RESIDUAL = 1e-8  # of a step marked ok: directions and, relative to the drive's, positions at the base
+JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
+TRAVEL_NOISE = 1e-12
+
+
+def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
+    """The point of the path at a control between a node and the next one: cubic in arc length."""
+    here = jax.tree.map(lambda leaf: leaf[index], path.nodes)
+    there = jax.tree.map(lambda leaf: leaf[jnp.minimum(index + 1, path.count - 1)], path.nodes)
+    end = Point(there.z_before, there.point.u)
+    scale = scale_of(here.point.z)
+    chord = Point(end.z - here.point.z, end.u - here.point.u)
+    length = dot(here.leaving, chord, scale)
+    apart = length > 0
+    length = jnp.where(apart, length, 1.0)
+    into = dot(here.leaving, there.arriving, scale)
+    into = jnp.where(into > 0, into, 1.0)
+
+    def cubic(start, end, leaving, arriving, t):
+        leaving, arriving = leaving * length, arriving * length / into
+        bend = 3 * (end - start) - 2 * leaving - arriving
+        twist = leaving + arriving - 2 * (end - start)
+        return start + t * (leaving + t * (bend + t * twist)), leaving + t * (2 * bend + t * 3 * twist)
+
+    def towards(_, t):
+        value, slope = cubic(here.point.u, end.u, here.leaving.u, there.arriving.u, t)
+        return jnp.clip(t - (value - u) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
+
+    span = end.u - here.point.u
+    t = jnp.clip((u - here.point.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
+    t = jax.lax.fori_loop(0, 6, towards, t)
+    z, _ = cubic(here.point.z, end.z, here.leaving.z, there.arriving.z, t)
+    return Point(jnp.where(apart, z, here.point.z), u)
+
+
+class Step(NamedTuple):
+    """A solution and its checks."""
+
+    z: Contacts
+    mode: Mode
+    exact: Bool[Array, ""]
+    stable: Bool[Array, ""]
+
+
+def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Bool[Array, ""]) -> Step:
+    """Solve for the equilibrium at a control behind a node, where the path is known."""
+    mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
+    guess = interpolate(path, index, u)
+    solution = find(problem, mode, at_control(u, guess.z), guess)
+    z = solution.point.z
+    near = jnp.max(jnp.abs(z - guess.z) / scale_of(z)) < JUMP
+    exact = solution.converged & near
+    stable = newton.stable(problem, mode, solution.newton.local)
+    accepted = known & exact & stable
+    # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see lanes.py).
+    mode = mode._replace(phase=jnp.where(accepted, mode.phase, Phase.free))
+    return Step(jnp.where(accepted, z, 0.0), mode, exact, stable)
+
+
+def _point(problem: Problem, u: Scalar, step: Step) -> Point:
+    """The equilibrium with its derivatives."""
+    return solved(Point(step.z, jax.lax.stop_gradient(u)), problem, step.mode, at_control(u, step.z))
+
+
+def _state(problem: Problem, point: Point, step: Step) -> tuple[State, Int[Array, ""]]:
+    """State and status of a step."""
+    state, residual = signals(problem, point.z, point.u, step.mode)
+    exact = step.exact & (residual < RESIDUAL)
+    return state, jnp.where(exact, jnp.where(step.stable, Status.ok, Status.unstable), Status.inexact)
+
+
+def solve_steps(
+    problem: Problem, path: Path, control: Float[Array, " steps"], travel: Float[Array, " steps"]
+) -> tuple[State, Int[Array, " steps"]]:
+    """States and status at control positions, in the scene's units, that the drive passes after `travel`."""
+    path, unit = jax.lax.stop_gradient(path), problem.unit
+    u, travel = control / unit.control, travel / unit.control
+    node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
+    end = node_travel[path.count - 1]
+    noise = TRAVEL_NOISE * (1 + end)
+    # A step exactly at an event belongs to the phase that begins, whichever side rounding puts it on.
+    index = jnp.clip(jnp.searchsorted(node_travel, travel + noise, side="right") - 1, 0, path.count - 1)
+    beyond = (travel > end + noise) | (path.count == 0)
+
+    known = problem.valid & ~(beyond & (path.status != Status.ok))
+    fixed, at = jax.lax.stop_gradient((problem, (index, u, known)))
+    batch = min(BATCH, control.shape[0])
+    steps = jax.lax.map(lambda one: _solve(fixed, path, *one), at, batch_size=batch)
+    # Outside the loop: differentiated backwards, a loop drops the rules by which derivatives are differentiated again.
+    points = jax.vmap(partial(_point, problem))(jnp.where(jnp.isfinite(u), u, 0.0), steps)
+    state, status = jax.lax.map(lambda one: _state(problem, *one), (points, steps), batch_size=batch)
+    status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
+    status = jnp.where(problem.valid, status, Status.invalid)
+    ok = (status == Status.ok)[:, None]
+    state = jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), state)
+    return state, status
