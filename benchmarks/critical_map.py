@@ -23,7 +23,7 @@ mpl.use("Agg")
 from matplotlib import pyplot
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(ROOT / "tests" / "oracles"))
 from exact import clamped_branch, parabola
 
 PICTURE = ROOT / "docs" / "critical_map.png"

@@ -28,7 +28,7 @@ from jaxwhisker._scan.scan import follow_path_now, problem_now
 from jaxwhisker._scan.steps import interpolate
 from jaxwhisker._study.critical import steepest
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "oracles"))
 import exact
 from independent import Mechanics, violations
 

@@ -17,8 +17,10 @@ import numpy as np
 import jaxwhisker as jw
 from common import write
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
+TESTS = Path(__file__).parents[1] / "tests"
+sys.path.extend([str(TESTS), str(TESTS / "oracles")])
 from independent import violations
+
 from random_scenes import NETWORKS, PROFILES, drawn, mechanics, scans
 
 jax.config.update("jax_enable_x64", True)

@@ -29,7 +29,7 @@ from common import summary, write
 from peers import bvp, cosserat_rod, hinge_chain, stock, thesis
 from peers.scene import Circle, Scene
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "oracles"))
 import exact
 
 PARABOLA, CIRCLE = Scene(), Circle()

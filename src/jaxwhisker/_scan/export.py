@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.report import REACTIONS
+from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result, State, check_one_scan
 
 if TYPE_CHECKING:

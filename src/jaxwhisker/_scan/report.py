@@ -8,11 +8,10 @@ import numpy as np
 
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
+from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result
 
 NOISE = 1e-9  # share of a unit below which a number is shown as zero
-
-REACTIONS = ("fx", "fy", "mz")
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxwhisker._model.scene import Scene, units
-from jaxwhisker._scan.report import REACTIONS
+from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Event, Result
 from jaxwhisker.film.captions import Captions
 from jaxwhisker.film.curves import Curves

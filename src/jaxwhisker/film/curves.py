@@ -6,7 +6,7 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from jaxwhisker._model.scene import units
-from jaxwhisker._scan.report import REACTIONS
+from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result
 from jaxwhisker.film.frames import Frames
 from jaxwhisker.plot.axes import axis_label, colour, control_axis, control_of, control_size, in_units

@@ -2,7 +2,7 @@
 
 from matplotlib.figure import Figure
 
-from jaxwhisker._scan.report import REACTIONS
+from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker.plot.axes import control_size
 from jaxwhisker.plot.signals import contact_range, reactions, spring_lengths

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxwhisker._scan.report import REACTIONS
+from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker.plot.axes import (
     AXIS,

@@ -12,7 +12,7 @@ from matplotlib import pyplot
 
 import jaxwhisker as jw
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
 RUN_HERE = ("01_first_scan", "05_stiffness")  # all others compile for a minute and more
 HEADER = "# ---\n# jupyter:\n#   jupytext:\n#     formats: py:percent\n# ---\n\n# %% [markdown]\n# # "

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.image import imread
 
 import jaxwhisker as jw
-from jaxwhisker import cli, reproduce
+from jaxwhisker import cli, thesis
 from jaxwhisker._path.path import Status
 from jaxwhisker.cli import scan as command
 from jaxwhisker.thesis import page
@@ -189,9 +189,9 @@ def test_every_number_of_the_thesis_is_in_the_catalogue():
 
 
 def test_names_are_read_with_and_without_leading_zero():
-    assert reproduce.names("6.02, a.1,CLAIMS,7.4") == ["6.2", "A.1", "claims", "7.4"]
+    assert thesis.names("6.02, a.1,CLAIMS,7.4") == ["6.2", "A.1", "claims", "7.4"]
     with pytest.raises(ValueError, match=r"'6\.99'"):
-        reproduce.names("6.99")
+        thesis.names("6.99")
 
 
 def test_reproduce_writes_what_it_is_asked_for(tmp_path, capsys):

@@ -3,12 +3,12 @@
 from functools import cache
 
 import equinox as eqx
+import forward
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import forward
 import jaxwhisker as jw
 from scenes import all_ok, in_both_modes
 

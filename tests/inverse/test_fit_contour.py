@@ -1,10 +1,10 @@
 """Contours and unknown parameters from all signals at once."""
 
+import exact
 import numpy as np
 import pytest
 from matplotlib import pyplot
 
-import exact
 import jaxwhisker as jw
 
 NOISE = 0.01  # of a channel's peak

@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import closed_form
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,6 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-import closed_form
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.implicit import without_rule
 

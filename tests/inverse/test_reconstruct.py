@@ -2,12 +2,12 @@
 
 from functools import cache
 
+import exact
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import exact
 import jaxwhisker as jw
 from jaxwhisker._inverse.fit_profile import FitStatus, fit_profile
 from jaxwhisker._inverse.points import NORMAL_95, PointStatus

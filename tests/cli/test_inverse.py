@@ -9,7 +9,7 @@ from matplotlib.image import imread
 
 from jaxwhisker import cli
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "examples"))
 
 import make_measured  # noqa: E402

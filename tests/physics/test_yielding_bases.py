@@ -3,14 +3,14 @@
 from functools import cache
 
 import equinox as eqx
+import forward
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-import forward
-import jaxwhisker as jw
 from discrete import Chains
+
+import jaxwhisker as jw
 from scenes import all_ok
 
 EXACT = 1e-7  # of signals relative to their size: the rods' steps

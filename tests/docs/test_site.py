@@ -11,7 +11,7 @@ import yaml
 
 import jaxwhisker as jw
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 DESCRIBED = re.compile(r"^::: (\S+)$", re.MULTILINE)

@@ -1,12 +1,12 @@
 """Motions of the drive: rotations and one's own, against forward shooting, limits, moved objects, derivatives."""
 
 import equinox as eqx
+import forward
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import forward
 import jaxwhisker as jw
 from scenes import all_ok, in_both_modes
 

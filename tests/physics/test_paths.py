@@ -1,9 +1,9 @@
 """The path decides, not the grid: coarse and fine, out and back, from the middle, past and beside the object."""
 
+import exact
 import numpy as np
 from scipy.optimize import brentq
 
-import exact
 import jaxwhisker as jw
 from scenes import all_ok, model, step_nearest, told
 

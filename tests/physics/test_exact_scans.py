@@ -2,10 +2,10 @@
 
 import math
 
+import exact
 import numpy as np
 import pytest
 
-import exact
 import jaxwhisker as jw
 from scenes import all_ok, told
 

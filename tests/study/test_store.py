@@ -20,7 +20,7 @@ from jaxwhisker._study.kernel import fingerprint
 from jaxwhisker._study.store import Store
 from study_child import AXES, CONTROL, build
 
-CHILD = Path(__file__).parent / "study_child.py"
+CHILD = Path(__file__).parents[1] / "study_child.py"
 KILLS = 4
 BLOCKS = 16  # of the study
 PATIENCE = 120.0  # seconds for a child to come so far

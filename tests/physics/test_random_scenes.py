@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from independent import violations
 
 import jaxwhisker as jw
-from independent import violations
 from random_scenes import drawn, mechanics, scans
 
 SOUND = 1e-7  # by how much a state may miss a law, relative to its size: the engine asks 1e-8 of itself

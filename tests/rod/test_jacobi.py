@@ -2,13 +2,13 @@
 
 from functools import partial
 
+import closed_form
 import jax
 import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
 
-import closed_form
 import jaxwhisker as jw
 from jaxwhisker._rod.jacobi import jacobi
 

@@ -1,0 +1,212 @@
+"""Quantities: the one table of names, symbols, units, axes and signs of everything that a scan returns.
+
+Results, datasets, CSV headers, axis labels, printed tables and the reference pages all read this table.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxwhisker._model.motion import Rotation, Translation
+from jaxwhisker._model.scene import Scene, units
+
+# Kinds of quantities, as powers of force and length.
+KINDS = {
+    "length": (0, 1),
+    "force": (1, 0),
+    "moment": (1, 1),
+    "energy": (1, 1),
+    "stiffness": (1, -1),
+    "bending stiffness": (1, 2),
+    "angle": (0, 0),
+    "number": (0, 0),
+}
+CONTROL = (
+    "control"  # the kind of everything measured along the control: a length, angle or number, as the motion has it
+)
+
+
+class Quantity(NamedTuple):
+    """A quantity of a scan."""
+
+    description: str
+    symbol: str  # LaTeX
+    kind: str  # of KINDS, or CONTROL
+    axes: tuple[str, ...]
+    sign: str = ""  # what a positive value means, where that is not obvious
+    dtype: str = "float64"
+
+    @property
+    def fill(self) -> float | int | bool:
+        """The value where nothing is known."""
+        return {"f": np.nan, "i": -1, "b": False}[np.dtype(self.dtype).kind]
+
+
+_STEP, _EVENT = ("control", "whisker"), ("event", "whisker")
+
+# Fields of a state, for every whisker.
+STATE = {
+    "fx": Quantity("support reaction along x", "f_x", "force", _STEP, "the support pushes the whisker towards +x"),
+    "fy": Quantity("support reaction along y", "f_y", "force", _STEP, "the support pushes the whisker towards +y"),
+    "mz": Quantity("support reaction, moment", "m_z", "moment", _STEP, "counter-clockwise on the whisker"),
+    "base_x": Quantity("position of the base", "x_0", "length", _STEP),
+    "base_y": Quantity("height of the base", "y_0", "length", _STEP),
+    "base_angle": Quantity("angle of the base to the upright", r"\varphi_0", "angle", _STEP, "counter-clockwise"),
+    "contact_force": Quantity("contact force", "f", "force", _STEP, "never negative: the object only pushes"),
+    "contact_slope": Quantity("slope of the object at the contact", r"\alpha", "angle", _STEP, "rising towards +x"),
+    "contact_arc": Quantity("arc length from base to contact", "s_1", "length", _STEP),
+    "contact_x": Quantity("contact point, x", r"\xi", "length", _STEP),
+    "contact_y": Quantity("contact point, y", r"\eta", "length", _STEP),
+    "phase": Quantity("phase of contact", "", "number", _STEP, dtype="int8"),
+}
+QUANTITIES = (
+    {"control": Quantity("drive position", "u", CONTROL, ("control",))}
+    | STATE
+    | {
+        "spring_length": Quantity("length of the spring", r"\ell", "length", ("control", "spring")),
+        "status": Quantity("status of the step", "", "number", ("control",), dtype="int8"),
+        "event_kind": Quantity("kind of event", "", "number", ("event",), dtype="int8"),
+        "event_control": Quantity("drive position of the event", "u", CONTROL, ("event",)),
+        "event_whisker": Quantity("whether the event concerns the whisker", "", "number", _EVENT, dtype="bool"),
+        "event_count": Quantity("number of events", "", "number", (), dtype="int32"),
+        "event_energy_before": Quantity("stored elastic energy before the event", "U", "energy", ("event",)),
+        "event_energy_after": Quantity("stored elastic energy after the event", "U", "energy", ("event",)),
+    }
+    | {
+        f"{when}_{name}": quantity._replace(description=f"{quantity.description}, {when} the event", axes=_EVENT)
+        for when in ("before", "after")
+        for name, quantity in STATE.items()
+    }
+)
+REACTIONS = ("fx", "fy", "mz")
+DRAWN = (
+    *(name for name in STATE if name != "phase"),
+    "spring_length",
+)  # quantities that can be plotted over the control
+
+
+def kind_of(name: str, scene: Scene) -> str:
+    """The kind of a quantity of a scene; along the control, a length, angle or number."""
+    kind = QUANTITIES[name].kind
+    return control_kind(scene) if kind == CONTROL else kind
+
+
+def control_kind(scene: Scene) -> str:
+    """The kind of the control of a scene: a length, angle or number."""
+    if isinstance(scene.motion, Translation):
+        return "length"
+    return "angle" if isinstance(scene.motion, Rotation) else "number"
+
+
+def control_name(scene: Scene) -> str:
+    """What the control of a scene is called."""
+    return {"length": "drive position", "angle": "angle of the drive", "number": "control"}[control_kind(scene)]
+
+
+def is_dimensionless(scene: Scene) -> bool:
+    """Whether the first whisker has length and bending stiffness 1; other scenes are shown in SI units."""
+    first = scene.whiskers[0]
+    return all(not callable(value) and np.all(value == 1.0) for value in (first.length, first.bending_stiffness))
+
+
+class Unit(NamedTuple):
+    """A unit that quantities of a scene are shown in."""
+
+    name: str  # such as "mN mm"; empty for a number, or for a quantity divided by the scene's own unit
+    size: float  # in the scene's units
+
+
+UNITS = ("auto", "SI", "dimensionless")
+_PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+
+
+class UnitSystem:
+    """The units in which figures, films and tables show a scene.
+
+    Args:
+        scene: a concrete scene.
+        units: "dimensionless" divides by L, EI/L^2 and EI/L of the first whisker; "SI" takes the scene's numbers for SI
+            units and adds prefixes of the scene's size (mm, mN, mN mm); "auto" is "dimensionless" for a whisker with
+            L = EI = 1, else "SI".
+
+    Raises:
+        ValueError: if `units` is none of these.
+    """
+
+    def __init__(self, scene: Scene, units: str = "auto"):
+        if units not in UNITS:
+            raise ValueError(f"`units` must be one of {', '.join(UNITS)}, got {units!r}.")
+        self.scene = scene
+        self.dimensionless = is_dimensionless(scene) if units == "auto" else units == "dimensionless"
+
+    def unit(self, name: str) -> Unit:
+        """The unit of a quantity by its name."""
+        return self.of_kind(kind_of(name, self.scene))
+
+    def of_kind(self, kind: str) -> Unit:
+        """The unit of a kind of quantity."""
+        if kind == "angle":
+            return Unit("rad", 1.0)
+        if kind == "number":
+            return Unit("", 1.0)
+        own = units(self.scene)
+        powers = KINDS[kind]
+        if self.dimensionless:
+            return Unit("", float(own.force) ** powers[0] * float(own.length) ** powers[1])
+        parts = [_with_prefix(base, float(size)) for base, size in (("N", own.force), ("m", own.length))]
+        above = [_power(unit.name, power) for unit, power in zip(parts, powers, strict=True) if power > 0]
+        below = [_power(unit.name, -power) for unit, power in zip(parts, powers, strict=True) if power < 0]
+        size = math.prod(unit.size**power for unit, power in zip(parts, powers, strict=True))
+        return Unit("/".join([" ".join(above) or "1", *below]), size)
+
+    def shown(self, name: str, values: Any) -> np.ndarray:
+        """Values of a quantity in the unit in which it is shown."""
+        values = np.asarray(values)
+        if name == "spring_length":  # torsion springs have an angle, in rad
+            size = self.unit(name).size
+            return values / [1.0 if spring.axis == "phi" else size for spring in self.scene.support.springs]
+        return values / self.unit(name).size
+
+    def label(self, name: str) -> str:
+        """Symbol and unit of a quantity, for an axis."""
+        quantity, kind = QUANTITIES[name], kind_of(name, self.scene)
+        if name == "control" and kind != "length":
+            return control_name(self.scene) + (" (rad)" if kind == "angle" else "")
+        if self.dimensionless and kind not in ("angle", "number"):
+            return f"${quantity.symbol}{_SCALED[kind]}$"
+        unit = self.unit(name).name
+        return f"${quantity.symbol}$" + f" ({unit})" * bool(unit)
+
+
+# How a symbol is made dimensionless.
+_SCALED = {
+    "length": "/L",
+    "force": r"\,L^2/EI",
+    "moment": r"\,L/EI",
+    "energy": r"\,L/EI",
+    "stiffness": r"\,L^3/EI",
+    "bending stiffness": "/EI",
+}
+
+
+def _with_prefix(base: str, size: float) -> Unit:
+    """The unit, with a prefix, in which a value of this size has one to three digits before the point."""
+    decade = min(max(3 * math.floor(math.log10(size) / 3), min(_PREFIXES)), max(_PREFIXES))
+    return Unit(_PREFIXES[decade] + base, 10.0**decade)
+
+
+def unit_in_words(kind: str, dimensionless: bool, per: str = "number") -> str:
+    """The unit of a kind of quantity, or of its derivative by another kind: in L and EI, or as `force` and `length`.
+
+    Datasets and files hold numbers in the scene's own units, whose names the library does not know.
+    """
+    force, length = (a - b for a, b in zip(KINDS[kind], KINDS[per], strict=True))
+    powers = {"EI": force, "L": length - 2 * force} if dimensionless else {"force": force, "length": length}
+    powers = {"rad": (kind == "angle") - (per == "angle")} | powers
+    above, below = ([_power(n, sign * p) for n, p in powers.items() if sign * p > 0] for sign in (1, -1))
+    return "/".join([" ".join(above) or "1", *[" ".join(below)] * bool(below)])
+
+
+def _power(name: str, power: int) -> str:
+    return name if power == 1 else f"{name}^{power}"
