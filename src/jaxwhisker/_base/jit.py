@@ -5,7 +5,6 @@ from concurrent.futures import Executor, Future
 from typing import Any
 
 import equinox as eqx
-import jax
 from jaxlib.version import __version_info__ as version
 
 from jaxwhisker._base.checks import is_traced
@@ -29,10 +28,7 @@ class jit:  # noqa: N801, a decorator
         self.__doc__, self.__wrapped__ = function.__doc__, function
 
     def __call__(self, *args, **kwargs):
-        if is_traced((args, kwargs)):
-            return self._inside(*args, **kwargs)
-        with jax.ensure_compile_time_eval():  # concrete arguments are evaluated even while something else is traced
-            return self._outermost(*args, **kwargs)
+        return (self._inside if is_traced((args, kwargs)) else self._outermost)(*args, **kwargs)
 
     def compile(self, *args) -> None:
         """Compile for arguments of these shapes without running."""
