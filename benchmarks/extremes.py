@@ -21,7 +21,8 @@ import numpy as np
 import jaxwhisker as jw
 from common import write
 from jaxwhisker._base import checks
-from jaxwhisker._equilibrium.newton import Mode, at_control, find
+from jaxwhisker._equilibrium.newton import solve_point
+from jaxwhisker._equilibrium.point import Mode, at_control
 from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._scan.route import across, route_of
 from jaxwhisker._scan.scan import follow_path_now, problem_now
@@ -134,7 +135,7 @@ def iterations(scene: jw.Scene, way, control, travel):
         i, at = step
         guess = interpolate(path, i, at)
         mode = Mode(path.nodes.phase[i], path.nodes.side[i], jnp.asarray(False))
-        return find(dimensionless, mode, at_control(at, guess.z), guess).iterations
+        return solve_point(dimensionless, mode, at_control(at, guess.z), guess).iterations
 
     return jax.lax.map(one, (index, u))
 
