@@ -243,7 +243,7 @@ class InPlane(Problem):
         at = self.in_scene(u, pose)
 
         def both(*own):
-            return touch.of_both(self.profile, *own)
+            return touch.first_touches(self.profile, *own)
 
         return Stance(at.x, *jax.vmap(both)(self.length, self.outline, at.y, at.angle))
 
@@ -319,7 +319,7 @@ def problem_of(scene: Scene) -> Problem:
 
 def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict[str, Touch]:
     """First touches of straight whiskers that stand upright at height 0."""
-    right, left = (jax.vmap(lambda h, s=s: touch.of_straight(profile, h, s))(length) for s in (1.0, -1.0))
+    right, left = (jax.vmap(lambda h, s=s: touch.first_touch_upright(profile, h, s))(length) for s in (1.0, -1.0))
     return {"touch_right": right, "touch_left": left}
 
 
@@ -327,7 +327,7 @@ def _first_touches(
     profile: AbstractProfile, outline: Outline, length: PerWhisker, height: PerWhisker, angle: PerWhisker, curved: bool
 ) -> tuple[dict[str, Touch], Bool[Array, ""] | bool]:
     """First touches of whiskers with these outlines, and whether each touches the object in one place only."""
-    right, left = jax.vmap(lambda *own: touch.of_both(profile, *own))(length, outline, height, angle)
+    right, left = jax.vmap(lambda *own: touch.first_touches(profile, *own))(length, outline, height, angle)
     touches = {"touch_right": right, "touch_left": left}
     if not curved:
         return touches, True
