@@ -282,7 +282,7 @@ def problem_of(scene: Scene) -> Problem:
     """The dimensionless problem of a scene, differentiable with respect to all of it."""
     valid = _valid(scene)
     scene = harmless(scene, valid)
-    unit = units(scene)
+    unit = jax.tree.map(checks.as_float, units(scene))
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])
     section = sections(scene.whiskers, unit.length, unit.moment * unit.length)
