@@ -296,8 +296,8 @@ def errors(model, data, sigma, information, scans):
             row["detected in a fit from"] = DETECTED * error if np.isfinite(error) else None
         shown = np.flatnonzero(clear[:, -1])  # the figure shows the last whisker
         shown = shown[np.linspace(0, shown.size - 1, SAMPLES).astype(int)]
-        curve = np.asarray(right.x)[shown, -1], normal[shown, -1, k]
-        rows.append(row | {"curve": [np.round(values, 5).tolist() for values in curve]})
+        curve = np.round(np.asarray(right.x)[shown, -1], 4), np.round(normal[shown, -1, k], 7)
+        rows.append(row | {"curve": [values.tolist() for values in curve]})
         print(row, flush=True)
     return rows
 

@@ -100,11 +100,12 @@ def draw_frame() -> None:
     ax.plot(*corner, "o", color=REACTION, markersize=4)
     for step, name, shift in (((0.16, 0), "$f_x$", (0.02, -0.012)), ((0, 0.16), "$f_y$", (-0.02, 0.02))):
         arrow(ax, tuple(corner), tuple(corner + step), REACTION)
-        ax.text(*(corner + step + shift), name, color=REACTION)
+        x, y = corner + step + shift
+        ax.text(x, y, name, color=REACTION)
     turn = {"arrowstyle": "-|>", "color": REACTION, "linewidth": 1.4, "connectionstyle": "arc3,rad=0.9"}
     start, end, label = (tuple(corner + np.array(by)) for by in ((0.075, -0.03), (-0.03, 0.075), (0.09, 0.07)))
     ax.annotate("", xy=end, xytext=start, arrowprops=turn, zorder=6)
-    ax.text(*label, "$m_z$", color=REACTION)
+    ax.text(label[0], label[1], "$m_z$", color=REACTION)
     ax.text(corner[0], corner[1] - 0.06, "support reactions on the\nwhisker, positive directions",
             color=REACTION, fontsize=8.5, ha="center", va="top")  # fmt: skip
     bare(ax, (-0.7, 1.32, -0.25, 1.164))
