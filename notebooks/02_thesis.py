@@ -64,8 +64,8 @@ assert all(
 Image(filename=draw(FIGURES["5.10"], scans, folder)[0])
 
 # %% [markdown]
-# The whisker under these loads. A strong follower force bends the tip back on itself and
-# pulls the base in the opposite direction.
+# The whisker under these loads. A strong follower force bends the tip back on itself
+# and pulls the base in the opposite direction.
 #
 # ## Chapter 6: whiskers on springs
 #
