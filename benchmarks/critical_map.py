@@ -8,7 +8,6 @@ from a factor of ten to 3e-5. The exact slopes come from the elliptic integrals 
 no code with the package.
 """
 
-import sys
 from pathlib import Path
 
 import jax
@@ -21,13 +20,12 @@ from scipy.optimize import minimize_scalar
 
 import jaxwhisker as jw
 from common import write
+from exact import clamped_branch, parabola
 
 mpl.use("Agg")
 from matplotlib import pyplot
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-from exact import clamped_branch, parabola
 
 PICTURE = ROOT / "docs" / "critical_map.png"
 DISTANCES = np.linspace(0.05, 0.6, 64)

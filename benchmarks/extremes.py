@@ -6,9 +6,7 @@ The error is the largest relative residual of the equations in tests/independent
 code with the package, and the balance of the network). Every case is scanned with both kinds of rods.
 """
 
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -20,15 +18,13 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import write
+from exact import CLAMP, _Network
+from independent import Mechanics, violations
 from jaxwhisker import _checks
 from jaxwhisker.critical import steepest
 from jaxwhisker.equilibrium import Mode, at_control, find
 from jaxwhisker.scan import _guess, stops_of, travelled_now
 from jaxwhisker.scene import problem
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-import exact
-from independent import Mechanics, violations
 
 RODS = {"integrated": jw.Shooting(), "closed form": jw.ClosedForm()}
 STEPS = 400  # of the control, unless the case sets it
@@ -57,7 +53,7 @@ class Case:
     def mechanics(self) -> Mechanics:
         """Mechanics for the reference."""
         springs = [{"between": e, "stiffness": k, "rest_length": r} for e, k, r in self.springs]
-        network = exact._Network(springs or [exact.CLAMP])
+        network = _Network(springs or [CLAMP])
         n = network.rest.size
         kind, values = self.profile
         each = {name: np.array([value]) for name, value in values.items()}

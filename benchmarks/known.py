@@ -212,16 +212,52 @@ def null_space(information, places):
     return {"pre-strains": int(free), "shifts": shift}
 
 
-def off(points, x):
-    """Distance of points outside the true parabola along its normal; NaN where `x` is not finite."""
-    foot = np.array(points[0])
+def distance_to_parabola(estimate):
+    """Distance of reconstructed points outside the true parabola along its normal; NaN where there is no point."""
+    x, y = np.asarray(estimate.x), np.asarray(estimate.y)
+    foot = np.array(x)
     for _ in range(50):
-        gap = foot - points[0] + 2 * CURVATURE * foot * (DISTANCE + CURVATURE * foot**2 - points[1])
-        slope = 1 + 2 * CURVATURE * (DISTANCE + CURVATURE * foot**2 - points[1]) + (2 * CURVATURE * foot) ** 2
-        foot = foot - gap / slope
+        height = DISTANCE + CURVATURE * foot**2 - y
+        gap = foot - x + 2 * CURVATURE * foot * height
+        foot = foot - gap / (1 + 2 * CURVATURE * height + (2 * CURVATURE * foot) ** 2)
     angle = np.arctan(2 * CURVATURE * foot)
-    away = (points[0] - foot) * np.sin(angle) - (points[1] - DISTANCE - CURVATURE * foot**2) * np.cos(angle)
+    away = (x - foot) * np.sin(angle) - (y - DISTANCE - CURVATURE * foot**2) * np.cos(angle)
     return np.where(np.isfinite(x), away, np.nan)
+
+
+def noisy_scans(data, sigma, count):
+    """Copies of the data with noise."""
+    rng = np.random.default_rng(0)
+    return [data | {n: data[n] + rng.normal(0, s, data[n].shape) for n, s in sigma.items()} for _ in range(count)]
+
+
+def misfits(scans, sensor, sigma):
+    """Reduced chi^2 of single points and between whiskers, for every noisy scan: (scans, 2)."""
+    each = [jw.reconstruct(scan, sensor, sigma=sigma) for scan in scans]
+    return np.array([[np.mean(np.asarray(r.chi2)[r.clear]), r.consistency().chi2] for r in each])
+
+
+def detection(usual, wrong):
+    """Smallest detected error in per cent (or degrees), from the misfits with the right and with a wrong parameter."""
+    excess = (wrong.mean(axis=0) - usual.mean(axis=0)) / usual.std(axis=0, ddof=1)
+    threshold = [float(np.sqrt(DETECTED / e)) if np.isfinite(e) and e > RESOLVED else None for e in excess]
+    mean = [float(chi2) if np.isfinite(chi2) else None for chi2 in usual.mean(axis=0)]
+    return {
+        "detected in points from": threshold[0],
+        "detected between whiskers from": threshold[1],
+        "chi^2 of points": mean[0],
+        "chi^2 between whiskers": mean[1],
+        "excess of points": float(excess[0]),
+        "excess between whiskers": float(excess[1]) if np.isfinite(excess[1]) else None,
+    }
+
+
+def detected_in_fit(information, sensor_parameters, name):
+    """Smallest error in per cent that a fit of contour and this parameter detects; None if it detects none."""
+    unknown = information.known(*[n for n in sensor_parameters if n not in (name, "angle")])
+    direction = np.eye(len(unknown.names))[unknown.names.index(name)]
+    error = 100 * float(standard_error(unknown, direction)) / sensor_parameters[name]
+    return DETECTED * error if np.isfinite(error) else None
 
 
 def errors(model, data, sigma, information, scans):
@@ -244,31 +280,16 @@ def errors(model, data, sigma, information, scans):
     # Points that are clear of the noise; without noise all of them are exact.
     clear = jw.reconstruct(data, sensor(start), sigma=sigma).clear
     right = jw.reconstruct(data, sensor(start))
-    slope = np.asarray(right.slope)
-    by = np.asarray(jax.jit(jax.jacfwd(points))(start)) * step
-    normal = by[0] * np.sin(slope)[..., None] - by[1] * np.cos(slope)[..., None]
-    exact = off((np.asarray(right.x), np.asarray(right.y)), np.asarray(right.x))
-    assert np.nanmax(np.abs(exact[clear])) < EXACT, np.nanmax(np.abs(exact[clear]))
-
-    rng = np.random.default_rng(0)
-    noisy = []
-    for _ in range(scans):
-        noise = {n: rng.normal(0, sigma[n], data[n].shape) for n in sigma}
-        noisy.append(data | {n: data[n] + noise[n] for n in sigma})
-
-    def misfits(known):
-        """Reduced chi^2 of single points and between whiskers, for every noisy scan."""
-        each = [jw.reconstruct(d, known, sigma=sigma) for d in noisy]
-        return np.array([[np.mean(np.asarray(r.chi2)[r.clear]), r.consistency().chi2] for r in each])
-
-    usual, rows = misfits(sensor(start)), []
+    assert np.nanmax(np.abs(distance_to_parabola(right)[clear])) < EXACT
+    by_x, by_y = np.asarray(jax.jit(jax.jacfwd(points))(start)) * step
+    slope = np.asarray(right.slope)[..., None]
+    normal = by_x * np.sin(slope) - by_y * np.cos(slope)
+    noisy = noisy_scans(data, sigma, scans)
+    usual, rows = misfits(noisy, sensor(start), sigma), []
     for k, name in enumerate(names):
-        wrong = start.at[k].add(step[k])
-        estimate = jw.reconstruct(data, sensor(wrong))
-        away = off((np.asarray(estimate.x), np.asarray(estimate.y)), np.asarray(estimate.x))
+        wrong = sensor(start.at[k].add(step[k]))
+        away = distance_to_parabola(jw.reconstruct(data, wrong))
         both = clear & np.isfinite(away)
-        excess = (misfits(sensor(wrong)).mean(axis=0) - usual.mean(axis=0)) / usual.std(axis=0, ddof=1)
-        detected = [float(np.sqrt(DETECTED / e)) if np.isfinite(e) and e > RESOLVED else None for e in excess]
         row = {
             "scene": model,
             "parameter": name,
@@ -279,21 +300,9 @@ def errors(model, data, sigma, information, scans):
             "max, full": float(np.max(np.abs(away[both]))),
             "points compared": int(both.sum()),
             "points": int(clear.sum()),
-            "detected in points from": detected[0],
-            "detected between whiskers from": detected[1],
-            "chi^2 of points": float(usual[:, 0].mean()),
-            "chi^2 between whiskers": float(usual[:, 1].mean()) if np.isfinite(usual[:, 1]).all() else None,
-            "excess of points": float(excess[0]),
-            "excess between whiskers": float(excess[1]) if np.isfinite(excess[1]) else None,
         }
-        if name != "angle":
-            unknown = information.known(*[n for n in values if n not in (name, "angle")])
-            error = (
-                100
-                * float(standard_error(unknown, np.eye(len(unknown.names))[unknown.names.index(name)]))
-                / values[name]
-            )
-            row["detected in a fit from"] = DETECTED * error if np.isfinite(error) else None
+        row |= detection(usual, misfits(noisy, wrong, sigma))
+        row["detected in a fit from"] = None if name == "angle" else detected_in_fit(information, values, name)
         shown = np.flatnonzero(clear[:, -1])  # the figure shows the last whisker
         shown = shown[np.linspace(0, shown.size - 1, SAMPLES).astype(int)]
         curve = np.round(np.asarray(right.x)[shown, -1], 4), np.round(normal[shown, -1, k], 7)

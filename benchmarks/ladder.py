@@ -6,7 +6,6 @@ python benchmarks/ladder.py
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import jax
 
@@ -17,8 +16,6 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import interleaved, summary, write
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from operations import operations, rods, traced
 
 STEPS, LANES = 800, 32

@@ -6,9 +6,7 @@ The ceiling is measured with a chain of fused multiply-adds on the same number o
 rod with two tangents; an equilibrium takes two such evaluations and one value.
 """
 
-import sys
 import time
-from pathlib import Path
 
 import jax
 
@@ -19,8 +17,6 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import interleaved, write
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from operations import inner, traced
 
 LANES, CHAIN = 65536, 256

@@ -9,15 +9,12 @@ import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 
 import jax
 import numpy as np
 
 import jaxwhisker as jw
 from common import write
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from independent import violations
 from random_scenes import NETWORKS, PROFILES, drawn, mechanics, scans
 

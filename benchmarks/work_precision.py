@@ -9,12 +9,10 @@ every lane has another stiffness, and about eight lanes are compared. Calls of a
 """
 
 import argparse
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -28,14 +26,12 @@ from scipy.optimize.elementwise import find_root
 
 import jaxwhisker as jw
 from common import summary, write
+from exact import circle, clamped_branch, exact_scan, parabola
 from peers import bvp, cosserat_rod, hinge_chain, stock, thesis
 from peers.scene import Circle, Scene
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-import exact
-
 PARABOLA, CIRCLE = Scene(), Circle()
-PROFILES = {PARABOLA: exact.parabola(PARABOLA.distance), CIRCLE: exact.circle(CIRCLE.distance, CIRCLE.radius)}
+PROFILES = {PARABOLA: parabola(PARABOLA.distance), CIRCLE: circle(CIRCLE.distance, CIRCLE.radius)}
 OBJECTS = {PARABOLA: jw.Parabola(PARABOLA.distance), CIRCLE: jw.Circle(CIRCLE.distance, CIRCLE.radius)}
 RANGE = {PARABOLA: (0.694, -1.3), CIRCLE: (0.775, -1.5)}  # of the drive; in contact for every stiffness below
 SOFTEST, STIFFEST = 60.0, 200.0  # lanes of a batch; the first lane has the stiffness of the scene
@@ -45,7 +41,7 @@ BASES = np.array([0.8, 0.3, -0.3])  # base positions of PyElastica's states
 @cache
 def exactly(scene: Scene, steps: int, stiffness: float) -> np.ndarray:
     """Exact fx, fy, mz from elliptic integrals, (steps, 3)."""
-    branch, control = exact.clamped_branch(PROFILES[scene]), control_of(scene, steps)
+    branch, control = clamped_branch(PROFILES[scene]), control_of(scene, steps)
 
     def drive(p):
         state = branch.states(p)
@@ -72,7 +68,7 @@ def error(scene: Scene, stiffness: np.ndarray, signals: np.ndarray) -> float:
 def event_error(rod: jw.AbstractRod) -> float:
     """Largest error of an event position in the whole FB scan."""
     springs = [{"between": (0, 1), "stiffness": PARABOLA.stiffness, "rest_length": PARABOLA.rest_length}]
-    reference = exact.exact_scan(PROFILES[PARABOLA], springs, np.linspace(0.8, -1.6, 200)).events
+    reference = exact_scan(PROFILES[PARABOLA], springs, np.linspace(0.8, -1.6, 200)).events
     events = jw.scan(ours_scene(PARABOLA, rod, PARABOLA.stiffness)).events
     got = {event.kind.name: event.control for event in events}
     return max(abs(float(got[event.kind]) - event.control) for event in reference)
@@ -203,7 +199,7 @@ def stock_scan(c, control, **options):
 
 def cosserat_rows(elements: tuple[int, ...]) -> list[dict]:
     """PyElastica on a few states of a clamped whisker, run once because a state takes seconds."""
-    branch, rows = exact.clamped_branch(PROFILES[CIRCLE]), []
+    branch, rows = clamped_branch(PROFILES[CIRCLE]), []
     state = branch.states(np.array([branch.parameter(x) for x in BASES]))
     reference = np.stack([state.fx, state.fy, state.mz], axis=-1)
     for n in elements:
