@@ -42,9 +42,9 @@ data.head(3)
 ax = data.plot("control", ["mz_1", "mz_2"], xlabel="$u/L$", ylabel=r"$m_z\,L/EI$")
 
 # %% [markdown]
-# The moments. The drive moves from right to left; whisker 1 touches first, then whisker
-# 2. When whisker 1 snaps off, at -1.3, the moment of whisker 2 jumps a little, because
-# springs couple the whiskers.
+# The moments. The drive moves from right to left; whisker 1 touches first and whisker 2
+# follows. When whisker 1 snaps off, at -1.3, the moment of whisker 2 jumps a little,
+# because springs couple the whiskers.
 #
 # ## The fit
 #
@@ -124,8 +124,8 @@ print(
 )
 
 # %% [markdown]
-# Both agree: with 441 samples the parabola is accurate enough. (The notebook posterior
-# shows a case in which it is not.)
+# Both agree: with 441 samples the parabola is accurate enough. (The notebook
+# `posterior` shows a case in which it is not.)
 #
 # ## Information in the signals
 #

@@ -82,8 +82,8 @@ ax = jw.plot.shapes(scans["cone 5:1"], [-0.70, -0.80])
 # ## A base that yields
 #
 # `Support.follicle` has a spring for each direction in which the base can yield: across
-# the whisker (x), along it (y), and in angle (phi). Here is a torsion spring, from soft
-# to rigid, in EI/L.
+# the whisker (x), along it (y), and in angle (phi). These scans vary a torsion spring,
+# from soft to rigid, in EI/L.
 
 
 # %%
