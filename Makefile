@@ -11,7 +11,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint types docs notebooks bench bench-more bench-inverse extremes soak clean distclean
+.PHONY: help demo test lint types docs notebooks figures bench bench-more bench-inverse extremes soak clean distclean
 
 help: ## list all targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -39,26 +39,30 @@ notebooks: $(VENV)/installed-dev ## run all notebooks and save them with outputs
 	    $(BIN)/jupytext --quiet --set-kernel python3 --to ipynb --execute --run-path notebooks --output $(OUT)/notebooks/$$name.ipynb $$notebook || exit 1; \
 	done
 
+figures: $(VENV)/installed-dev ## draw the figures of the documentation (two minutes)
+	@for script in figures/*.py; do $(BIN)/python $$script || exit 1; done
+
 bench: $(VENV)/installed-bench ## measure error and run time, compare simulators (half an hour; QUICK=1: three minutes)
-	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision growth cold_start ladder roofline report))
+	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision growth cold_start ladder roofline report) && $(draw))
 
 bench-more: $(VENV)/installed-dev ## measure gradients, studies, supports, films and sliders (needs ffmpeg, chromium)
-	@$(call run,gradient_cost study_speed critical_map settings showing report)
+	@$(call run,gradient_cost study_speed critical_map settings showing report) && $(draw)
 
 bench-inverse: $(VENV)/installed-dev ## measure fits, contours and required prior knowledge (an hour)
-	@$(call run,identify reconstruct known report)
+	@$(call run,identify reconstruct known report) && $(draw)
 
-extremes: $(VENV)/installed-dev ## scan scenes at the ends of every parameter's range
-	@$(call run,extremes report)
+extremes: $(VENV)/installed-dev ## scan scenes at the limits of every parameter's range
+	@$(call run,extremes report) && $(draw)
 
 soak: $(VENV)/installed-dev ## check 100,000 random scenes (half an hour on two cores)
 	@$(call run,soak soak_supports report)
 
 run = for name in $(1); do echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit 1; done
+draw = $(BIN)/python figures/results.py
 
 clean: ## remove results, caches and build products, but keep .venv
 	@rm -rf $(OUT) build dist .pytest_cache .ruff_cache .hypothesis src/*.egg-info
-	@find src tests benchmarks docs notebooks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+	@find src tests benchmarks docs_hooks figures notebooks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 distclean: clean ## run clean and remove .venv as well
 	@rm -rf $(VENV)
