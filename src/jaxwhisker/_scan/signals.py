@@ -5,6 +5,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
@@ -33,7 +34,14 @@ def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State
 
 
 def _residual(
-    problem: Problem, z: Contacts, u: Scalar, mode: Mode, base: Base, pose: Poses, wanted: Poses, here: ScenePose
+    problem: Problem,
+    z: Contacts,
+    u: Scalar,
+    mode: Mode,
+    base: Base,
+    pose: Float[Array, "whiskers 3"],
+    wanted: Poses,
+    here: ScenePose,
 ) -> Scalar:
     """Largest residual of any equation or inequality of the touching whiskers."""
     touching = mode.phase != Phase.free
