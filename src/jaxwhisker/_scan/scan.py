@@ -143,7 +143,7 @@ def _capacity(problem: Problem, stops: int) -> int:
 def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:
     """March to all stops, in the scene's units; right across the object if the first one is NaN."""
     unit, approach = problem.unit, approach_of(problem)
-    limits, whole = approach.range(), jnp.isnan(stops[0])
+    limits, whole = approach.limits(), jnp.isnan(stops[0])
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
     path = march(*jax.lax.stop_gradient((problem, stops)), last, capacity=_capacity(problem, stops.shape[0]))
     path, start, stop = approach.crop(path, whole, limits)

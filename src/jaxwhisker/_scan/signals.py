@@ -108,7 +108,7 @@ def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tup
     return (before, before_mode), (Point(after, before.u), after_mode)
 
 
-def _nothing(node: Node) -> Node:
+def _placeholder(node: Node) -> Node:
     """A node at which all whiskers are free and nothing happens: a placeholder for unused room."""
     nowhere = jax.tree.map(jnp.zeros_like, node)
     along = Point(nowhere.point.z, jnp.asarray(-1.0))
@@ -129,7 +129,7 @@ def events(problem: Problem, path: Path) -> Events:
     filled = jnp.arange(size) < count
     empty = jax.tree.map(lambda leaf: leaf[0], nodes)
     node, previous = (
-        jax.vmap(lambda k, is_one: select(is_one, jax.tree.map(lambda leaf: leaf[k], nodes), _nothing(empty)))(
+        jax.vmap(lambda k, is_one: select(is_one, jax.tree.map(lambda leaf: leaf[k], nodes), _placeholder(empty)))(
             at - back, filled
         )
         for back in (0, 1)
