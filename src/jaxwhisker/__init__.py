@@ -13,11 +13,11 @@ from jaxwhisker._inverse.points import PointStatus, Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.motion import AbstractMotion, Motion, Rotation, Translation
-from jaxwhisker._model.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
+from jaxwhisker._model.profile import AbstractProfile
+from jaxwhisker._model.profiles import Circle, Ellipse, Graph, Parabola, Tilted
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.spring import Spring
 from jaxwhisker._model.support import Mount, Support
-from jaxwhisker._model.tilted import Tilted
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting

@@ -8,7 +8,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.lanes import harmless
+from jaxwhisker._base.leaves import harmless
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.implicit import without_rule
 from jaxwhisker._model.support import Support
