@@ -98,9 +98,6 @@ class _AbstractEllipse(AbstractProfile):
     def vertex(self):
         return self.position, self.distance
 
-    def _positive(self):
-        return [self.distance, *self._axes()]
-
 
 class Ellipse(_AbstractEllipse):
     """Ellipse with half axes a along x and b along y: x = a sin t, y = -b cos t, relative to its centre.
@@ -139,6 +136,9 @@ class Ellipse(_AbstractEllipse):
     def in_unit(self, length):
         return Ellipse(self.distance / length, self.a / length, self.b / length, self.position / length)
 
+    def _positive(self):
+        return [self.distance, self.a, self.b]
+
     def __str__(self):
         axes = f"a = {as_text(self.a)}, b = {as_text(self.b)}"
         return f"ellipse q = {as_text(self.distance)}, {axes}{text_unless(0.0, ', x = ', self.position)}"
@@ -176,6 +176,9 @@ class Circle(_AbstractEllipse):
 
     def in_unit(self, length):
         return Circle(self.distance / length, self.radius / length, self.position / length)
+
+    def _positive(self):
+        return [self.distance, self.radius]
 
     def __str__(self):
         position = text_unless(0.0, ", x = ", self.position)

@@ -284,7 +284,7 @@ def deflect(
 
 
 def _curvature(moment: Scalar | rod.Along, section: Section | None, s: rod.Along) -> Scalar | rod.Along:
-    return moment if section is None else jax.vmap(section.bent)(moment, s)
+    return moment if section is None else jax.vmap(section.total_curvature)(moment, s)
 
 
 @eqx.filter_jit
