@@ -208,10 +208,10 @@ class Graph(AbstractProfile):
         ValueError: if `g` is not a function of one number that JAX can trace, or another value is not allowed.
 
     Examples:
-        >>> profile = jw.Graph(lambda x: 0.2 + x**4 + x**2)
+        >>> profile = jw.Graph(lambda x: jnp.cosh(2 * x - 1) / 5)
         >>> x, y = profile.vertex()
         >>> print(f"x = {x:.3f}, y = {y:.3f}")
-        x = 0.000, y = 0.200
+        x = 0.500, y = 0.200
     """
 
     g: Callable
