@@ -1,5 +1,6 @@
 """Supports: named models, mounts, spring lengths, errors."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -51,12 +52,12 @@ def test_spring_lengths():
 
 
 def test_traced_parameters_out_of_their_domain_are_invalid():
-    assert jw.Support.fb(70.0).valid()
-    assert jw.Support(mount=jw.Mount(angle=1.5)).valid()
-    # As transformations build them, without the checks.
-    bad = jw.Mount(angle=1.0)
-    object.__setattr__(bad, "angle", jnp.asarray(2.0))
-    assert not bad.valid()
+    @jax.jit
+    def valid(stiffness, angle):
+        return jw.Support.follicle(x=stiffness, mount=jw.Mount(angle=angle)).valid()
+
+    assert valid(70.0, 1.5) and valid(jnp.inf, -1.5)
+    assert not valid(-70.0, 1.5) and not valid(70.0, 2.0) and not valid(70.0, jnp.nan)
 
 
 @pytest.mark.unchecked
