@@ -11,7 +11,7 @@ from scipy.special import ellipeinc, ellipj, ellipkinc
 
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import Body, Phase
-from jaxwhisker._model.profile import Parabola
+from jaxwhisker._model.profiles import Parabola
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.elastica import ClosedForm, Shooting, rod_end
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.lanes import harmless
+from jaxwhisker._base.leaves import harmless
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.contact import Base, Body

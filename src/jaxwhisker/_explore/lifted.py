@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.functions import _Plain
+from jaxwhisker._base.leaves import _Plain
 from jaxwhisker._model.scene import Scene
 
 

@@ -44,5 +44,5 @@ class Points:
                 self._build(**self._parameters.one(number))
             except ValueError as error:
                 # Without the value, which differs from point to point.
-                return str(error).split(", but is")[0]
+                return str(error).split(", got")[0]
         return Status(status).name

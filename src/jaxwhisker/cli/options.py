@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxwhisker._model.profile import Circle, Ellipse, Parabola
+from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
 
 MODELS = ("clamped", "FB", "FBFB", "FBFBR", "FBFBFBR")
 MAX_STEPS = 1_000_000

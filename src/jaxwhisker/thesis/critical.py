@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from jaxwhisker._model.profile import Parabola
+from jaxwhisker._model.profiles import Parabola
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._study.critical import Steepest, softest, steepest

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
-from jaxwhisker._model.profile import Circle, Parabola
+from jaxwhisker._model.profiles import Circle, Parabola
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
