@@ -55,7 +55,7 @@ def text_unless(default: float, prefix: str, value: Any) -> str:
     return "" if text == as_text(default) else prefix + text
 
 
-def harmless(tree: Tree, valid: Bool[Array, ""]) -> Tree:
+def safe_placeholder(tree: Tree, valid: Bool[Array, ""]) -> Tree:
     """The tree, with safe placeholder values in (0, 1] where it is invalid.
 
     Invalid batch elements are computed like all others, and their results are discarded. Their derivatives must be

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.leaves import harmless
+from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.contact import Base, Body
@@ -281,7 +281,7 @@ class InPlane(Problem):
 def problem_of(scene: Scene) -> Problem:
     """The dimensionless problem of a scene, differentiable with respect to all of it."""
     valid = _valid(scene)
-    scene = harmless(scene, valid)
+    scene = safe_placeholder(scene, valid)
     unit = jax.tree.map(checks.as_float, units(scene))
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])

@@ -11,7 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.leaves import harmless
+from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.implicit import without_rule
 from jaxwhisker._model.loads import PointForce, PointMoment
@@ -289,7 +289,7 @@ def _deflect(
 ) -> Deflection:
     tip_angle, status = _solve(*jax.lax.stop_gradient((whisker, loads, support)))
     ok = status == Status.ok
-    whisker, loads, support = harmless((whisker, loads, support), ok)
+    whisker, loads, support = safe_placeholder((whisker, loads, support), ok)
     problem = _problem_of(whisker, loads, support)
     tip_angle = _differentiable(jnp.where(ok, tip_angle, jnp.pi / 2), problem)
     stretches, (x, y, _, _) = _stretches(problem, tip_angle, jnp.asarray(1.0), STEPS)
