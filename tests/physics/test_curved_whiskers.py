@@ -183,6 +183,6 @@ def test_a_whisker_that_would_touch_in_two_places_is_an_error():
         whisker = jw.Whisker(intrinsic_curvature=Spiral(-3.0 * growth / 8, growth))
         return jw.scan(jw.Scene(whisker, jw.Parabola(0.2, 10.0)), CONTROL[::16]).status
 
-    found = jax.jit(jax.vmap(status))(growth)
-    assert np.all(found[0] == jw.Status.invalid)
-    assert np.all(found[1] == jw.Status.ok)
+    each = jax.jit(jax.vmap(status))(growth)
+    assert np.all(each[0] == jw.Status.invalid)
+    assert np.all(each[1] == jw.Status.ok)
