@@ -102,7 +102,7 @@ def test_shapes_have_points_on_each_stretch():
     whisker = jw.Whisker(2.0)
     d = jw.deflect(whisker, jw.PointForce(0.3, 1.5), jw.PointForce(0.2, 0.5), points=11)
     assert d.s.shape == (11 + 11 + 1,)
-    np.testing.assert_allclose(d.s[[0, 10, 11, 21, 22]], [0.0, 0.5, 0.5, 1.5, 2.0], atol=EXACT)
+    np.testing.assert_allclose(np.asarray(d.s)[[0, 10, 11, 21, 22]], [0.0, 0.5, 0.5, 1.5, 2.0], atol=EXACT)
     np.testing.assert_allclose([d.x[0], d.y[0]], [d.base_x, d.base_y], atol=EXACT)
     # Beyond the outermost load the whisker is straight.
     step = np.array([d.x[22] - d.x[21], d.y[22] - d.y[21]])
