@@ -1,4 +1,4 @@
-"""Scans that tests of pictures draw, and studies made up."""
+"""Scans and made-up studies for tests of figures."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,21 +17,21 @@ def coupled():
 
 
 def turning():
-    """A base that yields along all axes, mounted askew, on a drive that turns."""
+    """A leaning whisker whose base has springs along all axes, on a rotating drive."""
     support = jw.Support.follicle(80.0, 200.0, 10.0, mount=jw.Mount(0.0, 0.1, 0.2))
     motion = jw.Rotation((0.0, -0.5), 0.3)
     return jw.Scene(jw.Whisker(), jw.Circle(0.6, 0.4), support, rod=jw.ClosedForm(), motion=motion)
 
 
 def of_steps(result, steps):
-    """A result of some of a scan's steps, in any order."""
+    """A result with some of a scan's steps, in any order."""
     fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
     whole = {name: fields.pop(name) for name in ("events", "scene")}
     return jw.Result(**{name: jnp.asarray(field)[steps] for name, field in fields.items()}, **whole)
 
 
 def failed(result, steps):
-    """The same with steps that failed."""
+    """The same result with failed steps."""
 
     def fail(leaf):
         return leaf.at[steps].set(jnp.nan) if eqx.is_inexact_array(leaf) else leaf.at[steps].set(0)
@@ -43,13 +43,13 @@ def failed(result, steps):
 
 
 def there_and_back(result):
-    """A scan whose drive turns round at its last step, through the same states."""
+    """A scan that reverses at its last step and returns through the same states."""
     steps = np.r_[0 : result.control.size, result.control.size - 2 : -1 : -1]
     return of_steps(result, steps)
 
 
 def summarised():
-    """What a summary of a study over stiffness and distance might hold."""
+    """A made-up summary of a study over stiffness and distance."""
     stiffness, distance = np.linspace(30.0, 90.0, 7), np.array([0.1, 0.2, 0.3])
     peak = 1.2 / np.sqrt(distance)[:, None] + 0.3 * np.log(stiffness / 30.0)
     data = xr.Dataset(
@@ -65,5 +65,5 @@ def summarised():
 
 
 def steepness(data):
-    """43.2 is critical at a distance of 0.2, more of nearer objects."""
+    """Steepness with a critical stiffness of 43.2 at a distance of 0.2, higher for nearer objects."""
     return (8.64 / data.distance / data.stiffness).transpose("stiffness", "distance")

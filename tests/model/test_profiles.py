@@ -1,5 +1,6 @@
 """Parabolas, circles, ellipses, graphs and tilted profiles: points, first contact by tip or shaft, scans, errors."""
 
+# pyright: reportArgumentType=false
 import math
 
 import equinox as eqx
@@ -122,7 +123,7 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (
             lambda: jw.Graph(3.0),
             "`g` must be a function that is called with one number and returns one number, got 3.0",
-        ),  # pyright: ignore[reportArgumentType]
+        ),
         (lambda: jw.Graph(lambda x: x**2 if x > 0 else -x), "`g` must be a function that JAX can trace, got <lambda>"),
         (lambda: jw.Graph(lambda x: np.interp(x, [0, 1], [1, 2])), "`g` .* jnp.interp instead of np.interp"),
         (lambda: jw.Graph(math.exp), "`g` must be a function that JAX can trace, got exp"),
@@ -130,9 +131,9 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (lambda: jw.Graph(lambda x: jnp.stack([x, x])), r"`g` .* returns one number, got .* of shape \(2,\)"),
         (lambda: jw.Graph(lambda x: None), "`g` .* returns one number, got .* a value of type NoneType"),
         (lambda: jw.Graph(lambda x: x**2, extent=np.nan), "`extent` must be a positive finite number, got nan"),
-        (lambda: jw.Tilted(0.3, 0.1), "`profile` must be a profile such as Parabola or Graph, got 0.3"),  # pyright: ignore[reportArgumentType]
+        (lambda: jw.Tilted(0.3, 0.1), "`profile` must be a profile such as Parabola or Graph, got 0.3"),
         (lambda: jw.Tilted(jw.Parabola(0.2), 2.0), "`angle` must be less than a right angle, got 2 rad"),
-        (lambda: jw.Tilted(jw.Parabola(0.2), 0.1, 3.0), "`about` must be a pair of numbers, got 3.0"),  # pyright: ignore[reportArgumentType]
+        (lambda: jw.Tilted(jw.Parabola(0.2), 0.1, 3.0), "`about` must be a pair of numbers, got 3.0"),
         (lambda: jw.Tilted(jw.Parabola(0.2), 0.1, (0.0, np.inf)), "`about` must be a finite number, got inf"),
     ],
 )

@@ -1,5 +1,6 @@
 """Scenes and sensors: how they print, whiskers per base, units, errors."""
 
+# pyright: reportArgumentType=false
 import jax
 import jax.numpy as jnp
 import pytest
@@ -85,17 +86,17 @@ def test_only_upright_bases_move_along_x_alone(support, motion, along_x):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: jw.Scene(1.0, PARABOLA), "`whisker` must be a Whisker or a tuple of them, got 1.0"),  # pyright: ignore[reportArgumentType]
-        (lambda: jw.Scene(jw.Whisker(), 0.2), "`profile` must be a Parabola, .* or Tilted, got 0.2"),  # pyright: ignore[reportArgumentType]
-        (lambda: jw.Scene(jw.Whisker(), PARABOLA, 70.0), "`support` must be a Support, got 70.0"),  # pyright: ignore[reportArgumentType]
+        (lambda: jw.Scene(1.0, PARABOLA), "`whisker` must be a Whisker or a tuple of them, got 1.0"),
+        (lambda: jw.Scene(jw.Whisker(), 0.2), "`profile` must be a Parabola, .* or Tilted, got 0.2"),
+        (lambda: jw.Scene(jw.Whisker(), PARABOLA, 70.0), "`support` must be a Support, got 70.0"),
         (
             lambda: jw.Scene(jw.Whisker(), PARABOLA, rod="exact"),
             r"`rod` must be Shooting\(\) or ClosedForm\(\), got 'exact'",
-        ),  # pyright: ignore[reportArgumentType]
+        ),
         (
             lambda: jw.Scene(jw.Whisker(), PARABOLA, motion="turn"),
             "`motion` must be a Translation, Rotation or Motion, got",
-        ),  # pyright: ignore[reportArgumentType]
+        ),
         (
             lambda: jw.Scene((jw.Whisker(), jw.Whisker()), PARABOLA, jw.Support.fb(70.0)),
             r"`whisker` must be one Whisker or one per base \(1 in FB\), got a tuple of 2",

@@ -1,5 +1,6 @@
 """Supports: named models, mounts, spring lengths, errors."""
 
+# pyright: reportArgumentType=false
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,8 +71,8 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
             lambda: jw.Support((*jw.Support.fbfb(1.0).springs, jw.Spring((1, 2), 1.0, axis="phi"))),
             "`springs` must connect .* base 1 along phi",
         ),
-        (lambda: jw.Support((70.0,)), "`springs` must be a tuple of Spring, got"),  # pyright: ignore[reportArgumentType]
-        (lambda: jw.Support(mount=3.0), "`mount` must be a Mount or a tuple of them, got 3.0"),  # pyright: ignore[reportArgumentType]
+        (lambda: jw.Support((70.0,)), "`springs` must be a tuple of Spring, got"),
+        (lambda: jw.Support(mount=3.0), "`mount` must be a Mount or a tuple of them, got 3.0"),
         (
             lambda: jw.Support((jw.Spring((0, 1), 1.0),), (jw.Mount(), jw.Mount())),
             r"`mount` must be one Mount or one per base \(1\), got 2 of them",

@@ -67,36 +67,30 @@ class Parabola(AbstractProfile):
 
 
 class _AbstractEllipse(AbstractProfile):
-    distance: eqx.AbstractVar[Scalar]
-    position: eqx.AbstractVar[Scalar]
-
     @abc.abstractmethod
     def _axes(self) -> tuple[Scalar, Scalar]:
         """Half axes along x and y."""
 
     def point(self, parameter):
-        a, b = self._axes()
+        (a, b), (position, distance) = self._axes(), self.vertex()
         cos, sin = jnp.cos(parameter), jnp.sin(parameter)
         size, norm = jnp.sqrt(a * sin**2 + b * cos**2), jnp.sqrt(b * sin**2 + a * cos**2)
         cos_t, sin_t = jnp.sqrt(b) * cos / size, jnp.sqrt(a) * sin / size
         # 1 - cos t loses its digits near the vertex; sin^2 t / (1 + cos t) does not.
-        y = self.distance + b * sin_t**2 / (1 + cos_t)
-        return ContactPoint(self.position + a * sin_t, y, jnp.sqrt(a) * cos / norm, jnp.sqrt(b) * sin / norm)
+        y = distance + b * sin_t**2 / (1 + cos_t)
+        return ContactPoint(position + a * sin_t, y, jnp.sqrt(a) * cos / norm, jnp.sqrt(b) * sin / norm)
 
     def around(self):
         return -jnp.pi, jnp.pi
 
     def first_touch(self, height, side):
         # The shaft of a whisker that ends above the widest point meets that point; otherwise the tip meets the flank.
-        a, b = self._axes()
-        rise = jnp.asarray((height - self.distance) / b, dtype=float)
+        (a, b), (position, distance) = self._axes(), self.vertex()
+        rise = jnp.asarray((height - distance) / b, dtype=float)
         rise = jnp.minimum(jnp.where(rise > 0, rise, 1.0), 1.0)  # out of reach, any finite value will do
         cos_t, sin_t = 1 - rise, jnp.sqrt(rise * (2 - rise))
         parameter = jnp.arctan2(jnp.sqrt(b) * sin_t, jnp.sqrt(a) * cos_t)
-        return _mirror(FirstTouch(parameter, a * sin_t, self.distance + b * rise), side, self.position)
-
-    def vertex(self):
-        return self.position, self.distance
+        return _mirror(FirstTouch(parameter, a * sin_t, distance + b * rise), side, position)
 
 
 class Ellipse(_AbstractEllipse):
@@ -132,6 +126,9 @@ class Ellipse(_AbstractEllipse):
 
     def _axes(self):
         return self.a, self.b
+
+    def vertex(self):
+        return self.position, self.distance
 
     def in_unit(self, length):
         return Ellipse(self.distance / length, self.a / length, self.b / length, self.position / length)
@@ -173,6 +170,9 @@ class Circle(_AbstractEllipse):
 
     def _axes(self):
         return self.radius, self.radius
+
+    def vertex(self):
+        return self.position, self.distance
 
     def in_unit(self, length):
         return Circle(self.distance / length, self.radius / length, self.position / length)

@@ -79,12 +79,12 @@ class _Base(eqx.Module):
             return cos * jnp.cos(self.rest[2]) + sin * jnp.sin(self.rest[2])
         return self.angle(moment) - jnp.arctan2(-cos, sin)
 
-    def position(self, load: rod.Load) -> tuple[Scalar, Scalar]:
-        """x and y under the load."""
+    def position(self, force_x: Scalar, force_y: Scalar) -> tuple[Scalar, Scalar]:
+        """x and y under the forces of the whisker on the base."""
         x, y, _ = self.rest
         if self.compliance is None:
             return x, y
-        return x + self.compliance[0] * load.force_x, y + self.compliance[1] * load.force_y
+        return x + self.compliance[0] * force_x, y + self.compliance[1] * force_y
 
 
 class _Problem(eqx.Module):
@@ -294,23 +294,27 @@ def _deflect(
     tip_angle = _differentiable(jnp.where(ok, tip_angle, jnp.pi / 2), problem)
     stretches, (x, y, _, _) = _stretches(problem, tip_angle, jnp.asarray(1.0), STEPS)
     load, shape = stretches[-1].load, _shape(problem, tip_angle, stretches, points)
-    moment, (base_x, base_y) = rod.moment(x, y, load), problem.base.position(load)
+    assert load.force_x is not None
+    moment, (base_x, base_y) = rod.moment(x, y, load), problem.base.position(load.force_x, load.force_y)
     length, stiffness = whisker.length, whisker.base_stiffness
-    deflection = Deflection(
-        fx=-load.force_x * stiffness / length**2,  # pyright: ignore[reportOptionalOperand]
-        fy=-load.force_y * stiffness / length**2,
-        mz=-moment * stiffness / length,
-        base_x=base_x * length,
-        base_y=base_y * length,
-        base_angle=problem.base.angle(moment),
-        s=shape.s * length,
-        x=(shape.x - x + base_x) * length,
-        y=(shape.y - y + base_y) * length,
-        angle=jnp.unwrap(jnp.arctan2(shape.sin, shape.cos)),
-        curvature=shape.curvature / length,
+
+    def where_ok(value):
+        return jnp.where(ok, value, jnp.nan)
+
+    return Deflection(
+        fx=where_ok(-load.force_x * stiffness / length**2),
+        fy=where_ok(-load.force_y * stiffness / length**2),
+        mz=where_ok(-moment * stiffness / length),
+        base_x=where_ok(base_x * length),
+        base_y=where_ok(base_y * length),
+        base_angle=where_ok(problem.base.angle(moment)),
+        s=where_ok(shape.s * length),
+        x=where_ok((shape.x - x + base_x) * length),
+        y=where_ok((shape.y - y + base_y) * length),
+        angle=where_ok(jnp.unwrap(jnp.arctan2(shape.sin, shape.cos))),
+        curvature=where_ok(shape.curvature / length),
         status=status,
     )
-    return jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan) if eqx.is_inexact_array(leaf) else leaf, deflection)
 
 
 class _Shape(eqx.Module):
@@ -321,7 +325,7 @@ class _Shape(eqx.Module):
     y: rod.Along
     cos: rod.Along
     sin: rod.Along
-    curvature: rod.Along
+    curvature: Scalar | rod.Along
 
 
 def _shape(problem: _Problem, tip_angle: Scalar, stretches: list[_Stretch], points: int) -> _Shape:
@@ -345,9 +349,10 @@ def _unloaded_shape(problem: _Problem, tip_angle: Scalar, points: int) -> _Shape
     position, zero = problem.loads.position[0], jnp.zeros(())
     start, nothing = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle)), rod.Load(None, zero, None)
     line = rod.points(start, position - 1.0, nothing, problem.section, count=points, from_base=position)
+    x, y, cos, sin = (values[1:] for values in line)
     s = jnp.linspace(position, 1.0, points)[1:]
-    return _Shape(s, *(values[1:] for values in line), _curvature(problem, jnp.zeros(points - 1), s))
+    return _Shape(s, x, y, cos, sin, _curvature(problem, jnp.zeros(points - 1), s))
 
 
-def _curvature(problem: _Problem, moment: rod.Along, s: rod.Along) -> rod.Along:
+def _curvature(problem: _Problem, moment: Scalar | rod.Along, s: rod.Along) -> Scalar | rod.Along:
     return moment if problem.section is None else jax.vmap(problem.section.total_curvature)(moment, s)
