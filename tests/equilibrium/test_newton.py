@@ -30,14 +30,19 @@ def mode_of(at):
 solve, step = jit(solve_point), jit(newton_step)
 
 
+def strong(tree):
+    """The tree without weak types, of which each combination would be compiled for itself."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, leaf.dtype), tree)
+
+
 def solved_at_control(problem, mode, z, u):
     """The solution at a control, from a guess."""
-    return solve(problem, mode, at_control(u, z), Point(z, u))
+    return solve(problem, mode, *strong((at_control(u, z), Point(z, u))))
 
 
 def step_at_control(problem, mode, z, u):
     """A Newton step from here, towards control 0."""
-    return step(problem, mode, at_control(jnp.asarray(0.0), z), Point(z, u))
+    return step(problem, mode, *strong((at_control(jnp.asarray(0.0), z), Point(z, u))))
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +104,7 @@ def test_an_arc_length_ahead(typical):
     here = Point(z, jnp.asarray(0.0))
     tangent = step_at_control(problem, mode, z, here.u).tangent
     row = at_arc_length(here, tangent, distance)
-    solution = solve(problem, mode, row, here)
+    solution = solve(problem, mode, *strong((row, here)))
     assert solution.converged
     chord = solution.point.z - z
     scale = scale_of(z)
