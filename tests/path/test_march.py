@@ -21,7 +21,8 @@ from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Status
 
 EVENT = 1e-9  # positions of events: folds are located to the square of 1e-9, the others solved for
 EXACT = 1e-9  # nodes are solved for
-CAPACITY = 128
+ALIGNED = 1e-8  # of cosines; directions are those of the last linearisation, one Newton step before the node
+CAPACITY = 192
 STOPS = 24  # of a path, padded
 STIFF, SOFT = 70.0, 10.0
 
@@ -76,8 +77,9 @@ def test_nodes_lie_on_the_way_of_the_drive(straight):
     assert nodes.kind[0] == NO_EVENT and nodes.travel[0] <= 0
     assert (nodes.kind == STOP).sum() == 1  # it ends where the object is left behind, before the last stop
     assert nodes.point.u[-1] > -2.0
-    # Between events phases stay.
-    np.testing.assert_array_equal(nodes.phase[:-1], nodes.phase_before[1:])
+    # Between events phases stay; a snap begins where the node before it ends.
+    snap = nodes.kind[1:] >= EventKind.snap_through
+    np.testing.assert_array_equal(nodes.phase[:-1][~snap], nodes.phase_before[1:][~snap])
     plain = nodes.kind == NO_EVENT
     np.testing.assert_array_equal(nodes.phase[plain], nodes.phase_before[plain])
     assert not nodes.whiskers[plain].any() and nodes.whiskers[nodes.kind >= 0].all()
@@ -96,16 +98,17 @@ def test_nodes_are_equilibria_with_tangents_of_unit_length(problem, straight):
     residual, tangent = judged(*map(jnp.asarray, (*nodes.point, nodes.phase, nodes.side)))
     assert np.max(residual) < EXACT
     size = jax.vmap(scale_of)(jnp.asarray(nodes.point.z))
-    length = np.sum((nodes.leaving.z / size) ** 2, axis=(1, 2)) + nodes.leaving.u**2
-    np.testing.assert_allclose(length, 1.0, rtol=1e-9)
+
+    def dot(one, other):
+        return np.sum(np.asarray(one.z) * other.z / size**2, axis=(1, 2)) + np.asarray(one.u) * other.u
+
+    np.testing.assert_allclose(dot(nodes.leaving, nodes.leaving), 1.0, rtol=1e-9)
+    aligned = dot(nodes.leaving, tangent) / np.sqrt(dot(tangent, tangent))
     # At the fold the control does not change along the path; elsewhere it moves on.
     fold = np.flatnonzero(nodes.kind == EventKind.snap_off) - 1
     assert np.max(np.abs(nodes.arriving.u[fold])) < 1e-6
-    moves = np.delete(nodes.leaving.u, fold)
-    assert np.all(moves < 0)
-    slope = np.asarray(tangent.z) / np.asarray(tangent.u)[:, None, None]
-    steep = np.delete(slope, fold, axis=0) * moves[:, None, None]
-    np.testing.assert_allclose(steep, np.delete(nodes.leaving.z, fold, axis=0), rtol=1e-6, atol=1e-6)
+    assert np.all(np.delete(nodes.leaving.u, fold) < 0)
+    np.testing.assert_allclose(np.abs(np.delete(aligned, fold)), 1.0, atol=ALIGNED)
 
 
 @pytest.mark.parametrize("stops", [(0.8, 0.1, -2.0), (0.3, -0.7, -1.0, -2.0), (1.9, -2.0)], ids=str)
@@ -123,13 +126,13 @@ def test_events_do_not_depend_on_the_stops(problem, straight, stops):
 
 
 def test_the_way_back_retraces_the_way_out(problem):
-    nodes, status = followed(problem, 0.8, -0.4, 0.8)
+    nodes, status = followed(problem, 0.8, -0.7, 0.8)
     kinds, controls = events(nodes)
     assert status == Status.ok
     assert kinds == ["touch", "tip_to_tangential", "vertex", "vertex", "tangential_to_tip", "release"]
     np.testing.assert_allclose(controls[:3], controls[:2:-1], atol=EVENT * 10)
     assert np.all(np.diff(nodes.travel) >= 0)
-    np.testing.assert_allclose(nodes.travel[-1], 2.4, atol=EXACT)
+    np.testing.assert_allclose(nodes.travel[-1], 3.0, atol=EXACT)
     turn = np.flatnonzero(nodes.kind == STOP)[1]
     assert nodes.arriving.u[turn] < 0 < nodes.leaving.u[turn]
 

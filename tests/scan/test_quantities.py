@@ -99,8 +99,8 @@ def test_a_scene_in_si_units():
     # On request the same scene is shown in L and EI.
     scaled = UnitSystem(SI, "dimensionless")
     assert scaled.label("fy") == r"$f_y\,L^2/EI$"
-    np.testing.assert_allclose(scaled.shown("fy", BENDING_STIFFNESS / LENGTH**2), 1.0, rtol=ROUNDING)
-    np.testing.assert_allclose(scaled.shown("mz", BENDING_STIFFNESS / LENGTH), 1.0, rtol=ROUNDING)
+    np.testing.assert_allclose(scaled.shown("fy", [BENDING_STIFFNESS / LENGTH**2]), 1.0, rtol=ROUNDING)
+    np.testing.assert_allclose(scaled.shown("mz", [BENDING_STIFFNESS / LENGTH]), 1.0, rtol=ROUNDING)
 
 
 def test_angles_have_no_prefix_and_controls_that_are_no_lengths_have_names():

@@ -20,8 +20,9 @@ def state(*shape):
 
 
 def events(count):
-    """Events of two whiskers: a touch of each, then a snap-off of both, and padding."""
-    kinds = jnp.array([jw.EventKind.touch, jw.EventKind.touch, jw.EventKind.snap_off, -1])
+    """Events of two whiskers: a touch of each, then a snap-off of both, and padding or a release."""
+    last = -1 if count < ROOM else jw.EventKind.release
+    kinds = jnp.array([jw.EventKind.touch, jw.EventKind.touch, jw.EventKind.snap_off, last])
     whiskers = jnp.array([[True, False], [False, True], [True, True], [False, False]])
     control = jnp.array([0.7, 0.5, -1.2, jnp.nan])
     return Events(kinds, whiskers, control, 0.8 - control, state(ROOM, 2), state(ROOM, 2), jnp.asarray(count))
@@ -96,7 +97,7 @@ def test_more_events_than_room():
 def test_a_result_prints_its_steps_and_events():
     lines = str(result(status=(0, jw.Status.lost, jw.Status.lost))).splitlines()
     assert lines[0] == str(SCENE)
-    assert lines[1] == "1 of 3 steps ok; lost: 2"
+    assert lines[1] == "1 of 3 steps ok; 2: lost"
     assert lines[2:] == [str(event) for event in events(3)]
     assert repr(result()) == str(result())
 

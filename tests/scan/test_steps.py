@@ -55,8 +55,8 @@ def scanned(path, p, problem=PROBLEM):
     return at, state, [jw.Status(int(s)).name for s in status]
 
 
-NODES = (0.4, 0.7, 1.0, 1.3)  # of tangential contact, on both sides of the vertex
-BETWEEN = (0.4, 0.55, 0.9, 1.0, 1.2)
+NODES = (0.8, 0.9, 1.0, 1.1)  # of tangential contact, on both sides of the vertex
+BETWEEN = (0.8, 0.85, 0.97, 1.0, 1.06)
 
 
 @pytest.mark.parametrize("bend", [1.0, 0.8], ids=["good tangents", "poor tangents"])
@@ -98,7 +98,7 @@ def test_a_step_uses_the_branch_that_its_travel_selects():
 
 
 def test_beyond_the_end_of_a_path_the_reason_for_its_end_counts():
-    p = (0.55, 0.9, 1.2, 1.3, 1.36)
+    p = (0.85, 0.97, 1.06, 1.1, 1.11)
     for reason in (jw.Status.lost, jw.Status.not_convex):
         at, state, status = scanned(path_through(NODES, status=reason), p)
         assert status == ["ok"] * 4 + [reason.name]
