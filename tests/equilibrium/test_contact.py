@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exact_contacts import DISTANCE, contacts
 
 import jaxwhisker as jw
+from exact_contacts import DISTANCE, contacts
 from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import Body, Phase, of_each
@@ -20,12 +20,18 @@ SHOOTING = 1e-9  # promised of the integrated rod, in position and direction
 DIFFERENCE = 1e-7  # relative, of central differences with step STEP
 STEP = 1e-5
 
-PARABOLA = jw.Parabola(DISTANCE)
-P = (0.05, 0.25, 0.6, 1.4, 2.5)  # along the clamped branch: tip, tangential and tip contacts, before and behind the vertex
+PARABOLA, CLOSED = jw.Parabola(DISTANCE), ClosedForm()
+P = (
+    0.05,
+    0.25,
+    0.6,
+    1.4,
+    2.5,
+)  # along the clamped branch: tip, tangential and tip contacts, before and behind the vertex
 TIP, TANGENTIAL = jnp.asarray(int(Phase.tip)), jnp.asarray(int(Phase.tangential))
 
 
-def body(rod=ClosedForm(), position=0.0):
+def body(rod=CLOSED, position=0.0):
     one = jnp.asarray(1.0)
     return Body(one, one, jw.Parabola(DISTANCE, 1.0, jnp.asarray(position)), rod)
 
@@ -112,7 +118,10 @@ def test_a_base_in_its_frame(ours):
     np.testing.assert_allclose(np.hypot(inside.x, inside.y), np.hypot(one.x - frame.x, one.y - frame.y), rtol=EXACT)
     np.testing.assert_allclose(np.hypot(inside.force_x, inside.force_y), np.hypot(one.force_x, one.force_y), rtol=EXACT)
     assert abs(inside.turn + 0.4) < EXACT
-    back = inside.x * frame.cos - inside.y * frame.sin + frame.x, inside.force_x * frame.sin + inside.force_y * frame.cos
+    back = (
+        inside.x * frame.cos - inside.y * frame.sin + frame.x,
+        inside.force_x * frame.sin + inside.force_y * frame.cos,
+    )
     np.testing.assert_allclose(back, (one.x, one.force_y), atol=EXACT)
     assert inside.moment == one.bend and inside.slope_sin == one.slope_sin
     upright = contact.in_base_frame(one, None)
@@ -122,7 +131,7 @@ def test_a_base_in_its_frame(ours):
 
 def test_gradients_are_those_of_central_differences(exactly):
     _, rate = jax.jvp(frame_at, (0.4,), (1.0,))
-    z, rod = jnp.asarray(exactly.z[1]), ClosedForm()
+    z, rod = jnp.asarray(exactly.z[1]), CLOSED
     phase = jnp.asarray(exactly.phase[1])
 
     @jit

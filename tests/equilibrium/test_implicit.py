@@ -5,10 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exact_contacts import DISTANCE, branch, contacts, fb_control, fbfb_at
 from scipy.optimize import brentq
 
 import jaxwhisker as jw
+from exact_contacts import DISTANCE, branch, contacts, fb_control, fbfb_at
 from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium.implicit import solved, solved_event, without_rule
 from jaxwhisker._equilibrium.newton import newton_step, solve_point
@@ -26,7 +26,9 @@ def fbfb(p):
     """FBFB by stiffnesses, rest lengths, distance and curvature of the object, stiffness of whisker 2, and control."""
     c1, c2, l1, l2, q, a, bending, _ = p
     whiskers = (jw.Whisker(), jw.Whisker(1.0, bending))
-    return jw.Scene(whiskers, jw.Parabola(q, a), jw.Support.fbfb(jnp.stack([c1, c2]), jnp.stack([l1, l2])), jw.ClosedForm())
+    return jw.Scene(
+        whiskers, jw.Parabola(q, a), jw.Support.fbfb(jnp.stack([c1, c2]), jnp.stack([l1, l2])), jw.ClosedForm()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +56,11 @@ def test_derivatives_of_a_solved_point(at):
     def both(p):
         value, along = jax.linearize(contact, p)
         back = jax.linear_transpose(along, p)
-        return value, jax.vmap(along)(jnp.eye(p.size)), jax.vmap(lambda w: back(w)[0])(jnp.eye(z.size).reshape(-1, 2, 3))
+        return (
+            value,
+            jax.vmap(along)(jnp.eye(p.size)),
+            jax.vmap(lambda w: back(w)[0])(jnp.eye(z.size).reshape(-1, 2, 3)),
+        )
 
     value, forward, reverse = both(p)
     assert np.array_equal(value, z)

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exact_contacts import contacts, fbfb_at
 
+from exact_contacts import contacts, fbfb_at
 from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium import newton
 from jaxwhisker._equilibrium.contact import Phase

@@ -123,7 +123,9 @@ def test_a_shift_moves_bases_along_the_scenes_x_axis():
     np.testing.assert_allclose(np.ravel(unloaded), [*turned, 0.2 + u], atol=ROUNDING)
     # Frames and their derivatives by the control; those of the turning drive are its arm, turned by a right angle.
     frame, rate = problem.frames(u)
-    np.testing.assert_allclose(np.ravel(rate), [-turned[1] - 0.5, turned[0] - 0.3, -frame.sin[0], frame.cos[0]], atol=ROUNDING)
+    np.testing.assert_allclose(
+        np.ravel(rate), [-turned[1] - 0.5, turned[0] - 0.3, -frame.sin[0], frame.cos[0]], atol=ROUNDING
+    )
 
 
 def test_a_base_in_the_plane_that_yields_along_x_only_has_the_equations_of_a_base_along_x():

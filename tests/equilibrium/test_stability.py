@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exact_contacts import branch, contacts, fb_control, scene
 from scipy.optimize import brentq
 
 import jaxwhisker as jw
+from exact_contacts import branch, contacts, fb_control, scene
 from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import newton_step

@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exact_contacts import contacts, scene
 
 import jaxwhisker as jw
+from exact_contacts import contacts, scene
 from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import Solution, newton_step
@@ -79,8 +79,9 @@ def test_a_march_starts_free_ahead_of_the_object():
 def test_the_first_event_within_a_step(two, there, kind, whisker, share):
     problem, state = two
     found, target = first_violated(state, trial(problem, margins(), margins(**there)), jnp.asarray(0.1))
-    assert found and target.kind == kind and target.whisker.tolist() == whisker or kind == AT_STOP
-    assert target.kind == kind
+    assert found and target.kind == kind
+    if kind != AT_STOP:  # which concerns no whisker
+        assert target.whisker.tolist() == whisker
     np.testing.assert_allclose(target.distance, share * 0.1, rtol=ROUNDING)
 
 

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exact_contacts import scene
 
 import jaxwhisker as jw
+from exact_contacts import scene
 from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Mode, Point

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exact_contacts import Q, branch, contacts, scene
 
 import jaxwhisker as jw
+from exact_contacts import Q, branch, contacts, scene
 from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import solve_point

@@ -87,7 +87,12 @@ def test_a_scene_in_si_units():
     units = UnitSystem(SI)
     assert not units.dimensionless
     # 0.05 m are shown in mm; EI / L^2 = 9.6 mN.
-    expected = {"control": ("mm", 1e-3), "fx": ("mN", 1e-3), "mz": ("mN mm", 1e-6), "event_energy_after": ("mN mm", 1e-6)}
+    expected = {
+        "control": ("mm", 1e-3),
+        "fx": ("mN", 1e-3),
+        "mz": ("mN mm", 1e-6),
+        "event_energy_after": ("mN mm", 1e-6),
+    }
     for name, (unit, size) in expected.items():
         assert units.unit(name).name == unit
         np.testing.assert_allclose(units.unit(name).size, size, rtol=ROUNDING)

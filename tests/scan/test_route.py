@@ -1,5 +1,7 @@
 """Routes: travel, turning points, and the same of traced positions."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +23,7 @@ controls = st.lists(st.integers(-2, 2), min_size=SIZE, max_size=SIZE).map(lambda
 def turning_points(control):
     """First position, positions at which the drive reverses, and last one, straight from the definition."""
     stops, heading = [control[0]], 0.0
-    for here, there in zip(control[:-1], control[1:], strict=True):
+    for here, there in pairwise(control):
         move = np.sign(there - here)
         if move and heading and move != heading:
             stops.append(here)

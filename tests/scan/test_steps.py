@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exact_contacts import branch, contacts, scene
 
 import jaxwhisker as jw
+from exact_contacts import contacts, scene
 from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium.point import Point, scale_of
 from jaxwhisker._equilibrium.problem import problem_of
@@ -24,17 +24,17 @@ PROBLEM = jit(problem_of)(scene(jw.Support.fb(STIFFNESS, REST)))
 solved_steps, interpolated = jit(solve_steps), jit(interpolate)
 
 
-def controls_of(at):
-    return at.base_x - REST - at.force_x / STIFFNESS
+def controls_of(at, stiffness=STIFFNESS):
+    return at.base_x - REST - at.force_x / stiffness
 
 
-def path_through(p, bend=1.0, status=jw.Status.ok):
+def path_through(p, bend=1.0, status=jw.Status.ok, stiffness=STIFFNESS):
     """A path whose nodes are exact; the tangents are chords to a contact further on, `bend` times as steep."""
     here, ahead = contacts(*p), contacts(*(np.array(p) + 1e-4))
     count, room = len(p), ((0, ROOM - len(p)), (0, 0), (0, 0))
-    z, u = here.z[:, None, :], controls_of(here)
+    z, u = here.z[:, None, :], controls_of(here, stiffness)
     scale = np.asarray(jax.vmap(scale_of)(jnp.asarray(z)))
-    dz, du = bend * (ahead.z[:, None, :] - z), controls_of(ahead) - u
+    dz, du = bend * (ahead.z[:, None, :] - z), controls_of(ahead, stiffness) - u
     length = np.sqrt(np.sum((dz / scale) ** 2, axis=(1, 2)) + du**2)
     leaving = Point(
         jnp.asarray(np.pad(dz / length[:, None, None], room)), jnp.asarray(np.pad(du / length, (0, ROOM - count)))
@@ -124,18 +124,25 @@ def test_a_solution_far_from_the_interpolation_is_inexact():
     path = path_through(NODES)
     z = path.nodes.point.z
     wrong = path._replace(
-        nodes=path.nodes._replace(point=path.nodes.point._replace(z=z.at[:, :, 1].add(0.3)), z_before=z.at[:, :, 1].add(0.3))
+        nodes=path.nodes._replace(
+            point=path.nodes.point._replace(z=z.at[:, :, 1].add(0.3)), z_before=z.at[:, :, 1].add(0.3)
+        )
     )
     _, state, status = scanned(wrong, BETWEEN)
     assert set(status) == {"inexact"} and np.all(np.isnan(state.fx))
 
 
-def test_an_equilibrium_beyond_the_fold_is_unstable():
-    fold = branch().fold
-    p = fold + np.array([0.004, 0.008, 0.012, 0.015, 0.018])
-    _, state, status = scanned(path_through((fold + 0.003, fold + 0.02)), p, jit(problem_of)(scene(jw.Support.fb(1e6, REST))))
-    assert set(status) <= {"unstable", "inexact"}
-    assert np.all(np.isnan(state.fx))
+def test_an_equilibrium_between_two_folds_is_unstable():
+    # Before the vertex, a soft spring is weaker than the slope of the contact force: there the drive moves back.
+    soft = 15.0
+    problem = jit(problem_of)(scene(jw.Support.fb(soft, REST)))
+    path, at = path_through((0.8, 0.83, 0.86, 0.89), stiffness=soft), contacts(0.81, 0.82, 0.84, 0.85, 0.88)
+    u, first = jnp.asarray(controls_of(at, soft)), path.nodes.point.u[0]
+    assert np.all(u > first)
+    path = path._replace(nodes=path.nodes._replace(travel=path.nodes.point.u - first))
+    state, status = solved_steps(problem, path, u, u - first)
+    assert np.all(status == jw.Status.unstable)
+    assert np.all(np.isnan(state.fx)) and np.all(state.phase == jw.Phase.free)
 
 
 def test_a_cubic_path_is_interpolated_exactly():
