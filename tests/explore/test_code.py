@@ -78,7 +78,8 @@ def test_defaults_and_equal_springs_are_left_out():
 def test_names_of_modules_are_imported():
     code = code_of(jw.Scene(jw.Whisker(), jw.Graph(jnp.cosh, extent=3.0)))
     assert "from jax.numpy import cosh" in code and "Define" not in code
-    assert constructed(code).profile.g(0.0) == 1.0
+    profile: Any = constructed(code).profile
+    assert profile.g(0.0) == 1.0
 
 
 def test_names_of_a_notebook_are_listed(monkeypatch):

@@ -1,10 +1,12 @@
 """The local page's server, and the widget; see test_browser.py for what they show."""
 
+import gc
 import http.client
 import json
 import re
 import socket
 import sys
+import threading
 
 import pytest
 
@@ -126,6 +128,33 @@ def test_other_requests_get_an_error_and_the_server_goes_on(name, port, capfd):
 def test_only_this_machine_is_served(port):
     with pytest.raises(OSError), socket.create_connection(("127.0.0.2", port), timeout=5):
         pass
+
+
+def test_the_end_waits_for_the_current_picture_only(capfd):
+    started, proceed, answered = threading.Event(), threading.Event(), []
+
+    class Slow(Echo):
+        def answer(self, values):
+            started.set()
+            assert proceed.wait(60)
+            answered.append(values)
+            return super().answer(values)
+
+    def ask():
+        with pytest.raises(OSError):  # the server closes the connection
+            send(int(url.rstrip("/").rsplit(":", 1)[1]), "POST", "/scan", GOOD)
+
+    clients = [threading.Thread(target=ask) for _ in range(2)]
+    with hosts.served(Slow()) as url:
+        for client in clients:
+            client.start()
+        assert started.wait(60)
+        threading.Timer(0.5, proceed.set).start()
+    assert len(answered) == 1
+    for client in clients:
+        client.join()
+    gc.collect()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_outside_jupyter_a_page_opens(monkeypatch):

@@ -94,10 +94,10 @@ class _Writer:
         springs = support.springs
         if support.mount is not None or support.name not in ("FB", "FBFB", "FBFBR", "FBFBFBR"):
             return None
-        if any(spring.stiffness is None for spring in springs):
-            return None
-        stiffness: Any = tuple(float(spring.stiffness) for spring in springs)
+        stiffness: Any = tuple(float(spring.stiffness) for spring in springs if spring.stiffness is not None)
         rest_length: Any = tuple(float(spring.rest_length) for spring in springs)
+        if len(stiffness) < len(springs):  # a compliance instead
+            return None
         # One number for all springs if that gives the same support.
         if len(set(stiffness)) == 1:
             stiffness = stiffness[0]

@@ -112,23 +112,22 @@ def served(session: Session, port: int = 0) -> Iterator[str]:
         worker=worker,
         hosts=names,
     )
-    loop, stopped = asyncio.new_event_loop(), asyncio.Event()
+    stopped = threading.Event()
 
     async def run() -> None:
         server = HTTPServer(application, max_body_size=LONGEST_READ)
         server.add_socket(listener)
-        await stopped.wait()
+        await asyncio.to_thread(stopped.wait)
         server.stop()
         await server.close_all_connections()
 
-    thread = threading.Thread(target=loop.run_until_complete, args=(run(),))
+    thread = threading.Thread(target=lambda: asyncio.run(run()))
     thread.start()
     try:
         yield f"http://{names[0]}/"
     finally:
-        loop.call_soon_threadsafe(stopped.set)
+        stopped.set()
         thread.join()
-        loop.close()
         worker.shutdown(cancel_futures=True)  # waits: a process that ends within the compiler crashes
 
 

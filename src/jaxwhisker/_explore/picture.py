@@ -70,7 +70,7 @@ def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") ->
         raise ValueError(f"The scene has no scan: {summary}.")
     units = UnitSystem(scene)
     length, along = units.of_kind("length").size, units.unit("control")
-    arrays = {
+    arrays: dict[str, Any] = {
         name: units.shown(name, getattr(result, name)).astype(QUANTITIES[name].dtype)
         for name in ("control", *STATE, "status")
     }

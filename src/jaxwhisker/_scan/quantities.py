@@ -106,7 +106,7 @@ def control_name(scene: Scene) -> str:
 
 
 def is_dimensionless(scene: Scene) -> bool:
-    """Whether the first whisker has length 1 and bending stiffness 1 at its base; other scenes are shown in SI units."""
+    """Whether the first whisker has length 1 and, at its base, bending stiffness 1; others are shown in SI units."""
     first = scene.whiskers[0]
     return all(np.all(np.asarray(value) == 1.0) for value in (first.length, first.base_stiffness))
 
