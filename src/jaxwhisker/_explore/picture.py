@@ -64,20 +64,12 @@ def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") ->
     Raises:
         ValueError: if the scene has no scan.
     """
-    result, lines, drive, outline = picture
+    result = picture.result
     failed, summary = status_line(result)
     if not np.isfinite(result.control).all():
         raise ValueError(f"The scene has no scan: {summary}.")
     units = UnitSystem(scene)
     length, along = units.of_kind("length").size, units.unit("control")
-    arrays: dict[str, Any] = {
-        name: units.shown(name, getattr(result, name)).astype(QUANTITIES[name].dtype)
-        for name in ("control", *STATE, "status")
-    }
-    arrays |= {"drive_x": drive.x / length, "drive_y": drive.y / length, "drive_angle": drive.angle}
-    outline = outline[np.isfinite(outline).all(axis=1)]
-    coarse = {"line_x": lines.x, "line_y": lines.y, "outline_x": outline[:, 0], "outline_y": outline[:, 1]}
-    arrays |= {name: (values / length).astype(np.float32) for name, values in coarse.items()}
     header = {
         "title": str(scene),
         "note": note,
@@ -93,7 +85,20 @@ def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") ->
         "length": float(scene.whiskers[0].length) / length,
         "code": code_of_scan(code, np.asarray(result.control)),
     }
-    return _packed(header, arrays)
+    return _packed(header, _arrays(picture, units))
+
+
+def _arrays(picture: Picture, units: UnitSystem) -> dict[str, Any]:
+    result, lines, drive, outline = picture
+    length = units.of_kind("length").size
+    arrays: dict[str, Any] = {
+        name: units.shown(name, getattr(result, name)).astype(QUANTITIES[name].dtype)
+        for name in ("control", *STATE, "status")
+    }
+    arrays |= {"drive_x": drive.x / length, "drive_y": drive.y / length, "drive_angle": drive.angle}
+    outline = outline[np.isfinite(outline).all(axis=1)]
+    coarse = {"line_x": lines.x, "line_y": lines.y, "outline_x": outline[:, 0], "outline_y": outline[:, 1]}
+    return arrays | {name: (values / length).astype(np.float32) for name, values in coarse.items()}
 
 
 def packed_error(error: Exception) -> bytes:
