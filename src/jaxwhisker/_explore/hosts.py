@@ -128,7 +128,7 @@ def served(session: Session, port: int = 0) -> Iterator[str]:
     finally:
         stopped.set()
         thread.join()
-        worker.shutdown(cancel_futures=True)  # waits: a process that ends within the compiler crashes
+        worker.shutdown()  # waits: a process that ends within the compiler crashes
 
 
 class _Handler(RequestHandler):
