@@ -14,7 +14,7 @@ from jaxwhisker._base import checks
 Tree = TypeVar("Tree")
 
 
-class _Plain(eqx.Module):
+class PlainFunction(eqx.Module):
     # A plain function has no leaves. It is hidden from JAX, which could neither batch nor differentiate it.
     function: Callable = eqx.field(static=True)
 
@@ -24,7 +24,7 @@ class _Plain(eqx.Module):
 
 def as_field(value: Any) -> Any:
     """Wrap a plain function as static structure; an `equinox.Module` keeps its parameters differentiable."""
-    return _Plain(value) if callable(value) and not isinstance(value, eqx.Module) else value
+    return PlainFunction(value) if callable(value) and not isinstance(value, eqx.Module) else value
 
 
 def number_or_function(name: str) -> Callable[[Any], Any]:
@@ -40,7 +40,7 @@ def number_or_function(name: str) -> Callable[[Any], Any]:
 
 def name_of(function: Callable) -> str:
     """Name of a user-defined function, or of its class."""
-    function = function.function if isinstance(function, _Plain) else function
+    function = function.function if isinstance(function, PlainFunction) else function
     return getattr(function, "__name__", type(function).__name__)
 
 

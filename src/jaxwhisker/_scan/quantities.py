@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxwhisker._model.motion import Rotation, Translation
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import units as units_of_scene
 
 # Kinds of quantities, as powers of force and length.
 KINDS = {
@@ -105,9 +106,9 @@ def control_name(scene: Scene) -> str:
 
 
 def is_dimensionless(scene: Scene) -> bool:
-    """Whether the first whisker has length and bending stiffness 1; other scenes are shown in SI units."""
+    """Whether the first whisker has length 1 and, at its base, bending stiffness 1; others are shown in SI units."""
     first = scene.whiskers[0]
-    return all(not callable(value) and np.all(value == 1.0) for value in (first.length, first.bending_stiffness))
+    return all(np.all(np.asarray(value) == 1.0) for value in (first.length, first.base_stiffness))
 
 
 class Unit(NamedTuple):
@@ -139,6 +140,7 @@ class UnitSystem:
             raise ValueError(f"`units` must be one of {', '.join(UNITS)}, got {units!r}.")
         self.scene = scene
         self.dimensionless = is_dimensionless(scene) if units == "auto" else units == "dimensionless"
+        self._own = units_of_scene(scene)
 
     def unit(self, name: str) -> Unit:
         """The unit of a quantity by its name."""
@@ -150,7 +152,7 @@ class UnitSystem:
             return Unit("rad", 1.0)
         if kind == "number":
             return Unit("", 1.0)
-        own = units(self.scene)
+        own = self._own
         powers = KINDS[kind]
         if self.dimensionless:
             return Unit("", float(own.force) ** powers[0] * float(own.length) ** powers[1])
