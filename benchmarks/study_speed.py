@@ -46,10 +46,10 @@ def measure(kept: str, model: str, lanes: int, cores: int, steps: int, points: i
     import numpy as np
 
     import jaxwhisker as jw
-    from jaxwhisker._study import plan
-    from jaxwhisker._study.kernel import Kernel
+    from jaxwhisker._study import parameters
+    from jaxwhisker._study.compute import Kernel
 
-    plan.LANES, plan.PARTS = lanes, 1  # blocks of that size, whatever the study's
+    parameters.LANES, parameters.PARTS = lanes, 1  # blocks of that size, whatever the study's
     compiled, ready = Kernel.compiled, []
 
     def clocked(self):

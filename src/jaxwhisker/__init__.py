@@ -29,7 +29,7 @@ from jaxwhisker._scan.result import Event, Events, Result, State
 from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.shapes import Shapes, shapes
 from jaxwhisker._study.study import study
-from jaxwhisker._study.summaries import summary
+from jaxwhisker._study.summary import summary
 from jaxwhisker.film import animate
 
 __all__ = [

@@ -63,5 +63,5 @@ def test_softest_base_of_the_models():
 
 @pytest.mark.unchecked
 def test_a_traced_object_is_refused():
-    with pytest.raises(ValueError, match="must be concrete, but are traced"):
+    with pytest.raises(ValueError, match="must be concrete, got traced ones"):
         jax.jit(lambda q: steepest(jw.Whisker(), jw.Parabola(q)).slope)(0.2)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxwhisker._base.checks import is_traced
 from jaxwhisker._model.motion import Rotation, Translation
 from jaxwhisker._model.scene import Scene, units
 
@@ -36,6 +37,7 @@ class Quantity(NamedTuple):
     axes: tuple[str, ...]
     sign: str = ""  # what a positive value means, where that is not obvious
     dtype: str = "float64"
+    per: str = "number"  # of a derivative: the kind of the parameter
 
     @property
     def fill(self) -> float | int | bool:
@@ -105,9 +107,10 @@ def control_name(scene: Scene) -> str:
 
 
 def is_dimensionless(scene: Scene) -> bool:
-    """Whether the first whisker has length and bending stiffness 1; other scenes are shown in SI units."""
+    """Whether the first whisker has length and bending stiffness 1, untraced; other scenes are shown in SI units."""
     first = scene.whiskers[0]
-    return all(not callable(value) and np.all(value == 1.0) for value in (first.length, first.bending_stiffness))
+    values = (first.length, first.bending_stiffness)
+    return not any(callable(value) or is_traced(value) or np.any(value != 1.0) for value in values)
 
 
 class Unit(NamedTuple):

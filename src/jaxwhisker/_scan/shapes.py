@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.types import Control, Scalar
+from jaxwhisker._base.types import Control
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.result import Result, State
+from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.state import State, base_of, material, outwards
 
 
 class Shapes(eqx.Module):
@@ -77,21 +77,3 @@ def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Sh
         lines.append(line(*jax.tree.map(lambda field, k=k: field[..., k], fields)))
     x, y = (jnp.stack(coordinates, axis=-2) for coordinates in zip(*lines, strict=True))
     return Shapes(x, y)
-
-
-def base_of(state: State) -> Pose:
-    """The poses of the bases."""
-    return Pose(state.base_x, state.base_y, state.base_angle)
-
-
-def outwards(whisker: Whisker, base: Pose, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, *, count: int):
-    """The rod's states at `count` equidistant points from the base up to that arc, under the base's reaction."""
-    # Outwards is towards the base with a negative arc. The load is what the reaction balances.
-    load = rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
-    start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
-    return rod.points(start, -arc, load, material(whisker), count=count, from_base=jnp.zeros_like(arc))
-
-
-def material(whisker: Whisker) -> rod.Material:
-    """What the rod is made of, in the whisker's own units."""
-    return whisker.base_stiffness if whisker.uniform else whisker.section(1.0, 1.0)

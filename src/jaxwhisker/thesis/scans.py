@@ -18,7 +18,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.result import Event, Events, Result, State
 from jaxwhisker._study.study import study
-from jaxwhisker._study.summaries import summary
+from jaxwhisker._study.summary import summary
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -1,4 +1,4 @@
-"""A study on a cluster: the same bits as here, and a worker may die."""
+"""Computation of studies: the default control, and a cluster whose worker dies."""
 
 import os
 import signal
@@ -40,7 +40,7 @@ def test_a_killed_worker_is_survived_and_the_bits_are_the_same(client, tmp_path)
     def kill():
         # In mid-study: some blocks are complete, others are being computed.
         end = time.monotonic() + PATIENCE
-        while len(list((store / ".study" / "done").glob("*.json"))) < 2 and time.monotonic() < end:
+        while len(list((store / "point_status").glob("c/*/*"))) < 2 and time.monotonic() < end:
             time.sleep(0.01)
         worker = next(iter(pids))
         os.kill(pids[worker], signal.SIGKILL)
