@@ -12,9 +12,7 @@ import xarray as xr
 from jax.core import Tracer
 
 import jaxwhisker as jw
-from jaxwhisker._scan.scan import STEP, default_control
-from jaxwhisker._study.compute import common_control
-from jaxwhisker._study.parameters import parameters_of
+from jaxwhisker._study.compute import Kernel
 
 CONTROL = np.linspace(0.8, -1.6, 61)
 STIFFNESS = np.array([70.0, -1.0, 40.0, np.nan, 200.0])  # two of them are none
@@ -69,6 +67,22 @@ class TestPoints:
         counts = {jw.Status.ok: 9, jw.Status.invalid: 6}
         assert {status: int((data.point_status == status).sum()) for status in counts} == counts
 
+    def test_events_that_are_not_stored_are_counted(self, data, monkeypatch, capsys):
+        assert "omitted_events" not in data.attrs
+        computed = Kernel.__call__
+
+        def many(self, values):
+            found = computed(self, values)
+            return found | {"event_count": np.where(found["event_count"] > 3, 99, found["event_count"])}
+
+        monkeypatch.setattr(Kernel, "__call__", many)
+        axes: dict[str, Any] = {"stiffness": STIFFNESS[:3], "distance": DISTANCE}
+        crowded = jw.study(build, control=CONTROL, **axes)
+        room = crowded.sizes["event"]
+        words = f"4 of 9 points have more than the {room} events stored, up to 99"
+        assert crowded.attrs["omitted_events"] == words
+        assert words in capsys.readouterr().err
+
     def test_rows_of_a_table(self, data):
         # As many as in a block of the axes: the compiled function is the same.
         columns = {"distance": [0.3, 0.2, 0.2, 0.3, 0.3, 0.2], "stiffness": [40.0, 70.0, 40.0, -1.0, 70.0, 200.0]}
@@ -78,14 +92,6 @@ class TestPoints:
             row = table.isel(point=k)
             assert (float(row.distance), float(row.stiffness)) == (distance, stiffness)
             np.testing.assert_allclose(row.mz, data.mz.sel(stiffness=stiffness, distance=distance), atol=20 * ROUNDING)
-
-    def test_default_control_spans_all_contacts(self):
-        points = {"stiffness": [70.0, 200.0, 40.0], "distance": [0.2, 0.3, np.nan]}  # the last tells nothing
-        control = common_control(build, parameters_of(build, points, {}, ()), -1)
-        each = [default_control(build(c, q)) for c, q in ((70.0, 0.2), (200.0, 0.3))]
-        assert control[0] == pytest.approx(max(u[0] for u in each), abs=ROUNDING)
-        assert min(u[-1] for u in each) - 2 * STEP < control[-1] < min(u[-1] for u in each) + STEP
-        np.testing.assert_allclose(np.diff(control), -STEP)
 
     def test_traced_once_whatever_the_size(self):
         traced = []

@@ -13,6 +13,7 @@ from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.dataset import VARIABLES, omitted_events, points_in_words
+from jaxwhisker._scan.quantities import Quantity
 from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster, threads
 from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, chosen, variables_of
 from jaxwhisker._study.parameters import Blocks, Index, Parameters, blocks_of, parameters_of
@@ -83,14 +84,14 @@ def study(
     checks.number("memory", memory, positive=True, finite=False)
     parameters = parameters_of(build, points, axes, OPTIONS)
     derivatives = _checked_derivatives(derivatives, parameters)
-    variables = variables_of(outputs, derivatives, summary)
-    _check_axis_names(parameters, [*VARIABLES, *variables])
-    control, default_control = _checked_control(control)
-    scene = layout_of_scenes(build, parameters)
-    layout = Layout(parameters, scene, fingerprint(build, sampled(parameters)), control, default_control, variables)
-    computed = tuple(name for name in VARIABLES if name in variables or (summary and name in chosen(SUMMARISED)))
+    layout = _layout(build, parameters, control, variables_of(outputs, derivatives, summary))
+    computed = tuple(n for n in VARIABLES if n in layout.variables or (summary and n in chosen(SUMMARISED)))
+    visible = sys.stderr.isatty() if progress is None else progress
     with closing(Memory() if store is None else Store(store)) as target:
-        layout, blocks = _resumed(target, layout) or _planned(layout, build, computed, memory, client)
+        resumed = _resumed(target, layout)
+        if visible:
+            print(f"study: compiling, then {parameters.total:,} scans", file=sys.stderr)
+        layout, blocks = resumed or _planned(layout, build, computed, memory, client)
         job = Job(
             build=build,
             names=tuple(parameters.values),
@@ -98,21 +99,31 @@ def study(
             outputs=computed,
             derivatives=derivatives,
             summary=summary,
-            kept=tuple(variables),
-            whiskers=scene.whiskers,
+            kept=tuple(layout.variables),
+            whiskers=layout.scene.whiskers,
             lanes=blocks.lanes,
         )
         kernel = Kernel(job)
         layout = layout._replace(events=kernel.events)
         done = target.begin(layout, blocks)
-        todo = [index for index in blocks.indices() if index not in done]
-        if client is None:
-            results = compute_here(kernel, parameters, blocks, todo, target.write)
-        else:
-            results = compute_on_cluster(client, job, parameters, blocks, todo, target.write)
-        with closing(results):
-            shown = _follow(results, blocks, done, layout.control.size, progress)
-        return _finished(target, build, layout, shown)
+        _compute(kernel, target, layout, blocks, done, client, visible)
+        return _finished(target, build, layout, visible)
+
+
+def _layout(
+    build: Callable[..., Scene], parameters: Parameters, control: Any, variables: dict[str, Quantity]
+) -> Layout:
+    """The layout of the Dataset; an empty control stands for the default one, which is not known yet."""
+    for name in parameters.values:
+        if name in RESERVED or name in VARIABLES or name in variables:
+            raise ValueError(
+                f"The name of an axis must not be that of a variable of the Dataset, got `{name}`: rename it."
+            )
+    if control is not None:
+        checks.vector("control", control)
+    scene = layout_of_scenes(build, parameters)
+    positions = np.empty(0) if control is None else np.asarray(control, dtype=float)
+    return Layout(parameters, scene, fingerprint(build, sampled(parameters)), positions, control is None, variables)
 
 
 def _check_packages(store: Any, client: Any) -> None:
@@ -134,22 +145,6 @@ def _checked_derivatives(derivatives: Sequence[str] | str, parameters: Parameter
     return names
 
 
-def _check_axis_names(parameters: Parameters, variables: Sequence[str]) -> None:
-    for name in parameters.values:
-        if name in RESERVED or name in variables:
-            raise ValueError(
-                f"The name of an axis must not be that of a variable of the Dataset, got `{name}`: rename it."
-            )
-
-
-def _checked_control(control: Any) -> tuple[np.ndarray, bool]:
-    """The control, and whether it is the default one, which is not known yet."""
-    if control is None:
-        return np.empty(0), True
-    checks.vector("control", control)
-    return np.asarray(control, dtype=float), False
-
-
 def _resumed(target: Memory | Store, layout: Layout) -> tuple[Layout, Blocks] | None:
     """The layout and blocks of the stored study, if there is one."""
     if target.stored is None:
@@ -169,33 +164,49 @@ def _planned(
     return layout, blocks_of(layout.parameters.shape, layout.sizes, held.values(), memory, workers)
 
 
-def _follow(results: Any, blocks: Blocks, done: set[Index], steps: int, progress: bool | None) -> bool:
-    """Show the progress until all blocks are computed; return whether it was visible."""
+def _compute(
+    kernel: Kernel,
+    target: Memory | Store,
+    layout: Layout,
+    blocks: Blocks,
+    done: set[Index],
+    client: Any,
+    visible: bool,
+) -> None:
+    """Compute and store all blocks that are not done, and show the progress."""
     from tqdm import tqdm
 
     def points(index: Index) -> int:
         return int(np.prod([part.stop - part.start for part in blocks.region(index)]))
 
-    with tqdm(
-        total=int(np.prod(blocks.shape)) * steps,
-        initial=sum(map(points, done)) * steps,
-        desc="study",
-        unit=" equilibria",
-        unit_scale=True,
-        disable=None if progress is None else not progress,
-    ) as bar:
+    todo = [index for index in blocks.indices() if index not in done]
+    if client is None:
+        results = compute_here(kernel, layout.parameters, blocks, todo, target.write)
+    else:
+        results = compute_on_cluster(client, kernel.job, layout.parameters, blocks, todo, target.write)
+    steps = layout.control.size
+    with (
+        closing(results),
+        tqdm(
+            total=layout.parameters.total * steps,
+            initial=sum(map(points, done)) * steps,
+            desc="study",
+            unit=" equilibria",
+            unit_scale=True,
+            disable=not visible,
+        ) as bar,
+    ):
         for index in results:
             bar.update(points(index) * steps)
-        return not bar.disable
 
 
-def _finished(target: Memory | Store, build: Callable[..., Scene], layout: Layout, shown: bool) -> "xr.Dataset":
+def _finished(target: Memory | Store, build: Callable[..., Scene], layout: Layout, visible: bool) -> "xr.Dataset":
     """The Dataset with a description of failed points, which is printed as well."""
     data = target.dataset()
     attributes = {"points": _points_in_words(build, layout.parameters, data[POINT_STATUS].values)}
     if "event_count" in data and layout.events:
         attributes |= omitted_events(data["event_count"].values, layout.events)
-    if shown or len(attributes) > 1 or bool((data[POINT_STATUS] != Status.ok).any()):
+    if visible or len(attributes) > 1 or bool((data[POINT_STATUS] != Status.ok).any()):
         print("; ".join(attributes.values()), file=sys.stderr)
     return target.dataset(attributes)
 
