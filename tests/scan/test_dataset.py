@@ -1,5 +1,7 @@
 """The Dataset of a scan: the same variables and labels as those of a study, units, failures, omitted events."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -71,7 +73,7 @@ def test_has_the_units_of_the_scene(result):
     ids=["length", "angle", "number"],
 )
 def test_positions_have_the_unit_of_the_control(result, motion, unit):
-    fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
+    fields: dict[str, Any] = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
     moved = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfbr(70.0), motion=motion)
     data = jw.Result(**fields | {"scene": moved}).to_xarray()
     assert data.event_control.attrs["units"] == data.control.attrs["units"] == unit
@@ -95,7 +97,7 @@ def test_torsion_springs_have_angles():
 
 
 def test_a_clamped_whisker_has_no_springs(result):
-    fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
+    fields: dict[str, Any] = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
     none = {"spring_length": jnp.zeros((CONTROL.size, 0)), "scene": model("clamped")}
     data = jw.Result(**fields | none).to_xarray()
     assert data.sizes["spring"] == 0

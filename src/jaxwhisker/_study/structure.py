@@ -16,7 +16,7 @@ from jaxwhisker._study.parameters import Parameters
 
 SAMPLES = 64  # most points at which scenes are built to be compared and hashed
 COMPARED = 5  # scenes whose structure is compared
-ARGUMENTS = np.linspace(-1.0, 1.0, 9)  # at which functions in a scene are evaluated to be hashed
+ARGUMENTS = np.geomspace(1e-3, 1e3, 19)  # functions in a scene are hashed by their values at these, both signs and 0
 REMEDY = (
     "all points of a study are computed by one compiled function (use jnp.where instead of `if`, jnp.interp instead of "
     "np.interp, jnp.exp instead of math.exp, and no float())"
@@ -166,12 +166,16 @@ def fingerprint(build: Callable, points: list[dict[str, float]]) -> str:
 def _bytes_of(leaf: Any) -> bytes:
     if checks.is_numeric(leaf):
         return np.asarray(leaf, dtype=float).tobytes()
-    return b"".join(map(_bytes_of_value, [leaf] * len(ARGUMENTS), ARGUMENTS)) if callable(leaf) else repr(leaf).encode()
+    if not callable(leaf):
+        return repr(leaf).encode()
+    parameters = [leaf for leaf in jax.tree.leaves(leaf) if checks.is_numeric(leaf)]
+    values = [_value_of(leaf, argument) for argument in (*-ARGUMENTS, 0.0, *ARGUMENTS)]
+    return b"".join([*map(_bytes_of, parameters), *values])
 
 
-def _bytes_of_value(function: Callable, argument: float) -> bytes:
+def _value_of(function: Callable, argument: float) -> bytes:
     try:
-        values = jax.tree.leaves(function(argument))
-        return b"".join(np.asarray(value, dtype=float).tobytes() for value in values)
+        with np.errstate(all="ignore"):
+            return b"".join(map(_bytes_of, jax.tree.leaves(function(argument))))
     except Exception as error:  # outside the function's domain
         return type(error).__name__.encode()
