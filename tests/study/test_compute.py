@@ -34,7 +34,7 @@ def test_default_control_spans_the_default_controls_of_scans(name):
     def moved(distance):
         return jw.Scene(jw.Whisker(), jw.Parabola(distance), rod=jw.ClosedForm(), motion=motion)
 
-    points = {"distance": [0.2, 0.3, np.nan]}  # a bad point has no say
+    points = {"distance": [0.2, 0.3, np.nan]}  # a bad point does not count
     control = common_control(moved, parameters_of(moved, points, {}, ()), motion.onwards)
     each = [motion.onwards * default_control(moved(distance)) for distance in (0.2, 0.3)]
     travel = motion.onwards * control
@@ -77,7 +77,7 @@ def test_a_killed_worker_is_survived_and_the_bits_are_the_same(client, tmp_path)
     killed = []
 
     def kill():
-        # In mid-study: some blocks are complete, others are being computed.
+        # Some blocks are complete, others are being computed.
         end = time.monotonic() + PATIENCE
         while len(list((store / "point_status").glob("c/*/*"))) < 2 and time.monotonic() < end:
             time.sleep(0.01)

@@ -21,18 +21,18 @@ from study_child import AXES, CONTROL, build
 CHILD = Path(__file__).parents[1] / "study_child.py"
 KILLS = 4
 BLOCKS = 16  # of the study
-PATIENCE = 120.0  # seconds for a child to come so far
+PATIENCE = 120.0  # seconds to wait for a child
 
 
 @pytest.fixture(scope="module")
 def whole():
-    """The study as computed in one go, in memory."""
+    """The study, computed in memory without interruption."""
     return jw.study(build, control=CONTROL, **AXES)
 
 
 @pytest.fixture(scope="module")
 def stored(whole, tmp_path_factory):
-    """The finished study on disk, for tests that leave it as it is."""
+    """The finished study on disk, for tests that do not change it."""
     store = tmp_path_factory.mktemp("stored") / "study.zarr"
     jw.study(build, control=CONTROL, store=store, **AXES)
     return store
@@ -45,7 +45,7 @@ def copied(stored, tmp_path):
 
 
 def _identical(found: xr.Dataset, whole: xr.Dataset) -> None:
-    # NaN equals NaN, but nothing else is forgiven: bit for bit.
+    # Bit for bit; NaN equals NaN.
     xr.testing.assert_identical(found.load().assign_attrs(date=""), whole.assign_attrs(date=""))
 
 
@@ -81,7 +81,7 @@ class TestKilled:
         complete = 0
         for kill in range(KILLS):
             child = subprocess.Popen([sys.executable, CHILD, store], stderr=subprocess.PIPE)
-            # The first while it lays out the store, the others at any moment after the next block is complete.
+            # The first kill comes while the store is created, the others after another block is complete.
             begun = store.with_name("study.zarr.new")
             self._wait(child, begun.exists if kill == 0 else lambda n=complete: len(_marks(store)) > n)
             time.sleep(moments.uniform(0.0, 0.05 if kill == 0 else 0.2))
@@ -91,7 +91,7 @@ class TestKilled:
             if store.exists():
                 before, complete = complete, _check_unfinished(store, whole)
                 assert complete >= before
-            # However quick the machine: something is to be left for the last run.
+            # Leave some blocks for the last run, however fast the machine.
             if 2 * complete > BLOCKS:
                 break
         kept = {mark: mark.stat().st_mtime_ns for mark in _marks(store)}
@@ -121,7 +121,7 @@ class TestUnfinished:
 
     def test_complete_blocks_are_not_computed_again(self, copied):
         chunk = copied / "mz" / "c" / Path(*_index(copied, _marks(copied)[3]), "0", "0")
-        chunk.unlink()  # so that it would come back
+        chunk.unlink()  # it would come back if its block were computed again
         again = jw.study(build, control=CONTROL, store=copied, **AXES)
         assert int(np.isnan(again.mz.isel(stiffness=slice(-1))).sum()) > 0
 

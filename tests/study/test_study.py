@@ -1,4 +1,4 @@
-"""Studies: every point is a scan of its own, whatever the blocks; bad points and bad arguments."""
+"""Studies: every point equals a single scan, whatever the blocks; bad points and bad arguments."""
 
 import importlib
 import math
@@ -15,9 +15,9 @@ import jaxwhisker as jw
 from jaxwhisker._study.compute import Kernel
 
 CONTROL = np.linspace(0.8, -1.6, 61)
-STIFFNESS = np.array([70.0, -1.0, 40.0, np.nan, 200.0])  # two of them are none
+STIFFNESS = np.array([70.0, -1.0, 40.0, np.nan, 200.0])  # two of them are invalid
 DISTANCE = np.array([0.2, 0.3, 1.5])  # the last out of reach
-ROUNDING = 1e-9  # of a solution whose Newton iteration ends elsewhere, relative to the peak, about 20
+ROUNDING = 1e-9  # two solutions of Newton's method, relative to the peak of about 20
 SLOPE = 1e-6  # of central differences with STRETCH, relative to the largest slope
 STRETCH = 1e-3
 
@@ -84,7 +84,7 @@ class TestPoints:
         assert words in capsys.readouterr().err
 
     def test_rows_of_a_table(self, data):
-        # As many as in a block of the axes: the compiled function is the same.
+        # As many as in a block of the axes: the compiled function has the same shape.
         columns = {"distance": [0.3, 0.2, 0.2, 0.3, 0.3, 0.2], "stiffness": [40.0, 70.0, 40.0, -1.0, 70.0, 200.0]}
         table = jw.study(build, control=CONTROL, points=pd.DataFrame(columns), outputs="all")
         assert table.fx.dims == ("point", "control", "whisker")

@@ -1,4 +1,4 @@
-"""The summary of scans against scans on finer steps, exact peaks and scans made by hand."""
+"""The summary of scans, compared with finer steps, exact peaks and scans made by hand."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ PEAK = 1e-7  # relative: a polynomial through steps of 0.001 next to the steepes
 NARROW = 2e-8  # relative: ... through seven steps of a peak whose half width is twenty; a parabola misses by 3e-6
 ROUNDING = 1e-12
 COARSE = 0.1  # three uneven steps of a peak's width; across the turn a polynomial would be off by 0.2
-PLACE = 1e-5  # of a peak: the finer steps themselves
+PLACE = 1e-5  # of a peak: the size of the finer steps
 PRINTED = 5e-6  # half a unit of the last digit of the exact peaks
 WIDTH = 1e-5  # straight lines between steps of 0.001
 STIFFNESS = (20.0, 70.0)  # the softer one snaps through before the second whisker's vertex and lands on the far side
@@ -65,7 +65,7 @@ def test_peaks_are_the_exact_ones(arrays):
 
 def test_a_peak_a_few_steps_wide_is_read_to_rounding_of_the_printed_digits():
     control = np.linspace(1.0, -1.0, 2001)
-    control[1::2] += 2e-4  # the spacing is anybody's
+    control[1::2] += 2e-4  # arbitrary spacing
     at, width = 0.30047, 0.02
     mz = 1 / (1 + ((control - at) / width) ** 2)
     none = {"event_kind": -np.ones(1, int), "event_control": np.full(1, np.nan), "event_count": np.array(0)}
@@ -108,7 +108,7 @@ def test_a_peak_that_a_snap_cuts_off_is_the_state_there(arrays, scans):
     found = summarise(arrays, CONTROL, 2)
     assert found["max_fy"][0, 1] == at.before.fy[1]
     assert found["control_of_max_fy"][0, 1] == at.control
-    # Without the states the nearest step has to do, and no parabola reaches across the event.
+    # Without the states the nearest step is used: no polynomial reaches across the event.
     without = summarise({k: v for k, v in arrays.items() if not k.startswith(("before", "after"))}, CONTROL, 2)
     assert without["max_fy"][0, 1] == arrays["fy"][0, :, 1].max() < at.before.fy[1]
     np.testing.assert_array_equal(without["max_fy"][1], found["max_fy"][1])
