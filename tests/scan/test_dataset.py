@@ -96,8 +96,7 @@ def test_torsion_springs_have_angles():
         assert ("comment" in layout.attributes("spring_length", VARIABLES["spring_length"])) == comments
 
 
-def test_a_clamped_whisker_has_no_springs(result):
-    fields: dict[str, Any] = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
-    none = {"spring_length": jnp.zeros((CONTROL.size, 0)), "scene": model("clamped")}
-    data = jw.Result(**fields | none).to_xarray()
-    assert data.sizes["spring"] == 0
+def test_a_clamped_whisker_has_no_springs():
+    coordinates = layout_of(model("clamped")).coordinates(CONTROL, {"spring"})
+    assert coordinates["spring"][1].size == coordinates["between"][1].size == 0
+    assert "whisker" not in coordinates
