@@ -1,4 +1,4 @@
-"""A study in a separate process, which tests kill: python study_child.py STORE."""
+"""A study in a separate process, for tests that kill it: python study_child.py STORE."""
 
 import sys
 from typing import Any

@@ -26,11 +26,12 @@ from jaxwhisker._rod.rod import Splitting
 from jaxwhisker._scan.deflect import Deflection, deflect
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.export import to_csv, to_dataframe
-from jaxwhisker._scan.result import Event, Events, Result, State
+from jaxwhisker._scan.result import Event, Events, Result
 from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.shapes import Shapes, shapes
+from jaxwhisker._scan.state import State
 from jaxwhisker._study.study import study
-from jaxwhisker._study.summaries import summary
+from jaxwhisker._study.summary import summary
 from jaxwhisker.film.animate import animate
 
 __all__ = [

@@ -7,7 +7,8 @@ from matplotlib.image import imread
 
 import jaxwhisker as jw
 from jaxwhisker import cli
-from jaxwhisker._study.kernel import Kernel
+from jaxwhisker._study import critical as steepnesses
+from jaxwhisker._study.compute import Kernel
 from jaxwhisker.cli.study import axis
 from jaxwhisker.plot import studies
 from scenes import model
@@ -89,7 +90,7 @@ def test_the_same_line_goes_on_and_tells_what_it_found(stored, capsys, monkeypat
     assert cli.main(line) == code
     xr.testing.assert_identical(opened(folder).load().drop_attrs(), before.drop_attrs())
     printed = capsys.readouterr().out
-    assert "6 of 8 ok; 2: `stiffness` must be a positive number" in printed
+    assert "6 of 8 ok; 2 invalid (stiffness = -5, distance = 0.15: `stiffness` must be" in printed
     peak = float(jw.summary(before).max_mz.max())
     assert any(
         words[:3] == ["1", "max", "mz"] and words[-1] == f"{peak:.5g}" for words in map(str.split, printed.split("\n"))

@@ -21,7 +21,8 @@ from jaxwhisker._scan.quantities import (
     kind_of,
     unit_in_words,
 )
-from jaxwhisker._scan.result import Result, State
+from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.state import State
 
 ROUNDING = 1e-14
 

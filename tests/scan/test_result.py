@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._scan.result import Event, Events, Result, State, check_one_scan
+from jaxwhisker._scan.result import Event, Events, Result, check_one_scan
+from jaxwhisker._scan.state import State
 
 ROOM = 4  # for events
 SCENE = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfb(70.0))

@@ -22,8 +22,7 @@ from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.result import State
-from jaxwhisker._scan.shapes import base_of, outwards
+from jaxwhisker._scan.state import State, base_of, outwards
 
 INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; its error falls with their fourth power
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxwhisker._base.checks import is_traced
 from jaxwhisker._model.motion import Rotation, Translation
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.scene import units as units_of_scene
@@ -37,6 +38,7 @@ class Quantity(NamedTuple):
     axes: tuple[str, ...]
     sign: str = ""  # what a positive value means, where that is not obvious
     dtype: str = "float64"
+    per: str = "number"  # of a derivative: the kind of the parameter
 
     @property
     def fill(self) -> float | int | bool:
@@ -108,7 +110,8 @@ def control_name(scene: Scene) -> str:
 def is_dimensionless(scene: Scene) -> bool:
     """Whether the first whisker has length 1 and, at its base, bending stiffness 1; others are shown in SI units."""
     first = scene.whiskers[0]
-    return all(np.all(np.asarray(value) == 1.0) for value in (first.length, first.base_stiffness))
+    values = (first.length, first.base_stiffness)
+    return not any(is_traced(value) or np.any(np.asarray(value) != 1.0) for value in values)
 
 
 class Unit(NamedTuple):

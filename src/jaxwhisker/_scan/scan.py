@@ -23,9 +23,10 @@ from jaxwhisker._model.scene import Scene, moves_along_x, units
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import march, no_path
 from jaxwhisker._path.path import Path, Status
-from jaxwhisker._scan.result import Events, Result, State
+from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.route import Route, across, route_of, straight, traced_route
 from jaxwhisker._scan.signals import events
+from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps
 
 STEP = 0.001  # of the default control, in lengths of the first whisker

@@ -14,7 +14,8 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.result import Result, State
+from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.state import State, base_of, material, outwards
 
 
 class Shapes(eqx.Module):
@@ -79,26 +80,6 @@ def _line(
     # Beyond the contact the whisker is unloaded: a straight line, for which one more point suffices, or curved.
     end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
     tip_x, tip_y, _, _ = rod.points(
-        end, arc - whisker.length, nothing, _material(whisker), count=points - loaded + 1, from_base=arc
+        end, arc - whisker.length, nothing, material(whisker), count=points - loaded + 1, from_base=arc
     )
     return jnp.append(x, tip_x[1:]), jnp.append(y, tip_y[1:])
-
-
-def base_of(state: State) -> Pose:
-    """The poses of the bases."""
-    return Pose(state.base_x, state.base_y, state.base_angle)
-
-
-def outwards(
-    whisker: Whisker, base: Pose, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, *, count: int
-) -> tuple[rod.Along, rod.Along, rod.Along, rod.Along]:
-    """States of the rod at `count` equidistant points from the base to this arc length, under the base's reaction."""
-    # A negative arc integrates away from the base. The load balances the reaction.
-    load = rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
-    start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
-    return rod.points(start, -arc, load, _material(whisker), count=count, from_base=jnp.zeros_like(arc))
-
-
-def _material(whisker: Whisker) -> rod.Material:
-    """Material of the rod, in the whisker's own units."""
-    return whisker.base_stiffness if whisker.uniform else whisker.section(1.0, 1.0)

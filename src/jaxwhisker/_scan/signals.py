@@ -15,7 +15,8 @@ from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, select
-from jaxwhisker._scan.result import Events, State
+from jaxwhisker._scan.result import Events
+from jaxwhisker._scan.state import State
 
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:

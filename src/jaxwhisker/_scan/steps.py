@@ -16,8 +16,8 @@ from jaxwhisker._equilibrium.point import Contacts, Mode, Point, at_control, dot
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path.path import Path, Status
-from jaxwhisker._scan.result import State
 from jaxwhisker._scan.signals import signals
+from jaxwhisker._scan.state import State
 
 BATCH = 32  # steps solved for at once
 RESIDUAL = 1e-8  # of a step marked ok: directions and, relative to the drive's, positions at the base

@@ -140,7 +140,7 @@ def _control(args: argparse.Namespace) -> np.ndarray | None:
 
 def _run(args: argparse.Namespace) -> int:
     from jaxwhisker._study.study import SUMMARISED, study
-    from jaxwhisker._study.summaries import summary
+    from jaxwhisker._study.summary import summary
 
     check_writable(args.plot)
     check_picture(args.plot)
@@ -167,7 +167,7 @@ def _run(args: argparse.Namespace) -> int:
         print(f"wrote {args.store}")
     if args.plot is not None:
         from jaxwhisker import plot
-        from jaxwhisker._study.steepness import steepness
+        from jaxwhisker._study.critical import steepness
 
         axes = plot.study(found, critical=steepness(chosen, found))
         axes[0].figure.suptitle(data.attrs["scene"], fontsize="medium")

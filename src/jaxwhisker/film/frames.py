@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.result import Event, Result, State
+from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.shapes import Shapes, shapes_of
+from jaxwhisker._scan.state import State
 from jaxwhisker.film.flow import flows
 from jaxwhisker.film.swing import Outline, between
 

@@ -16,9 +16,10 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.result import Event, Events, Result, State
+from jaxwhisker._scan.result import Event, Events, Result
+from jaxwhisker._scan.state import State
 from jaxwhisker._study.study import study
-from jaxwhisker._study.summaries import summary
+from jaxwhisker._study.summary import summary
 
 if TYPE_CHECKING:
     import xarray as xr

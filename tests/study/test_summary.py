@@ -1,20 +1,20 @@
-"""The summary of scans against scans on finer steps, exact peaks and scans made by hand."""
+"""The summary of scans, compared with finer steps, exact peaks and scans made by hand."""
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import jaxwhisker as jw
-from jaxwhisker._study import summaries
-from jaxwhisker._study.fields import FIELDS, SUMMARY
-from jaxwhisker._study.summaries import summarise, summary
+from jaxwhisker._scan.dataset import VARIABLES
+from jaxwhisker._study import summary as module
+from jaxwhisker._study.summary import SUMMARY, summarise, summary
 from scenes import model
 
 PEAK = 1e-7  # relative: a polynomial through steps of 0.001 next to the steepest peak
 NARROW = 2e-8  # relative: ... through seven steps of a peak whose half width is twenty; a parabola misses by 3e-6
 ROUNDING = 1e-12
 COARSE = 0.1  # three uneven steps of a peak's width; across the turn a polynomial would be off by 0.2
-PLACE = 1e-5  # of a peak: the finer steps themselves
+PLACE = 1e-5  # of a peak: the size of the finer steps
 PRINTED = 5e-6  # half a unit of the last digit of the exact peaks
 WIDTH = 1e-5  # straight lines between steps of 0.001
 STIFFNESS = (20.0, 70.0)  # the softer one snaps through before the second whisker's vertex and lands on the far side
@@ -47,9 +47,9 @@ def arrays(scans):
 
 @pytest.fixture(scope="module")
 def data(arrays):
-    dims = {name: ("stiffness", *FIELDS[name].dims) for name in arrays}
-    units = {"length": "L", "force": "EI/L^2", "moment": "EI/L", "energy": "EI/L", "number": "1"}
-    variables = {k: (dims[k], v, {"units": units[FIELDS[k].kind]}) for k, v in arrays.items()}
+    dims = {name: ("stiffness", *VARIABLES[name].axes) for name in arrays}
+    units = {"length": "L", "control": "L", "force": "EI/L^2", "moment": "EI/L", "energy": "EI/L", "number": "1"}
+    variables = {k: (dims[k], v, {"units": units[VARIABLES[k].kind]}) for k, v in arrays.items()}
     coords = {"stiffness": list(STIFFNESS), "control": ("control", CONTROL, {"units": "L"}), "whisker": [1, 2]}
     return xr.Dataset(variables, coords, {"title": "two scans"})
 
@@ -65,7 +65,7 @@ def test_peaks_are_the_exact_ones(arrays):
 
 def test_a_peak_a_few_steps_wide_is_read_to_rounding_of_the_printed_digits():
     control = np.linspace(1.0, -1.0, 2001)
-    control[1::2] += 2e-4  # the spacing is anybody's
+    control[1::2] += 2e-4  # arbitrary spacing
     at, width = 0.30047, 0.02
     mz = 1 / (1 + ((control - at) / width) ** 2)
     none = {"event_kind": -np.ones(1, int), "event_control": np.full(1, np.nan), "event_count": np.array(0)}
@@ -108,7 +108,7 @@ def test_a_peak_that_a_snap_cuts_off_is_the_state_there(arrays, scans):
     found = summarise(arrays, CONTROL, 2)
     assert found["max_fy"][0, 1] == at.before.fy[1]
     assert found["control_of_max_fy"][0, 1] == at.control
-    # Without the states the nearest step has to do, and no parabola reaches across the event.
+    # Without the states the nearest step is used: no polynomial reaches across the event.
     without = summarise({k: v for k, v in arrays.items() if not k.startswith(("before", "after"))}, CONTROL, 2)
     assert without["max_fy"][0, 1] == arrays["fy"][0, :, 1].max() < at.before.fy[1]
     np.testing.assert_array_equal(without["max_fy"][1], found["max_fy"][1])
@@ -256,6 +256,48 @@ def test_a_peak_is_refined_where_it_is_smooth_only():
     np.testing.assert_array_equal([corner["max_fy"][0], corner["control_of_max_fy"][0]], [bump[0, 2], 1.0])
 
 
+def mirrored(arrays):
+    """The scans of the mirrored scene: the drive moves towards +x; fx and mz change their sign."""
+    negated = {name for name in arrays if name.endswith(("fx", "mz", "base_x")) or name == "event_control"}
+    return {name: -values if name in negated else values for name, values in arrays.items()}
+
+
+def test_a_rising_control_gives_the_mirrored_summary(arrays):
+    falling, rising = summarise(arrays, CONTROL, 2), summarise(mirrored(arrays), -CONTROL, 2)
+    assert np.all(falling["contact_width"] > 0)
+    for name in ("contact_width", "half_width_mz", "snap_work", "snaps", "steps_failed", "max_fy"):
+        np.testing.assert_allclose(rising[name], falling[name], rtol=ROUNDING, err_msg=name)
+    for name in ("first_touch", "last_contact", "control_of_max_fy"):
+        np.testing.assert_allclose(rising[name], -falling[name], rtol=ROUNDING, err_msg=name)
+    for name in ("fx", "mz"):
+        for one, other in (("max", "min"), ("min", "max")):
+            for prefix in ("", "control_of_"):
+                found, expected = rising[f"{prefix}{one}_{name}"], -falling[f"{prefix}{other}_{name}"]
+                np.testing.assert_allclose(found, expected, rtol=ROUNDING, err_msg=f"{prefix}{one}_{name}")
+
+
+def test_a_peak_of_rounding_errors_is_zero_and_nowhere():
+    touching = np.array([[0, 1e-15, -1.0, -6.0, -2.0, 0, 0, 0], [0] * 8])
+    found = summarise(by_hand(touching, [("touch", (1,), 0.9), ("release", (1,), 4.5)]), np.arange(8.0), 2)
+    assert found["max_fy"][0] == 0 and np.isnan(found["control_of_max_fy"][0])
+    assert found["min_fy"][0] <= -6.0 and np.isfinite(found["control_of_min_fy"][0])
+
+
+def dataset_of(arrays, control):
+    variables = {name: (VARIABLES[name].axes, values) for name, values in arrays.items()}
+    return xr.Dataset(variables, {"control": control, "whisker": [1, 2]})
+
+
+def test_widths_of_a_turning_control_are_nan_and_say_why():
+    control = np.array([3.0, 2.0, 1.0, 2.0, 3.0])
+    arrays = by_hand([[0, 1.0, 2.0, 1.0, 0], [0] * 5], [("touch", (1,), 2.5), ("release", (1,), 2.5)])
+    found = summarise(arrays | {"mz": arrays["fy"]}, control, 2)
+    assert np.isnan(found["contact_width"]).all() and np.isnan(found["half_width_mz"]).all()
+    assert found["first_touch"][0] == found["last_contact"][0] == 2.5 and found["max_mz"][0] == 2.0
+    assert "changes direction" in summary(dataset_of(arrays, control)).contact_width.attrs["comment"]
+    assert "comment" not in summary(dataset_of(arrays, np.arange(5.0))).contact_width.attrs
+
+
 def test_more_events_than_room_is_no_sum(arrays):
     full = arrays | {"event_count": np.array([arrays["event_kind"].shape[1] + 1, arrays["event_count"][1]])}
     assert np.isnan(summarise(full, CONTROL, 2)["snap_work"][0])
@@ -267,7 +309,7 @@ def test_summary_of_a_dataset(data, arrays):
     assert set(found.data_vars) == set(expected) == set(SUMMARY)
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name].values, values)
-        assert found[name].dims == ("stiffness", *SUMMARY[name].dims)
+        assert found[name].dims == ("stiffness", *SUMMARY[name].axes)
         assert found[name].attrs["long_name"]
     units = {"max_fy": "EI/L^2", "min_mz": "EI/L", "control_of_max_fy": "L", "snaps": "1"}
     assert {name: found[name].attrs["units"] for name in units} == units
@@ -282,11 +324,11 @@ def test_summary_does_not_depend_on_blocks_or_the_order_of_dimensions(data, tmp_
     grid.chunk(stiffness=1, distance=2).to_zarr(tmp_path / "grid.zarr", consolidated=False)
     stored = xr.open_zarr(tmp_path / "grid.zarr", chunks=None, consolidated=False)
     read = []
-    monkeypatch.setattr(summaries, "summarise", lambda a, *rest: read.append(a["mz"].shape[:-2]) or summarise(a, *rest))
+    monkeypatch.setattr(module, "summarise", lambda a, *rest: read.append(a["mz"].shape[:-2]) or summarise(a, *rest))
     xr.testing.assert_equal(summary(stored).isel(distance=0, drop=True), expected)
     assert read == [(2, 1), (2, 1)]  # whole chunks
     read.clear()
-    monkeypatch.setattr(summaries, "BLOCK", 1.0)
+    monkeypatch.setattr(module, "BLOCK", 1.0)
     xr.testing.assert_equal(summary(grid.transpose()).isel(distance=0, drop=True), expected)
     assert len(read) == 4
 
