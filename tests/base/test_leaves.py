@@ -62,7 +62,7 @@ def test_the_default_is_not_written():
     assert text_unless(1.0, ", a = ", 2.0) == ", a = 2"
 
 
-@pytest.mark.parametrize("bad", [jnp.nan, jnp.inf, -3.0, 0.0, 7.0])
+@pytest.mark.parametrize("bad", [jnp.nan, jnp.inf, -3.0, 0.0, 0.5, 7.0])
 def test_placeholders_are_positive_and_have_no_derivative(bad):
     def root(value, valid):
         return jnp.sqrt(harmless(value, valid))

@@ -42,13 +42,13 @@ def test_a_constant_radius_is_a_circle():
     contour, circle = jw.Contour.like(jw.Circle(0.2, 0.7, -0.1), KNOTS), jw.Circle(0.2, 0.7, -0.1)
     slopes = jnp.linspace(-1.57, 1.57, 201)
     ours, exact = (jax.vmap(profile.point)(slopes) for profile in (contour, circle))
-    for found, expected in zip(ours, exact, strict=True):
-        np.testing.assert_allclose(found, expected, rtol=0, atol=EXACT)
+    for actual, expected in zip(ours, exact, strict=True):
+        np.testing.assert_allclose(actual, expected, rtol=0, atol=EXACT)
     assert contour.vertex() == pytest.approx(circle.vertex(), abs=EXACT)
     for side in (1.0, -1.0):
         for height in (0.5, 0.85):
-            found, expected = (profile.first_touch(height, side) for profile in (contour, circle))
-            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+            actual, expected = (profile.first_touch(height, side) for profile in (contour, circle))
+            np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-10)
     higher = contour.first_touch(1.5, 1.0)
     assert abs(higher.x - 0.6) < EXACT and abs(higher.y - 0.9) < 1e-5
 
@@ -83,12 +83,12 @@ def scan():
 
 @pytest.mark.parametrize(("profile", "error"), [(jw.Circle(0.3, 1.0), CIRCLE), (jw.Parabola(0.2), PARABOLA)])
 def test_scans(scan, profile, error):
-    found = scan(jw.Contour.like(profile, KNOTS))
+    actual = scan(jw.Contour.like(profile, KNOTS))
     exact = jw.scan(jw.Scene(jw.Whisker(), profile, jw.Support.fb(70.0)), CONTROL)
-    assert all_ok(found)
+    assert all_ok(actual)
     for name in ("fx", "fy", "mz"):
         expected = np.asarray(getattr(exact, name))
-        assert np.max(np.abs(getattr(found, name) - expected)) < error * np.max(np.abs(expected)), name
+        assert np.max(np.abs(getattr(actual, name) - expected)) < error * np.max(np.abs(expected)), name
 
 
 def test_derivatives(scan):

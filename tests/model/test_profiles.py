@@ -129,6 +129,7 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (lambda: jw.Graph(math.exp), "`g` must be a function that JAX can trace, got exp"),
         (lambda: jw.Graph(lambda: 1.0), r"`g` must be a function that is called with one number .*, got <lambda>\(\)"),
         (lambda: jw.Graph(lambda x: jnp.stack([x, x])), r"`g` .* returns one number, got .* of shape \(2,\)"),
+        (lambda: jw.Graph(lambda x: x > 0), r"`g` .* returns one number, got .* of shape \(\) and type bool"),
         (lambda: jw.Graph(lambda x: None), "`g` .* returns one number, got .* a value of type NoneType"),
         (lambda: jw.Graph(lambda x: x**2, extent=np.nan), "`extent` must be a positive finite number, got nan"),
         (lambda: jw.Tilted(0.3, 0.1), "`profile` must be a profile such as Parabola or Graph, got 0.3"),

@@ -36,8 +36,8 @@ def test_bending_stiffness_of_a_circular_section():
 
 def test_a_cone_has_a_linear_diameter():
     cone = jw.Whisker.conical(2.0, 64 / np.pi, 1.0, 0.5)
-    found = [float(cone.stiffness_at(s)) for s in (0.0, 1.0, 2.0)]
-    np.testing.assert_allclose(found, [1.0, 0.75**4, 0.5**4], rtol=EXACT)
+    actual = [float(cone.stiffness_at(s)) for s in (0.0, 1.0, 2.0)]
+    np.testing.assert_allclose(actual, [1.0, 0.75**4, 0.5**4], rtol=EXACT)
 
 
 def test_a_rat_has_the_whiskers_of_the_regressions():

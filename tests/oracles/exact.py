@@ -85,7 +85,7 @@ Scan = namedtuple("Scan", "control states events")
 
 
 def _shape(p, k):
-    """Return the slope, and sqrt(f) times s1, x and y of the contact point seen from the base."""
+    """Return the slope, and sqrt(f) times s1, x and y of the contact point relative to the base."""
     turn = np.pi / 2 * np.sqrt(p)  # pi/2 - t0
     slope = 2 * np.arcsin(np.clip(k * np.cos(turn), -1, 1))
     psi = np.arctan2(np.sin(turn), np.sqrt(1 - k**2) * np.cos(turn)) % (2 * np.pi)

@@ -44,8 +44,8 @@ def scanned(ratio=5.0):
     return jw.scan(scene(cone(ratio)), CONTROL)
 
 
-def relative(found, wanted):
-    return np.max(np.abs(np.asarray(found) - np.asarray(wanted))) / np.max(np.abs(np.asarray(wanted)))
+def relative(actual, expected):
+    return np.max(np.abs(np.asarray(actual) - np.asarray(expected))) / np.max(np.abs(np.asarray(expected)))
 
 
 def test_a_clamped_cone_is_lost_in_tangential_contact():
@@ -99,10 +99,10 @@ def test_units_do_not_matter():
     physical = jw.Scene(
         whisker, jw.Parabola(0.2 * length, 1 / length), jw.Support.fb(70 * force / length, 0.2 * length)
     )
-    found = jw.scan(physical, CONTROL * length)
-    wanted = jw.scan(scene(cone(4.0)), CONTROL)
-    assert relative(found.fx, force * np.asarray(wanted.fx)) < SAME
-    assert relative(found.mz, force * length * np.asarray(wanted.mz)) < SAME
+    actual = jw.scan(physical, CONTROL * length)
+    expected = jw.scan(scene(cone(4.0)), CONTROL)
+    assert relative(actual.fx, force * np.asarray(expected.fx)) < SAME
+    assert relative(actual.mz, force * length * np.asarray(expected.mz)) < SAME
 
 
 def test_small_loads_on_a_cone_agree_with_beam_theory():

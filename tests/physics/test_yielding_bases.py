@@ -198,8 +198,8 @@ EXACT_TORSION = [
 def test_deflection_on_a_torsion_spring(force, stiffness, away, height, rotation, moment):
     bent = jw.deflect(jw.Whisker(), jw.PointForce(force), support=jw.Support.follicle(phi=stiffness))
     assert bent.status == jw.Status.ok
-    found = [-bent.x[-1], bent.y[-1], bent.base_angle, -bent.mz]
-    np.testing.assert_allclose(found, [away, height, rotation, moment], atol=1e-9)
+    actual = [-bent.x[-1], bent.y[-1], bent.base_angle, -bent.mz]
+    np.testing.assert_allclose(actual, [away, height, rotation, moment], atol=1e-9)
 
 
 def test_deflection_on_springs_along_all_axes():
