@@ -45,7 +45,7 @@ def scene(support: jw.Support, **fields) -> jw.Scene:
     return jw.Scene(jw.Whisker(), jw.Parabola(DISTANCE), support, jw.ClosedForm(), **fields)
 
 
-def fbfb_at(p1: float, p2: float, stiffness=(70.0, 40.0)) -> jw.Scene:
+def fbfb_at(p1: float, p2: float, stiffness: tuple[float, float] = (70.0, 40.0)) -> jw.Scene:
     """FBFB with the rest lengths that make these two contacts an equilibrium at control 0."""
     at = contacts(p1, p2)
     c1, c2 = stiffness

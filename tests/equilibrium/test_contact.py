@@ -11,7 +11,7 @@ from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import Body, Phase, of_each
 from jaxwhisker._model.motion import Frame
-from jaxwhisker._rod.elastica import ClosedForm, Shooting
+from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker._rod.rod import Section
 
 EXACT = 1e-10  # closed forms against closed forms; their moduli are found by bisection
@@ -31,7 +31,7 @@ P = (
 TIP, TANGENTIAL = jnp.asarray(int(Phase.tip)), jnp.asarray(int(Phase.tangential))
 
 
-def body(rod=CLOSED, position=0.0):
+def body(rod: AbstractRod = CLOSED, position=0.0):
     one = jnp.asarray(1.0)
     return Body(one, one, jw.Parabola(DISTANCE, 1.0, jnp.asarray(position)), rod)
 

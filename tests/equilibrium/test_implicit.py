@@ -34,10 +34,10 @@ def fbfb(p):
 @pytest.fixture(scope="module")
 def at():
     """Parameters of an exact equilibrium, its contacts and mode."""
-    support = fbfb_at(1.3, 0.6).support
-    values = [float(v) for s in support.springs for v in (s.stiffness, s.rest_length)]
+    stiffness = (70.0, 40.0)
+    rest_length = [float(spring.rest_length) for spring in fbfb_at(1.3, 0.6, stiffness).support.springs]
     here = contacts(1.3, 0.6)
-    p = jnp.array([values[0], values[2], values[1], values[3], DISTANCE, 1.0, 1.0, 0.0])
+    p = jnp.array([*stiffness, *rest_length, DISTANCE, 1.0, 1.0, 0.0])
     return p, jnp.asarray(here.z), Mode(jnp.asarray(here.phase), jnp.ones(2), NO)
 
 

@@ -18,7 +18,7 @@ RESIDUAL = 1e-11  # of exact contacts: their moduli are found by bisection
 DIFFERENCE = 1e-6  # relative, of central differences of solved contacts
 STIFFNESS = (70.0, 40.0)
 # Parameters of both whiskers on the clamped branch: just after touch, every phase, both sides of the vertex.
-PAIRS = [(0.3, 1e-7), (0.6, 0.1), (1.3, 0.9), (2.6, 0.4), (2.5, 1.0)]
+PAIRS: list[tuple[float, float]] = [(0.3, 1e-7), (0.6, 0.1), (1.3, 0.9), (2.6, 0.4), (2.5, 1.0)]
 
 problem_now = jit(problem_of)
 
@@ -56,7 +56,7 @@ def typical():
 def test_exact_equilibria_are_found(pair):
     at = contacts(*pair)
     mode, z = mode_of(at), jnp.asarray(at.z)
-    problem = problem_now(fbfb_at(*pair, STIFFNESS))
+    problem = problem_now(fbfb_at(pair[0], pair[1], STIFFNESS))
     off = 1e-3 * scale_of(z) * np.random.default_rng(0).uniform(-1, 1, z.shape)
     solution = solved_at_control(problem, mode, z + off, jnp.asarray(0.0))
     assert solution.converged and solution.iterations <= 5

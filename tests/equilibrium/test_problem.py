@@ -171,7 +171,8 @@ def test_where_whiskers_stand():
 
 
 def test_only_free_whiskers_out_of_reach_change_their_side(in_plane):
-    away = Touch(*(jnp.zeros(3) for _ in range(4)), jnp.zeros(3, bool))
+    none = jnp.zeros(3)
+    away = Touch(none, none, none, none, none > 0)
     stance = Stance(jnp.array([-1.0, -1.0, 1.0]), away, away)
     side = in_plane.updated_side(jnp.array([True, False, True]), jnp.ones(3), stance)
     assert side.tolist() == [-1.0, 1.0, 1.0]

@@ -25,17 +25,17 @@ def afar(direction=-1, distance=DISTANCE, stiffness=70.0):
     """FBFB before an object, from one side."""
     support = jw.Support.fbfb(stiffness, list(REST))
     motion = jw.Translation(direction)
-    return approach_of(problem_now(jw.Scene(jw.Whisker(), jw.Parabola(distance), support, jw.ClosedForm(), motion)))
+    problem = problem_now(jw.Scene(jw.Whisker(), jw.Parabola(distance), support, jw.ClosedForm(), motion))
+    approach = approach_of(problem)
+    assert isinstance(approach, FromAfar)
+    return approach
 
 
 def turning():
     """A clamped whisker on a turning drive."""
-    return approach_of(problem_now(scene(jw.Support.clamped(), motion=jw.Rotation((0.0, -0.5), 0.5))))
-
-
-def test_a_motion_with_ends_is_bounded():
-    assert isinstance(afar(), FromAfar)
-    assert isinstance(turning(), Bounded)
+    approach = approach_of(problem_now(scene(jw.Support.clamped(), motion=jw.Rotation((0.0, -0.5), 0.5))))
+    assert isinstance(approach, Bounded)
+    return approach
 
 
 def test_the_first_whisker_to_touch():
@@ -110,7 +110,7 @@ def test_ends_are_in_units_of_the_control():
     motion = jw.Motion(lambda u: (1 - u / 5, 0.0, 0.0), start=-2.0, stop=8.0)
     approach = approach_of(problem_now(scene(jw.Support.clamped(), motion=motion)))
     assert float(approach.problem.unit.control) == 10.0
-    np.testing.assert_allclose(approach.limits(), [-0.2, 0.8, 0.8], rtol=ROUNDING)
+    np.testing.assert_allclose(np.array(approach.limits()), [-0.2, 0.8, 0.8], rtol=ROUNDING)
 
 
 def test_a_bounded_motion_must_start_clear_of_the_object():
@@ -156,7 +156,7 @@ def test_a_bounded_scan_is_cropped_on_both_sides():
     controls, kinds = [-1.5, -0.5, 0.4, 0.9], [NO_EVENT, EventKind.touch, EventKind.release, NO_EVENT]
     path = path_of(approach, controls, kinds)
     cropped, start, stop = approach.crop(path, jnp.asarray(True), limits)
-    np.testing.assert_allclose([start, stop], [-0.5 - MARGIN, 0.4 + MARGIN], rtol=ROUNDING)
+    np.testing.assert_allclose(np.array([start, stop]), [-0.5 - MARGIN, 0.4 + MARGIN], rtol=ROUNDING)
     # Travel counts from the new start.
     shift = start - limits.start
     np.testing.assert_allclose(path.nodes.travel[:4] - cropped.nodes.travel[:4], shift, rtol=ROUNDING)

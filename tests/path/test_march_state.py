@@ -41,8 +41,8 @@ def two():
 
 def margins(touch=np.inf, release=1.0, phase=1.0, vertex=1.0, stop=1.0):
     """Margins of both whiskers: a touch of the second one, all else of the first one."""
-    first = [jnp.array([value, np.inf]) for value in (release, phase, vertex)]
-    return Margins(jnp.array([np.inf, touch]), *first, jnp.array([stop]))
+    release, phase, vertex = (jnp.array([value, np.inf]) for value in (release, phase, vertex))
+    return Margins(jnp.array([np.inf, touch]), release, phase, vertex, jnp.array([stop]))
 
 
 def trial(problem, here, there, tangent=None, tangent_pose=None):

@@ -99,6 +99,10 @@ def test_a_dip_of_the_turn_below_zero_is_a_pair_of_folds(state):
     twice, share = folds(state, 1.0, 1.0, 1 / 6)
     assert twice
     np.testing.assert_allclose(share, 0.5, rtol=1e-9)
+    # 1 - 4 t + 3.6 t^2 is lowest at 5/9, with a margin for a slope that is not quite known; its mean is 1/5.
+    twice, share = folds(state, 1.0, 0.6, 0.2)
+    assert twice
+    np.testing.assert_allclose(share, 5 / 9, atol=0.02)
     # du/ds = 1 - 2 t + 2 t^2 stays above 1/2; its mean is 2/3.
     assert not folds(state, 1.0, 1.0, 2 / 3)[0]
     # A long step does not resolve the parabola: half of its lowest end is too near to zero.

@@ -41,8 +41,9 @@ def path_through(p, bend=1.0, status=jw.Status.ok, stiffness=STIFFNESS):
     )
     phase = jnp.asarray(np.pad(here.phase[:, None], room[:2]))
     side, none = jnp.ones((ROOM, 1)), jnp.zeros((ROOM, 1), bool)
-    point = Point(jnp.asarray(np.pad(z, room)), jnp.asarray(np.pad(u, (0, ROOM - count))))
-    travel, kind = FIRST - point.u, jnp.full(ROOM, NO_EVENT)
+    control = jnp.asarray(np.pad(u, (0, ROOM - count)))
+    point = Point(jnp.asarray(np.pad(z, room)), control)
+    travel, kind = FIRST - control, jnp.full(ROOM, NO_EVENT)
     nodes = Node(point, point.z, leaving, leaving, phase, side, travel, kind, none, phase, side)
     return Path(nodes, jnp.asarray(count), jnp.asarray(int(status)))
 
@@ -76,14 +77,14 @@ def test_states_are_exact_whatever_the_interpolation(bend):
     assert np.all(state.base_y == 0) and np.all(state.base_angle == 0)
 
 
-def test_a_step_uses_the_branch_that_its_travel_selects():
-    # The drive passes the same control on the way out and on the way back; here the way back is in tip contact.
+def test_travel_selects_the_node_before_a_step():
+    # The last node is reached after a travel of 5, and leads into tip contact.
     out, back = contacts(0.7), contacts(0.1)
     path = path_through((0.4, 0.7, 1.0, 1.3))
     at = path.nodes.point
     path = path._replace(
         nodes=path.nodes._replace(
-            point=Point(at.z.at[3].set(jnp.asarray(back.z)), at.u.at[3].set(controls_of(back)[0])),
+            point=Point(at.z.at[3].set(jnp.asarray(back.z)), jnp.asarray(at.u).at[3].set(controls_of(back)[0])),
             z_before=at.z.at[3].set(jnp.asarray(back.z)),
             phase=path.nodes.phase.at[3].set(int(back.phase[0])),
             travel=path.nodes.travel.at[3].set(5.0),
@@ -137,9 +138,10 @@ def test_an_equilibrium_between_two_folds_is_unstable():
     soft = 15.0
     problem = jit(problem_of)(scene(jw.Support.fb(soft, REST)))
     path, at = path_through((0.8, 0.83, 0.86, 0.89), stiffness=soft), contacts(0.81, 0.82, 0.84, 0.85, 0.88)
-    u, first = jnp.asarray(controls_of(at, soft)), path.nodes.point.u[0]
+    u, nodes = jnp.asarray(controls_of(at, soft)), jnp.asarray(path.nodes.point.u)
+    first = nodes[0]
     assert np.all(u > first)
-    path = path._replace(nodes=path.nodes._replace(travel=path.nodes.point.u - first))
+    path = path._replace(nodes=path.nodes._replace(travel=nodes - first))
     state, status = solved_steps(problem, path, u, u - first)
     assert np.all(status == jw.Status.unstable)
     assert np.all(np.isnan(state.fx)) and np.all(state.phase == jw.Phase.free)
