@@ -1,6 +1,7 @@
 """Figures of inverse problems: fitted signals, information along a scan, reconstructed contours."""
 
 from collections.abc import Iterable
+from types import NoneType
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -116,7 +117,7 @@ def contour(
     from jaxwhisker._inverse.points import Reconstruction
 
     check_type("result", result, (Reconstruction, ContourFit), "the result of jw.reconstruct or jw.fit_contour")
-    check_type("profile", profile, AbstractProfile | None, "a profile such as jw.Parabola(0.2)")
+    check_type("profile", profile, (AbstractProfile, NoneType), "a profile such as jw.Parabola(0.2)")
     axes = one_axes(ax)
     draw = _draw_fitted if isinstance(result, ContourFit) else _draw_points
     slopes, left, right = draw(result, axes)
