@@ -1,7 +1,7 @@
-# Everything runs in .venv, which the first target that needs it makes.
-#   make demo                      the results of the thesis, in out/
-#   make test                      the tests
-#   make demo PYTHON=python3.12    with this Python, instead of the newest one found
+# Everything runs in .venv. The first target that needs .venv creates it.
+#   make demo                      reproduce the results of the thesis in out/
+#   make test                      run the tests
+#   make demo PYTHON=python3.12    create .venv with this Python instead of the newest one
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -11,9 +11,9 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint types docs notebooks bench bench-more bench-inverse extremes soak clean distclean
+.PHONY: help demo test lint types docs notebooks figures bench bench-more bench-inverse extremes soak clean distclean
 
-help: ## list the targets
+help: ## list all targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
 demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (3 to 4 minutes on two cores)
@@ -29,57 +29,61 @@ lint: $(VENV)/installed-dev ## check style and formatting (ruff)
 types: $(VENV)/installed-dev ## check types (pyright)
 	@$(BIN)/pyright
 
-docs: $(VENV)/installed-dev ## build the documentation in out/site, notebooks without outputs (EXECUTE=1: with, 15 minutes)
+docs: $(VENV)/installed-dev ## build the documentation in out/site (EXECUTE=1: with notebook outputs, 15 minutes)
 	@NO_MKDOCS_2_WARNING=1 EXECUTE_NOTEBOOKS=$(if $(EXECUTE),true,false) $(BIN)/mkdocs build --quiet --strict
 
-notebooks: $(VENV)/installed-dev ## run all notebooks, with their outputs in out/notebooks (10 to 20 minutes)
+notebooks: $(VENV)/installed-dev ## run all notebooks and save them with outputs in out/notebooks (10 to 20 minutes)
 	@mkdir -p $(OUT)/notebooks
 	@for notebook in notebooks/*.py; do \
 	    name=$$(basename $$notebook .py); echo "== $$name"; \
 	    $(BIN)/jupytext --quiet --set-kernel python3 --to ipynb --execute --run-path notebooks --output $(OUT)/notebooks/$$name.ipynb $$notebook || exit 1; \
 	done
 
-bench: $(VENV)/installed-bench ## error against run time, beside other simulators (half an hour; QUICK=1: three minutes)
-	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision growth cold_start ladder roofline report))
+figures: $(VENV)/installed-dev ## draw the figures of the documentation (two minutes)
+	@for script in figures/*.py; do $(BIN)/python $$script || exit 1; done
 
-bench-more: $(VENV)/installed-dev ## gradients, studies, critical stiffness, supports, films and sliders (ffmpeg, chromium)
-	@$(call run,gradient_cost study_speed critical_map settings showing report)
+bench: $(VENV)/installed-bench ## measure error and run time, compare simulators (half an hour; QUICK=1: three minutes)
+	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision growth cold_start ladder roofline report) && $(draw))
 
-bench-inverse: $(VENV)/installed-dev ## what comes back from signals: parameters, contours, what has to be known (an hour)
-	@$(call run,identify reconstruct known report)
+bench-more: $(VENV)/installed-dev ## measure gradients, studies, supports, films and sliders (needs ffmpeg, chromium)
+	@$(call run,gradient_cost study_speed critical_map settings showing report) && $(draw)
 
-extremes: $(VENV)/installed-dev ## scans at the ends of every parameter's range
-	@$(call run,extremes report)
+bench-inverse: $(VENV)/installed-dev ## measure fits, contours and required prior knowledge (an hour)
+	@$(call run,identify reconstruct known report) && $(draw)
+
+extremes: $(VENV)/installed-dev ## scan scenes at the limits of every parameter's range
+	@$(call run,extremes report) && $(draw)
 
 soak: $(VENV)/installed-dev ## check 100,000 random scenes (half an hour on two cores)
 	@$(call run,soak soak_supports report)
 
 run = for name in $(1); do echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit 1; done
+draw = $(BIN)/python figures/results.py
 
-clean: ## remove results, caches and build products; .venv stays
+clean: ## remove results, caches and build products, but keep .venv
 	@rm -rf $(OUT) build dist .pytest_cache .ruff_cache .hypothesis src/*.egg-info
-	@find src tests benchmarks docs notebooks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+	@find src tests benchmarks docs_hooks figures notebooks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
-distclean: clean ## remove .venv, too
+distclean: clean ## run clean and remove .venv as well
 	@rm -rf $(VENV)
 
-# The newest Python that can make an environment. ensurepip is what a fresh Debian lacks.
+# Use the newest Python that can create an environment. A fresh Debian lacks ensurepip.
 CANDIDATES := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 $(BIN)/python:
 	@recent='import sys; assert sys.version_info >= (3, 11)'; \
 	complete="$$recent; import ensurepip, venv"; \
 	for python in $(CANDIDATES); do \
 	    "$$python" -c "$$complete" >/dev/null 2>&1 || continue; \
-	    echo "making $(VENV) with $$("$$python" --version) ($$python)"; \
+	    echo "creating $(VENV) with $$("$$python" --version) ($$python)"; \
 	    "$$python" -m venv $(VENV) && exit 0; \
 	    rm -rf $(VENV); exit 1; \
 	done; \
 	for python in $(CANDIDATES); do \
 	    "$$python" -c "$$recent" >/dev/null 2>&1 || continue; \
-	    echo "$$python cannot make an environment: its venv module is incomplete. On Debian: apt install python3-venv" >&2; \
+	    echo "$$python cannot create an environment: its venv module is incomplete. On Debian: apt install python3-venv" >&2; \
 	    exit 1; \
 	done; \
-	echo "none of these is a Python 3.11 or later: $(CANDIDATES). On Debian: apt install python3 python3-venv" >&2; exit 1
+	echo "Python 3.11 or later not found, tried $(CANDIDATES). On Debian: apt install python3 python3-venv" >&2; exit 1
 
 $(VENV)/installed: pyproject.toml | $(BIN)/python
 	@echo "installing jaxwhisker into $(VENV)"
@@ -87,11 +91,11 @@ $(VENV)/installed: pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(VENV)/installed-bench: pyproject.toml | $(BIN)/python
-	@echo "installing jaxwhisker, what its tests need and the simulators that it is compared with into $(VENV)"
+	@echo "installing jaxwhisker, its test dependencies and other simulators into $(VENV)"
 	@$(PIP_INSTALL) '.[dev,bench]'
 	@touch $(VENV)/installed $(VENV)/installed-dev $@
 
 $(VENV)/installed-dev: pyproject.toml | $(BIN)/python
-	@echo "installing jaxwhisker and what its tests need into $(VENV)"
+	@echo "installing jaxwhisker and its test dependencies into $(VENV)"
 	@$(PIP_INSTALL) '.[dev]'
 	@touch $(VENV)/installed $@

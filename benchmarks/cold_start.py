@@ -1,4 +1,7 @@
-"""From a fresh process to the first result of one FB scan: import, tracing and compilation, run, apart."""
+"""Time from the start of a process to the first scan, split into import, tracing and compilation, and run.
+
+python benchmarks/cold_start.py
+"""
 
 import os
 import subprocess
@@ -23,6 +26,7 @@ print(imported - start, first - imported, time.perf_counter() - first)
 
 
 def measure(model: str, cache: str) -> list[float]:
+    """Seconds for import, first scan and second scan in a new process."""
     settings = {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2"}
     out = subprocess.run(
         [sys.executable, "-c", FIRST.format(model=model)],
@@ -40,7 +44,7 @@ def main() -> None:
         runs: dict[str, list[list[float]]] = {"empty": [], "warm": []}
         for _ in range(3):
             with tempfile.TemporaryDirectory() as cache:
-                for measured in runs.values():  # the first run fills the cache
+                for measured in runs.values():  # the first of the two runs fills the cache
                     measured.append(measure(model, cache))
         for kind, measured in runs.items():
             imported, first, again = (summary(list(column))["median"] for column in zip(*measured, strict=True))

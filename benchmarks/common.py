@@ -1,21 +1,30 @@
-"""What the benchmarks share: the environment beside every number, interleaved medians, one results file a script."""
+"""Helpers that all benchmarks share: environment, interleaved timing, stored results and Markdown tables.
 
+A results file is a JSON table with one row per line: `{"environment": {...}, "columns": [...], "rows": [[...], ...]}`.
+"""
+
+import argparse
 import datetime
 import json
 import os
 import platform
 import statistics
+import sys
 import time
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+TESTS = Path(__file__).parents[1] / "tests"
+sys.path.extend([str(TESTS), str(TESTS / "oracles")])  # benchmarks compare with the oracles of the tests
+
 RESULTS = Path(__file__).parent / "results"
 PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "numpy")
+DIGITS = 8  # significant digits of stored numbers
 
 
 def environment() -> dict[str, str]:
-    """Machine, cores, versions and date."""
+    """Machine, cores, load, versions and date."""
     model = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -33,7 +42,10 @@ def environment() -> dict[str, str]:
 
 
 def interleaved(calls: dict, repeats: int) -> dict[Any, dict[str, float]]:
-    """Seconds of each call, taken in turn so that drift of the machine meets all alike: median and quartiles."""
+    """Median and quartiles of each call's run time in seconds.
+
+    Calls take turns, which spreads any drift of the machine over all of them.
+    """
     times: dict[Any, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()
@@ -51,28 +63,62 @@ def summary(values: list[float]) -> dict[str, float]:
     return {"median": middle, "lower": low, "upper": high}
 
 
+def quick(description: str | None) -> bool:
+    """Parse the command line of a benchmark whose only option is `--quick`."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="fewer cases and repetitions")
+    return parser.parse_args().quick
+
+
 def read(name: str) -> dict:
-    """A results file: environment and rows."""
-    return json.loads((RESULTS / f"{name}.json").read_text())
+    """Read a results file: its environment, and its rows as dicts with None for empty cells."""
+    stored = json.loads((RESULTS / f"{name}.json").read_text())
+    rows = [dict(zip(stored["columns"], row, strict=True)) for row in stored["rows"]]
+    return {"environment": stored["environment"], "rows": rows}
 
 
 def write(name: str, rows: list[dict]) -> None:
     """Print the rows as a table and store them with the environment."""
-    RESULTS.mkdir(exist_ok=True)
-    (RESULTS / f"{name}.json").write_text(json.dumps({"environment": environment(), "rows": rows}, indent=1) + "\n")
     print(table(rows))
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / f"{name}.json").write_text(serialised(environment(), rows))
 
 
-def shown(value) -> str:
-    """A value in a table: four digits, errors as powers of ten, nothing for nothing."""
+def serialised(surroundings: dict[str, str], rows: list[dict]) -> str:
+    """Text of a results file."""
+    columns = _columns(rows)
+    lines = [json.dumps([_rounded(row.get(column)) for column in columns]) for row in rows]
+    head = f'{{"environment": {json.dumps(surroundings)},\n"columns": {json.dumps(columns)},\n"rows": [\n'
+    return head + ",\n".join(lines) + "\n]}\n"
+
+
+def _rounded(value):
+    """Round floats, also in nested lists."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    return [_rounded(item) for item in value] if isinstance(value, list) else value
+
+
+def _columns(rows: list[dict]) -> list[str]:
+    """Columns of any row, in order of appearance."""
+    return list(dict.fromkeys(column for row in rows for column in row))
+
+
+def cell(value) -> str:
+    """Format a table cell: three digits, powers of ten below 1e-3, empty for None."""
     if isinstance(value, float):
         return f"{value:.0e}" if 0 < abs(value) < 1e-3 else f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
     return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
 def table(rows: list[dict]) -> str:
-    """Markdown; the columns are those of any row."""
-    columns = list(dict.fromkeys(column for row in rows for column in row))
+    """Format rows as a Markdown table, without columns that are empty in every row."""
+    columns = [column for column in _columns(rows) if any(row.get(column) is not None for row in rows)]
     lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
-    lines += ["| " + " | ".join(shown(row.get(column)) for column in columns) + " |" for row in rows]
+    lines += ["| " + " | ".join(cell(row.get(column)) for column in columns) + " |" for row in rows]
     return "\n".join(lines)
+
+
+def without(row: dict, *columns: str) -> dict:
+    """Copy of a row without some columns."""
+    return {name: value for name, value in row.items() if name not in columns}

@@ -1,11 +1,13 @@
-"""The critical stiffness over the object distance, bracketed by 4,096 scans and beside the exact curve.
+"""Critical stiffness over object distance: bracketed by 4,096 scans and compared with the exact curve.
 
-FB snaps through the vertex where its spring is softer than the clamped whisker's force is steep, c < max dF_x/dx0
-before the vertex. Four studies of 16 stiffnesses at each of 64 distances narrow a bracket of a factor of ten down to
-3e-5; the exact slopes are those of the elliptic integrals of tests/exact.py, which share nothing with the package.
+python benchmarks/critical_map.py
+
+FB snaps through the vertex if its spring is softer than the slope of the clamped whisker's force,
+c < max dF_x/dx0 before the vertex. Four studies of 16 stiffnesses at each of 64 distances narrow the bracket
+from a factor of ten to 3e-5. The exact slopes come from the elliptic integrals in tests/exact.py, which share
+no code with the package.
 """
 
-import sys
 from pathlib import Path
 
 import jax
@@ -14,6 +16,7 @@ jax.config.update("jax_enable_x64", True)
 
 import matplotlib as mpl
 import numpy as np
+from exact import clamped_branch, parabola
 from scipy.optimize import minimize_scalar
 
 import jaxwhisker as jw
@@ -23,15 +26,13 @@ mpl.use("Agg")
 from matplotlib import pyplot
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "oracles"))
-from exact import clamped_branch, parabola
 
 PICTURE = ROOT / "docs" / "critical_map.png"
 DISTANCES = np.linspace(0.05, 0.6, 64)
 ROUNDS, STIFFNESSES = 4, 16
-BRACKET = 0.4, 4.0  # of c q^2, for all distances alike
-CONTROL = np.array([1.2, -20.0])  # from before the first touch to where everything has happened
-AGREED = 1e-4
+BRACKET = 0.4, 4.0  # of c q^2, the same for all distances
+CONTROL = np.array([1.2, -20.0])  # from before the first touch to after the last event
+TOLERANCE = 1e-4  # relative
 
 
 def build(stiffness, distance):
@@ -39,7 +40,7 @@ def build(stiffness, distance):
 
 
 def snaps(stiffness: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Whether the scans snap before they have passed the vertex; what gets lost on the way does not pass it."""
+    """Whether each scan snaps before it passes the vertex; failed scans count as snapping."""
     points = {"stiffness": stiffness.ravel(), "distance": distance.ravel()}
     data = jw.study(build, points=points, control=CONTROL, outputs=("events",))
     kind = data.event_kind.values
@@ -49,7 +50,7 @@ def snaps(stiffness: np.ndarray, distance: np.ndarray) -> np.ndarray:
 
 
 def brackets(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The stiffest spring with which a scan snaps before the vertex, and the next one tried."""
+    """Stiffest spring with which a scan snaps before the vertex, and the next stiffer one that was tried."""
     low, high = (np.full(distance.size, end) / distance**2 for end in BRACKET)
     for _ in range(ROUNDS):
         grid = np.geomspace(low, high, STIFFNESSES + 2, axis=1)
@@ -60,7 +61,7 @@ def brackets(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def steepest(distance: float) -> float:
-    """max dF_x/dx0 of the clamped whisker from first touch to vertex; where the phase changes, of both sides."""
+    """Largest dF_x/dx0 of the clamped whisker from first touch to vertex, on either side of phase changes."""
     branch = clamped_branch(parabola(float(distance)))
     borders = [*branch.borders[branch.borders <= 1.0], 1.0]
     best = -np.inf
@@ -79,14 +80,16 @@ def steepest(distance: float) -> float:
 
 
 def draw(fine: np.ndarray, curve: np.ndarray, middle: np.ndarray, width: np.ndarray, difference: np.ndarray) -> None:
-    """The map, and by how much it differs."""
+    """Draw the map and its difference to the exact curve."""
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     left.plot(fine, curve, color="black", linewidth=1, label=r"exact: max $dF_x/dx_0$ before the vertex")
-    left.plot(DISTANCES, middle, ".", color="#0072B2", markersize=5, label="scans: below, they snap before the vertex")
+    left.plot(
+        DISTANCES, middle, ".", color="#0072B2", markersize=5, label="scans: softer springs snap before the vertex"
+    )
     left.set_ylabel(r"critical stiffness $c\,L^3/EI$")
-    right.plot(DISTANCES, np.abs(difference), ".", color="#0072B2", label="middle of the bracket to exact")
-    right.plot(DISTANCES, width, color="#D55E00", label="half the width of the bracket")
-    right.axhline(AGREED, color="black", linestyle="--", linewidth=0.8, label="wanted")
+    right.plot(DISTANCES, np.abs(difference), ".", color="#0072B2", label="middle of the bracket, difference to exact")
+    right.plot(DISTANCES, width, color="#D55E00", label="half width of the bracket")
+    right.axhline(TOLERANCE, color="black", linestyle="--", linewidth=0.8, label="tolerance")
     right.set_ylabel("relative difference")
     for ax in (left, right):
         ax.set_xlabel(r"object distance $q/L$")
@@ -97,6 +100,7 @@ def draw(fine: np.ndarray, curve: np.ndarray, middle: np.ndarray, width: np.ndar
 
 
 def main() -> None:
+    """Measure, draw and store."""
     low, high = brackets(DISTANCES)
     middle, width = (low + high) / 2, (high - low) / (high + low)
     exact = np.array([steepest(q) for q in DISTANCES])
@@ -109,7 +113,7 @@ def main() -> None:
         "critical_map",
         [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)],
     )
-    assert np.abs(difference).max() < AGREED
+    assert np.abs(difference).max() < TOLERANCE
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
-"""Stability on stiff and extreme cases: status, error and iterations of scans at the ends of every parameter's range.
+"""Stability in stiff and extreme cases: status, error and Newton steps at the limits of every parameter's range.
 
 python benchmarks/extremes.py
 
-Error: by how much the states miss the laws of tests/independent.py (elliptic integrals that share nothing with the
-package) and the balance of the network, relative to their size. Every case is scanned with both kinds of rods.
+The error is the largest relative residual of the equations in tests/independent.py (elliptic integrals that share no
+code with the package, and the balance of the network). Every case is scanned with both kinds of rods.
 """
 
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -17,29 +15,28 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp
 import numpy as np
+from exact import CLAMP, _Network
+from independent import Mechanics, violations
 
 import jaxwhisker as jw
 from common import write
 from jaxwhisker._base import checks
-from jaxwhisker._equilibrium.newton import Mode, at_control, find
+from jaxwhisker._equilibrium.newton import solve_point
+from jaxwhisker._equilibrium.point import Mode, at_control
 from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._scan.route import across, route_of
 from jaxwhisker._scan.scan import follow_path_now, problem_now
 from jaxwhisker._scan.steps import interpolate
 from jaxwhisker._study.critical import steepest
 
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "oracles"))
-import exact
-from independent import Mechanics, violations
-
 RODS = {"integrated": jw.Shooting(), "closed form": jw.ClosedForm()}
-STEPS = 400  # of a control that is not the case itself
+STEPS = 400  # of the control, unless the case sets it
 INF = float("inf")
 
 
 @dataclass
 class Case:
-    """A scene in numbers, so that package and reference make their own of it."""
+    """Numbers of a scene, from which package and reference each build their own."""
 
     group: str
     name: str
@@ -50,16 +47,16 @@ class Case:
     control: np.ndarray | None = None
 
     def scene(self, rod: jw.AbstractRod) -> jw.Scene:
-        """The scene of the package."""
+        """Scene for the package."""
         kind, values = self.profile
         make = {"parabola": jw.Parabola, "circle": jw.Circle, "ellipse": jw.Ellipse}[kind]
         support = jw.Support(tuple(jw.Spring(ends, stiffness, rest) for ends, stiffness, rest in self.springs))
         return jw.Scene(jw.Whisker(self.length, self.bending_stiffness), make(**values), support, rod)
 
     def mechanics(self) -> Mechanics:
-        """What the reference knows of it."""
+        """Mechanics for the reference."""
         springs = [{"between": e, "stiffness": k, "rest_length": r} for e, k, r in self.springs]
-        network = exact._Network(springs or [exact.CLAMP])
+        network = _Network(springs or [CLAMP])
         n = network.rest.size
         kind, values = self.profile
         each = {name: np.array([value]) for name, value in values.items()}
@@ -68,11 +65,12 @@ class Case:
 
 
 def fb(stiffness: float, rest: float = 0.2) -> list[tuple]:
+    """Spring of FB."""
     return [((0, 1), stiffness, rest)]
 
 
 def three(*stiffness: float) -> list[tuple]:
-    """FBFBFBR."""
+    """Springs of FBFBFBR."""
     ends = [((0, 1), 0.2), ((1, 2), 0.2), ((2, 3), 0.2), ((0, 2), 0.4), ((0, 3), 0.6)]
     return [(pair, c, rest) for (pair, rest), c in zip(ends, stiffness, strict=True)]
 
@@ -95,20 +93,24 @@ def cases() -> list[Case]:
              for r in (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4)]  # fmt: skip
     made += [Case("ellipse a : b", f"{a:g} : {b:g}", profile=("ellipse", {"distance": 0.2, "a": a, "b": b}))
              for a, b in ((1.0, 1e-3), (0.1, 1e-4), (10.0, 0.01), (1e-3, 1.0), (1e-4, 0.1), (0.01, 10.0))]  # fmt: skip
-    made += [Case("step of the drive", f"{h:.0e}", control=0.7 - h * np.arange(max(4, min(2000, round(2.4 / h)))))
+    made += [Case("drive step", f"{h:.0e}", control=0.7 - h * np.arange(max(4, min(2000, round(2.4 / h)))))
              for h in (1e-5, 1e-3, 0.1, 1.0)]  # fmt: skip
     chain = [((i, i + 1), 500.0, 0.05) for i in range(16)]
     home = [((0, i), 50.0, 0.05 * i) for i in range(2, 17)]
     made += [
         Case("16 whiskers", "a chain", chain, control=np.linspace(0.9, -2.4, STEPS)),
         Case("16 whiskers", "a chain with feedback", chain + home, control=np.linspace(0.9, -2.4, STEPS)),
-        Case("16 whiskers", "at one place", [((0, i), 70.0, 0.0) for i in range(1, 17)]),
+        Case("16 whiskers", "same rest position", [((0, i), 70.0, 0.0) for i in range(1, 17)]),
         Case("grazing", "distance 1 - 1e-6", profile=("parabola", {"distance": 1 - 1e-6, "a": 1.0})),
         Case("grazing", "distance 1 - 1e-9", profile=("parabola", {"distance": 1 - 1e-9, "a": 1.0})),
-        Case("grazing", "tip at the widest place", profile=("circle", {"distance": 0.2, "radius": 0.8})),
-        Case("at the same u", "two whiskers, equal", [((0, 1), 70.0, 0.2), ((0, 2), 70.0, 0.2)]),
-        Case("at the same u", "two whiskers, coupled", [((0, 1), 70.0, 0.2), ((0, 2), 70.0, 0.2), ((1, 2), 5.0, 0.0)]),
-        Case("at the same u", "two whiskers, rigid", [((0, 1), INF, 0.2), ((0, 2), INF, 0.2)]),
+        Case("grazing", "tip at the widest point", profile=("circle", {"distance": 0.2, "radius": 0.8})),
+        Case("simultaneous events", "two whiskers, equal", [((0, 1), 70.0, 0.2), ((0, 2), 70.0, 0.2)]),
+        Case(
+            "simultaneous events",
+            "two whiskers, coupled",
+            [((0, 1), 70.0, 0.2), ((0, 2), 70.0, 0.2), ((1, 2), 5.0, 0.0)],
+        ),
+        Case("simultaneous events", "two whiskers, rigid", [((0, 1), INF, 0.2), ((0, 2), INF, 0.2)]),
     ]
     critical = steepest(jw.Whisker(), jw.Parabola(0.1)).slope
     made += [Case("critical stiffness", f"1 {sign} {size:.0e}", fb(critical * (1 + float(f"{sign}{size}"))),
@@ -124,7 +126,7 @@ def cases() -> list[Case]:
 
 @jax.jit
 def iterations(scene: jw.Scene, way, control, travel):
-    """Newton steps at every control, from the path's interpolation."""
+    """Newton steps at every control, starting from the interpolated path."""
     dimensionless, path = problem_of(scene), way.path
     u, travel = control / dimensionless.unit.length, travel / dimensionless.unit.length
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
@@ -134,7 +136,7 @@ def iterations(scene: jw.Scene, way, control, travel):
         i, at = step
         guess = interpolate(path, i, at)
         mode = Mode(path.nodes.phase[i], path.nodes.side[i], jnp.asarray(False))
-        return find(dimensionless, mode, at_control(at, guess.z), guess).iterations
+        return solve_point(dimensionless, mode, at_control(at, guess.z), guess).iterations
 
     return jax.lax.map(one, (index, u))
 
@@ -150,22 +152,22 @@ def measured(case: Case, kind: str) -> dict:
     status = np.asarray(result.status)
     ok = status == jw.Status.ok
     fields = {name: np.asarray(getattr(result, name))[None] for name in (*jw.State.__dataclass_fields__, "status")}
-    laws = violations(case.mechanics(), control[None], SimpleNamespace(**fields))  # pyright: ignore[reportArgumentType]
-    missed = {law: float(np.max(amount)) for law, amount in laws.items()}
-    law = max(missed, key=missed.__getitem__)
+    residuals = violations(case.mechanics(), control[None], SimpleNamespace(**fields))  # pyright: ignore[reportArgumentType]
+    worst = {equation: float(np.max(residual)) for equation, residual in residuals.items()}
+    equation = max(worst, key=worst.__getitem__)
     route = route_of(control)
     way = follow_path_now(problem_now(scene), jnp.asarray(route.stops), jnp.asarray(route.last))
     newton = np.asarray(iterations(scene, way, jnp.asarray(control), jnp.asarray(route.travel)))
     kinds = [event.kind.name for event in result.events]
-    bad = {jw.Status(s).name: int(np.sum(status == s)) for s in np.unique(status) if s}
+    failed = {jw.Status(s).name: int(np.sum(status == s)) for s in np.unique(status) if s}
     return {
         "case": case.group,
         "value": case.name,
         "rods": kind,
         "ok": f"{np.sum(ok)} of {ok.size}",
-        "otherwise": ", ".join(f"{n} {name}" for name, n in bad.items()),
-        "error": missed[law],
-        "of": law,
+        "other status": ", ".join(f"{n} {name}" for name, n in failed.items()),
+        "error": worst[equation],
+        "equation": equation,
         "nodes": int(way.path.count),
         "Newton steps": f"{np.median(newton[ok]):.0f}, at most {np.max(newton[ok])}" if np.any(ok) else "",
         "events": len(kinds),
@@ -174,10 +176,11 @@ def measured(case: Case, kind: str) -> dict:
 
 
 def main() -> None:
+    """Measure and store."""
     rows, group = [], None
     for case in cases():
         if case.group != group:
-            jax.clear_caches()  # the compiled scans of all networks together exceed what one process may map
+            jax.clear_caches()  # a process can map only a limited number of compiled scans
             group = case.group
         for kind in RODS:
             rows.append(measured(case, kind))

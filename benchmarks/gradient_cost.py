@@ -1,8 +1,11 @@
-"""What derivatives cost: gradients of a scalar as a multiple of the scan, and memory for every step.
+"""Cost of derivatives: run time as a multiple of the scan, and memory per step.
 
-The scalar is a weighted sum of all fx and mz of a scan of 1,900 steps, jitted; a batch adds 32 lanes. Forward mode is
-jax.jacfwd, reverse mode jax.grad, by the first 1, 3, 6 and 12 of: stiffnesses and rest lengths of the three springs,
-object distance and shape, whisker length, bending stiffnesses of both whiskers, object position.
+python benchmarks/gradient_cost.py
+
+The jitted scalar is a weighted sum of all fx and mz of a scan of 1,900 steps, also in a batch of 32. Forward mode is
+jax.jacfwd, reverse mode jax.grad, with respect to the first 1, 3, 6 or 12 of these parameters: stiffnesses and rest
+lengths of the three springs, object distance and shape, whisker length, bending stiffnesses of both whiskers, object
+position. Their order is that of `AT`.
 """
 
 import jax
@@ -21,6 +24,7 @@ CONTROL = {"FB": (0.8, -1.6), "FBFBR": (0.8, -2.2)}
 
 
 def scene(model: str, p) -> jw.Scene:
+    """Scene of all twelve parameters."""
     c1, q, rest1, length, bending1, a, c2, c3, rest2, rest3, bending2, position = p
     profile = jw.Parabola(q, a, position)
     if model == "FB":
@@ -30,6 +34,7 @@ def scene(model: str, p) -> jw.Scene:
 
 
 def scalar(model: str, steps: int):
+    """Function from the first parameters to the weighted sum."""
     control = jnp.linspace(*CONTROL[model], steps)
     weights = jnp.asarray(np.random.default_rng(0).normal(size=(steps, 1)))
 
@@ -41,7 +46,7 @@ def scalar(model: str, steps: int):
 
 
 def compiled(model: str, count: int, lanes: int | None, steps: int = STEPS) -> tuple[dict, jax.Array]:
-    """Scan, forward and reverse, compiled for that many parameters."""
+    """Compile scan, forward and reverse mode for this many parameters."""
     total = scalar(model, steps)
     some = AT[:count]
     if lanes is not None:
@@ -52,10 +57,12 @@ def compiled(model: str, count: int, lanes: int | None, steps: int = STEPS) -> t
 
 
 def memory(executable) -> int:
+    """Bytes of temporary memory."""
     return executable.memory_analysis().temp_size_in_bytes
 
 
 def main() -> None:
+    """Measure and store."""
     rows = []
     for model, lanes, counts in (("FB", None, (1, 3, 6)), ("FBFBR", None, (1, 12)), ("FB", LANES, (6,))):
         for count in counts:
@@ -66,7 +73,7 @@ def main() -> None:
             for kind in ("forward", "reverse"):
                 row[f"{kind}, scans"] = times[kind] / times["scan"]
             each = STEPS * (lanes or 1)
-            row |= {f"{kind}, bytes a step": memory(e) / each for kind, e in executables.items()}
+            row |= {f"{kind}, bytes per step": memory(e) / each for kind, e in executables.items()}
             rows.append(row)
             print(row, flush=True)
     write("gradient_cost", rows)

@@ -1,12 +1,11 @@
-"""How well parameters come back from signals: from wrong guesses, and from noise.
+"""Accuracy of identified parameters: from wrong guesses without noise, and from noisy signals.
 
 python benchmarks/identify.py [--quick]
 
-Signals come from the closed form, fits integrate rods: no errors are shared. Controls are 512 positions that begin
-anywhere within a step.
+Signals come from the closed form and fits integrate rods, which share no numerical error. A control has 512 positions
+with a random offset within one step.
 """
 
-import argparse
 import time
 
 import jax
@@ -16,23 +15,23 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np
 
 import jaxwhisker as jw
-from common import write
+from common import quick, write
 
 STEPS = 512
-RECOVERED = 1e-6  # relative error of all parameters
-WRONG = 3.0  # factor by which guesses are off at most
+RECOVERED = 1e-6  # largest relative error of all parameters
+WRONG = 3.0  # largest factor between guess and truth
 NOISE = 0.01  # of each channel's peak
-HIGHEST = 0.95  # lengths: a whisker reaches no object that is further away
+HIGHEST = 0.95  # largest guess of the distance in L, within reach of the whisker
 
 
 def fbfbr(c1, c2, c3, q):
-    """Two whiskers with feedback."""
+    """FBFBR with unknown stiffnesses and distance."""
     springs = (jw.Spring((0, 1), c1, 0.2), jw.Spring((1, 2), c2, 0.2), jw.Spring((0, 2), c3, 0.4))
     return jw.Scene(jw.Whisker(), jw.Parabola(q), jw.Support(springs))
 
 
 def three(c1, c2, c3, c4, c5):
-    """Three whiskers with feedback, five stiffnesses."""
+    """FBFBFBR with five unknown stiffnesses."""
     ends, rest = ((0, 1), (1, 2), (2, 3), (0, 2), (0, 3)), (0.2, 0.2, 0.2, 0.4, 0.6)
     springs = tuple(jw.Spring(e, c, r) for e, c, r in zip(ends, (c1, c2, c3, c4, c5), rest, strict=True))
     return jw.Scene(jw.Whisker(), jw.Parabola(0.3), jw.Support(springs))
@@ -43,9 +42,10 @@ TRUTH = {
     "FBFBR, c1 c2 c3 q": {"c1": 60.0, "c2": 80.0, "c3": 70.0, "q": 0.3},
     "three whiskers, c1 to c5": {"c1": 60.0, "c2": 80.0, "c3": 90.0, "c4": 70.0, "c5": 50.0},
 }
-
-
-COUNTS = {"FBFBR, c1 c2 c3 q": (100, 500), "three whiskers, c1 to c5": (30, 100)}  # fits without and with noise
+COUNTS = {
+    "FBFBR, c1 c2 c3 q": (100, 500),
+    "three whiskers, c1 to c5": (30, 100),
+}  # number of fits without and with noise
 
 
 def signals(build, truth, rng):
@@ -60,11 +60,12 @@ def signals(build, truth, rng):
 
 
 def peaks(data) -> dict[str, float]:
+    """Largest absolute value of each channel."""
     return {name: float(np.abs(data[name]).max()) for name in ("fx", "fy", "mz")}
 
 
 def from_wrong_guesses(name: str, count: int, seed: int = 0) -> dict:
-    """Without noise: how often all parameters come back."""
+    """Fit exact signals from wrong guesses: how often all parameters are recovered."""
     rng, build = np.random.default_rng(seed), SCENES[name]
     errors, times, starts = [], [], []
     for _ in range(count):
@@ -84,19 +85,19 @@ def from_wrong_guesses(name: str, count: int, seed: int = 0) -> dict:
         "scene": name,
         "fits": count,
         "recovered to 1e-6": sum(e <= RECOVERED for e in errors),
-        "without further starts": sum(s == 1 for s in starts),
+        "from the first start": sum(s == 1 for s in starts),
         "median error": float(np.median(errors)),
-        "median seconds": float(np.median(times[1:])),
-        "first, s": times[0],
+        "median time, s": float(np.median(times[1:])),
+        "first fit, s": times[0],
     }
 
 
 def from_noise(name: str, count: int, seed: int = 1) -> list[dict]:
-    """With noise: scatter against the bound of Cramer and Rao, and how often intervals hold the truth."""
+    """Fit noisy signals: scatter relative to the Cramer-Rao bound, and coverage of the intervals."""
     rng, build, truth = np.random.default_rng(seed), SCENES[name], TRUTH[name]
-    found = {k: [] for k in truth}
+    estimates = {k: [] for k in truth}
     bounds = {k: [] for k in truth}
-    held = {k: 0 for k in truth}
+    covered = {k: 0 for k in truth}
     bad, times = 0, []
     for _ in range(count):
         data = signals(build, truth, rng)
@@ -113,8 +114,8 @@ def from_noise(name: str, count: int, seed: int = 1) -> list[dict]:
             continue
         for k, value in truth.items():
             low, high = fit.interval[k]
-            held[k] += low <= value <= high
-            found[k].append(fit.estimates[k])
+            covered[k] += low <= value <= high
+            estimates[k].append(fit.estimates[k])
             bounds[k].append(bound[k])
     good = count - bad
     return [
@@ -123,25 +124,24 @@ def from_noise(name: str, count: int, seed: int = 1) -> list[dict]:
             "fits": count,
             "not ok": bad,
             "parameter": k,
-            "bound, relative": float(np.sqrt(np.mean(np.square(bounds[k]))) / truth[k]),
-            "scatter / bound": float(np.std(found[k]) / np.sqrt(np.mean(np.square(bounds[k])))),
-            "bias / bound": float((np.mean(found[k]) - truth[k]) / np.mean(bounds[k])),
-            "held by 95 %": held[k] / good,
-            "median seconds": float(np.median(times)),
+            "relative bound": float(np.sqrt(np.mean(np.square(bounds[k]))) / truth[k]),
+            "scatter / bound": float(np.std(estimates[k]) / np.sqrt(np.mean(np.square(bounds[k])))),
+            "bias / bound": float((np.mean(estimates[k]) - truth[k]) / np.mean(bounds[k])),
+            "coverage of 95 % intervals": covered[k] / good,
+            "median time, s": float(np.median(times)),
         }
         for k in truth
     ]
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    quick = parser.parse_args().quick
+def main() -> None:
+    """Measure and store."""
+    short = quick(__doc__)
     guesses, noise = [], []
     for name, (wrong, noisy) in COUNTS.items():
-        guesses.append(from_wrong_guesses(name, 10 if quick else wrong))
+        guesses.append(from_wrong_guesses(name, 10 if short else wrong))
         write("identify_guesses", guesses)
-        noise += from_noise(name, 20 if quick else noisy)
+        noise += from_noise(name, 20 if short else noisy)
         write("identify_noise", noise)
 
 

@@ -1,16 +1,15 @@
-"""What has to be known to tell the rest from the reactions: stiffness, rest length, object distance, shape, position.
+"""Which parameters have to be known: stiffness, rest length, object distance, shape or position.
 
 python benchmarks/known.py [--quick]     about ten minutes on two cores
 
-The thesis's networks with c = 70 and rest lengths of 0.2 (feedback at the sum) before a parabola, a = 1, q = 0.3; noise
-of 1 % of each channel's peak, 512 positions over the contact. Written are
+The thesis's networks with c = 70 and rest lengths of 0.2 (feedback: the sum) before a parabola with a = 1 and q = 0.3;
+noise of 1 % of each channel's peak, 512 positions over the contact. Results:
 
-known_subsets: what is told of the rest if some of it is known, by the information of the signals;
-known_errors: how wrong the contour gets by a wrong parameter of the sensor, and whether that would be noticed;
-known_buys: what feedback, more whiskers and softer springs are worth.
+known_subsets: standard errors of the unknown parameters for every subset of known ones, from the Fisher information;
+known_errors: contour error caused by a wrong parameter of the sensor, and whether it would be detected;
+known_networks: effect of feedback, more whiskers and softer springs.
 """
 
-import argparse
 from functools import lru_cache
 from itertools import combinations, pairwise
 from typing import NamedTuple
@@ -23,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from common import write
+from common import quick, write
 from jaxwhisker._inverse.identifiability import INVOLVED, NULL
 
 NETWORKS = {
@@ -35,25 +34,25 @@ NETWORKS = {
 REST, DISTANCE, CURVATURE, STIFFNESS = 0.2, 0.3, 1.0, 70.0
 SOFTNESS = (40.0, 70.0, 200.0, 1000.0)
 STEPS, NOISE = 512, 0.01
-KNOTS = tuple(np.linspace(-0.7, 1.0, 9).round(12).tolist())  # slopes that are met; of a contour of any shape
-ALONG = np.linspace(-0.6, 1.0, 65)  # slopes at which that contour is judged
-WRONG, TURNED = 0.01, np.deg2rad(1.0)  # relative error of a parameter, error of the mounts' angle
-SCANS = 20  # with noise, to see by how much a reduced chi^2 varies
-NOTICED = 3.0  # of its standard deviations
-RESOLVED = 0.1  # of them: what a wrong parameter adds is seen from there on, the noise being the same
-EXACT = 1e-6  # lengths: points from exact signals and the right sensor
-SAMPLES = 40  # of the curves that are stored for the figure
+KNOTS = tuple(np.linspace(-0.7, 1.0, 9).round(12).tolist())  # touched slopes of a contour of any shape
+ALONG = np.linspace(-0.6, 1.0, 65)  # slopes at which the error of that contour is evaluated
+WRONG, TURNED = 0.01, np.deg2rad(1.0)  # relative error of a parameter, error of the mount angle
+SCANS = 20  # noisy scans, for the scatter of the reduced chi^2
+DETECTED = 3.0  # standard deviations
+RESOLVED = 0.1  # standard deviations: smallest resolved increase, small because both scans share their noise
+EXACT = 1e-6  # largest error in L of points from exact signals and the right sensor
+SAMPLES = 40  # stored points of each curve in the figure
 GROUPS = ("stiffness", "rest length", "distance", "shape", "position")
 
 
 class Before(NamedTuple):
-    """Builds a network before a parabola, or before a contour of any shape."""
+    """Build a network before a parabola, or before a contour of any shape."""
 
     model: str
     any_shape: bool = False
 
     def sensor(self, values, angle=None):
-        """The sensor of named parameters; `angle`: of all mounts."""
+        """Sensor from named parameters; `angle` turns all mounts."""
         ends = NETWORKS[self.model]
         springs = tuple(jw.Spring(e, values[f"c{k + 1}"], values[f"l{k + 1}"]) for k, e in enumerate(ends))
         mount = None if angle is None else jw.Mount(angle=angle)
@@ -69,7 +68,7 @@ class Before(NamedTuple):
         return jw.Scene(known.whisker, profile, known.support, rod=jw.ClosedForm())
 
     def truth(self, stiffness=STIFFNESS):
-        """All parameters."""
+        """True values of all parameters."""
         ends = NETWORKS[self.model]
         values = {f"c{k + 1}": stiffness for k in range(len(ends))}
         values |= {f"l{k + 1}": REST * (b - a) for k, (a, b) in enumerate(ends)}
@@ -80,7 +79,7 @@ class Before(NamedTuple):
         return values | {f"radius_{k}": float(np.exp(r)) for k, r in enumerate(like.log_radius)}
 
     def places(self, values):
-        """Where the bases stand at rest, and how that follows the parameters: (whiskers, parameters)."""
+        """Derivative of the rest positions of the bases with respect to the parameters, (whiskers, parameters)."""
 
         def at(x):
             flexibility = self.sensor(dict(zip(values, x, strict=True))).support.flexibility()
@@ -91,14 +90,14 @@ class Before(NamedTuple):
 
 
 def group(name):
-    """The group to which a parameter belongs."""
+    """Group of a parameter."""
     if name in ("EI", "L"):
         return "whisker"
     return {"c": "stiffness", "l": "rest length", "q": "distance", "x": "position"}.get(name[0], "shape")
 
 
 def signals(model, stiffness=STIFFNESS):
-    """Exact signals at 512 positions over the contact, and the noise."""
+    """Exact signals at 512 positions over the contact, their noise, and the number of snap-throughs."""
     build = Before(model)
     scene = build(**build.truth(stiffness))
     ends = np.asarray(jw.scan(scene).control)[[0, -1]]
@@ -111,12 +110,12 @@ def signals(model, stiffness=STIFFNESS):
 
 
 def informed(build, data, sigma, stiffness=STIFFNESS):
-    """The information about all parameters."""
+    """Fisher information about all parameters."""
     return jw.information(build, build.truth(stiffness), sigma=sigma, control=data["control"])
 
 
-def told(information, along):
-    """Standard error of combinations of parameters, (..., parameters); NaN of those that the signals do not tell."""
+def standard_error(information, along):
+    """Standard errors of combinations of parameters, (..., parameters); NaN if not identifiable."""
     scale = np.array([abs(v) or 1.0 for v in information.at.values()])
     _, singular, directions = np.linalg.svd(np.linalg.qr(information.jacobian * scale, mode="r"))
     part = (along * scale) @ directions.T
@@ -127,16 +126,16 @@ def told(information, along):
 
 
 def worst(information, kind, relative=True):
-    """Largest standard error among the parameters of a group; None if it is known."""
+    """Largest standard error in a group of parameters; None if the group is known."""
     values = information.at
     own = [k for k, name in enumerate(values) if group(name) == kind]
     size = [abs(list(values.values())[k]) if relative else 1.0 for k in own]
-    return float(np.max(told(information, np.eye(len(values))[own]) / size)) if own else None
+    return float(np.max(standard_error(information, np.eye(len(values))[own]) / size)) if own else None
 
 
 @lru_cache
 def across():
-    """How the contour moves along its normal with its parameters, wherever it stands along x: (slopes, parameters)."""
+    """Derivative of the contour along its normal with respect to its parameters except x, (slopes, parameters)."""
     names = ["q", *(f"radius_{k}" for k in range(len(KNOTS)))]
     truth = Before("FB", True).truth()
 
@@ -149,22 +148,22 @@ def across():
 
 
 def contour_error(information):
-    """Largest standard error of the contour along its normal between slopes of -0.6 and 1, a length."""
+    """Largest standard error of the contour along its normal, for slopes from -0.6 to 1, in L."""
     names, by = across()
     rows = np.zeros((len(ALONG), len(information.names)))
     for k, name in enumerate(information.names):
         if name in names:
             rows[:, k] = by[:, names.index(name)]
-    return float(np.max(told(information, rows)))
+    return float(np.max(standard_error(information, rows)))
 
 
 def subsets(model, information, any_shape):
-    """A row for every subset of the groups that may be known; the whisker is known, but in one more row."""
+    """One row for every subset of known groups; the whisker is known in all rows but the first."""
     build, rows = Before(model, any_shape), []
     known_sets = [set(known) for n in range(len(GROUPS)) for known in combinations(GROUPS, n)]
     for known in [{"no whisker"}, *known_sets]:
         if any_shape and "shape" in known:
-            continue  # a known shape is a known shape
+            continue  # known shapes are in the rows of the parabola
         drop = [name for name in information.names if group(name) in known | {"whisker"} - {"no whisker"}]
         if known == {"no whisker"}:
             drop = []
@@ -174,32 +173,32 @@ def subsets(model, information, any_shape):
             "scene": model,
             "shape": "any" if any_shape else "parabola",
             "known": [g for g in GROUPS if g in known] + (["whisker"] if drop else []),
-            "sought": [g for g in (*GROUPS, "whisker") if any(group(name) == g for name in names)],
+            "unknown": [g for g in (*GROUPS, "whisker") if any(group(name) == g for name in names)],
             "number": len(names),
             "rank": left.rank,
-            "condition": left.condition if np.isfinite(left.condition) else 1e300,
+            "condition": left.condition if left.rank == len(names) else None,
             "stiffness": worst(left, "stiffness"),
             "rest length": worst(left, "rest length", relative=False),
             "distance": worst(left, "distance"),
-            "shape told": None if any_shape else worst(left, "shape"),
+            "curvature": None if any_shape else worst(left, "shape"),
             "contour": contour_error(left) if any_shape else None,
             "position": worst(left, "position", relative=False),
             "whisker": worst(left, "whisker"),
-            "not told": list(left.combinations),
+            "not identifiable": list(left.combinations),
         }
         if "rest length" not in known:
             pick = [list(build.truth()).index(name) for name in names]
             places = build.places(build.truth())[:, pick]
-            row["place of base 1"] = float(told(left, places[0]))
-            spacing = [float(told(left, b - a)) for a, b in pairwise(places)]
+            row["position of base 1"] = float(standard_error(left, places[0]))
+            spacing = [float(standard_error(left, b - a)) for a, b in pairwise(places)]
             row["spacing of bases"] = max(spacing, default=None)
-            row |= untold(left, places)
+            row |= null_space(left, places)
         rows.append(row)
     return rows
 
 
-def untold(information, places):
-    """How many of the combinations that are not told are a shift of everything, and springs that strain each other."""
+def null_space(information, places):
+    """Numbers of unidentifiable combinations: springs that pre-strain each other, and shifts of the whole scene."""
     names = list(information.names)
     lengths = [k for k, name in enumerate(names) if group(name) == "rest length"]
     free = len(lengths) - np.linalg.matrix_rank(places[:, lengths])  # rest lengths that move no base
@@ -208,25 +207,61 @@ def untold(information, places):
         by_length = np.linalg.pinv(places[:, lengths]) @ np.ones(len(places))
         along = np.zeros(len(names))
         along[lengths], along[names.index("x")] = by_length, 1.0
-        seen = np.linalg.norm(information.jacobian @ along)
-        shift = int(seen < NULL * np.linalg.norm(information.jacobian[:, names.index("x")]))
+        effect = np.linalg.norm(information.jacobian @ along)
+        shift = int(effect < NULL * np.linalg.norm(information.jacobian[:, names.index("x")]))
     return {"pre-strains": int(free), "shifts": shift}
 
 
-def off(points, x):
-    """By how far points lie outside of the true parabola, along its normal."""
-    foot = np.array(points[0])
+def distance_to_parabola(estimate):
+    """Distance of reconstructed points outside the true parabola along its normal; NaN where there is no point."""
+    x, y = np.asarray(estimate.x), np.asarray(estimate.y)
+    foot = np.array(x)
     for _ in range(50):
-        gap = foot - points[0] + 2 * CURVATURE * foot * (DISTANCE + CURVATURE * foot**2 - points[1])
-        slope = 1 + 2 * CURVATURE * (DISTANCE + CURVATURE * foot**2 - points[1]) + (2 * CURVATURE * foot) ** 2
-        foot = foot - gap / slope
+        height = DISTANCE + CURVATURE * foot**2 - y
+        gap = foot - x + 2 * CURVATURE * foot * height
+        foot = foot - gap / (1 + 2 * CURVATURE * height + (2 * CURVATURE * foot) ** 2)
     angle = np.arctan(2 * CURVATURE * foot)
-    away = (points[0] - foot) * np.sin(angle) - (points[1] - DISTANCE - CURVATURE * foot**2) * np.cos(angle)
+    away = (x - foot) * np.sin(angle) - (y - DISTANCE - CURVATURE * foot**2) * np.cos(angle)
     return np.where(np.isfinite(x), away, np.nan)
 
 
+def noisy_scans(data, sigma, count):
+    """Copies of the data with noise."""
+    rng = np.random.default_rng(0)
+    return [data | {n: data[n] + rng.normal(0, s, data[n].shape) for n, s in sigma.items()} for _ in range(count)]
+
+
+def misfits(scans, sensor, sigma):
+    """Reduced chi^2 of single points and between whiskers, for every noisy scan: (scans, 2)."""
+    each = [jw.reconstruct(scan, sensor, sigma=sigma) for scan in scans]
+    return np.array([[np.mean(np.asarray(r.chi2)[r.clear]), r.consistency().chi2] for r in each])
+
+
+def detection(usual, wrong):
+    """Smallest detected error in per cent (or degrees), from the misfits with the right and with a wrong parameter."""
+    excess = (wrong.mean(axis=0) - usual.mean(axis=0)) / usual.std(axis=0, ddof=1)
+    threshold = [float(np.sqrt(DETECTED / e)) if np.isfinite(e) and e > RESOLVED else None for e in excess]
+    mean = [float(chi2) if np.isfinite(chi2) else None for chi2 in usual.mean(axis=0)]
+    return {
+        "detected in points from": threshold[0],
+        "detected between whiskers from": threshold[1],
+        "chi^2 of points": mean[0],
+        "chi^2 between whiskers": mean[1],
+        "excess of points": float(excess[0]),
+        "excess between whiskers": float(excess[1]) if np.isfinite(excess[1]) else None,
+    }
+
+
+def detected_in_fit(information, sensor_parameters, name):
+    """Smallest error in per cent that a fit of contour and this parameter detects; None if it detects none."""
+    unknown = information.known(*[n for n in sensor_parameters if n not in (name, "angle")])
+    direction = np.eye(len(unknown.names))[unknown.names.index(name)]
+    error = 100 * float(standard_error(unknown, direction)) / sensor_parameters[name]
+    return DETECTED * error if np.isfinite(error) else None
+
+
 def errors(model, data, sigma, information, scans):
-    """A row for every parameter of the sensor: what becomes of the contour if it is wrong by 1 %, or by 1 degree."""
+    """One row for every parameter of the sensor: contour error if it is wrong by 1 %, or by 1 degree."""
     build = Before(model)
     values = {n: v for n, v in build.truth().items() if group(n) in ("stiffness", "rest length", "whisker")}
     values["angle"] = 0.0
@@ -239,37 +274,22 @@ def errors(model, data, sigma, information, scans):
         return build.sensor(own, own["angle"])
 
     def points(x):
-        found = jw.reconstruct(data, sensor(x))
-        return jnp.stack([found.x, found.y])
+        estimate = jw.reconstruct(data, sensor(x))
+        return jnp.stack([estimate.x, estimate.y])
 
-    # Which points a noisy scan tells; without noise all of them are exact.
+    # Points that are clear of the noise; without noise all of them are exact.
     clear = jw.reconstruct(data, sensor(start), sigma=sigma).clear
     right = jw.reconstruct(data, sensor(start))
-    slope = np.asarray(right.slope)
-    by = np.asarray(jax.jit(jax.jacfwd(points))(start)) * step
-    normal = by[0] * np.sin(slope)[..., None] - by[1] * np.cos(slope)[..., None]
-    exact = off((np.asarray(right.x), np.asarray(right.y)), np.asarray(right.x))
-    assert np.nanmax(np.abs(exact[clear])) < EXACT, np.nanmax(np.abs(exact[clear]))
-
-    rng = np.random.default_rng(0)
-    noisy = []
-    for _ in range(scans):
-        noise = {n: rng.normal(0, sigma[n], data[n].shape) for n in sigma}
-        noisy.append(data | {n: data[n] + noise[n] for n in sigma})
-
-    def misfits(known):
-        """Reduced chi^2 of single points and of whiskers against each other, in every noisy scan."""
-        found = [jw.reconstruct(d, known, sigma=sigma) for d in noisy]
-        return np.array([[np.mean(np.asarray(r.chi2)[r.clear]), r.consistency().chi2] for r in found])
-
-    usual, rows = misfits(sensor(start)), []
+    assert np.nanmax(np.abs(distance_to_parabola(right)[clear])) < EXACT
+    by_x, by_y = np.asarray(jax.jit(jax.jacfwd(points))(start)) * step
+    slope = np.asarray(right.slope)[..., None]
+    normal = by_x * np.sin(slope) - by_y * np.cos(slope)
+    noisy = noisy_scans(data, sigma, scans)
+    usual, rows = misfits(noisy, sensor(start), sigma), []
     for k, name in enumerate(names):
-        wrong = start.at[k].add(step[k])
-        found = jw.reconstruct(data, sensor(wrong))
-        away = off((np.asarray(found.x), np.asarray(found.y)), np.asarray(found.x))
+        wrong = sensor(start.at[k].add(step[k]))
+        away = distance_to_parabola(jw.reconstruct(data, wrong))
         both = clear & np.isfinite(away)
-        excess = (misfits(sensor(wrong)).mean(axis=0) - usual.mean(axis=0)) / usual.std(axis=0, ddof=1)
-        noticed = [float(np.sqrt(NOTICED / e)) if np.isfinite(e) and e > RESOLVED else None for e in excess]
         row = {
             "scene": model,
             "parameter": name,
@@ -280,29 +300,19 @@ def errors(model, data, sigma, information, scans):
             "max, full": float(np.max(np.abs(away[both]))),
             "points compared": int(both.sum()),
             "points": int(clear.sum()),
-            "noticed in points from": noticed[0],
-            "noticed between whiskers from": noticed[1],
-            "chi^2 of points": float(usual[:, 0].mean()),
-            "chi^2 between whiskers": float(usual[:, 1].mean()) if np.isfinite(usual[:, 1]).all() else None,
-            "excess of points": float(excess[0]),
-            "excess between whiskers": float(excess[1]) if np.isfinite(excess[1]) else None,
         }
-        if name != "angle":
-            sought = information.known(*[n for n in values if n not in (name, "angle")])
-            error = 100 * float(told(sought, np.eye(len(sought.names))[sought.names.index(name)])) / values[name]
-            row["noticed in a fit from"] = NOTICED * error if np.isfinite(error) else None
-        row["curves"] = []
-        for w in range(slope.shape[1]):
-            own = np.flatnonzero(clear[:, w])[np.linspace(0, clear[:, w].sum() - 1, SAMPLES).astype(int)]
-            pair = np.asarray(right.x)[own, w], normal[own, w, k]
-            row["curves"].append([np.round(v, 7).tolist() for v in pair])
-        rows.append(row)
-        print({key: value for key, value in row.items() if key != "curves"}, flush=True)
+        row |= detection(usual, misfits(noisy, wrong, sigma))
+        row["detected in a fit from"] = None if name == "angle" else detected_in_fit(information, values, name)
+        shown = np.flatnonzero(clear[:, -1])  # the figure shows the last whisker
+        shown = shown[np.linspace(0, shown.size - 1, SAMPLES).astype(int)]
+        curve = np.round(np.asarray(right.x)[shown, -1], 4), np.round(normal[shown, -1, k], 7)
+        rows.append(row | {"curve": [values.tolist() for values in curve]})
+        print(row, flush=True)
     return rows
 
 
-def bought(model, stiffness):
-    """Standard errors if the stiffnesses are sought together with the object, rest lengths and whiskers being known."""
+def network(model, stiffness):
+    """Standard errors with unknown stiffnesses and object; rest lengths, position and whiskers are known."""
     data, sigma, snaps = signals(model, stiffness)
     row = {"scene": model, "stiffness": stiffness, "channels": 3 * data["fx"].shape[1], "snap-throughs": int(snaps)}
     for any_shape in (False, True):
@@ -310,27 +320,25 @@ def bought(model, stiffness):
         left = whole.known(*[n for n in whole.names if group(n) in ("rest length", "whisker", "position")])
         mark = ", any shape" if any_shape else ""
         row[f"worst stiffness{mark}"] = worst(left, "stiffness")
-        row[f"first stiffness{mark}"] = float(told(left, np.eye(len(left.names))[0])) / stiffness
+        row[f"first stiffness{mark}"] = float(standard_error(left, np.eye(len(left.names))[0])) / stiffness
         row[f"q{mark}"] = worst(left, "distance")
         row["contour" if any_shape else "a"] = contour_error(left) if any_shape else worst(left, "shape")
     print(row, flush=True)
     return row
 
 
-def main():
-    """Write the results."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="two networks and few noisy scans")
-    quick = parser.parse_args().quick
-    models = list(NETWORKS)[:2] if quick else list(NETWORKS)
-    told_rows, wrong_rows, bought_rows = [], [], []
+def main() -> None:
+    """Measure and store."""
+    short = quick(__doc__)
+    models = list(NETWORKS)[:2] if short else list(NETWORKS)
+    results = {"known_subsets": [], "known_errors": [], "known_networks": []}
     for model in models:
         data, sigma, _ = signals(model)
         known, unknown = (informed(Before(model, any_shape), data, sigma) for any_shape in (False, True))
-        told_rows += subsets(model, known, False) + subsets(model, unknown, True)
-        wrong_rows += errors(model, data, sigma, unknown, 10 if quick else SCANS)
-        bought_rows += [bought(model, stiffness) for stiffness in SOFTNESS]
-        for name, rows in (("known_subsets", told_rows), ("known_errors", wrong_rows), ("known_buys", bought_rows)):
+        results["known_subsets"] += subsets(model, known, False) + subsets(model, unknown, True)
+        results["known_errors"] += errors(model, data, sigma, unknown, 10 if short else SCANS)
+        results["known_networks"] += [network(model, stiffness) for stiffness in SOFTNESS]
+        for name, rows in results.items():
             write(name, rows)
 
 

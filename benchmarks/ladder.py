@@ -1,4 +1,4 @@
-"""What each part of a scene costs: operations, compilation and time, from a clamped whisker up to derivatives.
+"""Cost of each part of a scene: operations, compilation and run time, from a clamped whisker to derivatives.
 
 python benchmarks/ladder.py
 """
@@ -6,7 +6,6 @@ python benchmarks/ladder.py
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import jax
 
@@ -17,8 +16,6 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import interleaved, summary, write
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from operations import operations, rods, traced
 
 STEPS, LANES = 800, 32
@@ -26,30 +23,29 @@ DISTANCE = np.linspace(0.18, 0.22, LANES)
 
 
 def scene(model: str, distance) -> jw.Scene:
+    """A named model before a parabola."""
     return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.named(model, 70.0, 0.2))
 
 
-def signals(model: str, control):
-    def scan(q):
-        result = jw.scan(scene(model, q), control)
-        return result.fx, result.fy, result.mz
-
-    return scan
-
-
 def with_events(model: str, control):
+    """Reactions and events as a function of the distance."""
+
     def scan(q):
         result = jw.scan(scene(model, q), control)
         return result.fx, result.fy, result.mz, result.events
 
     return scan
+
+
+def signals(model: str, control):
+    """Reactions as a function of the distance."""
+    scan = with_events(model, control)
+    return lambda q: scan(q)[:3]
 
 
 def with_derivatives(model: str, control):
-    def scan(q):
-        result = jw.scan(scene(model, q), control)
-        return result.fx, result.fy, result.mz, result.events
-
+    """Reactions, events and derivatives of the reactions as a function of the distance."""
+    scan = with_events(model, control)
     return lambda q: (scan(q), jax.jacfwd(lambda q: scan(q)[:3])(q))
 
 
@@ -65,7 +61,7 @@ RUNGS = {
 
 
 def import_time() -> float:
-    """Seconds of `import jaxwhisker` beyond those of the libraries it needs, median of fresh processes."""
+    """Seconds of `import jaxwhisker` with its libraries already imported, median of new processes."""
     needs = "import jax, equinox, diffrax, optimistix, lineax"
     code = f"import time; {needs}; t = time.perf_counter(); import jaxwhisker; print(time.perf_counter() - t)"
     runs = (subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True) for _ in range(3))
@@ -73,6 +69,7 @@ def import_time() -> float:
 
 
 def main() -> None:
+    """Measure and store."""
     rows, calls = [], {}
     for rung, (model, make, end) in RUNGS.items():
         scan = make(model, np.linspace(0.8, -end, STEPS))
@@ -87,7 +84,7 @@ def main() -> None:
             {
                 "scene": rung,
                 "operations": operations(jaxpr),
-                "rods": rods(jaxpr),
+                "rod integrations": rods(jaxpr),
                 "trace, s": middle - start,
                 "compile, s": time.perf_counter() - middle,
             }
@@ -95,7 +92,7 @@ def main() -> None:
         print(rows[-1], flush=True)
     for row, times in zip(rows, interleaved(calls, 7).values(), strict=True):
         row["us per step"] = 1e6 * times["median"] / STEPS / LANES
-    rows.append({"scene": "import jaxwhisker, s beyond its libraries", "us per step": import_time()})
+    rows.append({"scene": "import jaxwhisker (its libraries already loaded)", "import, s": import_time()})
     write("ladder", rows)
 
 

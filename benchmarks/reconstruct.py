@@ -1,13 +1,12 @@
-"""How well contours come back from reactions: without noise, and with noise of 1 % of the peaks.
+"""Accuracy of reconstructed contours: without noise, and with noise of 1 % of the peaks.
 
 python benchmarks/reconstruct.py [--quick]
 
-Signals of straight whiskers come from the closed form. A contour's error is its distance from the object along the
-normal, at 101 slopes between the outermost knots of its fit, in lengths of the whisker; knots are chosen once a scene,
-from the first signals, and lie within the slopes that were touched.
+Signals come from the closed form. The error of a contour is its distance from the object along the normal, in L, at
+101 slopes between the outermost knots of the fit. The knots are chosen from the first signals of each scene and lie
+within the touched slopes.
 """
 
-import argparse
 import time
 
 import equinox as eqx
@@ -19,16 +18,16 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from common import interleaved, write
+from common import interleaved, quick, write
 
 STEPS = 500
 NOISE = 0.01  # of each channel's peak
 KNOTS = 11
-WHISKER_MM = 20.0  # on which a published learned reconstruction is off by 0.8 +- 0.5 mm
+WHISKER_MM = 20.0  # scale of the column that compares with a published learned reconstruction (0.8 +- 0.5 mm)
 
 
 class Polynomial(eqx.Module):
-    """y = q + x^2/2 + x^3/8 + x^4/4: not symmetric."""
+    """Asymmetric profile y = q + x^2/2 + x^3/8 + x^4/4."""
 
     q: float = 0.3
 
@@ -37,7 +36,7 @@ class Polynomial(eqx.Module):
 
 
 class Edge(eqx.Module):
-    """A wedge with an edge of radius 0.05: a branch of a hyperbola."""
+    """Wedge with an edge of radius 0.05: one branch of a hyperbola."""
 
     q: float = 0.3
     steep: float = 1.2
@@ -61,27 +60,26 @@ SCENES = {  # object, support, repetitions
 
 
 def signals(profile, support) -> dict[str, np.ndarray]:
-    """Exact signals."""
+    """Exact signals and contact points."""
     scene = jw.Scene(jw.Whisker(), profile, support, rod=jw.ClosedForm())
     ends = np.asarray(jw.scan(scene).control)[[0, -1]]
     control = np.linspace(ends[0], ends[1], STEPS)
     result = jw.scan(scene, control)
-    found = {name: np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz", "contact_x", "contact_y")}
-    return {"control": control} | found
+    names = ("fx", "fy", "mz", "contact_x", "contact_y")
+    return {"control": control} | {name: np.asarray(getattr(result, name)) for name in names}
 
 
 def at_slopes(profile, slopes) -> tuple[np.ndarray, np.ndarray]:
-    """Points of any profile at slope angles."""
+    """Points of a profile at slope angles, interpolated on a fine grid (error 1e-9)."""
     low, high = (float(end) for end in profile.ends())
     grid = np.linspace(max(low, -3.0), min(high, 3.0), 20001)
     points = jax.vmap(profile.point)(jnp.asarray(grid))
     angle = np.arctan2(np.asarray(points.sin), np.asarray(points.cos))
-    # Parameters at those slopes, by interpolation that is refined by one step along the tangent: off by 1e-9.
     return tuple(np.interp(slopes, angle, np.asarray(v)) for v in (points.x, points.y))
 
 
 def of_scene(name: str, count: int) -> dict:
-    """Errors and coverage over repetitions."""
+    """Errors and coverage over all repetitions."""
     profile, support, _ = SCENES[name]
     sensor, exact, rng = jw.Sensor(jw.Whisker(), support), signals(profile, support), np.random.default_rng(0)
     clean = {n: exact[n] for n in ("control", "fx", "fy", "mz")}
@@ -89,12 +87,12 @@ def of_scene(name: str, count: int) -> dict:
     points = jw.reconstruct(clean, sensor)
     touching = np.abs(clean["mz"]) > 0
     off = np.hypot(np.asarray(points.x) - exact["contact_x"], np.asarray(points.y) - exact["contact_y"])[touching]
-    knots, errors, ratios, held, bad, times, single = KNOTS, [], [], [], 0, [], []
+    knots, errors, ratios, covered, bad, times, single = KNOTS, [], [], [], 0, [], []
     for _ in range(count):
         noisy = {n: v + (sigma[n] * rng.standard_normal(v.shape) if n in sigma else 0.0) for n, v in clean.items()}
-        found = jw.reconstruct(noisy, sensor, sigma=sigma)
-        apart = np.hypot(np.asarray(found.x) - exact["contact_x"], np.asarray(found.y) - exact["contact_y"])
-        single.append(float(np.mean(apart[found.clear])))
+        estimate = jw.reconstruct(noisy, sensor, sigma=sigma)
+        apart = np.hypot(np.asarray(estimate.x) - exact["contact_x"], np.asarray(estimate.y) - exact["contact_y"])
+        single.append(float(np.mean(apart[estimate.clear])))
         begin = time.perf_counter()
         fit = jw.fit_contour(noisy, sensor, sigma=sigma, knots=knots)
         times.append(time.perf_counter() - begin)
@@ -107,32 +105,31 @@ def of_scene(name: str, count: int) -> dict:
         across = (band.x - x) * np.sin(band.slope) - (band.y - y) * np.cos(band.slope)
         errors.append(np.abs(across))
         ratios.append(across / band.error)
-        held.append(np.mean(np.abs(across) <= 1.959964 * band.error))
+        covered.append(np.mean(np.abs(across) <= 1.959964 * band.error))
     repeat = interleaved({"points": lambda: jax.block_until_ready(jw.reconstruct(noisy, sensor, sigma=sigma).x)}, 9)
     return {
         "scene": name,
-        "without noise, largest error of a point": float(np.nanmax(off)),
+        "largest point error without noise": float(np.nanmax(off)),
         "points lost": int(np.sum(~np.isfinite(off))),
         "repetitions": count,
         "not ok": bad,
         "mean error of clear points": float(np.mean(single)),
-        "mean error of the contour": float(np.mean(errors)),
-        "95 % of contours": float(np.quantile(np.mean(errors, axis=1), 0.95)),
-        "held by the 95 % band": float(np.mean(held)),
+        "mean contour error": float(np.mean(errors)),
+        "95th percentile of contour error": float(np.quantile(np.mean(errors, axis=1), 0.95)),
+        "coverage of the 95 % band": float(np.mean(covered)),
         "rms of error / standard error": float(np.sqrt(np.mean(np.square(ratios)))),
-        f"on {WHISKER_MM:g} mm, mm": float(np.mean(errors) * WHISKER_MM),
-        "points of a scan, ms": 1e3 * repeat["points"]["median"],
-        "contour, s": float(np.median(times[1:])),
+        f"mean contour error for L = {WHISKER_MM:g} mm, mm": float(np.mean(errors) * WHISKER_MM),
+        "reconstruct, ms": 1e3 * repeat["points"]["median"],
+        "fit_contour, s": float(np.median(times[1:])),
     }
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    quick = parser.parse_args().quick
+def main() -> None:
+    """Measure and store."""
+    short = quick(__doc__)
     rows = []
     for name, (*_, count) in SCENES.items():
-        rows.append(of_scene(name, 5 if quick else count))
+        rows.append(of_scene(name, 5 if short else count))
         write("reconstruct", rows)
 
 

@@ -1,14 +1,12 @@
-"""What holds the time of an equilibrium: arithmetic operations of a rod, what the machine does of them, what is left.
+"""Roofline: arithmetic operations of a rod and of an equilibrium, and how many of them the machine does per second.
 
 python benchmarks/roofline.py
 
-The ceiling is a chain of fused multiply-adds on as many numbers. A rod counts with its two tangents, as Newton's method
-takes it; an equilibrium takes two of those and one value.
+The ceiling is measured with a chain of fused multiply-adds on the same number of elements. Newton's method evaluates a
+rod with two tangents; an equilibrium takes two such evaluations and one value.
 """
 
-import sys
 import time
-from pathlib import Path
 
 import jax
 
@@ -19,8 +17,6 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import interleaved, write
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from operations import inner, traced
 
 LANES, CHAIN = 65536, 256
@@ -28,7 +24,7 @@ ARITHMETIC = {"add", "sub", "mul", "div", "neg", "sqrt", "cos", "sin", "integer_
 
 
 def flops(jaxpr) -> int:
-    """Arithmetic operations on numbers, those of loops as often as they run."""
+    """Count arithmetic operations; those in loops count once per iteration."""
     total = 0
     for equation in jaxpr.eqns:
         numbers = int(np.prod(equation.outvars[0].aval.shape)) if equation.outvars else 0
@@ -39,7 +35,7 @@ def flops(jaxpr) -> int:
 
 
 def chain(x):
-    """2 CHAIN operations on every number."""
+    """Apply 2 CHAIN operations to every number."""
     y = x
     for _ in range(CHAIN):
         y = y * x + 0.5
@@ -47,6 +43,7 @@ def chain(x):
 
 
 def main() -> None:
+    """Measure and store."""
     rng = np.random.default_rng(0)
     bend, arc, angle = (jnp.asarray(rng.uniform(*ends, LANES)) for ends in ((0.5, 6.0), (0.5, 1.0), (0.0, 1.0)))
 
@@ -104,7 +101,7 @@ def main() -> None:
                 "operations": count,
                 "us each": 1e6 * each,
                 "operations per second, 1e9": count / each / 1e9,
-                "of it in rods": (2 * times[name, "value and two tangents"]["median"] + times[name, "value"]["median"])
+                "share in rods": (2 * times[name, "value and two tangents"]["median"] + times[name, "value"]["median"])
                 / LANES
                 / each,
             }

@@ -1,9 +1,10 @@
-"""Films and sliders: seconds that a film takes, and pictures a second while a slider is dragged in Chromium.
+"""Films and sliders: time of a film, and frames per second while a slider is dragged in Chromium.
 
 python benchmarks/showing.py
 
-A slider is dragged to and fro by the page itself, at every frame of the browser; counted are pictures of a scene that
-came anew (of the drive: of another step of the same scan). It needs ffmpeg, chromium and chromedriver.
+The page drags each slider back and forth at every frame of the browser. A frame counts when it shows a newly computed
+scene, or, for the slider of the drive, another step of the same scan. Needs ffmpeg, chromium and chromedriver. Writes
+the results "films" and "sliders".
 """
 
 import json
@@ -35,10 +36,10 @@ from jaxwhisker._explore import page
 from jaxwhisker._explore.session import Session
 from jaxwhisker._scan.scan import contact_range
 
-STEPS = 1900  # of the filmed scan
+STEPS = 1900  # steps of the filmed scan
 FILMS = 3
-SECONDS = 8.0  # of dragging
-LONG = 600.0  # s to wait for the first picture
+SECONDS = 8.0  # time of dragging
+LONG = 600.0  # longest wait for the first frame, in s
 MODELS = ("FB", "FBFBR", "FBFBFBR")
 
 BUILD = """\
@@ -49,7 +50,7 @@ def build(stiffness, distance):
 RANGES = "stiffness=(20, 500, 70.0), distance=(0.1, 0.5, 0.2)"
 CLOSED, INTEGRATED = ", rod=jw.ClosedForm()", ""
 
-# To and fro for so many seconds; then pictures, the time taken, and the gaps between pictures.
+# Drag back and forth for some seconds; return the number of frames, the time in s, and the waits between frames in ms.
 DRAG = """
 const [name, seconds, done] = arguments;
 const root = document.querySelector(".jaxwhisker"), input = root.querySelector(`input[name=${name}]`);
@@ -72,6 +73,7 @@ requestAnimationFrame(frame);
 
 
 def browser(folder: Path) -> webdriver.Chrome:
+    """Start headless Chromium."""
     options: Any = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium")
     flags = "headless=new no-sandbox disable-gpu disable-quic no-first-run disable-background-networking"
@@ -83,30 +85,32 @@ def browser(folder: Path) -> webdriver.Chrome:
 
 
 def settle(driver: webdriver.Chrome) -> None:
-    """Wait for the first picture."""
+    """Wait until the page has drawn the current scene."""
     end = time.monotonic() + LONG
     while time.monotonic() < end:
         roots = driver.find_elements("css selector", ".jaxwhisker")
         if roots and roots[0].get_attribute("aria-busy") == "false":
             return
         time.sleep(0.1)
-    raise TimeoutError("no picture")
+    raise TimeoutError("The page did not draw the scene.")
 
 
 def dragged(driver: webdriver.Chrome, where: str, model: str, rod: str) -> dict[str, Any]:
-    """Pictures a second of each slider."""
+    """Frames per second and waits of each slider."""
     rods = "closed form" if rod else "integrated"
-    row: dict[str, Any] = {"what": "sliders", "where": where, "model": model, "rods": rods}
+    row: dict[str, Any] = {"where": where, "model": model, "rods": rods}
     for name in ("stiffness", "distance", "drive"):
         driver.execute_async_script(DRAG, name, 1.0)
         settle(driver)
         count, seconds, gaps = driver.execute_async_script(DRAG, name, SECONDS)
         settle(driver)
-        row |= {f"{name}, pictures/s": count / seconds, f"{name}, longest wait of 95 %, ms": np.percentile(gaps, 95)}
+        row[f"{name}, frames/s"] = count / seconds
+        row[f"{name}, 95th percentile of wait, ms"] = float(np.percentile(gaps, 95))
     return row
 
 
 def on_page(driver: webdriver.Chrome, model: str, rod: str) -> dict[str, Any]:
+    """Drag the sliders of the local page."""
     names: dict[str, Any] = {"jw": jw}
     exec(BUILD.format(model, rod), names)
     session = Session(names["build"], eval(f"dict({RANGES})"))
@@ -123,6 +127,7 @@ def on_page(driver: webdriver.Chrome, model: str, rod: str) -> dict[str, Any]:
 
 
 def in_jupyter(driver: webdriver.Chrome, folder: Path, model: str, rod: str) -> dict[str, Any]:
+    """Drag the sliders of a notebook in JupyterLab."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -141,11 +146,11 @@ def in_jupyter(driver: webdriver.Chrome, folder: Path, model: str, rod: str) -> 
     quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(line, env=os.environ | own, **quiet) as process:
         try:
-            _patiently(lambda: urllib.request.urlopen(f"{here}/api?token=local", timeout=5).close())
+            _retry(lambda: urllib.request.urlopen(f"{here}/api?token=local", timeout=5).close())
             driver.get(f"{here}/lab/tree/explore.ipynb?token=local&reset")
             first = ".jp-Notebook .jp-Cell .cm-content"
-            _patiently(lambda: driver.find_element("css selector", first).click())
-            time.sleep(3)  # what opens last takes the focus
+            _retry(lambda: driver.find_element("css selector", first).click())
+            time.sleep(3)  # panels that open late take the focus
             driver.find_element("css selector", first).click()
             ActionChains(driver).key_down(Keys.SHIFT).send_keys(Keys.ENTER).key_up(Keys.SHIFT).perform()
             settle(driver)
@@ -156,7 +161,8 @@ def in_jupyter(driver: webdriver.Chrome, folder: Path, model: str, rod: str) -> 
             process.wait(60)
 
 
-def _patiently(attempt) -> None:
+def _retry(attempt) -> None:
+    """Repeat an attempt until it succeeds or the time is up."""
     end = time.monotonic() + LONG
     while True:
         try:
@@ -168,7 +174,7 @@ def _patiently(attempt) -> None:
 
 
 def films(model: str, folder: Path) -> list[dict[str, Any]]:
-    """Seconds for a film of a scan that is there; the first one of a structure compiles."""
+    """Time and size of a film of a finished scan; the first film compiles."""
     scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.named(model, 70.0, 0.2), rod=jw.ClosedForm())
     first, last = (float(end) for end in contact_range(scene))
     result = jax.block_until_ready(jw.scan(scene, np.linspace(first, last, STEPS)))
@@ -179,28 +185,25 @@ def films(model: str, folder: Path) -> list[dict[str, Any]]:
             start = time.perf_counter()
             path = jw.animate(result, folder / f"film.{suffix}", progress=False)
             times.append(time.perf_counter() - start)
-        row: dict[str, Any] = {"what": "film", "where": suffix, "model": model, "rods": "closed form", "steps": STEPS}
+        row: dict[str, Any] = {"format": suffix, "model": model, "rods": "closed form", "steps": STEPS}
         size = Path(str(path)).stat().st_size / 1e6
-        rows.append(row | {"first, s": times[0], "again, s": summary(times[1:])["median"], "MB": size})
+        rows.append(row | {"first film, s": times[0], "later films, s": summary(times[1:])["median"], "MB": size})
     return rows
 
 
 def main() -> None:
+    """Measure and store."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         driver = browser(folder)
-        calls = [lambda model=model: in_jupyter(driver, folder, model, CLOSED) for model in MODELS[:2]]
-        calls += [lambda model=model: on_page(driver, model, CLOSED) for model in MODELS]
-        calls += [lambda model=model: on_page(driver, model, INTEGRATED) for model in MODELS[:2]]
-        calls += [lambda model=model: films(model, folder) for model in MODELS[:2]]
-        rows = []
         try:
-            for call in calls:
-                found = call()
-                rows += found if isinstance(found, list) else [found]
-                write("showing", rows)
+            rows = [in_jupyter(driver, folder, model, CLOSED) for model in MODELS[:2]]
+            rows += [on_page(driver, model, CLOSED) for model in MODELS]
+            rows += [on_page(driver, model, INTEGRATED) for model in MODELS[:2]]
         finally:
             driver.quit()
+        write("sliders", rows)
+        write("films", [row for model in MODELS[:2] for row in films(model, folder)])
 
 
 if __name__ == "__main__":

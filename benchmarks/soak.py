@@ -1,4 +1,4 @@
-"""A soak: random scenes of every kind, their states checked by elliptic integrals that share nothing with the engine.
+"""Soak test: random scenes of every kind, checked with elliptic integrals that share no code with the package.
 
 python benchmarks/soak.py [scenes]     default 100,000; half an hour on two cores
 """
@@ -9,38 +9,33 @@ import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 
 import jax
 import numpy as np
+from independent import violations
 
 import jaxwhisker as jw
 from common import write
-
-TESTS = Path(__file__).parents[1] / "tests"
-sys.path.extend([str(TESTS), str(TESTS / "oracles")])
-from independent import violations
-
 from random_scenes import NETWORKS, PROFILES, drawn, mechanics, scans
 
 jax.config.update("jax_enable_x64", True)
 
 ROD = jw.ClosedForm()
 KINDS = [(network, profile) for network in NETWORKS for profile in PROFILES]
-# How many scenes of a network among all: the more whiskers, the longer each takes.
+# Relative number of scenes of each network: scenes with more whiskers take longer.
 SHARES = {"clamped": 14, "FB": 12, "FBFB": 4, "FBFBR": 2, "FBFBFBR": 1, "four": 0.75}
-BLOCK = 128  # scenes scanned at once: all wait for the slowest
-SOUND = 1e-7  # by how much a state may miss a law, relative to its size
+BLOCK = 128  # scenes per batch; a batch takes as long as its slowest scene
+TOLERANCE = 1e-7  # largest relative residual of a correct state
 
 
-def told(what, network, profile, p, lane, why, step) -> None:
-    """Print a scene that did not go well, so that it can be run again."""
+def report(what, network, profile, p, lane, why, step) -> None:
+    """Print the parameters of a wrong or failed scene, to reproduce it."""
     numbers = jax.tree.map(lambda leaf: leaf[lane].tolist(), p._replace(control=p.control[:, [0, step, -1]]))
     print(f"{what}: {network}, {profile}, {why} at step {step}: {numbers}", file=sys.stderr, flush=True)
 
 
 def soaked(number: int, scenes: int) -> dict:
-    """One kind of scenes: a row of the table."""
+    """Scan random scenes of one kind; return a row of the table."""
     network, profile = KINDS[number]
     rng, run = np.random.default_rng(number), scans(network, profile, ROD)
     statuses, worst, wrong, seconds = Counter(), {}, 0, 0.0
@@ -49,34 +44,35 @@ def soaked(number: int, scenes: int) -> dict:
         start = time.perf_counter()
         result = jax.block_until_ready(run(p))
         seconds += time.perf_counter() - start
-        missed = violations(mechanics(network, profile, p), p.control, result)
-        for law, amount in missed.items():
-            worst[law] = max(worst.get(law, 0.0), float(np.max(amount)))
-        bad = np.any([amount > SOUND for amount in missed.values()], axis=(0, 2))
+        residuals = violations(mechanics(network, profile, p), p.control, result)
+        for equation, residual in residuals.items():
+            worst[equation] = max(worst.get(equation, 0.0), float(np.max(residual)))
+        bad = np.any([residual > TOLERANCE for residual in residuals.values()], axis=(0, 2))
         wrong += int(np.sum(bad))
         for lane in np.flatnonzero(bad):
-            amounts = {law: amount[lane] for law, amount in missed.items()}
-            laws = {law: float(np.max(amount)) for law, amount in amounts.items() if np.max(amount) > SOUND}
-            told("wrong", network, profile, p, lane, laws, np.argmax(np.max(list(amounts.values()), axis=0)))
+            here = {equation: residual[lane] for equation, residual in residuals.items()}
+            large = {equation: float(np.max(each)) for equation, each in here.items() if np.max(each) > TOLERANCE}
+            report("wrong", network, profile, p, lane, large, np.argmax(np.max(list(here.values()), axis=0)))
         status = np.asarray(result.status)
         for lane in np.flatnonzero(np.max(status, axis=1)):
             step = np.argmax(status[lane] != jw.Status.ok)
-            told("refused", network, profile, p, lane, jw.Status(status[lane, step]).name, step)
+            report("failed", network, profile, p, lane, jw.Status(status[lane, step]).name, step)
         statuses.update(jw.Status(s).name for s in np.max(status, axis=1))
     count = sum(statuses.values())
     return {
         "network": network,
         "profile": profile,
         "scenes": count,
-        "refused": ", ".join(f"{n} {name}" for name, n in sorted(statuses.items()) if name != "ok"),
+        "failed": ", ".join(f"{n} {name}" for name, n in sorted(statuses.items()) if name != "ok"),
         "wrong": wrong,
-        "ms a scene": 1e3 * seconds / count,
-        "worst law": max(worst, key=worst.__getitem__),
-        "missed by": max(worst.values()),
+        "ms per scene": 1e3 * seconds / count,
+        "equation": max(worst, key=worst.__getitem__),
+        "largest residual": max(worst.values()),
     }
 
 
 def main(scenes: int) -> None:
+    """Scan all kinds on all cores and store the table."""
     rows, all_shares = [], sum(SHARES[network] for network, _ in KINDS)
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
         each = [round(scenes * SHARES[network] / all_shares) for network, _ in KINDS]

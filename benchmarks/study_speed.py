@@ -1,7 +1,9 @@
-"""Studies: equilibria per second over the size of blocks, on one core and two; memory over steps and lanes.
+"""Studies: equilibria per second over block size, on one core and on two; memory over steps and block size.
 
-Every row is a process of its own that may use so many cores. Its time is that from the compiled function to the
-finished Dataset, summary and store included; its memory the most that it ever held, compiler included.
+python benchmarks/study_speed.py
+
+Every row is measured in a separate process. Time runs from the compiled function to the finished Dataset, with summary
+and store; memory is the peak of the process, with the compiler.
 """
 
 import json
@@ -15,14 +17,14 @@ from pathlib import Path
 
 from common import write
 
-POINTS = {"FB": 2048, "FBFBR": 512}  # of 1,600 steps; fewer of more
+POINTS = {"FB": 2048, "FBFBR": 512}  # for up to 1,600 steps; fewer points for more steps
 STEPS = 1600
 
 
 def run(kind: str, model: str = "FB", lanes: int = 128, cores: int = 2, steps: int = STEPS, points: int = 0) -> dict:
-    """What is measured: signals in memory ("reactions"), in a store, or summarised on the way."""
+    """One case; the output is "reactions" in memory, a "store" on disk, or a "summary"."""
     points = points or POINTS[model] * STEPS // max(steps, STEPS)
-    return {"kept": kind, "model": model, "lanes": lanes, "cores": cores, "steps": steps, "points": points}
+    return {"output": kind, "model": model, "lanes": lanes, "cores": cores, "steps": steps, "points": points}
 
 
 RUNS = [
@@ -37,8 +39,8 @@ RUNS = [
 ]
 
 
-def measure(kept: str, model: str, lanes: int, cores: int, steps: int, points: int) -> dict:
-    """Run one study in this process."""
+def measure(output: str, model: str, lanes: int, cores: int, steps: int, points: int) -> dict:
+    """Run one study in this process and return its time and memory."""
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     import jax
 
@@ -49,13 +51,13 @@ def measure(kept: str, model: str, lanes: int, cores: int, steps: int, points: i
     from jaxwhisker._study import plan
     from jaxwhisker._study.kernel import Kernel
 
-    plan.LANES, plan.PARTS = lanes, 1  # blocks of that size, whatever the study's
+    plan.LANES, plan.PARTS = lanes, 1  # force the block size
     compiled, ready = Kernel.compiled, []
 
     def clocked(self):
-        found = compiled(self)
+        function = compiled(self)
         ready.append(time.perf_counter())
-        return found
+        return function
 
     Kernel.compiled = clocked
 
@@ -66,8 +68,8 @@ def measure(kept: str, model: str, lanes: int, cores: int, steps: int, points: i
     table = {"stiffness": rng.uniform(30, 200, points), "distance": rng.uniform(0.1, 0.4, points)}
     control = np.linspace(0.8, -1.6 if model == "FB" else -2.2, steps)
     with tempfile.TemporaryDirectory() as folder:
-        store = Path(folder) / "study.zarr" if kept == "store" else None
-        data = jw.study(build, points=table, control=control, summary=kept == "summary", store=store, memory=8e9)
+        store = Path(folder) / "study.zarr" if output == "store" else None
+        data = jw.study(build, points=table, control=control, summary=output == "summary", store=store, memory=8e9)
         seconds = time.perf_counter() - ready[0]
     return {
         "time, s": seconds,
@@ -78,6 +80,7 @@ def measure(kept: str, model: str, lanes: int, cores: int, steps: int, points: i
 
 
 def main() -> None:
+    """Run all cases and store the table."""
     rows = []
     with tempfile.TemporaryDirectory() as cache:
         settings = {"JAX_COMPILATION_CACHE_DIR": cache, "TF_CPP_MIN_LOG_LEVEL": "3"}

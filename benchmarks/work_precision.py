@@ -1,18 +1,18 @@
-"""Error against run time: this package beside stock solvers, scipy, MuJoCo and PyElastica; alone and in batches.
+"""Error against run time: jaxwhisker, stock solvers, scipy, MuJoCo and PyElastica, in single scans and batches.
 
-All compute FB, c = 70, rest length 0.2, beneath the parabola with q = 0.2 (or, simulators that have no parabola,
-beneath a circle), from just after the first touch to just before the whisker snaps off. Error: the largest of fx, fy,
-mz over the scan, relative to the peak of each, against elliptic integrals solved to rounding. In batches the lanes
-differ in stiffness, and some of them are looked at. Calls of all methods are taken in turn.
+python benchmarks/work_precision.py [--quick] [--batches N ...]
+
+All methods compute FB with c = 70 and rest length 0.2 beneath the parabola with q = 0.2, or beneath a circle if the
+simulator has no parabola, from just after the first touch to just before the snap-off. The error is the largest error
+of fx, fy and mz over the scan, relative to the peak of each, against elliptic integrals solved to rounding. In a batch
+every lane has another stiffness, and about eight lanes are compared. Calls of all methods take turns.
 """
 
 import argparse
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,6 +22,7 @@ jax.config.update("jax_enable_x64", True)
 import diffrax
 import jax.numpy as jnp
 import numpy as np
+from exact import circle, clamped_branch, exact_scan, parabola
 from scipy.optimize.elementwise import find_root
 
 import jaxwhisker as jw
@@ -29,21 +30,18 @@ from common import summary, write
 from peers import bvp, cosserat_rod, hinge_chain, stock, thesis
 from peers.scene import Circle, Scene
 
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "oracles"))
-import exact
-
 PARABOLA, CIRCLE = Scene(), Circle()
-PROFILES = {PARABOLA: exact.parabola(PARABOLA.distance), CIRCLE: exact.circle(CIRCLE.distance, CIRCLE.radius)}
+PROFILES = {PARABOLA: parabola(PARABOLA.distance), CIRCLE: circle(CIRCLE.distance, CIRCLE.radius)}
 OBJECTS = {PARABOLA: jw.Parabola(PARABOLA.distance), CIRCLE: jw.Circle(CIRCLE.distance, CIRCLE.radius)}
-RANGE = {PARABOLA: (0.694, -1.3), CIRCLE: (0.775, -1.5)}  # of the drive: in contact with every stiffness below
-SOFTEST, STIFFEST = 60.0, 200.0  # of the lanes of a batch; the first has the scene's own
-BASES = np.array([0.8, 0.3, -0.3])  # PyElastica's states
+RANGE = {PARABOLA: (0.694, -1.3), CIRCLE: (0.775, -1.5)}  # of the drive; in contact for every stiffness below
+SOFTEST, STIFFEST = 60.0, 200.0  # lanes of a batch; the first lane has the stiffness of the scene
+BASES = np.array([0.8, 0.3, -0.3])  # base positions of PyElastica's states
 
 
 @cache
 def exactly(scene: Scene, steps: int, stiffness: float) -> np.ndarray:
-    """fx, fy, mz by elliptic integrals, solved for to rounding: (steps, 3)."""
-    branch, control = exact.clamped_branch(PROFILES[scene]), control_of(scene, steps)
+    """Exact fx, fy, mz from elliptic integrals, (steps, 3)."""
+    branch, control = clamped_branch(PROFILES[scene]), control_of(scene, steps)
 
     def drive(p):
         state = branch.states(p)
@@ -52,14 +50,14 @@ def exactly(scene: Scene, steps: int, stiffness: float) -> np.ndarray:
     table = np.linspace(0, 1, 4001) ** 2 * branch.fold
     falling = drive(table)
     behind = np.searchsorted(-falling[: np.argmin(falling) + 1], -control)
-    found = find_root(lambda p, u: drive(p) - u, (table[behind - 1], table[behind]), args=(control,))
-    assert np.all(found.success) and np.max(np.abs(found.f_x)) < 1e-13
-    state = branch.states(found.x)
+    root = find_root(lambda p, u: drive(p) - u, (table[behind - 1], table[behind]), args=(control,))
+    assert np.all(root.success) and np.max(np.abs(root.f_x)) < 1e-13
+    state = branch.states(root.x)
     return np.stack([state.fx, state.fy, state.mz], axis=-1)
 
 
 def error(scene: Scene, stiffness: np.ndarray, signals: np.ndarray) -> float:
-    """Largest error over all lanes, (lanes, steps, 3), relative to the peaks."""
+    """Largest error of signals (lanes, steps, 3), relative to the peaks."""
     worst = 0.0
     for c, got in zip(stiffness, signals, strict=True):
         reference = exactly(scene, signals.shape[1], float(c))
@@ -68,11 +66,11 @@ def error(scene: Scene, stiffness: np.ndarray, signals: np.ndarray) -> float:
 
 
 def event_error(rod: jw.AbstractRod) -> float:
-    """Largest error of an event's position, over the whole FB scan."""
+    """Largest error of an event position in the whole FB scan."""
     springs = [{"between": (0, 1), "stiffness": PARABOLA.stiffness, "rest_length": PARABOLA.rest_length}]
-    reference = exact.exact_scan(PROFILES[PARABOLA], springs, np.linspace(0.8, -1.6, 200)).events
-    found = jw.scan(ours_scene(PARABOLA, rod, PARABOLA.stiffness)).events
-    got = {event.kind.name: event.control for event in found}
+    reference = exact_scan(PROFILES[PARABOLA], springs, np.linspace(0.8, -1.6, 200)).events
+    events = jw.scan(ours_scene(PARABOLA, rod, PARABOLA.stiffness)).events
+    got = {event.kind.name: event.control for event in events}
     return max(abs(float(got[event.kind]) - event.control) for event in reference)
 
 
@@ -82,16 +80,18 @@ def lanes_of(batch: int) -> np.ndarray:
 
 
 def control_of(scene: Scene, steps: int) -> np.ndarray:
+    """Drive positions of a scan."""
     return np.linspace(*RANGE[scene], steps)
 
 
 def ours_scene(scene: Scene, rod: jw.AbstractRod, stiffness) -> jw.Scene:
+    """Scene of the package."""
     return jw.Scene(jw.Whisker(), OBJECTS[scene], jw.Support.fb(stiffness, scene.rest_length), rod)
 
 
 @dataclass
 class Method:
-    """A method at one accuracy and batch: `call` gives signals, (lanes, steps, 3)."""
+    """A method at one setting and batch size; `call` returns signals (lanes, steps, 3)."""
 
     name: str
     setting: str
@@ -119,7 +119,7 @@ class Method:
             "lower quartile": each["lower"],
             "upper quartile": each["upper"],
             "error": self.error,
-            "error of events": self.events,
+            "event error": self.events,
             "failed": self.failed,
             "compile, s": self.compile_time,
             "first call, s": self.first,
@@ -127,7 +127,7 @@ class Method:
 
 
 def compiled(name: str, setting: str, scene: Scene, batch: int, steps: int, scan: Callable) -> Method:
-    """A method of JAX: `scan(stiffness, control)` is compiled for the batch."""
+    """A JAX method: compile `scan(stiffness, control)` for the batch."""
     control, stiffness = jnp.asarray(control_of(scene, steps)), jnp.asarray(lanes_of(batch))
     start = time.perf_counter()
     run = jax.jit(jax.vmap(lambda c: scan(c, control))).lower(stiffness).compile()
@@ -136,6 +136,8 @@ def compiled(name: str, setting: str, scene: Scene, batch: int, steps: int, scan
 
 
 def ours(setting: str, rod: jw.AbstractRod, batch: int, steps: int, scene: Scene = PARABOLA) -> Method:
+    """This package with one kind of rods."""
+
     def scan(c, control):
         result = jw.scan(ours_scene(scene, rod, c), control)
         return jnp.stack([result.fx[:, 0], result.fy[:, 0], result.mz[:, 0]], axis=-1)
@@ -148,13 +150,13 @@ def ours(setting: str, rod: jw.AbstractRod, batch: int, steps: int, scene: Scene
 
 
 def plain(name: str, setting: str, scene: Scene, steps: int, scan: Callable) -> Method:
-    """A method without batches: `scan(scene, control)`."""
+    """A method without batches, `scan(scene, control)`."""
     control = control_of(scene, steps)
     return Method(name, setting, scene, 1, steps, lambda: scan(scene, control)[None])
 
 
 def methods(batch: int, quick: bool):
-    """All methods for one size of batches, made one by one: those of JAX compile on the way."""
+    """Yield all methods for one batch size; JAX methods are compiled when they are yielded."""
     splitting = {6: (4, 8, 16), 11: (2, 4, 8, 16)}
     fixed = [(diffrax.Dopri8(), 4), (diffrax.Dopri8(), 8), (diffrax.Tsit5(), 16)]
     adaptive = [(diffrax.Dopri8(), 1e-6), (diffrax.Dopri8(), 1e-9), (diffrax.Tsit5(), 1e-6)]
@@ -190,13 +192,14 @@ def methods(batch: int, quick: bool):
         yield plain("MuJoCo: hinge chain", f"{n} links", CIRCLE, few // 4, scan)
 
 
-def stock_scan(c, control, **how):
-    return stock.scan(Scene(stiffness=c), control, **how)
+def stock_scan(c, control, **options):
+    """Stock solvers at stiffness `c`."""
+    return stock.scan(Scene(stiffness=c), control, **options)
 
 
 def cosserat_rows(elements: tuple[int, ...]) -> list[dict]:
-    """PyElastica on a few states of a clamped whisker, once: it takes seconds a state."""
-    branch, rows = exact.clamped_branch(PROFILES[CIRCLE]), []
+    """PyElastica on a few states of a clamped whisker, run once because a state takes seconds."""
+    branch, rows = clamped_branch(PROFILES[CIRCLE]), []
     state = branch.states(np.array([branch.parameter(x) for x in BASES]))
     reference = np.stack([state.fx, state.fy, state.mz], axis=-1)
     for n in elements:
@@ -212,7 +215,7 @@ def cosserat_rows(elements: tuple[int, ...]) -> list[dict]:
 
 
 def measured(batch: int, quick: bool) -> list[dict]:
-    """The rows of one size of batches."""
+    """Rows of one batch size."""
     repeats, begun, made = 3 if quick else 5, time.perf_counter(), []
     for method in methods(batch, quick):
         start = time.perf_counter()
@@ -225,7 +228,7 @@ def measured(batch: int, quick: bool) -> list[dict]:
         made.append(method)
     for _ in range(repeats):
         for method in made:
-            # What takes long enough is measured well enough by less.
+            # Slow calls need fewer repetitions.
             if sum(method.times) < 30 / repeats or len(method.times) < 2:
                 start = time.perf_counter()
                 method.call()
@@ -234,16 +237,17 @@ def measured(batch: int, quick: bool) -> list[dict]:
 
 
 def main(batches: list[int], quick: bool) -> None:
+    """Measure and store."""
     rows = []
     for batch in batches:
         rows += measured(batch, quick)
-        jax.clear_caches()  # the compiled methods of all batches together exceed what one process may map
+        jax.clear_caches()  # a process can map only a limited number of compiled programs
     write("work_precision_quick" if quick else "work_precision", rows + cosserat_rows((10,) if quick else (20, 40)))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="few methods, results in a file of their own")
+    parser.add_argument("--quick", action="store_true", help="few methods; writes work_precision_quick.json")
     parser.add_argument("--batches", type=int, nargs="+", help="default: 1 32 256 1024; quick: 1 256")
     options = parser.parse_args()
     main(options.batches or ([1, 256] if options.quick else [1, 32, 256, 1024]), options.quick)

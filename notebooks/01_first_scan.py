@@ -7,12 +7,16 @@
 # %% [markdown]
 # # A first scan in five minutes
 #
-# A whisker sensor is a slender elastic rod whose base sits on a spring. A drive drags it past an object: the whisker
-# touches, bends, slides along the object and snaps off. What is measured are the forces fx, fy and the moment mz with
-# which the support holds the base. This notebook scans a parabola with one whisker, and shows everything that comes out
-# of it. Needs `pip install 'jaxwhisker[notebooks]'`; takes about a minute, most of it for the compiler.
+# After this notebook you can scan an object with a whisker, plot the result, and export
+# it as a table, a film, or in SI units.
 #
-# Everything is computed in float64, which JAX has to be told first.
+# A whisker sensor is a slender elastic rod whose base sits on a spring. A drive drags
+# it past an object: the whisker touches the object, bends, slides along it and snaps
+# off. The sensor measures the forces fx, fy and the moment mz that the support exerts
+# on the base. This notebook scans a parabola with one whisker.
+#
+# It needs `pip install 'jaxwhisker[notebooks]'` and takes about a minute, mostly for
+# compilation. Everything is computed in float64, which JAX must be asked for first.
 
 # %%
 import jax
@@ -27,12 +31,13 @@ import jaxwhisker as jw
 # %% [markdown]
 # ## The scene
 #
-# Without units everything is dimensionless: lengths in L, the whisker's length, forces in EI/L², moments in EI/L,
-# spring stiffnesses in EI/L³. The spring here has the stiffness 70 and the rest length 0.2. The object is the parabola
-# y = 0.2 + x²: its lowest point, the vertex, is 0.2 L above the line along which the base moves.
+# Without units everything is dimensionless: lengths in the whisker's length L, forces
+# in EI/L², moments in EI/L, spring stiffnesses in EI/L³. The spring has stiffness 70
+# and rest length 0.2. The object is the parabola y = 0.2 + x²; its lowest point, the
+# vertex, is 0.2 L above the line on which the base moves.
 #
-# `ClosedForm` computes straight uniform whiskers by elliptic functions, faster than the default, which integrates rods
-# of all kinds.
+# `ClosedForm` computes straight uniform whiskers with elliptic functions. It is faster
+# than the default, which integrates any kind of rod.
 
 # %%
 scene = jw.Scene(
@@ -45,35 +50,38 @@ print(scene)
 ax = jw.plot.scene(scene)
 
 # %% [markdown]
-# The grey square is the drive, the zigzag the spring, the dot the base. The drive moves to the left, towards -x, and
-# pulls the whisker behind it.
+# The grey square is the drive, the zigzag the spring, the dot the base. The drive moves
+# to the left, towards -x, and pulls the whisker behind it.
 #
 # ## The scan
 #
-# By default it begins just before the first touch, ends when the whisker is free again, and goes in steps of 0.001 L.
+# By default the scan begins just before the first touch, ends when the whisker is free
+# again, and has steps of 0.001 L.
 
 # %%
 result = jw.scan(scene)
 print(result)
 
 # %% [markdown]
-# Every step is `ok`, and these are the events, by the position u of the drive. The whisker touches with its tip; then
-# it lies against the object with a part of its shaft (tangential contact); it passes the vertex, where the force is
-# vertical; it slides on to its tip again, and snaps off.
+# Every step is `ok`. The list shows the events and the drive position u of each. The
+# whisker touches the object with its tip; then a part of its shaft lies against the
+# object (tangential contact); it passes the vertex, where the force is vertical; it
+# slides back to its tip, and snaps off.
 
 # %%
 ax = jw.plot.shapes(result)
 
 # %% [markdown]
-# Five states of the scan, the earlier the paler. The arrow is the force of the object in the last one: contact is
-# frictionless, so it is normal to the object.
+# Five states of the scan; earlier ones are paler. The arrow is the contact force in the
+# last state. Contact is frictionless, so the force is normal to the object.
 
 # %%
 axs = jw.plot.reactions(result)
 
 # %% [markdown]
-# The signal. Time runs from right to left, as the drive does; thin lines are the events. fy and mz are largest a little
-# before the vertex, where fx changes its sign, and everything drops to zero at once where the whisker snaps off.
+# These are the signals. Time runs from right to left, like the drive; thin lines mark
+# events. fy and mz are largest a little before the vertex, where fx changes sign. All
+# signals drop to zero at the snap-off.
 
 # %%
 ax = jw.plot.phases(
@@ -81,12 +89,15 @@ ax = jw.plot.phases(
 )
 
 # %% [markdown]
-# What the whisker does where: contact of the tip is hatched, contact of the shaft is solid.
+# The phase of the whisker along the scan: tip contact is hatched, tangential contact is
+# solid.
 #
-# ## As a table
+# ## Export as a table
 #
-# `result.fx`, `result.mz` and so on are arrays with one row a step and one column a whisker. `to_dataframe` puts all of
-# it into a table for pandas, `jw.to_csv(result, "scan.csv")` into a file, and `result.to_xarray()` into a Dataset.
+# `result.fx`, `result.mz` and all other signals are arrays with one row per step and
+# one column per whisker. `to_dataframe` puts them into a pandas table.
+# `jw.to_csv(result, "scan.csv")` writes a file, and `result.to_xarray()` returns a
+# Dataset.
 
 # %%
 table = jw.to_dataframe(result)
@@ -105,19 +116,20 @@ table.loc[
 ]
 
 # %% [markdown]
-# ## As a film
+# ## Export as a film
 #
-# The snap takes no time in a quasi-static scan; the film shows it in slow motion.
+# In a quasi-static scan the snap takes no time; the film shows it in slow motion.
 
 # %%
 jw.animate(result, seconds=4, fps=15, width=720, progress=False)
 
 # %% [markdown]
-# ## In units
+# ## SI units
 #
-# With L in metres and Young's modulus in pascals everything is in SI units: forces in newtons, moments in newton
-# metres. A steel wire 60 mm long and 0.2 mm thick, with its base on a spring of 5.35 N/m, is the same scene as above.
-# It has the same structure, so nothing is compiled again.
+# With L in metres and Young's modulus in pascals, all results are in SI units: forces
+# in newtons, moments in newton metres. A steel wire 60 mm long and 0.2 mm thick on a
+# spring of 5.35 N/m is the same scene as above. It has the same structure, so nothing
+# is compiled again.
 
 # %%
 wire = jw.Whisker.from_material(length=0.06, youngs_modulus=210e9, diameter=0.2e-3)
@@ -136,9 +148,10 @@ print(
 print(f"dimensionless: {result.fy.max():.2f} EI/L², {result.mz.max():.3f} EI/L")
 
 # %% [markdown]
-# ## What has to be so
+# ## Checks
 #
-# The contact force is what the support holds, and the wire's signal is that of the dimensionless scene in other units.
+# The contact force equals the force of the support, and the signal of the wire is that
+# of the dimensionless scene in other units.
 
 # %%
 assert np.all(result.status == jw.Status.ok)
@@ -150,8 +163,12 @@ assert np.isclose(
 # %% [markdown]
 # ## Something to try
 #
-# - Two whiskers: `jw.Support.fbfbr(70.0)`. What does the second one feel when the first one lets go?
-# - A softer spring, `jw.Support.fb(10.0)`: it snaps to the far side of the object before it is free.
-# - `jw.Circle(distance=0.2, radius=0.5)` for the object, or `jw.Whisker(length=0.8)` for the whisker.
-# - Drag all of it with the mouse: `jw.explore(lambda c, q: jw.Scene(jw.Whisker(), jw.Parabola(q), jw.Support.fb(c),
-#   rod=jw.ClosedForm()), c=(20, 500, 70), q=(0.1, 0.6, 0.2))`.
+# - Use two whiskers, `jw.Support.fbfbr(70.0)`. What does the second one measure when
+#   the first one snaps off?
+# - Use a softer spring, `jw.Support.fb(10.0)`. The whisker snaps to the far side of the
+#   object before it is free.
+# - Change the object to `jw.Circle(distance=0.2, radius=0.5)`, or the whisker to
+#   `jw.Whisker(length=0.8)`.
+# - Drag the parameters with sliders: `jw.explore(lambda c, q: jw.Scene(jw.Whisker(),
+#   jw.Parabola(q), jw.Support.fb(c), rod=jw.ClosedForm()), c=(20, 500, 70), q=(0.1,
+#   0.6, 0.2))`.

@@ -7,10 +7,14 @@
 # %% [markdown]
 # # Studies: many scans at once
 #
-# How does the signal change with the stiffness of the spring, and with the distance of the object? `jw.study` scans
-# every combination and returns one labelled Dataset. This notebook varies the stiffness first, then both, and finds the
-# line below which the peak of the signal is skipped. Everything is dimensionless: lengths in L, stiffnesses in EI/L³,
-# moments in EI/L. About a minute.
+# After this notebook you can scan all combinations of several parameters, summarise the
+# signals, and find the critical stiffness below which a scan skips its peak.
+#
+# How does the signal change with the stiffness of the spring and with the distance of
+# the object? `jw.study` scans every combination and returns one labelled Dataset. This
+# notebook first varies the stiffness, then both parameters. Everything is
+# dimensionless: lengths in L, stiffnesses in EI/L³, moments in EI/L. It takes about a
+# minute.
 
 # %%
 import jax
@@ -32,9 +36,10 @@ def build(stiffness, distance=0.2):
 # %% [markdown]
 # ## One parameter
 #
-# Every argument of `study` that `build` has, too, is an axis; others keep their defaults. The control is the same for
-# all scans. Next to the reactions and events we ask for the positions of bases and springs: over these, `summary` finds
-# peaks between the steps even where the base darts across them.
+# Every argument of `study` that `build` also has is an axis; the others keep their
+# defaults. All scans have the same control. Besides reactions and events, this study
+# stores the positions of bases and springs. With them, `summary` finds peaks between
+# the steps, even where the base moves fast across them.
 
 # %%
 control = np.linspace(0.75, -1.5, 451)  # steps of 0.005
@@ -48,8 +53,9 @@ data = jw.study(
 print(data[["fx", "fy", "mz", "event_kind", "event_control"]])
 
 # %% [markdown]
-# An `xarray.Dataset`: signals over stiffness, control and whisker, with units and names, and the events of every scan.
-# (`data` holds more than is shown here.)
+# The result is an `xarray.Dataset`: signals over stiffness, control and whisker, with
+# units and names, and the events of every scan. (`data` contains more than is shown
+# here.)
 
 # %%
 lines = (
@@ -59,9 +65,9 @@ lines = (
 )
 
 # %% [markdown]
-# The moment, one curve a stiffness; the drive moves from right to left. Softer springs let the base lag behind, so that
-# the signal comes later and is narrower, but its height stays the same. The softest one, though, skips the peak in a
-# jump.
+# The moment, with one curve per stiffness; the drive moves from right to left. With a
+# softer spring the base lags behind: the signal comes later and is narrower, but has
+# the same height. The softest spring, however, skips the peak in a jump.
 
 # %%
 peaks = jw.summary(data)
@@ -70,12 +76,14 @@ peaks[
 ].to_dataframe()
 
 # %% [markdown]
-# `summary` has the peaks, and where they are, for each scan. (`snap_work` is the energy lost in snaps, in EI/L.)
+# `summary` returns the peaks and their positions for each scan. (`snap_work` is the
+# energy lost in snaps, in EI/L.)
 #
 # ## The critical stiffness
 #
-# A base is stable while its spring is stiffer than the object's force is steep. The steepest slope of a clamped
-# whisker's force is therefore the critical stiffness: below it the base snaps past the states where the peak would be.
+# A base is stable as long as its spring is stiffer than the slope of the force on the
+# clamped whisker. The steepest slope is therefore the critical stiffness: with a softer
+# spring, the base snaps past the states that contain the peak.
 
 # %%
 critical = steepest(jw.Whisker(), jw.Parabola(0.2))
@@ -86,8 +94,9 @@ print(
 ax = jw.plot.study(peaks, critical=steepness(build, peaks))[0]
 
 # %% [markdown]
-# The largest moment over the stiffness. Right of the dashed line nothing changes it; left of it the scan snaps through,
-# and what is left of the peak depends on where.
+# The largest moment over the stiffness. Right of the dashed line, it does not depend on
+# the stiffness. Left of it the scan snaps through, and the remaining peak depends on
+# the position of the snap.
 
 # %%
 above = peaks.stiffness > critical.slope
@@ -104,8 +113,8 @@ assert skipped.max() < unchanged.min() - 1e-3
 # %% [markdown]
 # ## Two parameters
 #
-# 24 stiffnesses and 12 distances, 288 scans. `summary=True` keeps the peaks only, and `store="map.zarr"` would keep
-# them on disk, where an interrupted study goes on.
+# 24 stiffnesses and 12 distances make 288 scans. `summary=True` keeps only the peaks.
+# `store="map.zarr"` would store them on disk, where an interrupted study resumes.
 
 # %%
 both = jw.study(
@@ -116,31 +125,39 @@ both = jw.study(
     summary=True,
 )
 print(both.attrs["points"])
-left = both.assign(share=both.max_mz / both.max_mz.isel(stiffness=-1))
-left.share.attrs = {
-    "long_name": "largest mz, share of that with the stiffest spring",
+relative = both.assign(fraction=both.max_mz / both.max_mz.isel(stiffness=-1))
+relative.fraction.attrs = {
+    "long_name": "largest mz, fraction of that with the stiffest spring",
     "units": "1",
 }
-ax = jw.plot.study(left, "share", critical=steepness(build, both))[0]
+ax = jw.plot.study(relative, "fraction", critical=steepness(build, both))[0]
 
 # %% [markdown]
-# The largest moment, as a share of that with the stiffest spring: 1 right of the line, where nothing is skipped, and
-# less left of it. The nearer the object, the stiffer the spring has to be.
+# The largest moment as a fraction of that with the stiffest spring. It is 1 right of
+# the line, where nothing is skipped, and smaller left of it. A closer object needs a
+# stiffer spring.
 #
 # ## Events as data
 #
-# Where does the whisker let go? Events are in the Dataset, too.
+# Where does the whisker snap off? Events are part of the Dataset as well.
 
 # %%
-let_go = data.event_control.where(data.event_kind == jw.EventKind.snap_off).min("event")
-let_go.to_series()
+snap_off = data.event_control.where(data.event_kind == jw.EventKind.snap_off).min(
+    "event"
+)
+snap_off.to_series()
 
 # %% [markdown]
-# The stiffer the spring, the later: an infinitely stiff one lets go with the base at -1.222, the drive at -1.422. This
-# position tells the stiffness, which the height of the peak does not; the notebook 04_gradients takes that further.
+# With a stiffer spring the whisker snaps off later. With an infinitely stiff one it
+# snaps off with the base at -1.222, the drive at -1.422. This position determines the
+# stiffness, which the height of the peak does not. The notebook 04_gradients continues
+# from here.
 #
 # ## Something to try
 #
-# - Two whiskers: `jw.Support.fbfbr(stiffness)`. The map gets a panel each, and the critical line is an estimate.
-# - The rest length as an axis: give `build` another argument. What does it do to `max_mz`, and to `control_of_max_mz`?
-# - `derivatives="stiffness"` in the first study adds the derivative of every signal by the stiffness.
+# - Use two whiskers, `jw.Support.fbfbr(stiffness)`. The map has one panel per whisker,
+#   and the critical line is an estimate.
+# - Give `build` the rest length as another argument, and vary it. How does it change
+#   `max_mz` and `control_of_max_mz`?
+# - Add `derivatives="stiffness"` to the first study: the Dataset then contains the
+#   derivative of every signal with respect to the stiffness.

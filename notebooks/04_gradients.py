@@ -5,13 +5,19 @@
 # ---
 
 # %% [markdown]
-# # Gradients, and what they mean at a fold
+# # Gradients, and their meaning at a fold
 #
-# Every number that a scan returns has exact derivatives by every number that goes in. This notebook takes some, checks
-# them by differences, and looks at the one place where a derivative can mislead: beside a snap. There the signal's
-# derivative grows without bound, while that of the snap's position stays smooth, which matters when a stiffness is to
-# be found from signals. Everything is dimensionless: lengths in L, forces in EI/L², moments in EI/L, stiffnesses in
-# EI/L³. A minute or two, most of it for the compiler.
+# After this notebook you can differentiate any result of a scan with respect to any
+# number of the scene, and you know which derivatives to use near a snap.
+#
+# Every result has exact derivatives with respect to every input. This notebook computes
+# some of them, compares them with finite differences, and examines the one place where
+# a derivative can mislead: next to a snap. There the derivative of the signal grows
+# without bound, while that of the snap position stays smooth. This matters when a
+# stiffness is identified from signals.
+#
+# Everything is dimensionless: lengths in L, forces in EI/L², moments in EI/L,
+# stiffnesses in EI/L³. The notebook takes one to two minutes, mostly for compilation.
 
 # %%
 import jax
@@ -35,17 +41,17 @@ def build(stiffness, distance):
 
 
 # %% [markdown]
-# ## Forwards
+# ## Forward mode
 #
-# One whisker on a spring, and two things to look at: the moment along the scan, and where the whisker snaps off. The
-# positions of the drive are denser towards the snap-off.
+# One whisker on a spring has two results here: the moment along the scan, and the
+# position of the snap-off. The positions of the drive are denser towards the snap-off.
 
 # %%
 scene = build(70.0, 0.2)
 snap_off = jw.scan(scene).events[-1].control
-way = np.geomspace(0.3, 1e-8, 150)  # that is left to the snap-off
+remaining = np.geomspace(0.3, 1e-8, 150)  # remaining distance to the snap-off
 along = jnp.asarray(
-    np.sort(np.concatenate([np.linspace(0.75, -1.45, 441), snap_off + way]))[::-1]
+    np.sort(np.concatenate([np.linspace(0.75, -1.45, 441), snap_off + remaining]))[::-1]
 )
 
 
@@ -59,17 +65,19 @@ slopes = jax.jit(jax.jacfwd(lambda x: moment_and_snap_off(build(*x))))
 by_moment, by_snap_off = slopes(at)
 moment, _ = moment_and_snap_off(scene)
 by_peak = by_moment[moment.argmax()]
-print("                by stiffness, by distance")
+print("derivatives by:  stiffness, distance")
 print("largest moment:", np.round(by_peak, 5))
 print("snap-off:      ", np.round(by_snap_off, 5))
 
 # %% [markdown]
-# The distance changes the peak, by -31 a length; the stiffness does not. Both move the snap-off.
+# The distance changes the peak, by -31 per unit of length; the stiffness does not
+# change it. Both move the snap-off.
 #
-# ## Backwards, and by differences
+# ## Reverse mode and finite differences
 #
-# Reverse mode, `jax.grad`, is for many inputs: one pass gives the derivative by every number of the scene, as a scene
-# that holds them. Both modes agree, and so do differences of two scans.
+# Reverse mode, `jax.grad`, suits many inputs: one pass computes the derivatives with
+# respect to all numbers of the scene, and returns them as a scene. Both modes agree
+# with each other and with the difference of two scans.
 
 # %%
 backward = jax.jit(jax.grad(lambda scene: moment_and_snap_off(scene)[1]))(scene)
@@ -80,16 +88,16 @@ print("by length L:   ", backward.whisker.length)
 
 step = 1e-2
 softer, stiffer = (moment_and_snap_off(build(70.0 + h, 0.2)) for h in (-step, step))
-print("by stiffness, from differences:", (stiffer[1] - softer[1]) / (2 * step))
+print("by stiffness, finite differences:", (stiffer[1] - softer[1]) / (2 * step))
 assert np.isclose(by_snap_off[0], backward.support.springs[0].stiffness, rtol=1e-8)
 assert np.isclose(by_snap_off[1], backward.profile.distance, rtol=1e-8)
 assert np.isclose(by_snap_off[0], (stiffer[1] - softer[1]) / (2 * step), rtol=1e-4)
 assert np.isclose(backward.support.springs[0].rest_length, -1.0)
 
 # %% [markdown]
-# (A longer rest length moves the whole signal of a single whisker, by as much.)
+# (A longer rest length moves the whole signal of a single whisker by the same length.)
 #
-# ## Beside the fold
+# ## Next to the fold
 
 # %%
 left = np.asarray(along) - snap_off
@@ -107,27 +115,31 @@ beside.axhline(
     color="C1",
     label=r"$|\partial u_s/\partial c|$ of the snap-off",
 )
-beside.set(xlabel="$(u - u_s)/L$, way to the snap-off")
+beside.set(xlabel="distance to the snap-off, $(u - u_s)/L$")
 beside.legend(frameon=False)
 last = np.log(left[near])[-100:], np.log(by_moment[near, 0])[-100:]
 exponent, _ = np.polyfit(*last, 1)
-print(f"exponent beside the snap-off: {exponent:.3f}")
+print(f"exponent next to the snap-off: {exponent:.3f}")
 assert abs(exponent + 0.5) < 0.02
 
 # %% [markdown]
-# Left: the derivative of the moment by the stiffness along the scan. A stiffer spring shifts the signal to and fro and
-# keeps its height, so the derivative is zero at the peak and at the vertex. Right: towards the snap-off it grows with
-# the inverse square root of the way that is left, while the position of the snap-off has one finite derivative.
+# Left: the derivative of the moment with respect to the stiffness along the scan. A
+# stiffer spring shifts the signal but keeps its height, so the derivative is zero at
+# the peak and at the vertex. Right: towards the snap-off this derivative grows with the
+# inverse square root of the remaining distance, while the position of the snap-off has
+# a single finite derivative.
 #
-# It is no fault of the numerics. A snap-off is a fold: two equilibria, a stable and an unstable one, meet there and
-# vanish. Beside it the base moves with the square root of the way that is left; so does the signal at a fixed position
-# of the drive when the stiffness moves the fold.
+# This is not a numerical error. A snap-off is a fold: a stable and an unstable
+# equilibrium meet there and vanish. Next to it, the base moves with the square root of
+# the remaining distance. So does the signal at a fixed drive position when the
+# stiffness moves the fold.
 #
-# ## What that means for a fit
+# ## Consequences for a fit
 #
-# Suppose the moment was measured at 441 positions with a stiffness of 70, and take other stiffnesses for the model.
-# Left is the usual misfit: the sum of squares of what the moments differ by. Right is how far the snap-off is from the
-# measured one.
+# Suppose the moment was measured at 441 positions with a stiffness of 70. Compare it
+# with models of other stiffnesses. Left: the usual misfit, the sum of squared
+# differences of the moments. Right: the distance between the snap-offs of model and
+# measurement.
 
 # %%
 control = np.linspace(0.75, -1.45, 441)
@@ -150,16 +162,18 @@ assert steps.sum() >= 4
 assert np.allclose(moved[close], by_snap_off[0] * (stiffness[close] - 70.0), atol=1e-4)
 
 # %% [markdown]
-# The misfit has steps: whenever the model's snap-off passes a position of the drive, one sample changes between free
-# and in contact. Between the steps its derivative is exact, and knows nothing of them. The position of the snap-off is
-# smooth. `jw.identify` therefore leaves out the samples between the two snaps, and the last one before them, and
-# compares the positions of the snaps in their place.
+# The misfit has steps: whenever the snap-off of the model passes a drive position, one
+# sample changes between free and in contact. Between the steps its derivative is exact
+# but contains no information about them. The position of the snap-off is smooth.
+# Therefore `jw.identify` leaves out the samples between the two snaps and the last one
+# before them, and compares the positions of the snaps instead.
 #
-# ## What tells the stiffness
+# ## Information about the stiffness
 #
-# The standard error of a stiffness is that of a measured value over its derivative. Say moments have an error of 0.065,
-# 1 % of the peak, and the snap-off lies anywhere between two samples, h apart: an error of h over the square root of
-# 12.
+# The standard error of a stiffness is the error of a measured value divided by its
+# derivative. Suppose moments have an error of 0.065, 1 % of the peak, and the snap-off
+# lies anywhere between two samples at distance h, which corresponds to a standard error
+# of h / √12.
 
 # %%
 for h in (0.005, 0.0005):
@@ -174,13 +188,17 @@ for h in (0.005, 0.0005):
 assert by_position < by_moments
 
 # %% [markdown]
-# A finer scan makes the error of the moments smaller with the square root of the step, that of the snap-off in
-# proportion to it: in the end a single position knows more than a whole signal. It also needs no calibration, as a
-# wrong gain of the sensor does not move it. The peak knows nothing of the stiffness at all.
+# With a finer scan, the error from the moments decreases with the square root of the
+# step, and that from the snap-off in proportion to it. In the end a single position
+# contains more information than a whole signal. It also needs no calibration, because a
+# wrong gain of the sensor does not move it. The peak contains no information about the
+# stiffness.
 #
 # ## Something to try
 #
-# - Which stiffness moves the snap-off most? Differentiate at `build(30.0, 0.2)`, near the critical stiffness, and at
-#   `build(300.0, 0.2)`.
-# - The derivative of the vertex's position by the stiffness is zero. Why? (`result.events.of(jw.EventKind.vertex)`)
-# - `jax.jacfwd(jax.jacfwd(...))` of the snap-off: the curve on the right is not quite straight.
+# - Which stiffness moves the snap-off most? Differentiate at `build(30.0, 0.2)`, near
+#   the critical stiffness, and at `build(300.0, 0.2)`.
+# - The derivative of the vertex position with respect to the stiffness is zero. Why?
+#   (`result.events.of(jw.EventKind.vertex)`)
+# - Compute `jax.jacfwd(jax.jacfwd(...))` of the snap-off: the curve on the right is not
+#   quite straight.

@@ -7,10 +7,15 @@
 # %% [markdown]
 # # Stiffness from a measured scan
 #
-# A file holds the reactions at the bases of two coupled whiskers, with noise. Which stiffnesses do the springs have,
-# how well are they known, and what can such a file not tell? The file is `examples/measured.csv`; a script beside it,
-# `make_measured.py`, simulated it, so that this time the truth is known. Everything is dimensionless: lengths in L,
-# forces in EI/L², moments in EI/L, stiffnesses in EI/L³. One to two minutes.
+# After this notebook you can identify spring stiffnesses from a file of measured
+# signals, judge the result, and compute what such a file can and cannot determine.
+#
+# The file contains the noisy reactions at the bases of two coupled whiskers. Which
+# stiffnesses do the springs have, how accurate are they, and which parameters cannot be
+# identified? The file is `examples/measured.csv`. The script `make_measured.py` in the
+# same folder simulated it, so the true values are known. Everything is dimensionless:
+# lengths in L, forces in EI/L², moments in EI/L, stiffnesses in EI/L³. The notebook
+# takes one to two minutes.
 
 # %%
 from pathlib import Path
@@ -30,19 +35,22 @@ data = pd.read_csv(FILE, comment="#")
 data.head(3)
 
 # %% [markdown]
-# One row a step: the position of the drive, and fx, fy, mz of both whiskers.
+# There is one row per step, with the position of the drive and fx, fy, mz of both
+# whiskers.
 
 # %%
 ax = data.plot("control", ["mz_1", "mz_2"], xlabel="$u/L$", ylabel=r"$m_z\,L/EI$")
 
 # %% [markdown]
-# The moments. The drive moves from right to left; whisker 1 touches first, and whisker 2 follows. Where whisker 1 snaps
-# off, at -1.3, the moment of whisker 2 jumps a little: the springs couple them.
+# The moments. The drive moves from right to left; whisker 1 touches first and whisker 2
+# follows. When whisker 1 snaps off, at -1.3, the moment of whisker 2 jumps a little,
+# because springs couple the whiskers.
 #
 # ## The fit
 #
-# A function makes the scene from what is sought: the springs drive-base 1, base 1-base 2 and drive-base 2, and the
-# distance of the object. What has a default is taken as known. The guess may be off by a factor of two or three.
+# A function builds the scene from the unknown parameters: the springs drive-base 1,
+# base 1-base 2 and drive-base 2, and the distance of the object. Arguments with a
+# default are known. The guess may be wrong by a factor of two or three.
 
 
 # %%
@@ -57,30 +65,32 @@ fit = jw.identify(build, guess=dict(c1=100.0, c2=50.0, c3=90.0, q=0.25), measure
 print(fit)
 
 # %% [markdown]
-# The noise was not told; it is estimated from what the fit leaves. The truth, 60, 80, 70 and 0.3, lies within two or
-# three standard errors:
+# No noise was given, so it is estimated from the residuals. The true values, 60, 80, 70
+# and 0.3, are within two or three standard errors:
 
 # %%
 truth = dict(c1=60.0, c2=80.0, c3=70.0, q=0.3)
-off = {
+deviation = {
     name: (fit.estimates[name] - truth[name]) / fit.standard_error[name]
     for name in truth
 }
 print(
-    "estimate - truth, in standard errors:",
-    {name: round(value, 2) for name, value in off.items()},
+    "estimate minus truth, in standard errors:",
+    {name: round(value, 2) for name, value in deviation.items()},
 )
 assert fit.status == jw.FitStatus.ok
-assert max(map(abs, off.values())) < 3
+assert max(map(abs, deviation.values())) < 3
 
 # %%
 axs = jw.plot.fit(fit)
 
 # %% [markdown]
-# Dots were measured, lines are fitted; time runs to the right here. A snap counts by its position: signals on the wrong
-# side of it would tell nothing by their size.
+# Dots are measured, lines are fitted; time runs to the right here. A snap contributes
+# through its position, because the size of signals on the wrong side of it contains no
+# information.
 #
-# Does noise explain what is left? If so, the residuals look like noise, also near the snaps.
+# Does noise explain the residuals? If so, they look like noise everywhere, including
+# near the snaps.
 
 # %%
 figure, ax = pyplot.subplots(figsize=(6.4, 2.2), layout="constrained")
@@ -92,10 +102,10 @@ print(
 )
 
 # %% [markdown]
-# ## How well is it known?
+# ## How accurate is the result?
 #
-# Standard errors take the misfit for a parabola. The profile likelihood does not: it fits all other parameters anew for
-# each value of one.
+# Standard errors assume that the misfit is a parabola. The profile likelihood does not:
+# for each value of one parameter it fits all others again.
 
 # %%
 profile = fit.profile("c2", points=9)
@@ -107,21 +117,22 @@ ax.axhline(3.84, color="0.6", linewidth=0.8)
 ax.set(xlabel="$c_2$", ylabel=r"$\chi^2 - \chi^2_{min}$")
 ax.legend(frameon=False)
 print(
-    "95 %:",
+    "95 % interval from the profile:",
     np.round(profile.interval, 2),
-    "by the profile,",
+    "from standard errors:",
     np.round(fit.interval["c2"], 2),
-    "by standard errors",
 )
 
 # %% [markdown]
-# The two agree: with 441 samples the parabola is good enough. (Where it isn't, the notebook posterior tells more.)
+# Both agree: with 441 samples the parabola is accurate enough. (The notebook
+# `posterior` shows a case in which it is not.)
 #
-# ## What the signals know
+# ## Information in the signals
 #
-# The Fisher information tells beforehand what an experiment can tell: how well, by which channel, and where along the
-# scan. Here with two more unknowns, the rest length of the first spring and the object's position along x; first taken
-# as known.
+# The Fisher information shows before an experiment what it can determine: how
+# accurately, from which channel, and where along the scan. Here there are two more
+# parameters, the rest length of the first spring and the position of the object along
+# x. Both are known at first.
 
 # %%
 noise = dict(fx=0.05, fy=0.1, mz=0.045)
@@ -131,26 +142,28 @@ everything = jw.information(
     sigma=noise,
     control=data.control.to_numpy(),
 )
-told = everything.known("rest", "position")
-print(told)
-ax = jw.plot.information(told)
+known = everything.known("rest", "position")
+print(known)
+ax = jw.plot.information(known)
 
 # %% [markdown]
-# A steep line is where the signals tell most; grey lines are events. The distance is told by the peaks, the springs on
-# the way there, where they are loaded, and just before whiskers snap off. The spring between the whiskers, c2, which is
-# known worst, is told there most of all.
+# Signals contain most information where a line is steep; grey lines are events. The
+# peaks determine the distance. The springs are determined on the way to the peaks,
+# where they are loaded, and just before whiskers snap off. The spring between the
+# whiskers, c2, has the largest error, and most information about it comes from there.
 #
-# ## What no signal tells
+# ## Parameters that are not identifiable
 #
-# And if the two are not known?
+# What if these two parameters are unknown?
 
 # %%
 print(everything)
 
 # %% [markdown]
-# A longer rest length and an object that lies further to the right by as much change no signal: one of the two has to
-# be measured otherwise. A fit would say the same, give both no standard error, and go on. Also never told by forces
-# that are given in EI/L²: EI itself. In newtons and metres it is.
+# A longer rest length and an object shifted to the right by the same length change no
+# signal: one of the two has to be measured in another way. A fit reports the same,
+# gives neither a standard error, and continues. Forces in units of EI/L² cannot
+# determine EI either; forces in newtons can.
 
 # %%
 assert everything.rank == 5
@@ -158,13 +171,15 @@ assert {
     name for name, error in everything.standard_error.items() if np.isnan(error)
 } == {"rest", "position"}
 assert all(
-    np.isclose(told.standard_error[name], fit.standard_error[name], rtol=0.3)
+    np.isclose(known.standard_error[name], fit.standard_error[name], rtol=0.3)
     for name in truth
 )
 
 # %% [markdown]
 # ## Something to try
 #
-# - Moments only: `measured=data[["control", "mz_1", "mz_2"]]`. How much is lost?
-# - Whisker 1 only, `["control", "fx_1", "fy_1", "mz_1"]`: is c2 still identified?
-# - A wrong model: `jw.Support.fbfb((c1, c2))`. How does the fit tell that it is wrong?
+# - Use only the moments: `measured=data[["control", "mz_1", "mz_2"]]`. How much
+#   accuracy is lost?
+# - Use only whisker 1, `["control", "fx_1", "fy_1", "mz_1"]`. Is c2 still identifiable?
+# - Use a wrong model, `jw.Support.fbfb((c1, c2))`. How does the fit show that it is
+#   wrong?

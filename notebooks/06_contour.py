@@ -5,13 +5,22 @@
 # ---
 
 # %% [markdown]
-# # The contour of an object, and how well it is known
+# # The contour of an object, and its accuracy
 #
-# The support reactions tell where a whisker touches: the base is where drive and spring put it, from there the rod is
-# known, and the contact is where its moment vanishes. This notebook takes the signals of one scan to points of the
-# object, to a shape, and to a contour with a band in which it lies. Signals are in SI units: `examples/stone.csv` holds
-# the drive's position in m, forces in N and a moment in N m, with noise of 1 % of the peaks, as a steel wire of 60 mm
-# on a spring of 5 N/m might record them. The object is a stone; its shape is shown at the end. About a minute.
+# After this notebook you can reconstruct contact points from measured signals in SI
+# units, fit a shape or a free contour to them, and see how errors of the sensor change
+# the result.
+#
+# The support reactions determine where a whisker touches an object: drive and spring
+# determine the position of the base, the reactions there determine the shape of the
+# rod, and the contact is where its moment vanishes. This notebook goes from the signals
+# of one scan to points of the object, to a shape, and to a contour with a confidence
+# band.
+#
+# `examples/stone.csv` contains the position of the drive in m, forces in N and a moment
+# in N m, with noise of 1 % of the peaks, like a recording with a steel wire of 60 mm on
+# a spring of 5 N/m. The object is a stone; its true shape is shown at the end. The
+# notebook takes about a minute.
 
 # %%
 from pathlib import Path
@@ -40,10 +49,11 @@ for ax, (name, unit) in zip(
 # %% [markdown]
 # The measured signals; the drive moves from right to left.
 #
-# ## Points, one by one
+# ## Contact points
 #
-# What has to be known is the sensor: the wire, and its support. `sigma` is the standard deviation of the noise, here
-# read from the beginning of the scan, where nothing touches yet.
+# The sensor has to be known: the wire and its support. `sigma` is the standard
+# deviation of the noise, computed here from the beginning of the scan, before the first
+# touch.
 
 # %%
 wire = jw.Whisker.from_material(length=0.06, youngs_modulus=210e9, diameter=0.2e-3)
@@ -56,26 +66,28 @@ print(points)
 ax = jw.plot.contour(points)
 
 # %% [markdown]
-# Every step in which the signals stand out of the noise is one point, with a bar across the contour that holds 95 %.
-# Points are sharp below the stone, where the force is large and acts near the base, and blur to both sides, where the
-# tip touches. Whether tip or shaft touches is decided on the way.
+# Every step whose signals are clear of the noise is one point, with a 95 % bar across
+# the contour. Points are accurate below the stone, where the force is large and acts
+# near the base. They are less accurate on both sides, where the tip touches.
+# `reconstruct` also determines whether tip or shaft touches.
 #
 # ## A shape
 #
-# `fit_profile` fits a shape to the points. Which one?
+# `fit_profile` fits a shape to the points. Which one fits?
 
 # %%
 for family in (jw.Circle, jw.Parabola, jw.Ellipse):
     print(jw.fit_profile(points, family), "\n")
 
 # %% [markdown]
-# The sum of squares tells that none of them is right: it should be about as large as the degrees of freedom. A fit that
-# is no good says so, and has no standard errors.
+# The sum of squares shows that all three are wrong: it should be about as large as the
+# degrees of freedom. A poor fit says so and has no standard errors.
 #
 # ## A contour
 #
-# `fit_contour` asks for less and takes more: any strictly convex shape, and all signals at once, which have to be the
-# scan of that one contour. Its parameters are radii of curvature at some slopes.
+# `fit_contour` assumes less, any strictly convex shape, and uses more: all signals at
+# once, as the scan of this one contour. Its parameters are radii of curvature at some
+# slopes.
 
 # %%
 fit = jw.fit_contour(data, sensor, sigma=sigma, knots=9)
@@ -86,13 +98,13 @@ ax = jw.plot.contour(fit)
 band = fit.band()
 print(
     "standard error across the contour:",
-    f"{1e3 * np.nanmedian(band.error):.4f} mm in the middle",
+    f"{1e3 * np.nanmedian(band.error):.4f} mm (median)",
 )
 
 # %% [markdown]
-# The contour with its 95 % band, which is hardly wider than the line: the points share one noise, and a contour that is
-# smooth averages over hundreds of them. Now for the stone: an ellipse with half axes of 60 and 40 mm, turned by 0.3
-# rad.
+# The contour with its 95 % band, which is hardly wider than the line. Single points are
+# noisy, but a smooth contour averages over hundreds of them. Now compare it with the
+# stone: an ellipse with half axes of 60 and 40 mm, rotated by 0.3 rad.
 
 # %%
 stone = jw.Tilted(jw.Ellipse(0.02, 0.06, 0.04), 0.3, about=(0.0, 0.06))
@@ -105,34 +117,37 @@ ax.plot(1e3 * band.x, 1e3 * away, label="distance to the stone")
 ax.set(xlabel="x (mm)", ylabel="mm")
 ax.legend(frameon=False)
 print(
-    f"{np.mean(inside):.0%} of the contour lies within its band;",
+    f"{np.mean(inside):.0%} of the band contains the stone;",
     f"largest distance {1e3 * np.nanmax(away):.3f} mm",
 )
 assert fit.fit.status == jw.FitStatus.ok
 assert np.nanmax(away / band.error) < 4
 
 # %% [markdown]
-# ## What if the sensor is not what it is believed to be?
+# ## Errors of the sensor
 #
-# A band holds noise, not wrong beliefs. With a spring that is 10 % softer than it is believed to be:
+# The band contains the effect of noise, but not of wrong assumptions. Assume a
+# stiffness that is 10 % too large:
 
 # %%
-believed = jw.Sensor(wire, jw.Support.fb(5.5, rest_length=0.012))
-wrong = jw.reconstruct(data, believed, sigma=sigma)
+assumed = jw.Sensor(wire, jw.Support.fb(5.5, rest_length=0.012))
+wrong = jw.reconstruct(data, assumed, sigma=sigma)
 shift = np.hypot(wrong.x - points.x, wrong.y - points.y)[points.clear]
 print(
     f"points move by up to {1e3 * shift.max():.2f} mm,",
-    f"{1e3 * np.median(shift):.2f} mm in the middle",
+    f"{1e3 * np.median(shift):.2f} mm in the median",
 )
 
 # %% [markdown]
-# One whisker can hardly tell; several whiskers disagree on the contour (`points.consistency()`). What has to be known,
-# and how exactly, is the question of a page of its own, docs/known.md.
+# A single whisker can hardly detect this error; several whiskers disagree about the
+# contour (`points.consistency()`). The page docs/known.md shows which parameters have
+# to be known, and how accurately.
 #
 # ## Something to try
 #
-# - Two whiskers: `examples/measured.csv` with `jw.Sensor(jw.Whisker(), jw.Support.fbfbr((60.0, 80.0, 70.0)))`. Do they
-#   agree? And with a stiffness of 50 in place of 60?
-# - Fewer knots, or more: when does the band no longer hold the stone?
-# - A stiffness that is not known: `jw.fit_contour(data, lambda c: jw.Sensor(wire, jw.Support.fb(c, 0.012)),
-#   parameters=dict(c=8.0), unknown=("c",), sigma=sigma)`.
+# - Use two whiskers: `examples/measured.csv` with `jw.Sensor(jw.Whisker(),
+#   jw.Support.fbfbr((60.0, 80.0, 70.0)))`. Do they agree? And with a stiffness of 50
+#   instead of 60?
+# - Use fewer or more knots. When does the band no longer contain the stone?
+# - Fit an unknown stiffness as well: `jw.fit_contour(data, lambda c: jw.Sensor(wire,
+#   jw.Support.fb(c, 0.012)), parameters=dict(c=8.0), unknown=("c",), sigma=sigma)`.

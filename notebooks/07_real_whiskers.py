@@ -7,10 +7,14 @@
 # %% [markdown]
 # # Real whiskers: taper, curvature, follicles, whisking
 #
-# Vibrissae are cones, they are curved, their bases yield in all directions, and they turn about the follicle rather
-# than move along a line. This notebook adds these one by one, and ends with a rat's whisker in SI units. Before that
-# everything is dimensionless: lengths in L, forces in EI/L², moments in EI/L, with EI at the base. Two minutes, most of
-# it for the compiler: each new kind of scene is compiled once.
+# After this notebook you can model conical and curved whiskers, bases that yield in all
+# directions, and drives that rotate.
+#
+# Vibrissae are conical and curved. Their bases yield in all directions, and the drive
+# rotates about the follicle instead of moving along a line. This notebook adds these
+# features one by one and ends with a rat's whisker in SI units. Until then everything
+# is dimensionless: lengths in L, forces in EI/L², moments in EI/L, with EI at the base.
+# It takes two minutes, mostly for compilation: each new kind of scene is compiled once.
 
 # %%
 import jax
@@ -24,9 +28,9 @@ import jaxwhisker as jw
 # %% [markdown]
 # ## Taper and curvature
 #
-# `Whisker.conical` has a diameter that falls linearly from base to tip; positive `intrinsic_curvature` bends the
-# unloaded whisker towards -x, where the scan goes. With E = 64/pi and a base diameter of 1 the bending stiffness at the
-# base is 1.
+# The diameter of `Whisker.conical` decreases linearly from base to tip. Positive
+# `intrinsic_curvature` bends the unloaded whisker towards -x, the direction of the
+# scan. With E = 64/pi and a base diameter of 1, the bending stiffness at the base is 1.
 
 
 # %%
@@ -50,9 +54,10 @@ ax = jw.plot.compare(scans, "mz")
 legend = ax.legend(fontsize="small", frameon=False)
 
 # %% [markdown]
-# The moment over the position of the drive, which moves from right to left. A taper makes the signal lower and shorter:
-# the slender end slips off earlier. A whisker that is curved forwards touches earlier and gives more, one that is
-# curved backwards less.
+# The moment over the position of the drive, which moves from right to left. A taper
+# makes the signal lower and shorter, because the slender end slips off earlier. A
+# whisker that is curved forwards touches earlier and has a larger signal; one that is
+# curved backwards has a smaller signal.
 
 # %%
 for name, result in scans.items():
@@ -65,9 +70,10 @@ uniform = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), rod=jw.ClosedForm()))
 assert np.isclose(scans["uniform, straight"].mz.max(), uniform.mz.max(), rtol=1e-5)
 
 # %% [markdown]
-# The uniform one is checked against elliptic functions. The cone of 5:1 loses its hold with a part of the shaft still
-# beyond the contact. Unbent it would stand in the object there, so it swings over to the far side, where it leans on
-# the object the other way round (mz < 0) until it is released:
+# The uniform whisker is compared with elliptic functions. The 5:1 cone loses its stable
+# equilibrium while a part of the shaft still extends beyond the contact. Its unloaded
+# shape would intersect the object, so it swings to the far side. There it leans on the
+# object, bent in the opposite direction (mz < 0), until it is released:
 
 # %%
 ax = jw.plot.shapes(scans["cone 5:1"], [-0.70, -0.80])
@@ -75,8 +81,9 @@ ax = jw.plot.shapes(scans["cone 5:1"], [-0.70, -0.80])
 # %% [markdown]
 # ## A base that yields
 #
-# `Support.follicle` is a spring for each direction in which the base gives way: across the whisker (x), along it (y),
-# and in angle (phi). Here is a torsion spring, from soft to rigid, in EI/L.
+# `Support.follicle` has a spring for each direction in which the base can yield: across
+# the whisker (x), along it (y), and in angle (phi). These scans vary a torsion spring,
+# from soft to rigid, in EI/L.
 
 
 # %%
@@ -96,8 +103,9 @@ ax = jw.plot.compare(by_torsion, "mz")
 legend = ax.legend(fontsize="small", frameon=False)
 
 # %% [markdown]
-# With springs across the whisker the height of the signal does not depend on the stiffness (notebook 03_studies). With
-# a torsion spring it does: the base leans under the very load that makes the peak.
+# With springs across the whisker, the height of the signal does not depend on the
+# stiffness (notebook 03_studies). With a torsion spring it does, because the load that
+# makes the peak also tilts the base.
 
 # %%
 peaks = np.array([result.mz.max() for result in by_torsion.values()])
@@ -109,11 +117,12 @@ print(
 assert np.all(np.diff(peaks) > 0)
 
 # %% [markdown]
-# ## A rat's whisker, whisking
+# ## A rat's whisker
 #
-# `Whisker.rat` has average length and diameters for each place of the array, in SI units. The support yields across and
-# in angle, and the drive turns about the follicle: the control is its angle, in rad. (Stiffnesses of follicles are
-# hardly known; these two are for comparison.)
+# `Whisker.rat` has the average length and diameters for each position in the array, in
+# SI units. The support yields across and in angle, and the drive rotates about the
+# follicle: the control is its angle in rad. (The stiffnesses of follicles are hardly
+# known; these two are for comparison.)
 
 # %%
 rat = jw.Whisker.rat("C", 2, intrinsic_curvature=10.0)
@@ -137,35 +146,38 @@ print(soft)
 ax = jw.plot.shapes(soft)
 
 # %% [markdown]
-# The whisker turns counter-clockwise about its base, from the right, against a post 10 mm thick and 20 mm away, bends,
-# and slips past it. Lengths are in L = 33 mm; the zigzag and the coil are the two springs.
+# The whisker rotates counter-clockwise about its base, from the right. It touches a
+# post 10 mm thick and 20 mm away, bends, and slips past it. Lengths are in L = 33 mm;
+# the zigzag and the coil are the two springs.
 
 # %%
 ax = jw.plot.compare({"firm follicle": firm, "soft follicle": soft}, "mz")
 ax.legend(fontsize="small", frameon=False)
-leaning = {}
+tilt = {}
 for name, result in {"firm": firm, "soft": soft}.items():
-    leaning[name] = np.degrees(np.abs(result.base_angle[:, 0] - result.control).max())
+    tilt[name] = np.degrees(np.abs(result.base_angle[:, 0] - result.control).max())
     moment, force = (
         1e6 * float(result.mz.max()),
         1e6 * float(result.contact_force.max()),
     )
     print(
         f"{name}: up to {moment:.2f} µN m and {force:.0f} µN;",
-        f"the base leans by up to {leaning[name]:.1f} degrees",
+        f"the base tilts by up to {tilt[name]:.1f} degrees",
     )
-assert leaning["soft"] > leaning["firm"]
+assert tilt["soft"] > tilt["firm"]
 assert soft.events[-1].control > firm.events[-1].control
 assert np.all(soft.status == jw.Status.ok) and np.all(firm.status == jw.Status.ok)
 
 # %% [markdown]
-# The soft follicle leans back under the load, so that the whisker comes later, and lets go later: in the angle of the
-# drive at the contact there is the follicle's stiffness, too.
+# The soft follicle tilts back under the load, so the whisker touches and slips off
+# later. The angle of the drive during contact therefore contains information about the
+# stiffness of the follicle.
 #
 # ## Something to try
 #
-# - Other whiskers of the array: rows "A" to "E", columns 0 to 5. Which one feels the post first?
-# - The post nearer, or to the side: `jw.Circle(..., position=0.1 * rat.length)`. Is the moment still a measure of the
-#   distance?
-# - Two whiskers on one plate that leans: `jw.Support(springs=(...), mount=(jw.Mount(...), jw.Mount(...)))`, see
-#   docs/supports.md.
+# - Use other whiskers of the array: rows "A" to "E", columns 0 to 5. Which one touches
+#   the post first?
+# - Move the post closer, or to the side: `jw.Circle(..., position=0.1 * rat.length)`.
+#   Is the moment still a measure of the distance?
+# - Mount two whiskers at different angles: `jw.Support(springs=(...),
+#   mount=(jw.Mount(...), jw.Mount(...)))`, see docs/supports.md.

@@ -7,9 +7,14 @@
 # %% [markdown]
 # # Error against run time
 #
-# A scan solves for thousands of equilibria, and in each of them for the shape of a rod. How exact should that be, and
-# what does it cost? This notebook measures a few ways on this machine, and shows what was measured with more care and
-# beside other simulators. One to two minutes, nearly all of it for the compiler; the measured times are microseconds.
+# After this notebook you can choose how a rod is computed, with a known error and run
+# time.
+#
+# A scan solves for thousands of equilibria, and each of them contains the shape of a
+# rod. How accurate should it be, and what does it cost? This notebook measures a few
+# methods on this machine. It then shows stored results that compare more methods and
+# other simulators. It takes one to two minutes, nearly all of it for compilation; the
+# measured times are microseconds.
 
 # %%
 import json
@@ -29,11 +34,12 @@ from matplotlib import pyplot
 import jaxwhisker as jw
 
 # %% [markdown]
-# ## Ways to compute a rod
+# ## Methods for a rod
 #
-# `Shooting` integrates the rod from the contact to its base, in constant steps, with any solver of diffrax.
-# `Splitting`, its default, is made for rods: of order 4 with 6 stages a step, of order 6 with 11. `ClosedForm` takes
-# elliptic functions, for uniform straight whiskers; it is exact to rounding, and the reference here.
+# `Shooting` integrates the rod from the contact to the base in constant steps, with any
+# solver of diffrax. Its default, `Splitting`, is made for rods: order 4 with 6 stages
+# per step, order 6 with 11. `ClosedForm` uses elliptic functions for uniform straight
+# whiskers. It is exact to rounding and serves as the reference here.
 
 # %%
 rods = {
@@ -54,8 +60,9 @@ def scan(rod):
 
 
 # %% [markdown]
-# The first scan of each compiles; of five more the fastest counts. The error is the largest difference of fx, fy and mz
-# to the closed form, as a share of the peaks.
+# The first scan with each method compiles. The time is the fastest of five more scans.
+# The error is the largest difference of fx, fy and mz from the closed form, as a
+# fraction of the peaks.
 
 # %%
 rows = []
@@ -97,17 +104,19 @@ ax.axvline(
     linewidth=1,
     label="elliptic functions",
 )
-ax.set(xlabel="us per step", ylabel="largest error, share of the peak", xlim=(0, None))
+ax.set(
+    xlabel="us per step", ylabel="largest error, fraction of the peak", xlim=(0, None)
+)
 legend = ax.legend(fontsize="small", bbox_to_anchor=(1.0, 1.0), frameon=False)
 
 # %% [markdown]
-# Down and to the left is better; the line is the closed form, whose error has no place on this scale. (Whatever else
-# the machine does shows in such times.)
+# Down and to the left is better. The line is the closed form, whose error is too small
+# for this scale. (Other programs on the machine affect such times.)
 #
-# ## In batches
+# ## Batches
 #
-# Batches of scans with different stiffnesses share the overhead of every operation; `jax.vmap` makes them of a scan,
-# and `jw.study` does it for you.
+# Scans in a batch share the overhead of every operation. `jax.vmap` turns a scan into a
+# batch, and `jw.study` does so internally.
 
 # %%
 stiffness, few = jnp.linspace(60.0, 200.0, 256), jnp.asarray(control[::16])
@@ -127,7 +136,7 @@ each = 1e6 * (time.perf_counter() - begin) / together.size
 print(f"{together.size:,} equilibria of {stiffness.size} scans: {each:.1f} us each")
 
 # %% [markdown]
-# Every equilibrium of the batch is that of its scan alone.
+# Every equilibrium of the batch equals that of the single scan.
 
 # %%
 alone = jw.scan(
@@ -144,10 +153,11 @@ assert (
 )
 
 # %% [markdown]
-# ## Beside others
+# ## Other simulators
 #
-# `make bench` measures more methods, with interleaved repetitions, and stores what it finds. These are the results in
-# the repository; docs/numerics.md tells how they were measured.
+# `make bench` measures more methods, with interleaved repetitions, and stores the
+# results. These are the results in the repository; docs/numerics.md describes how they
+# were measured.
 
 # %%
 stored = json.loads(Path("../benchmarks/results/work_precision.json").read_text())
@@ -157,22 +167,28 @@ print(
         for name in ("processor", "cores", "date", "jax")
     }
 )
-rows = pd.DataFrame(stored["rows"])
+rows = pd.DataFrame(stored["rows"], columns=stored["columns"])
 one = rows[(rows.batch == 1) & (rows.error < 1)]
 figure, ax = pyplot.subplots(figsize=(8, 4.5), layout="constrained")
 for method, own in one.groupby("method", sort=False):
     ax.loglog(own["us per equilibrium"], own.error, "o", label=method)
-ax.set(xlabel="us per equilibrium", ylabel="largest error, share of the peak")
+ax.set(xlabel="us per equilibrium", ylabel="largest error, fraction of the peak")
 ax.legend(fontsize="small", bbox_to_anchor=(1.0, 1.0), frameon=False)
 best = one[one.error < 1e-6].groupby("method")["us per equilibrium"].min().sort_values()
-print("\nto better than 1e-6, us per equilibrium:", best.round(1).to_string(), sep="\n")
+print(
+    "\nus per equilibrium with an error below 1e-6:",
+    best.round(1).to_string(),
+    sep="\n",
+)
 
 # %% [markdown]
-# One point a method and setting, for a single scan. Simulators of whole bodies (a chain of hinges, a Cosserat rod) do
-# much more than a scan needs, and pay for it.
+# One point per method and setting, for a single scan. General simulators (a chain of
+# hinges, a Cosserat rod) compute much more than a scan needs, which takes time.
 #
 # ## Something to try
 #
-# - Which setting is enough for a sensor with noise of 1 %? And for its derivatives?
-# - More steps of the drive, fewer: what does a scan of 100 steps cost? (The path is followed in steps of its own.)
-# - A cone: `jw.Whisker.conical(...)` needs `Shooting`, and takes twice the steps.
+# - Which setting is accurate enough for a sensor with noise of 1 %? And for its
+#   derivatives?
+# - Use more or fewer steps of the drive. What does a scan of 100 steps cost? (The path
+#   is followed in steps of its own size.)
+# - Use a cone: `jw.Whisker.conical(...)` needs `Shooting` and twice as many steps.

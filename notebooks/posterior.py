@@ -7,9 +7,14 @@
 # %% [markdown]
 # # A posterior for the stiffness of springs
 #
-# `jw.identify` gives estimates with standard errors from the curvature of the misfit at its minimum. Where few samples
-# or much noise leave more than a parabola, the likelihood itself can be sampled: `fit.log_density` is its logarithm,
-# with derivatives. Needs `pip install 'jaxwhisker[posterior]'`. About three minutes on two cores.
+# After this notebook you can sample the posterior of identified parameters and compare
+# it with their standard errors.
+#
+# `jw.identify` computes standard errors from the curvature of the misfit at its
+# minimum. With few samples or much noise the misfit is not a parabola. The likelihood
+# can then be sampled: `fit.log_density` is its logarithm, with derivatives. The
+# notebook needs `pip install 'jaxwhisker[posterior]'` and takes about three minutes on
+# two cores.
 
 # %%
 import jax
@@ -31,7 +36,8 @@ def build(c, q):
 
 
 # %% [markdown]
-# A short scan of one whisker on a spring of stiffness 60, with noise of a tenth of the peak.
+# A short scan of one whisker on a spring of stiffness 60, with noise of a tenth of the
+# peak.
 
 # %%
 noise = {"fx": 0.5, "fy": 1.0, "mz": 0.45}
@@ -47,8 +53,8 @@ fit = jw.identify(build, {"c": 80.0, "q": 0.25}, measured, sigma=noise)
 print(fit)
 
 # %% [markdown]
-# The No-U-Turn sampler on the same density. The variables are logarithms (`fit.variables`, `fit.parameters`): with
-# nothing added, the prior is flat in them.
+# The No-U-Turn sampler on this density. The variables are logarithms (`fit.variables`,
+# `fit.parameters`); without an additional term, the prior is flat in them.
 
 # %%
 key_warmup, key_run = jax.random.split(jax.random.key(0))
@@ -87,7 +93,11 @@ ax.set(xlabel=r"$c\,L^3/EI$", ylabel="$q/L$")
 legend = ax.legend(frameon=False)
 
 # %% [markdown]
-# Stiff springs are hard to tell from one another: the posterior has a tail towards them, in which the truth lies here,
-# and which an ellipse about the estimate does not have.
+# Stiff springs are hard to distinguish. The posterior therefore has a tail towards
+# stiff springs, which the ellipse around the estimate does not have. The true value
+# lies in this tail here.
 #
-# Something to try: leave out every second sample, or all before the vertex. When do the two disagree?
+# ## Something to try
+#
+# Leave out every second sample, or all samples before the vertex. When do posterior and
+# ellipse disagree?

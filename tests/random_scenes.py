@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from independent import Mechanics
 
 import jaxwhisker as jw
-from independent import Mechanics
 
 STEPS = 64
 NETWORKS = {

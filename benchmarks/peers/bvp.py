@@ -1,15 +1,15 @@
-"""The boundary value problem by scipy's collocation, solve_bvp: unknown parameters are f, alpha and, tangential, s1."""
+"""Boundary value problem, solved with scipy's solve_bvp; unknown parameters are f, alpha and, if tangential, s1."""
 
 import numpy as np
 from scipy.integrate import solve_bvp
 
 from peers.scene import CONTACT_SLOPE, Scene
 
-NODES = 11  # of the first mesh; solve_bvp refines
+NODES = 11  # of the first mesh, which solve_bvp refines
 
 
 def scan(scene: Scene, control: np.ndarray, tol: float) -> np.ndarray:
-    """Support reactions fx, fy, mz at every control: (steps, 3)."""
+    """Support reactions fx, fy, mz at every drive position, (steps, 3)."""
     sigma = np.linspace(0, 1, NODES)
     guess = sigma, np.stack([np.full(NODES, np.sqrt(0.8)), sigma, np.full(NODES, np.pi / 2)]), (0.01, CONTACT_SLOPE)
     tip, reactions = True, []
@@ -32,7 +32,7 @@ def scan(scene: Scene, control: np.ndarray, tol: float) -> np.ndarray:
 
         solution = solve_bvp(bend, ends, *guess, tol=tol)
         over = solution.y[2, -1] < solution.p[1] if tip else solution.p[2] > 1
-        if over:  # the other kind of contact
+        if over:  # switch to the other phase
             tip = not tip
             parameters = solution.p[:2] if tip else (*solution.p, 1.0)
             solution = solve_bvp(bend, ends, solution.x, solution.y, parameters, tol=tol)

@@ -1,9 +1,9 @@
-"""PyElastica: a Cosserat rod dragged beneath a sphere by its clamped base and left to come to rest, state by state.
+"""PyElastica: a Cosserat rod whose clamped base is dragged beneath a sphere; every state is damped to rest.
 
-Dynamics with damping, as PyElastica has no statics. Its rod stretches and shears, which a thin one hardly does: with
-EI = 1 its stretching stiffness is 4 / radius^2. Contact is a force of our own on the nodes inside the circle:
-RodSphereContact looks for an element between its middle and a whole element further, so that a rod touches too early.
-Clamped is the first node and the first element, as OneEndFixedBC does it, which makes the error one of first order.
+PyElastica has no statics. Its rod also stretches and shears, but a thin rod does so very little: with EI = 1 the
+stretching stiffness is 4 / radius^2. Contact is a user-defined force on the nodes inside the circle, because
+RodSphereContact locates the element up to one element too far and the rod touches too early. The clamp holds the first
+node and the first element, as OneEndFixedBC does, which makes the error first order.
 """
 
 import elastica as ea
@@ -12,8 +12,8 @@ import numpy as np
 from peers.scene import Circle
 
 RADIUS = 0.02
-SPEED = 0.2  # of the base between states, where the slowest free vibration has a period of 1.8
-REST = 8.0  # time at rest before a state is read
+SPEED = 0.2  # of the base between states; the slowest free vibration has a period of 1.8
+REST = 8.0  # waiting time before a state is read
 DAMPING = 3.0
 CONTACT_STIFFNESS = 1e5
 
@@ -23,14 +23,14 @@ class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping
 
 
 class _Object(ea.NoForces):
-    """Pushes nodes out of the circle."""
+    """Push nodes out of the circle."""
 
     def __init__(self, scene):
         super().__init__()
         self.centre, self.radius = np.array([[0.0], [scene.distance + scene.radius], [0.0]]), scene.radius
 
     def forces(self, rod):
-        """On every node: (3, nodes)."""
+        """Force on every node, (3, nodes)."""
         away = rod.position_collection - self.centre
         apart = np.sqrt(np.sum(away**2, axis=0))
         return CONTACT_STIFFNESS * np.maximum(self.radius / apart - 1, 0.0) * away
@@ -40,7 +40,7 @@ class _Object(ea.NoForces):
 
 
 class _Clamp(ea.ConstraintBase):
-    """The base stands upright and moves along x as told."""
+    """Hold the base upright and move it along x as a function of time."""
 
     def __init__(self, position, director, x_of_time, **kwargs):
         super().__init__(**kwargs)
@@ -56,7 +56,7 @@ class _Clamp(ea.ConstraintBase):
 
 
 def states(scene: Circle, base_x: np.ndarray, elements: int) -> np.ndarray:
-    """Support reactions fx, fy, mz at falling base positions, of a clamped whisker: (states, 3)."""
+    """Support reactions fx, fy, mz of a clamped whisker at decreasing base positions, (states, 3)."""
     start = scene.radius  # clear of the object
     drag = np.abs(np.diff([start, *base_x])) / SPEED
     ends = np.cumsum(drag + REST)
@@ -75,7 +75,7 @@ def states(scene: Circle, base_x: np.ndarray, elements: int) -> np.ndarray:
         youngs_modulus=4 / (np.pi * RADIUS**4),
     )
     simulator.append(rod)
-    dt = 0.3 / elements * RADIUS / 2  # of the time that a longitudinal wave takes through an element
+    dt = 0.3 / elements * RADIUS / 2  # fraction of the time in which a longitudinal wave passes an element
     simulator.constrain(rod).using(
         _Clamp,
         constrained_position_idx=(0,),

@@ -1,9 +1,9 @@
-"""A chain of hinges in MuJoCo, relaxed to rest at each control: the usual way to have whiskers in a robot simulator.
+"""MuJoCo: a chain of hinges that relaxes to rest at each drive position, the usual whisker model in robot simulators.
 
-Rigid links of length h = 1/n, half a link at either end, joined by hinges of stiffness 1/h; the base slides on its
-spring. The object is a sphere, which MuJoCo meets with capsules exactly; in the plane of its centre it is the circle.
-Only the state at rest counts: the inertia (armature) is such that all hinges are equally fast, and damping is nearly
-critical. A contact may flicker beside a hinge: what does not come to rest is NaN.
+Rigid links of length h = 1/n, with half a link at either end, are joined by hinges of stiffness 1/h; the base slides on
+its spring. The object is a sphere, for which MuJoCo's contact with capsules is exact; in the plane of its centre it is
+the circle. Only the state at rest counts, so the inertia (armature) makes all hinges equally fast and damping is nearly
+critical. Contact next to a hinge may flicker; states that do not come to rest are NaN.
 """
 
 import mujoco
@@ -11,13 +11,13 @@ import numpy as np
 
 from peers.scene import Circle
 
-THICKNESS = 1e-3  # radius of the capsules; the sphere is smaller by as much
-STILL = 1e-7  # largest velocity that is rest, where the hinges' own period is 2 pi
-MOST = 1000  # steps
+THICKNESS = 1e-3  # radius of the capsules; the radius of the sphere is reduced by the same amount
+STILL = 1e-7  # largest velocity at rest; the hinges have a period of 2 pi
+MOST = 1000  # time steps
 
 
 def model(scene: Circle, links: int) -> mujoco.MjModel:
-    """The chain upright, its joints in order: slide of the base, hinges from base to tip."""
+    """Upright chain; joints in order: slide of the base, hinges from base to tip."""
     h = 1 / links
     chain = ""
     for number in reversed(range(links + 1)):
@@ -42,7 +42,7 @@ def model(scene: Circle, links: int) -> mujoco.MjModel:
 
 
 def scan(scene: Circle, control: np.ndarray, links: int) -> np.ndarray:
-    """Support reactions fx, fy, mz at every control: (steps, 3)."""
+    """Support reactions fx, fy, mz at every drive position, (steps, 3)."""
     chain = model(scene, links)
     data = mujoco.MjData(chain)
     data.qpos[0] = control[0] + scene.rest_length
@@ -60,7 +60,7 @@ def scan(scene: Circle, control: np.ndarray, links: int) -> np.ndarray:
         fx = fy = mz = 0.0
         for number, contact in enumerate(data.contact):
             mujoco.mj_contactForce(chain, data, number, wrench)
-            push = wrench[0] * contact.frame[:2]  # along the normal, from the sphere to the chain
+            push = wrench[0] * contact.frame[:2]  # along the normal from sphere to chain
             fx, fy = fx - push[0], fy - push[1]
             mz -= (contact.pos[0] - data.qpos[0]) * push[1] - contact.pos[1] * push[0]
         reactions.append((fx, fy, mz))

@@ -1,7 +1,7 @@
-"""diffrax and optimistix as they come: the same equations, stock solvers, stock Newton, marched along the control.
+"""The same equations with stock solvers of diffrax and stock Newton of optimistix, marched along the control.
 
-Unknown are z = (f, alpha, w): s1 = 1 - max(w, 0), angle to the object max(-w, 0). The rod is integrated from contact to
-base. Every solve starts from the line through the last two.
+The unknowns are z = (f, alpha, w) with s1 = 1 - max(w, 0) and the angle max(-w, 0) to the object. The rod is integrated
+from contact to base. Every solve starts from the linear extrapolation of the last two solutions.
 """
 
 import diffrax
@@ -13,7 +13,7 @@ from peers.scene import CONTACT_SLOPE, Scene
 
 
 def scan(scene: Scene, control, solver: diffrax.AbstractSolver, *, steps: int | None, tolerance: float):
-    """Support reactions fx, fy, mz at every control: (steps, 3); adaptive steps if `steps` is None."""
+    """Support reactions fx, fy, mz at every drive position, (steps, 3); adaptive steps if `steps` is None."""
 
     def field(_, state, args):
         x, y, cos, sin = state

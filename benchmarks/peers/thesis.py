@@ -1,7 +1,8 @@
-"""The thesis's algorithm, ported: scipy's fsolve around solve_ivp, tangential contact first, then tip contact.
+"""Port of the thesis's algorithm: scipy's fsolve around solve_ivp, tangential contact first, then tip contact.
 
-The rod is shot from the base, whose curvature follows from the unknowns, to the contact. Unknown are (f, alpha, s1) in
-tangential contact, (f, alpha) in tip contact; every solve starts from the last one of its kind.
+The rod is shot from the base, whose curvature follows from the unknowns, to the contact. The unknowns are
+(f, alpha, s1) in tangential contact and (f, alpha) in tip contact. Every solve starts from the last solution in the
+same phase.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from peers.scene import CONTACT_SLOPE, Scene
 
 
 def scan(scene: Scene, control: np.ndarray, rtol: float) -> np.ndarray:
-    """Support reactions fx, fy, mz at every control: (steps, 3)."""
+    """Support reactions fx, fy, mz at every drive position, (steps, 3)."""
 
     def shot(u, f, alpha, s1):
         force = f * np.sin(alpha), -f * np.cos(alpha)
@@ -29,8 +30,8 @@ def scan(scene: Scene, control: np.ndarray, rtol: float) -> np.ndarray:
     tangential, tip = np.array([0.5, CONTACT_SLOPE, 0.99]), np.array([0.01, CONTACT_SLOPE])
     reactions = []
     for u in control:
-        z, _, found, _ = fsolve(lambda z, u=u: shot(u, *z)[0], tangential, xtol=rtol, full_output=True)
-        if found == 1 and 0 < z[2] <= 1:
+        z, _, code, _ = fsolve(lambda z, u=u: shot(u, *z)[0], tangential, xtol=rtol, full_output=True)
+        if code == 1 and 0 < z[2] <= 1:
             tangential = z
         else:
             tip = fsolve(lambda z, u=u: shot(u, *z, 1.0)[0][:2], tip, xtol=rtol)

@@ -30,7 +30,7 @@ from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.shapes import Shapes, shapes
 from jaxwhisker._study.study import study
 from jaxwhisker._study.summaries import summary
-from jaxwhisker.film import animate
+from jaxwhisker.film.animate import animate
 
 __all__ = [
     "AbstractMotion",

@@ -1,4 +1,7 @@
-"""The Python code of README and docs runs, each page from top to bottom; its tables are those of the stored results."""
+"""The Python code of README and docs runs, each page from top to bottom, and prints what the page shows below it.
+
+Their tables are those of the stored results.
+"""
 
 import re
 import sys
@@ -19,6 +22,8 @@ import report  # noqa: E402
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BY_HAND = re.compile(r"^<!-- run by hand: (.+) -->\n(?=```python\n)", re.MULTILINE)
 SKIPPED = Skipper("run by hand")
+OUTPUT = re.compile(r"\n*```text\n(.*?)^```", re.MULTILINE | re.DOTALL)  # right below a code block: what it prints
+NUMBER = re.compile(r"[+-]?\d+\.\d*(?:e[+-]?\d+)?")
 
 
 def by_hand(document):
@@ -35,14 +40,26 @@ def name_of(page):
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if "```python" in page.read_text("utf-8")], ids=name_of)
-def test_code_runs(page, tmp_path, monkeypatch):
+def test_code_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    text = page.read_text("utf-8")
     for block in CODE.parse(page):
         try:
             block.evaluate()
         except SkipTest:
             continue
+        printed = capsys.readouterr().out
+        if shown := OUTPUT.match(text, block.region.end):
+            assert NUMBER.sub("#", printed).split() == NUMBER.sub("#", shown[1]).split()
+            for number, expected in zip(NUMBER.findall(printed), NUMBER.findall(shown[1]), strict=True):
+                assert float(number) == pytest.approx(float(expected), rel=0, abs=last_digit(expected)), shown[1]
     pyplot.close("all")
+
+
+def last_digit(number):
+    """One unit of the last decimal, since processors round differently."""
+    mantissa, _, exponent = number.partition("e")
+    return 1.01 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
 
 
 def test_every_block_is_found():

@@ -1,6 +1,5 @@
 """The documentation's site: every public name has its place, every name and file that a page speaks of exists."""
 
-import ast
 import re
 from collections import Counter
 from pathlib import Path
@@ -39,7 +38,6 @@ def test_every_public_name_is_described_once():
 
 
 def test_what_is_described_is_what_the_package_gives():
-    # `jaxwhisker.scan` is a module where files are read, and a function where they are imported.
     read = griffe.load("jaxwhisker", search_paths=[ROOT / "src"])
     for path in described():
         found = read[path.removeprefix("jaxwhisker.")]
@@ -78,21 +76,3 @@ def test_the_navigation_has_every_page():
         return [leaf for part in (entry.values() if isinstance(entry, dict) else entry) for leaf in leaves(part)]
 
     assert sorted(leaves(settings["nav"])) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
-
-
-def test_imports_point_upwards_in_the_table_of_rooms():
-    table = (DOCS / "developing.md").read_text("utf-8").split("| --- | --- | --- |")[1].split("\n\n")[0]
-    rooms = [re.findall(r"`(\w+)/?`", row.split("|")[2]) for row in table.strip().splitlines()]
-    floor = {name: number for number, room in enumerate(rooms) for name in room}
-    package = ROOT / "src" / "jaxwhisker"
-    for file in sorted(package.rglob("*.py")):
-        own = file.relative_to(package).parts[0].removesuffix(".py")
-        if own.startswith("_"):
-            continue
-        # At the top of a file; what is imported where it is needed is another matter.
-        for statement in ast.parse(file.read_text("utf-8")).body:
-            module = statement.module or "" if isinstance(statement, ast.ImportFrom) else ""
-            if isinstance(statement, ast.ImportFrom) and module.startswith("jaxwhisker"):
-                _, *names = module.split(".")
-                used = names[:1] or [alias.name for alias in statement.names]
-                assert all(floor[name] <= floor[own] for name in used if not name.startswith("_")), (file, used)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._equilibrium.newton import Mode, Point, at_control, newton_step
+from jaxwhisker._equilibrium.newton import newton_step
+from jaxwhisker._equilibrium.point import Mode, Point, at_control
 from jaxwhisker._equilibrium.problem import problem_of
 from operations import operations, rods, traced
 from scenes import model

@@ -41,3 +41,21 @@ def positive_definite(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
             rows[j] = rows[j] - rows[i] * (rows[j][i] / rows[i][i])
         definite &= rows[i + 1][i + 1] > 0
     return definite
+
+
+def block_diagonal(blocks: Float[Array, "n size size"]) -> Float[Array, "rows rows"]:
+    """The matrix with these blocks on its diagonal."""
+    n, size, _ = blocks.shape
+    if size == 1:
+        return blocks[:, 0, 0, None] * jnp.eye(n)
+    return jnp.reshape(jnp.eye(n)[:, None, :, None] * blocks[:, :, None, :], (n * size, n * size))
+
+
+def times_block_diagonal(
+    matrix: Float[Array, "rows rows"], blocks: Float[Array, "n size size"]
+) -> Float[Array, "rows rows"]:
+    """A matrix times the one with these blocks on its diagonal."""
+    n, size, _ = blocks.shape
+    if size == 1:
+        return matrix * blocks[:, 0, 0]
+    return jnp.reshape(jnp.sum(jnp.reshape(matrix, (-1, n, size, 1)) * blocks, axis=2), matrix.shape)

@@ -1,10 +1,11 @@
-"""One whisker in contact: from the unknowns at the contact to pose and reaction at the base.
+"""One whisker in contact: from the unknowns at the contact to the pose of the base and the reaction there.
 
-A contact is described by z = (force, parameter, slack): the force's magnitude f >= 0, the profile's parameter where it
-acts, and the slack: the arc of the whisker beyond the contact (> 0, tangential contact) or minus the angle between
-whisker and object (< 0, tip contact). Both phases are one system, smooth within each, and regular at first touch
-(f = 0) and across the phases. The rod is integrated in the frame of the contact; whiskers on the far side (side = -1),
-bent the other way, are its mirror image.
+A contact is described by z = (force, parameter, slack): the magnitude f >= 0 of the contact force, the parameter of the
+profile at the contact point, and the slack. In tangential contact the slack is positive: the arc length of the whisker
+beyond the contact. In tip contact it is negative: minus the angle between whisker and object. Both phases are one
+system of equations, smooth within each phase and regular at first touch (f = 0) and at a change of phase. The rod is
+integrated in the frame of the contact. A whisker on the far side (side = -1) bends the other way: it is the mirror
+image.
 """
 
 import dataclasses
@@ -24,7 +25,7 @@ from jaxwhisker._rod.rod import Section
 
 
 class Phase(IntEnum):
-    """How a whisker touches the object."""
+    """Contact phase of a whisker."""
 
     free = 0
     tip = 1
@@ -32,19 +33,19 @@ class Phase(IntEnum):
 
 
 class Body(NamedTuple):
-    """What a contact needs to know of its whisker and object; dimensionless. Of several: see of_each."""
+    """A whisker and the object before it, dimensionless; or all whiskers, stacked (see `of_each`)."""
 
     length: Float[Array, "*batch"]
     bending_stiffness: Float[Array, "*batch"]  # at the base
     profile: AbstractProfile
     rod: AbstractRod
-    section: Section | tuple[Section, ...] | None = None  # None if uniform; of several that are not alike, one each
-    frame: Frame | None = None  # in which its base is looked at; None if upright at height 0, and moved along x only
-    frame_rate: Frame | None = None  # its derivative by the control
+    section: Section | tuple[Section, ...] | None = None  # None if uniform; a tuple for whiskers of different kinds
+    frame: Frame | None = None  # where the unloaded base would be; None if bases stay upright and move along x only
+    frame_rate: Frame | None = None  # derivative of the frame by the control
 
 
 class Base(NamedTuple):
-    """Pose of the base and what the contact does to it."""
+    """Pose of the base, and forces and moment there."""
 
     x: Float[Array, "*batch"]
     y: Float[Array, "*batch"]
@@ -59,17 +60,17 @@ class Base(NamedTuple):
     contact_y: Float[Array, "*batch"]
 
 
-class Linear(NamedTuple):
-    """What the equilibrium is made of, seen in the base's frame: values or derivatives. None for what no scene asks.
+class BaseEquations(NamedTuple):
+    """The quantities of which the equilibrium equations consist, in the base's frame: values or derivatives.
 
-    Of a base that only moves along x, x is its position in the scene, and `turn` stands for the sine of the angle.
+    Of a base that moves along x only, x is its position in the scene, and `turn` the sine of its angle.
     """
 
     x: Float[Array, "*batch"]  # pose of the base
     y: Float[Array, "*batch"]
     turn: Float[Array, "*batch"]  # angle to the frame's y axis, counter-clockwise
     force_x: Float[Array, "*batch"]  # of the object on the whisker, and its moment about the base
-    force_y: Float[Array, "*batch"] | None
+    force_y: Float[Array, "*batch"] | None  # None where the scene does not need it
     moment: Float[Array, "*batch"] | None
     slope_sin: Float[Array, "*batch"]  # of the object at the contact, in the scene
 
@@ -102,7 +103,7 @@ def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Sc
 def base(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
 ) -> Base:
-    """Pose and reaction of the base for the contact z; its derivatives are taken with `rates`."""
+    """Pose and reaction of the base for the contact z; the rod method `rates` computes its derivatives."""
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
     rates = body.rod.for_rates() if rates is None else rates
     s = arc(body, z[2], phase)
@@ -115,12 +116,12 @@ def base(
     return _in_scene(body, end, z, side)
 
 
-def seen(b: Base, frame: Frame | None) -> Linear:
-    """A base as it is seen in its frame."""
+def in_base_frame(b: Base, frame: Frame | None) -> BaseEquations:
+    """Pose and load of a base, in its frame."""
     if frame is None:
-        return Linear(b.x, b.y, -b.cos, b.force_x, None, None, b.slope_sin)
+        return BaseEquations(b.x, b.y, -b.cos, b.force_x, None, None, b.slope_sin)
     x, y, cos, sin = b.x - frame.x, b.y - frame.y, frame.cos, frame.sin
-    return Linear(
+    return BaseEquations(
         x=x * cos + y * sin,
         y=y * cos - x * sin,
         turn=jnp.arctan2(-b.cos * cos - b.sin * sin, b.sin * cos - b.cos * sin),
@@ -133,41 +134,41 @@ def seen(b: Base, frame: Frame | None) -> Linear:
 
 def equations(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
-) -> Linear:
-    """Values at z of what the equilibrium is made of."""
-    return seen(base(body, z, phase, side, rates=rates), body.frame)
+) -> BaseEquations:
+    """Values of the equations' quantities at z."""
+    return in_base_frame(base(body, z, phase, side, rates=rates), body.frame)
 
 
 def linearise(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod
-) -> tuple[Linear, Linear, Linear | None]:
-    """The equations' values, their gradients by z, each (3,), and their derivatives by the control, with the frame."""
+) -> tuple[BaseEquations, BaseEquations, BaseEquations | None]:
+    """Values, gradients by z, each (3,), and derivatives by the control (None if the frame does not move)."""
 
-    def twice(z):
+    def value_and_value(z):
         b = base(body, z, phase, side, rates=rates)
-        value = seen(b, body.frame)
+        value = in_base_frame(b, body.frame)
         return value, (value, None if body.frame is None else b)
 
-    gradient, (value, b) = jax.jacfwd(twice, has_aux=True)(z)
+    gradient, (value, b) = jax.jacfwd(value_and_value, has_aux=True)(z)
     if b is None or body.frame_rate is None:
         return value, gradient, None
-    _, by_control = jax.jvp(lambda frame: seen(b, frame), (body.frame,), (body.frame_rate,))
+    _, by_control = jax.jvp(lambda frame: in_base_frame(b, frame), (body.frame,), (body.frame_rate,))
     return value, gradient, by_control
 
 
 def of_each(bodies: Body, function: Callable, *args):
-    """What a function of a body says of every whisker; each is given its own of the arguments."""
+    """Apply a function of one body to every whisker; each whisker gets its own row of the arguments."""
     section = bodies.section
     if not isinstance(section, tuple):
         frame = None if bodies.frame is None else 0
         axes = Body(0, 0, None, None, None if section is None else 0, frame, frame)  # pyright: ignore[reportArgumentType]
         return jax.vmap(function, in_axes=(axes, *[0] * len(args)))(bodies, *args)
-    # Whiskers that differ by more than numbers: a computation for each.
-    found = []
+    # Whiskers of different kinds cannot be batched: one computation for each.
+    values = []
     for k, own in enumerate(section):
         length, stiffness, frames = jax.tree.map(
             lambda leaf, k=k: leaf[k], (bodies.length, bodies.bending_stiffness, (bodies.frame, bodies.frame_rate))
         )
         body = Body(length, stiffness, bodies.profile, bodies.rod, own, *frames)
-        found.append(function(body, *jax.tree.map(lambda leaf, k=k: leaf[k], args)))
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
+        values.append(function(body, *jax.tree.map(lambda leaf, k=k: leaf[k], args)))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *values)

@@ -1,4 +1,4 @@
-"""Derivatives of solved points by the implicit function theorem: what was iterated to find a point leaves no trace."""
+"""Derivatives of solved points by the implicit function theorem; they do not depend on the solver's iterations."""
 
 from typing import TypeVar
 
@@ -9,29 +9,24 @@ from jaxtyping import Array, Bool, PyTree
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import (
-    Local,
-    Mode,
-    Point,
-    Row,
-    coupled,
-    harmless,
-    local,
-    missing,
+    Condensed,
+    condense,
+    evaluate,
     newton_step,
-    scale_of,
-    unit,
-    values,
+    solve_coupled,
+    with_dummy_contacts,
 )
+from jaxwhisker._equilibrium.point import Mode, Point, Row, scale_of, unit
 from jaxwhisker._equilibrium.problem import Problem
 
 Tree = TypeVar("Tree")
 
 
 def without_rule(point: Tree, known: PyTree) -> Tree:
-    """The point, with NaN for its derivatives by what it was solved from, which only a custom rule knows.
+    """The point, with derivatives NaN with respect to what it was solved from: only a custom rule knows them.
 
-    Where a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax 0.10
-    drops the rule: zeros then would be wrong, and silent.
+    When a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax 0.10 drops
+    the custom rule. The derivatives would then be zero, which is wrong and goes unnoticed.
     """
     leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(eqx.filter(known, eqx.is_inexact_array))]
     everything = jnp.concatenate(leaves)
@@ -41,10 +36,10 @@ def without_rule(point: Tree, known: PyTree) -> Tree:
 
 @eqx.filter_custom_jvp
 def solved(point: Point, problem: Problem, mode: Mode, row: Row) -> Point:
-    """The point, which solves the equations of problem, mode and row, with its derivatives by all of them.
+    """The solution of the equations of problem, mode and row, with its derivatives with respect to problem and row.
 
-    The derivative is minus the inverse Jacobian times the equations' own derivative, which is what a Newton step from
-    the solution changes by.
+    The derivative is minus the inverse Jacobian times the derivative of the equations: the change of a Newton step from
+    the solution.
     """
     del mode
     return without_rule(point, (problem, row))
@@ -60,7 +55,7 @@ def _(primals, tangents):
 
 
 def _linear(function, *at):
-    """Value of a function, and its differential: takes tangents, None for none. It is traced and evaluated once."""
+    """Value of a function and its differential, which takes tangents (None for zero). The function is traced once."""
     some, rest = eqx.partition(at, eqx.is_inexact_array)
     value, push = jax.linearize(lambda some: function(*eqx.combine(some, rest)), some)
 
@@ -77,24 +72,24 @@ def _nothing(tree):
     return jax.tree.map(lambda _: None, tree)
 
 
-def _moved(here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot) -> tuple[Local, Point]:
-    """The whiskers linearised at a solution, and how it moves with problem and row."""
-    z, phase = harmless(problem, here.z, mode.phase)
+def _moved(here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot) -> tuple[Condensed, Point]:
+    """The condensed whiskers at a solution, and the tangent of the solution for tangents of problem and row."""
+    z, phase = with_dummy_contacts(problem, here.z, mode.phase)
     value, differential = _linear(
-        lambda problem, z, u: values(problem, Point(z, u), phase, mode.side), problem, z, here.u
+        lambda problem, z, u: evaluate(problem, Point(z, u), phase, mode.side), problem, z, here.u
     )
-    # No whisker knows of another one's contact: three directions for all of them at once.
+    # A whisker's equations depend on its own contact only: three directions serve all whiskers.
     columns = jax.vmap(lambda e: differential(_nothing(problem), jnp.broadcast_to(e, z.shape), None))(jnp.eye(3))
     gradient = jax.tree.map(jnp.transpose, columns)
-    by_u = None if problem.axes == 1 else differential(_nothing(problem), None, jnp.ones_like(here.u))
+    by_u = differential(_nothing(problem), None, jnp.ones_like(here.u)) if problem.frames_move else None
     value_dot = differential(problem_dot, None, None)
 
     def at(problem, value):
-        return local(problem, here.z, mode, value, gradient, by_u)
+        return condense(problem, here.z, mode, value, gradient, by_u)
 
     def step(value, problem, row):
-        # The Jacobian's own derivative meets equations that are fulfilled.
-        return coupled(problem, mode, row, here, at(problem, value)).step
+        # The derivative of the Jacobian is multiplied by residuals, which are zero.
+        return solve_coupled(problem, mode, row, here, at(problem, value)).step
 
     _, point_dot = eqx.filter_jvp(step, (value, problem, row), (value_dot, problem_dot, row_dot))
     return at(problem, value), point_dot
@@ -102,11 +97,11 @@ def _moved(here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row
 
 @eqx.filter_custom_jvp
 def solved_event(point: Point, problem: Problem, mode: Mode, along: Point, row: Row, fold: Bool[Array, ""]) -> Point:
-    """The point of a path at which the row is fulfilled, or, at a fold, the control turns back; with its derivatives.
+    """The point of a path that fulfils the row, or, at a fold, at which the control turns back; with its derivatives.
 
-    The path's equations are solved across its direction `along`, in which they are regular at folds, too; how far the
-    event then moves along the path follows from the equation that it is known by. At a fold that is du/ds = 0, whose
-    derivative takes second derivatives of the whiskers.
+    The equations are solved in a plane across the path's direction `along`, where they are regular at folds too. How
+    far the event then moves along the path follows from the event's own equation. At a fold this is du/ds = 0, whose
+    derivative needs second derivatives of the whiskers.
     """
     del mode, along, fold
     return without_rule(point, (problem, row))
@@ -118,28 +113,30 @@ def _(primals, tangents):
     _, problem_dot, _, _, row_dot, _ = tangents
     here = solved_event(point, problem, mode, along, row, fold)
     none = jnp.zeros_like(here.z[:, 0])
-    weight = jax.lax.stop_gradient(Point(along.z / scale_of(here.z) ** 2, along.u))  # any across the path would do
+    weight = jax.lax.stop_gradient(
+        Point(along.z / scale_of(here.z) ** 2, along.u)
+    )  # any plane across the path would do
     across = Row(weight.z, here.z, weight.u, here.u, none)
     at, drift = _moved(here, problem, mode, across, problem_dot, _nothing(across))
-    tangent = coupled(problem, mode, across, here, at).tangent
+    tangent = solve_coupled(problem, mode, across, here, at).tangent
 
-    def missed(point, problem, row):
+    def row_residual(point, problem, row):
         touching = mode.phase != Phase.free
-        at_contact, _ = harmless(problem, point.z, mode.phase)
+        at_contact, _ = with_dummy_contacts(problem, point.z, mode.phase)
         slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(at_contact[:, 1])
-        return missing(row, point, jnp.where(touching, slope_sin, 0.0))
+        return row.residual(point, jnp.where(touching, slope_sin, 0.0))
 
     def turn(point, problem):
         row = Row(weight.z, point.z, weight.u, point.u, none)
         return unit(newton_step(problem, mode, row, point, problem.rod.for_rates()).tangent, point.z)[0].u
 
     def distance(vanishing, holds, known, known_dot):
-        """How far the event moves along the path, where it is the vanishing of this function; else zero."""
+        """How far the event moves along the path where it is defined by this function being zero; elsewhere zero."""
         _, rate = _linear(vanishing, here, *known)
         by_drift, by_tangent = rate(drift, *known_dot), rate(tangent, *_nothing(known))
         return jnp.where(holds, -by_drift / jnp.where(holds, by_tangent, 1.0), 0.0)
 
-    by_row = distance(missed, ~fold, (problem, row), (problem_dot, row_dot))
+    by_row = distance(row_residual, ~fold, (problem, row), (problem_dot, row_dot))
     by_turn = distance(turn, fold, (problem,), (problem_dot,))
-    # At a fold the control does not change along the path: whoever asks for positions only pays no second derivatives.
+    # At a fold the control does not change along the path, so its derivative needs no second derivatives.
     return here, Point(drift.z + (by_row + by_turn) * tangent.z, drift.u + by_row * tangent.u)

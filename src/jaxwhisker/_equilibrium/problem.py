@@ -1,12 +1,18 @@
 """The dimensionless problem: what the equations see of a scene, and what programs are compiled for.
 
-Lengths are in the length L of the first whisker, forces in EI/L^2, moments in EI/L, spring stiffnesses in EI/L^3, with
-EI its bending stiffness at the base. Scenes with the same problem shape (number of whiskers, kinds of rods, profile and
-motion, and whether bases move along x only) share their compiled programs, whatever network of springs couples them.
+Lengths are in the length L of the first whisker, forces in EI/L^2, moments in EI/L and spring stiffnesses in EI/L^3,
+with EI its bending stiffness at the base. Scenes with the same problem shape (number of whiskers; kinds of rods,
+profile and motion; coordinates of the bases) share their compiled programs, whatever springs couple the bases.
+
+There are two kinds of problems, by the coordinates of the bases. In `AlongX` the bases stay upright at height 0 and
+their only coordinate is x. In `InPlane` a base has three coordinates, x, y and angle, in a frame of its own: the pose
+that it would have if no base were loaded. Everything that depends on the coordinates is a method of these two classes.
 """
 
-from typing import NamedTuple
+import abc
+from typing import ClassVar, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -15,7 +21,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.lanes import harmless
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
-from jaxwhisker._equilibrium.contact import Body
+from jaxwhisker._equilibrium.contact import Base, Body
 from jaxwhisker._equilibrium.touch import Outline, Touch
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, frame_and_rate
 from jaxwhisker._model.network import Flexibility
@@ -25,88 +31,313 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod
 from jaxwhisker._rod.rod import Section
 
+PerWhisker = Float[Array, " whiskers"]
+Poses = Float[Array, "whiskers axes"]
 
-class Problem(NamedTuple):
-    """A scene without dimensions: what the equations see. Whiskers are stacked along the first axis."""
 
-    length: Float[Array, " whiskers"]
-    bending_stiffness: Float[Array, " whiskers"]  # at the base
+class ScenePose(NamedTuple):
+    """Poses of bases in the scene; angles to the upright."""
+
+    x: PerWhisker
+    y: PerWhisker
+    angle: PerWhisker
+
+
+class Stance(NamedTuple):
+    """Positions of bases in the scene, and first touches of their whiskers, unloaded, if they moved along x."""
+
+    x: PerWhisker
+    right: Touch  # approaching from the right
+    left: Touch
+
+    def first(self, side: PerWhisker) -> Touch:
+        """The touch of whiskers that approach from that side."""
+        return jax.tree.map(lambda right, left: jnp.where(side > 0, right, left), self.right, self.left)
+
+    @property
+    def clear(self) -> Bool[Array, " whiskers"]:
+        """Whether unloaded whiskers stand clear of the object."""
+        return ~self.right.reaches | (self.x > self.right.x) | (self.x < self.left.x)
+
+    @property
+    def side(self) -> PerWhisker:
+        """The side of the object on which whiskers stand, or the nearer one: +1 right, -1 left."""
+        return jnp.where(self.x - self.right.x >= self.left.x - self.x, 1.0, -1.0)
+
+
+class Problem(eqx.Module):
+    """A scene without dimensions. Whiskers are stacked along the first axis."""
+
+    length: PerWhisker
+    bending_stiffness: PerWhisker  # at the base
     section: Section | tuple[Section, ...] | None  # see contact.Body
     profile: AbstractProfile
     rod: AbstractRod
     motion: AbstractMotion
     flexibility: Flexibility | None
-    mount: Pose | None  # of every whisker; None where bases stay upright at height 0 and move along x only
-    outline: Outline | None  # of the unloaded whiskers, where they have a mount
-    touch_right: Touch  # first contact coming from the right: of whiskers with a mount, at their poses for control 0
+    touch_right: Touch  # first touches of unloaded whiskers from the right, with the drive at control 0
     touch_left: Touch
     valid: Bool[Array, ""]
     unit: Units
 
-    @property
-    def axes(self) -> int:
-        """Of a base's pose: x, or x, y and angle."""
-        return 1 if self.mount is None else 3
+    axes: eqx.AbstractClassVar[int]  # number of coordinates of a base
+    frames_move: eqx.AbstractClassVar[bool]  # whether they refer to a frame that moves with the control
+
+    @abc.abstractmethod
+    def frames(self, u: Scalar) -> tuple[Frame | None, Frame | None]:
+        """Frames of all bases at a control, and their derivative by it; None if the scene itself is the frame."""
+
+    @abc.abstractmethod
+    def rest(self, u: Scalar) -> Poses:
+        """Coordinates of the unloaded bases."""
+
+    @abc.abstractmethod
+    def rest_rate(self, du: Scalar) -> Scalar:
+        """How much the x coordinate of an unloaded base grows when the control grows by `du`."""
+
+    @abc.abstractmethod
+    def in_scene(self, u: Scalar, pose: Poses) -> ScenePose:
+        """Poses of bases in the scene."""
+
+    @abc.abstractmethod
+    def stance(self, u: Scalar, pose: Poses) -> Stance:
+        """Where whiskers stand with their bases at these coordinates."""
+
+    @abc.abstractmethod
+    def stances(self, *at: tuple[Scalar, Poses]) -> list[Stance]:
+        """Where whiskers stand at several controls."""
+
+    @abc.abstractmethod
+    def shift(self, u: Scalar, distance: PerWhisker) -> Poses:
+        """Change of the coordinates of bases that move a distance along the scene's x axis."""
+
+    @abc.abstractmethod
+    def touch_rate(self, side: PerWhisker, pose_rate: Poses) -> PerWhisker:
+        """Rate at which free whiskers recede from their first touch, or zero if it is not known."""
+
+    @abc.abstractmethod
+    def updated_side(self, free: Bool[Array, " whiskers"], side: PerWhisker, at: Stance) -> PerWhisker:
+        """Sides of whiskers; free ones may have passed below the object, out of its reach."""
+
+    @abc.abstractmethod
+    def across(self, pose: Poses) -> Float[Array, "whiskers 2"] | None:
+        """Coordinates across the branches of the whiskers (y and angle); None if they are fixed."""
+
+    @abc.abstractmethod
+    def not_destabilising(self, slope: Float[Array, "whiskers axes axes"]) -> Float[Array, "whiskers axes axes"]:
+        """Slopes d load / d pose without what destabilises the bases along x."""
+
+    @abc.abstractmethod
+    def further_residuals(self, base: Base, pose: ScenePose) -> list[PerWhisker]:
+        """Residuals of a solution that the coordinates alone do not show, of touching whiskers."""
+
+    @abc.abstractmethod
+    def if_defined(self, residual: Scalar, pose: ScenePose) -> Scalar:
+        """The residual, or infinity where the motion of the drive is not defined (its pose is not finite)."""
 
     def bodies(self, u: Scalar) -> Body:
         """All whiskers, stacked, at a control."""
-        frame, rate = (None, None) if self.mount is None else self.frames(u)
-        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, frame, rate)
+        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u))
 
-    def frames(self, u: Scalar) -> tuple[Frame, Frame]:
-        """Where bases with a mount would be without load, and the derivative by the control."""
-        assert self.mount is not None
-        return frame_and_rate(self.drive, self.mount, u)
+    @property
+    def offset(self) -> Poses:
+        """Displacement of the unloaded bases by the rest lengths of the springs."""
+        none = jnp.zeros((self.length.shape[0], self.axes))
+        return none if self.flexibility is None else jnp.reshape(self.flexibility.offset, none.shape)
+
+    def displacement(self, load: Poses) -> Poses:
+        """Displacement of the bases under loads: flexibility @ load; zero for a clamped whisker."""
+        if self.flexibility is None:
+            return jnp.zeros_like(load)
+        return jnp.reshape(jnp.sum(self.flexibility.matrix * jnp.ravel(load), axis=-1), load.shape)
+
+
+class AlongX(Problem):
+    """A problem whose bases stay upright at height 0 and move along x only."""
+
+    axes: ClassVar[int] = 1
+    frames_move: ClassVar[bool] = False
+
+    def frames(self, u):
+        del u
+        return None, None
+
+    def rest(self, u):
+        return u + self.offset
+
+    def rest_rate(self, du):
+        return du
+
+    def in_scene(self, u, pose):
+        del u
+        return ScenePose(pose[:, 0], jnp.zeros_like(pose[:, 0]), jnp.zeros_like(pose[:, 0]))
+
+    def stance(self, u, pose):
+        del u
+        return Stance(pose[:, 0], self.touch_right, self.touch_left)
+
+    def stances(self, *at):
+        return [self.stance(*one) for one in at]
+
+    def shift(self, u, distance):
+        del u
+        return distance[:, None]
+
+    def touch_rate(self, side, pose_rate):
+        return side * pose_rate[:, 0]
+
+    def updated_side(self, free, side, at):
+        del free, at
+        return side
+
+    def across(self, pose):
+        del pose
+
+    def not_destabilising(self, slope):
+        return slope.at[:, 0, 0].set(jnp.minimum(slope[:, 0, 0], 0.0))
+
+    def further_residuals(self, base, pose):
+        del pose
+        return [jnp.where(base.sin > 0, 0.0, jnp.inf)]  # `turn` is a sine, and does not tell up from down
+
+    def if_defined(self, residual, pose):
+        del pose
+        return residual
+
+
+class InPlane(Problem):
+    """A problem whose bases move and turn in the plane, or whose drive does not just move along x."""
+
+    mount: Pose  # of every whisker on the drive
+    outline: Outline  # of the unloaded whiskers
+
+    axes: ClassVar[int] = 3
+    frames_move: ClassVar[bool] = True
 
     def drive(self, u: Scalar) -> Pose:
         """The pose of the drive's frame."""
         x, y, angle = self.motion.pose(u * self.unit.control)
         return Pose(x / self.unit.length, y / self.unit.length, angle)
 
+    def frames(self, u):
+        return frame_and_rate(self.drive, self.mount, u)
+
+    def rest(self, u):
+        del u
+        return self.offset
+
+    def rest_rate(self, du):
+        del du
+        return 0.0  # the frames move with the control
+
+    def in_scene(self, u, pose):
+        frame, _ = self.frames(u)
+        x, y, turn = pose.T
+        return ScenePose(
+            frame.x + x * frame.cos - y * frame.sin,
+            frame.y + x * frame.sin + y * frame.cos,
+            jnp.arctan2(frame.sin, frame.cos) + turn,
+        )
+
+    def stance(self, u, pose):
+        at = self.in_scene(u, pose)
+
+        def both(*own):
+            return touch.first_touches(self.profile, *own)
+
+        return Stance(at.x, *jax.vmap(both)(self.length, self.outline, at.y, at.angle))
+
+    def stances(self, *at):
+        # In one batch: the search for a touch is compiled once.
+        batch = jax.vmap(self.stance)(*map(jnp.stack, zip(*at, strict=True)))
+        return [jax.tree.map(lambda leaf, k=k: leaf[k], batch) for k in range(len(at))]
+
+    def shift(self, u, distance):
+        frame, _ = self.frames(u)
+        return distance[:, None] * jnp.stack([frame.cos, -frame.sin, jnp.zeros_like(frame.cos)], axis=1)
+
+    def touch_rate(self, side, pose_rate):
+        del side
+        return jnp.zeros_like(pose_rate[:, 0])
+
+    def updated_side(self, free, side, at):
+        return jnp.where(free & ~at.right.reaches & ~at.left.reaches, at.side, side)
+
+    def across(self, pose):
+        return pose[:, 1:]
+
+    def not_destabilising(self, slope):
+        return jnp.zeros_like(slope)
+
+    def further_residuals(self, base, pose):
+        del base, pose
+        return []
+
+    def if_defined(self, residual, pose):
+        # Free whiskers have no equation with a residual of their own.
+        return jnp.where(jnp.all(jnp.isfinite(jnp.stack(pose))), residual, jnp.inf)
+
 
 def problem_of(scene: Scene) -> Problem:
-    """The scene's dimensionless equations. Derivatives flow through all of it."""
+    """The dimensionless problem of a scene, differentiable with respect to all of it."""
     valid = _valid(scene)
     scene = harmless(scene, valid)
-    unit = units(scene)
+    unit = jax.tree.map(checks.as_float, units(scene))
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])
-    stiffness = stiffness / (unit.moment * unit.length)
     section = sections(scene.whiskers, unit.length, unit.moment * unit.length)
-    profile = scene.profile.in_unit(unit.length)
     flexibility = scene.support.flexibility()
     if flexibility is not None:
         valid &= flexibility.consistent
-    mount, outline, height, angle = None, None, jnp.zeros_like(length), jnp.zeros_like(length)
+    common = {
+        "length": length,
+        "bending_stiffness": stiffness / (unit.moment * unit.length),
+        "section": section,
+        "profile": scene.profile.in_unit(unit.length),
+        "rod": scene.rod,
+        "motion": scene.motion,
+        "unit": unit,
+    }
+    curved = any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers)
     if moves_along_x(scene):
         flexibility = None if flexibility is None else flexibility.in_unit(unit.length, unit.force)
-    else:
-        x, y, angle = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in zip(*_mounts(scene), strict=True))
-        mount = Pose(x / unit.length, y / unit.length, angle)
-        flexibility = None if flexibility is None else flexibility.in_frames(angle, unit.length, unit.force)
-        height = mount.y
-    if mount is None and all(whisker.intrinsic_curvature is None for whisker in scene.whiskers):
-        right, left = (jax.vmap(lambda h, s=s: touch.of_straight(profile, h, s))(length) for s in (1.0, -1.0))
-    else:
-        outline = outlines(scene.whiskers, length, section)
-        right, left = jax.vmap(lambda *own: touch.of_both(profile, *own))(length, outline, height, angle)
-        if any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers):
-            twice = jax.vmap(lambda *own: touch.in_two_places(profile, *own))(outline, height, angle)
-            valid &= ~jnp.any(twice)
-    return Problem(
-        length, stiffness, section, profile, scene.rod, scene.motion, flexibility, mount, outline, right, left, valid,
-        unit,
-    )  # fmt: skip
+        if curved:
+            upright = jnp.zeros_like(length)
+            outline = outlines(scene.whiskers, length, section)
+            touches, single = _first_touches(common["profile"], outline, length, upright, upright, curved)
+        else:
+            touches, single = _first_touches_upright(common["profile"], length), True
+        return AlongX(**common, **touches, flexibility=flexibility, valid=valid & single)
+    mounts = zip(*((mount.x, mount.y, mount.angle) for mount in scene.support.mounts), strict=True)
+    x, y, angle = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in mounts)
+    mount = Pose(x / unit.length, y / unit.length, angle)
+    flexibility = None if flexibility is None else flexibility.in_frames(angle, unit.length, unit.force)
+    outline = outlines(scene.whiskers, length, section)
+    touches, single = _first_touches(common["profile"], outline, length, mount.y, angle, curved)
+    return InPlane(**common, **touches, flexibility=flexibility, valid=valid & single, mount=mount, outline=outline)
 
 
-def _mounts(scene: Scene) -> list[tuple[Scalar, Scalar, Scalar]]:
-    return [(mount.x, mount.y, mount.angle) for mount in scene.support.mounts]
+def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict[str, Touch]:
+    """First touches of straight whiskers that stand upright at height 0."""
+    right, left = (jax.vmap(lambda h, s=s: touch.first_touch_upright(profile, h, s))(length) for s in (1.0, -1.0))
+    return {"touch_right": right, "touch_left": left}
+
+
+def _first_touches(
+    profile: AbstractProfile, outline: Outline, length: PerWhisker, height: PerWhisker, angle: PerWhisker, curved: bool
+) -> tuple[dict[str, Touch], Bool[Array, ""] | bool]:
+    """First touches of whiskers with these outlines, and whether each touches the object in one place only."""
+    right, left = jax.vmap(lambda *own: touch.first_touches(profile, *own))(length, outline, height, angle)
+    touches = {"touch_right": right, "touch_left": left}
+    if not curved:
+        return touches, True
+    return touches, ~jnp.any(jax.vmap(lambda *own: touch.in_two_places(profile, *own))(outline, height, angle))
 
 
 def outlines(
-    whiskers: tuple[Whisker, ...], length: Float[Array, " whiskers"], section: Section | tuple[Section, ...] | None
+    whiskers: tuple[Whisker, ...], length: PerWhisker, section: Section | tuple[Section, ...] | None
 ) -> Outline:
-    """Outlines of all whiskers, stacked."""
+    """Outlines of all unloaded whiskers, stacked."""
     if isinstance(section, tuple):
         each = [touch.outline(length[k], own) for k, own in enumerate(section)]
         return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
@@ -119,12 +350,11 @@ def outlines(
 def sections(
     whiskers: tuple[Whisker, ...], length_unit: Scalar, stiffness_unit: Scalar
 ) -> Section | tuple[Section, ...] | None:
-    """What changes along whiskers: stacked if they differ by numbers only, None if all are uniform."""
+    """Sections of all whiskers: stacked if they differ in numbers only, None if all are uniform."""
     if all(whisker.uniform for whisker in whiskers):
         return None
     whiskers = jax.tree.map(checks.as_float, whiskers)
-    units = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit))
-    length, stiffness = units
+    length, stiffness = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit))
     each = tuple(whisker.section(length, stiffness) for whisker in whiskers)
     kinds = [(jax.tree.structure(section), [leaf.shape for leaf in jax.tree.leaves(section)]) for section in each]
     if any(kind != kinds[0] for kind in kinds):
@@ -133,6 +363,6 @@ def sections(
 
 
 def _valid(scene: Scene) -> Bool[Array, ""]:
-    # Whether traced parameters lie where the constructors would have let them.
+    """Whether traced parameters are in the domains that the constructors check for concrete ones."""
     whiskers = jnp.all(jnp.stack([whisker.valid() for whisker in scene.whiskers]))
     return scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers

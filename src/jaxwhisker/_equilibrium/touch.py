@@ -1,4 +1,4 @@
-"""First touch: where an unloaded whisker that comes from one side meets the object."""
+"""First touch: where an unloaded whisker, approaching from one side, meets the object."""
 
 from typing import NamedTuple
 
@@ -12,23 +12,27 @@ from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
 SHAFT_FIRST = 1e-12  # share of the length that must stand above the first contact to call it tangential
-POINTS = 65  # of a whisker that is not upright and straight, at which the first touch is looked for
-SAME_HEIGHT = 1e-6  # by which whisker and object may miss each other there
+POINTS = 65  # along a whisker that is not upright and straight, where the first touch is searched
+SAME_HEIGHT = 1e-6  # tolerance for whisker and object being at the same height there
 NEWTON_STEPS = 8
 
 
 class Touch(NamedTuple):
-    """A contact that is about to begin, if the base moves along x; each (whiskers,) of several."""
+    """A contact that is about to begin if the base moves along x; fields are (whiskers,) for several whiskers."""
 
     parameter: Float[Array, "*batch"]  # of the profile
     x: Float[Array, "*batch"]  # position of the base
-    slack: Float[Array, "*batch"]  # as of any contact: see contact.py
-    side: Float[Array, "*batch"]  # to which the whisker will bend: that from which it comes, but where it leans over
-    reaches: Bool[Array, "*batch"]  # whether it is high enough to meet the object at all; else x: tip below the vertex
+    slack: Float[Array, "*batch"]  # as in contact.py
+    side: Float[
+        Array, "*batch"
+    ]  # from which it approaches, unless it leans past vertical: the side to which it will bend
+    reaches: Bool[
+        Array, "*batch"
+    ]  # whether it is high enough to meet the object; if not, x puts the tip below the vertex
 
 
 class Outline(NamedTuple):
-    """An unloaded whisker at equidistant points, its base at the origin, upright."""
+    """An unloaded, upright whisker with its base at the origin, at equidistant points."""
 
     x: Float[Array, "*batch points"]
     y: Float[Array, "*batch points"]
@@ -37,7 +41,7 @@ class Outline(NamedTuple):
 
 
 def outline(length: Scalar, section: Section | None) -> Outline:
-    """The outline of a whisker, straight without a section."""
+    """The outline of a whisker; one without a section is straight."""
     zero = jnp.zeros_like(length)
     upright, nothing = (zero, zero, zero, zero + 1.0), rod.Load(None, zero, None)
     if section is None:
@@ -47,16 +51,16 @@ def outline(length: Scalar, section: Section | None) -> Outline:
 
 
 def _angle(cos: Scalar, sin: Scalar, at: ContactPoint, side: Scalar) -> Scalar:
-    """Angle between a whisker of that direction and the object, as seen from the side to which it bends."""
+    """Angle between a whisker of this direction and the object, seen from the side to which it bends."""
     return jnp.arctan2(sin * at.cos - cos * at.sin, side * (cos * at.cos + sin * at.sin))
 
 
-def of_straight(profile: AbstractProfile, length: Scalar, side: Scalar) -> Touch:
+def first_touch_upright(profile: AbstractProfile, length: Scalar, side: Scalar) -> Touch:
     """The first touch of a straight whisker that stands upright at height 0."""
     touch = profile.first_touch(length, side)
     at = profile.point(touch.parameter)
     beyond = length - touch.y
-    # Upright, it never points below the tangent of an object that ends in a wall.
+    # An upright whisker never points below the tangent of an object that ends in a wall.
     angle = jnp.arctan2(jnp.abs(at.cos), side * at.sin)
     slack = jnp.where(beyond > SHAFT_FIRST * length, beyond, -angle)
     reaches = jnp.asarray(length > profile.vertex()[1])
@@ -64,13 +68,14 @@ def of_straight(profile: AbstractProfile, length: Scalar, side: Scalar) -> Touch
 
 
 class _Approach(NamedTuple):
-    # Points of a whisker with its base at x = 0, and how far each is ahead of the rest of it as it comes along x.
+    """Points of a whisker with its base at x = 0, and their lead in an approach along x."""
+
     x: Float[Array, " points"]
     y: Float[Array, " points"]
     cos: Float[Array, " points"]
     sin: Float[Array, " points"]
     touch: FirstTouch
-    ahead: Float[Array, " points"]  # -inf of those that are too low
+    ahead: Float[Array, " points"]  # -inf for points that are too low
 
 
 def _approach(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> _Approach:
@@ -83,7 +88,7 @@ def _approach(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar, 
 
 
 def in_two_places(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar) -> Bool[Array, ""]:
-    """Whether a whisker that comes along x stands out towards the object in more than one place, from either side."""
+    """Whether a whisker that approaches along x would touch in more than one place, from either side."""
 
     def dips(side):
         ahead = _approach(profile, own, y, angle, side).ahead
@@ -93,17 +98,19 @@ def in_two_places(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scal
     return dips(1.0) | dips(-1.0)
 
 
-def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> Touch:
+def first_touch(
+    profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar, side: Scalar
+) -> Touch:
     """The first touch of a whisker with its base at height y, turned by an angle: with its tip or along its shaft.
 
-    Looked for at points of the whisker, then solved for between them, where its outline is cubic in arc length. A
-    guess for what is solved with the equations of a contact: exact to some 1e-10, without derivatives.
+    It is searched at points of the whisker and then solved for between them, where the outline is cubic in arc length.
+    The result is exact to about 1e-10, without derivatives: the guess for solving the equations of a contact.
     """
     profile, length, own, y, angle = jax.lax.stop_gradient((profile, length, own, y, angle))
     xs, ys, coses, sines, touch, ahead = _approach(profile, own, y, angle, side)
     k, reaches = jnp.argmax(ahead), jnp.any(jnp.isfinite(ahead))
     at = profile.point(touch.parameter[k])
-    # What bends it is the way from which its base comes across the whisker.
+    # The whisker bends away from the direction in which its base moves across it.
     across = side * (at.sin * jnp.cos(angle) - at.cos * jnp.sin(angle))
     bends_to = jnp.where(across < 0, -side, side)
     tip_angle = _angle(coses[k], sines[k], at, bends_to)
@@ -112,23 +119,23 @@ def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, an
     table = jnp.stack([xs, ys, coses * length / (POINTS - 1), sines * length / (POINTS - 1)])
 
     def whisker(cell):
-        """Position and direction at a number of cells from the base."""
+        """Position and direction, a number of cells from the base."""
         first = jnp.clip(jnp.floor(jax.lax.stop_gradient(cell)).astype(int), 0, POINTS - 2)
         here, there = table[:, first], table[:, first + 1]
         t, step = cell - first, there[:2] - here[:2]
         bend, twist = 3 * step - 2 * here[2:] - there[2:], here[2:] + there[2:] - 2 * step
         return here[:2] + t * (here[2:] + t * (bend + t * twist)), here[2:] + t * (2 * bend + 3 * t * twist)
 
-    def missed(found):
-        at = profile.point(found[0])
-        (_, height), (cos, sin) = whisker(found[1])
+    def residual(unknowns):
+        at = profile.point(unknowns[0])
+        (_, height), (cos, sin) = whisker(unknowns[1])
         return jnp.stack([height - at.y, (cos * at.sin - sin * at.cos) * (POINTS - 1) / length])
 
-    def newton(_, found):
-        (a, b), (c, d) = jax.jacfwd(missed)(found)
-        e, f = missed(found)
+    def newton(_, unknowns):
+        (a, b), (c, d) = jax.jacfwd(residual)(unknowns)
+        e, f = residual(unknowns)
         step = jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
-        return found - jnp.where(jnp.isfinite(step), step, 0.0)
+        return unknowns - jnp.where(jnp.isfinite(step), step, 0.0)
 
     start = jnp.stack([touch.parameter[k], jnp.minimum(k, POINTS - 1.5)])
     parameter, cell = jax.lax.fori_loop(0, NEWTON_STEPS, newton, start)
@@ -146,7 +153,9 @@ def of_any(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, an
     )
 
 
-def of_both(profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar) -> tuple[Touch, Touch]:
-    """First touches of a whisker coming from the right and from the left."""
-    both = jax.vmap(lambda side: of_any(profile, length, own, y, angle, side))(jnp.array([1.0, -1.0]))
+def first_touches(
+    profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar
+) -> tuple[Touch, Touch]:
+    """First touches of a whisker approaching from the right and from the left."""
+    both = jax.vmap(lambda side: first_touch(profile, length, own, y, angle, side))(jnp.array([1.0, -1.0]))
     return jax.tree.map(lambda leaf: leaf[0], both), jax.tree.map(lambda leaf: leaf[1], both)

@@ -1,4 +1,4 @@
-"""The front of a march: where it has got to, what it heads for, and how a solved end of a step is judged."""
+"""The state of a march: where it is, what it is doing, and how a trial step is evaluated."""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -8,27 +8,26 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.clearance import Stance, stance
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import (
-    Contacts,
-    Mode,
-    PerWhisker,
-    Point,
-    Poses,
-    Solution,
-    dot,
-    scale_of,
-    stable,
-    unit,
-)
-from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.newton import Solution
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
+from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.path import Margins, Node, Status, margins, rates, select
+from jaxwhisker._path.path import (
+    MARGIN_NOISE,
+    TOUCH,
+    Margins,
+    Node,
+    Status,
+    margin_rates,
+    margins,
+    select,
+)
 
 
 class Task(IntEnum):
-    """What an iteration is for."""
+    """What an iteration of the march is for."""
 
     advance = 0
     event = 1
@@ -39,26 +38,26 @@ class Task(IntEnum):
 
 
 class Target(NamedTuple):
-    """An event being approached: which margin of which whisker (one-hot), and where it is expected."""
+    """An event being approached: the margin that vanishes, of which whisker (one-hot), and where it is expected."""
 
     kind: Int[Array, ""]  # index into Margins
     whisker: Bool[Array, " whiskers"]
     distance: Scalar
-    contact: Contacts  # of whiskers that would touch: about where, and how
+    contact: Contacts  # first contacts of whiskers that may touch
     phase: Int[Array, " whiskers"]
     side: PerWhisker
 
 
 class Lead(NamedTuple):
-    """A weighted sum of the tangent that has to grow on leaving an event: what makes the new mode valid."""
+    """Weights of the tangent whose sum has to grow when the path leaves an event, so that the new mode is valid."""
 
     z: Contacts
     pose: Poses
     u: Scalar
 
 
-class Front(NamedTuple):
-    """Where the march has got to."""
+class MarchState(NamedTuple):
+    """How far the march has got."""
 
     task: Int[Array, ""]
     mode: Mode
@@ -68,12 +67,12 @@ class Front(NamedTuple):
     tangent_pose: Poses
     bend: Point  # change of the tangent per arc length
     step: Scalar
-    unstable_at: Scalar  # distance at which instability is known, or infinity; and how u turns there
-    unstable_turn: Scalar
+    unstable_at: Scalar  # distance at which an unstable equilibrium is known, or infinity
+    unstable_turn: Scalar  # du/ds there
     target: Target
     lead: Lead
     before_vertex: PerWhisker  # sign of sin(alpha) until the whisker passes the vertex
-    goal: Int[Array, ""]  # index of the stop that the drive heads for
+    goal: Int[Array, ""]  # index of the stop that the drive moves to
     direction: Scalar
     travel: Scalar
     pending: Node  # node to be written on arrival
@@ -81,114 +80,108 @@ class Front(NamedTuple):
     count: Int[Array, ""]
     status: Int[Array, ""]
 
+    def turn(self, tangent: Point) -> Scalar:
+        """du/ds along a tangent, positive while the drive moves towards its stop."""
+        return self.direction * tangent.u
 
-TOUCH, RELEASE, PHASE, VERTEX, AT_STOP = range(len(Margins._fields))  # indices into Margins
-MARGIN_NOISE = 1e-12  # margins are exact to this: two events at once are not each other's violation
-SHORTEST_CHORD = 1e-6  # that tells a direction; below, the path is as straight as it was
-DIP_POINTS = 7  # at which a margin is looked at within a step
+    def stopped(self, status: Status) -> "MarchState":
+        """The end of the march."""
+        return self._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(int(status)))
+
+
+SHORTEST_CHORD = 1e-6  # that determines a direction; a shorter one keeps the direction of the path
+DIP_POINTS = 7  # points within a step at which margins are interpolated
 
 
 class Trial(NamedTuple):
-    """A solved end of a step, judged."""
+    """The solved end of a step, and its checks."""
 
     solution: Solution
     tangent: Point
     tangent_pose: Poses
     stable: Bool[Array, ""]
     convex: Bool[Array, ""]
-    here: Margins
-    there: Margins
-    stance: Stance  # there
-    side: PerWhisker  # there, of whiskers that pass below the object out of reach
+    here: Margins  # at the start of the step
+    there: Margins  # at its end
+    stance: Stance  # at its end
+    side: PerWhisker  # at its end
 
 
-def judge(problem: Problem, front: Front, solution: Solution, stop_u: Scalar) -> Trial:
-    """What there is to say of a solved end of a step."""
+def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop_u: Scalar) -> Trial:
+    """Evaluate the solved end of a step: direction of the path, stability, convexity, margins."""
     newton = solution.newton
-    free = front.mode.phase == Phase.free
+    free = state.mode.phase == Phase.free
     tangent, length = unit(newton.tangent, solution.point.z)
-    ahead = jnp.where(dot(front.tangent, tangent, scale_of(front.point.z)) < 0, -1.0, 1.0) / length
+    ahead = jnp.where(dot(state.tangent, tangent, scale_of(state.point.z)) < 0, -1.0, 1.0) / length
     tangent, tangent_pose = Point(ahead * length * tangent.z, ahead * length * tangent.u), ahead * newton.tangent_pose
-    # What touches is solved for as a contact; the path comes without it, on a parabola.
-    touches = (front.task == Task.event) & (front.target.kind == TOUCH)
-    chord = Point(jnp.where(free[:, None], 0.0, solution.point.z - front.point.z), solution.point.u - front.point.u)
-    way = dot(front.tangent, chord, scale_of(front.point.z))
-    known = way > SHORTEST_CHORD
-    twice = jnp.where(known, 2 / jnp.where(known, way, 1.0), 0.0)
-    onwards = jnp.where(known, -1.0, 1.0)
-    come = Point(twice * chord.z + onwards * front.tangent.z, twice * chord.u + onwards * front.tangent.u)
-    come_pose = twice * (newton.pose - front.pose) + onwards * front.tangent_pose
-    tangent, tangent_pose = select(touches, (come, come_pose), (tangent, tangent_pose))
+    # A touch is solved for as a contact, but the path arrives without it.
+    touches = (state.task == Task.event) & (state.target.kind == TOUCH)
+    arriving = _direction_of_parabola(state, solution, free)
+    tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
-    here, there = _stances(problem, (front.point.u, front.pose), (solution.point.u, newton.pose))
-    margins_there = _margins_at(problem, front, solution.point, there, stop_u)
-    # It touches here as its contact's equations say; where that is looked up in its outline is less exact.
-    touching = touches & front.target.whisker
+    here, there = problem.stances((state.point.u, state.pose), (solution.point.u, newton.pose))
+    margins_there = _margins_at(problem, state, solution.point, there, stop_u)
+    # The touching whisker fulfils its contact's equations; its margin, interpolated in its outline, is less exact.
+    touching = touches & state.target.whisker
     margins_there = margins_there._replace(touch=jnp.where(touching, jnp.inf, margins_there.touch))
     return Trial(
         solution,
         tangent,
         tangent_pose,
-        stable(problem, front.mode, newton.local),
+        is_stable(problem, state.mode, newton.condensed),
         jnp.all(convex | free),
-        here=_margins_at(problem, front, front.point, here, stop_u),
+        here=_margins_at(problem, state, state.point, here, stop_u),
         there=margins_there,
         stance=there,
-        side=_sides(problem, front.mode, there),
+        side=problem.updated_side(free, state.mode.side, there),
     )
 
 
-def _stances(problem: Problem, *at: tuple[Scalar, Poses]) -> list[Stance]:
-    if problem.axes == 1:
-        return [stance(problem, *one) for one in at]
-    # All at once: the search for a touch is compiled once.
-    found = jax.vmap(lambda u, pose: stance(problem, u, pose))(*map(jnp.stack, zip(*at, strict=True)))
-    return [jax.tree.map(lambda leaf, k=k: leaf[k], found) for k in range(len(at))]
+def _direction_of_parabola(
+    state: MarchState, solution: Solution, free: Bool[Array, " whiskers"]
+) -> tuple[Point, Poses]:
+    """Direction, at the end of a step, of the parabola that starts along the tangent; free whiskers have no contact."""
+    chord = Point(jnp.where(free[:, None], 0.0, solution.point.z - state.point.z), solution.point.u - state.point.u)
+    distance = dot(state.tangent, chord, scale_of(state.point.z))
+    known = distance > SHORTEST_CHORD
+    twice = jnp.where(known, 2 / jnp.where(known, distance, 1.0), 0.0)
+    sign = jnp.where(known, -1.0, 1.0)
+    direction = Point(twice * chord.z + sign * state.tangent.z, twice * chord.u + sign * state.tangent.u)
+    return direction, twice * (solution.newton.pose - state.pose) + sign * state.tangent_pose
 
 
-def _sides(problem: Problem, mode: Mode, at: Stance) -> PerWhisker:
-    if problem.axes == 1:
-        return mode.side
-    away = (mode.phase == Phase.free) & ~at.right.reaches & ~at.left.reaches
-    return jnp.where(away, snap_flow.side_of(at), mode.side)
+def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
+    ahead = state.before_vertex * slope_sines(problem, point.z)
+    return margins(state.mode, point, at, ahead, state.direction * (stop_u - point.u))
 
 
-def stopped(front: Front, status: Status) -> Front:
-    return front._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(int(status)))
+def slope_sines(problem: Problem, z: Contacts) -> PerWhisker:
+    """sin(alpha) of the object at every contact."""
+    return jax.vmap(lambda p: problem.profile.point(p).sin)(z[:, 1])
 
 
-def _margins_at(problem: Problem, front: Front, point: Point, at: Stance, stop_u: Scalar) -> Margins:
-    slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(point.z[:, 1])
-    way = front.direction * (stop_u - point.u)
-    return margins(front.mode, point, at, front.before_vertex * slope_sin, way)
-
-
-def first_violated(front: Front, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
-    """Whether any event lies between here and there, and the first of them; there is a distance away."""
+def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
+    """Whether an event lies within a step of this length, and the first one."""
     n = trial.here.touch.shape[0]
     now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
     violated = then < -MARGIN_NOISE
-    # What was out of reach may be met anywhere.
+    # A whisker that was out of reach may touch anywhere within the step.
     share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
     share = jnp.where(violated, share, jnp.inf)
     first = jnp.argmin(share)
     hit = jnp.arange(4 * n + 1) == first
-    contact, phase, side = snap_flow.touching(trial.stance, front.mode.side)
-    one = jnp.any(hit[: 4 * n].reshape(4, n), axis=0)
-    return jnp.any(violated), Target(first // n, one, jnp.min(share) * distance, contact, phase, side)
+    contact, phase, side = snap_flow.touching(trial.stance, state.mode.side)
+    whisker = jnp.any(hit[: 4 * n].reshape(4, n), axis=0)
+    return jnp.any(violated), Target(first // n, whisker, jnp.min(share) * distance, contact, phase, side)
 
 
-def dip(front: Front, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether a margin is negative between here and there, though not at the ends, and at which share of the way."""
+def dip(problem: Problem, state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
+    """Whether a margin is negative within a step, though not at its ends, and at which share of the step."""
     now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
-    start = distance * jnp.concatenate(rates(front.mode, front.tangent, front.tangent_pose))
-    end = distance * jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_pose))
+    start = distance * jnp.concatenate(margin_rates(problem, state.mode, state.tangent, state.tangent_pose))
+    end = distance * jnp.concatenate(margin_rates(problem, state.mode, trial.tangent, trial.tangent_pose))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
     within = now + t * (start + t * ((3 * (then - now) - 2 * start - end) + t * (start + end - 2 * (then - now))))
-    # A margin that has just been left is zero at the start; rounding is no dip.
+    # The margin of an event just passed is zero at the start; rounding is no dip.
     within = jnp.where((start < 0) & (end > 0) & jnp.isfinite(within), within, 0.0)
     return jnp.any(within < -MARGIN_NOISE), t[jnp.argmin(jnp.min(within, axis=1)), 0]
-
-
-def turn_of(front: Front, tangent: Point) -> Scalar:
-    return front.direction * tangent.u

@@ -1,7 +1,7 @@
-"""The path: what a scan's states and events are read from, and the words that describe it.
+"""The path of equilibria: its nodes, the events on it, and the margins that tell how far away events are.
 
-A path is a sequence of nodes, exact equilibria on the way that the drive takes, with the tangents of the path before
-and behind each. Every corner of the path (an event, a turning point of the drive) is a node.
+A path is a sequence of nodes: exact equilibria along the way of the drive, with the tangents of the path before and
+behind each. Every corner of the path (an event, a turning point of the drive) is a node.
 """
 
 from enum import IntEnum
@@ -12,45 +12,45 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.clearance import Stance
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import Contacts, Mode, PerWhisker, Point, Poses
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point
+from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 
 
 class Status(IntEnum):
-    """What became of a step of the scan; everything but `ok` leaves NaN behind."""
+    """Status of a step of the scan; a step that is not `ok` holds NaN."""
 
     ok = 0
-    invalid = 1  # a parameter lies outside its domain: the scene means nothing
+    invalid = 1  # a parameter is outside its domain
     lost = 2  # the path could not be followed further: no equilibrium near the last one was found
     unsettled = 3  # after a loss of stability the bases did not come to rest
     not_convex = 4  # the profile is not convex where the scan touches it
-    too_long = 5  # more nodes or events than the path has room for
+    too_long = 5  # the path has more nodes or events than there is room for
     inexact = 6  # this step's equations are not fulfilled to tolerance
     unstable = 7  # this step's equilibrium is not stable
 
 
 class EventKind(IntEnum):
-    """What happens at an event."""
+    """Kind of an event."""
 
     touch = 0
     tip_to_tangential = 1
     vertex = 2
     tangential_to_tip = 3
-    release = 4  # contact ends smoothly, its force going to zero
+    release = 4  # contact ends smoothly, with zero force
     snap_through = 5
     snap_off = 6
 
 
 NO_EVENT = -1
-STOP = -2  # the drive turns round or the scan ends
+STOP = -2  # the drive reverses, or the scan ends
 
 
 class Node(NamedTuple):
-    """An equilibrium on the path, and how the path comes and goes."""
+    """An equilibrium on the path, and the path's directions before and behind it."""
 
     point: Point
-    z_before: Contacts  # contacts as the path comes: those that begin or end here differ
+    z_before: Contacts  # contacts on arrival: those that begin or end here differ
     arriving: Point  # tangents, of unit length in the scale of the point
     leaving: Point
     phase: Int[Array, " whiskers"]  # from here on
@@ -63,7 +63,7 @@ class Node(NamedTuple):
 
 
 class Path(NamedTuple):
-    """Nodes 0 to count - 1; arrays are padded. Beyond the last node's travel the status tells why there is nothing."""
+    """Nodes 0 to count - 1; arrays are padded. The status says why the path ends where it does."""
 
     nodes: Node
     count: Int[Array, ""]
@@ -72,11 +72,11 @@ class Path(NamedTuple):
 
 def select(condition, yes, no):
     """One of two trees of the same structure."""
-    # What both share is not asked: most of a march's decisions change little.
+    # Leaves that both share need no selection: most decisions of a march change little.
     return jax.tree.map(lambda a, b: a if a is b else jnp.where(condition, a, b), yes, no)
 
 
-def decided(*cases, otherwise):
+def first_case(*cases, otherwise):
     """The tree of the first case (condition, tree) whose condition holds."""
     conditions = [condition for condition, _ in cases]
     first = jnp.argmax(jnp.stack([*conditions, jnp.asarray(True)]))
@@ -86,7 +86,7 @@ def decided(*cases, otherwise):
 
 
 class Margins(NamedTuple):
-    """How far each whisker is from each event; an event is where its margin turns negative."""
+    """Distance of each whisker from each kind of event; an event happens where its margin turns negative."""
 
     touch: PerWhisker
     release: PerWhisker
@@ -95,8 +95,20 @@ class Margins(NamedTuple):
     stop: Float[Array, " 1"]
 
 
-def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, way: Scalar) -> Margins:
-    """Margins at a point. `ahead` is the sign of sin(alpha) before the vertex, `way` what the drive still has to go."""
+TOUCH, RELEASE, PHASE, VERTEX, AT_STOP = range(len(Margins._fields))  # indices into Margins
+MARGIN_NOISE = 1e-12  # margins are exact to this: two events at the same place do not violate each other
+
+
+def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, remaining: Scalar) -> Margins:
+    """Margins at a point.
+
+    Args:
+        mode: phases and sides.
+        point: the point.
+        at: where the whiskers stand there.
+        ahead: sin(alpha), with the sign that makes it positive before the vertex.
+        remaining: way of the drive to its next stop.
+    """
     free = mode.phase == Phase.free
     force, _, slack = point.z.T
     first = at.first(mode.side)
@@ -106,21 +118,17 @@ def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, way: Scalar
         release=jnp.where(free, far, force),
         phase=jnp.where(free, far, jnp.where(mode.phase == Phase.tip, -slack, slack)),
         vertex=jnp.where(free, far, ahead),
-        stop=jnp.reshape(way, 1),
+        stop=jnp.reshape(remaining, 1),
     )
 
 
-def rates(mode: Mode, direction: Point, pose: Poses) -> Margins:
-    """How the margins change along a direction of the path, but for the vertex and the stop, which are passed once.
-
-    Where a pose is more than x, the touch's is left out, too.
-    """
+def margin_rates(problem: Problem, mode: Mode, direction: Point, pose_rate: Poses) -> Margins:
+    """Derivatives of the margins along the path; zero for vertex and stop, which are passed only once."""
     free = mode.phase == Phase.free
-    none = jnp.zeros_like(pose[:, 0])
     return Margins(
-        touch=jnp.where(free, mode.side * pose[:, 0], 0.0) if pose.shape[1] == 1 else none,
+        touch=jnp.where(free, problem.touch_rate(mode.side, pose_rate), 0.0),
         release=jnp.where(free, 0.0, direction.z[:, 0]),
         phase=jnp.where(free, 0.0, jnp.where(mode.phase == Phase.tip, -1.0, 1.0) * direction.z[:, 2]),
-        vertex=none,
+        vertex=jnp.zeros_like(mode.side),
         stop=jnp.zeros(1),
     )

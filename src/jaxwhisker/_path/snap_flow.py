@@ -1,16 +1,21 @@
-"""Relaxation: the overdamped flow of the bases at a fixed drive, which decides what follows a loss of stability.
+"""The snap flow: the overdamped motion of the bases at a fixed drive, which decides what follows a loss of stability.
 
-Base i moves with the velocity load_i - [K (pose - rest)]_i. Its whisker stays on its clamped branch and slips when
-it passes a fold. It is then free if its unloaded shape clears the object. Else it slides on along the branch until it
-is held again at the same base position, as beneath the edge of a flat object; where its base is unbent before that, it
-lands on the far side, bent the other way. Written with the flexibility C = K^-1 and one implicit step of pseudo-time
-dt,
+Base i moves with the velocity load_i - [K (pose - rest)]_i. Its whisker stays on its clamped branch until it passes a
+fold of that branch; then it slips:
+
+1. If its unloaded shape clears the object, it is free.
+2. Otherwise it slides on along its branch until it is stable again at the same base position, as beneath the edge of a
+   flat object.
+3. If its base is unbent before that, it lands on the far side, bent the other way.
+
+With the flexibility C = K^-1, one implicit step of pseudo-time dt is
 
     (1 + C / dt - C D) d pose = rest + C load - pose,        D = d load / d pose,
 
-which holds for rigid springs too. Where the bases run away faster than dt resolves, the matrix is not definite: what
-destabilises (D > 0 along x) is then taken explicitly, and the next dt is shorter. (Always explicitly would not do: just
-below a critical stiffness the bases creep, by a millionth of the way a step.)
+which holds for rigid springs too. Where the bases run away faster than dt resolves, the matrix is not positive
+definite: the destabilising part (D > 0 along x) is then treated explicitly, and the next dt is shorter. Treating it
+explicitly throughout would be too slow: just below a critical stiffness the bases creep by a millionth of the distance
+per step.
 """
 
 from typing import NamedTuple
@@ -19,51 +24,40 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.clearance import Stance, in_scene, stance
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import (
-    Contacts,
-    Mode,
-    PerWhisker,
-    Point,
-    Poses,
-    Solution,
-    by_blocks,
-    definite,
-    held,
-    rest,
-    scale_of,
-    slopes,
-    yielding,
-)
-from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.newton import Solution
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
+from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
 
 STEP = 0.02  # largest change of any contact, in its scale; the flow is first order in it
 SHORTEST = 1e-7  # ... tried where a whisker cannot follow a longer one
-NEAR = 0.02  # Newton's method takes over where it would go less than this
+FIRST_TIME_STEP = 1e-3
+NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
 ITERATIONS = 3000
-NO_FORCE = 1e-9  # a contact that has just begun has none but rounding
+NO_FORCE = 1e-9  # a contact that has just begun has no force beyond rounding
+LANDED = 1e-6  # tolerance for the place where a slipped whisker's slide or landing ends
 
 
 class Flow(NamedTuple):
-    """State of the relaxation between two iterations of the march."""
+    """State of the snap flow between two iterations of the march."""
 
     pose: Poses
     guess: Contacts
-    basis: Float[Array, "whiskers 3 axes"]  # steps along and across each whisker's branch, ...
-    pose_by: Float[Array, "whiskers axes axes"]  # ... and how pose and load of the base go with them
+    basis: Float[Array, "whiskers 3 axes"]  # steps along and across each whisker's branch, as in Condensed
+    pose_by: Float[Array, "whiskers axes axes"]  # change of the base's pose with these steps
     slope: Float[Array, "whiskers axes axes"]  # d load / d pose
     load: Poses
-    gap: PerWhisker  # between a free whisker's base and where it would touch
+    gap: PerWhisker  # distance of a free whisker's base from where the whisker would touch
     step: Scalar  # largest change of any contact
     time_step: Scalar
     slipped: Bool[Array, " whiskers"]
     sliding: Bool[Array, " whiskers"]  # past a fold of its branch
     landing: Bool[Array, " whiskers"]  # on the far side
-    landing_x: PerWhisker  # where either has to end
-    near: Scalar  # step below which Newton's method takes over
+    landing_x: PerWhisker  # base position at which sliding or landing ends
+    near: Scalar  # distance from the equilibrium at which Newton's method takes over
     iterations: Int[Array, ""]
     exhausted: Bool[Array, ""]
 
@@ -73,58 +67,58 @@ def start(mode: Mode, pose: Poses) -> Flow:
     n, axes = pose.shape
     no, none = jnp.zeros(n, bool), jnp.zeros(n)
     return Flow(
-        pose,
-        jnp.zeros((n, 3)),
-        jnp.zeros((n, 3, axes)),
-        jnp.broadcast_to(jnp.eye(axes), (n, axes, axes)),
-        jnp.zeros((n, axes, axes)),
-        jnp.zeros_like(pose),
-        none,
-        jnp.asarray(STEP),
-        jnp.asarray(1e-3),
-        no,
-        no,
-        no,
-        none,
-        jnp.asarray(NEAR),
-        jnp.asarray(0),
-        jnp.asarray(False),
+        pose=pose,
+        guess=jnp.zeros((n, 3)),
+        basis=jnp.zeros((n, 3, axes)),
+        pose_by=jnp.broadcast_to(jnp.eye(axes), (n, axes, axes)),
+        slope=jnp.zeros((n, axes, axes)),
+        load=jnp.zeros_like(pose),
+        gap=none,
+        step=jnp.asarray(STEP),
+        time_step=jnp.asarray(FIRST_TIME_STEP),
+        slipped=no,
+        sliding=no,
+        landing=no,
+        landing_x=none,
+        near=jnp.asarray(NEAR),
+        iterations=jnp.asarray(0),
+        exhausted=jnp.asarray(False),
     )
 
 
 def kick(flow: Flow, point: Point, tangent: Point, tangent_pose: Poses) -> Flow:
-    """The first step: on along the path that has just turned unstable, the drive at rest."""
+    """The first step: onwards along the path that has just become unstable, with the drive at rest."""
     length = jnp.sqrt(jnp.sum((tangent.z / scale_of(point.z)) ** 2))
     step = flow.step / jnp.maximum(length, 1e-3)
     return flow._replace(guess=point.z + step * tangent.z, pose=flow.pose + step * tangent_pose)
 
 
-def _displacement(problem: Problem, flow: Flow, pull: Poses, slope, damping: Scalar) -> Poses:
+def _implicit_displacement(problem: Problem, pull: Poses, slope, damping: Scalar) -> Poses:
     """Solution of (1 + C damping - C slope) displacement = pull."""
     if problem.flexibility is None:
         return pull
     matrix = problem.flexibility.matrix
-    system = jnp.eye(pull.size) + matrix * damping - by_blocks(matrix, slope)
+    system = jnp.eye(pull.size) + matrix * damping - times_block_diagonal(matrix, slope)
     return jnp.reshape(solve(system, jnp.ravel(pull)[:, None]), pull.shape)
 
 
 def _steps(flow: Flow, displacement: Poses) -> Poses:
-    """Steps along and across the branches that take poses so far."""
+    """Steps along and across the branches that displace the bases so far."""
     across = displacement[:, 1:]
     along = displacement[:, 0] - jnp.sum(flow.pose_by[:, 0, 1:] * across, axis=-1)
     return jnp.concatenate([(along / _nonzero(flow.pose_by[:, 0, 0]))[:, None], across], axis=1)
 
 
 def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
-    """The next step of the bases, and where it takes the contacts."""
+    """The next step of the bases, and the contacts that it leads to."""
     free = mode.phase == Phase.free
-    slope, axes = flow.slope, flow.pose.shape[1]
-    pull = rest(problem, point.u) + yielding(problem, flow.load) - flow.pose
-    # By half of what dt damps: well conditioned.
-    resolved = definite(problem, slope - 0.5 / flow.time_step * jnp.eye(axes))
-    slope = jnp.where(resolved, slope, _not_along(slope))
-    moves = _displacement(problem, flow, pull, slope, 1 / flow.time_step)
-    # A whisker slips at once, and the others wait.
+    axes = flow.pose.shape[1]
+    pull = problem.rest(point.u) + problem.displacement(flow.load) - flow.pose
+    # Half of the damping must suffice, so that the system is well conditioned.
+    resolved = network_is_stable(problem, flow.slope - 0.5 / flow.time_step * jnp.eye(axes))
+    slope = jnp.where(resolved, flow.slope, problem.not_destabilising(flow.slope))
+    moves = _implicit_displacement(problem, pull, slope, 1 / flow.time_step)
+    # A whisker slips at once; the others wait.
     slipping = flow.sliding | flow.landing
     slipping_now = jnp.any(slipping)
     steps = jnp.where(free[:, None], 0.0, _steps(flow, moves))
@@ -132,16 +126,13 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     reach = (flow.step + 0.5 * flow.gap)[:, None]
     size = jnp.max(jnp.where(free[:, None], jnp.abs(moves) / reach, jnp.abs(steps) / flow.step))
     share = jnp.minimum(1.0, 1 / jnp.maximum(size, 1e-300))
-    by_x = flow.pose_by[:, 0, 0]
-    to_land = jnp.clip((flow.landing_x - flow.pose[:, 0]) / _nonzero(by_x), -flow.step, flow.step)
-    to_land = jnp.where(flow.sliding & ~held(mode, by_x), flow.step, to_land)
-    to_land = jnp.zeros_like(steps).at[:, 0].set(to_land)
+    to_land = jnp.zeros_like(steps).at[:, 0].set(_step_to_landing(flow, mode))
     steps = jnp.where(slipping_now, jnp.where(slipping[:, None], to_land, 0.0), share * steps)
     moves = jnp.where(slipping_now, 0.0, share * moves)
     longer = jnp.where(resolved, jnp.where(share < 1, 0.7, 1.4), 0.25)
-    # Across their branches bases are held where the flow has them; along these they come with the contacts. A contact
+    # Across their branches bases are held where the flow puts them; along these they follow the contacts. A contact
     # whose branch is not known yet waits.
-    moved = free[:, None] | (_known(flow)[:, None] & (jnp.arange(axes) > 0))
+    moved = free[:, None] | (_branch_known(flow)[:, None] & (jnp.arange(axes) > 0))
     return flow._replace(
         guess=point.z + jnp.sum(flow.basis * steps[:, None, :], axis=-1),
         pose=flow.pose + jnp.where(moved, moves, 0.0),
@@ -149,101 +140,114 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     )
 
 
-def _known(flow: Flow) -> Bool[Array, " whiskers"]:
+def _step_to_landing(flow: Flow, mode: Mode) -> PerWhisker:
+    """Step along the branch of a slipping whisker, towards the base position at which its slip ends."""
+    by_x = flow.pose_by[:, 0, 0]
+    to_land = jnp.clip((flow.landing_x - flow.pose[:, 0]) / _nonzero(by_x), -flow.step, flow.step)
+    return jnp.where(flow.sliding & ~on_stable_branch(mode, by_x), flow.step, to_land)
+
+
+def _branch_known(flow: Flow) -> Bool[Array, " whiskers"]:
     return jnp.any(flow.basis[:, :, 0] != 0, axis=-1)
 
 
-def _not_along(slope):
-    """The slopes without what destabilises along x."""
-    along = slope[:, 0, 0]
-    return slope.at[:, 0, 0].set(jnp.minimum(along, 0.0)) if slope.shape[1] == 1 else jnp.zeros_like(slope)
+class _Slip(NamedTuple):
+    """Whiskers whose contact ends, begins, or passes a fold in a step of the flow."""
+
+    slips: Bool[Array, " whiskers"]  # passes a fold
+    slides: Bool[Array, " whiskers"]  # ... and is not free
+    freed: Bool[Array, " whiskers"]
+    begins: Bool[Array, " whiskers"]  # a free whisker touches
+    lands: Bool[Array, " whiskers"]  # on the far side
+    holds: Bool[Array, " whiskers"]  # on the stable part of its branch
+
+
+def _slip(
+    problem: Problem, flow: Flow, mode: Mode, z: Contacts, u: Scalar, pose: Poses, at: Stance, by_x: PerWhisker
+) -> _Slip:
+    """Apply the snap rule."""
+    free = mode.phase == Phase.free
+    slipping, holds = flow.sliding | flow.landing, on_stable_branch(mode, by_x)
+    ends = ~free & ~slipping & (z[:, 0] < -NO_FORCE)
+    slips = ~free & ~slipping & ~ends & ~holds
+    contact = jax.vmap(problem.profile.point)(z[:, 1])
+    base = problem.in_scene(u, pose)
+    unbent = mode.side * ((contact.x - base.x) * contact.cos + (contact.y - base.y) * contact.sin) <= 0
+    near = at.first(mode.side)
+    return _Slip(
+        slips=slips,
+        slides=slips & ~at.clear,
+        freed=ends | (slips & at.clear),
+        begins=free & near.reaches & (mode.side * (at.x - near.x) < 0),
+        lands=flow.sliding & (unbent | (z[:, 0] < 0)),
+        holds=holds,
+    )
 
 
 def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tuple[Flow, Mode, Contacts]:
-    """Take the solved step: phases that change, contacts that end or begin, whiskers that slip."""
+    """Accept the solved step: phases change, contacts end or begin, whiskers slip."""
     newton, z, u = solution.newton, solution.point.z, solution.point.u
     free = mode.phase == Phase.free
     pose = jnp.where(free[:, None], flow.pose, newton.pose)
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
     turned = (phase != mode.phase) & ~free
+    by_x = newton.condensed.by_x
+    at = problem.stance(u, pose)
+    slip = _slip(problem, flow, mode, z, u, pose, at, by_x)
 
-    by_x = newton.local.by_x
-    slipping, holds = flow.sliding | flow.landing, held(mode, by_x)
-    ends = ~free & ~slipping & (z[:, 0] < -NO_FORCE)
-    slips = ~free & ~slipping & ~ends & ~holds
-    at = stance(problem, u, pose)
-    clears = clear(at)
-    freed = ends | (slips & clears)
-    slides = slips & ~clears
-    contact = jax.vmap(problem.profile.point)(z[:, 1])
-    base = in_scene(problem, u, pose)
-    unbent = mode.side * ((contact.x - base.x) * contact.cos + (contact.y - base.y) * contact.sin) <= 0
-    lands = flow.sliding & (unbent | (z[:, 0] < 0))
-    near = at.first(mode.side)
-    begins = free & near.reaches & (mode.side * (at.x - near.x) < 0)
-
-    side = jnp.where(freed, side_of(at), jnp.where(lands, -mode.side, mode.side))
-    z, phase = jnp.where(freed[:, None], 0.0, z), jnp.where(freed, Phase.free, phase)
-    fresh = begins | lands
-    touched, how, bends = touching(at, side)
-    z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, how, phase)
-    landing_x = jnp.where(slides, pose[:, 0], flow.landing_x)
+    side = jnp.where(slip.freed, at.side, jnp.where(slip.lands, -mode.side, mode.side))
+    z, phase = jnp.where(slip.freed[:, None], 0.0, z), jnp.where(slip.freed, Phase.free, phase)
+    fresh = slip.begins | slip.lands
+    touched, touched_phase, touched_side = touching(at, side)
+    z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, touched_phase, phase)
+    landing_x = jnp.where(slip.slides, pose[:, 0], flow.landing_x)
     first = at.first(side)
-    shift = (first.x - at.x)[:, None]
-    if problem.mount is not None:
-        frame, _ = problem.frames(u)
-        shift = shift * jnp.stack([frame.cos, -frame.sin, jnp.zeros_like(frame.cos)], axis=1)
-    pose = pose + jnp.where(fresh[:, None], shift, 0.0)
-    side = jnp.where(fresh, bends, side)
+    pose = pose + jnp.where(fresh[:, None], problem.shift(u, first.x - at.x), 0.0)
+    side = jnp.where(fresh, touched_side, side)
     astray = jnp.abs(landing_x - pose[:, 0]) > LANDED * jnp.minimum(jnp.abs(by_x), 1.0)
-    sliding = ((flow.sliding & (astray | ~holds)) | slides) & ~lands
-    landing = (flow.landing & astray) | lands
 
     iterations = flow.iterations + 1
-    missed = jnp.any(flow.landing & ~holds & ~fresh & (z[:, 0] > 0))
-    none = (fresh | freed)[:, None]
+    missed = jnp.any(flow.landing & ~slip.holds & ~fresh & (z[:, 0] > 0))
+    no_branch = (fresh | slip.freed)[:, None]
     flow = flow._replace(
         pose=pose,
-        # Where a phase has just begun the branch's direction is not known yet: first its point is solved for.
-        basis=jnp.where((fresh | turned)[:, None, None], 0.0, newton.local.basis),
-        pose_by=jnp.where(none[:, :, None], jnp.eye(pose.shape[1]), newton.local.pose_by),
-        slope=jnp.where(none[:, :, None], 0.0, slopes(mode, newton.local)),
-        load=jnp.where(none, 0.0, newton.load),
+        # In a phase that has just begun the direction of the branch is not known yet: first its point is solved for.
+        basis=jnp.where((fresh | turned)[:, None, None], 0.0, newton.condensed.basis),
+        pose_by=jnp.where(no_branch[:, :, None], jnp.eye(pose.shape[1]), newton.condensed.pose_by),
+        slope=jnp.where(no_branch[:, :, None], 0.0, load_slopes(mode, newton.condensed)),
+        load=jnp.where(no_branch, 0.0, newton.load),
         gap=jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf),
-        slipped=flow.slipped | slips,
-        sliding=sliding,
-        landing=landing,
+        slipped=flow.slipped | slip.slips,
+        sliding=((flow.sliding & (astray | ~slip.holds)) | slip.slides) & ~slip.lands,
+        landing=(flow.landing & astray) | slip.lands,
         landing_x=landing_x,
         iterations=iterations,
-        # Too many steps, or a far side that ends before it is reached.
+        # Too many steps, or a far side that ends before the whisker lands.
         exhausted=(iterations > ITERATIONS) | missed,
         step=jnp.minimum(2 * flow.step, STEP),
-        time_step=jnp.where(jnp.any(freed | fresh), 1e-3, flow.time_step),
+        time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
     )
     return flow, Mode(phase, side, jnp.asarray(False)), z
 
 
-LANDED = 1e-6  # by how much a slipped whisker's base and contact miss their place
-
-
 def shortened(flow: Flow) -> Flow:
-    """The flow before a step that a whisker could not follow: a shorter one is tried."""
+    """The flow before a step that a whisker could not follow, with a shorter step to try."""
     step, iterations = flow.step / 4, flow.iterations + 1
     return flow._replace(step=step, iterations=iterations, exhausted=(iterations > ITERATIONS) | (step < SHORTEST))
 
 
-def at_rest(problem: Problem, flow: Flow, mode: Mode, solution: Solution, u: Scalar) -> Bool[Array, ""]:
+def at_rest(problem: Problem, flow: Flow, mode: Mode, u: Scalar) -> Bool[Array, ""]:
     """Whether a stable equilibrium is near enough for Newton's method."""
     free = mode.phase == Phase.free
-    known = jnp.all(free | _known(flow))
+    known = jnp.all(free | _branch_known(flow))
     slope = jnp.where(free[:, None, None], 0.0, flow.slope)
-    pull = rest(problem, u) + yielding(problem, flow.load) - flow.pose
-    moves = _displacement(problem, flow, pull, slope, jnp.asarray(0.0))
+    pull = problem.rest(u) + problem.displacement(flow.load) - flow.pose
+    moves = _implicit_displacement(problem, pull, slope, jnp.asarray(0.0))
     steps = jnp.where(free[:, None], 0.0, _steps(flow, moves))
     near = jnp.max(jnp.maximum(jnp.abs(moves), jnp.abs(steps))) < flow.near
     settled = near & known & ~jnp.any(flow.sliding | flow.landing)
-    own = jnp.all(free | held(mode, flow.pose_by[:, 0, 0]))
-    return settled & own & definite(problem, slope)
+    own = jnp.all(free | on_stable_branch(mode, flow.pose_by[:, 0, 0]))
+    return settled & own & network_is_stable(problem, slope)
 
 
 def touching(at: Stance, side: PerWhisker) -> tuple[Contacts, Int[Array, " whiskers"], PerWhisker]:
@@ -251,17 +255,6 @@ def touching(at: Stance, side: PerWhisker) -> tuple[Contacts, Int[Array, " whisk
     first = at.first(side)
     z = jnp.stack([jnp.zeros_like(first.slack), first.parameter, first.slack], axis=-1)
     return z, jnp.where(first.slack > 0, Phase.tangential, Phase.tip), first.side
-
-
-def clear(at: Stance) -> Bool[Array, " whiskers"]:
-    """Whether unloaded whiskers stand clear of the object."""
-    right, left = at.right, at.left
-    return ~right.reaches | (at.x > right.x) | (at.x < left.x)
-
-
-def side_of(at: Stance) -> PerWhisker:
-    """On which side of the object whiskers stand, or nearer to which."""
-    return jnp.where(at.x - at.right.x >= at.left.x - at.x, 1.0, -1.0)
 
 
 def _nonzero(x: PerWhisker) -> PerWhisker:

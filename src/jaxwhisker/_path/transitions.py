@@ -1,7 +1,10 @@
-"""Decisions of the march: what follows from a solved end of a step, for each task.
+"""Transitions of the march: what follows from the solved end of a step, for each task.
 
-Each function returns the new front, whether a node is to be written, and the node.
+Each `after_...` function returns the new state, whether a node is to be written, and the node. All cases are computed
+and one is selected, because a batch pays for every branch anyway.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,80 +12,78 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import Local, PerWhisker, Point, Poses, Solution, dot, scale_of
-from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._model.motion import Translation
+from jaxwhisker._equilibrium.newton import Condensed, Solution
+from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of
+from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.march_state import (
+from jaxwhisker._path.approach import FIRST_STEP, approach_of
+from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, slope_sines
+from jaxwhisker._path.path import (
     AT_STOP,
     MARGIN_NOISE,
+    NO_EVENT,
     PHASE,
     RELEASE,
+    STOP,
     TOUCH,
     VERTEX,
-    Front,
-    Lead,
-    Target,
-    Task,
-    Trial,
-    dip,
-    first_violated,
-    stopped,
-    turn_of,
+    EventKind,
+    Node,
+    Status,
+    first_case,
+    margin_rates,
 )
-from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, decided, rates
 
 PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
-FIRST_STEP = 0.02  # after a corner, in units of length; grows at once where the path is smooth
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
-GLANCES = 64  # at free whiskers whose drive turns, on its way
 SHORTEST_STEP = 1e-10
-FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as found: the state is then exact to it, u to its square
-FOLD_BRACKET = 1e-9  # or the step on which stability is lost
-NEAR_FOLD = 2e-4  # ... that will do where no shorter step is solved; u is off by less than its square
-RESOLVED_STEP = 0.02  # in which du/ds is a parabola ...
+FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as located: the state is then exact to it, u to its square
+FOLD_BRACKET = 1e-9  # or the step within which stability is lost
+NEAR_FOLD = 2e-4  # ... which is enough where no shorter step is solved; u is off by less than its square
+RESOLVED_STEP = 0.02  # within which du/ds is a parabola ...
 PARABOLA_ERROR = 0.25  # ... to a few percent of its change; with a margin
-SHORTEST_DIP = 1e-4  # in which du/ds changes by some 1e-6 at most: folds nearer to each other than that are overlooked
+SHORTEST_DIP = 1e-4  # within which du/ds changes by some 1e-6 at most: folds closer together are overlooked
 ARRIVAL_MISS = 0.1  # a flow ends nearer than this to its equilibrium
 
 
-def _public_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
+def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
+    """EventKind of a target, or STOP."""
     tip = jnp.any(target.whisker & (phase == Phase.tip))
     change = jnp.where(tip, EventKind.tip_to_tangential, EventKind.tangential_to_tip)
     kinds = jnp.array([EventKind.touch, EventKind.release, 0, EventKind.vertex, STOP])
     return jnp.where(target.kind == PHASE, change, kinds[target.kind])
 
 
-def _next_step(turn: Scalar, unstable_at: Scalar, unstable_turn: Scalar, otherwise: Scalar) -> Scalar:
-    # du/ds is nearly linear towards a fold, so its zero is a secant away; a loss without a fold is halved in.
-    to_fold = jnp.where(unstable_turn < 0, turn / (turn - unstable_turn), 0.5)
-    inside = unstable_at * jnp.clip(to_fold, 1e-3, 0.999)
+def _step_to_fold(turn: Scalar, unstable_at: Scalar, unstable_turn: Scalar, otherwise: Scalar) -> Scalar:
+    """Length of the next step if stability is lost at a known distance: towards the loss, but not as far."""
+    # du/ds is nearly linear towards a fold, so its zero is a secant away; a loss without a fold is bisected.
+    share = jnp.where(unstable_turn < 0, turn / (turn - unstable_turn), 0.5)
+    inside = unstable_at * jnp.clip(share, 1e-3, 0.999)
     return jnp.minimum(otherwise, jnp.where(jnp.isfinite(unstable_at), inside, jnp.inf))
 
 
-def _node(front: Front, trial: Trial) -> Node:
-    # A plain node: the path goes on as it came.
+def _node(state: MarchState, trial: Trial) -> Node:
+    """A plain node: the path continues as it arrives."""
     point = trial.solution.point
     return Node(
         point,
         point.z,
         trial.tangent,
         trial.tangent,
-        front.mode.phase,
-        front.mode.side,
-        front.travel + jnp.abs(point.u - front.point.u),
+        state.mode.phase,
+        state.mode.side,
+        state.travel + jnp.abs(point.u - state.point.u),
         jnp.asarray(NO_EVENT),
-        jnp.zeros_like(front.mode.phase, bool),
-        front.mode.phase,
-        front.mode.side,
+        jnp.zeros_like(state.mode.phase, bool),
+        state.mode.phase,
+        state.mode.side,
     )
 
 
-def _moved(front: Front, trial: Trial, node: Node) -> Front:
-    point = trial.solution.point
-    return front._replace(
-        mode=front.mode._replace(side=trial.side),
-        point=point,
+def _moved(state: MarchState, trial: Trial, node: Node) -> MarchState:
+    return state._replace(
+        mode=state.mode._replace(side=trial.side),
+        point=trial.solution.point,
         pose=trial.solution.newton.pose,
         tangent=trial.tangent,
         tangent_pose=trial.tangent_pose,
@@ -90,189 +91,215 @@ def _moved(front: Front, trial: Trial, node: Node) -> Front:
     )
 
 
-def _to_snap(front: Front) -> Front:
-    return front._replace(
+def _to_snap(state: MarchState) -> MarchState:
+    return state._replace(
         task=jnp.asarray(int(Task.kick)),
-        flow=snap_flow.start(front.mode, front.pose),
+        flow=snap_flow.start(state.mode, state.pose),
         unstable_at=jnp.asarray(jnp.inf),
     )
 
 
-def _folds_twice(front: Front, trial: Trial, solution: Solution) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether u may have turned back and forth within a step whose ends are stable, and at which share of it.
+def _may_fold_twice(state: MarchState, trial: Trial) -> tuple[Bool[Array, ""], Scalar]:
+    """Whether u may turn back and forth within a step whose ends are stable, and at which share of the step.
 
-    du/ds between the ends is a parabola with the ends' values and the step's mean. Near a critical stiffness it dips
-    towards zero: such a dip is gone through in short steps, and one below zero is a pair of folds.
+    du/ds within the step is a parabola with the values at its ends and the mean of the step. Near a critical stiffness
+    it dips towards zero. Such a dip is traversed in short steps; a dip below zero is a pair of folds.
     """
-    start, end = turn_of(front, front.tangent), turn_of(front, trial.tangent)
-    mean = front.direction * (solution.point.u - front.point.u) / front.step
+    start, end = state.turn(state.tangent), state.turn(trial.tangent)
+    mean = state.direction * (trial.solution.point.u - state.point.u) / state.step
     least, highest = jnp.minimum(start, end), jnp.maximum(start, end)
     slope, bend = 6 * mean - 4 * start - 2 * end, 3 * start + 3 * end - 6 * mean
-    # The lowest that it may come to, if the slope at either end is wrong by a share of the change.
+    # The lowest value it may have if the slope at either end is wrong by a share of the change.
     wrong = PARABOLA_ERROR * (highest - least)
     bowl = jnp.where(bend > 0, bend, 1.0)
     steeper, flatter = slope - wrong, slope + 2 * bend + wrong
     at = -steeper / (2 * bowl)
     lowest = start + at * (steeper + at * bend)
-    inside = (at > 0) & (at < 1) & ((lowest < 0) | ((front.step > RESOLVED_STEP) & (lowest < 0.5 * least)))
+    inside = (at > 0) & (at < 1) & ((lowest < 0) | ((state.step > RESOLVED_STEP) & (lowest < 0.5 * least)))
     at_end = (slope < 0) & (flatter > 0) & (end < wrong**2 / (4 * bowl))
-    possible = trial.stable & (bend > 0) & (least > 0) & (front.step > SHORTEST_DIP)
+    possible = trial.stable & (bend > 0) & (least > 0) & (state.step > SHORTEST_DIP)
     return possible & (inside | at_end), jnp.where(inside, jnp.clip(at, 0.2, 0.8), 0.6)
 
 
-def after_advance(problem: Problem, front: Front, trial: Trial, guess: Point):
-    """End of a step along the path: a new node, an event on the way, a loss of stability, or too far."""
-    solution = trial.solution
-    scale = scale_of(front.point.z)
-    miss = Point(solution.point.z - guess.z, solution.point.u - guess.u)
-    error = jnp.sqrt(dot(miss, miss, scale))
-    straight = dot(front.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
-    good = solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
-    violated, target = first_violated(front, trial, front.step)
-    dips, share = dip(front, trial, front.step)
+def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Point):
+    """End of a step along the path: a new node, an event within the step, a loss of stability, or too long a step."""
+    scale = scale_of(state.point.z)
+    error, good = _prediction_error(state, trial, guess, scale)
+    violated, target = first_violated(state, trial, state.step)
+    dips, share = dip(problem, state, trial, state.step)
     dips &= ~violated
-    twice, turn_share = _folds_twice(front, trial, solution)
+    twice, turn_share = _may_fold_twice(state, trial)
     share = jnp.where(twice, turn_share, share)
     dips = good & (dips | twice)
     good &= ~dips
-    short = front._replace(step=jnp.where(dips, share, 0.4) * front.step)
-    too_short = ~good & (short.step < SHORTEST_STEP)
+    shorter = state._replace(step=jnp.where(dips, share, 0.4) * state.step)
+    too_short = ~good & (shorter.step < SHORTEST_STEP)
+    to_event = state._replace(task=jnp.asarray(int(Task.event)), target=target)
 
-    to_event = front._replace(task=jnp.asarray(int(Task.event)), target=target)
-
-    turn = turn_of(front, trial.tangent)
-    found = (jnp.abs(turn) < FOLD_SLOPE) | (front.step < FOLD_BRACKET)
-    node = _node(front, trial)
-    moved = _moved(front, trial, node)
+    turn = state.turn(trial.tangent)
+    located = (jnp.abs(turn) < FOLD_SLOPE) | (state.step < FOLD_BRACKET)
+    node = _node(state, trial)
+    moved = _moved(state, trial, node)
     fold = _to_snap(moved)
-    closer = front._replace(
-        unstable_at=front.step,
+    closer = state._replace(
+        unstable_at=state.step,
         unstable_turn=turn,
-        step=_next_step(turn_of(front, front.tangent), front.step, turn, jnp.inf),
+        step=_step_to_fold(state.turn(state.tangent), state.step, turn, jnp.inf),
     )
+    at_fold = jnp.isfinite(state.unstable_at) & (turn < FOLD_SLOPE)
+    new = first_case(
+        # If several whiskers become unstable at once, Newton's method fails beside the fold: this is near enough.
+        (too_short & (state.unstable_at < NEAR_FOLD), _to_snap(state)),
+        (too_short, state.stopped(Status.lost)),
+        (~good, shorter),
+        (violated, to_event),
+        (~trial.stable & ~located, closer),
+        (~trial.stable, fold),
+        (~trial.convex, state.stopped(Status.not_convex)),
+        (at_fold, fold),
+        otherwise=_onwards(problem, state, moved, trial, error, scale),
+    )
+    return new, good & ~violated & (trial.stable | located) & trial.convex, node
 
+
+def _prediction_error(state: MarchState, trial: Trial, guess: Point, scale: Contacts) -> tuple[Scalar, Bool[Array, ""]]:
+    """Distance between prediction and solution, and whether the step is accepted: solved, near, and not bent back."""
+    solution = trial.solution
+    miss = Point(solution.point.z - guess.z, solution.point.u - guess.u)
+    error = jnp.sqrt(dot(miss, miss, scale))
+    straight = dot(state.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
+    return error, solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
+
+
+def _onwards(
+    problem: Problem, state: MarchState, moved: MarchState, trial: Trial, error: Scalar, scale: Contacts
+) -> MarchState:
+    """The state after an accepted step, with the length of the next one."""
     factor = jnp.clip((PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3), 0.3, 2.5)
-    all_free = jnp.all(front.mode.phase == Phase.free)
+    all_free = jnp.all(state.mode.phase == Phase.free)
     contacts = trial.tangent._replace(u=jnp.asarray(0.0))
     bending = jnp.sqrt(dot(contacts, contacts, scale))
-    longest = jnp.where(all_free, _longest_free(problem), LONGEST_STEP / bending)
-    left = front.unstable_at - front.step
-    # Stable all the same: lengths along a curve do not quite add up, and the loss lies further on.
+    longest = jnp.where(all_free, approach_of(problem).longest_step(), LONGEST_STEP / bending)
+    left = state.unstable_at - state.step
+    # Stable nevertheless: lengths along a curve do not quite add up, and the loss is further ahead.
     left = jnp.where(left < FOLD_BRACKET, jnp.inf, left)
-    bend = Point((trial.tangent.z - front.tangent.z) / front.step, (trial.tangent.u - front.tangent.u) / front.step)
-    onwards = moved._replace(
+    bend = Point((trial.tangent.z - state.tangent.z) / state.step, (trial.tangent.u - state.tangent.u) / state.step)
+    turn = state.turn(trial.tangent)
+    return moved._replace(
         bend=bend,
         unstable_at=left,
-        step=_next_step(turn, left, front.unstable_turn, jnp.minimum(factor * front.step, longest)),
+        step=_step_to_fold(turn, left, state.unstable_turn, jnp.minimum(factor * state.step, longest)),
     )
-    at_fold = jnp.isfinite(front.unstable_at) & (turn < FOLD_SLOPE)
-    new = decided(
-        # Where several whiskers lose their hold at once Newton's method fails beside the fold: then it is near enough.
-        (too_short & (front.unstable_at < NEAR_FOLD), _to_snap(front)),
-        (too_short, stopped(front, Status.lost)),
-        (~good, short),
-        (violated, to_event),
-        (~trial.stable & ~found, closer),
-        (~trial.stable, fold),
-        (~trial.convex, stopped(front, Status.not_convex)),
-        (at_fold, fold),
-        otherwise=onwards,
-    )
-    return new, good & ~violated & (trial.stable | found) & trial.convex, node
 
 
-def _longest_free(problem: Problem) -> Scalar:
-    # A drive that goes straight on meets the object at the end of the step, too; another one may have passed it.
-    if problem.motion.ends is None:
-        return jnp.inf
-    start, stop = problem.motion.ends
-    return jnp.abs(stop - start) / problem.unit.control / GLANCES
+class _Change(NamedTuple):
+    """Whiskers whose mode an event changes."""
+
+    touches: Bool[Array, " whiskers"]
+    released: Bool[Array, " whiskers"]
+    phase: Bool[Array, " whiskers"]
 
 
-def after_event(problem: Problem, front: Front, trial: Trial):
-    """The point where a margin vanishes: into the mode that holds from here on."""
-    solution = trial.solution
-    scale = scale_of(front.point.z)
-    one, kind = front.target.whisker, front.target.kind
-    touches, released, changes = one & (kind == TOUCH), one & (kind == RELEASE), one & (kind == PHASE)
-    z_before = jnp.where(touches[:, None], front.point.z, solution.point.z)
-    chord = Point(z_before - front.point.z, solution.point.u - front.point.u)
-    distance = dot(front.tangent, chord, scale)
-    reach = jnp.sqrt(dot(chord, chord, scale))
-    good = solution.converged & (distance > -1e-9) & (reach <= 1.5 * front.step + 1e-9)
-    # Where the margin grows again the path has been beyond the event: its beginning lies before.
-    n = front.mode.phase.shape[0]
-    rate = jnp.concatenate(rates(front.mode, trial.tangent, trial.tangent_pose))[: 4 * n].reshape(4, n)
-    growing = jnp.where(front.target.kind < AT_STOP, rate[jnp.minimum(front.target.kind, VERTEX)], 0.0)
-    good &= jnp.sum(front.target.whisker * growing) < MARGIN_NOISE
-    again = front._replace(task=jnp.asarray(int(Task.advance)), step=0.4 * front.step)
+def after_event(problem: Problem, state: MarchState, trial: Trial):
+    """The point where a margin vanishes: change to the mode that holds from here on."""
+    solution, target = trial.solution, state.target
+    change = _Change(*(target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE)))
+    z_before = jnp.where(change.touches[:, None], state.point.z, solution.point.z)
+    good, distance = _reached(problem, state, trial, z_before)
 
-    violated, earlier = first_violated(front, trial, distance)
-    to_earlier = front._replace(target=earlier)
-    dips, share = dip(front, trial, distance)
+    violated, earlier = first_violated(state, trial, distance)
+    dips, share = dip(problem, state, trial, distance)
     dips &= good & ~violated
     good &= ~dips
-    again = again._replace(step=jnp.where(dips, share * distance, again.step))
-
-    turn = turn_of(front, trial.tangent)
-    unstable = front._replace(
+    again = state._replace(
+        task=jnp.asarray(int(Task.advance)), step=jnp.where(dips, share * distance, 0.4 * state.step)
+    )
+    turn = state.turn(trial.tangent)
+    unstable = state._replace(
         task=jnp.asarray(int(Task.advance)),
         unstable_at=distance,
         unstable_turn=turn,
-        step=_next_step(turn_of(front, front.tangent), distance, turn, jnp.inf),
+        step=_step_to_fold(state.turn(state.tangent), distance, turn, jnp.inf),
     )
+    node = _event_node(state, trial, change, z_before)
+    new = first_case(
+        (~good & (again.step < SHORTEST_STEP), state.stopped(Status.lost)),
+        (~good, again),
+        (violated, state._replace(target=earlier)),
+        (~trial.stable, unstable),
+        otherwise=_arrived(problem, state, trial, change, node),
+    )
+    return new, jnp.asarray(False), node
 
-    tip = front.mode.phase == Phase.tip
-    phase = jnp.where(touches, front.target.phase, front.mode.phase)
-    side = jnp.where(touches, front.target.side, jnp.where(released, snap_flow.side_of(trial.stance), front.mode.side))
-    z, phase = jnp.where(released[:, None], 0.0, solution.point.z), jnp.where(released, Phase.free, phase)
-    phase = jnp.where(changes, jnp.where(tip, Phase.tangential, Phase.tip), phase)
-    z = z.at[:, 2].set(jnp.where(changes, 0.0, z[:, 2]))
-    stops = kind == AT_STOP
-    lead_z = jnp.zeros_like(z).at[:, 0].set(touches).at[:, 2].set(changes * jnp.where(tip, 1.0, -1.0))
-    # Where nothing of the mode changes the path goes on as it came.
-    smooth = stops | (kind == VERTEX)
-    lead_z += jnp.where(smooth, front.tangent.z / scale**2, 0.0)
-    lead_u = jnp.where(smooth, front.tangent.u, 0.0)
-    # A whisker is released to where its contact would have to pull.
-    pose_lead, u_lead = _pulling(solution.newton.local)
-    lead_pose = jnp.where(released[:, None], pose_lead, 0.0)
-    lead_u += jnp.sum(jnp.where(released, u_lead, 0.0))
-    node = _node(front, trial)
-    at_first = stops & (front.goal == 0)
-    node = node._replace(
+
+def _reached(problem: Problem, state: MarchState, trial: Trial, z_before: Contacts) -> tuple[Bool[Array, ""], Scalar]:
+    """Whether the solution is the event aimed at, within the last step, and its distance."""
+    scale = scale_of(state.point.z)
+    chord = Point(z_before - state.point.z, trial.solution.point.u - state.point.u)
+    distance = dot(state.tangent, chord, scale)
+    reach = jnp.sqrt(dot(chord, chord, scale))
+    good = trial.solution.converged & (distance > -1e-9) & (reach <= 1.5 * state.step + 1e-9)
+    # Where the margin grows, the path returns from beyond the event, which began earlier.
+    n = state.mode.phase.shape[0]
+    rates = jnp.concatenate(margin_rates(problem, state.mode, trial.tangent, trial.tangent_pose))
+    rate = rates[: 4 * n].reshape(4, n)[jnp.minimum(state.target.kind, VERTEX)]
+    growing = jnp.where(state.target.kind < AT_STOP, rate, 0.0)
+    return good & (jnp.sum(state.target.whisker * growing) < MARGIN_NOISE), distance
+
+
+def _event_node(state: MarchState, trial: Trial, change: _Change, z_before: Contacts) -> Node:
+    """The node of an event, in the mode that holds from here on."""
+    solution, target, mode = trial.solution, state.target, state.mode
+    phase = jnp.where(change.touches, target.phase, mode.phase)
+    side = jnp.where(change.touches, target.side, jnp.where(change.released, trial.stance.side, mode.side))
+    z = jnp.where(change.released[:, None], 0.0, solution.point.z)
+    phase = jnp.where(change.released, Phase.free, phase)
+    phase = jnp.where(change.phase, jnp.where(mode.phase == Phase.tip, Phase.tangential, Phase.tip), phase)
+    z = z.at[:, 2].set(jnp.where(change.phase, 0.0, z[:, 2]))
+    node = _node(state, trial)
+    at_first = (target.kind == AT_STOP) & (state.goal == 0)
+    return node._replace(
         point=Point(z, solution.point.u),
         z_before=z_before,
         phase=phase,
         side=side,
         travel=jnp.where(at_first, 0.0, node.travel),
-        kind=_public_kind(front.target, front.mode.phase),
-        whiskers=one,
+        kind=_event_kind(target, mode.phase),
+        whiskers=target.whisker,
     )
-    slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(z[:, 1])
-    passed = one & (kind == VERTEX)
-    sign = jnp.where(touches, jnp.where(slope_sin < 0, -1.0, 1.0), front.before_vertex)
-    arrived = _moved(front, trial, node)._replace(
+
+
+def _arrived(problem: Problem, state: MarchState, trial: Trial, change: _Change, node: Node) -> MarchState:
+    """The state at an event, about to determine where the path leaves."""
+    kind, scale = state.target.kind, scale_of(state.point.z)
+    tip = state.mode.phase == Phase.tip
+    lead_z = jnp.zeros_like(node.point.z).at[:, 0].set(change.touches)
+    lead_z = lead_z.at[:, 2].set(change.phase * jnp.where(tip, 1.0, -1.0))
+    # Where the mode does not change, the path continues as it arrives.
+    stops = kind == AT_STOP
+    smooth = stops | (kind == VERTEX)
+    lead_z += jnp.where(smooth, state.tangent.z / scale**2, 0.0)
+    lead_u = jnp.where(smooth, state.tangent.u, 0.0)
+    # A whisker is released towards where its contact would have to pull.
+    by_pose, by_u = _pulling(trial.solution.newton.condensed)
+    lead_pose = jnp.where(change.released[:, None], by_pose, 0.0)
+    lead_u += jnp.sum(jnp.where(change.released, by_u, 0.0))
+    passed = state.target.whisker & (kind == VERTEX)
+    ahead = jnp.where(slope_sines(problem, node.point.z) < 0, -1.0, 1.0)
+    sign = jnp.where(change.touches, ahead, state.before_vertex)
+    return _moved(state, trial, node)._replace(
         task=jnp.asarray(int(Task.arrive)),
-        mode=front.mode._replace(phase=phase, side=side),
+        mode=state.mode._replace(phase=node.phase, side=node.side),
         point=node.point,
         lead=Lead(lead_z, lead_pose, lead_u),
         before_vertex=jnp.where(passed, -sign, sign),
         pending=node,
-        goal=front.goal + stops,
+        goal=state.goal + stops,
     )
-    new = decided(
-        (~good & (again.step < SHORTEST_STEP), stopped(front, Status.lost)),
-        (~good, again),
-        (violated, to_earlier),
-        (~trial.stable, unstable),
-        otherwise=arrived,
-    )
-    return new, jnp.asarray(False), node
 
 
-def _pulling(at: Local) -> tuple[Poses, PerWhisker]:
-    """By which motion of a whisker's base, and by which of the control, the force of its contact falls: weights."""
+def _pulling(at: Condensed) -> tuple[Poses, PerWhisker]:
+    """Weights of the motions of a whisker's base, and of the control, by which the force of its contact falls."""
     by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
     force = at.basis[:, 0, :]
     along = force[:, :1] / by_x
@@ -280,96 +307,95 @@ def _pulling(at: Local) -> tuple[Poses, PerWhisker]:
     return weight, jnp.zeros_like(by_x[:, 0]) if at.pose_by_u is None else -jnp.sum(weight * at.pose_by_u, axis=1)
 
 
-def after_arrive(problem: Problem, front: Front, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]):
+def after_arrive(
+    problem: Problem, state: MarchState, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]
+):
     """An event's point in its new mode: leave along the path, or fall off it."""
-    stop_kind = front.pending.kind == STOP
-    heading = jnp.sign(stops[jnp.minimum(front.goal, last)] - front.point.u)
-    turned = stop_kind & (front.goal <= last) & (heading != 0)
-    direction = jnp.where(turned, heading, front.direction)
-    reversed_ = direction != front.direction
-    lead = front.lead
+    point = trial.solution.point
+    stop_kind = state.pending.kind == STOP
+    heading = jnp.sign(stops[jnp.minimum(state.goal, last)] - state.point.u)
+    turned = stop_kind & (state.goal <= last) & (heading != 0)
+    direction = jnp.where(turned, heading, state.direction)
+    reversed_ = direction != state.direction
+    lead = state.lead
     grows = jnp.sum(lead.z * trial.tangent.z) + jnp.sum(lead.pose * trial.tangent_pose) + lead.u * trial.tangent.u
     sign = jnp.where(grows < 0, -1.0, 1.0) * jnp.where(reversed_, -1.0, 1.0)
     tangent = Point(sign * trial.tangent.z, sign * trial.tangent.u)
-    node = front.pending._replace(point=trial.solution.point, leaving=tangent)
-    slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(trial.solution.point.z[:, 1])
-    # On the way back the vertex is ahead again if it was behind, but where the path turned on it.
-    front = front._replace(direction=direction)
-    settled = (front.pending.kind == EventKind.snap_off) | (front.pending.kind == EventKind.snap_through)
-    behind = jnp.where(slope_sin < 0, -1.0, 1.0)
-    onwards = front._replace(
+    node = state.pending._replace(point=point, leaving=tangent)
+    state = state._replace(direction=direction)
+    after_flow = (state.pending.kind == EventKind.snap_off) | (state.pending.kind == EventKind.snap_through)
+    # After a snap, and only then, the contact may be on the other side of the vertex.
+    behind = jnp.where(slope_sines(problem, point.z) < 0, -1.0, 1.0)
+    onwards = state._replace(
         task=jnp.asarray(int(Task.advance)),
-        point=trial.solution.point,
+        point=point,
         pose=trial.solution.newton.pose,
         tangent=tangent,
         tangent_pose=sign * trial.tangent_pose,
         bend=jax.tree.map(jnp.zeros_like, tangent),
         step=jnp.asarray(FIRST_STEP),
         unstable_at=jnp.asarray(jnp.inf),
-        before_vertex=jnp.where(settled, behind, front.before_vertex),
+        before_vertex=jnp.where(after_flow, behind, state.before_vertex),
     )
-    falls = (turn_of(front, tangent) <= 0) | ~trial.stable
-    over = (stop_kind & (front.goal > last)) | _passed(problem, front, trial, last)
-    z = trial.solution.point.z
-    moved = Point(z - front.point.z, trial.solution.point.u - front.point.u)
-    near = trial.solution.converged & (dot(moved, moved, scale_of(front.point.z)) < ARRIVAL_MISS**2)
-    # Newton's method may have left the flow's mode, or found what the flow would not come to: then that goes on.
-    found = trial.there
-    wrong = jnp.any(jnp.stack([found.touch, found.release, found.phase]) < -MARGIN_NOISE)
-    early = settled & (wrong | falls | ~near)
-    flowing = front._replace(
+    falls = (state.turn(tangent) <= 0) | ~trial.stable
+    moved = Point(point.z - state.point.z, point.u - state.point.u)
+    near = trial.solution.converged & (dot(moved, moved, scale_of(state.point.z)) < ARRIVAL_MISS**2)
+    # Newton's method may have left the flow's mode, or converged to an equilibrium that the flow would not reach.
+    there = trial.there
+    wrong = jnp.any(jnp.stack([there.touch, there.release, there.phase]) < -MARGIN_NOISE)
+    early = after_flow & (wrong | falls | ~near)
+    flowing = state._replace(
         task=jnp.asarray(int(Task.flow)),
-        flow=front.flow._replace(near=front.flow.near / 4),
+        flow=state.flow._replace(near=state.flow.near / 4),
     )
-    new = decided(
+    new = first_case(
         (early, flowing),
-        (~near, stopped(front, Status.lost)),
-        (over, stopped(front, Status.ok)),
+        (~near, state.stopped(Status.lost)),
+        (_is_over(problem, state, trial, last, stop_kind), state.stopped(Status.ok)),
         (falls, _to_snap(onwards)),
         otherwise=onwards,
     )
     return new, near & ~early, node
 
 
-def _passed(problem: Problem, front: Front, trial: Trial, last: Int[Array, ""]) -> Bool[Array, ""]:
-    # On the last way, with every whisker free beyond the object: nothing can happen any more if it goes straight on.
-    if not isinstance(problem.motion, Translation):
-        return jnp.asarray(False)
-    onwards, at = problem.motion.onwards, trial.stance
-    gone = jnp.where(onwards < 0, at.x < at.left.x, at.x > at.right.x)
-    beyond = (front.mode.phase == Phase.free) & (front.mode.side * onwards > 0) & gone
-    return jnp.all(beyond) & (front.goal >= last) & (front.direction * onwards > 0) & (front.goal > 0)
+def _is_over(
+    problem: Problem, state: MarchState, trial: Trial, last: Int[Array, ""], stop_kind: Bool[Array, ""]
+) -> Bool[Array, ""]:
+    """Whether the march ends here: at the last stop, or on the way to it with the object behind all whiskers."""
+    last_leg = (state.goal >= last) & (state.direction * problem.motion.onwards > 0) & (state.goal > 0)
+    gone = approach_of(problem).is_over(state.mode, trial.stance) & last_leg
+    return (stop_kind & (state.goal > last)) | gone
 
 
-def after_flow(problem: Problem, front: Front, proposed: snap_flow.Flow, solution: Solution):
+def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, solution: Solution):
     """A step of the overdamped bases."""
-    flow, mode, z = snap_flow.advance(problem, proposed, front.mode, solution)
-    rested = snap_flow.at_rest(problem, flow, mode, solution, front.point.u)
+    flow, mode, z = snap_flow.advance(problem, proposed, state.mode, solution)
+    rested = snap_flow.at_rest(problem, flow, mode, state.point.u)
     freed = flow.slipped & (mode.phase == Phase.free)
     kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
     n = mode.phase.shape[0]
     none = jnp.zeros((n, 3))
-    pending = front.pending._replace(
+    pending = state.pending._replace(
         phase=mode.phase,
         side=mode.side,
-        travel=front.travel,
+        travel=state.travel,
         kind=kind,
         whiskers=flow.slipped,
     )
-    flowing = front._replace(
+    flowing = state._replace(
         task=jnp.where(rested, Task.arrive, Task.flow),
         mode=mode,
-        point=Point(z, front.point.u),
+        point=Point(z, state.point.u),
         pose=flow.pose,
         flow=flow,
         pending=pending,
-        lead=Lead(none, jnp.zeros_like(flow.pose), front.direction),
+        lead=Lead(none, jnp.zeros_like(flow.pose), state.direction),
     )
-    shorter = front._replace(flow=snap_flow.shortened(front.flow))
+    shorter = state._replace(flow=snap_flow.shortened(state.flow))
     followed = solution.converged
-    new = decided(
-        (jnp.where(followed, flow.exhausted, shorter.flow.exhausted), stopped(front, Status.unsettled)),
+    new = first_case(
+        (jnp.where(followed, flow.exhausted, shorter.flow.exhausted), state.stopped(Status.unsettled)),
         (~followed, shorter),
         otherwise=flowing,
     )
-    return new, jnp.asarray(False), front.pending
+    return new, jnp.asarray(False), state.pending

@@ -1,4 +1,4 @@
-"""What a scan returns: signals over the control, and the events."""
+"""Results of a scan: states over the control, and the events."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,14 +16,16 @@ if TYPE_CHECKING:
 
 
 class State(eqx.Module):
-    """Whiskers in equilibrium; every field (whiskers,), in the scene's units.
+    """Whiskers in equilibrium; every field has shape (whiskers,) and is in the scene's units.
 
-    While a whisker is free its reactions and everything about the contact are zero.
+    The reactions and all contact fields of a free whisker are zero.
     """
 
     base_x: Float[Array, "*steps whiskers"]  # position of the base, a length
     base_y: Float[Array, "*steps whiskers"]
-    base_angle: Float[Array, "*steps whiskers"]  # of the whisker there to the upright, rad, counter-clockwise
+    base_angle: Float[
+        Array, "*steps whiskers"
+    ]  # angle of the whisker at its base to the upright, rad, counter-clockwise
     fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along x
     fy: Float[Array, "*steps whiskers"]  # force along y
     mz: Float[Array, "*steps whiskers"]  # moment, counter-clockwise positive
@@ -46,12 +48,12 @@ class Event(NamedTuple):
 
     @property
     def whisker(self) -> int | None:
-        """The whisker that the event concerns, numbered from 1; None where it is none or several."""
+        """The whisker that the event concerns, numbered from 1; None if it concerns none or several."""
         return self.whiskers[0] if len(self.whiskers) == 1 else None
 
     @property
     def state(self) -> State:
-        """The state there; of a snap, the one that the whiskers come to rest in."""
+        """The state at the event; for a snap, the state in which the whiskers come to rest."""
         return self.after
 
     def __str__(self) -> str:
@@ -60,9 +62,10 @@ class Event(NamedTuple):
 
 
 class Events(eqx.Module):
-    """The events of a scan in their order: arrays of fixed size, of which the first `count` are filled.
+    """The events of a scan in order: arrays of fixed size, of which the first `count` are filled.
 
-    Iterating over it (outside jit and vmap) yields an `Event` each.
+    Iteration (outside jit and vmap) yields one `Event` each. A scan may have more events than there is room for:
+    `count` includes them, and `truncated` says so.
     """
 
     kind: Int[Array, " events"]  # EventKind; -1 beyond count
@@ -73,9 +76,16 @@ class Events(eqx.Module):
     after: State
     count: Int[Array, ""]
 
+    @property
+    def truncated(self) -> Bool[Array, ""]:
+        """Whether the scan has more events than there is room for; the first ones are kept."""
+        return self.count > self.kind.shape[-1]
+
     def __len__(self) -> int:
         if np.ndim(self.count) != 0:
-            raise TypeError(f"events of a batch of shape {np.shape(self.count)}: pick one lane of the result first.")
+            raise TypeError(
+                f"The events are those of a batch of shape {np.shape(self.count)}: select one scan of the result first."
+            )
         return min(int(self.count), self.kind.shape[0])
 
     def __iter__(self) -> Iterator[Event]:
@@ -88,19 +98,29 @@ class Events(eqx.Module):
         return Event(EventKind(int(self.kind[index])), which, float(self.control[index]), before, after)
 
     def of(self, kind: EventKind, whisker: int | None = None) -> list[Event]:
-        """The events of one kind, of one whisker (numbered from 1) if given."""
+        """The events of one kind, and of one whisker (numbered from 1) if given.
+
+        Raises:
+            ValueError: if `kind` is not an EventKind, or there is no such whisker.
+
+        """
+        if not isinstance(kind, EventKind):
+            raise ValueError(f"`kind` must be an EventKind, such as EventKind.touch, got {kind!r}.")
+        whiskers = np.shape(self.whiskers)[-1]
+        if whisker is not None and whisker not in range(1, whiskers + 1):
+            raise ValueError(f"`whisker` must be a number from 1 to {whiskers}, got {whisker!r}.")
         return [e for e in self if e.kind == kind and (whisker is None or whisker in e.whiskers)]
 
 
 class Result(State):
-    """A scan: the fields of State are (steps, whiskers).
+    """A scan: the states at all steps, with shape (steps, whiskers), and the events.
 
-    A step whose status is not `Status.ok` holds NaN; its phase is that of a free whisker.
+    A step whose status is not `Status.ok` holds NaN; its phase is `free`.
     """
 
-    control: Float[Array, " steps"]  # drive position u, a length; of a rotation its angle, rad
+    control: Float[Array, " steps"]  # drive position u, a length; for a rotation its angle, rad
     spring_length: Float[Array, "steps springs"]  # x_second - x_first of every spring, or y, or angle
-    status: Int[Array, " steps"]  # Status.ok, or what went wrong there
+    status: Int[Array, " steps"]  # Status.ok, or the reason for failure
     events: Events
     scene: Scene
 
@@ -125,22 +145,24 @@ class Result(State):
             f"{self.scene}",
             f"{ok} of {np.size(self.status)} steps ok" + "".join(f"; {n}: {s}" for s, n in bad.items()),
         ]
+        if self.events.truncated:
+            lines += [f"the first {len(self.events)} of {int(self.events.count)} events"]
         return "\n".join([*lines, *map(str, self.events)])
 
     __repr__ = __str__
 
 
 def check_one_scan(result: Any) -> Result:
-    """The result, which has to be that of one scan.
+    """Check that `result` is the result of a single scan, and return it.
 
     Raises:
-        ValueError: if it is none, or a batch of them.
+        ValueError: if it is not, or if it is a batch of scans.
     """
     if not isinstance(result, Result):
-        raise ValueError(f"`result` must be the Result of a scan, but is {result!r}.")
+        raise ValueError(f"`result` must be the Result of a scan, got {result!r}.")
     if np.ndim(result.control) != 1 or np.ndim(result.fx) != 2:
         raise ValueError(
-            f"`result` must be of one scan, but is a batch of shape {np.shape(result.fx)[:-2]}: pick a lane first, "
-            "jax.tree.map(lambda leaf: leaf[0], result)."
+            "`result` must be the result of a single scan, got a batch of shape "
+            f"{np.shape(result.fx)[:-2]}: select one, such as jax.tree.map(lambda leaf: leaf[0], result)."
         )
     return result

@@ -17,13 +17,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.jit import jit
-from jaxwhisker._base.types import Control, Scalar
-from jaxwhisker._equilibrium import newton
-from jaxwhisker._equilibrium.clearance import in_scene
-from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._base.types import Control
 from jaxwhisker._equilibrium.problem import Problem, problem_of
 from jaxwhisker._model.scene import Scene, moves_along_x, units
-from jaxwhisker._path.march import first_touch, march, no_path
+from jaxwhisker._path.approach import approach_of
+from jaxwhisker._path.march import march, no_path
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.result import Events, Result, State
 from jaxwhisker._scan.route import Route, across, route_of, straight, traced_route
@@ -32,7 +30,6 @@ from jaxwhisker._scan.steps import solve_steps
 
 STEP = 0.001  # of the default control, in lengths of the first whisker
 MOST_STEPS = 1_000_000  # of the default control
-MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free
 TRACED_STEPS = 2048  # of the default control of a traced scene, whose length must not depend on values
 BLOCK = 512  # steps computed by one call; a control is padded to a multiple
 
@@ -145,45 +142,13 @@ def _capacity(problem: Problem, stops: int) -> int:
 
 def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:
     """March to all stops, in the scene's units; right across the object if the first one is NaN."""
-    unit = problem.unit
-    capacity, onwards = _capacity(problem, stops.shape[0]), problem.motion.onwards
-    start, end, far = _ends(problem)
-    whole = jnp.isnan(stops[0])
-    stops = jnp.where(whole, jnp.full_like(stops, far).at[0].set(start), stops / unit.control)
-    path = march(*jax.lax.stop_gradient((problem, stops)), last, capacity=capacity)
-    passed, event = jnp.arange(capacity) < path.count, path.nodes.kind >= 0
-    known = passed & (event | (path.status != Status.ok))
-    way = onwards * path.nodes.point.u
-    stop = onwards * jnp.where(jnp.any(known), jnp.max(jnp.where(known, way, -jnp.inf)), onwards * end)
-    stop += onwards * MARGIN
-    if problem.motion.ends is not None:
-        first = onwards * jnp.min(jnp.where(passed & event, way, jnp.inf))
-        begun = jnp.where(jnp.any(passed & event), first - onwards * MARGIN, start)
-        travel = path.nodes.travel - jnp.where(whole, jnp.abs(begun - start), 0.0)
-        path, start = path._replace(nodes=path.nodes._replace(travel=travel)), begun
-        # Whiskers need not come free on such a motion.
-        touching = jnp.any(path.nodes.phase[path.count - 1] != Phase.free)
-        stop = jnp.where(touching & (path.status == Status.ok), far, stop)
+    unit, approach = problem.unit, approach_of(problem)
+    limits, whole = approach.range(), jnp.isnan(stops[0])
+    stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
+    path = march(*jax.lax.stop_gradient((problem, stops)), last, capacity=_capacity(problem, stops.shape[0]))
+    path, start, stop = approach.crop(path, whole, limits)
     ends = jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control)
     return ScanPath(path, events(problem, path), *ends)
-
-
-def _ends(problem: Problem) -> tuple[Scalar, Scalar, Scalar]:
-    """Where a scan begins, where it ends if nothing happens, and how far it searches."""
-    onwards = problem.motion.onwards
-    if problem.motion.ends is not None:
-        start, end = (jnp.asarray(end, dtype=float) / problem.unit.control for end in problem.motion.ends)
-        return start, end, end
-    unloaded = in_scene(problem, jnp.asarray(0.0), newton.rest(problem, jnp.asarray(0.0)))
-    middle, first = problem.profile.vertex()[0] - jnp.mean(unloaded.x), first_touch(problem)
-    start = jnp.where(jnp.isfinite(first), first, middle - onwards) - onwards * MARGIN
-    hardest = jnp.zeros((problem.length.size, problem.axes)).at[:, 0].set(HIGHEST_FORCE)
-    softness = jnp.max(newton.yielding(problem, hardest))
-    return start, middle + onwards, start + onwards * (FAR + softness)
-
-
-FAR = 1e4  # lengths beyond the start; a march past the object ends long before, unless springs are very soft
-HIGHEST_FORCE = 1e3  # EI / L^2 on every whisker; a scan before snap-off hardly ever meets it
 
 
 class TracedScan:

@@ -1,4 +1,4 @@
-"""Signals: everything about solved points of the path in the scene's units, and the events among them."""
+"""Signals: states of solved points of the path in the scene's units, and the events of a path."""
 
 from functools import partial
 
@@ -8,77 +8,83 @@ import jax.numpy as jnp
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
-from jaxwhisker._equilibrium.clearance import in_scene
-from jaxwhisker._equilibrium.contact import Phase, of_each
+from jaxwhisker._equilibrium.contact import Base, Phase, of_each
 from jaxwhisker._equilibrium.implicit import solved, solved_event
-from jaxwhisker._equilibrium.newton import Contacts, Mode, PerWhisker, Point, Row, at_control, harmless
-from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.newton import with_dummy_contacts
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
+from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, select
 from jaxwhisker._scan.result import Events, State
 
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
-    """Everything about an equilibrium in the scene's units, and by how much it misses its equations."""
-    touching, unit, bodies = mode.phase != Phase.free, problem.unit, problem.bodies(u)
-    at = harmless(problem, z, mode.phase)
-    base = of_each(bodies, contact.base, *at, mode.side)
+    """State of an equilibrium in the scene's units, and its largest residual."""
+    touching, bodies = mode.phase != Phase.free, problem.bodies(u)
+    contacts = with_dummy_contacts(problem, z, mode.phase)
+    base = of_each(bodies, contact.base, *contacts, mode.side)
     arc = of_each(bodies, contact.arc, z[:, 2], mode.phase)
+    in_frame = jax.vmap(contact.in_base_frame, in_axes=(0, None if bodies.frame is None else 0))(base, bodies.frame)
+    load = jnp.where(touching[:, None], newton.load_of(in_frame, problem.axes), 0.0)
+    wanted = problem.rest(u) + problem.displacement(load)
+    pose = newton.pose_of(in_frame, 3)
+    here = problem.in_scene(u, jnp.where(touching[:, None], pose[:, : problem.axes], wanted))
+    residual = _residual(problem, z, u, mode, base, pose, wanted, here)
+    return _state(problem, z, mode, base, arc, here), residual
 
-    def of_touching(values: PerWhisker) -> PerWhisker:
-        return jnp.where(touching, values, 0.0)
 
-    frames = bodies.frame
-    seen = jax.vmap(contact.seen, in_axes=(0, None if frames is None else 0))(base, frames)
-    load = jnp.where(touching[:, None], newton.load_of(seen, problem.axes), 0.0)
-    wanted = newton.rest(problem, u) + newton.yielding(problem, load)
-    pose = newton.pose_of(seen, 3)
-    # Poses across the branch stand on their own where they are no part of the network.
+def _residual(
+    problem: Problem, z: Contacts, u: Scalar, mode: Mode, base: Base, pose: Poses, wanted: Poses, here: ScenePose
+) -> Scalar:
+    """Largest residual of any equation or inequality of the touching whiskers."""
+    touching = mode.phase != Phase.free
+    # Coordinates that are not part of the network have to be zero.
     apart = pose - jnp.concatenate([wanted, jnp.zeros((touching.size, 3 - problem.axes))], axis=1)
     apart = apart.at[:, 0].divide(1 + jnp.abs(u))
-    misses = [*apart.T, *([jnp.where(base.sin > 0, 0.0, jnp.inf)] if problem.axes == 1 else [])]
-    # Complementarity: the object only pushes, and the phase is what the slack says.
+    equalities = [*apart.T, *problem.further_residuals(base, here)]
+    # Complementarity: the object only pushes, and the slack has the sign of its phase.
     excess = jnp.where(mode.phase == Phase.tip, z[:, 2], -z[:, 2])
-    misses = jnp.concatenate([jnp.abs(jnp.stack(misses)), jnp.maximum(jnp.stack([-z[:, 0], excess]), 0.0)])
-    here = in_scene(problem, u, jnp.where(touching[:, None], pose[:, : problem.axes], wanted))
-    state = State(
+    residuals = jnp.concatenate([jnp.abs(jnp.stack(equalities)), jnp.maximum(jnp.stack([-z[:, 0], excess]), 0.0)])
+    return problem.if_defined(jnp.max(jnp.where(touching, residuals, 0.0)), here)
+
+
+def _state(problem: Problem, z: Contacts, mode: Mode, base: Base, arc: PerWhisker, here: ScenePose) -> State:
+    touching, unit = mode.phase != Phase.free, problem.unit
+
+    def if_touching(values: PerWhisker) -> PerWhisker:
+        return jnp.where(touching, values, 0.0)
+
+    return State(
         base_x=here.x * unit.length,
         base_y=here.y * unit.length,
         base_angle=here.angle,
-        fx=of_touching(-base.force_x) * unit.force,
-        fy=of_touching(-base.force_y) * unit.force,
-        mz=of_touching(-base.bend) * unit.moment,
-        contact_force=of_touching(z[:, 0]) * unit.force,
-        contact_slope=of_touching(jnp.arctan2(base.slope_sin, base.slope_cos)),
-        contact_arc=of_touching(arc) * unit.length,
-        contact_x=of_touching(base.contact_x) * unit.length,
-        contact_y=of_touching(base.contact_y) * unit.length,
+        fx=if_touching(-base.force_x) * unit.force,
+        fy=if_touching(-base.force_y) * unit.force,
+        mz=if_touching(-base.bend) * unit.moment,
+        contact_force=if_touching(z[:, 0]) * unit.force,
+        contact_slope=if_touching(jnp.arctan2(base.slope_sin, base.slope_cos)),
+        contact_arc=if_touching(arc) * unit.length,
+        contact_x=if_touching(base.contact_x) * unit.length,
+        contact_y=if_touching(base.contact_y) * unit.length,
         phase=mode.phase,
     )
-    missed = jnp.max(jnp.where(touching, misses, 0.0))
-    if problem.mount is None:
-        return state, missed
-    # A motion of one's own may be none somewhere; free whiskers have no equation that would miss it.
-    return state, jnp.where(jnp.all(jnp.isfinite(jnp.stack(here))), missed, jnp.inf)
 
 
 def _event_row(node: Node) -> Row:
-    """The equation whose solution an event is; the control, where the node is none."""
-    one = node.whiskers.astype(float)
-    change = (node.kind == EventKind.tip_to_tangential) | (node.kind == EventKind.tangential_to_tip)
-    unloaded = (node.kind == EventKind.release) | (node.kind == EventKind.touch)
-    weight = jnp.zeros_like(node.z_before)
-    weight = weight.at[:, 0].set(one * unloaded).at[:, 2].set(one * change)
-    return Row(
-        weight_z=weight,
-        z0=jnp.zeros_like(weight),
-        weight_u=(node.kind < 0).astype(float),
+    """The equation that defines a node's event; the control for a node without event."""
+    kind = node.kind
+    return at_event(
+        node.whiskers,
+        node.z_before,
+        unloaded=(kind == EventKind.release) | (kind == EventKind.touch),
+        phase=(kind == EventKind.tip_to_tangential) | (kind == EventKind.tangential_to_tip),
+        vertex=kind == EventKind.vertex,
+        control=kind < 0,
         u0=node.point.u,
-        vertex=one * (node.kind == EventKind.vertex),
     )
 
 
 def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tuple[Point, Mode], tuple[Point, Mode]]:
-    """Both sides of an event; a snap happens where the node before it lies, at a fold or another event."""
+    """Both sides of an event. A snap happens at the node before it, which is a fold or another event."""
     snap = node.kind >= EventKind.snap_through
     at = jax.tree.map(lambda a, b: jnp.where(snap, a, b), previous, node)
     no = jnp.asarray(False)
@@ -95,7 +101,7 @@ def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tup
 
 
 def _nothing(node: Node) -> Node:
-    """A node at which all whiskers are free and nothing happens: what is computed where there is no event."""
+    """A node at which all whiskers are free and nothing happens: a placeholder for unused room."""
     nowhere = jax.tree.map(jnp.zeros_like, node)
     along = Point(nowhere.point.z, jnp.asarray(-1.0))
     side = jnp.ones_like(node.side)
@@ -103,7 +109,7 @@ def _nothing(node: Node) -> Node:
 
 
 def events(problem: Problem, path: Path) -> Events:
-    """The public events among the nodes: those after the drive has reached the first position of its control."""
+    """The public events among the nodes: those after the drive has reached the first position of the control."""
     nodes = path.nodes
     room, n = nodes.phase.shape
     index = jnp.arange(room)
@@ -121,7 +127,7 @@ def events(problem: Problem, path: Path) -> Events:
         for back in (0, 1)
     )
     sides = jax.vmap(partial(_before_and_after, problem))(node, previous)
-    # Both sides at once: the rods are compiled once.
+    # Both sides in one batch: the rods are compiled once.
     both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides)
     states, _ = jax.vmap(lambda point, mode: signals(problem, point.z, point.u, mode))(*both)
     before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)

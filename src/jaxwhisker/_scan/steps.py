@@ -9,11 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium import newton
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.implicit import solved
-from jaxwhisker._equilibrium.newton import Contacts, Mode, Point, at_control, dot, find, scale_of
+from jaxwhisker._equilibrium.newton import solve_point
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, at_control, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.result import State
 from jaxwhisker._scan.signals import signals
@@ -67,11 +68,11 @@ def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known
     """Solve for the equilibrium at a control behind a node, where the path is known."""
     mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
     guess = interpolate(path, index, u)
-    solution = find(problem, mode, at_control(u, guess.z), guess)
+    solution = solve_point(problem, mode, at_control(u, guess.z), guess)
     z = solution.point.z
     near = jnp.max(jnp.abs(z - guess.z) / scale_of(z)) < JUMP
     exact = solution.converged & near
-    stable = newton.stable(problem, mode, solution.newton.local)
+    stable = is_stable(problem, mode, solution.newton.condensed)
     accepted = known & exact & stable
     # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see lanes.py).
     mode = mode._replace(phase=jnp.where(accepted, mode.phase, Phase.free))

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from jaxwhisker._base.jit import COMPILER_OPTIONS
 from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._scan.scan import MARGIN, STEP, contact_range
+from jaxwhisker._path.approach import MARGIN
+from jaxwhisker._scan.scan import STEP, contact_range
 from jaxwhisker._study.local import threads
 from jaxwhisker._study.parameters import Parameters, padded
 

@@ -16,23 +16,10 @@ from jaxtyping import Array, Bool, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.jit import jit
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.clearance import in_scene
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import (
-    Contacts,
-    Mode,
-    PerWhisker,
-    Point,
-    Poses,
-    Row,
-    at_control,
-    dot,
-    find,
-    newton_step,
-    scale_of,
-    unit,
-)
-from jaxwhisker._equilibrium.problem import Problem, problem_of
+from jaxwhisker._equilibrium.newton import newton_step, solve_point
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, dot, scale_of, unit
+from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, problem_of
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import Node, select
@@ -93,11 +80,11 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
     def step(at: _Going) -> _Going:
         kicked = snap_flow.kick(at.flow, before.point, tangent, tangent_pose)
         flow = select(at.begun, snap_flow.propose(dimensionless, at.flow, at.mode, Point(at.z, u)), kicked)
-        held = None if dimensionless.axes == 1 else flow.pose[:, 1:]
+        held = dimensionless.across(flow.pose)
         mode = at.mode._replace(separate=jnp.asarray(True), held=held)
-        solution = find(dimensionless, mode, at_control(u, flow.guess), Point(flow.guess, u))
+        solution = solve_point(dimensionless, mode, at_control(u, flow.guess), Point(flow.guess, u))
         flow, mode, z = snap_flow.advance(dimensionless, flow, at.mode, solution)
-        rested = snap_flow.at_rest(dimensionless, flow, mode, solution, u)
+        rested = snap_flow.at_rest(dimensionless, flow, mode, u)
         keep = ~jnp.any(flow.sliding | flow.landing)
         now = _Kept(z, mode.phase, mode.side, flow.pose)
         index = jnp.where(keep, at.count, ROOM)
@@ -127,7 +114,7 @@ def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, 
 def _state(problem: Problem, u: Scalar, kept: _Kept) -> State:
     """State in the scene's units; bases of free whiskers have the pose of the flow."""
     state, _ = signals(problem, kept.z, u, Mode(kept.phase, kept.side, jnp.asarray(False)))
-    here, free = in_scene(problem, u, kept.pose), kept.phase == Phase.free
+    here, free = problem.in_scene(u, kept.pose), kept.phase == Phase.free
     return dataclasses.replace(
         state,
         base_x=jnp.where(free, here.x * problem.unit.length, state.base_x),

@@ -13,15 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._equilibrium.clearance import in_scene, stance
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import rest
 from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._model.motion import Pose, Rotation
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.spring import AXES, Spring
-from jaxwhisker._path.march import first_touch
-from jaxwhisker._path.snap_flow import clear
+from jaxwhisker._path.approach import FromAfar
 from jaxwhisker._scan.result import Result, State
 from jaxwhisker._scan.shapes import shapes_of
 
@@ -141,11 +138,11 @@ def start_of(scene: Scene) -> float:
     equations = problem_of(jax.tree.map(checks.as_float, scene))
     motion, unit = equations.motion, float(equations.unit.control)
     if motion.ends is None:
-        first = float(first_touch(equations)) - AHEAD * motion.onwards
+        first = float(FromAfar(equations).first_touch()) - AHEAD * motion.onwards
         return unit * (first if np.isfinite(first) else float(equations.profile.vertex()[0]))
 
     def clears(u):
-        return jnp.all(clear(stance(equations, u, rest(equations, u))))
+        return jnp.all(equations.stance(u, equations.rest(u)).clear)
 
     start, end = (float(end) / unit for end in motion.ends)
     controls = np.linspace(start, end, SAMPLES)
@@ -157,7 +154,7 @@ def rest_state(scene: Scene, control: float) -> State:
     """State of the unloaded whiskers at a control, as if there were no object."""
     equations = problem_of(jax.tree.map(checks.as_float, scene))
     u = jnp.asarray(control, dtype=float) / equations.unit.control
-    at = in_scene(equations, u, rest(equations, u))
+    at = equations.in_scene(u, equations.rest(u))
     size, none = float(units(scene).length), np.zeros(scene.support.whiskers)
     fields = dict.fromkeys(State.__dataclass_fields__, none)
     fields |= {"base_x": np.asarray(at.x) * size, "base_y": np.asarray(at.y) * size, "base_angle": np.asarray(at.angle)}

@@ -1,4 +1,4 @@
-"""What the site does beyond its plugins: formulas as MathML, notebooks as pages, links to files beside docs/."""
+"""Hooks of the documentation site: formulas as MathML, notebooks as pages, links to files outside docs/."""
 
 import os
 import re
@@ -17,28 +17,28 @@ OUTSIDE = re.compile(r"\[([^\]]*)\]\(\.\./([\w./]+)\)")
 
 
 def on_config(config):
-    """The navigation's empty list of notebooks is filled."""
+    """Fill the empty list of notebooks in the navigation."""
     section = next(entry for entry in config.nav if "Notebooks" in entry)
     section["Notebooks"] = [f"notebooks/{notebook.name}" for notebook in NOTEBOOKS]
 
 
 def on_pre_build(**_):
-    """Notebooks that are executed find what stands beside them."""
+    """Change to the folder of the notebooks, because they read files by relative path when they are executed."""
     os.chdir(ROOT / "notebooks")
 
 
 def on_files(files, config):
-    """Notebooks stand beside docs/, not in it."""
+    """Add the notebooks, which are outside docs/."""
     for notebook in NOTEBOOKS:
         files.append(File(f"notebooks/{notebook.name}", str(ROOT), config.site_dir, config.use_directory_urls))
     return files
 
 
-on_files.mkdocs_priority = 100  # before the plugin that makes pages of them
+on_files.mkdocs_priority = 100  # before the plugin that turns them into pages
 
 
 def on_page_markdown(markdown, page, **_):
-    """Links to notebooks lead to their pages; to other files outside docs/ there are none on the site, only names."""
+    """Point links to notebooks at their pages; replace links to other files outside docs/ by the name of the file."""
 
     def inside(match):
         name, file = match.groups()
@@ -48,12 +48,12 @@ def on_page_markdown(markdown, page, **_):
 
 
 def on_page_content(html, **_):
-    """Formulas become MathML, which browsers draw themselves; numbers in tables stay on one line."""
+    """Turn formulas into MathML, which needs no script, and keep numbers in tables on one line."""
     return SHORT.sub('<td class="short">', FORMULA.sub(_mathml, html))
 
 
 def _mathml(match):
     element, latex = match.groups()
     formula = convert(unescape(latex), display="block" if element == "div" else "inline")
-    formula = FUNCTION.sub(r'\1<mspace width="0.17em"/>', formula)  # browsers leave no room after sin
+    formula = FUNCTION.sub(r'\1<mspace width="0.17em"/>', formula)  # browsers leave no space after sin
     return f'<div class="formula">{formula}</div>' if element == "div" else formula

@@ -1,4 +1,7 @@
-"""Draws docs/mechanics_*.png: frame and signs, phases, networks of springs, and what a snap is."""
+"""Draw the figures of docs/mechanics.md: frame and signs, phases, spring networks, snaps.
+
+python figures/mechanics.py
+"""
 
 from pathlib import Path
 
@@ -12,9 +15,10 @@ from matplotlib.patches import Arc
 
 import jaxwhisker as jw
 from jaxwhisker import plot
+from jaxwhisker._study.critical import steepest
 from jaxwhisker.plot import COLOURS
 
-HERE = Path(__file__).parent
+DOCS = Path(__file__).parents[1] / "docs"
 INK, SOFT = "#333333", "#888888"
 FORCE, REACTION = COLOURS[1], COLOURS[2]
 OBJECT = jw.Parabola(0.2)
@@ -44,7 +48,7 @@ def bare(ax, window) -> None:
 
 
 def draw_frame() -> None:
-    """One whisker in tangential contact with everything that has a name."""
+    """One whisker in tangential contact, with the symbols of all quantities."""
     at = 0.12
     result = scanned(70.0, np.array([0.6, at]))
     line = jw.shapes(result, at=[at])
@@ -83,7 +87,7 @@ def draw_frame() -> None:
     normal = np.array([np.sin(alpha), -np.cos(alpha)])
     arrow(ax, (xi, eta), tuple(np.array([xi, eta]) + 0.26 * normal), FORCE)
     ax.text(xi + 0.26 * normal[0] + 0.02, eta + 0.26 * normal[1] - 0.01, r"$f$", color=FORCE, fontsize=12)
-    # Direction of the whisker, somewhere on its way.
+    # Direction of the whisker near the base.
     k = int(0.16 * len(x))
     direction = np.arctan2(y[k + 1] - y[k], x[k + 1] - x[k])
     ax.plot([x[k], x[k] + 0.17], [y[k]] * 2, color=SOFT, linewidth=0.8, linestyle=":")
@@ -91,24 +95,25 @@ def draw_frame() -> None:
             linewidth=0.8, linestyle=":")  # fmt: skip
     ax.add_patch(Arc((x[k], y[k]), 0.2, 0.2, theta1=0, theta2=np.degrees(direction), color=INK, linewidth=0.9))
     ax.text(x[k] + 0.11, y[k] + 0.05, r"$\varphi$")
-    # Reactions of the support, in their positive directions, beside the base.
+    # Positive directions of the support reactions.
     corner = np.array([0.98, 0.21])
     ax.plot(*corner, "o", color=REACTION, markersize=4)
     for step, name, shift in (((0.16, 0), "$f_x$", (0.02, -0.012)), ((0, 0.16), "$f_y$", (-0.02, 0.02))):
         arrow(ax, tuple(corner), tuple(corner + step), REACTION)
-        ax.text(*(corner + step + shift), name, color=REACTION)
+        x, y = corner + step + shift
+        ax.text(x, y, name, color=REACTION)
     turn = {"arrowstyle": "-|>", "color": REACTION, "linewidth": 1.4, "connectionstyle": "arc3,rad=0.9"}
     start, end, label = (tuple(corner + np.array(by)) for by in ((0.075, -0.03), (-0.03, 0.075), (0.09, 0.07)))
     ax.annotate("", xy=end, xytext=start, arrowprops=turn, zorder=6)
-    ax.text(*label, "$m_z$", color=REACTION)
-    ax.text(corner[0], corner[1] - 0.06, "positive directions of what\nthe support exerts on the whisker",
+    ax.text(label[0], label[1], "$m_z$", color=REACTION)
+    ax.text(corner[0], corner[1] - 0.06, "support reactions on the\nwhisker, positive directions",
             color=REACTION, fontsize=8.5, ha="center", va="top")  # fmt: skip
     bare(ax, (-0.7, 1.32, -0.25, 1.164))
-    canvas.savefig(HERE / "mechanics_frame.png", dpi=150)
+    canvas.savefig(DOCS / "mechanics_frame.png", dpi=150)
 
 
 def draw_phases() -> None:
-    """A whisker without contact, touching with its tip, and touching with its shaft."""
+    """The three phases: free, tip contact, tangential contact."""
     controls = np.array([0.8, 0.45, 0.0])
     result = scanned(70.0, controls)
     canvas = Figure(figsize=(7.2, 2.9))
@@ -134,7 +139,7 @@ def draw_phases() -> None:
             arrow(ax, tuple(point), tuple(point + 0.2 * np.array([np.sin(alpha), -np.cos(alpha)])), FORCE)
         ax.text(0.42, -0.14, f"{name}\n{equation}", ha="center", va="top", fontsize=9.5)
         bare(ax, (-0.22, 1.12, -0.38, 1.1))
-    canvas.savefig(HERE / "mechanics_phases.png", dpi=150)
+    canvas.savefig(DOCS / "mechanics_phases.png", dpi=150)
 
 
 NETWORKS = {
@@ -146,7 +151,7 @@ NETWORKS = {
 
 
 def draw_springs() -> None:
-    """The thesis's networks."""
+    """The spring networks of the thesis."""
     canvas = Figure(figsize=(7.2, 4.3))
     axs = canvas.subplots(2, 2, gridspec_kw={"left": 0, "right": 1, "top": 1, "bottom": 0, "wspace": 0, "hspace": 0})
     for ax, (name, network) in zip(axs.flat, NETWORKS.items(), strict=True):
@@ -172,14 +177,14 @@ def draw_springs() -> None:
         ax.text(nodes.mean(), 0.53, name, ha="center", fontsize=12)
         room = (1.75 - nodes[-1]) / 2
         bare(ax, (-room, nodes[-1] + room, -0.45, 0.65))
-    canvas.savefig(HERE / "mechanics_springs.png", dpi=150)
+    canvas.savefig(DOCS / "mechanics_springs.png", dpi=150)
 
 
 SOFTER = 25.0
 
 
 def draw_fold() -> None:
-    """Force over base position of the clamped whisker, and the line of the spring: how many states, and which hold."""
+    """Equilibria at a snap: force of the clamped whisker over base position, and the line of the spring."""
     far = np.linspace(0.95, -1.3, 3000)
     clamped = scanned(np.inf, far)
     touching = np.asarray(clamped.contact_force)[:, 0] > 0
@@ -200,7 +205,7 @@ def draw_fold() -> None:
         ax.plot([x0[-1]] * 2, [force[-1], 0], color=COLOURS[0], linewidth=1, linestyle=":")
         for shift, style in ((0.0, "-"), (0.12, "--")):
             line = np.array([-1.6, 1.0])
-            label = f"spring, $c = {SOFTER:g}$" if not shift else "the same, earlier"
+            label = f"spring, $c = {SOFTER:g}$" if not shift else "spring, earlier"
             ax.plot(line, SOFTER * (line - event.control - 0.2 - shift), color=COLOURS[1], linewidth=1.2,
                     linestyle=style, label=label)  # fmt: skip
         ax.plot(*before, "o", color="black", markersize=6, zorder=5)
@@ -212,11 +217,9 @@ def draw_fold() -> None:
         ax.set_title(title, fontsize=9)
         ax.grid(alpha=0.3)
     axs[1].legend(fontsize=8, frameon=False, loc="lower right")
-    canvas.savefig(HERE / "mechanics_fold.png", dpi=150)
+    canvas.savefig(DOCS / "mechanics_fold.png", dpi=150)
     print({kind.name: (event.control, float(event.before.base_x[0]), float(event.after.base_x[0]))
            for kind, event in snaps.items()})  # fmt: skip
-    from jaxwhisker._study.critical import steepest
-
     print(steepest(jw.Whisker(), OBJECT))
 
 

@@ -1,13 +1,13 @@
-"""What the reference reads from modules of equinox: constructors from fields, descriptions of fields from comments."""
+"""Griffe extension for equinox modules: constructors from fields, descriptions of fields from comments."""
 
 import griffe
 
 
 class Fields(griffe.Extension):
-    """Fields of classes, as `mkdocstrings` wants them."""
+    """Convert fields of classes to the form that `mkdocstrings` renders."""
 
     def on_attribute_instance(self, *, attr, **_) -> None:
-        """`fx: Float[Array, "steps"]  # force along x` is described by its comment."""
+        """Take a field's trailing comment as its description: `fx: Float[Array, "steps"]  # force along x`."""
         if attr.docstring is None and attr.parent.is_class and attr.lineno and attr.lineno == attr.endlineno:
             line = attr.lines_collection[attr.filepath][attr.lineno - 1]
             _, mark, comment = line.partition("  # ")
@@ -15,7 +15,7 @@ class Fields(griffe.Extension):
                 attr.docstring = griffe.Docstring(comment, lineno=attr.lineno, parent=attr)
 
     def on_package(self, *, pkg, **_) -> None:
-        """Classes whose arguments are described have a constructor, made of their fields; nobody calls the others."""
+        """Give classes with documented arguments a constructor made of fields; remove it from other dataclasses."""
         for cls in list(_classes(pkg)):
             if "Args:" not in (cls.docstring.value if cls.docstring else ""):
                 if "dataclass" in cls.labels and "__init__" in cls.members:

@@ -1,0 +1,111 @@
+"""Points of the path: the unknowns, the phases that hold there, and the equation that selects one point."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.problem import PerWhisker
+
+Contacts = Float[Array, "whiskers 3"]
+
+
+class Point(NamedTuple):
+    """A point of the path, or a direction in which it moves: contacts z = (force, parameter, slack), and control u."""
+
+    z: Contacts
+    u: Scalar
+
+
+class Mode(NamedTuple):
+    """What stays fixed while one system of equations holds."""
+
+    phase: Int[Array, " whiskers"]
+    side: PerWhisker  # +1: the whisker approached from the right of the object; -1: from the left
+    separate: Bool[Array, ""]  # each whisker stays at its place on its branch; the network's equations are left out
+    held: Float[Array, "whiskers 2"] | None = None  # with `separate`: y and angle of the bases; None along x
+
+
+class Row(NamedTuple):
+    """The equation that selects a point of the path, one more than the equations of equilibrium.
+
+    weight_z . (z - z0) + weight_u (u - u0) + vertex . sin(alpha) = 0
+
+    A weighted sum covers all cases (a given control, an arc length, an event), so that each element of a batch can have
+    its own.
+    """
+
+    weight_z: Contacts
+    z0: Contacts
+    weight_u: Scalar
+    u0: Scalar
+    vertex: PerWhisker
+
+    def residual(self, point: Point, slope_sin: PerWhisker) -> Scalar:
+        """Residual of the equation."""
+        along = jnp.sum(self.weight_z * (point.z - self.z0)) + self.weight_u * (point.u - self.u0)
+        return along + jnp.sum(self.vertex * slope_sin)
+
+
+def at_control(u: Scalar, like: Contacts) -> Row:
+    """The row that selects the point at a given control."""
+    none = jnp.zeros_like(like)
+    return Row(none, none, jnp.asarray(1.0), u, none[:, 0])
+
+
+def at_arc_length(point: Point, tangent: Point, distance: Scalar) -> Row:
+    """The row that selects the point in a plane across the tangent, a distance ahead (pseudo-arclength)."""
+    scale = scale_of(point.z)
+    ahead = along(point, tangent, distance)
+    return Row(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, 0]))
+
+
+def at_event(
+    whiskers: Bool[Array, " whiskers"],
+    like: Contacts,
+    *,
+    unloaded: Bool[Array, ""],
+    phase: Bool[Array, ""],
+    vertex: Bool[Array, ""],
+    control: Bool[Array, ""],
+    u0: Scalar,
+) -> Row:
+    """The row that selects an event of these whiskers.
+
+    Args:
+        whiskers: whom the event concerns.
+        like: contacts, for the shape.
+        unloaded: a contact begins or ends: its force is zero.
+        phase: tip and tangential contact meet: the slack is zero.
+        vertex: the contact passes the vertex: its slope is zero.
+        control: no event; the control is u0.
+        u0: the control.
+    """
+    none, one = jnp.zeros_like(like), whiskers.astype(float)
+    weight = none.at[:, 0].set(one * unloaded).at[:, 2].set(one * phase)
+    return Row(weight, none, control.astype(float), u0, one * vertex)
+
+
+def scale_of(z: Contacts) -> Contacts:
+    """Sizes in which changes of a contact are measured."""
+    return jnp.ones_like(z).at[:, 0].add(jnp.abs(z[:, 0]))
+
+
+def dot(a: Point, b: Point, scale: Contacts) -> Scalar:
+    """Inner product of two directions, contacts measured in `scale`."""
+    return jnp.sum(a.z * b.z / scale**2) + a.u * b.u
+
+
+def unit(direction: Point, z: Contacts) -> tuple[Point, Scalar]:
+    """The direction with unit length in the scale of z, and its length."""
+    scale = scale_of(z)
+    length = jnp.sqrt(dot(direction, direction, scale))
+    return Point(direction.z / length, direction.u / length), length
+
+
+def along(start: Point, direction: Point, distance: Scalar, bend: Point | None = None) -> Point:
+    """The point a distance away, on a straight line or on a parabola."""
+    half = 0.0 if bend is None else distance**2 / 2
+    bend = direction if bend is None else bend
+    return Point(start.z + distance * direction.z + half * bend.z, start.u + distance * direction.u + half * bend.u)

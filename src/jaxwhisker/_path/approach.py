@@ -1,0 +1,155 @@
+"""Approach: how a drive comes to the object and leaves it, from far away or within a bounded motion.
+
+A translation comes from far away on one side and leaves to far away on the other: nothing happens before the first
+touch, nor once all whiskers are free beyond the object. A bounded motion has a first and a last control.
+"""
+
+import abc
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.point import Mode
+from jaxwhisker._equilibrium.problem import Poses, Problem, Stance
+from jaxwhisker._path.path import Path, Status
+
+FIRST_STEP = 0.02  # of the march after a corner, in lengths; grows at once where the path is smooth
+MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free, in lengths
+GLANCES = 64  # steps at least in which free whiskers go through a bounded motion
+FAR = 1e4  # lengths that an unbounded drive travels at most; a march ends long before, unless springs are very soft
+HIGHEST_FORCE = 1e3  # EI / L^2 on every whisker; a scan before snap-off hardly ever meets it
+
+
+class Range(NamedTuple):
+    """Where a scan right across the object begins, where it ends if nothing happens, and how far it searches."""
+
+    start: Scalar
+    end: Scalar
+    far: Scalar
+
+
+class AbstractApproach(abc.ABC):
+    """Methods that depend on how the drive comes and goes."""
+
+    def __init__(self, problem: Problem):
+        self.problem, self.onwards = problem, problem.motion.onwards
+
+    @abc.abstractmethod
+    def start(self, first_stop: Scalar) -> Scalar:
+        """A control, not behind the first stop, at which all whiskers are free."""
+
+    @abc.abstractmethod
+    def starts_clear(self, u: Scalar, pose: Poses) -> Bool[Array, ""]:
+        """Whether whiskers at the start are clear of the object."""
+
+    @abc.abstractmethod
+    def longest_step(self) -> Scalar:
+        """The longest step of a march whose whiskers are all free."""
+
+    @abc.abstractmethod
+    def is_over(self, mode: Mode, at: Stance) -> Bool[Array, ""]:
+        """Whether nothing can happen any more if the drive moves on without reversing."""
+
+    @abc.abstractmethod
+    def range(self) -> Range:
+        """The range of a scan right across the object."""
+
+    @abc.abstractmethod
+    def crop(self, path: Path, whole: Bool[Array, ""], limits: Range) -> tuple[Path, Scalar, Scalar]:
+        """The path, and the first and last control of the contacts on it, with a margin."""
+
+    def _last_contact(self, path: Path, end: Scalar) -> Scalar:
+        passed, event = jnp.arange(path.nodes.kind.shape[0]) < path.count, path.nodes.kind >= 0
+        known = passed & (event | (path.status != Status.ok))
+        way = self.onwards * path.nodes.point.u
+        last = jnp.where(jnp.any(known), jnp.max(jnp.where(known, way, -jnp.inf)), self.onwards * end)
+        return self.onwards * last + self.onwards * MARGIN
+
+
+class FromAfar(AbstractApproach):
+    """A drive that moves along x, from far away to far away."""
+
+    def first_touch(self) -> Scalar:
+        """The control at which the first whisker touches; infinite, on the near side, if none ever does."""
+        problem, zero = self.problem, jnp.asarray(0.0)
+        at = problem.stance(zero, problem.rest(zero))
+        first = at.right if self.onwards < 0 else at.left
+        ahead = jnp.where(first.reaches, -self.onwards * (first.x - at.x), -jnp.inf)
+        return -self.onwards * jnp.max(ahead)
+
+    def start(self, first_stop):
+        first = self.first_touch()
+        return jnp.where(-self.onwards * (first_stop - first) > 0, first_stop, first - self.onwards * FIRST_STEP)
+
+    def starts_clear(self, u, pose):
+        del u, pose
+        return jnp.asarray(True)
+
+    def longest_step(self):
+        return jnp.inf
+
+    def is_over(self, mode, at):
+        beyond = (mode.phase == Phase.free) & (mode.side * self.onwards > 0)
+        return jnp.all(beyond & jnp.where(self.onwards < 0, at.x < at.left.x, at.x > at.right.x))
+
+    def range(self):
+        problem, zero = self.problem, jnp.asarray(0.0)
+        unloaded = problem.in_scene(zero, problem.rest(zero))
+        middle, first = problem.profile.vertex()[0] - jnp.mean(unloaded.x), self.first_touch()
+        start = jnp.where(jnp.isfinite(first), first, middle - self.onwards) - self.onwards * MARGIN
+        hardest = jnp.zeros((problem.length.size, problem.axes)).at[:, 0].set(HIGHEST_FORCE)
+        softness = jnp.max(problem.displacement(hardest))
+        return Range(start, middle + self.onwards, start + self.onwards * (FAR + softness))
+
+    def crop(self, path, whole, limits):
+        del whole
+        return path, limits.start, self._last_contact(path, limits.end)
+
+
+class Bounded(AbstractApproach):
+    """A motion with a first control, at which all whiskers are free, and a last one."""
+
+    def _ends(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        assert self.problem.motion.ends is not None
+        start, end = (jnp.asarray(end, dtype=float) / self.problem.unit.control for end in self.problem.motion.ends)
+        return start, end
+
+    def start(self, first_stop):
+        start, _ = self._ends()
+        return jnp.where(-self.onwards * (first_stop - start) > 0, first_stop, start)
+
+    def starts_clear(self, u, pose):
+        return jnp.all(self.problem.stance(u, pose).clear)
+
+    def longest_step(self):
+        # Unlike a translation, a long step may pass the object altogether.
+        start, end = self._ends()
+        return jnp.abs(end - start) / GLANCES
+
+    def is_over(self, mode, at):
+        del mode, at
+        return jnp.asarray(False)
+
+    def range(self):
+        start, end = self._ends()
+        return Range(start, end, end)
+
+    def crop(self, path, whole, limits):
+        passed, event = jnp.arange(path.nodes.kind.shape[0]) < path.count, path.nodes.kind >= 0
+        way = self.onwards * path.nodes.point.u
+        first = self.onwards * jnp.min(jnp.where(passed & event, way, jnp.inf))
+        start = jnp.where(jnp.any(passed & event), first - self.onwards * MARGIN, limits.start)
+        travel = path.nodes.travel - jnp.where(whole, jnp.abs(start - limits.start), 0.0)
+        path = path._replace(nodes=path.nodes._replace(travel=travel))
+        # Whiskers need not come free on such a motion.
+        touching = jnp.any(path.nodes.phase[path.count - 1] != Phase.free)
+        stop = self._last_contact(path, limits.end)
+        return path, start, jnp.where(touching & (path.status == Status.ok), limits.far, stop)
+
+
+def approach_of(problem: Problem) -> FromAfar | Bounded:
+    """How the drive of a problem comes to the object."""
+    return FromAfar(problem) if problem.motion.ends is None else Bounded(problem)

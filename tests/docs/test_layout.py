@@ -1,0 +1,108 @@
+"""The floor plan: packages on levels, imports that only point down, and docs/developing.md in step with the tree."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "src" / "jaxwhisker"
+DEVELOPING = (ROOT / "docs" / "developing.md").read_text("utf-8")
+LONGEST = 410  # lines of a file: about 400
+API = {"__init__", "__main__"}  # the package root, which only gathers names
+
+
+def levels() -> dict[str, int]:
+    """Level of every package, from the table in docs/developing.md."""
+    table = DEVELOPING.split("| level | package | contents |")[1].split("\n\n")[0]
+    rows = re.findall(r"^\| (\d+) \| ([^|]+) \|", table, re.MULTILINE)
+    return {name: int(level) for level, names in rows for name in re.findall(r"`(\w+)/`", names)}
+
+
+def files() -> list[Path]:
+    return [
+        file
+        for file in sorted(PACKAGE.rglob("*.py"))
+        if file.relative_to(PACKAGE).parts[0].removesuffix(".py") not in API
+    ]
+
+
+def name_of(file: Path) -> str:
+    parts = file.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(file: Path) -> list[str]:
+    """Modules of the package that a file imports, at any depth of its code; "" is the package root."""
+    modules = {name_of(other) for other in files()}
+    found = []
+    for statement in ast.walk(ast.parse(file.read_text("utf-8"))):
+        if isinstance(statement, ast.Import):
+            found += [
+                alias.name.partition("jaxwhisker")[2].strip(".")
+                for alias in statement.names
+                if alias.name.startswith("jaxwhisker")
+            ]
+        elif isinstance(statement, ast.ImportFrom) and (statement.module or "").partition(".")[0] == "jaxwhisker":
+            base = statement.module.removeprefix("jaxwhisker").strip(".")
+            for alias in statement.names:
+                full = f"{base}.{alias.name}".strip(".")
+                found.append(full if full in modules else base)
+    return found
+
+
+def test_every_package_has_a_level():
+    packages = {file.relative_to(PACKAGE).parts[0] for file in files()}
+    assert set(levels()) == packages
+
+
+@pytest.mark.parametrize("file", files(), ids=name_of)
+def test_imports_point_down(file):
+    floor, own = levels(), name_of(file).partition(".")[0]
+    for module in imports(file):
+        package = module.partition(".")[0]
+        assert package, "imports the package root"
+        assert package == own or floor[package] < floor[own], module
+
+
+def test_there_are_no_cycles():
+    graph = {name_of(file): {module for module in imports(file) if module != name_of(file)} for file in files()}
+    done: set[str] = set()
+
+    def visit(module: str, trail: tuple[str, ...]) -> None:
+        assert module not in trail, " -> ".join((*trail, module))
+        if module not in done:
+            for other in sorted(graph.get(module, ())):
+                visit(other, (*trail, module))
+            done.add(module)
+
+    for module in graph:
+        visit(module, ())
+
+
+def test_files_are_short():
+    long = {name_of(file): count for file in files() if (count := len(file.read_text("utf-8").splitlines())) > LONGEST}
+    assert not long
+
+
+def test_modules_that_the_page_names_exist():
+    named = set(re.findall(r"`((?:_\w+|plot|film|thesis|cli)/\w+\.py)`", DEVELOPING))
+    assert named
+    assert [name for name in sorted(named) if not (PACKAGE / name).exists()] == []
+
+
+@pytest.mark.parametrize("page", ["README.md", *(f"docs/{p.name}" for p in sorted((ROOT / "docs").glob("*.md")))])
+def test_files_of_the_repository_that_a_page_names_exist(page):
+    text = (ROOT / page).read_text("utf-8")
+    for name in set(
+        re.findall(r"(?<![\w/.])((?:tests|benchmarks|docs|examples|notebooks|figures)/[\w/.-]+\.\w+)", text)
+    ):
+        assert (ROOT / name).exists(), name
+
+
+def test_every_test_file_names_a_module_or_a_folder_of_its_own():
+    """tests/<package>/test_<module>.py: the name says where to look."""
+    packages = {name.lstrip("_"): name for name in levels()}
+    for file in sorted((ROOT / "tests").rglob("test_*.py")):
+        assert file.parent.name in {*packages, "physics", "docs"}, file
