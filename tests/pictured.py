@@ -12,6 +12,7 @@ from jaxwhisker._inverse.measured import Measured
 CONTROL = np.linspace(0.72, -1.62, 235)
 ANGLES = np.linspace(-0.45, 0.7, 116)
 MIDDLE = -0.5
+FILM_STEPS = 40  # frames for the steps of a scan
 LENGTH, STIFFNESS = 0.05, 2.4e-5  # of a whisker in SI units: m, N m^2; EI/L^2 = 9.6 mN, EI/L = 480 mN mm
 
 

@@ -93,7 +93,7 @@ OF_A_SCAN = {
 def test_only_results_of_one_scan_are_drawn(name, wrong, result):
     with pytest.raises(ValueError, match="`result` must be the Result of a scan"):
         OF_A_SCAN[name](wrong)
-    with pytest.raises(ValueError, match=r"`result` must be of one scan, .* batch of shape \(2,\)"):
+    with pytest.raises(ValueError, match=r"`result` must be the result of a single scan, got a batch of shape \(2,\)"):
         OF_A_SCAN[name](batch(result))
     assert not pyplot.get_fignums()
 

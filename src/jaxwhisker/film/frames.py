@@ -69,7 +69,7 @@ def frames(result: Result, count: int) -> tuple[Frames, list[tuple[int, Event]]]
     scan = Frames(shown, control[shown], of_scan, lines[0], np.zeros(count, bool))
     begin = _first_steps(result)
     of_snap = {
-        k: _snap_frames(result, begin[k] - 1, events[k], *own)
+        k: _snap_frames(result, int(begin[k]) - 1, events[k], *own)
         for k, *own in zip(snaps, groups[1:], lines[1:], strict=True)
     }
     parts, marks, start = [], [], 0

@@ -13,10 +13,9 @@ from matplotlib.axes import Axes
 
 from jaxwhisker._base import checks
 from jaxwhisker._inverse.fit_contour import ContourFit
-from jaxwhisker._inverse.measured import CHANNELS
 from jaxwhisker._inverse.points import NORMAL_95
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
-from jaxwhisker._scan.quantities import UnitSystem
+from jaxwhisker._scan.quantities import REACTIONS, UnitSystem
 from jaxwhisker.plot.axes import COLOURS, check_type, colour, column, legend_above, mark_events, one_axes, title
 
 if TYPE_CHECKING:
@@ -47,15 +46,15 @@ def fit(result: "Fit", *, units: str = "auto", axs: Iterable[Axes] | None = None
 
     check_type("result", result, Fit, "the Fit of jw.identify")
     measured, system = result.measured, UnitSystem(result.scene, units)
-    channels = [c for c in range(len(CHANNELS)) if measured.known[:, :, c].any()]
+    channels = [c for c in range(len(REACTIONS)) if measured.known[:, :, c].any()]
     axes = column(axs, len(channels))
     control = system.shown("control", measured.control)
     for ax, c in zip(axes, channels, strict=True):
-        dots, lines = (system.shown(CHANNELS[c], values[..., c]) for values in (measured.values, result.signals))
+        dots, lines = (system.shown(REACTIONS[c], values[..., c]) for values in (measured.values, result.signals))
         for k in range(measured.values.shape[1]):
             ax.plot(control, dots[:, k], ".", color=colour(k), markersize=2, alpha=0.4)
             ax.plot(control, lines[:, k], color=colour(k), linewidth=1, label=f"whisker {k + 1}")
-        ax.set_ylabel(system.label(CHANNELS[c]))
+        ax.set_ylabel(system.label(REACTIONS[c]))
     axes[-1].set_xlabel(system.label("control"))
     if measured.values.shape[1] > 1:
         legend_above(axes[0], axes[0].get_legend_handles_labels()[0])
