@@ -25,7 +25,7 @@ from jaxwhisker._scan.shapes import shapes_of
 # Lengths are in L of the first whisker.
 POINTS = 64  # per centre line
 AMPLITUDE = 0.018  # of a spring's zigzag
-SHORT = 0.01  # a spring with a smaller rest length has no length to draw ...
+SHORT = 1e-3  # a spring with a smaller rest length has no length to draw ...
 STAND = 0.16  # ... and starts this far behind, at a wall that moves with the drive
 DEPTH = 0.08  # vertical distance between springs that pass below other bases
 COIL = 0.085  # radius of a torsion spring

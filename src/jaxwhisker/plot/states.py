@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import MultipleLocator
 
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
@@ -32,7 +32,7 @@ MOST_LISTED = 6  # positions of the drive that fit into a title
 PALEST = 0.25  # opacity of the earliest of several states
 # Lengths are in L of the first whisker.
 NARROWEST = 1.3  # least width of a window
-WIDE = 3.0  # a narrower window has ticks half an L apart
+WIDE = 3.0  # a narrower window has ticks about half an L apart
 ROOM = 0.1  # around what is drawn
 BESIDE = 0.5  # least distance between the vertex and the sides of the window of a scene
 
@@ -278,4 +278,10 @@ def _set_window(drawn: Sequence[Drawing], system: UnitSystem, ax: Axes) -> None:
     ax.set_ylim(scale * (y.min(initial=0.0) - ROOM), scale * (max(y.max(initial=1.0), vertex) + ROOM))
     if x.size and np.ptp(x) < WIDE:  # by default the ticks of a narrow window overlap
         for axis in (ax.xaxis, ax.yaxis):
-            axis.set_major_locator(MultipleLocator(0.5) if scale == 1 else MaxNLocator(4, steps=[1, 2, 5, 10]))
+            axis.set_major_locator(MultipleLocator(_round(0.5 * scale)))
+
+
+def _round(size: float) -> float:
+    """Nearest of ..., 1, 2, 2.5, 5, 10, ..."""
+    power = 10.0 ** np.floor(np.log10(size))
+    return float(min((1.0, 2.0, 2.5, 5.0, 10.0), key=lambda one: abs(one * power - size)) * power)
