@@ -1,4 +1,4 @@
-"""Scans and made-up studies for tests of figures."""
+"""Scans, and made-up studies, fits and reconstructions, that figures and films of the tests show."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -6,18 +6,25 @@ import numpy as np
 import xarray as xr
 
 import jaxwhisker as jw
+from jaxwhisker._inverse.information import EventInformation
+from jaxwhisker._inverse.measured import Measured
 
 CONTROL = np.linspace(0.72, -1.62, 235)
 ANGLES = np.linspace(-0.45, 0.7, 116)
 MIDDLE = -0.5
+FILM_STEPS = 40  # frames for the steps of a scan
+LENGTH, STIFFNESS = 0.05, 2.4e-5  # of a whisker in SI units: m, N m^2; EI/L^2 = 9.6 mN, EI/L = 480 mN mm
 
 
-def coupled():
-    return jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfbr(70.0), rod=jw.ClosedForm())
+def coupled(length=1.0, bending_stiffness=1.0):
+    """Two whiskers with feedback; the same scene in all units."""
+    whisker = jw.Whisker(length, bending_stiffness)
+    support = jw.Support.fbfbr(70.0 * bending_stiffness / length**3, 0.2 * length)
+    return jw.Scene(whisker, jw.Parabola(0.2 * length, 1 / length), support, rod=jw.ClosedForm())
 
 
 def turning():
-    """A leaning whisker whose base has springs along all axes, on a rotating drive."""
+    """A base that moves along all axes, on an oblique mount, on a drive that rotates."""
     support = jw.Support.follicle(80.0, 200.0, 10.0, mount=jw.Mount(0.0, 0.1, 0.2))
     motion = jw.Rotation((0.0, -0.5), 0.3)
     return jw.Scene(jw.Whisker(), jw.Circle(0.6, 0.4), support, rod=jw.ClosedForm(), motion=motion)
@@ -43,7 +50,7 @@ def failed(result, steps):
 
 
 def there_and_back(result):
-    """A scan that reverses at its last step and returns through the same states."""
+    """A scan whose drive reverses at its last step and passes through the same states."""
     steps = np.r_[0 : result.control.size, result.control.size - 2 : -1 : -1]
     return of_steps(result, steps)
 
@@ -65,5 +72,31 @@ def summarised():
 
 
 def steepness(data):
-    """Steepness with a critical stiffness of 43.2 at a distance of 0.2, higher for nearer objects."""
+    """A made-up steepness: 43.2 is critical at a distance of 0.2, and more at smaller distances."""
     return (8.64 / data.distance / data.stiffness).transpose("stiffness", "distance")
+
+
+def some_information():
+    """Made-up information on a stiffness and a distance."""
+    control = np.linspace(0.7, -1.4, 64)
+    rates = np.stack([np.exp(-((control + 0.5) ** 2)), np.exp(-8 * (control + 1.0) ** 2)], axis=1)[:, None, :]
+    event = EventInformation(jw.EventKind.vertex, (1,), -0.5, np.zeros(2), np.inf)
+    return jw.Information(("c", "q"), {"c": 70.0, "q": 0.2}, control, ("mz",), rates, (event,), np.array([True, True]))
+
+
+def some_fit(result):
+    """A made-up fit with small residuals."""
+    values = np.stack([np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz")], axis=-1)
+    measured = Measured(np.asarray(result.control), values + 0.3 * np.sin(40 * values), np.ones(values.shape))
+    known = {"status": jw.FitStatus.ok, "measured": measured, "signals": values, "scene": result.scene}
+    return jw.Fit(**dict.fromkeys(jw.Fit.__dataclass_fields__) | known)  # pyright: ignore[reportArgumentType]
+
+
+def some_points():
+    """Points of a parabola; the last one is lost in noise."""
+    x = jnp.linspace(-0.8, 0.8, 33)[:, None]
+    one, covariance = jnp.ones_like(x), jnp.zeros((*x.shape, 4, 4)).at[..., [0, 1], [0, 1]].set(4e-4)
+    point = {"x": x, "y": 0.2 + x**2, "slope": jnp.arctan(2 * x), "phase": jnp.ones(x.shape, int)}
+    state = {"status": jnp.zeros(x.shape, int), "significance": 100 * one.at[-1].set(0.01), "covariance": covariance}
+    fields = dict.fromkeys(jw.Reconstruction.__dataclass_fields__, one) | point | state | {"control": x[:, 0]}
+    return jw.Reconstruction(**fields)

@@ -1,10 +1,8 @@
-"""Pictures look as they did, and mistakes in them are noticed."""
+"""Figures look as stored in `baseline`, and mistakes in them are detected."""
 
 import os
 from pathlib import Path
 
-import jax.numpy as jnp
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.testing.compare import compare_images
@@ -12,56 +10,28 @@ from matplotlib.ticker import NullFormatter
 
 import jaxwhisker as jw
 from jaxwhisker import plot
-from jaxwhisker._inverse.information import EventInformation
-from jaxwhisker._inverse.measured import Measured
-from jaxwhisker.plot import axes, drawing, inverse, signals, strips
-from pictured import ANGLES, CONTROL, MIDDLE, coupled, failed, of_steps, steepness, summarised, there_and_back, turning
+from jaxwhisker.plot import axes, drawing, inverse, phase_strips, signals
+from pictured import (
+    MIDDLE,
+    failed,
+    of_steps,
+    some_fit,
+    some_information,
+    some_points,
+    steepness,
+    summarised,
+    there_and_back,
+)
 
 BASELINE = Path(__file__).parent / "baseline"
-WRITE = os.environ.get("JAXWHISKER_BASELINE") == "write"  # after a change on purpose; look at what was written
-TOLERANCE = 1.0  # rms of grey levels up to 255: matplotlib 3.9 to 3.11 agree exactly, the slightest mistake is off by 3
+WRITE = os.environ.get("JAXWHISKER_BASELINE") == "write"  # after an intended change; look at the new files
+TOLERANCE = 1.0  # rms of grey levels up to 255: matplotlib 3.9 to 3.11 agree exactly, the least mistake differs by 3
 SIZE, DPI = (3.35, 2.4), 80  # inches: a column of a journal
 SEVERAL = (0.4, -0.2, -0.8)
 
 
-@pytest.fixture(scope="module")
-def result():
-    return jw.scan(coupled(), CONTROL)
-
-
-@pytest.fixture(scope="module")
-def turned():
-    return jw.scan(turning(), ANGLES)
-
-
-def told():
-    """What signals might tell of a stiffness and a distance."""
-    control = np.linspace(0.7, -1.4, 64)
-    rates = np.stack([np.exp(-((control + 0.5) ** 2)), np.exp(-8 * (control + 1.0) ** 2)], axis=1)[:, None, :]
-    event = EventInformation(jw.EventKind.vertex, (1,), -0.5, np.zeros(2), np.inf)
-    return jw.Information(("c", "q"), {"c": 70.0, "q": 0.2}, control, ("mz",), rates, (event,), np.array([True, True]))
-
-
-def fitted(result):
-    """A fit that misses what was measured a little."""
-    values = np.stack([np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz")], axis=-1)
-    measured = Measured(np.asarray(result.control), values + 0.3 * np.sin(40 * values), np.ones(values.shape))
-    known = {"status": jw.FitStatus.ok, "measured": measured, "signals": values, "scene": result.scene}
-    return jw.Fit(**dict.fromkeys(jw.Fit.__dataclass_fields__) | known)  # pyright: ignore[reportArgumentType]
-
-
-def found():
-    """Points of a parabola, the last one lost in noise."""
-    x = jnp.linspace(-0.8, 0.8, 33)[:, None]
-    one, covariance = jnp.ones_like(x), jnp.zeros((*x.shape, 4, 4)).at[..., [0, 1], [0, 1]].set(4e-4)
-    point = {"x": x, "y": 0.2 + x**2, "slope": jnp.arctan(2 * x), "phase": jnp.ones(x.shape, int)}
-    state = {"status": jnp.zeros(x.shape, int), "significance": 100 * one.at[-1].set(0.01), "covariance": covariance}
-    fields = dict.fromkeys(jw.Reconstruction.__dataclass_fields__, one) | point | state | {"control": x[:, 0]}
-    return jw.Reconstruction(**fields)
-
-
 def drawn(name, result, turned):
-    """One of the pictures, small, without text: what is compared does not depend on fonts."""
+    """A small figure without text, because fonts differ between machines."""
     figure = Figure(figsize=SIZE, dpi=DPI)
     rows = {"reactions": 3, "fit": 3}.get(name, 1)
     figure.subplots_adjust(left=0.02, right=0.98, bottom=0.03, top=0.97)
@@ -82,9 +52,9 @@ def drawn(name, result, turned):
             summarised().isel(distance=1), critical=steepness(summarised()).isel(distance=1, drop=True), axs=[ax]
         ),
         "study_map": lambda: plot.study(summarised().isel(whisker=[0]), critical=steepness(summarised()), axs=[ax]),
-        "information": lambda: plot.information(told(), ax=ax),
-        "fit": lambda: plot.fit(fitted(result), axs=axs),
-        "contour": lambda: plot.contour(found(), profile=jw.Parabola(0.2), ax=ax),
+        "information": lambda: plot.information(some_information(), ax=ax),
+        "fit": lambda: plot.fit(some_fit(result), axs=axs),
+        "contour": lambda: plot.contour(some_points(), profile=jw.Parabola(0.2), ax=ax),
         "deflection": lambda: plot.deflection({"a": jw.deflect(jw.Whisker(), jw.PointForce(3.0))}, ax=ax),
     }[name]()
     for ax in figure.axes:
@@ -97,28 +67,28 @@ def drawn(name, result, turned):
     return figure
 
 
-PICTURES = """
+FIGURES = """
 scene scene_turning shapes shapes_several shapes_turning reactions spring_lengths phases phases_and_back compare
 study_line study_map information fit contour deflection
 """.split()  # noqa: SIM905
 
 
 def difference(figure, name, folder):
-    """What differs from the picture that is stored; None if nothing does."""
+    """Description of the differences from the stored figure; None if there are none."""
     actual = folder / f"{name}.png"
     figure.savefig(actual)
     return compare_images(str(BASELINE / f"{name}.png"), str(actual), TOLERANCE)
 
 
-@pytest.mark.unchecked  # a fit made up has no fields but those that are drawn
-@pytest.mark.parametrize("name", PICTURES)
-def test_picture_looks_as_it_did(name, result, turned, tmp_path):
+@pytest.mark.unchecked  # the made-up fit only has the fields that are drawn
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_looks_as_stored(name, result, turned, tmp_path):
     figure = drawn(name, result, turned)
     if WRITE:
         BASELINE.mkdir(exist_ok=True)
         figure.savefig(BASELINE / f"{name}.png")
-    words = difference(figure, name, tmp_path)
-    assert words is None, words
+    message = difference(figure, name, tmp_path)
+    assert message is None, message
 
 
 def other_colours(monkeypatch):
@@ -158,12 +128,12 @@ def no_events(monkeypatch):
 
 
 def tip_is_tangential(monkeypatch):
-    bar = strips._bar
-    monkeypatch.setattr(strips, "_bar", lambda kind, colour: bar(jw.Phase.tangential if kind else kind, colour))
+    bar = phase_strips._bar
+    monkeypatch.setattr(phase_strips, "_bar", lambda kind, colour: bar(jw.Phase.tangential if kind else kind, colour))
 
 
 def no_markers(monkeypatch):
-    monkeypatch.setattr(strips, "_MARKERS", {})
+    monkeypatch.setattr(phase_strips, "_MARKERS", {})
 
 
 MISTAKES = [
@@ -190,6 +160,6 @@ MISTAKES = [
 
 @pytest.mark.unchecked
 @pytest.mark.parametrize(("mistake", "name"), MISTAKES, ids=lambda value: getattr(value, "__name__", value))
-def test_a_wrong_picture_is_noticed(mistake, name, result, turned, tmp_path, monkeypatch):
+def test_a_wrong_figure_is_detected(mistake, name, result, turned, tmp_path, monkeypatch):
     mistake(monkeypatch)
     assert difference(drawn(name, result, turned), name, tmp_path) is not None

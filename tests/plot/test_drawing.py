@@ -8,19 +8,9 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker.plot import drawing
-from pictured import ANGLES, CONTROL, MIDDLE, coupled, turning
+from pictured import CONTROL, MIDDLE
 
 ROUNDING = 1e-12  # of lengths in L
-
-
-@pytest.fixture(scope="module")
-def result():
-    return jw.scan(coupled(), CONTROL)
-
-
-@pytest.fixture(scope="module")
-def turned():
-    return jw.scan(turning(), ANGLES)
 
 
 def test_springs_are_as_long_as_they_are(result):
@@ -71,3 +61,23 @@ def test_forces_point_the_way_the_object_pushes(result):
     assert drawing.drawing_at(result, 0).arrows == (None, None)
     after = drawing.drawing(result.scene, result.events[-1].control, result.events[-1].after)
     assert after.arrows == (None, None)
+
+
+def test_a_scene_starts_just_before_the_touch(result, turned):
+    touch = result.events[0].control
+    assert drawing.start_of(result.scene) == pytest.approx(touch + drawing.AHEAD, abs=ROUNDING)
+    drive = drawing.drive_pose(result.scene, touch)
+    assert (drive.x, drive.y, drive.angle) == (touch, 0.0, 0.0)
+    start, step = drawing.start_of(turned.scene), np.pi / (drawing.SAMPLES - 1)
+    assert start < turned.events[0].control < start + 1.01 * step
+
+
+def test_a_scaled_drawing_keeps_angles_and_line_widths(turned):
+    one = drawing.drawing_at(turned, 60)
+    twice = one.scaled(2.0)
+    assert twice.drive == (2 * one.drive.x, 2 * one.drive.y, one.drive.angle)
+    for line, other in zip((*one.springs, one.arm, one.bases), (*twice.springs, twice.arm, twice.bases), strict=True):
+        np.testing.assert_array_equal(other.x, 2 * line.x)
+        assert other.width == line.width
+    assert twice.arrows[0].head == tuple(2 * value for value in one.arrows[0].head)
+    np.testing.assert_array_equal(twice.extent()[1], 2 * one.extent()[1])

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxwhisker._base.checks import is_traced
 from jaxwhisker._model.motion import Rotation, Translation
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import Scene, Units
 from jaxwhisker._model.scene import units as units_of_scene
 
 # Kinds of quantities, as powers of force and length.
@@ -122,6 +122,18 @@ class Unit(NamedTuple):
 
 
 UNITS = ("auto", "SI", "dimensionless")
+
+
+def check_units(units: Any) -> None:
+    """Check the name of a system of units.
+
+    Raises:
+        ValueError: if it is none of `UNITS`.
+    """
+    if units not in UNITS:
+        raise ValueError(f"`units` must be one of {', '.join(UNITS)}, got {units!r}.")
+
+
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
@@ -133,17 +145,18 @@ class UnitSystem:
         units: "dimensionless" divides by L, EI/L^2 and EI/L of the first whisker; "SI" takes the scene's numbers for SI
             units and adds prefixes of the scene's size (mm, mN, mN mm); "auto" is "dimensionless" for a whisker with
             L = EI = 1, else "SI".
+        prefixes_of: the scene whose size decides the prefixes; by default `scene`.
 
     Raises:
         ValueError: if `units` is none of these.
     """
 
-    def __init__(self, scene: Scene, units: str = "auto"):
-        if units not in UNITS:
-            raise ValueError(f"`units` must be one of {', '.join(UNITS)}, got {units!r}.")
+    def __init__(self, scene: Scene, units: str = "auto", *, prefixes_of: Scene | None = None):
+        check_units(units)
         self.scene = scene
         self.dimensionless = is_dimensionless(scene) if units == "auto" else units == "dimensionless"
         self._own = units_of_scene(scene)
+        self._prefixed = self._own if prefixes_of is None else units_of_scene(prefixes_of)
 
     def unit(self, name: str) -> Unit:
         """The unit of a quantity by its name."""
@@ -155,11 +168,10 @@ class UnitSystem:
             return Unit("rad", 1.0)
         if kind == "number":
             return Unit("", 1.0)
-        own = self._own
-        powers = KINDS[kind]
         if self.dimensionless:
-            return Unit("", float(own.force) ** powers[0] * float(own.length) ** powers[1])
-        parts = [_with_prefix(base, float(size)) for base, size in (("N", own.force), ("m", own.length))]
+            return Unit("", _natural(self._own, kind))
+        powers, sizes = KINDS[kind], self._prefixed
+        parts = [with_prefix(base, float(size)) for base, size in (("N", sizes.force), ("m", sizes.length))]
         above = [_power(unit.name, power) for unit, power in zip(parts, powers, strict=True) if power > 0]
         below = [_power(unit.name, -power) for unit, power in zip(parts, powers, strict=True) if power < 0]
         size = math.prod(unit.size**power for unit, power in zip(parts, powers, strict=True))
@@ -171,17 +183,36 @@ class UnitSystem:
         if name == "spring_length":  # torsion springs have an angle, in rad
             size = self.unit(name).size
             return values / [1.0 if spring.axis == "phi" else size for spring in self.scene.support.springs]
-        return values / self.unit(name).size
+        return np.asarray(values / self.unit(name).size)
+
+    def scale(self, kind: str) -> float:
+        """The number that is shown for L, EI/L^2, EI/L, ... of the scene: 1 if dimensionless."""
+        return 1.0 if kind in ("angle", "number") else _natural(self._own, kind) / self.of_kind(kind).size
 
     def label(self, name: str) -> str:
         """Symbol and unit of a quantity, for an axis."""
-        quantity, kind = QUANTITIES[name], kind_of(name, self.scene)
+        kind = kind_of(name, self.scene)
         if name == "control" and kind != "length":
             return control_name(self.scene) + (" (rad)" if kind == "angle" else "")
-        if self.dimensionless and kind not in ("angle", "number"):
-            return f"${quantity.symbol}{_SCALED[kind]}$"
-        unit = self.unit(name).name
-        return f"${quantity.symbol}$" + f" ({unit})" * bool(unit)
+        return self.label_of(QUANTITIES[name].symbol, kind)
+
+    def label_of(self, symbol: str, kind: str) -> str:
+        """Any symbol with the unit of a kind of quantity, for an axis."""
+        if self.dimensionless:
+            return dimensionless_label(symbol, kind)
+        unit = self.of_kind(kind).name
+        return f"${symbol}$" + f" ({unit})" * bool(unit)
+
+
+def dimensionless_label(symbol: str, kind: str) -> str:
+    """A symbol divided by the unit that L and EI make for this kind of quantity, for an axis."""
+    return f"${symbol}{_SCALED.get(kind, '')}$" + " (rad)" * (kind == "angle")
+
+
+def _natural(sizes: Units, kind: str) -> float:
+    """The unit of a kind of quantity that is made of L and EI of the first whisker."""
+    force, length = KINDS[kind]
+    return float(sizes.force) ** force * float(sizes.length) ** length
 
 
 # How a symbol is made dimensionless.
@@ -195,7 +226,7 @@ _SCALED = {
 }
 
 
-def _with_prefix(base: str, size: float) -> Unit:
+def with_prefix(base: str, size: float) -> Unit:
     """The unit, with a prefix, in which a value of this size has one to three digits before the point."""
     decade = min(max(3 * math.floor(math.log10(size) / 3), min(_PREFIXES)), max(_PREFIXES))
     return Unit(_PREFIXES[decade] + base, 10.0**decade)

@@ -1,4 +1,4 @@
-"""The film of a scan: the scene at the left, the reactions growing at the right, events as they happen."""
+"""Films of scans: the scene on the left, the reactions on the right, events as they happen."""
 
 import base64
 import tempfile
@@ -6,15 +6,22 @@ from pathlib import Path
 from typing import Any
 
 from jaxwhisker._base import checks
+from jaxwhisker._scan.quantities import check_units
 from jaxwhisker._scan.result import Result, check_one_scan
 
-FPS = 25  # whole hundredths of a second, as GIFs have them
+FPS = 25  # a frame takes a whole number of hundredths of a second, as GIFs require
 FASTEST = 60  # frames per second
+LONGEST = 300.0  # seconds
 LEAST_WIDTH, MOST_WIDTH = 64, 4096  # pixels
 
 
 class Film:
-    """A film in memory; notebooks show it."""
+    """Film in memory; notebooks display it.
+
+    Args:
+        kind: media type, such as "video/mp4".
+        data: contents of the file.
+    """
 
     def __init__(self, kind: str, data: bytes):
         self.kind, self.data = kind, data
@@ -36,90 +43,98 @@ def animate(
     seconds: float = 12.0,
     fps: int = FPS,
     width: int = 960,
+    units: str = "auto",
     progress: bool | None = None,
 ) -> Path | Film:
-    """Make a film of a scan: the scene at the left, the reactions at the right, each event as it happens.
+    """Make a film of a scan: the scene on the left, the reactions on the right, events as they happen.
 
-    A snap, which takes no time in a scan, is shown as a snap: in a few frames more, marked as not to scale in time, the
-    overdamped flow of the bases from the one state to the other, the same that decides what follows a loss of
-    stability. A whisker that swings free or over to the far side while its base stands passes no equilibrium; its
-    centre line is then turned from the one state to the other, its length kept, past the object.
+    A snap takes no time in a scan. The film shows it in a few additional frames, marked as not to scale in time: the
+    overdamped flow of the bases from the state before to the state after it, which also decides the result of the snap.
+    Where a whisker swings free or to the far side while its base stands still, no equilibrium lies between the two
+    states. Its centre line is then turned from one to the other, past the object and without changing its length.
 
-    Lengths are drawn in L, forces in EI/L^2, moments in EI/L of the first whisker. Where steps failed whiskers are
-    missing, and the film says why.
+    Where steps failed, whiskers are missing and the film shows the status.
 
     Args:
         result: of one `scan`.
-        path: of the file: .gif, or, with ffmpeg, .mp4 or .webm. By default the film is returned, for notebooks.
-        seconds: how long the scan takes in the film; every snap adds half a second, and the last image stays for one.
-        fps: frames per second, 1 to 60; GIFs have delays of whole hundredths of a second.
-        width: of the film in pixels, made even; its height, 0.4 to 0.7 of that, follows from the scene.
-        progress: whether to show a progress bar. Default: on a terminal.
+        path: of the file: .gif or, with ffmpeg, .mp4 or .webm. By default the film is returned, for notebooks.
+        seconds: duration of the scan in the film, at most 300. Every snap adds half a second, and the last frame stays
+            for one second.
+        fps: frames per second, 1 to 60. Frames of a GIF last a whole number of hundredths of a second.
+        width: of the film in pixels, 64 to 4096, rounded down to an even number. The height follows from the scene: 0.4
+            to 0.7 times the width.
+        units: "auto", "SI" (with prefixes: mm, mN) or "dimensionless" (in L and EI of the first whisker). "auto" is
+            "dimensionless" for a first whisker with L = EI = 1, else "SI".
+        progress: whether to show a progress bar; by default, on a terminal.
 
     Returns:
-        The path, or the Film, an MP4 with ffmpeg and else a GIF.
+        The path, or the Film: an MP4 if there is ffmpeg, else a GIF.
 
     Raises:
-        ValueError: if an argument is wrong, the result is a batch, or a video is asked for without ffmpeg.
+        ValueError: if an argument is invalid, the result is a batch, or there is no ffmpeg for a video.
         OSError: if the file cannot be written.
     """
     check_one_scan(result)
-    path = check(path, seconds, fps, width)
+    path = check(path, seconds, fps, width, units)
     if path is not None:
-        _write(result, path, seconds, fps, width, progress)
+        _write(result, path, seconds, fps, width, units, progress)
         return path
     from jaxwhisker.film.writers import has_ffmpeg
 
     kind = "video/mp4" if has_ffmpeg() else "image/gif"
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / f"film.{kind[-3:]}"
-        _write(result, made, seconds, fps, width, progress)
+        _write(result, made, seconds, fps, width, units, progress)
         return Film(kind, made.read_bytes())
 
 
-def check(path: Any, seconds: Any, fps: Any, width: Any) -> Path | None:
-    """Check what a film is to be, before anything is computed for it.
+def check(path: Any, seconds: Any, fps: Any, width: Any, units: Any = "auto") -> Path | None:
+    """Check the arguments of `animate` before anything is computed; return the path.
 
     Raises:
-        ValueError: as `animate` says.
+        ValueError: as described there.
     """
     checks.number("seconds", seconds, positive=True)
+    if seconds > LONGEST:
+        raise ValueError(f"`seconds` must be at most {LONGEST:g}, got {seconds:g}.")
     checks.count("fps", fps)
     if fps > FASTEST:
-        raise ValueError(f"`fps` must be at most {FASTEST}, but is {fps}.")
+        raise ValueError(f"`fps` must be at most {FASTEST}, got {fps}.")
     checks.count("width", width)
     if not LEAST_WIDTH <= width <= MOST_WIDTH:
-        raise ValueError(f"`width` must lie between {LEAST_WIDTH} and {MOST_WIDTH} pixels, but is {width}.")
-    if path is None:
-        return None
+        raise ValueError(f"`width` must lie between {LEAST_WIDTH} and {MOST_WIDTH} pixels, got {width}.")
+    check_units(units)
+    return None if path is None else _check_path(path)
+
+
+def _check_path(path: Any) -> Path:
     from jaxwhisker.film.writers import SUFFIXES, has_ffmpeg
 
     if not isinstance(path, (str, Path)):
-        raise ValueError(f"`path` must be a path, but is {path!r}.")
+        raise ValueError(f"`path` must be a path, got {path!r}.")
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise ValueError(f"`path` must end with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}, but is {str(path)!r}.")
+        raise ValueError(f"`path` must end with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}, got {str(path)!r}.")
     if suffix != ".gif" and not has_ffmpeg():
         raise ValueError(
-            f"`path` must end with .gif where there is no ffmpeg, but is {str(path)!r}. Install ffmpeg (on Debian: apt "
+            f"`path` must end with .gif because there is no ffmpeg, got {str(path)!r}. Install ffmpeg (on Debian: apt "
             f"install ffmpeg) for {suffix}."
         )
     if not path.absolute().parent.is_dir():
-        raise ValueError(f"`path` must lie in a folder that exists, but is {str(path)!r}.")
+        raise ValueError(f"`path` must be in an existing folder, got {str(path)!r}.")
     return path
 
 
-def _write(result: Result, path: Path, seconds: float, fps: int, width: int, progress: bool | None) -> None:
+def _write(result: Result, path: Path, seconds: float, fps: int, width: int, units: str, progress: bool | None) -> None:
     from tqdm import tqdm
 
     from jaxwhisker.film.canvas import Canvas
     from jaxwhisker.film.frames import frames
-    from jaxwhisker.film.stage import outline
     from jaxwhisker.film.writers import write
 
-    shown, events = frames(result, max(2, round(seconds * fps)), outline(result.scene))
-    canvas = Canvas(result, shown, events, fps=fps, width=width)
-    off = None if progress is None else not progress
-    with tqdm(range(canvas.count), desc="film", unit=" frames", leave=False, disable=off) as counted:
-        write(path, canvas.image, counted, count=canvas.count, fps=fps)
+    shown, events = frames(result, max(2, round(seconds * fps)))
+    canvas = Canvas(result, shown, events, fps=fps, width=width, units=units)
+    hidden = None if progress is None else not progress
+    with tqdm(range(canvas.count), desc="film", unit=" frames", leave=False, disable=hidden) as counted:
+        write(path, canvas, counted, fps=fps)

@@ -1,87 +1,128 @@
-"""The canvas of a film: what stands still is drawn once, what moves again for every frame."""
+"""Drawing of the frames of a film: the background once, moving artists again for every frame."""
+
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import UInt8
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch
+from matplotlib.patheffects import withStroke
 
-from jaxwhisker._model.scene import Scene, units
-from jaxwhisker._scan.quantities import REACTIONS
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._path.path import EventKind, Status
+from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, control_kind, kind_of
 from jaxwhisker._scan.result import Event, Result
-from jaxwhisker.film.captions import Captions
-from jaxwhisker.film.curves import Curves
-from jaxwhisker.film.frames import Frames
-from jaxwhisker.film.stage import Stage, window
-from jaxwhisker.plot.axes import colour
+from jaxwhisker.film.frames import SNAP_FRAMES, Frames
+from jaxwhisker.plot.axes import GREY, SUPPORT, colour
 from jaxwhisker.plot.drawing import Drawing, drawing, largest_force
+from jaxwhisker.plot.signals import LEAST_HEIGHT
+from jaxwhisker.plot.states import decimals, draw_object
 
-# Inches; pixels follow from the width asked for.
+# Inches; the pixels follow from the width of the film.
 WIDTH, LOWEST, TALLEST = 9.6, 3.9, 6.4  # the height follows from the scene
-BELOW, ABOVE, GAP = 0.55, 0.4, 0.1  # of axes
-STAGE, CURVES = (0.67, 4.7), (6.35, 3.1)  # from the left, and how wide
+BELOW, ABOVE, GAP = 0.55, 0.4, 0.1  # around axes
+STAGE, CURVES = (0.67, 4.7), (6.35, 3.1)  # position from the left, and width
+
+STAGE_ROOM = 0.03  # around moving parts, as a share of the window
+WORDS_ROOM = 0.1  # above them
+CURVE_ROOM = 0.08  # above and below curves, as a share of their height
+FLASH = 0.5  # seconds; a snap flashes that long after it is over
+MOST_LABELS = 3  # events that flash at once; only the latest are shown
+WARNING = "#B00000"
+_WORDS = {
+    EventKind.touch: "touch of {}",
+    EventKind.tip_to_tangential: "tangential contact of {}",
+    EventKind.vertex: "{} at the vertex",
+    EventKind.tangential_to_tip: "tip contact of {}",
+    EventKind.release: "release of {}",
+    EventKind.snap_through: "snap-through of {}",
+    EventKind.snap_off: "snap-off of {}",
+}
+
+_Place = tuple[float, float, float, float]  # left, bottom, width and height of axes, as shares of the figure
 
 
 class Canvas:
     """Draws the frames of a film."""
 
-    def __init__(self, result: Result, shown: Frames, events: list[tuple[int, Event]], *, fps: int, width: int):
-        self.count, scene, largest = shown.step.size, result.scene, largest_force(result)
-        self._drawings = [_drawing(scene, shown, k, largest) for k in range(self.count)]
-        seen, wide = window(scene, self._drawings), STAGE[1]
+    def __init__(
+        self,
+        result: Result,
+        shown: Frames,
+        events: list[tuple[int, Event]],
+        *,
+        fps: int,
+        width: int,
+        units: str = "auto",
+    ):
+        self.count, largest = shown.step.size, largest_force(result)
+        system = UnitSystem(result.scene, units)
+        self._drawings = [_drawing(shown, k, largest, system) for k in range(self.count)]
+        seen, wide = _window(system, self._drawings), STAGE[1]
         height = float(np.clip(seen.shape * wide + BELOW + ABOVE, LOWEST, TALLEST))
         inner = height - BELOW - ABOVE
-        self._figure = _figure(width, height)
-        self._canvas = FigureCanvasAgg(self._figure)
+        self.figure = _figure(width, height)
 
-        def place(column: tuple[float, float], bottom: float, tall: float):
+        def place(column: tuple[float, float], bottom: float, tall: float) -> _Place:
             return column[0] / WIDTH, bottom / height, column[1] / WIDTH, tall / height
 
-        self.stage = Stage(self._figure, place(STAGE, BELOW, inner), scene, self._drawings[0])
+        self.stage = Stage(self.figure, place(STAGE, BELOW, inner), system, self._drawings[0])
         self.stage.show(seen.shaped(inner / wide))
         each = (inner + GAP) / len(REACTIONS)
         bottoms = [BELOW + row * each for row in reversed(range(len(REACTIONS)))]
         places = [place(CURVES, bottom, each - GAP) for bottom in bottoms]
-        self.curves = Curves(self._figure, places, result, shown)
-        self.captions = Captions(self.stage.axes, self.curves.axes, result, shown, events, fps)
-        _name_whiskers(self._figure, len(self._drawings[0].whiskers), 1 - ABOVE / height)
+        self.curves = Curves(self.figure, places, result, shown, system)
+        self.captions = Captions(self.stage.axes, self.curves.axes, result, shown, events, fps, system)
+        _name_whiskers(self.figure, len(self._drawings[0].whiskers), 1 - ABOVE / height)
         self._moving = [*self.stage.moving, *self.captions.behind, *self.curves.moving, *self.captions.in_front]
         for artist in self._moving:
             artist.set_animated(True)
-        self._canvas.draw()
-        self._still = self._canvas.copy_from_bbox(self._figure.bbox)
+        self._canvas, self._background = FigureCanvasAgg(self.figure), None
 
-    def image(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
-        """One frame."""
-        self._canvas.restore_region(self._still)
+    def draw(self, frame: int) -> None:
+        """Draw a frame."""
+        if self._background is None:  # only now: a writer may have adjusted the size of the figure
+            self._canvas.draw()
+            self._background = self._canvas.copy_from_bbox(self.figure.bbox)
+        self._canvas.restore_region(self._background)
         self.stage.move(self._drawings[frame])
         self.curves.move(frame)
         self.captions.move(frame)
         for artist in self._moving:
-            self._figure.draw_artist(artist)
+            self.figure.draw_artist(artist)
+
+    def image(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
+        """Draw a frame; return its pixels."""
+        self.draw(frame)
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
 
-def _drawing(scene: Scene, shown: Frames, frame: int, largest: float) -> Drawing:
+def _drawing(shown: Frames, frame: int, largest: float, system: UnitSystem) -> Drawing:
     state, lines = jax.tree.map(lambda leaf: leaf[frame], (shown.state, shown.lines))
-    found, size = drawing(scene, float(shown.control[frame]), state, largest=largest), float(units(scene).length)
-    # During a snap whiskers may have shapes that no state tells.
-    own = [line._replace(x=lines.x[k] / size, y=lines.y[k] / size) for k, line in enumerate(found.whiskers)]
-    return found._replace(whiskers=tuple(own))
+    drawn = drawing(system.scene, float(shown.control[frame]), state, largest=largest)
+    drawn = drawn.scaled(system.scale("length"))
+    # During a snap, centre lines do not follow from the state.
+    x, y = system.shown("base_x", lines.x), system.shown("base_y", lines.y)
+    own = [line._replace(x=x[k], y=y[k]) for k, line in enumerate(drawn.whiskers)]
+    return drawn._replace(whiskers=tuple(own))
 
 
 def _figure(width: int, height: float) -> Figure:
-    """A figure of even sizes in pixels, which video codecs ask for."""
+    """Make a figure with an even number of pixels in both directions, as video codecs require."""
     wide = 2 * (width // 2)
     dpi = wide / WIDTH
     pixels = wide, 2 * round(height * dpi / 2)
-    # Sizes are rounded down.
+    # matplotlib rounds down to whole pixels.
     return Figure(figsize=((pixels[0] + 0.1) / dpi, (pixels[1] + 0.1) / dpi), dpi=dpi)
 
 
 def _name_whiskers(figure: Figure, count: int, bottom: float) -> None:
-    """Tell which whisker has which colour, where there are several."""
+    """Add a legend if there are several whiskers."""
     if count == 1:
         return
     names = [f"whisker {k + 1}" if k < 3 else str(k + 1) for k in range(count)]
@@ -90,3 +131,226 @@ def _name_whiskers(figure: Figure, count: int, bottom: float) -> None:
     place = {"loc": "lower right", "bbox_to_anchor": (right, bottom), "borderaxespad": 0.1, "frameon": False}
     style = {"handlelength": 1.2, "columnspacing": 1.0, "fontsize": 10, "handletextpad": 0.5}
     figure.legend(handles=handles, ncols=count, **place, **style)
+
+
+class Window(NamedTuple):
+    """Limits of the stage."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+    @property
+    def shape(self) -> float:
+        """Height over width."""
+        return (self.top - self.bottom) / (self.right - self.left)
+
+    def shaped(self, shape: float) -> "Window":
+        """Enlarge to the given shape: upwards, where the object is, or to both sides."""
+        wide, tall = self.right - self.left, self.top - self.bottom
+        wider = max(tall / shape - wide, 0.0) / 2
+        return Window(self.left - wider, self.right + wider, self.bottom, self.bottom + max(tall, shape * wide))
+
+
+def _window(system: UnitSystem, drawn: list[Drawing]) -> Window:
+    """One window for all frames, which holds all moving parts, and the object down to its vertex."""
+    x, y = (np.concatenate(coordinate) for coordinate in zip(*(one.extent() for one in drawn), strict=True))
+    vertex_x, vertex_y = (float(system.shown("contact_x", v)) for v in system.scene.profile.vertex())
+    x, y = np.append(x, vertex_x), np.append(y, [vertex_y, 0.0])
+    left, right, bottom, top = x.min(), x.max(), y.min(), max(y.max(), system.scale("length"))
+    beside, around = STAGE_ROOM * (right - left), STAGE_ROOM * (top - bottom)
+    top += WORDS_ROOM * (top - bottom)
+    return Window(float(left - beside), float(right + beside), float(bottom - around), float(top + around))
+
+
+class Stage:
+    """Left half of a film: object, drive, springs, whiskers and contact forces."""
+
+    def __init__(self, figure: Figure, place: _Place, system: UnitSystem, first: Drawing):
+        ax = self.axes = figure.add_axes(place)
+        draw_object(system, ax)
+        own = [colour(k) for k in range(len(first.whiskers))]
+        (self._arm,) = ax.plot([], [], color=SUPPORT, linewidth=0.8, linestyle=":", marker="+", markevery=[0])
+        (self._drive,) = ax.plot([], [], color=SUPPORT, markersize=10, linestyle="none")
+        self._springs = [ax.plot([], [], color=SUPPORT, linewidth=line.width)[0] for line in first.springs]
+        self._whiskers = [ax.plot([], [], color=c, linewidth=2.2, solid_capstyle="round")[0] for c in own]
+        self._bases = [ax.plot([], [], color=c, marker="o", markersize=5, linestyle="none")[0] for c in own]
+        style = {"arrowstyle": "-|>", "mutation_scale": 12, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}
+        self._arrows = [FancyArrowPatch((0, 0), (0, 0), color=c, **style) for c in own]
+        for arrow in self._arrows:
+            ax.add_patch(arrow)
+
+    @property
+    def moving(self) -> list[Artist]:
+        """Artists from back to front."""
+        return [self._arm, self._drive, *self._springs, *self._whiskers, *self._bases, *self._arrows]
+
+    def show(self, window: Window) -> None:
+        """Set the limits."""
+        self.axes.set(xlim=(window.left, window.right), ylim=(window.bottom, window.top))
+
+    def move(self, drawn: Drawing) -> None:
+        """Move all artists to a state."""
+        x, y, angle = (float(value) for value in drawn.drive)
+        square: Any = (4, 0, 45 + float(np.degrees(angle)))
+        self._drive.set_data([x], [y])
+        self._drive.set_marker(square)
+        if drawn.arm is not None:
+            self._arm.set_data(drawn.arm.x, drawn.arm.y)
+        for artist, line in zip([*self._springs, *self._whiskers], [*drawn.springs, *drawn.whiskers], strict=True):
+            artist.set_data(line.x, line.y)
+        for k, (base, patch, arrow) in enumerate(zip(self._bases, self._arrows, drawn.arrows, strict=True)):
+            base.set_data(drawn.bases.x[k : k + 1], drawn.bases.y[k : k + 1])
+            patch.set_visible(arrow is not None)
+            if arrow is not None:
+                patch.set_positions(arrow.tail, arrow.head)
+
+
+class Curves:
+    """Right half of a film: fx, fy and mz of all whiskers up to the frame, in axes with fixed limits."""
+
+    def __init__(self, figure: Figure, places: list[_Place], result: Result, shown: Frames, system: UnitSystem):
+        self.axes = [figure.add_axes(place) for place in places]
+        self._steps, self._control = shown.step, system.shown("control", shown.control)
+        self._over = system.shown("control", result.control)
+        self._curves, self._heads, self._values = [], [], []
+        least = LEAST_HEIGHT * system.scale(control_kind(system.scene))
+        for ax, name in zip(self.axes, REACTIONS, strict=True):
+            values, now = (system.shown(name, getattr(fields, name)) for fields in (result, shown.state))
+            self._values.append((values, now))
+            ax.set_xlim(*_limits(self._over, 0.02, least))
+            # During a snap, values may exceed those of the steps.
+            both = np.concatenate([values, now])
+            ax.set_ylim(*_limits(both, CURVE_ROOM, LEAST_HEIGHT * system.scale(kind_of(name, system.scene))))
+            ax.set_ylabel(system.label(name))
+            ax.grid(alpha=0.3)
+            ax.locator_params(axis="y", nbins=4)
+            ax.tick_params(labelbottom=ax is self.axes[-1])
+            own = [colour(k) for k in range(values.shape[1])]
+            self._curves.append([ax.plot([], [], color=c, linewidth=1.4)[0] for c in own])
+            self._heads.append([ax.plot([], [], color=c, marker="o", markersize=5, linestyle="none")[0] for c in own])
+        self.axes[-1].set_xlabel(system.label("control"))
+
+    @property
+    def moving(self) -> list[Artist]:
+        """Artists from back to front."""
+        return [line for lines in (*self._curves, *self._heads) for line in lines]
+
+    def move(self, frame: int) -> None:
+        """Draw the curves up to a frame."""
+        upto, here = self._steps[frame] + 1, self._control[frame]
+        for curves, heads, (values, now) in zip(self._curves, self._heads, self._values, strict=True):
+            for k, (curve, head) in enumerate(zip(curves, heads, strict=True)):
+                curve.set_data(self._over[:upto], values[:upto, k])
+                head.set_data([here], [now[frame, k]])
+
+
+def _limits(values: np.ndarray, share: float, least: float) -> tuple[float, float]:
+    known = np.append(values[np.isfinite(values)], [0.0] * (not np.isfinite(values).any()))
+    low, high = float(known.min()), float(known.max())
+    room = max(share * (high - low), least)
+    return low - room, high + room
+
+
+def in_words(event: Event) -> str:
+    """Event and its whiskers, such as "touch of whisker 1"."""
+    # A snap of a network as a whole names no whisker, because all of them move.
+    *others, last = event.whiskers or range(1, event.before.phase.size + 1)
+    who = f"whiskers {', '.join(map(str, others))} and {last}" if others else f"whisker {last}"
+    return _WORDS[event.kind].format(who)
+
+
+class Captions:
+    """Text on the stage; rings at contacts and vertical lines across the curves while an event flashes."""
+
+    def __init__(
+        self,
+        stage: Axes,
+        curves: list[Axes],
+        result: Result,
+        shown: Frames,
+        events: list[tuple[int, Event]],
+        fps: int,
+        system: UnitSystem,
+    ):
+        self._frames, self._status, self._system = shown, np.asarray(result.status), system
+        self._events = [(first, first + _duration(event, fps), event) for first, event in events]
+        ring = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "markeredgewidth": 2}
+        whiskers = range(result.fx.shape[1])
+        self._rings = [[stage.plot([], [], color=colour(k), **ring)[0] for k in whiskers] for _ in range(MOST_LABELS)]
+        halo = [withStroke(linewidth=3, foreground="white")]
+        text = {"textcoords": "offset points", "fontsize": 11}
+        corner = {"xy": (0.0, 1.0), "xycoords": stage.transAxes}
+        bold = text | corner | {"va": "top", "fontweight": "bold", "path_effects": halo}
+        self._labels = [stage.annotate("", xytext=(8, -8 - 17 * k), **bold) for k in range(MOST_LABELS)]
+        above = text | corner | {"xytext": (0, 5), "va": "bottom"}
+        self._control = stage.annotate("", **above)
+        self._note = stage.annotate("", **above | {"xy": (1.0, 1.0), "ha": "right", "color": WARNING})
+
+        def across(width: float) -> list[Line2D]:
+            return [ax.plot([], [], linewidth=width, transform=ax.get_xaxis_transform())[0] for ax in curves]
+
+        self._past, self._present = across(0.5), [across(1.6) for _ in range(MOST_LABELS)]
+        for line in self._past:
+            line.set_color(GREY)
+
+    @property
+    def behind(self) -> list[Artist]:
+        """Artists behind the curves."""
+        return [*self._past, *(line for lines in self._present for line in lines)]
+
+    @property
+    def in_front(self) -> list[Artist]:
+        """Artists in front of the stage."""
+        return [*(ring for rings in self._rings for ring in rings), *self._labels, self._control, self._note]
+
+    @property
+    def words(self) -> list[str]:
+        """Visible texts from top to bottom."""
+        texts = [self._control, self._note, *self._labels]
+        return [text.get_text() for text in texts if text.get_visible() and text.get_text()]
+
+    def move(self, frame: int) -> None:
+        """Set texts and flashing marks of a frame."""
+        self._control.set_text(_control_in_words(self._system, self._frames.control[frame]))
+        snap, status = self._frames.snap[frame], Status(int(self._status[max(self._frames.step[frame], 0)]))
+        unknown = "" if status == Status.ok else f"no state: {status.name.replace('_', ' ')}"
+        self._note.set_text("snap: not to scale in time" if snap else unknown)
+        past = self._system.shown("control", [event.control for first, _, event in self._events if first <= frame])
+        for line in self._past:
+            line.set_data(np.repeat(past, 3), np.tile([0.0, 1.0, np.nan], past.size))
+        now = [flash for flash in self._events if flash[0] <= frame < flash[1]][-MOST_LABELS:]
+        for slot in range(MOST_LABELS):
+            for artist in (self._labels[slot], *self._present[slot], *self._rings[slot]):
+                artist.set_visible(slot < len(now))
+            if slot < len(now):
+                first, last, event = now[slot]
+                self._flash(slot, event, (frame - first) / (last - first))
+
+    def _flash(self, slot: int, event: Event, share: float) -> None:
+        own = colour(event.whiskers[0] - 1) if len(event.whiskers) == 1 else "black"
+        self._labels[slot].set(text=in_words(event), color=own)
+        at = float(self._system.shown("control", event.control))
+        for line in self._present[slot]:
+            line.set_data([at] * 2, [0.0, 1.0])
+            line.set(color=own, alpha=1 - 0.7 * share)
+        for k, ring in enumerate(self._rings[slot]):
+            state = event.before if event.before.phase[k] != Phase.free else event.after
+            ring.set_visible(k + 1 in event.whiskers and bool(state.phase[k] != Phase.free))
+            ring.set_data(*([self._system.shown(name, getattr(state, name)[k])] for name in ("contact_x", "contact_y")))
+            ring.set(markersize=8 + 16 * share, alpha=1 - 0.8 * share)
+
+
+def _control_in_words(system: UnitSystem, control: float) -> str:
+    """Control as text, such as "u = -0.441 L" or "u = -22.1 mm", without a formula, which would be slow to draw."""
+    number = f"{float(system.shown('control', control)):+.{decimals(system)}f}".replace("-", "\N{MINUS SIGN}")
+    kind = control_kind(system.scene)
+    symbol = {"length": "u", "angle": "angle", "number": "control"}[kind]
+    return f"{symbol} = {number} {system.of_kind(kind).name or 'L' * (kind == 'length')}".rstrip()
+
+
+def _duration(event: Event, fps: int) -> int:
+    """Number of frames for which an event flashes."""
+    snap = SNAP_FRAMES if event.kind >= EventKind.snap_through else 0
+    return max(2, round(FLASH * fps)) + snap

@@ -1,21 +1,20 @@
-"""The flow between the two states of a snap: the one that decides the march (snap_flow.py), told state by state.
+"""Intermediate states of a snap.
 
-The march keeps where a snap begins and where it ends. Here its overdamped bases run once more, from the node of the
-path at which stability was lost, and every state on the way is kept in which no whisker is slipping.
+The march only stores the states before and after a snap. Here the overdamped flow of the bases (snap_flow.py) runs once
+more, from the node of the path at which stability was lost, and all states in which no whisker slips are stored.
 """
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import COMPILER_OPTIONS
+from jaxwhisker._base.jit import jit
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import newton_step, solve_point
@@ -30,11 +29,11 @@ from jaxwhisker._scan.scan import follow_path_now, problem_now
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.state import State
 
-ROOM = 1024  # states kept of one flow; the march's own snaps take some hundred steps
+ROOM = 1024  # states stored per flow; snaps of the march take a few hundred steps
 
 
 class _Kept(NamedTuple):
-    """Where contacts and bases are in a state of the flow."""
+    """Contacts and bases in a state of the flow."""
 
     z: Contacts
     phase: Int[Array, " whiskers"]
@@ -55,7 +54,7 @@ class _Going(NamedTuple):
 def flows(result: Result, numbers: Sequence[int]) -> list[State]:
     """States (states, whiskers) of the flow of each of these events of a scan, without the first and the last.
 
-    A whisker that swings free or over to the far side while its base stands does so between two of the states.
+    A whisker that swings free or to the far side while its base stands still does so between two of the states.
     """
     if not numbers:
         return []
@@ -74,7 +73,7 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
 
 
 def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
-    """States of the flow that begins at a node of the path, padded, and how many there are."""
+    """States of the flow that begins at a node of the path, padded, and their number."""
     dimensionless, u = problem_of(scene), before.point.u
     still = Mode(before.phase, before.side, jnp.asarray(False))
     tangent, tangent_pose, pose = _leaving(dimensionless, still, before)
@@ -104,7 +103,7 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
 
 
 def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, Poses]:
-    """How the path leaves a node, contacts and bases, and where the bases are."""
+    """Tangent of the path at a node, for contacts and for bases, and the poses of the bases."""
     point, leaving = before.point, before.leaving
     scale, none = scale_of(point.z), jnp.zeros_like(point.z[:, 0])
     here = newton_step(problem, mode, Row(leaving.z / scale**2, point.z, leaving.u, point.u, none), point)
@@ -114,7 +113,7 @@ def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, 
 
 
 def _state(problem: Problem, u: Scalar, kept: _Kept) -> State:
-    """The state in the scene's units; bases without contact are where the flow has them."""
+    """State in the scene's units; bases of free whiskers have the pose of the flow."""
     state, _ = signals(problem, kept.z, u, Mode(kept.phase, kept.side, jnp.asarray(False)))
     here, free = problem.in_scene(u, kept.pose), kept.phase == Phase.free
     return dataclasses.replace(
@@ -125,5 +124,4 @@ def _state(problem: Problem, u: Scalar, kept: _Kept) -> State:
     )
 
 
-_COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
-_flow_now = eqx.filter_jit(_flow, **_COMPILED)
+_flow_now = jit(_flow)

@@ -1,4 +1,4 @@
-"""The frames of a film: steps of a scan, and between them every snap as a flow of its own."""
+"""Frames of a film: steps of a scan, with additional frames for every snap."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,81 +10,105 @@ from jaxtyping import Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.silhouette import silhouette_of
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.state import State
 from jaxwhisker.film.flow import flows
-from jaxwhisker.film.swing import Outline, between
 
-SNAP_FRAMES = 13  # of a snap, its states before and after included
-POINTS = 64  # of a centre line
-ROUNDING = 1e-9  # of the drive's way: a step exactly at an event belongs to what begins there
-SWINGS = 0.1  # of its length: farther than this no base or tip moves in one step of the flow
-BLOCK = 64  # states are padded to a multiple of this: films of about the same length share what is compiled
+SNAP_FRAMES = 13  # of a snap, including the states before and after it
+POINTS = 64  # per centre line
+ROUNDING = 1e-9  # of the travel: a step exactly at an event shows the state after it
+SWINGS = 0.1  # of the whisker's length; in one step of the flow, bases and tips only move farther if the whisker swings
+BLOCK = 64  # states are padded to a multiple of this, because films of similar length then share a compiled program
+DEEPEST = 3e-3  # of the whisker's length: contacts and outlines are drawn with about this accuracy
+CURLS = np.concatenate([[0.0], *([curl, -curl] for curl in np.linspace(0.1, 6.0, 60))])
 
 
 class Frames(NamedTuple):
-    """What a film shows; arrays have a row per frame, in the scene's units."""
+    """Content of a film; arrays have one row per frame, in the scene's units."""
 
-    step: Int[np.ndarray, " frames"]  # of the scan; during a snap the last one before it, -1 for none
+    step: Int[np.ndarray, " frames"]  # of the scan; during a snap, the last one before it, or -1
     control: Float[np.ndarray, " frames"]
     state: State  # (frames, whiskers)
     lines: Shapes  # (frames, whiskers, points)
     snap: Bool[np.ndarray, " frames"]
 
 
-def frames(result: Result, count: int, outline: Outline) -> tuple[Frames, list[tuple[int, Event]]]:
-    """Frames of `count` steps of a scan, evenly, and `SNAP_FRAMES` for every snap; and in which frame what happens.
+class Outline(NamedTuple):
+    """Contour of a convex object from left to right, or all around in the same sense."""
 
-    A snap takes no time in a scan. Its frames show the flow of the overdamped bases from the state before to the state
-    after it, at equal distances, too: the farthest that any base or tip moves. Where a whisker swings free or
-    over to the far side, which no equilibrium is part of, its centre line is turned from the one state to the other.
+    x: Float[np.ndarray, " points"]
+    y: Float[np.ndarray, " points"]
+
+    def depth(self, x: Float[np.ndarray, " line"], y: Float[np.ndarray, " line"]) -> float:
+        """Largest depth of a line inside the object; negative if the line is outside."""
+        across = np.stack([np.diff(self.y), -np.diff(self.x)])
+        across /= np.maximum(np.hypot(*across), 1e-300)
+        out = across[0, :, None] * (x - self.x[:-1, None]) + across[1, :, None] * (y - self.y[:-1, None])
+        return float(-np.min(np.max(out, axis=0)))
+
+
+def frames(result: Result, count: int) -> tuple[Frames, list[tuple[int, Event]]]:
+    """Frames for evenly spaced steps of a scan and for its snaps; events, each with the frame at which it happens.
+
+    A snap takes no time in a scan. Its frames show the overdamped flow of the bases from the state before to the state
+    after it. The farthest motion of any base or tip is the same between any two of these frames. Where a whisker swings
+    free or to the far side, no equilibrium lies between, so its centre line is turned from one state to the other.
 
     Args:
         result: of `scan`.
-        count: frames for the steps.
-        outline: of the object, in the scene's units.
+        count: frames for the steps; every snap adds `SNAP_FRAMES`.
     """
     events, control = list(result.events), np.asarray(result.control)
     shown = np.round(np.linspace(0, control.size - 1, count)).astype(int)
-    begin = _steps_of(result)
+    of_scan = State(**{name: np.asarray(getattr(result, name))[shown] for name in State.__dataclass_fields__})
     snaps = [k for k, event in enumerate(events) if event.kind >= EventKind.snap_through]
-    of_scan = State(**{name: jnp.asarray(getattr(result, name))[shown] for name in State.__dataclass_fields__})
-    of_scan = jax.tree.map(np.asarray, of_scan)
-    groups = [of_scan, *map(_whole, [events[k] for k in snaps], flows(result, snaps))]
+    groups = [of_scan, *map(_with_ends, [events[k] for k in snaps], flows(result, snaps))]
     lines = lines_of(groups, result)
     scan = Frames(shown, control[shown], of_scan, lines[0], np.zeros(count, bool))
-    lengths = np.array([float(whisker.length) for whisker in result.scene.whiskers])
+    begin = _first_steps(result)
+    of_snap = {
+        k: _snap_frames(result, int(begin[k]) - 1, events[k], *own)
+        for k, *own in zip(snaps, groups[1:], lines[1:], strict=True)
+    }
     parts, marks, start = [], [], 0
     for k, event in enumerate(events):
         end = int(np.searchsorted(shown, begin[k]))
         parts.append(_rows(scan, slice(start, end)))
         marks.append((sum(part.step.size for part in parts), event))
+        parts += [of_snap[k]] if k in of_snap else []
         start = end
-        if k in snaps:
-            number = 1 + snaps.index(k)
-            states, own = _flowing(groups[number], lines[number], lengths, outline)
-            at = np.full(SNAP_FRAMES, begin[k] - 1), np.full(SNAP_FRAMES, event.control)
-            parts.append(Frames(*at, states, own, np.ones(SNAP_FRAMES, bool)))
     return _joined([*parts, _rows(scan, slice(start, None))]), marks
 
 
-def _steps_of(result: Result) -> Int[np.ndarray, " events"]:
-    """The first step at or behind each event."""
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(np.asarray(result.control))))])
-    travel = np.asarray(result.events.travel)[: len(result.events)]
-    return np.searchsorted(way, travel - ROUNDING * way[-1])
+def _snap_frames(result: Result, step: int, event: Event, states: State, lines: Shapes) -> Frames:
+    lengths = np.array([float(whisker.length) for whisker in result.scene.whiskers])
+    even = _even(states, lines, lengths, outline_of(result))
+    return Frames(np.full(SNAP_FRAMES, step), np.full(SNAP_FRAMES, event.control), *even, np.ones(SNAP_FRAMES, bool))
 
 
-def _whole(event: Event, flow: State) -> State:
-    """The states of a snap from the one before to the one after it."""
+def outline_of(result: Result) -> Outline:
+    """Contour of the object of a scan, in the scene's units."""
+    return Outline(*silhouette_of(result.scene.profile, float(result.scene.whiskers[0].length)))
+
+
+def _first_steps(result: Result) -> Int[np.ndarray, " events"]:
+    """First step at or after each event."""
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(np.asarray(result.control))))])
+    happens = np.asarray(result.events.travel)[: len(result.events)]
+    return np.searchsorted(travel, happens - ROUNDING * travel[-1])
+
+
+def _with_ends(event: Event, flow: State) -> State:
+    """States of a flow with those before and after the snap."""
     before, after = (jax.tree.map(lambda leaf: np.asarray(leaf)[None], end) for end in (event.before, event.after))
     return _joined([before, flow, after])
 
 
 def lines_of(groups: Sequence[State], result: Result) -> list[Shapes]:
-    """Centre lines of the states of each group."""
+    """Centre lines of each group of states."""
     sizes = np.array([group.phase.shape[0] for group in groups])
     states = _joined(groups)
     padded = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, [(0, -sizes.sum() % BLOCK), (0, 0)])), states)
@@ -94,30 +118,30 @@ def lines_of(groups: Sequence[State], result: Result) -> list[Shapes]:
     return [jax.tree.map(lambda leaf, own=own: np.asarray(leaf)[own], lines) for own in rows]
 
 
-def _flowing(
+def _even(
     states: State, lines: Shapes, lengths: Float[np.ndarray, " whiskers"], outline: Outline
 ) -> tuple[State, Shapes]:
-    """`SNAP_FRAMES` states and centre lines at equal distances, the first and the last one exactly."""
+    """`SNAP_FRAMES` states and centre lines at equal distances, including the first and the last ones."""
     x, y = (np.diff(coordinate[..., [0, -1]], axis=0) for coordinate in (lines.x, lines.y))
     moved = np.hypot(x, y).max(axis=2)
-    way = np.concatenate([[0.0], np.cumsum(np.nan_to_num(moved.max(axis=1)))])
-    last = way.size - 1
-    places = np.interp(np.linspace(0.0, way[-1], SNAP_FRAMES), way, np.arange(last + 1.0))
-    places[0], places[-1] = 0.0, last  # also where nothing moves
-    found_states, found_lines = [], []
+    path = np.concatenate([[0.0], np.cumsum(np.nan_to_num(moved.max(axis=1)))])
+    last = path.size - 1
+    places = np.interp(np.linspace(0.0, path[-1], SNAP_FRAMES), path, np.arange(last + 1.0))
+    places[0], places[-1] = 0.0, last  # even if nothing moves
+    even_states, even_lines = [], []
     for place in places:
         row, share = int(place), place - int(place)
         (state, line), ahead = (_row((states, lines), k) for k in (row, min(row + 1, last)))
         if share > 0:
             line = between(line, ahead[1], lengths, share, outline)
             state = _mixed(state, ahead[0], share, moved[row] > SWINGS * lengths)
-        found_states.append(state)
-        found_lines.append(line)
-    return _stacked(found_states), _stacked(found_lines)
+        even_states.append(state)
+        even_lines.append(line)
+    return _stacked(even_states), _stacked(even_lines)
 
 
 def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, " whiskers"]) -> State:
-    """A state between two; of a whisker that swings, lets go or touches meanwhile there is no contact to tell of."""
+    """State between two others; whiskers that swing, release or touch in between have no contact."""
     touching = (first.phase != Phase.free) & (second.phase != Phase.free) & ~swings
     fields: dict[str, Any] = {"phase": np.where(touching, second.phase, Phase.free)}
     for name in State.__dataclass_fields__:
@@ -125,6 +149,53 @@ def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, "
             value = (1 - share) * getattr(first, name) + share * getattr(second, name)
             fields[name] = value if name.startswith("base") else np.where(touching, value, 0.0)
     return State(**{name: jnp.asarray(value) for name, value in fields.items()})
+
+
+def between(
+    first: Shapes, second: Shapes, lengths: Float[np.ndarray, " whiskers"], share: float, outline: Outline
+) -> Shapes:
+    """Centre lines (whiskers, points) at a share of the way from the first to the second ones.
+
+    Bases move along straight lines, directions turn uniformly, and lengths are kept. A line that would enter the object
+    is curled until it passes outside, or enters as little as possible.
+    """
+    lines = []
+    for k, length in enumerate(lengths):
+        here, there = jax.tree.map(lambda leaf, k=k: leaf[k], (first, second))
+        lines.append(_turned(here, there, float(length), share, outline))
+    x, y = (jnp.asarray(np.stack(coordinate)) for coordinate in zip(*lines, strict=True))
+    return Shapes(x, y)
+
+
+def _turned(first: Shapes, second: Shapes, length: float, share: float, outline: Outline):
+    (x0, y0, angle0), (x1, y1, angle1) = _directions(first), _directions(second)
+    angle1 = angle1 - 2 * np.pi * np.round((angle1[0] - angle0[0]) / (2 * np.pi))  # the root turns the shorter way
+    turned = (1 - share) * angle0 + share * angle1
+    # A curled line is ahead at its root and lags behind at its tip.
+    curl = share * (1 - share) * np.linspace(-1.0, 1.0, turned.size) * (angle0 - angle1)
+
+    def line(curled: float):
+        angle, piece = turned + curled * curl, length / turned.size
+        x = np.concatenate([[0.0], np.cumsum(piece * np.cos(angle))]) + (1 - share) * x0 + share * x1
+        y = np.concatenate([[0.0], np.cumsum(piece * np.sin(angle))]) + (1 - share) * y0 + share * y1
+        return x, y
+
+    tried = []
+    for curled in CURLS:
+        x, y = line(curled)
+        tried.append((outline.depth(x, y), x, y))
+        if tried[-1][0] < DEEPEST * length:
+            break
+    return min(tried, key=lambda one: one[0])[1:]
+
+
+def _directions(line: Shapes):
+    """Base of a line and directions of pieces of equal length."""
+    x, y = np.asarray(line.x), np.asarray(line.y)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    even = np.linspace(0.0, arc[-1], x.size)
+    x, y = np.interp(even, arc, x), np.interp(even, arc, y)
+    return x[0], y[0], np.unwrap(np.arctan2(np.diff(y), np.diff(x)))
 
 
 def _rows(tree: Any, rows: slice) -> Any:

@@ -1,16 +1,15 @@
-"""Pictures: result first, `ax=None`, the Axes come back; no global style, no window.
+"""Figures: each function takes the result first, draws into `ax` (or a new figure) and returns the Axes.
 
-Lengths are drawn in L, forces in EI/L^2, moments in EI/L of the first whisker, whatever the scene's own units are; the
-drive's position grows to the right, as x does in pictures of states. A whisker has one colour everywhere.
+No function sets a global style or opens a window. Scenes with L = EI = 1 are drawn dimensionless, in L and EI of the
+first whisker; other scenes in SI units with prefixes (mm, mN, mN mm). `units` overrides this choice. The control
+increases to the right, as x does in figures of states. A whisker has the same colour in all figures.
 """
 
 from jaxwhisker.plot.axes import COLOURS, CONTROL_AXIS, QUANTITIES, axis_label, control_axis, save
-from jaxwhisker.plot.deflections import deflection
 from jaxwhisker.plot.inverse import contour, fit, information
-from jaxwhisker.plot.overview import overview
-from jaxwhisker.plot.signals import compare, contact_range, reactions, signal, spring_lengths
-from jaxwhisker.plot.states import in_words, profile, same_window, scene, shapes
-from jaxwhisker.plot.strips import phases
+from jaxwhisker.plot.phase_strips import phases
+from jaxwhisker.plot.signals import compare, contact_range, overview, reactions, signal, spring_lengths
+from jaxwhisker.plot.states import deflection, in_words, profile, same_window, scene, shapes
 from jaxwhisker.plot.studies import study
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""What all pictures share: colours, labels with symbols and units, axes, and saving."""
+"""What all figures share: colours, units and labels, argument checks, axes, legends and saving."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -9,74 +9,90 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 
-from jaxwhisker._model.motion import Rotation, Translation
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._scan.quantities import DRAWN, UnitSystem, dimensionless_label
+from jaxwhisker._scan.quantities import QUANTITIES as TABLE
 from jaxwhisker._scan.result import Result
 
-# Okabe and Ito's colours, told apart with every kind of colour blindness; black stands last.
+# Colours of Okabe and Ito, which remain distinct with every kind of colour blindness; black comes last.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", "--", ":", "-.")
 GREY = "#777777"
 OBJECT, SUPPORT = "#DDDDDD", "#555555"
 
-AXIS = {
-    "base_x": (r"$x_0/L$", "length"),
-    "base_y": (r"$y_0/L$", "length"),
-    "base_angle": (r"$\varphi_0$ (rad)", None),
-    "fx": (r"$f_x\,L^2/EI$", "force"),
-    "fy": (r"$f_y\,L^2/EI$", "force"),
-    "mz": (r"$m_z\,L/EI$", "moment"),
-    "contact_force": (r"$f\,L^2/EI$", "force"),
-    "contact_slope": (r"$\alpha$ (rad)", None),
-    "contact_arc": (r"$s_1/L$", "length"),
-    "contact_x": (r"$\xi/L$", "length"),
-    "contact_y": (r"$\eta/L$", "length"),
-    "spring_length": (r"$\ell/L$", "length"),
-}
-QUANTITIES = tuple(AXIS)
-CONTROL_AXIS = r"$u/L$"
-_ANGLE = "angle of the drive (rad)"
+QUANTITIES = DRAWN
+CONTROL_AXIS = dimensionless_label(TABLE["control"].symbol, "length")
 
 
 def colour(index: int) -> str:
-    """The colour of a whisker, counted from 0, in all pictures."""
+    """Colour of a whisker, counted from 0, in all figures."""
     return COLOURS[index % len(COLOURS)]
 
 
-def axis_label(quantity: str) -> str:
-    """Symbol and unit of a quantity."""
-    return AXIS[quantity][0]
+def axis_label(quantity: str, scene: Scene | None = None, *, units: str = "auto") -> str:
+    """Symbol and unit of a quantity, for an axis.
+
+    Args:
+        quantity: one of `QUANTITIES`.
+        scene: whose units to use; by default the label is dimensionless.
+        units: "auto", "SI" or "dimensionless".
+
+    Raises:
+        ValueError: if there is no such quantity, `scene` is not a Scene or `units` is invalid.
+    """
+    check_quantity(quantity)
+    if scene is None:
+        return dimensionless_label(TABLE[quantity].symbol, TABLE[quantity].kind)
+    return UnitSystem(check_scene(scene), units).label(quantity)
 
 
-def control_axis(scene: Scene) -> str:
-    """Symbol and unit of the control of a scene's scan."""
-    motion = scene.motion
-    return CONTROL_AXIS if isinstance(motion, Translation) else _ANGLE if isinstance(motion, Rotation) else "control"
+def control_axis(scene: Scene, *, units: str = "auto") -> str:
+    """Symbol and unit of the control of a scene, for an axis.
+
+    Args:
+        scene: whose control is drawn.
+        units: "auto", "SI" or "dimensionless".
+
+    Raises:
+        ValueError: if `scene` is not a Scene or `units` is invalid.
+    """
+    return UnitSystem(check_scene(scene), units).label("control")
 
 
-def control_of(result: Result, control: Any = None) -> np.ndarray:
-    """Controls, by default those of the steps, as pictures have them: lengths of the drive in L."""
-    return np.asarray(result.control if control is None else control, dtype=float) / control_size(result.scene)
+def unit_systems(results: Sequence[Result], units: str) -> list[UnitSystem]:
+    """Units for results that share axes: the SI units of the first one, or L and EI of each one."""
+    own = [UnitSystem(result.scene, units) for result in results]
+    if any(one.dimensionless for one in own):
+        return [UnitSystem(one.scene, "dimensionless") for one in own]
+    return [UnitSystem(one.scene, "SI", prefixes_of=own[0].scene) for one in own]
 
 
-def control_size(scene: Scene) -> float:
-    """What pictures draw as a control of one."""
-    return float(units(scene).length) if isinstance(scene.motion, Translation) else 1.0
+def check_type(name: str, value: Any, allowed: type | tuple[type, ...], words: str) -> None:
+    """Check the type of an argument.
+
+    Raises:
+        ValueError: if it is another one.
+    """
+    if not isinstance(value, allowed):
+        raise ValueError(f"`{name}` must be {words}, got {value!r}.")
 
 
-def in_units(result: Result, quantity: str) -> np.ndarray:
-    """A quantity without dimensions, (steps, whiskers) or (steps, springs)."""
-    unit, sizes = AXIS[quantity][1], units(result.scene)
-    size = 1.0 if unit is None else float(getattr(sizes, unit))
-    values = np.asarray(getattr(result, quantity)) / size
-    if quantity == "spring_length":  # of torsion springs an angle
-        values = values * [size if spring.axis == "phi" else 1.0 for spring in result.scene.support.springs]
-    return values
+def check_scene(scene: Any) -> Scene:
+    """The scene, if it is one."""
+    check_type("scene", scene, Scene, "a Scene")
+    return scene
+
+
+def check_quantity(quantity: Any) -> None:
+    """Check that a quantity can be drawn."""
+    if quantity not in QUANTITIES:
+        raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, got {quantity!r}.")
 
 
 def one_axes(ax: Axes | None) -> Axes:
-    """Where to draw: in a new figure by default."""
+    """Axes to draw into: in a new figure by default."""
     if ax is not None:
+        check_type("ax", ax, Axes, "matplotlib Axes")
         return ax
     from matplotlib import pyplot
 
@@ -84,34 +100,37 @@ def one_axes(ax: Axes | None) -> Axes:
 
 
 def column(axs: Iterable[Axes] | None, count: int) -> np.ndarray:
-    """Axes below each other that share what runs to the right: in a new figure by default."""
+    """Axes below each other with one horizontal axis: in a new figure by default."""
     if axs is not None:
-        return given(axs, count)
+        return several_axes(axs, count)
     from matplotlib import pyplot
 
     return pyplot.subplots(count, 1, sharex=True, squeeze=False, layout="constrained")[1][:, 0]
 
 
-def given(axs: Iterable[Axes], count: int) -> np.ndarray:
-    """Axes in a row.
+def several_axes(axs: Any, count: int | None = None) -> np.ndarray:
+    """Axes as a one-dimensional array.
 
     Raises:
-        ValueError: if there are more or fewer.
+        ValueError: if they are not Axes, or if their number is not `count`.
     """
-    found = np.ravel(np.asarray(axs, dtype=object))
-    if found.size != count:
-        raise ValueError(f"`axs` must be {count} Axes, but are {found.size}.")
-    return found
+    axes = np.ravel(np.asarray(list(axs) if isinstance(axs, Iterable) else axs, dtype=object))
+    words = "Axes" if count is None else f"{count} Axes"
+    if not axes.size or not all(isinstance(ax, Axes) for ax in axes):
+        raise ValueError(f"`axs` must be {words}, got {axs!r}.")
+    if count not in (None, axes.size):
+        raise ValueError(f"`axs` must be {words}, got {axes.size}.")
+    return axes
 
 
 def mark_events(ax: Axes, controls: Iterable[float]) -> None:
-    """Thin vertical lines where events are."""
+    """Draw thin vertical lines at the controls of events."""
     for control in dict.fromkeys(controls):
         ax.axvline(control, color=GREY, linewidth=0.5, zorder=0)
 
 
 def legend_above(ax: Axes, handles: Sequence[Any], *, least: int = 2, columns: int = 3) -> None:
-    """A legend on top of the Axes, where it hides nothing, if there are so many things to tell apart."""
+    """Put a legend above the Axes, where it hides nothing, if there are at least that many entries."""
     if len(handles) >= least:
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False, "borderaxespad": 0.2}
         style = {"fontsize": "small", "handlelength": 1.5, "columnspacing": 1.0}
@@ -119,7 +138,7 @@ def legend_above(ax: Axes, handles: Sequence[Any], *, least: int = 2, columns: i
 
 
 def title(ax: Axes, words: str) -> None:
-    """A title, above the legend if there is one."""
+    """Set a title, above the legend if there is one."""
     legend = ax.get_legend()
     if legend is None:
         ax.set_title(words, fontsize="small")
@@ -128,15 +147,20 @@ def title(ax: Axes, words: str) -> None:
 
 
 def save(drawn: Figure | Axes | Iterable[Axes], path: str | Path, **options: Any) -> None:
-    """Save a picture; the text of PDF and SVG files stays text, which can be searched and edited.
+    """Save a figure; text in PDF and SVG files stays text, which can be searched and edited.
 
     Args:
         drawn: a Figure, or any of its Axes.
-        path: its ending tells the format.
+        path: of the file; its suffix selects the format.
         options: of matplotlib's `savefig`, such as `dpi`.
+
+    Raises:
+        ValueError: if `drawn` is neither a Figure nor Axes.
     """
     import matplotlib
 
-    figure = drawn if isinstance(drawn, Figure) else np.ravel(np.asarray(drawn, dtype=object))[0].figure
+    first = drawn if isinstance(drawn, Figure) else next(iter(np.ravel(np.asarray(drawn, dtype=object))), drawn)
+    check_type("drawn", first, (Figure, Axes), "a matplotlib Figure or Axes")
+    figure = first if isinstance(first, Figure) else first.figure
     with matplotlib.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42, "ps.fonttype": 42}):
         figure.savefig(path, **options)

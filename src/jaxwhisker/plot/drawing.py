@@ -1,7 +1,7 @@
-"""The geometry of a state: what there is to draw, in lengths of the first whisker, before anything draws it.
+"""Geometry of a state as polylines and arrows, with the length of the first whisker as unit.
 
-Nothing here knows matplotlib: pictures and films share it. A state is one of a scan's steps, one beside an event, or
-any other; the number of lines and of their points depends on the scene alone, so that films move what they have drawn.
+Figures and films share it, so it does not use matplotlib. A state may belong to a step or to an event. The number of
+lines and points depends only on the scene, because films draw every line once and then move it.
 """
 
 from collections.abc import Sequence
@@ -23,17 +23,18 @@ from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.shapes import shapes_of
 from jaxwhisker._scan.state import State
 
-POINTS = 64  # of a whisker's centre line
+# Lengths are in L of the first whisker.
+POINTS = 64  # per centre line
 AMPLITUDE = 0.018  # of a spring's zigzag
-SHORT = 0.1  # springs that rest shorter than this ...
-STAND = 0.16  # ... are drawn longer by this, from a wall that moves with the drive
-DEPTH = 0.08  # by which springs hang that pass other bases, one below the other
+SHORT = 1e-3  # a spring with a smaller rest length has no length to draw ...
+STAND = 0.16  # ... and starts this far behind, at a wall that moves with the drive
+DEPTH = 0.08  # vertical distance between springs that pass below other bases
 COIL = 0.085  # radius of a torsion spring
 THIN, THICK = 0.9, 2.5  # line widths, points
-NEAR = 1.5  # lengths from the drive up to which a pivot is shown
-AHEAD = 0.05  # lengths before the first touch
-LOOKED_AT = 241  # controls of a motion at which the first touch is looked for
-_TURNS = 2.25  # of a torsion spring at rest: it ends below to the right, away from springs along x and y
+NEAR = 1.5  # a window holds the pivot of a rotation up to this distance from the drive
+AHEAD = 0.05  # distance of the drive to the first touch in the figure of a scene
+SAMPLES = 241  # controls of a motion that are searched for the first touch
+_TURNS = 2.25  # of a torsion spring at rest: it ends below to the right, clear of springs along x and y
 _LEAST_ARROW, _LONGEST_ARROW = 0.1, 0.35
 
 
@@ -44,26 +45,46 @@ class Line(NamedTuple):
     y: Float[np.ndarray, " points"]
     width: float = THIN  # points
 
+    def scaled(self, factor: float) -> "Line":
+        """The line with coordinates multiplied by a factor."""
+        return Line(factor * self.x, factor * self.y, self.width)
+
 
 class Arrow(NamedTuple):
-    """A contact force: it ends where it acts, and points the way the object pushes the whisker."""
+    """A contact force on a whisker; the head is at the contact point."""
 
     tail: tuple[float, float]
     head: tuple[float, float]
 
+    def scaled(self, factor: float) -> "Arrow":
+        """The arrow with coordinates multiplied by a factor."""
+        return Arrow(*((factor * x, factor * y) for x, y in self))
+
 
 class Drawing(NamedTuple):
-    """Everything that there is to draw of a state but the object."""
+    """A state without the object."""
 
-    drive: Pose  # where the drive stands
+    drive: Pose
     arm: Line | None  # from the pivot of a rotation to the drive
     whiskers: tuple[Line, ...]  # centre lines from base to tip
-    bases: Line  # the bases as points, one per whisker
-    springs: tuple[Line, ...]  # as the support has them; rigid ones straight and thick, as what holds clamped bases
+    bases: Line  # one point per whisker
+    springs: tuple[Line, ...]  # in the order of the support; rigid springs and clamps are straight and thick
     arrows: tuple[Arrow | None, ...]  # per whisker; None where it is free or unknown
 
+    def scaled(self, factor: float) -> "Drawing":
+        """The drawing in another unit of length."""
+        x, y, angle = self.drive
+        return Drawing(
+            Pose(factor * x, factor * y, angle),
+            None if self.arm is None else self.arm.scaled(factor),
+            tuple(line.scaled(factor) for line in self.whiskers),
+            self.bases.scaled(factor),
+            tuple(line.scaled(factor) for line in self.springs),
+            tuple(None if arrow is None else arrow.scaled(factor) for arrow in self.arrows),
+        )
+
     def extent(self, *, springs: bool = True) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
-        """x and y of whatever a window should hold; without springs only of whiskers and drive."""
+        """x and y of all points that a window should hold; without springs, those of whiskers and drive."""
         lines = [*self.whiskers, Line(np.array([self.drive.x]), np.array([self.drive.y]))]
         if springs:
             lines += self.springs
@@ -76,13 +97,13 @@ class Drawing(NamedTuple):
 
 
 def drawing(scene: Scene, control: float, state: State, *, largest: float | None = None) -> Drawing:
-    """What there is to draw of any state of a scene; NaN where the state is.
+    """Geometry of a state of a scene; NaN where the state is NaN.
 
     Args:
-        scene: of which it is a state.
-        control: where the drive is, in the scene's units.
-        state: fields (whiskers,), in the scene's units: of an event, say, or of `state_at`.
-        largest: the contact force whose arrow is longest; by default that of the state.
+        scene: to which the state belongs.
+        control: of the drive, in the scene's units.
+        state: fields (whiskers,) in the scene's units, for example of an event or of `state_at`.
+        largest: contact force with the longest arrow; by default the largest one of the state.
     """
     size = float(units(scene).length)
     whiskers = jax.tree.map(checks.as_float, scene.whiskers)
@@ -105,15 +126,15 @@ def drawing(scene: Scene, control: float, state: State, *, largest: float | None
 
 
 def drawing_at(result: Result, step: int) -> Drawing:
-    """What there is to draw of a scan's step; arrows compare with the scan's largest contact force."""
+    """Geometry of a step of a scan; the scan's largest contact force has the longest arrow."""
     control = float(result.control[step])
     return drawing(result.scene, control, state_at(result, step), largest=largest_force(result))
 
 
 def start_of(scene: Scene) -> float:
-    """The control at which the first unloaded whisker is about to touch, in the scene's units.
+    """Control just before the first unloaded whisker touches the object, in the scene's units.
 
-    The vertex, for whiskers that never do; of a motion of one's own, where it then begins.
+    If no whisker touches: the vertex of the object, or the start of a motion that has ends.
     """
     equations = problem_of(jax.tree.map(checks.as_float, scene))
     motion, unit = equations.motion, float(equations.unit.control)
@@ -125,13 +146,13 @@ def start_of(scene: Scene) -> float:
         return jnp.all(equations.stance(u, equations.rest(u)).clear)
 
     start, end = (float(end) / unit for end in motion.ends)
-    controls = np.linspace(start, end, LOOKED_AT)
+    controls = np.linspace(start, end, SAMPLES)
     meets = np.flatnonzero(~np.asarray(jax.vmap(clears)(jnp.asarray(controls))))
     return unit * (float(controls[max(meets[0] - 1, 0)]) if meets.size else start)
 
 
 def rest_state(scene: Scene, control: float) -> State:
-    """The unloaded whiskers with the drive there, whether or not the object stands in their way."""
+    """State of the unloaded whiskers at a control, as if there were no object."""
     equations = problem_of(jax.tree.map(checks.as_float, scene))
     u = jnp.asarray(control, dtype=float) / equations.unit.control
     at = equations.in_scene(u, equations.rest(u))
@@ -142,7 +163,7 @@ def rest_state(scene: Scene, control: float) -> State:
 
 
 def state_at(result: Result, step: int) -> State:
-    """The state at a step."""
+    """State at a step of a scan."""
     return _state({name: np.asarray(getattr(result, name))[step] for name in State.__dataclass_fields__})
 
 
@@ -151,19 +172,19 @@ def _state(fields: dict[str, np.ndarray]) -> State:
 
 
 def largest_force(result: Result) -> float:
-    """The largest contact force of a scan; 0 if nothing is known or touched."""
+    """Largest contact force of a scan; 0 without contact."""
     return float(np.nan_to_num(np.asarray(result.contact_force)).max(initial=0.0))
 
 
 def drive_pose(scene: Scene, control: float) -> Pose:
-    """Where the drive stands."""
+    """Pose of the drive at a control."""
     size = float(units(scene).length)
     x, y, angle = (float(value) for value in scene.motion.pose(control))
     return Pose(x / size, y / size, angle)
 
 
 def force_arrow(state: State, whisker: int, largest: float, size: float = 1.0) -> Arrow | None:
-    """The contact force on a whisker, counted from 0; its length tells the share of the largest one."""
+    """Contact force on a whisker, counted from 0; the length of the arrow grows with its share of the largest force."""
     force, slope = float(state.contact_force[whisker]), float(state.contact_slope[whisker])
     if int(state.phase[whisker]) == Phase.free or not force > 0:
         return None
@@ -173,15 +194,15 @@ def force_arrow(state: State, whisker: int, largest: float, size: float = 1.0) -
 
 
 def spring_lines(scene: Scene, drive: Pose, bases: Line, angle: Float[np.ndarray, " whiskers"]) -> tuple[Line, ...]:
-    """The springs of the support, with the bases there, at these angles to the upright.
+    """Springs of the support for given poses of the drive and of the bases; angles are measured from the upright.
 
-    Springs along x and y are as long as they are, but for those that rest at nearly no length (see SHORT): these start
-    from a wall. Torsion springs wind up and unwind with their angle.
+    Springs along x and y have their true length. Springs with a rest length near zero (below SHORT) start at a wall
+    instead. Torsion springs wind and unwind with their angle.
     """
     size = float(units(scene).length)
     cos, sin = np.cos(drive.angle), np.sin(drive.angle)
     right, up = bases.x - drive.x, bases.y - drive.y
-    # In the drive's frame; the drive itself comes first.
+    # Poses in the frame of the drive; the first one is the drive itself.
     poses = np.stack([right * cos + up * sin, up * cos - right * sin, angle - drive.angle], axis=1)
     poses = np.concatenate([np.zeros((1, 3)), poses])
     mounts = np.array(
@@ -209,24 +230,24 @@ def spring_lines(scene: Scene, drive: Pose, bases: Line, angle: Float[np.ndarray
 
 
 def _depths(springs: Sequence[Spring]) -> list[int]:
-    """How deep each spring hangs: along x those that pass other bases, or would lie on another one."""
-    depths, seen = [], set()
+    """Level of each spring below the bases: 0, or 1, 2, ... along x where it passes a base or overlaps a spring."""
+    depths, drawn = [], set()
     for spring in springs:
         first, second = spring.between
-        hangs = spring.axis == "x" and (abs(second - first) > 1 or spring.between in seen)
+        hangs = spring.axis == "x" and (abs(second - first) > 1 or spring.between in drawn)
         depths.append(1 + max(depths, default=0) if hangs else 0)
-        seen |= {spring.between} if spring.axis == "x" else set()
+        drawn |= {spring.between} if spring.axis == "x" else set()
     return depths
 
 
 def _straight(
     here: np.ndarray, there: np.ndarray, along: int, level: float, offset: float, short: bool, rigid: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A spring between two ends along an axis of the drive's frame, on some level of the other axis."""
+    """Zigzag along one axis of the drive's frame, at a level of the other axis."""
     across = 1 - along
     start, end = here[along] + offset - STAND * short, there[along]
     swing = 0.0 if rigid else AMPLITUDE
-    # Straight ends and six turns between: the number stays, so a stretched spring looks stretched.
+    # The number of turns is fixed, so a stretched spring looks stretched.
     turns = np.r_[0.0, 0.2, 0.2 + 0.6 * (np.arange(12) + 0.5) / 12, 0.8, 1.0]
     zigzag = swing * np.r_[0.0, 0.0, np.tile([1.0, -1.0], 6), 0.0, 0.0]
     wall = 2 * AMPLITUDE * np.array([-1.0, 1.0, 0.0])
@@ -243,7 +264,7 @@ def _straight(
 
 
 def _coil(there: np.ndarray, angle: float, holder: float, rigid: bool) -> tuple[np.ndarray, np.ndarray]:
-    """A torsion spring around a base: its inner end turns with it, its outer end with what holds it."""
+    """Spiral around a base: the inner end turns with the base, the outer end with the body that holds it."""
     share = np.linspace(0.0, 1.0, 97)
     outer = holder - np.pi / 4
     turned = outer + (1 - share) * (0.0 if rigid else angle - 2 * np.pi * _TURNS)

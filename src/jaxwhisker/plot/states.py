@@ -1,6 +1,6 @@
-"""Pictures of whiskers, springs, drive and object: of a scene before its scan, and at positions of the drive."""
+"""Figures of whiskers, springs, drive and object: before a scan, during a scan, and under given loads."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,95 +10,182 @@ from matplotlib.ticker import MultipleLocator
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.scene import Scene, moves_along_x, units
+from jaxwhisker._model.scene import Scene, moves_along_x
 from jaxwhisker._model.silhouette import silhouette_of
+from jaxwhisker._scan.deflect import Deflection
+from jaxwhisker._scan.quantities import Unit, UnitSystem, check_units, control_kind, dimensionless_label, with_prefix
 from jaxwhisker._scan.result import Result, check_one_scan
-from jaxwhisker.plot.axes import OBJECT, SUPPORT, colour, control_axis, control_of, legend_above, one_axes, title
+from jaxwhisker.plot.axes import (
+    OBJECT,
+    SUPPORT,
+    check_type,
+    colour,
+    legend_above,
+    one_axes,
+    several_axes,
+    title,
+)
 from jaxwhisker.plot.drawing import Drawing, drawing, drawing_at, rest_state, start_of
 
-STATES = 5  # drawn if nobody says which
-MOST_TOLD = 6  # positions that a title has room for
+STATES = 5  # drawn by default
+MOST_LISTED = 6  # positions of the drive that fit into a title
 PALEST = 0.25  # opacity of the earliest of several states
-NARROWEST = 1.3  # lengths that a picture is wide at least
-WIDE = 3.0  # lengths up to which there is a tick at every half
-ROOM = 0.1  # lengths around what is drawn
-BEYOND = 0.5  # lengths beside the vertex that the picture of a scene holds
+# Lengths are in L of the first whisker.
+NARROWEST = 1.3  # least width of a window
+WIDE = 3.0  # a narrower window has ticks about half an L apart
+ROOM = 0.1  # around what is drawn
+BESIDE = 0.5  # least distance between the vertex and the sides of the window of a scene
 
 
-def scene(scene: Scene, *, ax: Axes | None = None) -> Axes:
-    """Draw a scene before its scan: object, drive, springs and unloaded whiskers. Nothing is solved.
+def scene(setup: Scene, *, units: str = "auto", ax: Axes | None = None) -> Axes:
+    """Draw a scene before its scan: object, drive, springs and unloaded whiskers.
+
+    The drive stands where the first whisker is about to touch, or at the start of a motion that has ends. Nothing is
+    solved.
 
     Args:
-        scene: with the drive where the first whisker is about to touch, or where a motion of one's own begins.
+        setup: a Scene.
+        units: "auto", "SI" (with prefixes: mm, mN) or "dimensionless" (in L and EI of the first whisker). "auto" is
+            "dimensionless" for a first whisker with L = EI = 1, else "SI".
         ax: where to draw; a new figure by default.
 
+    Returns:
+        The Axes.
+
     Raises:
-        ValueError: if it is no Scene.
+        ValueError: if `setup` is not a Scene or `units` is invalid.
     """
-    if not isinstance(scene, Scene):
-        raise ValueError(f"`scene` must be a Scene, but is {scene!r}.")
+    check_type("setup", setup, Scene, "a Scene")
+    system = UnitSystem(setup, units)
     ax = one_axes(ax)
-    control = start_of(scene)
-    drawn = drawing(scene, control, rest_state(scene, control))
-    _draw(scene, [drawn], True, ax)
-    # The object from beyond its vertex on, and not only where it is touched first.
-    vertex = float(scene.profile.vertex()[0]) / float(units(scene).length)
+    control = start_of(setup)
+    _draw([drawing(setup, control, rest_state(setup, control))], system, True, ax)
+    # Show the object on both sides of its vertex, not only where it is touched first.
+    vertex, beside = float(system.shown("contact_x", setup.profile.vertex()[0])), BESIDE * system.scale("length")
     left, right = ax.get_xlim()
-    ax.set_xlim(min(left, vertex - BEYOND), max(right, vertex + BEYOND))
+    ax.set_xlim(min(left, vertex - beside), max(right, vertex + beside))
     return ax
 
 
-def shapes(result: Result, at: Any = None, *, whole: bool = True, ax: Axes | None = None) -> Axes:
+def shapes(result: Result, at: Any = None, *, whole: bool = True, units: str = "auto", ax: Axes | None = None) -> Axes:
     """Draw whiskers, springs, drive, object and contact forces at one or several positions of the drive.
 
-    Of several, earlier whiskers are paler; springs, drive and forces are those of the last. Arrows point the way the
-    object pushes the whisker and grow with the share of the scan's largest contact force. Failed steps are left out.
+    If there are several, earlier whiskers are paler; springs, drive and forces belong to the last position. Arrows
+    point in the direction in which the object pushes the whisker; their length grows with the share of the scan's
+    largest contact force. Failed steps are left out.
 
     Args:
         result: of `scan`.
-        at: drive positions in the scene's unit, the nearest steps are drawn; by default five across the contact.
+        at: drive positions in the scene's unit; the nearest steps are drawn. By default five across the contact.
         whole: draw the upper half of a circle or ellipse too, which no whisker touches.
+        units: "auto", "SI" or "dimensionless", see `scene`.
         ax: where to draw; a new figure by default.
 
+    Returns:
+        The Axes.
+
     Raises:
-        ValueError: if `result` is none of one scan, or `at` not finite numbers.
+        ValueError: if `result` is not the Result of one scan, `at` is not finite numbers, or `units` is invalid.
     """
     check_one_scan(result)
+    system = UnitSystem(result.scene, units)
     steps = _steps_across(result) if at is None else _steps_at(result, at)
     ax = one_axes(ax)
-    _draw(result.scene, [drawing_at(result, step) for step in steps], whole, ax)
-    digits = 3 if len(steps) == 1 else 2
-    told = ", ".join(f"{control_of(result)[step]:.{digits}f}" for step in steps).replace("-", "\N{MINUS SIGN}")
-    if len(steps) <= MOST_TOLD:
-        title(ax, f"{control_axis(result.scene)}: {told}")
+    _draw([drawing_at(result, step) for step in steps], system, whole, ax)
+    if len(steps) <= MOST_LISTED:
+        title(ax, f"{system.label('control')}: {_listed(result, steps, system)}")
     return ax
 
 
-def profile(object: AbstractProfile, *, length: float = 1.0, whole: bool = True, ax: Axes | None = None) -> Axes:
-    """Draw the object.
+def _listed(result: Result, steps: Sequence[int], system: UnitSystem) -> str:
+    """Drive positions of steps: to a thousandth of L if there is one, else to a hundredth."""
+    controls = system.shown("control", result.control)[list(steps)]
+    digits = decimals(system) - (len(steps) > 1)
+    return ", ".join(f"{control:.{max(digits, 0)}f}" for control in controls).replace("-", "\N{MINUS SIGN}")
+
+
+def decimals(system: UnitSystem) -> int:
+    """Decimals that resolve about a thousandth of L along the control."""
+    kind = control_kind(system.scene)
+    return max(3 - round(np.log10(system.scale(kind))), 0)
+
+
+def profile(shape: AbstractProfile, *, length: float = 1.0, whole: bool = True, ax: Axes | None = None) -> Axes:
+    """Draw an object.
 
     Args:
-        object: its profile.
-        length: what is drawn as one.
+        shape: profile of the object, such as `jw.Parabola`.
+        length: unit of length: this length is drawn as 1.
         whole: draw the upper half of a circle or ellipse too, which no whisker touches.
         ax: where to draw; a new figure by default.
 
+    Returns:
+        The Axes.
+
     Raises:
-        ValueError: if `object` is no profile, or `length` not positive.
+        ValueError: if `shape` is not a profile or `length` is not positive.
     """
-    if not isinstance(object, AbstractProfile):
-        raise ValueError(f"`object` must be a profile, but is {object!r}.")
+    check_type("shape", shape, AbstractProfile, "a profile such as jw.Parabola(0.2)")
     checks.number("length", length, positive=True)
     ax = one_axes(ax)
-    x, y = (coordinate / length for coordinate in silhouette_of(object, length, whole=whole))
-    ax.fill(x, y, color=OBJECT, linewidth=0, zorder=0)
-    ax.plot(x, y, color=SUPPORT, linewidth=1, zorder=0.5)
+    _draw_object(shape, length, length, whole, ax)
     return ax
+
+
+def deflection(
+    results: Mapping[str, Deflection], *, length: float | None = None, units: str = "auto", ax: Axes | None = None
+) -> Axes:
+    """Draw whiskers bent by given loads.
+
+    Args:
+        results: label -> result of `deflect`.
+        length: the length L that is drawn as 1 if units are dimensionless; by default that of the longest whisker.
+        units: "auto", "SI" or "dimensionless". "auto" is "SI" unless `length` is given or L = 1.
+        ax: where to draw; a new figure by default.
+
+    Returns:
+        The Axes.
+
+    Raises:
+        ValueError: if `results` is not a mapping to results of `deflect`, `length` is not positive or `units` is
+            invalid.
+    """
+    words = "a non-empty mapping from labels to results of jw.deflect"
+    check_type("results", results, Mapping, words)
+    for one in list(results.values()) or [None]:
+        check_type("results", one, Deflection, words)
+    if length is not None:
+        checks.number("length", length, positive=True)
+    check_units(units)
+    unit = _deflection_unit([float(one.s[-1]) for one in results.values()], length, units)
+    ax = one_axes(ax)
+    for k, (label, result) in enumerate(results.items()):
+        x, y = np.asarray(result.x) / unit.size, np.asarray(result.y) / unit.size
+        ax.plot(x, y, color=colour(k), linewidth=2, label=label)
+    ax.plot(0, 0, marker="s", markersize=8, color=SUPPORT, zorder=4)
+    ax.grid(alpha=0.3)
+    ax.set_aspect("equal")
+    for name, symbol in (("xlabel", "x"), ("ylabel", "y")):
+        ax.set(**{name: f"${symbol}$ ({unit.name})" if unit.name else dimensionless_label(symbol, "length")})
+    return ax
+
+
+def _deflection_unit(lengths: Sequence[float], length: float | None, units: str) -> Unit:
+    """Unit of length for whiskers of these lengths, NaN where a deflection failed."""
+    longest = max((one for one in lengths if np.isfinite(one)), default=1.0)
+    longest = 1.0 if np.isclose(longest, 1.0) else longest
+    if units == "SI" or (units == "auto" and length is None and longest != 1):
+        return with_prefix("m", longest)
+    return Unit("", longest if length is None else length)
 
 
 def same_window(axs: Iterable[Axes]) -> None:
-    """Give pictures of states one common window, that of all of them together."""
-    axes = list(axs)
+    """Give Axes the same limits, which hold all that is drawn in any of them.
+
+    Raises:
+        ValueError: if `axs` are not Axes.
+    """
+    axes = several_axes(axs)
     (left, right), (bottom, top) = (np.array([get(ax) for ax in axes]).T for get in (Axes.get_xlim, Axes.get_ylim))
     for ax in axes:
         ax.set_xlim(left.min(), right.max())
@@ -106,8 +193,12 @@ def same_window(axs: Iterable[Axes]) -> None:
 
 
 def in_words(result: Result, at: float) -> str:
-    """What each whisker does at a position of the drive, in words: "1: tip, 2: free"."""
-    (step,) = _steps_at(result, at)
+    """Phases of all whiskers at a position of the drive, such as "1: tip, 2: free".
+
+    Raises:
+        ValueError: if `result` is not the Result of one scan or `at` is not a finite number.
+    """
+    (step,) = _steps_at(check_one_scan(result), at)
     return ", ".join(f"{k + 1}: {Phase(int(p)).name}" for k, p in enumerate(np.asarray(result.phase)[step]))
 
 
@@ -120,56 +211,77 @@ def _steps_at(result: Result, at: Any) -> list[int]:
 
 
 def _steps_across(result: Result) -> list[int]:
-    """Steps evenly over those in contact, or over those that are known, in the order of time."""
+    """Evenly spaced steps with contact, or known ones if there is no contact, in the order of time."""
     forces = np.asarray(result.contact_force)
     known = np.flatnonzero(np.isfinite(forces).all(axis=1))
     touching = np.flatnonzero((np.nan_to_num(forces) > 0).any(axis=1))
-    steps = next((found for found in (touching, known) if found.size), np.arange(forces.shape[0]))
+    steps = next((some for some in (touching, known) if some.size), np.arange(forces.shape[0]))
     return steps[((np.arange(STATES) + 0.5) / STATES * steps.size).astype(int)].tolist()
 
 
-def _draw(scene: Scene, drawn: Sequence[Drawing], whole: bool, ax: Axes) -> None:
-    """The last drawing, and the whiskers of those before, paler."""
-    profile(scene.profile, length=float(units(scene).length), whole=whole, ax=ax)
-    if moves_along_x(scene):
+def draw_object(system: UnitSystem, ax: Axes, *, whole: bool = True) -> None:
+    """Draw the object of a scene and, if all bases stay on it, the line along which they move."""
+    lengths = system.unit("base_x").size
+    _draw_object(system.scene.profile, lengths * system.scale("length"), lengths, whole, ax)
+    if moves_along_x(system.scene):
         ax.axhline(0, color=SUPPORT, linewidth=0.5, alpha=0.5, zorder=0)
-    for age, one in enumerate(reversed(drawn)):
+    ax.set(xlabel=system.label_of("x", "length"), ylabel=system.label_of("y", "length"))
+
+
+def _draw_object(shape: AbstractProfile, whisker: float, unit: float, whole: bool, ax: Axes) -> None:
+    x, y = (coordinate / unit for coordinate in silhouette_of(shape, whisker, whole=whole))
+    ax.fill(x, y, color=OBJECT, linewidth=0, zorder=0)
+    ax.plot(x, y, color=SUPPORT, linewidth=1, zorder=0.5)
+
+
+def _draw(drawn: Sequence[Drawing], system: UnitSystem, whole: bool, ax: Axes) -> None:
+    """Draw the object, the last state, and, paler, the whiskers of the states before."""
+    draw_object(system, ax, whole=whole)
+    scaled = [one.scaled(system.scale("length")) for one in drawn]
+    for age, one in enumerate(reversed(scaled)):
         opacity = 1.0 if age == 0 else PALEST + (0.7 - PALEST) * (1 - age / len(drawn))
         for k, line in enumerate(one.whiskers):
             label = f"whisker {k + 1}" if age == 0 else None
             style = {"color": colour(k), "alpha": opacity, "zorder": 3 - 0.01 * age}
             ax.plot(line.x, line.y, **style, linewidth=2 if age == 0 else 1.4, solid_capstyle="round", label=label)
             ax.plot(one.bases.x[k], one.bases.y[k], **style, marker="o", markersize=5 if age == 0 else 3)
-    last = drawn[-1]
-    for line in last.springs:
-        ax.plot(line.x, line.y, color=SUPPORT, linewidth=line.width, zorder=2)
-    if last.arm is not None:
-        ax.plot(
-            last.arm.x, last.arm.y, color=SUPPORT, linewidth=0.8, linestyle=":", marker="+", markevery=[0], zorder=1
-        )
-    place = {"marker": (4, 0, 45 + np.degrees(last.drive.angle)), "linestyle": "none"}  # a square that turns
-    look = {"markersize": 10, "markerfacecolor": OBJECT, "markeredgecolor": SUPPORT, "zorder": 1.5}
-    ax.plot(last.drive.x, last.drive.y, **place, **look, label="drive")
-    for k, arrow in enumerate(last.arrows):
+    _draw_support(scaled[-1], ax)
+    for k, arrow in enumerate(scaled[-1].arrows):
         if arrow is not None:
             style = {"arrowstyle": "-|>", "color": colour(k), "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
             ax.annotate("", xy=arrow.head, xytext=arrow.tail, arrowprops=style, zorder=5)
     ax.set_aspect("equal")
-    ax.set_xlabel(r"$x/L$")
-    ax.set_ylabel(r"$y/L$")
-    _frame(scene, drawn, ax)
+    _set_window(drawn, system, ax)
     legend_above(ax, [line for line in ax.get_lines() if str(line.get_label()).startswith("whisker")])
 
 
-def _frame(scene: Scene, drawn: Sequence[Drawing], ax: Axes) -> None:
-    """A window that holds drive, whiskers, springs and forces, and the object down to its vertex."""
+def _draw_support(state: Drawing, ax: Axes) -> None:
+    for line in state.springs:
+        ax.plot(line.x, line.y, color=SUPPORT, linewidth=line.width, zorder=2)
+    if state.arm is not None:
+        style = {"linewidth": 0.8, "linestyle": ":", "marker": "+", "markevery": [0], "zorder": 1}
+        ax.plot(state.arm.x, state.arm.y, color=SUPPORT, **style)
+    square = {"marker": (4, 0, 45 + np.degrees(state.drive.angle)), "linestyle": "none"}
+    look = {"markersize": 10, "markerfacecolor": OBJECT, "markeredgecolor": SUPPORT, "zorder": 1.5}
+    ax.plot(state.drive.x, state.drive.y, **square, **look, label="drive")
+
+
+def _set_window(drawn: Sequence[Drawing], system: UnitSystem, ax: Axes) -> None:
+    """Set limits that hold drive, whiskers, springs and forces, and the object down to its vertex."""
     parts = [one.extent(springs=one is drawn[-1]) for one in drawn]
     x, y = (np.concatenate(coordinate) for coordinate in zip(*parts, strict=True))
-    vertex = float(scene.profile.vertex()[1]) / float(units(scene).length)
+    scale = system.scale("length")
+    vertex = float(system.shown("contact_y", system.scene.profile.vertex()[1])) / scale
     if x.size:
         middle, reach = (x.min() + x.max()) / 2, max(np.ptp(x) / 2 + ROOM, NARROWEST / 2)
-        ax.set_xlim(middle - reach, middle + reach)
-    ax.set_ylim(y.min(initial=0.0) - ROOM, max(y.max(initial=1.0), vertex) + ROOM)
-    if x.size and np.ptp(x) < WIDE:  # else ticks of narrow pictures would overlap
+        ax.set_xlim(scale * (middle - reach), scale * (middle + reach))
+    ax.set_ylim(scale * (y.min(initial=0.0) - ROOM), scale * (max(y.max(initial=1.0), vertex) + ROOM))
+    if x.size and np.ptp(x) < WIDE:  # by default the ticks of a narrow window overlap
         for axis in (ax.xaxis, ax.yaxis):
-            axis.set_major_locator(MultipleLocator(0.5))
+            axis.set_major_locator(MultipleLocator(_round(0.5 * scale)))
+
+
+def _round(size: float) -> float:
+    """Nearest of ..., 1, 2, 2.5, 5, 10, ..."""
+    power = 10.0 ** np.floor(np.log10(size))
+    return float(min((1.0, 2.0, 2.5, 5.0, 10.0), key=lambda one: abs(one * power - size)) * power)

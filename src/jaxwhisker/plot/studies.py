@@ -1,13 +1,13 @@
-"""Pictures of studies: a peak over one or two parameters, and where scans begin to snap through the vertex."""
+"""Figures of studies: a summary over one or two parameters, with the critical stiffness."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from jaxwhisker.plot.axes import COLOURS, colour, given, legend_above, one_axes, title
+from jaxwhisker.plot.axes import COLOURS, colour, legend_above, one_axes, several_axes, title
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,26 +22,28 @@ def study(
     critical: "xr.DataArray | None" = None,
     axs: Iterable[Axes] | None = None,
 ) -> np.ndarray:
-    """Draw a variable of a summary over the study's one or two axes; return the Axes.
+    """Draw a variable of a summary over the study's one or two axes.
 
-    Over one axis there is a line for every whisker in one Axes, over two a map in one Axes each.
+    Over one axis, there is one Axes with a line for every whisker; over two, a map for each whisker.
 
     Args:
         data: of `summary`, or of `study` with `summary=True`.
-        name: a variable with one value per whisker.
-        critical: how steep the clamped whisker's force is, times the flexibility (`study.steepness.steepness`): drawn
-            in where it is 1, the critical stiffness.
+        name: variable with one value per whisker.
+        critical: of `study.steepness.steepness`: slope of the clamped whisker's force times the flexibility of the
+            support. It is 1 at the critical stiffness, below which scans snap through the vertex; this is marked.
         axs: where to draw; a new figure by default.
 
+    Returns:
+        The Axes.
+
     Raises:
-        ValueError: if there is no such variable, the study has not one or two axes, or the number of `axs` is wrong.
+        ValueError: if `data` is not a Dataset with such a variable over one or two axes, or the number of `axs` is
+            wrong.
     """
-    if name not in data.data_vars or "whisker" not in data[name].dims:
-        known = [str(n) for n, variable in data.data_vars.items() if "whisker" in variable.dims]
-        raise ValueError(f"`name` must be one of {', '.join(known)}, but is {name!r}.")
+    _check_dataset(data, name)
+    if not (critical is None or hasattr(critical, "dims")):
+        raise ValueError(f"`critical` must be a DataArray, got {critical!r}.")
     dims = [str(dim) for dim in data[name].dims if dim != "whisker"]
-    if len(dims) not in (1, 2) or {"control", "event"} & set(dims):
-        raise ValueError(f"`data` must hold {name} over one or two axes, but has {', '.join(dims) or 'none'}.")
     data = _finite(data)
     word = "critical" if data.sizes["whisker"] == 1 else "critical, estimated"
     axes = _panels(axs, 1 if len(dims) == 1 else data.sizes["whisker"])
@@ -59,9 +61,21 @@ def study(
     return axes
 
 
+def _check_dataset(data: Any, name: str) -> None:
+    # xarray is optional, so it must not be imported for a check.
+    if not hasattr(data, "data_vars"):
+        raise ValueError(f"`data` must be a Dataset of jw.summary, got {data!r}.")
+    known = [str(n) for n, variable in data.data_vars.items() if "whisker" in variable.dims]
+    if name not in known:
+        raise ValueError(f"`name` must be one of {', '.join(known)}, got {name!r}.")
+    dims = [str(dim) for dim in data[name].dims if dim != "whisker"]
+    if len(dims) not in (1, 2) or {"control", "event"} & set(dims):
+        raise ValueError(f"`data` must have {name} over one or two axes, got {', '.join(dims) or 'none'}.")
+
+
 def _panels(axs: Iterable[Axes] | None, count: int) -> np.ndarray:
     if axs is not None:
-        return given(axs, count)
+        return several_axes(axs, count)
     if count == 1:
         return np.array([one_axes(None)], dtype=object)
     from matplotlib import pyplot
@@ -71,7 +85,7 @@ def _panels(axs: Iterable[Axes] | None, count: int) -> np.ndarray:
 
 
 def _finite(data: "xr.Dataset") -> "xr.Dataset":
-    """Without the points at infinity, which have no place in a picture."""
+    """Drop infinite parameters, such as the stiffness of a clamp, which no axis can show."""
     for dim in data.dims:
         if dim != "whisker":
             data = data.isel({dim: np.isfinite(data[dim].values)}).sortby(dim)
@@ -96,13 +110,13 @@ def _lines(values: "xr.DataArray", critical: "xr.DataArray | None", axis: str, w
 
 
 def _crossings(x: np.ndarray, steepness: np.ndarray) -> list[float]:
-    """Where the steepness passes 1; its logarithm is nearly straight over the logarithm of x."""
+    """Where the steepness crosses 1; its logarithm is nearly linear in the logarithm of x."""
     if not np.all(x > 0):
         return []
     height, at = np.log(steepness), np.log(x)
-    turn = np.flatnonzero(height[:-1] * height[1:] <= 0)
-    share = height[turn] / (height[turn] - height[turn + 1])
-    return np.exp(at[turn] + share * (at[turn + 1] - at[turn])).tolist()
+    below = np.flatnonzero(height[:-1] * height[1:] <= 0)
+    share = height[below] / (height[below] - height[below + 1])
+    return np.exp(at[below] + share * (at[below + 1] - at[below])).tolist()
 
 
 def _map(values: "xr.DataArray", critical: "xr.DataArray | None", word: str, ax: Axes, low: float, high: float):

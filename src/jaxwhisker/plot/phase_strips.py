@@ -1,4 +1,4 @@
-"""The picture of phases: when each whisker is free, touches with its tip or along its shaft, and what happens."""
+"""Strips over the control: when each whisker is free, in tip contact or in tangential contact, and its events."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -11,10 +11,11 @@ from matplotlib.patches import Patch
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import EventKind, Status
+from jaxwhisker._scan.quantities import UnitSystem
 from jaxwhisker._scan.result import Result, check_one_scan
-from jaxwhisker.plot.axes import GREY, colour, control_axis, control_of, legend_above, one_axes
+from jaxwhisker.plot.axes import GREY, colour, legend_above, one_axes
 
-_HEIGHT = 0.6  # of a row
+_HEIGHT = 0.6  # of the strips of a whisker; rows are 1 apart
 _MARKERS = {
     EventKind.touch: ("o", "white"),
     EventKind.vertex: ("v", "white"),
@@ -24,85 +25,90 @@ _MARKERS = {
 }
 
 
-def phases(result: Result, *, ax: Axes | None = None) -> Axes:
-    """Draw what each whisker does over the drive: free, tip contact (hatched), tangential contact (solid); and events.
+def phases(result: Result, *, units: str = "auto", ax: Axes | None = None) -> Axes:
+    """Draw when each whisker is free, in tip contact (hatched) or in tangential contact (solid), and its events.
 
-    Where the drive turns round, every stretch of its way has a strip of its own, from the top down. Failed steps leave
-    gaps.
+    Where the drive reverses, each part of its path has its own strip, from top to bottom. Failed steps leave gaps.
 
     Args:
         result: of `scan`.
+        units: "auto", "SI" or "dimensionless", see `overview`.
         ax: where to draw; a new figure by default.
 
+    Returns:
+        The Axes.
+
     Raises:
-        ValueError: if `result` is none of one scan.
+        ValueError: if `result` is not the Result of one scan or `units` is invalid.
     """
-    check_one_scan(result)
+    system = UnitSystem(check_one_scan(result).scene, units)
     ax = one_axes(ax)
-    control, phase, known = control_of(result), np.asarray(result.phase), np.asarray(result.status) == Status.ok
-    # Along the way of the drive, which grows where the control may turn.
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])
+    control, phase = system.shown("control", result.control), np.asarray(result.phase)
+    known = np.asarray(result.status) == Status.ok
+    # The travel of the drive grows even where the control reverses.
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])
     events = list(result.events)
-    ways = control_of(result, np.asarray(result.events.travel)[: len(events)])
+    happens = system.shown("control", np.asarray(result.events.travel)[: len(events)])
+    at = system.shown("control", [event.control for event in events])
     turns = _turns(control)
-    height, whiskers, seen = _HEIGHT / (len(turns) - 1), phase.shape[1], set()
+    height, whiskers = _HEIGHT / (len(turns) - 1), phase.shape[1]
     tall = height if len(turns) == 2 else 0.85 * height
     for k in range(whiskers):
-        # A snap of the network as a whole names no whisker: all of them move.
+        # A snap of a network as a whole names no whisker, because all of them move.
         own = [n for n, event in enumerate(events) if k + 1 in (event.whiskers or range(1, whiskers + 1))]
         for strip, (first, last) in enumerate(pairwise(turns)):
             top = k + 1 - _HEIGHT / 2 + strip * height
             part = slice(first, last + 1)
-            for kind, *ends in _runs(way[part], phase[part, k], known[part], ways[own]):
-                left, right = sorted(np.interp(ends, way[part], control[part]))
+            for kind, *ends in _runs(travel[part], phase[part, k], known[part], happens[own]):
+                left, right = sorted(np.interp(ends, travel[part], control[part]))
                 ax.broken_barh([(left, right - left)], (top, tall), **_bar(kind, colour(k)))
             for n in own:
-                if way[first] <= ways[n] <= way[last] and events[n].kind in _MARKERS:
-                    seen.add(events[n].kind)
-                    ax.plot(*control_of(result, [events[n].control]), top + tall / 2, **_marker(events[n].kind))
-    ax.set_xlabel(control_axis(result.scene))
+                if travel[first] <= happens[n] <= travel[last] and events[n].kind in _MARKERS:
+                    ax.plot(at[n], top + tall / 2, **_marker(events[n].kind))
+    ax.set_xlabel(system.label("control"))
     ax.set_yticks(range(1, whiskers + 1), [f"whisker {k + 1}" for k in range(whiskers)])
     ax.set_ylim(whiskers + 0.5, 0.5)
     ax.tick_params(left=False)
-    _legend(ax, [kind for kind in _MARKERS if kind in seen])
+    _legend(ax, [kind for kind in _MARKERS if kind in {event.kind for event in events}])
     return ax
 
 
 def _turns(control: np.ndarray) -> list[int]:
-    """The first step, those where the drive turns round, and the last."""
+    """The first step, the steps where the drive reverses, and the last step."""
     moves = np.flatnonzero(np.diff(control))
     signs = np.sign(np.diff(control)[moves])
     return [0, *moves[1:][signs[1:] != signs[:-1]].tolist(), control.size - 1]
 
 
 def _runs(
-    way: np.ndarray, phase: np.ndarray, known: np.ndarray, changes: np.ndarray
+    travel: np.ndarray, phase: np.ndarray, known: np.ndarray, changes: np.ndarray
 ) -> Iterator[tuple[Phase, float, float]]:
-    """Phases and the ways between which they last: from event to event, or midway between steps where there is none."""
+    """Phases with the travel at which they begin and end: at an event, or midway between two steps without one."""
     starts = np.flatnonzero(np.r_[True, (phase[1:] != phase[:-1]) | (known[1:] != known[:-1])])
     ends = np.r_[starts[1:], phase.size] - 1
     for first, last in zip(starts.tolist(), ends.tolist(), strict=True):
         if known[first]:
-            begin = _between(way, first - 1, known, changes) if first > 0 else way[0]
-            end = _between(way, last, known, changes) if last + 1 < phase.size else way[-1]
+            begin = _change(travel, first - 1, known, changes) if first > 0 else travel[0]
+            end = _change(travel, last, known, changes) if last + 1 < phase.size else travel[-1]
             yield Phase(int(phase[first])), float(begin), float(end)
 
 
-def _between(way: np.ndarray, step: int, known: np.ndarray, changes: np.ndarray) -> float:
-    """Where between a step and the next a phase ends."""
-    here, there = way[step], way[step + 1]
+def _change(travel: np.ndarray, step: int, known: np.ndarray, changes: np.ndarray) -> float:
+    """Travel between a step and the next at which a phase ends."""
+    here, there = travel[step], travel[step + 1]
     within = changes[(changes >= here) & (changes <= there)]
     if within.size:
         return within[0]
     return (here + there) / 2 if known[step] and known[step + 1] else here if known[step] else there
 
 
-def _bar(kind: Phase, colour: str) -> dict[str, Any]:
+def _bar(kind: Phase, own: str) -> dict[str, Any]:
+    """Look of the bar of a phase, in the colour of its whisker."""
     if kind == Phase.free:
         return {"facecolor": "white", "edgecolor": GREY, "linewidth": 0.5, "zorder": 1}
     if kind == Phase.tip:
-        return {"facecolor": "white", "edgecolor": colour, "hatch": "/////", "linewidth": 0.8, "zorder": 2}
-    return {"facecolor": colour, "edgecolor": colour, "linewidth": 0.8, "zorder": 2}
+        return {"facecolor": "white", "edgecolor": own, "hatch": "/////", "linewidth": 0.8, "zorder": 2}
+    return {"facecolor": own, "edgecolor": own, "linewidth": 0.8, "zorder": 2}
 
 
 def _marker(kind: EventKind) -> dict[str, Any]:

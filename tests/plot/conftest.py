@@ -1,0 +1,37 @@
+"""Scans that the figures of several modules show, and rules for all of them."""
+
+import pytest
+from matplotlib import pyplot, rcParams
+
+import jaxwhisker as jw
+from pictured import ANGLES, CONTROL, LENGTH, STIFFNESS, coupled, turning
+
+
+@pytest.fixture(scope="session")
+def result():
+    return jw.scan(coupled(), CONTROL)
+
+
+@pytest.fixture(scope="session")
+def turned():
+    return jw.scan(turning(), ANGLES)
+
+
+@pytest.fixture(scope="session")
+def result_in_si():
+    """The same scan as `result`, in SI units."""
+    return jw.scan(coupled(LENGTH, STIFFNESS), CONTROL * LENGTH)
+
+
+@pytest.fixture(autouse=True)
+def _no_side_effects(monkeypatch):
+    """No figure opens a window or changes matplotlib's settings."""
+
+    def never(*_, **__):
+        raise AssertionError("a figure opened a window")
+
+    monkeypatch.setattr(pyplot, "show", never)
+    before = dict(rcParams)
+    yield
+    assert dict(rcParams) == before
+    pyplot.close("all")

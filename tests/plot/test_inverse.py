@@ -1,0 +1,42 @@
+"""Figures of fits, information and contours."""
+
+# pyright: reportArgumentType=false
+
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker import plot
+from pictured import some_fit, some_information, some_points
+
+
+@pytest.mark.unchecked  # the made-up fit only has the fields that are drawn
+def test_a_fit_in_si_units_has_prefixes(result_in_si):
+    fit = some_fit(result_in_si)
+    axs = plot.fit(fit)
+    assert [ax.get_ylabel() for ax in axs] == ["$f_x$ (mN)", "$f_y$ (mN)", "$m_z$ (mN mm)"]
+    dots, line, *_ = axs[2].get_lines()
+    np.testing.assert_allclose(dots.get_ydata(), 1e6 * fit.measured.values[:, 0, 2])
+    np.testing.assert_allclose(line.get_ydata(), 1e6 * fit.signals[:, 0, 2])
+    np.testing.assert_allclose(line.get_xdata(), 1e3 * np.asarray(result_in_si.control))
+    assert axs[2].get_xlabel() == "$u$ (mm)"
+    assert plot.fit(fit, units="dimensionless")[2].get_ylabel() == r"$m_z\,L/EI$"
+
+
+def test_time_runs_to_the_right():
+    ax = plot.information(some_information())
+    left, right = ax.get_xlim()
+    assert left > right
+    for line in ax.get_lines()[:2]:
+        share = np.asarray(line.get_ydata())
+        assert np.all(np.diff(share) >= 0) and share[-1] == pytest.approx(1.0)
+
+
+def test_only_points_clear_of_noise_are_drawn():
+    ax = plot.contour(some_points(), profile=jw.Parabola(0.2))
+    (dots,) = [line for line in ax.get_lines() if line.get_label() == "whisker 1"]
+    assert np.size(dots.get_xdata()) == 32
+    bars = [np.asarray(line.get_xydata()) for line in ax.get_lines() if np.size(line.get_xdata()) == 2]
+    # 95 % of a normal distribution with standard deviation 0.02, across the contour.
+    np.testing.assert_allclose([np.hypot(*(bar[1] - bar[0])) for bar in bars], 2 * 1.959964 * 0.02, rtol=1e-6)
+    assert len(bars) == 32

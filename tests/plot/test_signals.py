@@ -1,0 +1,94 @@
+"""Figures of quantities over the control."""
+
+# pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from jaxwhisker import plot
+from pictured import LENGTH, STIFFNESS, failed
+
+MILLI = 1000
+SCANS = 1e-7  # relative difference of scans in different units
+FORCE, MOMENT = STIFFNESS / LENGTH**2, STIFFNESS / LENGTH
+
+
+def curves(ax):
+    return [line for line in ax.get_lines() if not line.get_label().startswith("_")]
+
+
+def test_signals_are_those_of_the_scan(result):
+    rows = plot.reactions(result)
+    assert isinstance(rows, np.ndarray) and len(rows) == 3 and isinstance(rows[0], Axes)
+    for ax, name in zip(rows, ("fx", "fy", "mz"), strict=True):
+        for k, line in enumerate(curves(ax)):
+            np.testing.assert_array_equal(line.get_xdata(), result.control)
+            np.testing.assert_array_equal(line.get_ydata(), getattr(result, name)[:, k])
+            assert line.get_color() == plot.COLOURS[k]
+        marked = [float(np.asarray(line.get_xdata())[0]) for line in ax.get_lines() if line not in curves(ax)]
+        assert marked == [event.control for event in result.events]
+    assert [ax.get_ylabel() for ax in rows] == [r"$f_x\,L^2/EI$", r"$f_y\,L^2/EI$", r"$m_z\,L/EI$"]
+    assert [ax.get_xlabel() for ax in rows] == ["", "", "$u/L$"]
+    assert [text.get_text() for text in rows[0].get_legend().get_texts()] == ["whisker 1", "whisker 2"]
+
+
+def test_signals_in_si_units_have_prefixes(result, result_in_si):
+    rows, in_si = plot.reactions(result), plot.reactions(result_in_si)
+    assert [ax.get_ylabel() for ax in in_si] == ["$f_x$ (mN)", "$f_y$ (mN)", "$m_z$ (mN mm)"]
+    assert in_si[-1].get_xlabel() == "$u$ (mm)"
+    for ax, other, size in zip(rows, in_si, (FORCE, FORCE, MILLI * MOMENT), strict=True):
+        for line, same in zip(ax.get_lines(), other.get_lines(), strict=True):
+            x, y = np.asarray(line.get_xydata()).T
+            # Lines of events have heights in shares of the axes.
+            expected = MILLI * size * y if line in curves(ax) else y
+            np.testing.assert_allclose(np.asarray(same.get_xdata()), MILLI * LENGTH * x, atol=SCANS * MILLI * LENGTH)
+            np.testing.assert_allclose(np.asarray(same.get_ydata()), expected, atol=SCANS * MILLI * size * 100)
+
+
+def test_units_dimensionless_makes_signals_of_all_scenes_equal(result, result_in_si):
+    for ax, other in zip(plot.reactions(result), plot.reactions(result_in_si, units="dimensionless"), strict=True):
+        assert (ax.get_xlabel(), ax.get_ylabel()) == (other.get_xlabel(), other.get_ylabel())
+        for line, same in zip(ax.get_lines(), other.get_lines(), strict=True):
+            np.testing.assert_allclose(same.get_xydata(), line.get_xydata(), atol=1e-5)
+
+
+def test_compared_scans_share_units(result, result_in_si):
+    ax = plot.compare({"a": result, "b": result_in_si}, "mz", index=2)
+    assert ax.get_ylabel() == r"$m_z\,L/EI$"
+    first, second = (np.asarray(line.get_xydata()) for line in curves(ax))
+    np.testing.assert_allclose(second, first, atol=1e-5)
+    ax = plot.compare({"b": result_in_si}, "spring_length", index=3)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$u$ (mm)", r"$\ell$ (mm)")
+    np.testing.assert_allclose(curves(ax)[0].get_ydata(), MILLI * result_in_si.spring_length[:, 2])
+
+
+def test_the_range_of_contact_has_the_units_of_the_axis(result, result_in_si):
+    low, high = plot.contact_range([result])
+    touch, last = result.events[0].control, result.events[-1].control
+    assert low < last < touch < high < low + 1.1 * (touch - last)
+    np.testing.assert_allclose(plot.contact_range([result_in_si]), (MILLI * LENGTH * low, MILLI * LENGTH * high))
+    page = plot.overview(result_in_si)
+    np.testing.assert_allclose(page.axes[1].get_xlim(), (MILLI * LENGTH * low, MILLI * LENGTH * high))
+    assert page.axes[-1].get_ylabel() == r"$\ell$ (mm)" and page.axes[0].get_xlabel() == "$x$ (mm)"
+    assert plot.overview(result_in_si, units="dimensionless").axes[-1].get_xlabel() == "$u/L$"
+
+
+def test_springs_have_the_colours_of_their_whiskers(result, turned):
+    ax = plot.spring_lengths(result)
+    assert [line.get_color() for line in curves(ax)] == [plot.COLOURS[k] for k in (0, 1, 1)]
+    assert [line.get_linestyle() for line in curves(ax)] == ["-", "-", "--"]
+    assert ax.get_ylabel() == r"$\ell/L$"
+    ax = plot.spring_lengths(turned)
+    assert [line.get_label() for line in curves(ax)] == ["spring 1", "spring 2, $y$", r"spring 3, $\varphi$"]
+    assert ax.get_ylabel() == r"$\ell/L$, $\varphi$ (rad)" and ax.get_xlabel() == "angle of the drive (rad)"
+
+
+def test_failed_steps_leave_gaps(result):
+    lost = failed(result, slice(60, 90))
+    ax = plot.reactions(lost)[0]
+    assert np.isnan(np.asarray(curves(ax)[0].get_ydata())).sum() == 30
+    assert plot.shapes(lost, float(result.control[70])).get_title() == ""
+    nothing = failed(result, slice(None))
+    for draw in (plot.shapes, plot.spring_lengths, plot.phases, plot.overview):
+        draw(nothing)
+    plot.reactions(nothing)
