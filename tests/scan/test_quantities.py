@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -166,5 +165,7 @@ def test_the_unit_of_the_first_whisker_counts():
     whiskers = jw.Whisker(), jw.Whisker(0.5, 3.0)
     scene = jw.Scene(whiskers, jw.Parabola(0.2), jw.Support.fbfb(70.0))
     assert UnitSystem(scene).dimensionless
-    tapered = jw.Whisker(1.0, lambda s: 1 - 0.5 * jnp.asarray(s))
-    assert not UnitSystem(jw.Scene(tapered, jw.Parabola(0.2))).dimensionless  # EI is a function
+    # Of a tapered whisker the stiffness at the base counts.
+    for base, dimensionless in ((1.0, True), (2.0, False)):
+        tapered = jw.Whisker(1.0, lambda s, base=base: base * (1 - 0.5 * s))
+        assert UnitSystem(jw.Scene(tapered, jw.Parabola(0.2))).dimensionless == dimensionless
