@@ -7,10 +7,13 @@
 # %% [markdown]
 # # The thesis, chapter by chapter
 #
-# A master's thesis on elastically coupled vibrissae (TU Ilmenau and PUCP) is where the models here come from. This
-# notebook computes some of its tables, figures and claims; `jaxwhisker reproduce` makes all of them. Everything is
-# dimensionless: lengths in L, forces in EI/L², moments in EI/L, stiffnesses in EI/L³; u is the position of the drive,
-# which moves towards -x, so that curves over u run from right to left. About two minutes.
+# After this notebook you can reproduce tables, figures and claims of the thesis from
+# which the models come: a master's thesis on elastically coupled vibrissae (TU Ilmenau
+# and PUCP). The notebook computes some of them; `jaxwhisker reproduce` computes all.
+#
+# Everything is dimensionless: lengths in L, forces in EI/L², moments in EI/L,
+# stiffnesses in EI/L³. u is the position of the drive, which moves towards -x, so
+# curves over u run from right to left. The notebook takes about two minutes.
 
 # %%
 import tempfile
@@ -22,17 +25,17 @@ jax.config.update("jax_enable_x64", True)
 
 from IPython.display import Image, Markdown
 
-from jaxwhisker.thesis import coupling, shifts
+from jaxwhisker.thesis import claims
 from jaxwhisker.thesis.catalogue import FIGURES
 from jaxwhisker.thesis.claim import varied
-from jaxwhisker.thesis.claims import unchanged_by_stiffness
 from jaxwhisker.thesis.figures import draw
-from jaxwhisker.thesis.page import Table, markdown
+from jaxwhisker.thesis.page import markdown_table
 from jaxwhisker.thesis.scans import STIFFNESSES, Scans
-from jaxwhisker.thesis.tables import TABLES, rows
+from jaxwhisker.thesis.tables import TABLES, table_rows
 
 # %% [markdown]
-# The scans behind what is shown are computed in the background from here on, one study for each kind of scene.
+# All scans are computed in the background from here on, with one study for each kind of
+# scene.
 
 # %%
 shown = ("6.1", "6.2", "6.3", "6.10", "6.18", "7.4")
@@ -45,12 +48,13 @@ scans, folder = Scans(cases), Path(tempfile.mkdtemp())
 # %% [markdown]
 # ## Chapter 5: one clamped whisker under a given force
 #
-# Table A.1: the reactions to a follower force, which turns with the whisker's tip. (Mz is the bending moment at the
-# base, our -mz.) The last column is the thesis's multi-body model.
+# Table A.1 lists the reactions to a follower force, which rotates with the tip of the
+# whisker. (Mz is the bending moment at the base, our -mz.) The last column is the
+# multi-body model of the thesis.
 
 # %%
-table = rows(TABLES["A.1"])
-Markdown(markdown([Table(table)]))
+table = table_rows(TABLES["A.1"])
+Markdown(markdown_table(table))
 
 # %%
 assert all(
@@ -59,65 +63,67 @@ assert all(
 Image(filename=draw(FIGURES["5.10"], scans, folder)[0])
 
 # %% [markdown]
-# The whisker under these loads. A strong follower force bends the tip back below itself, and pulls at the base the
-# other way.
+# The whisker under these loads. A strong follower force bends the tip back on itself
+# and pulls the base in the opposite direction.
 #
 # ## Chapter 6: whiskers on springs
 #
 # ### One whisker
 #
-# The four states of a scan: tip contact, tangential contact before and after the vertex, tip contact again.
+# A scan has four states: tip contact, tangential contact before and after the vertex,
+# and tip contact again.
 
 # %%
 Image(filename=draw(FIGURES["6.1"], scans, folder)[0])
 
 # %% [markdown]
-# The reactions for springs of different stiffness; black is the clamped whisker. All curves cross where the force is
-# vertical and the spring has no load.
+# Reactions for springs of different stiffness; black is the clamped whisker. All curves
+# cross where the force is vertical and the spring has no load.
 
 # %%
 Image(filename=draw(FIGURES["6.2"], scans, folder)[0])
 
 # %%
-crossing = shifts.common_point(scans)
-Markdown(f"**{crossing.says}.** {crossing.verdict}")
+crossing = claims.common_point(scans)
+Markdown(f"**{crossing.statement}.** {crossing.result}")
 
 # %% [markdown]
-# The thesis's main claim is that stiffness shifts and narrows the signal, but leaves its maxima unchanged.
+# The main claim of the thesis: stiffness shifts and narrows the signal, but leaves its
+# maxima unchanged.
 
 # %%
-unchanged = unchanged_by_stiffness(scans)
-Markdown(f"**{unchanged.says}.** {unchanged.verdict} {unchanged.why}")
+unchanged = claims.unchanged_by_stiffness(scans)
+Markdown(f"**{unchanged.statement}.** {unchanged.result} {unchanged.explanation}")
 
 # %% [markdown]
-# It ends where the springs are softer than a critical stiffness: the scan then snaps through the vertex and skips the
-# maximum (see the notebook 03_studies).
+# The claim ends at a critical stiffness. With a softer spring the scan snaps through
+# the vertex and skips the maximum (see the notebook 03_studies).
 #
 # ### Two whiskers
 #
-# A second spring ties whisker 2 to whisker 1. When whisker 1 lets go, whisker 2 feels it, the more the softer the
-# springs.
+# A second spring couples whisker 2 to whisker 1. When whisker 1 detaches, the signal
+# of whisker 2 jumps, and the jump is larger with softer springs.
 
 # %%
 Image(filename=draw(FIGURES["6.10"], scans, folder)[0])
 
 # %%
-letting_go = coupling.detachment(scans)
-Markdown(f"**{letting_go.says}.** {letting_go.verdict} {letting_go.why}")
+detachment = claims.detachment(scans)
+Markdown(f"**{detachment.statement}.** {detachment.result} {detachment.explanation}")
 
 # %% [markdown]
-# ### ... with feedback
+# ### Two whiskers with feedback
 #
-# A third spring ties whisker 2 to the drive.
+# A third spring couples whisker 2 to the drive.
 
 # %%
 Image(filename=draw(FIGURES["6.18"], scans, folder)[0])
 
 # %%
-feedback = coupling.feedback(scans)
+feedback = claims.feedback(scans)
 Markdown(
-    markdown([Table(feedback.rows)])
-    + f"\n\n**{feedback.says}.** {feedback.verdict} {feedback.why}"
+    markdown_table(feedback.rows)
+    + f"\n\n**{feedback.statement}.** {feedback.result} {feedback.explanation}"
 )
 
 # %% [markdown]
@@ -127,25 +133,23 @@ Markdown(
 Image(filename=draw(FIGURES["7.4"], scans, folder)[0])
 
 # %%
-third = coupling.third_whisker(scans)
-Markdown(f"**{third.says}.** {third.verdict}")
+third = claims.third_whisker(scans)
+Markdown(f"**{third.statement}.** {third.result}")
 
 # %% [markdown]
-# What was asserted along the way holds, as far as the thesis says it does:
+# All claims above hold as far as the thesis makes them:
 
 # %%
-for claim in (crossing, unchanged, letting_go, feedback, third):
-    print(
-        "holds" if claim.verdict.startswith("holds") else "DOES NOT HOLD",
-        claim.says,
-        sep=": ",
-    )
-    assert claim.verdict.startswith("holds")
+for claim in (crossing, unchanged, detachment, feedback, third):
+    print(f"{claim.holds}: {claim.statement}")
+    assert claim.holds in ("yes", "in part")
 
 # %% [markdown]
 # ## Something to try
 #
-# - The other figures: `FIGURES` has them by number. What a figure's scans are tells `FIGURES["6.4"].cases`; they have
-#   to be among the cases above.
-# - Which data are behind a picture? `draw` writes a CSV file beside it and returns both paths.
-# - All claims with their numbers, and where they end: the page docs/thesis.md, or `jaxwhisker reproduce --only claims`.
+# - Draw the other figures: `FIGURES` contains them by number. `FIGURES["6.4"].cases`
+#   are the scans of a figure; add them to the cases above.
+# - Look at the data of a figure: `draw` writes a CSV file next to the picture and
+#   returns both paths.
+# - Read all claims with their numbers and their limits: the page docs/thesis.md, or
+#   `jaxwhisker reproduce --only claims`.

@@ -52,9 +52,9 @@ def _run(args: argparse.Namespace) -> int:
     with options.usage_errors():
         check(args.file, args.seconds, args.fps, args.width)
         scene = options.scene_of(args)
-        control = options.control_of(args, scene)
+        options.check_drive(args)
         print(scene, flush=True)
-        result = scan(scene, control)
+        result = scan(scene, options.control_of(args, scene))
     print(status_line(result)[1], flush=True)
     code = scan_code(result)
     animate(result, args.file, seconds=args.seconds, fps=args.fps, width=args.width, units=args.units)

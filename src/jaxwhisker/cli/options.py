@@ -3,7 +3,7 @@
 import argparse
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -79,34 +79,38 @@ def add_command(
     return command
 
 
-def add_sensor(command: argparse.ArgumentParser, kind: Callable = number, springs: Callable = numbers) -> None:
-    """Add the options of whiskers and springs, whose values `kind` and `springs` convert."""
-    several = springs is numbers
-    per_spring = ", or one value per spring in the order c1, c2, ..." if several else ""
-    per_length = "; or one length per spring, feedback included" if several else ""
+def add_sensor(
+    command: argparse.ArgumentParser,
+    kind: Callable = number,
+    springs: Callable = numbers,
+    *,
+    several: bool = True,
+    defaults: Sequence[str] = tuple(f"{value:g}" for value in SPRINGS.values()),
+) -> None:
+    """Add the options of whiskers and springs.
+
+    Args:
+        command: to which the options are added.
+        kind: converts the value of an option of the whiskers.
+        springs: converts the value of an option of the springs.
+        several: whether each spring may have its own value.
+        defaults: of stiffness and rest length, as the help shows them.
+    """
+    stiffness, rest_length = "stiffness of all springs", "rest length of each spring in the row"
+    feedback = "a feedback spring gets the sum of those that it spans"
+    if several:
+        stiffness += ", or one value per spring in the order c1, c2, ..."
+        feedback += "; or one length per spring, feedback included"
+    more = "[,...]" * several
     add = command.add_argument_group("whiskers and springs").add_argument
     add("--model", type=model, default="FB", metavar="NAME", help=f"{', '.join(MODELS)} (default: %(default)s)")
-    add(
-        "--stiffness",
-        type=springs,
-        metavar="C" + "[,C...]" * several,
-        help=f"stiffness of all springs{per_spring}; inf is a rigid link (default: {SPRINGS['stiffness']:g})",
-    )
-    add(
-        "--rest-length",
-        type=springs,
-        metavar="L" + "[,L...]" * several,
-        help="rest length of each spring in the row; a feedback spring gets the sum of those that it spans"
-        f"{per_length} (default: {SPRINGS['rest_length']:g})",
-    )
+    text = f"{stiffness}; inf is a rigid link (default: {defaults[0]})"
+    add("--stiffness", type=springs, metavar=f"C{more}", help=text)
+    text = f"{rest_length}; {feedback} (default: {defaults[1]})"
+    add("--rest-length", type=springs, metavar=f"L{more}", help=text)
     add("--length", type=kind, default="1.0", metavar="L", help="length of the whiskers (default: %(default)s)")
-    add(
-        "--bending-stiffness",
-        type=kind,
-        default="1.0",
-        metavar="EI",
-        help="bending stiffness of the whiskers (default: %(default)s)",
-    )
+    text = "bending stiffness of the whiskers (default: %(default)s)"
+    add("--bending-stiffness", type=kind, default="1.0", metavar="EI", help=text)
 
 
 def add_object(command: argparse.ArgumentParser, kind: Callable = number) -> None:
@@ -201,13 +205,20 @@ def scene_of(args: argparse.Namespace) -> Scene:
 
 
 def check_drive(args: argparse.Namespace) -> None:
-    """Reject invalid drive positions."""
+    """Reject invalid drive positions, before the ends that are not given are computed."""
     for option in ("start", "stop", "step"):
         value = getattr(args, option)
         if value is not None and not math.isfinite(value):
             raise ValueError(f"--{option} must be a finite number, got {value}.")
     if args.step is not None and not args.step > 0:
         raise ValueError(f"--step must be positive, got {args.step}; for a scan towards +x set --stop above --start.")
+    if args.start is not None and args.stop is not None:
+        positions(args.start, args.stop, step_of(args))
+
+
+def step_of(args: argparse.Namespace) -> float:
+    """Distance between drive positions."""
+    return STEP * float(np.max(args.length)) if args.step is None else args.step
 
 
 def positions(start: float, stop: float, step: float) -> np.ndarray:
@@ -221,14 +232,13 @@ def positions(start: float, stop: float, step: float) -> np.ndarray:
 
 def control_of(args: argparse.Namespace, scene: Scene) -> np.ndarray | None:
     """Drive positions of a scan; None for the default ones."""
-    check_drive(args)
     if args.start is None and args.stop is None and args.step is None:
         return None
     start, stop = args.start, args.stop
     if start is None or stop is None:
         default = default_control(scene)
         start, stop = (default[0] if start is None else start), (default[-1] if stop is None else stop)
-    return positions(start, stop, STEP * args.length if args.step is None else args.step)
+    return positions(start, stop, step_of(args))
 
 
 # Output files

@@ -51,9 +51,9 @@ def _run(args: argparse.Namespace) -> int:
     options.check_picture(args.plot)
     with options.usage_errors():
         scene = options.scene_of(args)
-        control = options.control_of(args, scene)
+        options.check_drive(args)
         print(scene, flush=True)
-        result = scan(scene, control)
+        result = scan(scene, options.control_of(args, scene))
     if touches_object(result):
         print(f"\n{event_table(result, args.units)}\n\n{peak_table(result, args.units)}\n")
     print(status_line(result)[1])

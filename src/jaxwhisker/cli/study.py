@@ -9,7 +9,6 @@ import numpy as np
 
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._scan.report import table
-from jaxwhisker._scan.scan import STEP
 from jaxwhisker.cli import options
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ def add(commands) -> None:
     """Add the command."""
     short = "scan many scenes: one model over ranges of parameters"
     command = options.add_command(commands, "study", _run, short=short, about=ABOUT, details=DETAILS)
-    options.add_sensor(command, axis, springs=axis)
+    options.add_sensor(command, axis, axis, several=False)
     options.add_object(command, axis)
     options.add_drive(command)
     add = command.add_argument_group("output").add_argument
@@ -88,7 +87,7 @@ def _control(args: argparse.Namespace) -> np.ndarray | None:
     for option in ("start", "stop"):
         if option not in given:
             raise ValueError(f"--{option} must be given with --{given[0]}: all scans of a study share their control.")
-    return options.positions(args.start, args.stop, STEP * max(args.length) if args.step is None else args.step)
+    return options.positions(args.start, args.stop, options.step_of(args))
 
 
 def _run(args: argparse.Namespace) -> int:
