@@ -278,8 +278,8 @@ def changed_by_distance(scans: Scans) -> Claim:
         if all(falls)
         else f"The claim holds for {sum(falls)} of {len(falls)} maxima and detachments.",
         explanation="""Of the varied parameters only q changes the reactions as functions of the base position. At
-        q = 0.1 the base value c = 70 is below the critical stiffness: fy and mz in the table are then what the snap
-        leaves of the maxima. The rows of the clamped whisker show the full maxima.""",
+        q = 0.1 the base value c = 70 is below the critical stiffness: the snap cuts off the maxima of fy and mz. The
+        rows of the clamped whisker show the full maxima.""",
         rows=[["model", "q", "whisker", *MAXIMA_NAMES, "u of detachment", "snaps through at u"], *rows],
     )
 
