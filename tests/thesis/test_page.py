@@ -1,7 +1,15 @@
 """Markdown of results: paragraphs, tables, figures, claims with links to their sections."""
 
 from jaxwhisker.thesis.claim import Claim
-from jaxwhisker.thesis.page import claim_sections, claims_table, figure, folded, markdown_table, paragraph
+from jaxwhisker.thesis.page import (
+    claim_sections,
+    claims_table,
+    figure,
+    folded,
+    html_page,
+    markdown_table,
+    paragraph,
+)
 
 CLAIM = Claim("It holds at u = -0.534, always", "6.1", "yes", "The claim holds: a | b.", "Because.", [["x"], ["1"]])
 
@@ -28,4 +36,7 @@ def test_claims_link_to_their_sections():
     assert sections.startswith(
         "### 1. It holds at u = -0.534, always\n\n**Result:** The claim holds: a | b.\n\nBecause."
     )
+    html = html_page(f"# Title\n\n{overview}\n\n{sections}")
+    assert "<title>Title</title>" in html and '<td><a href="#1-it-holds-at-u-0534-always">1</a></td>' in html
+    assert '<h3 id="1-it-holds-at-u-0534-always">' in html and "<strong>Result:</strong>" in html
     assert folded("Numbers", markdown_table(CLAIM.rows)) in claim_sections([CLAIM], fold=True)

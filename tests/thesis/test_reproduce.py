@@ -22,8 +22,9 @@ def test_a_table_and_a_figure_are_written(tmp_path, capsys):
     reproduce(out, ["6.2", "A.1"])
     stems = {"figure_6.02", "table_A.1"}
     files = {f"{stem}{ending}" for stem in stems for ending in (".png", ".csv")}
-    assert {path.name for path in out.iterdir()} == files | {"README.md"}
-    text = (out / "README.md").read_text()
+    assert {path.name for path in out.iterdir()} == files | {"README.md", "index.html"}
+    html, text = ((out / name).read_text() for name in ("index.html", "README.md"))
+    assert all(f'="{name}"' in html for name in files) and "<td style=" in html and "0.8795" in html
     assert all(f"({name})" in text for name in files)
     assert text.index("## Tables A.1 to A.4") < text.index("## Chapter 6") and "## Claims" not in text
     assert np.std(imread(out / "figure_6.02.png")[..., :3]) > 0.05

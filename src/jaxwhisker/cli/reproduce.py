@@ -8,7 +8,7 @@ from jaxwhisker.cli import options
 ABOUT = """\
 Compute and draw the results of the thesis: tables A.1 to A.4, figures 5.10 to
 5.16, 6.1 to 6.24 and 7.4, each as PNG with its data as CSV, and the claims with
-numbers (claims.md). The file README.md shows all of them on one page.
+numbers (claims.md). One page shows all of them (index.html, README.md).
 """
 
 

@@ -1,4 +1,7 @@
-"""Results as Markdown: paragraphs, tables, figures and claims, for the folder of results and for the documentation."""
+"""Results as Markdown: paragraphs, tables, figures and claims, for the folder of results and for the documentation.
+
+Python-Markdown, which renders the documentation, also renders the page in the folder of results.
+"""
 
 import re
 import textwrap
@@ -7,6 +10,35 @@ from collections.abc import Sequence
 from jaxwhisker.thesis.claims import Claim
 
 WIDTH = 120
+HTML = """\
+<!DOCTYPE html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>
+body {{ font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }}
+img {{ max-width: 100%; }}
+table {{ border-collapse: collapse; font-size: 0.85rem; display: block; overflow-x: auto; }}
+th, td {{ border: 1px solid #ccc; padding: 0.15rem 0.5rem; }}
+th {{ background: #eee; }}
+</style>
+{body}
+</html>
+"""
+
+
+def html_page(text: str) -> str:
+    """Render a page of Markdown, whose first line is its title.
+
+    Raises:
+        ImportError: if Python-Markdown is missing.
+    """
+    try:
+        from markdown import markdown
+    except ImportError as error:
+        raise ImportError("`reproduce` needs markdown: pip install jaxwhisker[study]") from error
+    return HTML.format(title=text.splitlines()[0].lstrip("# "), body=markdown(text, extensions=["tables", "toc"]))
 
 
 def paragraph(text: str) -> str:

@@ -10,7 +10,7 @@ from jaxwhisker._scan.report import write_rows
 from jaxwhisker.thesis.catalogue import FIGURES
 from jaxwhisker.thesis.claims import all_claims, needed
 from jaxwhisker.thesis.figures import draw, draw_table
-from jaxwhisker.thesis.page import claim_sections, claims_table, figure, markdown_table, paragraph
+from jaxwhisker.thesis.page import claim_sections, claims_table, figure, html_page, markdown_table, paragraph
 from jaxwhisker.thesis.scans import Case, Scans
 from jaxwhisker.thesis.tables import TABLES, table_rows
 
@@ -63,7 +63,9 @@ def parse_names(text: str) -> list[str]:
 
 
 def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
-    """Write tables, figures and claims with their data into a folder, and README.md, which shows all of them.
+    """Write tables, figures and claims with their data into a folder, and one page that shows all of them.
+
+    The page is written as index.html and as README.md.
 
     Args:
         out: the folder; it is created if it does not exist.
@@ -74,6 +76,7 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     """
     wanted = available() if only is None else list(only)
     out.mkdir(parents=True, exist_ok=True)
+    html_page(TITLE)  # reports a missing package before anything is computed
     parts = [TITLE, paragraph(ABOUT), paragraph(PARAMETERS)]
     interactive = sys.stderr.isatty()
     with Scans(_cases(wanted)) as scans, tqdm(total=len(wanted), unit="result", disable=not interactive) as bar:
@@ -86,8 +89,10 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
                 bar.update()
             if chosen and not interactive:
                 print(f"done: {heading}", flush=True)
-    (out / "README.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
-    print(f"wrote {len(wanted)} results to {out}; see {out / 'README.md'}")
+    text = "\n\n".join(parts) + "\n"
+    (out / "README.md").write_text(text, encoding="utf-8")
+    (out / "index.html").write_text(html_page(text), encoding="utf-8")
+    print(f"wrote {len(wanted)} results to {out}; see {out / 'index.html'}")
 
 
 def _cases(wanted: Sequence[str]) -> list[Case]:
