@@ -7,8 +7,8 @@ from matplotlib.image import imread
 
 import jaxwhisker as jw
 from jaxwhisker import cli
+from jaxwhisker._study import steepness as steepnesses
 from jaxwhisker._study.kernel import Kernel
-from jaxwhisker._study.steepness import steepness as steepness_of
 from jaxwhisker.cli.study import axis
 from jaxwhisker.plot import studies
 from scenes import model
@@ -151,13 +151,13 @@ def test_the_picture_shows_the_critical_stiffness():
     stiffness, distance = np.linspace(10, 60, 6), np.array([0.15, 0.2])
     build = lambda stiffness, distance=0.2: model("FB", stiffness, distance=distance)  # noqa: E731
     data = xr.Dataset(coords={"stiffness": stiffness})
-    steepness = steepness_of(build, data)
+    steepness = steepnesses.steepness(build, data)
     (at,) = studies._crossings(steepness.stiffness.values, steepness.values)
     assert abs(at / CRITICAL - 1) < READ
-    grid = steepness_of(build, xr.Dataset(coords={"stiffness": stiffness, "distance": distance}))
+    grid = steepnesses.steepness(build, xr.Dataset(coords={"stiffness": stiffness, "distance": distance}))
     np.testing.assert_allclose(grid.isel(distance=-1), steepness, rtol=1e-12)
     assert np.all(grid.isel(distance=0) > grid.isel(distance=-1))
-    bad = steepness_of(build, xr.Dataset(coords={"stiffness": [-10.0, 10.0]}))
+    bad = steepnesses.steepness(build, xr.Dataset(coords={"stiffness": [-10.0, 10.0]}))
     np.testing.assert_array_equal(np.isnan(bad), bad.stiffness <= 0)
 
 
