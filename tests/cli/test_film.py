@@ -30,7 +30,6 @@ def test_wrong_options_end_with_one_line_before_the_scan(argv, words, tmp_path, 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.unchecked
 @pytest.mark.parametrize(
     ("made", "code"),
     [({}, cli.OK), ({"failed": 1}, cli.NOT_ALL_OK), ({"touching": False}, cli.NO_CONTACT)],

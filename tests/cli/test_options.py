@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def test_positions_include_both_ends():
 def test_missing_ends_of_the_drive_are_those_of_the_default(monkeypatch):
     monkeypatch.setattr(options, "default_control", lambda scene: np.array([1.0, 0.5, -1.0]))
 
-    def control(*argv):
+    def control(*argv) -> Any:
         args = arguments(*argv)
         return options.control_of(args, options.scene_of(args))
 

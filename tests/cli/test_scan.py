@@ -8,7 +8,7 @@ import pytest
 from matplotlib.image import imread
 
 import jaxwhisker as jw
-from handmade import handmade_scan
+from handmade import SI, handmade_scan
 from jaxwhisker import cli
 from jaxwhisker.cli import scan as command
 
@@ -126,7 +126,6 @@ def test_control_is_that_of_the_options(tmp_path, capsys):
     assert "release" in capsys.readouterr().out
 
 
-@pytest.mark.unchecked
 @pytest.mark.parametrize(
     ("made", "code", "line"),
     [
@@ -144,9 +143,8 @@ def test_exit_code_and_last_line_tell_how_the_scan_ended(made, code, line, monke
     assert ("minimum" in out) == made.get("touching", True)  # no tables of zeros
 
 
-@pytest.mark.unchecked
 def test_units_of_the_tables_are_chosen(monkeypatch, capsys):
-    monkeypatch.setattr(command, "scan", lambda scene, control: handmade_scan(jw.Whisker(0.05, 2.4e-5)))
+    monkeypatch.setattr(command, "scan", lambda scene, control: handmade_scan(*SI))
     for units, words in (("auto", "fx (mN)"), ("SI", "mz (mN mm)"), ("dimensionless", "fx (EI/L^2)")):
         assert cli.main(["scan", "--units", units]) == cli.OK
         assert words in capsys.readouterr().out

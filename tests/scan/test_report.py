@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
-import jaxwhisker as jw
-from handmade import handmade_scan
+from handmade import SI, handmade_scan
 from jaxwhisker._scan import report
 
-L, EI = 0.05, 2.4e-5  # m, N m^2: EI/L^2 = 9.6 mN, EI/L = 0.48 mN m
-DIMENSIONLESS, SI = jw.Whisker(), jw.Whisker(L, EI)
-pytestmark = pytest.mark.unchecked  # of numpy arrays instead of jax arrays
+DIMENSIONLESS = 1.0, 1.0
 
 
 @pytest.mark.parametrize(
@@ -23,14 +20,14 @@ pytestmark = pytest.mark.unchecked  # of numpy arrays instead of jax arrays
     ],
 )
 def test_events_have_units(whisker, units, heading, values):
-    header, _, row = report.event_table(handmade_scan(whisker), units).splitlines()
+    header, _, row = report.event_table(handmade_scan(*whisker), units).splitlines()
     assert all(words in header for words in heading.replace(") ", ")|").split("|"))
     assert row.split()[:3] == [values[0], "touch", "1"]
     assert row.split()[3:5] == values[1:]
 
 
 def test_peaks_have_units_and_no_position_where_they_are_zero():
-    _, _, fx, fy, mz = (line.split() for line in report.peak_table(handmade_scan(SI)).splitlines())
+    _, _, fx, fy, mz = (line.split() for line in report.peak_table(handmade_scan(*SI)).splitlines())
     assert fx == ["1", "fx", "(mN)", "-19.20000", "25.00000", "0.00000", "-"]
     assert fy == ["1", "fy", "(mN)", "0.00000", "-", "0.00000", "-"]
     assert mz == ["1", "mz", "(mN", "mm)", "240.000", "50.00000", "240.000", "50.00000"]
@@ -57,7 +54,7 @@ def test_numbers_have_fixed_decimals_and_no_negative_zero(value, digits, text):
 
 @pytest.mark.parametrize("factor", [1e-30, 1e30])
 def test_extreme_scenes_are_printed_in_powers_of_ten(factor):
-    *_, row = report.event_table(handmade_scan(jw.Whisker(1.0, factor))).splitlines()
+    *_, row = report.event_table(handmade_scan(1.0, factor)).splitlines()
     assert float(row.split()[4]) == pytest.approx(-2 * factor / (1e-12 if factor < 1 else 1e9))
 
 

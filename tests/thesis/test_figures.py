@@ -1,5 +1,7 @@
 """Figures: labels, colours; drawing itself: test_reproduce."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -7,7 +9,7 @@ from matplotlib.image import imread
 from jaxwhisker import plot
 from jaxwhisker.thesis.catalogue import Figure
 from jaxwhisker.thesis.figures import _colours, draw, draw_table, plain
-from jaxwhisker.thesis.scans import Case, vary
+from jaxwhisker.thesis.scans import Case, Scans, vary
 
 
 def test_labels_of_data_have_no_latex():
@@ -21,8 +23,9 @@ def test_the_clamped_whisker_is_black_in_comparisons():
 
 @pytest.mark.unchecked
 def test_unknown_entries_are_rejected(tmp_path):
+    wrong: Any = 3
     with pytest.raises(TypeError, match="`shows` must be an entry of the catalogue, got 3"):
-        draw(Figure("6.1", "title", 3), None, tmp_path)
+        draw(Figure("6.1", "title", wrong), Scans([]), tmp_path)
 
 
 def test_tables_are_drawn(tmp_path):

@@ -61,7 +61,7 @@ def add(commands) -> None:
     add("--plot", type=Path, metavar="FILE", help="picture: .png, .pdf, .svg, ...; for one or two ranges")
 
 
-def _builder(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, np.ndarray]]:
+def _builder(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, Any]]:
     """The function that builds scenes from the varied parameters, and their values."""
     given = {name: np.atleast_1d(np.asarray(v, dtype=float)) for name, v in options.parameters_of(args).items()}
     axes = {name: values for name, values in given.items() if values.size > 1}
