@@ -73,7 +73,7 @@ class FromAfar(AbstractApproach):
     """A drive that moves along x, from far away to far away."""
 
     def first_touch(self) -> Scalar:
-        """The control at which the first whisker touches; infinite, on the near side, if none ever does."""
+        """The control at which the first whisker touches; infinite, beyond the object, if none ever does."""
         problem, zero = self.problem, jnp.asarray(0.0)
         at = problem.stance(zero, problem.rest(zero))
         first = at.right if self.onwards < 0 else at.left

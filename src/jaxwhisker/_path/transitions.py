@@ -92,7 +92,14 @@ def _moved(state: MarchState, trial: Trial, node: Node) -> MarchState:
 
 
 def _to_snap(state: MarchState) -> MarchState:
+    """The state about to leave an equilibrium that has lost its stability."""
     return state._replace(
+        pending=state.pending._replace(
+            z_before=state.point.z,
+            arriving=state.tangent,
+            phase_before=state.mode.phase,
+            side_before=state.mode.side,
+        ),
         task=jnp.asarray(int(Task.kick)),
         flow=snap_flow.start(state.mode, state.pose),
         unstable_at=jnp.asarray(jnp.inf),
