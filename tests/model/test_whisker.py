@@ -53,6 +53,10 @@ def test_a_rat_has_the_whiskers_of_the_regressions():
     assert float(shorter.curvature_at(0.01)) == 10.0
 
 
+def test_the_stiffness_may_vanish_at_the_tip():
+    assert jw.Whisker(1.0, lambda s: 1.0 - s).stiffness_at(1.0) == 0
+
+
 def test_parameters_of_a_module_are_differentiable():
     def middle(start, growth):
         return jw.Whisker(2.0, Line(start, growth)).stiffness_at(1.0)
@@ -81,6 +85,7 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (lambda: jw.Whisker.rat(["A"], 2), "`row` must be one of"),
         (lambda: jw.Whisker.rat("B", 5), "`column` must be an int from 0 to 4 in row B, got 5"),
         (lambda: jw.Whisker.rat("B", True), "`column` must be an int from 0 to 4 in row B, got True"),
+        (lambda: jw.Whisker(1.0, lambda s: 0.99 - s), r"`bending_stiffness` must be positive .*, got -0.01\d* at 1 of"),
         (
             lambda: jw.Whisker(1.0, lambda s: 1.0 - 2.5 * s),
             r"`bending_stiffness` must be positive and finite .*, got -0.0156\d* at 0.406",
