@@ -87,7 +87,7 @@ $(BIN)/python:
 
 $(VENV)/installed: pyproject.toml | $(BIN)/python
 	@echo "installing jaxwhisker into $(VENV)"
-	@$(PIP_INSTALL) '.[study]'
+	@$(PIP_INSTALL) '.[study,explore]'
 	@touch $@
 
 $(VENV)/installed-bench: pyproject.toml | $(BIN)/python

@@ -14,7 +14,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import urllib.request
 from pathlib import Path
@@ -32,7 +31,7 @@ from selenium.webdriver.chrome.service import Service
 
 import jaxwhisker as jw
 from common import summary, write
-from jaxwhisker._explore import page
+from jaxwhisker._explore.hosts import served
 from jaxwhisker._explore.session import Session
 from jaxwhisker._scan.scan import contact_range
 
@@ -114,15 +113,11 @@ def on_page(driver: webdriver.Chrome, model: str, rod: str) -> dict[str, Any]:
     names: dict[str, Any] = {"jw": jw}
     exec(BUILD.format(model, rod), names)
     session = Session(names["build"], eval(f"dict({RANGES})"))
-    with page.Server(session) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        driver.get(server.url)
+    with served(session) as url:
+        driver.get(url)
         settle(driver)
         row = dragged(driver, "local page", model, rod)
         driver.get("about:blank")
-        server.shutdown()
-        thread.join()
     return row
 
 

@@ -48,10 +48,10 @@ def measure(output: str, model: str, lanes: int, cores: int, steps: int, points:
     import numpy as np
 
     import jaxwhisker as jw
-    from jaxwhisker._study import plan
-    from jaxwhisker._study.kernel import Kernel
+    from jaxwhisker._study import parameters
+    from jaxwhisker._study.compute import Kernel
 
-    plan.LANES, plan.PARTS = lanes, 1  # force the block size
+    parameters.LANES, parameters.PARTS = lanes, 1  # force the block size
     compiled, ready = Kernel.compiled, []
 
     def clocked(self):

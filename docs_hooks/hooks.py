@@ -8,6 +8,8 @@ from pathlib import Path
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
+from jaxwhisker._scan.quantities import CONTROL, QUANTITIES, unit_in_words
+
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
@@ -37,8 +39,26 @@ def on_files(files, config):
 on_files.mkdocs_priority = 100  # before the plugin that turns them into pages
 
 
+def quantities():
+    """The table of quantities, in Markdown."""
+    rows = ["| name | description | symbol | axes | unit | positive means |", "| --- | --- | --- | --- | --- | --- |"]
+    for name, quantity in QUANTITIES.items():
+        if name.startswith(("before_", "after_")):
+            continue  # the same as the state's, at an event
+        unit = "as the control" if quantity.kind == CONTROL else unit_in_words(quantity.kind, dimensionless=True)
+        symbol = rf"\({quantity.symbol}\)" if quantity.symbol else ""
+        axes = ", ".join(quantity.axes)
+        rows.append(f"| `{name}` | {quantity.description} | {symbol} | {axes} | {unit} | {quantity.sign} |")
+    return "\n".join(rows)
+
+
 def on_page_markdown(markdown, page, **_):
-    """Point links to notebooks at their pages; replace links to other files outside docs/ by the name of the file."""
+    """Insert the table of quantities, and adapt links to files outside docs/.
+
+    Links to notebooks point at their pages; the site has no other files, so that only their names remain.
+    """
+
+    markdown = markdown.replace("<!-- quantities -->", quantities())
 
     def inside(match):
         name, file = match.groups()

@@ -24,8 +24,7 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np
 
 import jaxwhisker as jw
-from jaxwhisker._study.critical import steepest
-from jaxwhisker._study.steepness import steepness
+from jaxwhisker._study.critical import steepest, steepness
 
 
 def build(stiffness, distance=0.2):

@@ -1,4 +1,4 @@
-"""Float64, a compilation cache that workers and runs share, reproducible random scenes, not too much compiled code."""
+"""Float64, a compilation cache shared by workers and runs, reproducible random scenes, limited compiled code."""
 
 import gc
 import hashlib
@@ -10,7 +10,7 @@ import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
-# Before jax starts: on some processors it logs an error for every cached executable, though this very one wrote it.
+# Before jax starts: on some processors it logs an error for every cached executable, even its own.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax
@@ -18,29 +18,29 @@ import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Compiling takes most of the tests' time. XLA's older, plainer code takes half of that, and runs slower; both cores are
-# busy anyway, so that splitting a program among threads only costs. Tests of what everybody else gets:
+# Compilation takes most of the tests' time. With these options it takes half as long, and the code runs slower. Both
+# cores are busy anyway: splitting a program among threads only adds cost. To test with the default options, run
 # XLA_FLAGS= make test
 PLAIN = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 if version("jaxlib").startswith("0.10."):
     PLAIN += " --xla_cpu_use_fusion_emitters=false"
 if "XLA_FLAGS" not in os.environ:
-    # A process that is given a flag which its XLA does not know is aborted, so another one tries; workers inherit.
+    # XLA aborts a process with an unknown flag, and therefore another process tries them; workers inherit the result.
     command = [sys.executable, "-c", "import jax; jax.devices()"]
     tried = subprocess.run(command, env=os.environ | {"XLA_FLAGS": PLAIN}, capture_output=True, check=False)
     os.environ["XLA_FLAGS"] = "" if tried.returncode else PLAIN
 
-# By configuration, not JAX_ENABLE_X64: the command line is tested in processes that must switch it on themselves.
+# Not by JAX_ENABLE_X64, because command-line tests start processes that must switch it on themselves.
 jax.config.update("jax_enable_x64", True)
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-# Types and shapes of all functions hold while tests run; an int may stand for a float.
+# Types and shapes of all functions are checked while tests run; an int is accepted as a float.
 jaxtyping.install_import_hook("jaxwhisker", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Wrong input on purpose has to meet the library's own checks."""
+    """Let intentionally wrong input reach the library's own checks."""
     jaxtyping.config.update("jaxtyping_disable", item.get_closest_marker("unchecked") is not None)
 
 
@@ -56,7 +56,7 @@ settings.load_profile("ci")
 
 
 def _machine() -> str:
-    """A name for this processor: code compiled for another one may not run here."""
+    """Name of this processor: code compiled for another one may not run here."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -66,7 +66,7 @@ def _machine() -> str:
 
 
 def pytest_collection_finish() -> None:
-    """Tracing makes millions of objects, and Python looks through all of them for rings, again and again."""
+    """Collect garbage less often: tracing creates millions of objects, which every collection visits."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 50, 100)
@@ -76,19 +76,19 @@ def pytest_configure(config: pytest.Config) -> None:
     cache = getattr(config, "cache", None)
     shared = cache.mkdir("jax") if cache else Path(tempfile.gettempdir()) / "jaxwhisker-tests"
     directory = shared / _machine()
-    # Through the environment, too: for the processes that tests start.
+    # Also in the environment, for processes that tests start.
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(directory)
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-MAPPINGS = 20_000  # of memory; where Linux allows a process 65,530, the compiler crashes beyond
+MAPPINGS = 20_000  # of memory; Linux allows 65,530 per process, beyond which the compiler crashes
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _compiled_code_is_let_go():
-    """What a module compiled is in the cache on disk; in memory every one of its thousands of kernels is a mapping."""
+def _release_compiled_code():
+    """Release the kernels of a test module, each of which is a memory mapping; they stay in the cache on disk."""
     yield
     try:
         mappings = len(Path("/proc/self/maps").read_text().splitlines())

@@ -1,9 +1,9 @@
-"""Operations of a computation, counted in what is traced: they depend on neither machine nor compiler."""
+"""Operations of a traced computation; their number depends on neither machine nor compiler."""
 
 import jax
 from jax.interpreters import partial_eval
 
-STAGES = 11  # of the default solver: what tells its loops from others
+STAGES = 11  # of the default solver; identifies its loops
 
 
 def inner(equation):
@@ -16,18 +16,18 @@ def inner(equation):
 
 
 def operations(jaxpr):
-    """Operations of a jaxpr, those of inner ones included once."""
+    """Number of operations of a jaxpr; those of inner jaxprs count once."""
     return sum(1 + sum(map(operations, inner(equation))) for equation in jaxpr.eqns)
 
 
 def rods(jaxpr):
-    """Integrations of rods in a jaxpr: values and tangents that go through one together count once."""
+    """Number of rod integrations in a jaxpr; values and tangents integrated together count once."""
     loops = (e.primitive.name == "scan" and e.params["length"] == STAGES for e in jaxpr.eqns)
     return sum(loops) + sum(rods(core) for equation in jaxpr.eqns for core in inner(equation))
 
 
 def traced(function, *args):
-    """The jaxpr of a function, without what its results don't need."""
+    """The jaxpr of a function, without operations that its results do not need."""
     closed = jax.make_jaxpr(function)(*args)
     jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars))
     return jaxpr

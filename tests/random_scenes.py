@@ -1,4 +1,4 @@
-"""Random scenes of every kind, log-uniform in all that has a size, and their scans; checked by independent.py."""
+"""Random scenes of every kind, with log-uniform sizes, and their scans; checked by independent.py."""
 
 from typing import NamedTuple
 
@@ -33,7 +33,7 @@ class Drawn(NamedTuple):
 
 
 def drawn(network: str, profile: str, count: int, rng: np.random.Generator) -> Drawn:
-    """Random parameters: lengths and bending stiffnesses from micro to kilo, the rest relative to the first whisker."""
+    """Random parameters: lengths and bending stiffnesses from micro to kilo, others relative to the first whisker."""
     springs = NETWORKS[network]
     n = max([1, *[end for pair in springs for end in pair]])
 
@@ -61,7 +61,7 @@ def drawn(network: str, profile: str, count: int, rng: np.random.Generator) -> D
 
 
 def mechanics(network: str, profile: str, p: Drawn) -> Mechanics:
-    """What independent.py needs to know; flexibility and rest positions from the springs' energy."""
+    """The mechanics for independent.py, with flexibility and rest positions from the energy of the springs."""
     springs = NETWORKS[network]
     count, n = p.length.shape
     stiffness, pull = np.zeros((count, n, n)), np.zeros((count, n))
@@ -80,7 +80,7 @@ def mechanics(network: str, profile: str, p: Drawn) -> Mechanics:
 
 
 def scans(network: str, profile: str, rod: jw.AbstractRod):
-    """All scans of drawn parameters, compiled."""
+    """Compiled function: all scans of drawn parameters."""
     make = {"parabola": jw.Parabola, "circle": jw.Circle, "ellipse": jw.Ellipse}[profile]
 
     def one(p: Drawn):

@@ -1,4 +1,4 @@
-"""Scenes that tests share, and the exact scans stored beside them."""
+"""Scenes that tests share, and stored exact scans."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ REFERENCE = json.loads((Path(__file__).parent / "data" / "scans.json").read_text
 
 
 def model(name="FB", stiffness: float | list = 70.0, rest_length=0.2, distance=0.2, a=1.0):
-    """A named model before a parabola."""
+    """A named model and a parabola."""
     return jw.Scene(jw.Whisker(), jw.Parabola(distance, a), jw.Support.named(name, stiffness, rest_length))
 
 
@@ -41,9 +41,9 @@ def told(result):
 
 
 def in_both_modes(function, direction):
-    """By parameters and weights: a function's value, its forward and its reverse derivative, in one compilation.
+    """Compiled function of parameters and weights: value, forward and reverse derivative of the given function.
 
-    The function itself, which both modes pass through, is compiled once.
+    Both modes share one linearisation, which is compiled once.
     """
 
     @jax.jit

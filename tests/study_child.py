@@ -1,4 +1,4 @@
-"""A study as a process of its own, for tests that kill it: python study_child.py STORE."""
+"""A study in a separate process, for tests that kill it: python study_child.py STORE."""
 
 import sys
 from typing import Any

@@ -12,24 +12,26 @@ from jaxwhisker._inverse.information import Information, information
 from jaxwhisker._inverse.points import PointStatus, Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._model.contour import Contour
+from jaxwhisker._model.loads import PointForce, PointMoment
 from jaxwhisker._model.motion import AbstractMotion, Motion, Rotation, Translation
-from jaxwhisker._model.profile import AbstractProfile, Circle, Ellipse, Graph, Parabola
+from jaxwhisker._model.profile import AbstractProfile
+from jaxwhisker._model.profiles import Circle, Ellipse, Graph, Parabola, Tilted
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.spring import Spring
 from jaxwhisker._model.support import Mount, Support
-from jaxwhisker._model.tilted import Tilted
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker._rod.rod import Splitting
-from jaxwhisker._scan.deflect import Deflection, PointForce, PointMoment, deflect
+from jaxwhisker._scan.deflect import Deflection, deflect
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.export import to_csv, to_dataframe
-from jaxwhisker._scan.result import Event, Events, Result, State
+from jaxwhisker._scan.result import Event, Events, Result
 from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.shapes import Shapes, shapes
+from jaxwhisker._scan.state import State
 from jaxwhisker._study.study import study
-from jaxwhisker._study.summaries import summary
+from jaxwhisker._study.summary import summary
 from jaxwhisker.film.animate import animate
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""`python -m jaxwhisker`: the same as the installed command `jaxwhisker`."""
+"""`python -m jaxwhisker` is the installed command `jaxwhisker`."""
 
 import sys
 

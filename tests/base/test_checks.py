@@ -1,4 +1,4 @@
-"""What is wrong before tracing is a ValueError that names the argument, its value and what is allowed."""
+"""Argument checks: before tracing, a ValueError with name, allowed values and value; while tracing, a status."""
 
 # pyright: reportArgumentType=false
 import subprocess
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._base import checks
 
 pytestmark = pytest.mark.unchecked
 
@@ -18,10 +19,10 @@ nan, inf = float("nan"), float("inf")
 CASES = [
     ("length", lambda: jw.Whisker(length=-1.0), "positive"),
     ("scene", lambda: jw.stored_energy(3, 4), "Scene"),
-    ("compliance", lambda: jw.Spring((0, 1), compliance=-1.0), "at least 0"),
+    ("compliance", lambda: jw.Spring((0, 1), compliance=-1.0), "non-negative"),
     ("compliance", lambda: jw.Spring((0, 1), compliance=inf), "finite"),
-    ("compliance", lambda: jw.Spring((0, 1), 3.0, compliance=1.0), "not both"),
-    ("stiffness", lambda: jw.Spring((0, 1)), "not both"),
+    ("compliance", lambda: jw.Spring((0, 1), 3.0, compliance=1.0), "Exactly one"),
+    ("stiffness", lambda: jw.Spring((0, 1)), "Exactly one"),
     ("length", lambda: jw.Whisker(length=0.0), "positive"),
     ("length", lambda: jw.Whisker(length=nan), "positive"),
     ("length", lambda: jw.Whisker(length=inf), "finite"),
@@ -81,15 +82,86 @@ def test_the_argument_is_named(name, make, allowed):
     with pytest.raises(ValueError, match=f"`{name}`") as error:
         make()
     assert allowed in str(error.value)
-    assert "must" in str(error.value)
+    assert "must" in str(error.value) and ", got " in str(error.value)
 
 
-def test_the_value_is_told():
-    with pytest.raises(ValueError, match=r"`stiffness` must be a positive number, but is -3\.0"):
-        jw.Support.fb(-3.0, 0.2)
+@pytest.mark.parametrize(
+    ("check", "message"),
+    [
+        (lambda: checks.number("c", -3.0, positive=True), "`c` must be a positive finite number, got -3.0."),
+        (lambda: checks.number("c", nan, positive=True, finite=False), "`c` must be a positive number, got nan."),
+        (lambda: checks.number("c", -1, non_negative=True), "`c` must be a non-negative finite number, got -1.0."),
+        (lambda: checks.number("c", inf), "`c` must be a finite number, got inf."),
+        (lambda: checks.number("c", True), "`c` must be a finite number, got True."),
+        (lambda: checks.number("c", "3"), "`c` must be a finite number, got '3'."),
+        (lambda: checks.number("c", np.ones(3)), "`c` must be a finite number, got an array of shape (3,)."),
+        (lambda: checks.pair("p", [1.0, 2.0]), "`p` must be a pair of numbers, got [1.0, 2.0]."),
+        (lambda: checks.pair("p", (1.0, nan)), "`p` must be a finite number, got nan."),
+        (lambda: checks.acute_angle("a", -1.6), "`a` must be less than a right angle, got -1.6 rad."),
+        (
+            lambda: checks.vector("v", np.ones((2, 3))),
+            "`v` must be a non-empty one-dimensional array of finite numbers, got an array of shape (2, 3).",
+        ),
+        (
+            lambda: checks.vector("v", [1.0, 2.0, inf]),
+            "`v` must be a non-empty one-dimensional array of finite numbers, got inf at index 2.",
+        ),
+        (lambda: checks.count("n", True), "`n` must be a positive int, got True."),
+        (lambda: checks.count("n", 1, least=2), "`n` must be an int of at least 2, got 1."),
+        (lambda: checks.instance("s", 3, str, "a name"), "`s` must be a name, got 3."),
+        (
+            lambda: checks.function("f", np.sin),
+            "`f` must be a function that JAX can trace, got sin, which raised TracerArrayConversionError. "
+            "Use jnp.where instead of `if`, jnp.interp instead of np.interp, and jax.numpy instead of math and numpy.",
+        ),
+        (
+            lambda: checks.function("f", pow),
+            "`f` must be a function that is called with one number and returns one number, "
+            "got pow(base, exp, mod=None).",
+        ),
+        (
+            lambda: checks.function("f", lambda u: [u], ("x", "y")),
+            "`f` must be a function that is called with one number and returns (x, y), got <lambda>, which returns 1 "
+            "values.",
+        ),
+    ],
+)
+def test_messages(check, message):
+    with pytest.raises(ValueError) as error:
+        check()
+    assert str(error.value) == message
 
 
-def test_float32_mode_says_how_to_leave_it():
+def test_right_values_pass():
+    checks.number("c", 3, positive=True)
+    checks.number("c", np.float32(0.0), non_negative=True)
+    checks.number("c", inf, finite=False)
+    checks.pair("p", (1, 2.0))
+    checks.acute_angle("a", -1.5)
+    checks.vector("v", [1, 2])
+    checks.count("n", 2, least=2)
+    checks.function("f", jnp.sin)
+    checks.function("f", lambda u: (u, 0, jnp.zeros(())), ("x", "y", "angle"))
+    checks.function("f", lambda u: jnp.stack([u, u]), ("x", "y"))
+
+
+def test_functions_of_traced_parameters_pass():
+    @jax.jit
+    def call(a):
+        checks.function("f", lambda x: a * x)
+        checks.number("a", a, positive=True)
+        checks.vector("v", jnp.stack([a, a]))
+        return a
+
+    assert call(-1.0) == -1.0
+
+
+def test_errors_inside_a_function_are_not_hidden():
+    with pytest.raises(ZeroDivisionError):
+        checks.function("f", lambda x: 1 / 0)
+
+
+def test_float32_mode_is_an_error_that_names_the_remedy():
     code = (
         "import jaxwhisker as jw\n"
         "try:\n"
@@ -104,7 +176,7 @@ def test_float32_mode_says_how_to_leave_it():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_while_tracing_the_same_is_a_status():
+def test_wrong_traced_values_give_a_status():
     @jax.jit
     def scan(stiffness, distance, length):
         whisker, profile = jw.Whisker(length), jw.Parabola(distance)
@@ -118,11 +190,11 @@ def test_while_tracing_the_same_is_a_status():
         assert np.all(np.isnan(result.mz))
 
 
-def test_a_traced_control_that_is_not_finite_is_a_status():
+def test_a_traced_control_that_is_not_finite_gives_a_status():
     result = jax.jit(jw.scan)(scene, jnp.array([0.7, nan, 0.5]))
     assert np.all(np.asarray(result.status) == jw.Status.invalid)
 
 
-def test_a_default_control_of_a_billion_steps_is_refused():
-    with pytest.raises(ValueError, match="`control` must be given for so soft springs"):
+def test_a_default_control_of_a_billion_steps_is_an_error():
+    with pytest.raises(ValueError, match="Springs this soft need an explicit `control`"):
         jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(1e-6)))

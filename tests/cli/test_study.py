@@ -1,4 +1,4 @@
-"""The command `study`: options, files, exit codes, pictures."""
+"""The command `study`: options, files, exit codes, output, pictures."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,8 @@ from matplotlib.image import imread
 
 import jaxwhisker as jw
 from jaxwhisker import cli
-from jaxwhisker._study.kernel import Kernel
+from jaxwhisker._study import critical as steepnesses
+from jaxwhisker._study.compute import Kernel
 from jaxwhisker.cli.study import axis
 from jaxwhisker.plot import studies
 from scenes import model
@@ -20,24 +21,26 @@ BAD = {
     "nothing varies": (["--stiffness", "70"], ["needs a range", "jaxwhisker scan"]),
     "range": (["--stiffness", "30:200"], ["--stiffness", "start:stop:count", "'30:200'"]),
     "count": (["--stiffness", "30:200:1"], ["--stiffness", "start:stop:count"]),
-    "count is no number": (["--distance", "0.1:0.4:many"], ["--distance", "'0.1:0.4:many'"]),
+    "count is a word": (["--distance", "0.1:0.4:many"], ["--distance", "'0.1:0.4:many'"]),
     "value": (["--distance", "0.1,near"], ["--distance", "'near'"]),
     "fixed value": (["--stiffness", "30:200:3", "--distance", "-0.1"], ["`distance`", "-0.1"]),
-    "spring of nothing": (["--model", "clamped", "--stiffness", "30:200:3"], ["--stiffness", "clamped"]),
+    "stiffness of no spring": (["--model", "clamped", "--stiffness", "30:200:3"], ["--stiffness", "clamped"]),
     "radius of a parabola": (["--radius", "1:2:3"], ["--radius", "parabola"]),
     "half a control": (["--stiffness", "30,50", "--start", "1"], ["--stop", "--start"]),
     "step": (["--stiffness", "30,50", "--start", "1", "--stop", "0", "--step", "-1"], ["--step", "-1.0"]),
-    "picture's kind": (["--stiffness", "30,50", "--plot", "map.doc"], ["--plot", "map.doc"]),
-    "picture of three": (
+    "format of the picture": (["--stiffness", "30,50", "--plot", "map.doc"], ["--plot", "map.doc"]),
+    "picture of three ranges": (
         ["--stiffness", "30,50", "--distance", "0.1,0.2", "--a", "1,2", "--plot", "m.png"],
         ["--plot"],
     ),
-    "store's folder": (["--stiffness", "30,50", "--store", "nowhere/out.zarr"], ["nowhere"]),
+    "folder of the store": (["--stiffness", "30,50", "--store", "nowhere/out.zarr"], ["nowhere"]),
+    "store that cannot be written": (["--stiffness", "30,50", "--store", "/proc/out.zarr"], ["/proc/out.zarr"]),
+    "picture that cannot be written": (["--stiffness", "30,50", "--plot", "/proc/map.png"], ["/proc/map.png"]),
 }
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_is_wrong_ends_with_one_line_and_exit_code_2(name, capsys, tmp_path, monkeypatch):
+def test_wrong_options_end_with_one_line_and_exit_code_2(name, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     argv, words = BAD[name]
     assert cli.main(["study", *argv]) == cli.USAGE
@@ -52,6 +55,42 @@ def test_ranges_lists_and_numbers():
     np.testing.assert_array_equal(axis("30:200:64"), np.linspace(30, 200, 64))
     assert axis("30,50,inf") == (30.0, 50.0, np.inf)
     assert axis("0.2") == (0.2,)
+
+
+def peaks(failed, max_fy):
+    """The summary of a study over three stiffnesses, made by hand."""
+    dims = ("stiffness", "whisker")
+    names = ("min_fx", "max_fx", "max_mz", "contact_width")
+    values = {name: (dims, np.ones((3, 1))) for name in names} | {"max_fy": (dims, np.reshape(max_fy, (3, 1)))}
+    coords = {"stiffness": [30.0, 40.0, 50.0], "whisker": [1]}
+    attrs = {"points": "in words", "scene": "FB"}
+    return xr.Dataset(values | {"steps_failed": ("stiffness", failed)}, coords, attrs)
+
+
+@pytest.mark.parametrize(
+    ("failed", "max_fy", "code", "last"),
+    [
+        ([0, 0, 0], [1.0, 1.0, 1.0], cli.OK, "scans: in words"),
+        ([0, 2, 0], [1.0, np.nan, 1.0], cli.OK, "scans: in words"),
+        ([2, 2, 2], [np.nan, np.nan, np.nan], cli.NOT_ALL_OK, "scans: in words"),
+        ([0, 0, 0], [1.0, 0.0, 0.0], cli.OK, "No whisker touches the object in 2 of 3 scans."),
+        (
+            [0, 0, 0],
+            [0.0, 0.0, 0.0],
+            cli.NO_CONTACT,
+            "No whisker touches the object in any scan: all reactions are zero.",
+        ),
+    ],
+)
+def test_exit_code_and_last_line_tell_how_the_study_ended(failed, max_fy, code, last, monkeypatch, capsys):
+    def study(*_, **settings):
+        # The first line is printed at once, before anything is computed.
+        assert capsys.readouterr().out == "FB, parabola: 3 scans; stiffness 30 to 50 (3 values)\n"
+        return peaks(failed, max_fy)
+
+    monkeypatch.setattr("jaxwhisker._study.study.study", study)
+    assert cli.main(["study", "--stiffness", "30:50:3"]) == code
+    assert capsys.readouterr().out.splitlines()[-1] == last
 
 
 CONTROL = ["--start", "0.9", "--stop", "-1.7", "--step", "0.05"]
@@ -69,9 +108,9 @@ def opened(folder):
     return xr.open_zarr(folder / "out.zarr", chunks=None, consolidated=False)
 
 
-def test_store_holds_the_scans(stored, capsys):
+def test_store_contains_the_scans(stored):
     code, _, folder = stored
-    assert code == cli.NOT_ALL_OK  # a negative stiffness
+    assert code == cli.OK  # although the scans with a negative stiffness failed
     data = opened(folder)
     assert dict(data.fy.sizes) == {"stiffness": 4, "distance": 2, "control": 53, "whisker": 1}
     assert bool(data.fy.isel(stiffness=0).isnull().all())
@@ -82,33 +121,33 @@ def test_store_holds_the_scans(stored, capsys):
         np.testing.assert_array_equal(found.status.values, one.status)
 
 
-def test_the_same_line_goes_on_and_tells_what_it_found(stored, capsys, monkeypatch):
+def test_the_same_line_resumes_and_prints_the_results(stored, capsys, monkeypatch):
     code, line, folder = stored
     before = opened(folder).load()
-    monkeypatch.setattr(Kernel, "__call__", None)  # everything is there already
+    monkeypatch.setattr(Kernel, "__call__", None)  # nothing is left to compute
     assert cli.main(line) == code
     xr.testing.assert_identical(opened(folder).load().drop_attrs(), before.drop_attrs())
     printed = capsys.readouterr().out
-    assert "6 of 8 ok; 2: `stiffness` must be a positive number" in printed
+    assert "6 of 8 ok; 2 invalid (stiffness = -5, distance = 0.15: `stiffness` must be" in printed
     peak = float(jw.summary(before).max_mz.max())
     assert any(
         words[:3] == ["1", "max", "mz"] and words[-1] == f"{peak:.5g}" for words in map(str.split, printed.split("\n"))
     )
 
 
-def test_another_line_on_the_store_is_refused(stored, capsys):
+def test_another_line_on_the_store_is_rejected(stored, capsys):
     _, line, folder = stored
     assert cli.main([word.replace("50,80", "50,81") for word in line]) == cli.USAGE
     assert "`store`" in capsys.readouterr().err
     assert 80.0 in opened(folder).stiffness
 
 
-def test_picture_is_no_blank(stored):
+def test_picture_is_not_blank(stored):
     _, _, folder = stored
     assert np.std(imread(folder / "map.png")[..., :3]) > 0.05
 
 
-def test_critical_stiffness_is_where_the_picture_has_it():
+def test_the_picture_shows_the_critical_stiffness():
     stiffness, distance = np.linspace(10, 60, 6), np.array([0.15, 0.2])
     build = lambda stiffness, distance=0.2: model("FB", stiffness, distance=distance)  # noqa: E731
     data = xr.Dataset(coords={"stiffness": stiffness})
@@ -128,7 +167,7 @@ def test_one_range_is_drawn_as_lines(stored):
     steepness = xr.DataArray([2.0, 0.5], {"stiffness": [30.0, 120.0]}, ["stiffness"])
     (ax,) = jw.plot.study(found, critical=steepness)
     curve, critical = ax.lines
-    np.testing.assert_array_equal(np.asarray(curve.get_xdata()), [-5.0, 50.0, 80.0])  # infinity has no place
+    np.testing.assert_array_equal(np.asarray(curve.get_xdata()), [-5.0, 50.0, 80.0])  # infinity is left out
     np.testing.assert_array_equal(np.asarray(curve.get_ydata()), found.max_mz.values[:3, 0])
     np.testing.assert_allclose(np.asarray(critical.get_xdata()), [60.0, 60.0])
     assert ax.get_xlabel() == "stiffness [EI/L^3]" and ax.get_ylabel() == "largest mz [EI/L]"

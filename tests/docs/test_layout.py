@@ -45,7 +45,7 @@ def imports(file: Path) -> list[str]:
                 if alias.name.startswith("jaxwhisker")
             ]
         elif isinstance(statement, ast.ImportFrom) and (statement.module or "").partition(".")[0] == "jaxwhisker":
-            base = statement.module.removeprefix("jaxwhisker").strip(".")
+            base = (statement.module or "").removeprefix("jaxwhisker").strip(".")
             for alias in statement.names:
                 full = f"{base}.{alias.name}".strip(".")
                 found.append(full if full in modules else base)

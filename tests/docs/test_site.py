@@ -1,5 +1,6 @@
 """The documentation's site: every public name has its place, every name and file that a page speaks of exists."""
 
+import importlib
 import re
 from collections import Counter
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 import yaml
 
 import jaxwhisker as jw
+from jaxwhisker._scan.quantities import QUANTITIES
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -76,3 +78,15 @@ def test_the_navigation_has_every_page():
         return [leaf for part in (entry.values() if isinstance(entry, dict) else entry) for leaf in leaves(part)]
 
     assert sorted(leaves(settings["nav"])) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+
+
+def test_the_reference_has_every_quantity(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs_hooks"))
+    table = importlib.import_module("hooks").quantities()
+    assert all(f"| `{name}` |" in table for name in QUANTITIES if not name.startswith(("before_", "after_")))
+    assert "<!-- quantities -->" in (DOCS / "reference" / "scan.md").read_text("utf-8")
+
+
+def test_the_table_of_quantities_has_every_field_of_a_result():
+    fields = {name for name in jw.Result.__dataclass_fields__ if name not in ("events", "scene")}
+    assert fields <= QUANTITIES.keys()

@@ -1,7 +1,7 @@
-"""Sliders in a browser: dragged, read, looked at; on the local page and, if asked for, in JupyterLab.
+"""Sliders in a browser: on the local page and, on request, in JupyterLab.
 
-JAXWHISKER_BROWSER=required   fail, rather than skip, where there is no Chromium
-JAXWHISKER_JUPYTERLAB=1       also drag in JupyterLab (needs jupyterlab and anywidget)
+JAXWHISKER_BROWSER=required   fail, rather than skip, if Chromium is missing
+JAXWHISKER_JUPYTERLAB=1       also test JupyterLab (needs jupyterlab)
 """
 
 import json
@@ -10,7 +10,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import threading
 import time
 import urllib.request
 from typing import Any
@@ -19,11 +18,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._explore import page
+from jaxwhisker._explore.hosts import served
 from jaxwhisker._explore.session import Session
 
 SHOWN = 1e-6  # numbers are shown with six decimals
-LONG = 600.0  # s: the first picture is compiled, perhaps on a busy machine
+LONG = 600.0  # s, for the first picture, which is compiled, perhaps on a busy machine
 FLAGS = (
     "headless=new no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
     "disable-component-update disable-sync force-device-scale-factor=2"
@@ -40,25 +39,20 @@ RANGES = {"stiffness": (10, 500, 70.0), "distance": (0.1, 0.9, 0.25)}
 
 
 class Watched(Session):
-    """A session that writes down what it is asked, and how many ask at once."""
+    """A session that records its requests."""
 
     def __init__(self):
         super().__init__(build, RANGES)
-        self.asked, self.most, self._now = [], 0, 0
+        self.asked = []
 
     def answer(self, values):
-        self._now += 1
-        self.most = max(self.most, self._now)
         self.asked.append(values)
-        try:
-            return super().answer(values)
-        finally:
-            self._now -= 1
+        return super().answer(values)
 
 
 @pytest.fixture(scope="module")
 def driver(tmp_path_factory):
-    """A browser without a window."""
+    """A headless browser."""
     binary = shutil.which("chromium") or shutil.which("google-chrome")
     chromedriver = shutil.which("chromedriver")
     missing = [name for name, found in (("chromium", binary), ("chromedriver", chromedriver)) if found is None]
@@ -88,17 +82,13 @@ def sliders():
 
 @pytest.fixture(scope="module")
 def url(sliders):
-    with page.Server(sliders) as served:
-        thread = threading.Thread(target=served.serve_forever)
-        thread.start()
-        yield served.url
-        served.shutdown()
-        thread.join()
+    with served(sliders) as url:
+        yield url
 
 
 @pytest.fixture
 def shown(driver, url):
-    """The page, its first picture drawn; nothing may be wrong on its console in the end."""
+    """The page with its first picture; its console must be empty in the end."""
     driver.set_window_size(1200, 1000)
     driver.get(url)
     settle(driver)
@@ -122,7 +112,7 @@ def settle(driver):
 
 
 def drag(driver, name, right):
-    """Drag a slider's thumb by some pixels, as a hand does."""
+    """Drag the thumb of a slider by some pixels with the mouse."""
     from selenium.webdriver import ActionChains
 
     slider = find(driver, f"input[name={name}]")
@@ -136,8 +126,8 @@ def drag(driver, name, right):
     settle(driver)
 
 
-def let(driver, name, share):
-    """Put a slider there."""
+def set_slider(driver, name, share):
+    """Set a slider to a share of its range."""
     driver.execute_script(
         "const input = document.querySelector(`input[name=${arguments[0]}]`);"
         "input.value = arguments[1] * input.max; input.dispatchEvent(new Event('input'));",
@@ -152,7 +142,7 @@ def value(driver, name):
 
 
 def pixels(driver):
-    """Both pictures as they are drawn."""
+    """The contents of both canvases."""
     script = "return [...document.querySelectorAll('.jaxwhisker canvas')].map((canvas) => canvas.toDataURL())"
     return driver.execute_script(script)
 
@@ -163,14 +153,14 @@ def numbers(driver):
 
 
 def check_numbers(driver):
-    """What the table shows is the scan of the sliders' values at the drive's position."""
+    """The table shows the scan of the sliders' values at the position of the drive."""
     scene = build(value(driver, "stiffness"), value(driver, "distance"))
     control = np.asarray(jw.scan(scene).control)
     u = value(driver, "drive")
     result = jw.scan(scene, np.array([control[0], u]))
     phase, *found = numbers(driver)
     assert phase == jw.Phase(int(result.phase[1, 0])).name
-    # The control is rounded, too: states change with it by their slopes.
+    # The displayed control is rounded as well, which changes the states by their slopes.
     near = jw.scan(scene, np.array([control[0], u + SHOWN]))
     for text, name in zip(found, ("fx", "fy", "mz", "base_x", "contact_arc"), strict=True):
         exact, next_ = (float(getattr(r, name)[1, 0]) for r in (result, near))
@@ -189,7 +179,7 @@ def test_dragging_a_parameter_draws_another_scene(shown, tmp_path):
     assert events == list(map(str, jw.scan(build(value(shown, "stiffness"), value(shown, "distance"))).events))
 
 
-def test_dragging_the_drive_asks_nobody(shown, sliders):
+def test_dragging_the_drive_sends_no_request(shown, sliders):
     before, start, asked = pixels(shown), value(shown, "drive"), len(sliders.asked)
     drag(shown, "drive", 200)
     assert value(shown, "drive") > start + 0.1
@@ -211,7 +201,7 @@ def test_keys_move_the_sliders(shown):
     check_numbers(shown)
 
 
-def test_a_click_on_the_signals_takes_the_drive_there(shown):
+def test_a_click_on_the_signals_moves_the_drive(shown):
     from selenium.webdriver import ActionChains
 
     signals, before = find(shown, "canvas.signals"), value(shown, "drive")
@@ -222,30 +212,30 @@ def test_a_click_on_the_signals_takes_the_drive_there(shown):
 
 
 def test_many_changes_are_few_requests_and_the_latest_wins(shown, sliders):
-    sliders.most, asked = 0, len(sliders.asked)
+    asked = len(sliders.asked)
     shown.execute_script(
         "const input = document.querySelector('input[name=stiffness]');"
         "for (let k = 0; k <= 50; k++) { input.value = 10 * k; input.dispatchEvent(new Event('input')); }"
     )
     settle(shown)
-    assert len(sliders.asked) == asked + 3 and sliders.most == 2
+    assert len(sliders.asked) == asked + 3  # two at once, then the latest
     assert sliders.asked[-1]["stiffness"] == value(shown, "stiffness") == pytest.approx(np.sqrt(10 * 500), rel=1e-3)
     check_numbers(shown)
 
 
-def test_a_refused_scene_tells_why_and_the_page_goes_on(shown):
-    let(shown, "distance", 0.95)
+def test_an_error_is_shown_and_the_page_goes_on(shown):
+    set_slider(shown, "distance", 0.95)
     assert find(shown, ".message").text == "`distance` must leave room."
     assert "refused" in find(shown, ".jaxwhisker").get_attribute("class")
-    let(shown, "distance", 0.5)
+    set_slider(shown, "distance", 0.5)
     assert find(shown, ".message").text == ""
     assert "refused" not in find(shown, ".jaxwhisker").get_attribute("class")
     check_numbers(shown)
 
 
 def test_the_code_prints_the_numbers_of_the_page(shown):
-    let(shown, "stiffness", 0.6)
-    let(shown, "drive", 0.3)
+    set_slider(shown, "stiffness", 0.6)
+    set_slider(shown, "drive", 0.3)
     code = find(shown, ".jaxwhisker pre")
     assert not code.is_displayed()
     find(shown, ".jaxwhisker button[aria-expanded]").click()
@@ -260,7 +250,7 @@ def test_the_code_prints_the_numbers_of_the_page(shown):
         assert float(text) == pytest.approx(told[name], abs=2 * SHOWN)
 
 
-def test_everything_has_a_name(shown):
+def test_controls_and_canvases_have_accessible_names(shown):
     for slider in shown.find_elements("css selector", "input"):
         assert slider.accessible_name in ("drive", "stiffness (log)", "distance") and slider.aria_role == "slider"
         assert slider.get_attribute("aria-valuetext")
@@ -274,14 +264,14 @@ def test_pictures_are_as_fine_as_the_screen_and_fit_a_narrow_window(scheme, show
     shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
     for width in (1200, 500):
         shown.set_window_size(width, 1000)
-        let(shown, "drive", 0.4)
+        set_slider(shown, "drive", 0.4)
         sizes = shown.execute_script(
             "return [...document.querySelectorAll('canvas')].map((c) => [c.width, c.clientWidth, devicePixelRatio])"
         )
         assert all(fine == round(size * ratio) and ratio == 2 for fine, size, ratio in sizes)
         assert shown.execute_script("return document.documentElement.scrollWidth <= innerWidth")
         assert shown.save_screenshot(str(tmp_path / f"{scheme}_{width}.png"))
-    # Text and background stay apart.
+    # Text and background must contrast.
     back, text = shown.execute_script(
         "const found = getComputedStyle(document.body); return [found.backgroundColor, found.color].map((c) =>"
         "c.match(/[0-9]+/g).slice(0, 3).reduce((sum, part) => sum + Number(part), 0) / 765)"
@@ -291,20 +281,16 @@ def test_pictures_are_as_fine_as_the_screen_and_fit_a_narrow_window(scheme, show
 
 
 def test_a_page_whose_command_has_ended_says_so(driver, sliders):
-    with page.Server(sliders) as served:
-        thread = threading.Thread(target=served.serve_forever)
-        thread.start()
-        driver.get(served.url)
+    with served(sliders) as url:
+        driver.get(url)
         settle(driver)
-        served.shutdown()
-        thread.join()
     offline = {"offline": True, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
     driver.execute_cdp_cmd("Network.enable", {})
-    driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline)  # the connection that was kept, too
-    let(driver, "stiffness", 0.9)
+    driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline)  # the open connection as well
+    set_slider(driver, "stiffness", 0.9)
     assert "has ended" in find(driver, ".message").text
     driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline | {"offline": False})
-    driver.get_log("browser")  # of the lost connection the browser tells
+    driver.get_log("browser")  # drop the messages about the lost connection
 
 
 NOTEBOOK = """\
@@ -350,21 +336,21 @@ def lab(tmp_path):
 
 
 @pytest.mark.skipif(not os.environ.get("JAXWHISKER_JUPYTERLAB"), reason="JAXWHISKER_JUPYTERLAB is not set")
-def test_jupyterlab_draws_what_is_dragged(driver, lab, tmp_path):
+def test_dragging_in_jupyterlab_draws_another_scene(driver, lab, tmp_path):
     from selenium.common.exceptions import WebDriverException
     from selenium.webdriver import ActionChains, Keys
 
     driver.set_window_size(1500, 1200)
     driver.get(lab)
     end = time.monotonic() + LONG
-    while True:  # until it has started
+    while True:  # until JupyterLab has started
         try:
             find(driver, ".jp-Notebook .jp-Cell .cm-content").click()
             break
         except WebDriverException:
             assert time.monotonic() < end
             time.sleep(0.5)
-    time.sleep(3)  # what opens last takes the focus
+    time.sleep(3)  # a late dialog takes the focus
     find(driver, ".jp-Notebook .jp-Cell .cm-content").click()
     ActionChains(driver).key_down(Keys.SHIFT).send_keys(Keys.ENTER).key_up(Keys.SHIFT).perform()
     settle(driver)

@@ -1,4 +1,4 @@
-"""Contours by their radius of curvature: points, vertex, first touch, scans, derivatives."""
+"""Contours given by their radius of curvature: points, vertex, first touch, scans, derivatives, errors."""
 
 from itertools import pairwise
 
@@ -10,22 +10,21 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
 import jaxwhisker as jw
-from jaxwhisker._model.contour import Contour
 from scenes import all_ok, in_both_modes
 
-EXACT = 1e-12  # rounding, of a circle, whose radius every spline tells
-QUADRATURE = 1e-11  # of the radius: the interpolant between nodes
-CIRCLE = 1e-9  # of signals: what Newton leaves
-PARABOLA = 1e-4  # of signals' peaks: log rho = -3 log cos(alpha) by a spline through 16 knots
+EXACT = 1e-12  # rounding: every spline represents the radius of a circle
+QUADRATURE = 1e-11  # relative to the radius: the interpolation between nodes
+CIRCLE = 1e-9  # of signals: the tolerance of Newton's method
+PARABOLA = 1e-4  # relative to peaks: log rho = -3 log cos(alpha) as a spline through 16 knots
 DIFFERENCE = 1e-5
-DIFFERENCES = 1e-5  # central differences, relative: steps of a scan pass a change of phase between the two
+DIFFERENCES = 1e-5  # of central differences, relative: some steps change their phase between the two
 MODES = 1e-9
 KNOTS = tuple(np.linspace(-1.2, 1.2, 16))
 CONTROL = np.linspace(0.9, -1.7, 131)
 
 
 def quadrature(contour, slope):
-    """x and y relative to the vertex, by scipy."""
+    """x and y relative to the vertex, by quadrature with scipy."""
     spline = CubicSpline(contour.slopes, np.asarray(contour.log_radius))
     low, high = sorted([0.0, slope])
     ends = [low, *[k for k in contour.slopes if low < k < high], high]
@@ -40,23 +39,23 @@ def quadrature(contour, slope):
 
 
 def test_a_constant_radius_is_a_circle():
-    contour, circle = Contour.like(jw.Circle(0.2, 0.7, -0.1), KNOTS), jw.Circle(0.2, 0.7, -0.1)
+    contour, circle = jw.Contour.like(jw.Circle(0.2, 0.7, -0.1), KNOTS), jw.Circle(0.2, 0.7, -0.1)
     slopes = jnp.linspace(-1.57, 1.57, 201)
     ours, exact = (jax.vmap(profile.point)(slopes) for profile in (contour, circle))
-    for found, expected in zip(ours, exact, strict=True):
-        np.testing.assert_allclose(found, expected, rtol=0, atol=EXACT)
+    for actual, expected in zip(ours, exact, strict=True):
+        np.testing.assert_allclose(actual, expected, rtol=0, atol=EXACT)
     assert contour.vertex() == pytest.approx(circle.vertex(), abs=EXACT)
     for side in (1.0, -1.0):
         for height in (0.5, 0.85):
-            found, expected = (profile.first_touch(height, side) for profile in (contour, circle))
-            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+            actual, expected = (profile.first_touch(height, side) for profile in (contour, circle))
+            np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-10)
     higher = contour.first_touch(1.5, 1.0)
     assert abs(higher.x - 0.6) < EXACT and abs(higher.y - 0.9) < 1e-5
 
 
 @pytest.mark.parametrize("slope", [-1.15, -0.3, 0.01, 0.7, 1.19])
-def test_points_are_the_integrals(slope):
-    contour = Contour.like(jw.Parabola(0.2, 1.0, 0.3), KNOTS)
+def test_points_are_integrals_of_the_radius(slope):
+    contour = jw.Contour.like(jw.Parabola(0.2, 1.0, 0.3), KNOTS)
     x, y = quadrature(contour, slope)
     at = contour.point(slope)
     radius = float(contour.radius(slope))
@@ -66,13 +65,13 @@ def test_points_are_the_integrals(slope):
 
 
 def test_the_vertex_may_lie_beyond_the_knots():
-    contour = Contour(0.3, np.zeros(3), (0.2, 0.5, 0.9), 0.1)
+    contour = jw.Contour(0.3, np.zeros(3), (0.2, 0.5, 0.9), 0.1)
     at, circle = contour.point(-0.7), jw.Circle(0.3, 1.0, 0.1).point(-0.7)
     np.testing.assert_allclose(at, circle, atol=EXACT)
 
 
 def test_other_units():
-    contour = Contour.like(jw.Parabola(0.2), KNOTS)
+    contour = jw.Contour.like(jw.Parabola(0.2), KNOTS)
     at, small = contour.point(0.6), contour.in_unit(10.0).point(0.6)
     np.testing.assert_allclose([small.x, small.y], [at.x / 10, at.y / 10], atol=EXACT)
 
@@ -84,19 +83,19 @@ def scan():
 
 @pytest.mark.parametrize(("profile", "error"), [(jw.Circle(0.3, 1.0), CIRCLE), (jw.Parabola(0.2), PARABOLA)])
 def test_scans(scan, profile, error):
-    found = scan(Contour.like(profile, KNOTS))
+    actual = scan(jw.Contour.like(profile, KNOTS))
     exact = jw.scan(jw.Scene(jw.Whisker(), profile, jw.Support.fb(70.0)), CONTROL)
-    assert all_ok(found)
+    assert all_ok(actual)
     for name in ("fx", "fy", "mz"):
         expected = np.asarray(getattr(exact, name))
-        assert np.max(np.abs(getattr(found, name) - expected)) < error * np.max(np.abs(expected)), name
+        assert np.max(np.abs(getattr(actual, name) - expected)) < error * np.max(np.abs(expected)), name
 
 
 def test_derivatives(scan):
-    contour = Contour.like(jw.Parabola(0.2), KNOTS)
+    contour = jw.Contour.like(jw.Parabola(0.2), KNOTS)
 
     def touch_and_signal(log_radius):
-        contour = Contour(0.2, log_radius, KNOTS)
+        contour = jw.Contour(0.2, log_radius, KNOTS)
         return jnp.stack([contour.first_touch(1.0, 1.0).x, jnp.sum(scan(contour).mz ** 2)])
 
     direction = jnp.asarray(np.random.default_rng(3).standard_normal(len(KNOTS)))
@@ -112,17 +111,17 @@ def test_derivatives(scan):
 
 @pytest.mark.unchecked
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
-        ((-0.1, [0.0, 0.0], (0.0, 1.0)), "distance"),
-        ((0.1, [0.0, 0.0], (1.0, 0.0)), "slopes"),
-        ((0.1, [0.0, 0.0], (0.0, 1.6)), "slopes"),
-        ((0.1, [0.0], (0.0,)), "slopes"),
-        ((0.1, [0.0, 0.0, 0.0], (0.0, 1.0)), "log_radius"),
-        ((0.1, [0.0, np.nan], (0.0, 1.0)), "log_radius"),
-        ((0.1, [0.0, 0.0], (0.0, 1.0), np.inf), "position"),
+        ((-0.1, [0.0, 0.0], (0.0, 1.0)), "`distance` must be a positive finite number, got -0.1"),
+        ((0.1, [0.0, 0.0], (1.0, 0.0)), r"`slopes` must be at least two strictly increasing .*, got \(1.0, 0.0\)"),
+        ((0.1, [0.0, 0.0], (0.0, 1.6)), "`slopes` must be at least two .* each less than a right angle"),
+        ((0.1, [0.0], (0.0,)), "`slopes` must be at least two"),
+        ((0.1, [0.0, 0.0, 0.0], (0.0, 1.0)), r"`log_radius` must be one value per knot \(2\), got .* shape \(3,\)"),
+        ((0.1, [0.0, np.nan], (0.0, 1.0)), "`log_radius` must be .* finite numbers, got nan at index 1"),
+        ((0.1, [0.0, 0.0], (0.0, 1.0), np.inf), "`position` must be a finite number, got inf"),
     ],
 )
-def test_wrong_arguments(arguments, told):
-    with pytest.raises(ValueError, match=f"`{told}`"):
-        Contour(*arguments)
+def test_wrong_contours(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        jw.Contour(*arguments)

@@ -1,5 +1,6 @@
-"""Motions of the drive: rotations and one's own, against forward shooting, limits, moved objects, derivatives."""
+"""Motions of the drive against forward shooting, limits and moved objects; derivatives, errors."""
 
+# pyright: reportArgumentType=false
 import equinox as eqx
 import forward
 import jax
@@ -8,15 +9,16 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._model.motion import Pose, frame_and_rate
 from scenes import all_ok, in_both_modes
 
-EXACT = 1e-7  # of signals relative to their size: the rods' steps
+EXACT = 1e-7  # of signals relative to their size: error of the rods' steps
 SAME = 1e-9  # of signals: the same equilibria, computed in another frame
-MODES = 1e-10  # forward against reverse, relative to the sum of sizes: the same sums in another order
+MODES = 1e-10  # forward against reverse mode, relative to the sum of sizes: the same sums in another order
 DIFFERENCES = 3e-6  # central differences lose half the digits
 DIFFERENCE = 1e-5
-VISIBLE = 1e-4  # weighted signals change by this share at least when a parameter doubles
-FAR = 1e-2  # of signals, with a pivot 1e4 lengths away: the path is bent by 1e-4, and signals are far steeper
+VISIBLE = 1e-4  # least relative change of weighted signals when a parameter doubles
+FAR = 1e-2  # of signals, with a pivot 1e4 lengths away: the path is curved by 1e-4, and signals are much steeper
 SIGNALS = ("base_x", "base_y", "base_angle", "fx", "fy", "mz")
 
 
@@ -25,7 +27,7 @@ def circle(distance, radius):
 
 
 def follicle(x=np.inf, y=np.inf, phi=np.inf, mount=(0.0, 0.0, 0.0)):
-    """One base that may yield in everything: scenes with these supports share what is compiled."""
+    """One base with springs along all axes: scenes with these supports share their programs."""
     return jw.Support.follicle(x=x, y=y, phi=phi, mount=jw.Mount(*mount))
 
 
@@ -71,13 +73,13 @@ def test_a_pivot_far_away_is_a_translation():
         result = jw.scan(far, -np.arcsin(control / radius))
         assert all_ok(result) and all_ok(straight)
         missed.append(np.max(np.abs(result.mz - straight.mz)))
-    # What is left falls with the curvature of the path.
+    # The difference is proportional to the curvature of the path.
     assert missed[0] < FAR
     assert missed[1] == pytest.approx(missed[0] / 10, rel=0.05)
 
 
 class Wave(eqx.Module):
-    """Towards -x, up and down, and turning."""
+    """A motion towards -x that also moves up and down and turns."""
 
     rise: float
     turn: float
@@ -86,7 +88,7 @@ class Wave(eqx.Module):
         return 1.2 - u, self.rise * jnp.sin(2 * u), self.turn * jnp.sin(u)
 
 
-def test_a_motion_of_ones_own_against_forward_shooting():
+def test_a_user_defined_motion_against_forward_shooting():
     motion = jw.Motion(Wave(0.03, 0.1), 0.0, 2.6)
     result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.25), follicle(x=80.0, phi=30.0), motion=motion))
     assert all_ok(result)
@@ -112,7 +114,7 @@ def test_translation_written_as_a_motion_is_translation():
     np.testing.assert_allclose([1.2 - e.control for e in own.events], [e.control for e in plain.events], atol=SAME)
 
 
-def test_the_other_way_is_the_mirror_image():
+def test_a_scan_from_the_left_is_the_mirror_image():
     scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0, 0.2))
     back = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0, -0.2), motion=jw.Translation(1))
     one, other = jw.scan(scene), jw.scan(back)
@@ -122,7 +124,6 @@ def test_the_other_way_is_the_mirror_image():
 
 
 def test_moving_the_object_is_moving_the_whisker():
-    # A rotation about the circle's centre is a circle that stands still: with the whisker turned, everything turns.
     control = np.linspace(-0.5, 0.4, 32)
     shifted = turning(follicle(x=50.0, phi=20.0), pivot=(0.1, -0.4))
     shifted = eqx.tree_at(lambda s: s.profile, shifted, jw.Circle(0.95, 0.3, 0.4))
@@ -141,7 +142,7 @@ def test_starting_inside_the_object_is_lost():
     assert np.all(np.isnan(result.mz))
 
 
-def test_a_motion_that_is_none_is_no_result():
+def test_a_motion_with_nan_gives_no_result():
     motion = jw.Motion(Wave(np.nan, 0.0), 0.0, 3.0)
     scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), follicle(x=70.0), motion=motion)
     result = jw.scan(scene, np.linspace(0.0, 2.5, 8))
@@ -149,18 +150,56 @@ def test_a_motion_that_is_none_is_no_result():
     assert np.all(np.isnan(result.mz)) and np.all(np.isnan(result.base_y))
 
 
+def test_poses():
+    assert jw.Translation().pose(0.3) == (0.3, 0.0, 0.0)
+    turned = jw.Rotation((0.1, -0.4), 0.5).pose(0.3)
+    np.testing.assert_allclose(jnp.stack(turned), [0.1 - 0.5 * np.sin(0.3), -0.4 + 0.5 * np.cos(0.3), 0.3], atol=1e-15)
+    user_defined = jw.Motion(Wave(0.3, 0.1), 0.0, 2.0).pose(0.5)
+    np.testing.assert_allclose(jnp.stack(user_defined), [0.7, 0.3 * np.sin(1.0), 0.1 * np.sin(0.5)], atol=1e-15)
+
+
+def test_directions_and_units():
+    assert (jw.Translation().onwards, jw.Translation().ends, jw.Translation().unit(3.0)) == (-1, None, 3.0)
+    clockwise = jw.Rotation(direction=-1)
+    assert (clockwise.onwards, clockwise.ends, clockwise.unit(3.0)) == (-1, (np.pi / 2, -np.pi / 2), 1.0)
+    falling = jw.Motion(Wave(0.0, 0.0), 2.0, -1.0)
+    assert (falling.onwards, falling.ends, falling.unit(3.0)) == (-1, (2.0, -1.0), 3.0)
+
+
+def test_frames_of_mounts_and_their_derivative():
+    motion, mounts = jw.Rotation((0.1, -0.4), 0.5), Pose(jnp.array([0.2]), jnp.array([0.3]), jnp.array([0.4]))
+    frame, rate = frame_and_rate(motion.pose, mounts, jnp.asarray(0.3))
+    cos, sin = np.cos(0.3), np.sin(0.3)
+    x, y = 0.1 - 0.5 * sin + 0.2 * cos - 0.3 * sin, -0.4 + 0.5 * cos + 0.2 * sin + 0.3 * cos
+    np.testing.assert_allclose(np.ravel(frame), [x, y, np.cos(0.7), np.sin(0.7)], atol=1e-15)
+    # The rotation moves the frame at right angles to its distance from the pivot.
+    np.testing.assert_allclose(np.ravel(rate), [-(y + 0.4), x - 0.1, -np.sin(0.7), np.cos(0.7)], atol=1e-15)
+
+
 @pytest.mark.unchecked
-def test_bad_motions():
-    with pytest.raises(ValueError, match="`function` must take the control to"):
-        jw.Motion(3.0, 0.0, 1.0)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match="`direction` must be -1 or 1, but is 0"):
-        jw.Translation(0)
-    with pytest.raises(ValueError, match="`pivot` must be a pair of numbers"):
-        jw.Rotation(pivot=1.0)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match="`stop` must differ from `start`"):
-        jw.Motion(lambda u: (u, 0.0, 0.0), 1.0, 1.0)
-    with pytest.raises(ValueError, match="`motion` must be a Translation, Rotation or Motion"):
-        jw.Scene(jw.Whisker(), jw.Parabola(0.2), motion="rotation")  # pyright: ignore[reportArgumentType]
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: jw.Motion(3.0, 0.0, 1.0), r"`function` must be a function .* returns \(x, y, angle\), got 3.0"),
+        (lambda: jw.Motion(lambda u: (u, 0.0), 0.0, 1.0), r"`function` .* \(x, y, angle\), got <lambda>, .* 2 values"),
+        (lambda: jw.Motion(lambda u: u, 0.0, 1.0), r"`function` .* \(x, y, angle\), got <lambda>, .* shape \(\)"),
+        (lambda: jw.Motion(lambda u: (u, jnp.ones(2), 0), 0.0, 1.0), r"`function` .* array of shape \(2,\)"),
+        (
+            lambda: jw.Motion(lambda u: (u, 0.0, 0.1 if u > 1 else 0.0), 0.0, 1.0),
+            "`function` must be a function that JAX can trace, got <lambda>, .* jnp.where instead of `if`",
+        ),
+        (
+            lambda: jw.Motion(lambda u: (u, 0.0, 0.0), 1.0, 1.0),
+            "`stop` must be different from `start`, got 1.0 for both",
+        ),
+        (lambda: jw.Translation(0), "`direction` must be -1 or 1, got 0"),
+        (lambda: jw.Rotation(direction=True), "`direction` must be -1 or 1, got True"),
+        (lambda: jw.Rotation(pivot=1.0), "`pivot` must be a pair of numbers, got 1.0"),
+    ],
+)
+def test_wrong_motions(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
 
 
 # Stiffnesses along x, y, phi; rest lengths; mount; pivot, radius; distance and radius of the object, its tilt.
@@ -181,7 +220,7 @@ def observed(p):
     return jnp.concatenate([*(jnp.ravel(s) for s in signals), jnp.ravel(result.spring_length), events.control[:1]])
 
 
-def test_derivatives_by_all_that_supports_and_motions_have():
+def test_derivatives_by_all_parameters_of_supports_and_motions():
     rng = np.random.default_rng(5)
     direction = P * jnp.asarray(rng.uniform(0.5, 1.0, P.size))
     weights = jnp.asarray(rng.normal(size=jax.eval_shape(observed, P).size))
@@ -219,7 +258,7 @@ def test_tilting_the_object_is_turning_everything_else():
 
 
 class Line(eqx.Module):
-    """Straight on, with the drive turned to the line."""
+    """A motion along a straight line, with the drive turned by the angle of the line."""
 
     angle: float
 

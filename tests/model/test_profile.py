@@ -1,37 +1,35 @@
-"""Profiles: points, first contact by tip or shaft, own graphs."""
+"""Profiles in general: their slopes, lowest points, bisection."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from scenes import all_ok, told
+from jaxwhisker._model.profile import bisect
 
 EXACT = 1e-12
-SAME = 1e-8  # two parametrisations of one object
+SAME = 1e-8  # lowest points from two computations
+PROFILES = [
+    *(jw.Parabola(0.3, 2.0, 0.4), jw.Circle(0.2, 0.7, -0.1), jw.Ellipse(0.2, 0.5, 0.9)),
+    *(jw.Graph(lambda x: 0.2 * jnp.cosh(9 * x)), jw.Tilted(jw.Ellipse(0.2, 0.5, 0.9), 0.4)),
+    jw.Contour.like(jw.Circle(0.2, 0.7), (-1.0, 1.0)),
+]
 
 
-@pytest.mark.parametrize("profile", [jw.Parabola(0.3, 2.0, 0.4), jw.Circle(0.2, 0.7, -0.1), jw.Ellipse(0.2, 0.5, 0.9)])
-def test_slope_is_the_derivative(profile):
-    for parameter in (-0.9, 0.0, 0.6):
+@pytest.mark.parametrize("profile", PROFILES, ids=str)
+def test_the_slope_is_the_direction_of_the_tangent(profile):
+    low, high = profile.ends()
+    for share in (0.3, 0.5, 0.6):
+        parameter = jnp.asarray(max(low, -1.5) * (1 - share) + min(high, 1.5) * share)
         point = profile.point(parameter)
-        (dx, dy) = jax.jacfwd(lambda p: jnp.stack(profile.point(p)[:2]))(parameter)
+        dx, dy = jax.jacfwd(lambda p: jnp.stack(profile.point(p)[:2]))(parameter)
         size = np.hypot(dx, dy)
-        np.testing.assert_allclose([point.cos, point.sin], [dx / size, dy / size], atol=EXACT)
+        np.testing.assert_allclose([point.cos, point.sin], [dx / size, dy / size], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "profile",
-    [
-        *(jw.Parabola(0.3, 2.0, 0.4), jw.Circle(0.2, 0.7, -0.1), jw.Ellipse(0.2, 0.5, 0.9)),
-        *(jw.Graph(lambda x: 0.2 * jnp.cosh(9 * x)), jw.Tilted(jw.Ellipse(0.2, 0.5, 0.9), 0.4)),
-        jw.Contour.like(jw.Circle(0.2, 0.7), (-1.0, 1.0)),
-    ],
-    ids=str,
-)
-def test_a_slope_is_found_again(profile):
+@pytest.mark.parametrize("profile", PROFILES, ids=str)
+def test_the_parameter_of_a_slope(profile):
     for slope in (-0.9, 0.0, 0.6):
         at = profile.point(profile.at_slope(slope))
         np.testing.assert_allclose(jnp.arctan2(at.sin, at.cos), slope, atol=EXACT)
@@ -39,84 +37,25 @@ def test_a_slope_is_found_again(profile):
     np.testing.assert_allclose((at.x, at.y), profile.vertex(), atol=SAME)
 
 
-def test_points_lie_on_the_object():
-    p = jw.Parabola(0.3, 2.0, 0.4).point(0.8)
-    assert abs(p.y - (0.3 + 2.0 * (p.x - 0.4) ** 2)) < EXACT
-    c = jw.Circle(0.2, 0.7, -0.1).point(1.1)
-    assert abs(np.hypot(c.x + 0.1, c.y - 0.9) - 0.7) < EXACT
-    e = jw.Ellipse(0.2, 0.5, 0.9, 1.0).point(1.1)
-    assert abs(((e.x - 1.0) / 0.5) ** 2 + ((e.y - 1.1) / 0.9) ** 2 - 1) < EXACT
+@pytest.mark.parametrize("profile", PROFILES, ids=str)
+def test_other_units_scale_points(profile):
+    slope = 0.4
+    at, small = (p.point(p.at_slope(slope)) for p in (profile, profile.in_unit(10.0)))
+    np.testing.assert_allclose([10 * small.x, 10 * small.y, small.cos, small.sin], at, atol=SAME)
 
 
-def test_a_small_circle_is_first_met_by_the_shaft():
-    scene = jw.Scene(jw.Whisker(), jw.Circle(0.3, 0.2), jw.Support.fbfbr(70.0))
-    result = jw.scan(scene)
-    assert all_ok(result)
-    touch = result.events.of(jw.EventKind.touch, 1)[0]
-    assert touch.after.phase[0] == jw.Phase.tangential
-    assert abs(touch.after.base_x[0] - 0.2) < EXACT
-    assert abs(touch.after.contact_arc[0] - 0.5) < EXACT
-    assert abs(touch.after.contact_slope[0] - np.pi / 2) < EXACT
-    assert [e for e in told(result) if e[0] == "tip_to_tangential"] == []
-    assert result.control[0] > touch.control
+@pytest.mark.parametrize("profile", PROFILES, ids=str)
+def test_the_first_touch_lies_on_the_object_at_the_height_of_the_tip(profile):
+    for side in (1.0, -1.0):
+        touch = profile.first_touch(0.5, side)
+        at = profile.point(touch.parameter)
+        np.testing.assert_allclose([touch.x, touch.y], [at.x, at.y], atol=EXACT)
+        np.testing.assert_allclose(touch.y, 0.5, atol=SAME)
+        assert side * (touch.x - profile.vertex()[0]) > 0
 
 
-def test_an_ellipse_with_equal_axes_is_a_circle():
-    control = np.linspace(0.9, -1.7, 131)
-    circle = jw.scan(jw.Scene(jw.Whisker(), jw.Circle(0.3, 1.0), jw.Support.fbfbr(70.0)), control)
-    ellipse = jw.scan(jw.Scene(jw.Whisker(), jw.Ellipse(0.3, 1.0, 1.0), jw.Support.fbfbr(70.0)), control)
-    for name in ("fx", "fy", "mz"):
-        np.testing.assert_allclose(getattr(circle, name), getattr(ellipse, name), atol=SAME)
-
-
-def test_a_graph_is_the_parabola_that_it_draws():
-    control = np.linspace(0.9, -1.7, 131)
-    graph = jw.scan(jw.Scene(jw.Whisker(), jw.Graph(lambda x: 0.2 + x**2), jw.Support.fb(70.0)), control)
-    parabola = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0)), control)
-    assert all_ok(graph)
-    for name in ("fx", "fy", "mz", "base_x"):
-        np.testing.assert_allclose(getattr(graph, name), getattr(parabola, name), atol=SAME)
-    np.testing.assert_allclose([e[2] for e in told(graph)], [e[2] for e in told(parabola)], atol=SAME)
-
-
-def test_a_graph_that_ends_is_a_semicircle():
-    control = np.linspace(0.9, -1.6, 101)
-    half = jw.Graph(lambda x: 1.3 - jnp.sqrt(1.0 - x**2))
-    graph = jw.scan(jw.Scene(jw.Whisker(), half, jw.Support.fb(70.0)), control)
-    circle = jw.scan(jw.Scene(jw.Whisker(), jw.Circle(0.3, 1.0), jw.Support.fb(70.0)), control)
-    assert all_ok(graph)
-    np.testing.assert_allclose(graph.fy, circle.fy, atol=SAME)
-
-
-def test_a_graph_in_other_units():
-    control = np.linspace(0.9, -1.5, 25)
-    one = jw.scan(jw.Scene(jw.Whisker(), jw.Graph(lambda x: 0.2 + x**2), jw.Support.fb(70.0)), control)
-    stretched = jw.Scene(jw.Whisker(10.0), jw.Graph(lambda x: 2.0 + x**2 / 10), jw.Support.fb(0.07, 2.0))
-    ten = jw.scan(stretched, 10 * control)
-    np.testing.assert_allclose(np.asarray(ten.fy) * 100, one.fy, atol=SAME)
-
-
-class Quartic(eqx.Module):
-    height: jax.Array
-    growth: jax.Array
-
-    def __call__(self, x):
-        return self.height + x**2 + self.growth * x**4
-
-
-def test_a_graph_with_parameters_goes_through_vmap():
-    def peak(growth):
-        scene = jw.Scene(jw.Whisker(), jw.Graph(Quartic(jnp.asarray(0.2), growth)), jw.Support.fb(70.0))
-        return jnp.max(jw.scan(scene, jnp.linspace(0.8, -1.5, 64)).fy)
-
-    peaks = jax.vmap(peak)(jnp.array([0.0, 0.5, 1.0]))
-    assert np.all(np.isfinite(peaks)) and np.ptp(peaks) > 1e-3
-
-
-def test_a_graph_that_is_not_convex_is_reported():
-    dented = jw.Graph(lambda x: 0.2 + x**2 + 0.1 * jnp.exp(-(((x - 0.2) / 0.1) ** 2)))
-    result = jw.scan(jw.Scene(jw.Whisker(), dented, jw.Support.fb(70.0)), np.linspace(0.8, -1.5, 100))
-    assert jw.Status.not_convex in np.asarray(result.status)
-    bad = np.asarray(result.status) != jw.Status.ok
-    assert np.all(np.isnan(np.asarray(result.fx)[bad]))
-    assert np.all(np.isfinite(np.asarray(result.fx)[~bad]))
+def test_bisection_ends_at_the_last_point_inside():
+    root = bisect(lambda x: x**3 < 2.0, 0.0, 5.0)
+    assert float(root) == pytest.approx(2.0 ** (1 / 3), abs=EXACT)
+    assert float(bisect(lambda x: x < 9.0, 0.0, 5.0)) == pytest.approx(5.0, abs=EXACT)
+    assert float(bisect(lambda x: x < -1.0, 0.0, 5.0)) == 0.0

@@ -1,4 +1,4 @@
-"""What is drawn of an object: its contour, cut off far out, up to where it ends, or all around."""
+"""Silhouettes of objects: cut off far out, up to their ends, or all around."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +7,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._model.silhouette import FAR, POINTS, silhouette_of
 
-ROUNDING = 1e-9  # of lengths: an end is found by halving
+ROUNDING = 1e-9  # of lengths: ends come from bisection
 SEMICIRCLE = jw.Graph(lambda x: 0.9 - jnp.sqrt(0.49 - x**2))
 
 
@@ -15,7 +15,7 @@ SEMICIRCLE = jw.Graph(lambda x: 0.9 - jnp.sqrt(0.49 - x**2))
 @pytest.mark.parametrize(
     "profile", [jw.Parabola(0.2, 2.0, 0.4), jw.Graph(lambda x: 0.2 + 2 * x**2, 0.4), jw.Graph(jnp.cosh, 0.4)]
 )
-def test_what_has_no_end_is_cut_off(profile, length):
+def test_an_open_object_is_cut_off(profile, length):
     x, y = silhouette_of(profile, length)
     assert x.size == POINTS and (np.diff(x) > 0).all()
     np.testing.assert_allclose(x[[0, -1]], 0.4 + FAR * length * np.array([-1.0, 1.0]), rtol=ROUNDING)
@@ -25,13 +25,13 @@ def test_what_has_no_end_is_cut_off(profile, length):
 
 def test_a_graph_is_drawn_up_to_where_it_ends():
     x, y = silhouette_of(SEMICIRCLE, 1.0)
-    assert x.size >= POINTS - 2  # its very ends may be rounded out of it
+    assert x.size >= POINTS - 2  # rounding may exclude its very ends
     np.testing.assert_allclose(x[[0, -1]], (-0.7, 0.7), atol=0.01)
     np.testing.assert_allclose(np.hypot(x, y - 0.9), 0.7, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_what_is_closed_is_drawn_all_around_or_its_lower_side(turned):
+def test_a_closed_object_is_drawn_all_around_or_along_its_lower_side(turned):
     profile = jw.Circle(0.2, 0.7, -0.1)
     centre = np.array([-0.1, 0.9])
     if turned:
@@ -53,10 +53,10 @@ def test_a_contour_is_drawn_up_to_its_upright_ends():
     np.testing.assert_allclose(x[[0, -1]], (-0.7, 0.7), atol=1e-6)
 
 
-def test_objects_of_one_kind_share_what_is_compiled():
+def test_objects_of_one_kind_share_a_program():
     from jaxwhisker._model import silhouette
 
     silhouette_of(jw.Parabola(0.2), 1.0)
-    counted = silhouette._compiled._cached._cache_size()
+    programs = silhouette._silhouette._outermost._cached._cache_size()
     silhouette_of(jw.Parabola(0.7, 3.0), 2.0)
-    assert silhouette._compiled._cached._cache_size() == counted
+    assert silhouette._silhouette._outermost._cached._cache_size() == programs

@@ -1,7 +1,7 @@
 """The energy of whiskers made of stiff links, minimised with scipy: no rod theory, no contact forces, no equilibria.
 
-A whisker is a chain of equal links beside an object that no joint may enter; its base sits on springs. What is stable
-is where a minimisation that starts there stays.
+A whisker is a chain of equal links whose joints must stay outside of the object; its base sits on springs. A state is
+stable if a minimisation that starts there stays there.
 """
 
 import numpy as np
@@ -20,11 +20,11 @@ class Chains:
         return unknown[:, :3], unknown[:, 3:]
 
     def energy(self, unknown):
-        """Energy, and its gradient by base displacements and directions of links."""
+        """Energy, and its gradient with respect to displacements of bases and directions of links."""
         bases, angles = self._split(unknown)
         by_base, by_angle = np.zeros_like(bases), np.zeros_like(angles)
         step, total = 1 / self.links, 0.0
-        # The root's direction is half a link away from the first one's.
+        # Half a link lies between the clamped root and the middle of the first link.
         turns = np.diff(angles, axis=1, prepend=np.pi / 2 + bases[:, 2:])
         stiffness = np.append(2.0, np.ones(self.links - 1)) / step
         total += np.sum(stiffness * turns**2) / 2
@@ -41,7 +41,7 @@ class Chains:
         return total, np.concatenate([by_base, by_angle], axis=1).ravel()
 
     def joints(self, unknown, u):
-        """Positions of all joints, (2, whiskers, links), and their derivatives by the unknowns."""
+        """Positions of all joints, (2, whiskers, links), and their derivatives with respect to the unknowns."""
         bases, angles = self._split(unknown)
         step = 1 / self.links
         x = u + bases[:, :1] + step * np.cumsum(np.cos(angles), axis=1)
@@ -54,7 +54,7 @@ class Chains:
         return np.stack([x, y]), slopes.reshape(2, self.whiskers, self.links, -1)
 
     def at_rest(self, u: float, start) -> np.ndarray:
-        """Unknowns of the minimum that a descent from `start` ends in, the drive at u."""
+        """Unknowns of the minimum at which a descent from `start` ends, with the drive at u."""
         rigid = [k for k, axis in enumerate(("x", "y", "phi")) if axis not in self.axes]
         fixed = [w * (3 + self.links) + k for w in range(self.whiskers) for k in rigid]
         free = np.setdiff1d(np.arange(start.size), fixed)
@@ -77,7 +77,7 @@ class Chains:
             (x, _), (by_x, by_y) = self.joints(unknown, u)
             return (2 * x[..., None] * by_x - by_y).reshape(x.size, -1)[:, free]
 
-        found = minimize(
+        minimum = minimize(
             energy,
             start[free],
             jac=True,
@@ -85,11 +85,11 @@ class Chains:
             constraints={"type": "ineq", "fun": outside, "jac": outside_slopes},
             options={"maxiter": 500, "ftol": 1e-12},
         )
-        assert found.success, found.message
-        return whole(found.x)
+        assert minimum.success, minimum.message
+        return whole(minimum.x)
 
     def start(self, base, x, y):
-        """Unknowns of whiskers with these base displacements, (whiskers, 3), and points of their shapes."""
+        """Unknowns of whiskers with given base displacements, (whiskers, 3), and points of their shapes."""
         rows = []
         for own, px, py in zip(base, x, y, strict=True):
             arc = np.append(0.0, np.cumsum(np.hypot(np.diff(px), np.diff(py))))

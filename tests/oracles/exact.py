@@ -1,6 +1,6 @@
 """Exact quasi-static scans of uniform straight whiskers by elliptic integrals: the reference of the tests.
 
-Nothing is shared with the package but its conventions: bases at (base_x, 0), clamped along +y, the object above them,
+Only conventions are shared with the package: bases at (base_x, 0), clamped along +y, the object above them,
 its vertex at (0, distance), scanned towards -x; reactions of the support on the whisker; units L = EI = 1.
 
 One clamped whisker. theta = phi - alpha is a pendulum, theta'' = f cos(theta), with theta' = 0 at the contact. From
@@ -8,19 +8,20 @@ sin((pi/2 - theta)/2) = k sin(t), where t = t0 at the base and pi/2 at the conta
 
     sqrt(f) s1 = K(k) - F(t0, k),    sqrt(f) T = 2 k cos(t0),    sqrt(f) N = 2 [E(k) - E(t0, k)] - [K(k) - F(t0, k)],
 
-T and N being the contact point seen from the base along and across the object's tangent. With the complementary
-amplitude tan(psi) = cot(t0) / sqrt(1 - k^2) the differences are, without cancellation, K(k) - F(t0, k) = F(psi, k) and
-E(k) - E(t0, k) = E(psi, k) - k^2 sin(t0) sin(psi). Tangential contact: k = sqrt(1/2), and f follows from y = eta. Tip
-contact: s1 = 1, and y = eta is one equation for k. The curve parameter is p = (1 - 2 t0 / pi)^2: 0 at first touch (all
-is regular in p, f proportional to it), 1 at the vertex, 4 where the base is unbent. Free: p < 0, -p is the clearance.
+where T and N are the coordinates of the contact point relative to the base, along and across the object's tangent. With
+the complementary amplitude tan(psi) = cot(t0) / sqrt(1 - k^2), the differences are, without cancellation,
+K(k) - F(t0, k) = F(psi, k) and E(k) - E(t0, k) = E(psi, k) - k^2 sin(t0) sin(psi). Tangential contact: k = sqrt(1/2),
+and f follows from y = eta. Tip contact: s1 = 1, and y = eta is one equation for k. The curve parameter is
+p = (1 - 2 t0 / pi)^2: 0 at first touch (everything is regular in p, and f proportional to it), 1 at the vertex, 4 where
+the base is unbent. A free whisker has p < 0, where -p is the clearance.
 
-A network. Equilibria are the roots of x0(p) - u - rest - C F_x(p) in (p, u), with C the flexibility matrix. They are
-followed by pseudo-arclength steps; between two phase borders the equations are analytic, so every whisker keeps its
-piece of the curve until an event switches it, and every event is a bracketed root on the path. Stability is lost where
-det(-dx0/dp + C dF_x/dp) vanishes: the clamped fold where C = 0, det(K - dF_x/dx0) = 0 elsewhere. The overdamped flow of
-the bases at fixed u then leads to the next equilibrium; a whisker passing its clamped fold slips, and is free or bent
-the other way (mirrored). The steps use Chebyshev series of x0 and F_x, good to 1e-12; results are evaluated with the
-closed forms, and an equilibrium that misses them by RESIDUAL raises.
+A network. Equilibria are the roots of x0(p) - u - rest - C F_x(p) in (p, u), with the flexibility matrix C. They are
+followed by pseudo-arclength steps. Between two phase borders the equations are analytic. Therefore every whisker stays
+on its piece of the curve until an event switches it, and every event is a bracketed root on the path. Stability is lost
+where det(-dx0/dp + C dF_x/dp) vanishes: at the clamped fold where C = 0, at det(K - dF_x/dx0) = 0 elsewhere. The
+overdamped flow of the bases at fixed u then leads to the next equilibrium; a whisker that passes its clamped fold slips
+and is then free or bent the other way (mirrored). The steps use Chebyshev series of x0 and F_x, accurate to 1e-12;
+results are evaluated with the closed forms, and an equilibrium whose residual exceeds RESIDUAL is an error.
 """
 
 # ruff: noqa: B023, E731
@@ -70,13 +71,13 @@ def ellipse(distance: float, a: float, b: float) -> Profile:
     return contact
 
 
-# Equilibrium, fields of one shape (..., whiskers); without contact slope and arc are NaN and phase, else "tip" or
-# "tangential", is "free".
+# Equilibrium; fields have the shape (..., whiskers). The phase is "tip", "tangential" or "free"; slope and arc of free
+# whiskers are NaN.
 State = namedtuple("State", "base_x fx fy mz contact_force contact_slope contact_arc phase")
 
 # kind: touch, tip_to_tangential, vertex, tangential_to_tip, release, snap_off or snap_through; whiskers: 1-based, for
 # snaps those that slipped, of which far_side landed bent the other way (none free: snap_through). before, after: states
-# of all whiskers, both at control; after is None but for snaps.
+# of all whiskers, both at control; after is None except for snaps.
 Event = namedtuple("Event", "kind whiskers control before after far_side", defaults=(None, ()))
 
 # control: (steps,); states: State of (steps, whiskers); events: list of Event, down to the last control.
@@ -84,7 +85,7 @@ Scan = namedtuple("Scan", "control states events")
 
 
 def _shape(p, k):
-    """Return the slope, and sqrt(f) times s1, x and y of the contact point seen from the base."""
+    """Return the slope, and sqrt(f) times s1, x and y of the contact point relative to the base."""
     turn = np.pi / 2 * np.sqrt(p)  # pi/2 - t0
     slope = 2 * np.arcsin(np.clip(k * np.cos(turn), -1, 1))
     psi = np.arctan2(np.sin(turn), np.sqrt(1 - k**2) * np.cos(turn)) % (2 * np.pi)
@@ -152,7 +153,7 @@ class ClampedBranch:
         base_x, excess = self.states(grid).base_x, lambda p: self.states(p, tip=False).contact_arc - 1
         self.touch_x = base_x[0]
         if not self.touch_x > 1e-6:
-            raise ValueError("Argument `profile` must be within reach of the whisker, but is not")
+            raise ValueError("`profile` must be within reach of the whisker.")
         turn = np.flatnonzero(np.diff(base_x) > 0)[0]
         changes = np.flatnonzero(np.diff(excess(grid[: turn + 1]) > 0))
         changes = [brentq(excess, grid[i], grid[i + 1], xtol=1e-15) for i in changes]
@@ -223,7 +224,7 @@ class _Network:
         rigid, soft = np.isinf(stiffness), np.isfinite(stiffness)
         offset = np.linalg.pinv(stretch[rigid]) @ length[rigid]
         if np.any(np.abs(stretch[rigid] @ offset - length[rigid]) > 1e-12):
-            raise ValueError("Argument `springs` must not close rigid loops with contradicting rest lengths, but does")
+            raise ValueError("`springs` must have rest lengths that add up around rigid loops.")
         self.tie = null_space(stretch[rigid]) if rigid.any() else np.eye(nodes.size)
         pull = self.tie.T @ (stretch[soft].T * stiffness[soft])
         self.stiffness = pull @ stretch[soft] @ self.tie
@@ -287,13 +288,13 @@ class _Path:
 
         def root(value, tau):
             if abs(value(self.y)) < 1e-12 and value(point(0)) * value(point(tau)) > 0:
-                return 0.0  # on the root but for rounding
+                return 0.0  # on the root, except for rounding
             return brentq(lambda tau: value(point(tau)), 0, tau, xtol=1e-15)
 
         while not np.abs((end := point(self.step)) - self.y).max() < 1.5 * self.step:
             self.step /= 2
             if self.step < 1e-10:
-                raise RuntimeError(f"no equilibrium found next to control {self.y[-1]}")
+                raise RuntimeError(f"no equilibrium near control {self.y[-1]}")
         tau, whisker, border = self.step, None, None
         for i, piece in enumerate(self._pieces()):
             for limit, sign in ((piece.low, -1), (piece.high, 1)):
@@ -311,7 +312,7 @@ class _Path:
         return passed
 
     def _switch(self, i, border):
-        """Enter the neighbouring piece at the border; say whether the equilibrium is unstable there."""
+        """Enter the neighbouring piece at the border; return whether the equilibrium is unstable there."""
         old = self._pieces()[i]
         self.y[i] = border
         self.piece[i] += 1 if border == old.high else -1
@@ -332,7 +333,9 @@ class _Path:
         if not slipped.any():
             hessian, slope = self._hessian(self.y)
             mode = np.linalg.eigh(hessian)[1][:, 0]
-            kick = -KICK * np.sign(mode @ network.tie.T @ slope) * mode  # the way the force pulls as u decreases
+            kick = (
+                -KICK * np.sign(mode @ network.tie.T @ slope) * mode
+            )  # the direction in which the force pulls as u decreases
         self.side[slipped] *= -1
         self._relax(start, start + kick, has_left=slipped.any())
         moved = self.side != side
@@ -366,7 +369,7 @@ class _Path:
         raise RuntimeError(f"the flow at control {self.y[-1]} does not come to rest")
 
     def _settle(self, base_x):
-        """Enter the stable equilibrium within 1e-6 of base_x (mirrored) at the same u, if there is one; say so."""
+        """Enter the stable equilibrium within 1e-6 of base_x (mirrored) at the same u; return whether there is one."""
         y = np.append([self.branch.parameter(x) for x in base_x], self.y[-1])
         for _ in range(5):
             self.piece = np.searchsorted(self.branch.borders, y[:-1], "right") - 1
@@ -383,11 +386,11 @@ def exact_scan(profile: Profile, springs: Sequence[dict], control: ArrayLike) ->
     """Scan with strictly decreasing control, coming from the right, where all whiskers are free.
 
     springs: {"between": (i, j), "stiffness": c, "rest_length": x_j - x_i} each, node 0 the drive, c = math.inf rigid;
-    none: one clamped whisker. Raises RuntimeError where several whiskers lose their equilibrium together.
+    none: one clamped whisker. Raises RuntimeError if several whiskers lose their equilibrium together.
     """
     control = np.asarray(control, dtype=float)
     if control.ndim != 1 or not np.all(np.diff(control) < 0):
-        raise ValueError("Argument `control` must be strictly decreasing, but is not")
+        raise ValueError("`control` must be strictly decreasing.")
     branch, network = clamped_branch(profile), _Network(springs or [CLAMP])
     path, passed = _Path(branch, network, control[0]), []
     while len(passed) < len(control):

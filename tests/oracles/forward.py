@@ -1,9 +1,9 @@
-"""Whiskers in contact, shot from their bases outwards with scipy: shares nothing with the package but its conventions.
+"""Whiskers in contact, by shooting from their bases outwards with scipy. Only conventions are shared with the package.
 
-Unknown are, of every touching whisker, the force, the slope angle where it acts and, in tangential contact, the arc
-length to it. They give the load on its base, the springs' displacements, with these the base's pose and the moment
-everywhere, m(s) = (xi - x) F_y - (eta - y) F_x; the rod, integrated from the base on, has to meet the object there, and
-in tangential contact to be parallel to it.
+The unknowns of a touching whisker are the contact force, the slope angle at the contact and, in tangential contact, the
+arc length of the contact. They determine the load on its base, the displacements of the springs, the pose of the base
+and the moment everywhere, m(s) = (xi - x) F_y - (eta - y) F_x. The rod, integrated from its base, must meet the object
+at the contact, and must be parallel to it in tangential contact.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ INTEGRATION = 1e-12  # relative and absolute tolerance of a rod
 
 
 class Rod(NamedTuple):
-    """A whisker, and how it is mounted."""
+    """A whisker and its mount."""
 
     length: float
     bending_stiffness: Callable[..., Any]
@@ -26,7 +26,7 @@ class Rod(NamedTuple):
 
 
 class State(NamedTuple):
-    """Signals and where the contact is; (whiskers,) arrays."""
+    """Signals and contacts; arrays of shape (whiskers,)."""
 
     base_x: np.ndarray
     base_y: np.ndarray
@@ -74,7 +74,7 @@ def equilibrium(
     profile: Callable[..., tuple],
     guess: list[tuple[float, ...]],
 ) -> State:
-    """The equilibrium near a guess, of each whisker () if free, (force, slope) in tip contact, else (..., arc)."""
+    """The equilibrium near a guess: per whisker () if free, (force, slope) in tip contact, (force, slope, arc) else."""
     n = len(rods)
     flexibility, rest = yielding(springs, n)
     drive_x, drive_y, turned = drive
@@ -89,7 +89,7 @@ def equilibrium(
         arc = np.array([o[2] if len(g) == 3 else rod.length for o, g, rod in zip(own, guess, rods, strict=True)])
         force_x, force_y = force * np.sin(slope), -force * np.cos(slope)
         contact_x, contact_y = (np.array(values) for values in zip(*map(profile, slope), strict=True))
-        # Forces along the drive's axes move the bases; where these are, the moments follow.
+        # Forces along the drive's axes move the bases; moments depend on the positions of the bases.
         along_x = rest[0] + flexibility[0] @ (force_x * cos + force_y * sin) + mounts[:, 0]
         along_y = rest[1] + flexibility[1] @ (force_y * cos - force_x * sin) + mounts[:, 1]
         base_x, base_y = drive_x + along_x * cos - along_y * sin, drive_y + along_x * sin + along_y * cos
@@ -115,16 +115,19 @@ def equilibrium(
                 off += [end[0] - contact_x[k], end[1] - contact_y[k], parallel][: len(guess[k])]
         return np.array(off)
 
-    found = root(missed, np.concatenate(guess), tol=1e-13)
-    if np.max(np.abs(found.fun)) > 1e-11:
-        raise RuntimeError(f"no equilibrium near {guess}: {found.message}")
-    return at(found.x)[0]
+    solution = root(missed, np.concatenate(guess), tol=1e-13)
+    if np.max(np.abs(solution.fun)) > 1e-11:
+        raise RuntimeError(f"no equilibrium near {guess}: {solution.message}")
+    return at(solution.x)[0]
 
 
 def misses(
     result, steps, *, drive=lambda u: (u, 0.0, 0.0), profile=None, phases: set | None = None
 ) -> dict[str, float]:
-    """By how much signals of scan steps miss the forward shooting, relative to their largest; and phases seen."""
+    """Largest difference between scan steps and forward shooting, per signal, relative to its maximum.
+
+    The phases of these steps are added to `phases`.
+    """
     scene = result.scene
     mounts = [(float(m.x), float(m.y), float(m.angle)) for m in scene.support.mounts]
     rods = [
@@ -147,9 +150,9 @@ def misses(
         )
         touching = sizes > 0
         for name in worst:
-            found = np.asarray(getattr(result, name))
-            size = np.max(np.abs(found), initial=1.0 if name.startswith("base") else 1e-300)
-            missed = np.abs(found[k] - getattr(exact, name))
+            values = np.asarray(getattr(result, name))
+            size = np.max(np.abs(values), initial=1.0 if name.startswith("base") else 1e-300)
+            missed = np.abs(values[k] - getattr(exact, name))
             # Free whiskers have no contact.
             missed = missed[touching] if name.startswith("contact") else missed
             worst[name] = max(worst[name], float(np.max(missed, initial=0.0)) / size)

@@ -1,12 +1,12 @@
-"""What the states of a scan have to fulfil, checked by elliptic integrals that share nothing with the package.
+"""Laws that the states of a scan must satisfy, checked by elliptic integrals that share no code with the package.
 
-Only what a Result says of a whisker in contact goes in: force f, slope alpha, arc s1, moment mz and positions. With
+The checks use only fields of a Result for whiskers in contact: force f, slope alpha, arc s1, moment mz, positions. With
 theta0 = pi/2 - alpha at the base, the first integral of the elastica gives k^2 = sin(alpha/2)^2 + mz^2 / (4 f EI); then
 
     sqrt(f) s1 = F(psi, k),  sqrt(f) T = 2 k cos(t0),  sqrt(f) N = 2 E(psi, k) - 2 k^2 sin(t0) sin(psi) - F(psi, k)
 
-with sin(t0) = sin(alpha/2)/k, tan(psi) = cot(t0) / sqrt(1 - k^2), lead from the contact to the base (units L = EI = 1;
-see exact.py). Whiskers bent the other way are mirrored first.
+with sin(t0) = sin(alpha/2)/k, tan(psi) = cot(t0) / sqrt(1 - k^2), are the way from the contact to the base (units
+L = EI = 1; see exact.py). Whiskers bent the other way are mirrored first.
 """
 
 from typing import NamedTuple
@@ -16,9 +16,9 @@ from scipy.special import ellipeinc, ellipkinc
 
 import jaxwhisker as jw
 
-DIFFERENCE = 1e-6  # step of the differences that stability is judged by
-UNDECIDED = 1e-4  # an eigenvalue this near to zero is neither
-LOADED = 1e-10  # force below which a contact has just begun
+DIFFERENCE = 1e-6  # step of the differences that determine stability
+UNDECIDED = 1e-4  # eigenvalues this close to zero do not decide
+LOADED = 1e-10  # force below which a contact is considered to have just begun
 
 
 class Mechanics(NamedTuple):
@@ -33,7 +33,7 @@ class Mechanics(NamedTuple):
 
 
 def contact_point(kind, p, slope):
-    """Point of the object where it has that slope angle."""
+    """Point of the object with this slope angle."""
     if kind == "parabola":
         x = np.tan(slope) / (2 * p["a"])
         return x, p["distance"] + p["a"] * x**2
@@ -43,7 +43,7 @@ def contact_point(kind, p, slope):
 
 
 def height_of(kind, p, x):
-    """Height of the object's lower side above the bases; infinite beside it."""
+    """Height of the object's lower side above the bases; infinite beside the object."""
     if kind == "parabola":
         return p["distance"] + p["a"] * x**2
     a, b = (p["radius"], p["radius"]) if kind == "circle" else (p["a"], p["b"])
@@ -52,7 +52,7 @@ def height_of(kind, p, x):
 
 
 def _elastica(k, slope):
-    """sqrt(f) times arc, x and y of the contact seen from the base."""
+    """Arc, x and y of the contact relative to the base, each times sqrt(f)."""
     sin_t0 = np.sin(slope / 2) / k
     cos_t0 = np.sqrt(np.maximum(1 - sin_t0**2, 0.0))
     psi = np.arctan2(cos_t0, sin_t0 * np.sqrt(1 - k**2))
@@ -64,12 +64,12 @@ def _elastica(k, slope):
 
 
 def violations(scenes: Mechanics, control: np.ndarray, result: jw.Result) -> dict[str, np.ndarray]:
-    """By how much each state misses each law, relative to its size: (scenes, steps) each, zero where not ok.
+    """Residual of each law in each state, relative to its size: (scenes, steps) each, zero where not ok.
 
     Args:
         scenes: the mechanics of all scenes.
         control: (scenes, steps).
-        result: their scans, one behind the other along the first axis.
+        result: their scans, stacked along the first axis.
     """
     r = {name: np.asarray(getattr(result, name)) for name in jw.State.__dataclass_fields__}
     ok = np.asarray(result.status) == jw.Status.ok
@@ -91,7 +91,7 @@ def violations(scenes: Mechanics, control: np.ndarray, result: jw.Result) -> dic
     arc, base_x, contact_x, contact_y = (
         r[name] / length for name in ("contact_arc", "base_x", "contact_x", "contact_y")
     )
-    # At next to no force the whisker is straight, and lengths over sqrt(f) lose their digits.
+    # At almost zero force the whisker is straight, and lengths divided by sqrt(f) lose their digits.
     loaded = touching & (force > LOADED)
     k = np.sqrt(np.sin(slope / 2) ** 2 + moment**2 / (4 * np.maximum(force, LOADED)))
     k = np.where(loaded, np.clip(k, np.abs(np.sin(slope / 2)), 1 - 1e-15), 0.7)
@@ -103,7 +103,7 @@ def violations(scenes: Mechanics, control: np.ndarray, result: jw.Result) -> dic
     stands = height_of(scenes.kind, profile, base_x) - 1
 
     def where(mask, value):
-        # What is not a number fulfils nothing.
+        # NaN violates every law.
         return np.max(np.where(mask, np.where(np.isnan(value), np.inf, np.abs(value)), 0.0), axis=-1)
 
     with np.errstate(invalid="ignore"):
@@ -140,10 +140,10 @@ def violations(scenes: Mechanics, control: np.ndarray, result: jw.Result) -> dic
 
 
 def _slopes(kind, profile, tip, slope, k):
-    """d force_x / d base_x of the clamped whiskers, and the cosine between their branch and growing base_x.
+    """d force_x / d base_x of the clamped whiskers, and the cosine between their branch and increasing base_x.
 
-    The branch is the line g(alpha, k) = 0 in tip contact, k^2 = 1/2 in tangential contact; from first touch on, t0 and
-    base_x decrease together up to the fold.
+    The branch is the line g(alpha, k) = 0 in tip contact, and k^2 = 1/2 in tangential contact. From first touch to the
+    fold, t0 and base_x decrease together.
     """
 
     def state(slope, k):

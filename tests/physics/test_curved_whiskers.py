@@ -1,4 +1,4 @@
-"""Whiskers that are curved when unloaded, and cones: against a forward shooting, limits, first touch, derivatives."""
+"""Whiskers that are curved when unloaded, and cones: forward shooting, limits, first touch, derivatives."""
 
 from functools import cache
 
@@ -12,13 +12,13 @@ import pytest
 import jaxwhisker as jw
 from scenes import all_ok, in_both_modes
 
-EXACT = 1e-7  # of signals relative to their size: the rods' steps
+EXACT = 1e-7  # of signals relative to their size: error of the rods' steps
 SAME = 1e-9  # of signals relative to their size: the same rod, computed in another way
 ARC = 1e-10  # of a circle's points and of constant curvatures
-MODES = 1e-10  # forward against reverse, relative to the sum of sizes: the same sums in another order
+MODES = 1e-10  # forward against reverse mode, relative to the sum of sizes: the same sums in another order
 DIFFERENCES = 1e-6  # central differences lose half the digits
 DIFFERENCE = 1e-5
-VISIBLE = 1e-2  # weighted signals change by this share at least when a parameter doubles
+VISIBLE = 1e-2  # least relative change of weighted signals when a parameter doubles
 
 CONTROL = np.linspace(1.2, -1.6, 113)
 SIGNALS = ("base_x", "fx", "fy", "mz")
@@ -67,7 +67,7 @@ def test_against_forward_shooting(name):
     assert phases == {jw.Phase.tip, jw.Phase.tangential}
 
 
-def test_no_curvature_is_a_straight_whisker():
+def test_zero_curvature_is_a_straight_whisker():
     straight, zero = jw.scan(curved(None), CONTROL), jw.scan(curved(0.0), CONTROL)
     for name in SIGNALS:
         assert np.max(np.abs(getattr(zero, name) - getattr(straight, name))) < SAME * np.max(np.abs(straight.mz))
@@ -75,7 +75,7 @@ def test_no_curvature_is_a_straight_whisker():
 
 
 @pytest.mark.parametrize("kappa", [-0.3, 0.8])
-def test_an_arc_touches_with_its_tip_where_geometry_says(kappa):
+def test_the_first_touch_of_an_arc_by_its_tip(kappa):
     # Clamped, no springs: the tip of a circular arc meets the parabola at its own height.
     tip_x, tip_y = -(1 - np.cos(kappa)) / kappa, np.sin(kappa) / kappa
     result = jw.scan(jw.Scene(jw.Whisker(intrinsic_curvature=kappa), jw.Parabola(0.2)))
@@ -84,19 +84,19 @@ def test_an_arc_touches_with_its_tip_where_geometry_says(kappa):
     assert touch.control == pytest.approx(np.sqrt(tip_y - 0.2) - tip_x, abs=ARC)
 
 
-def test_an_arc_touches_with_its_shaft_beneath_a_ball():
-    # Bent away from a small ball, whose centre is lower than the tip: circle meets circle, centres in line.
+def test_the_first_touch_of_an_arc_by_its_shaft():
+    # The whisker bends away from a small ball whose centre is below the tip: circle touches circle.
     kappa, radius, distance = -0.5, 0.1, 0.4
     result = jw.scan(jw.Scene(jw.Whisker(intrinsic_curvature=kappa), jw.Circle(distance, radius)))
     touch = next(iter(result.events))
-    # The whisker's circle has its centre at base_x + 1/|kappa|; the ball touches it from the left, outside.
+    # The centre of the whisker's circle is at base_x + 1/|kappa|; the ball touches it from outside, on the left.
     apart = np.sqrt((1 / abs(kappa) + radius) ** 2 - (distance + radius) ** 2)
     assert touch.after.phase[0] == jw.Phase.tangential
     assert touch.control == pytest.approx(apart - 1 / abs(kappa), abs=ARC)
 
 
 def test_moving_from_the_other_side_is_the_mirror_image():
-    # A scan to the left and back to the right: on the way back the whisker curves away.
+    # A scan to the left and back to the right: on the way back, the whisker is curved away from the object.
     forth, back = jw.Whisker(intrinsic_curvature=0.4), jw.Whisker(intrinsic_curvature=-0.4)
     support = jw.Support.fb(70.0, 0.0)
     turning = np.concatenate([np.linspace(1.3, -2.0, 50), np.linspace(-2.0, 1.5, 50)[1:]])
@@ -106,7 +106,7 @@ def test_moving_from_the_other_side_is_the_mirror_image():
     np.testing.assert_allclose(there.mz[49:], -mirrored.mz, atol=SAME * 10)
 
 
-def test_an_unloaded_arc_keeps_its_arc():
+def test_an_unloaded_arc_keeps_its_shape():
     kappa = 0.7
     d = jw.deflect(jw.Whisker(intrinsic_curvature=kappa), jw.PointForce(0.0, position=0.6))
     np.testing.assert_allclose(d.curvature, kappa, atol=ARC)
@@ -117,11 +117,11 @@ def test_an_unloaded_arc_keeps_its_arc():
 def test_a_moment_at_the_tip_shifts_the_curvature_everywhere():
     whisker = jw.Whisker(1.0, lambda s: 2.0 - s, Spiral(0.3, 0.5))
     d = jw.deflect(whisker, jw.PointMoment(0.4), points=50)
-    s = np.asarray(d.s)[:50]  # at the tip, beyond the moment, the curvature is the whisker's own
+    s = np.asarray(d.s)[:50]  # beyond the moment, at the tip, the curvature is intrinsic
     np.testing.assert_allclose(d.curvature[:50], 0.3 + 0.5 * s + 0.4 / (2.0 - s), atol=ARC)
 
 
-def test_shapes_of_free_whiskers_are_their_own():
+def test_free_whiskers_have_their_unloaded_shape():
     result = scanned("towards")
     line = jw.shapes(result, CONTROL[:1])
     x, y = np.asarray(line.x)[0, 0], np.asarray(line.y)[0, 0]
@@ -135,7 +135,7 @@ P = jnp.array([1.0, 64 / np.pi, 1.0, 0.3, 0.3, 0.4, 70.0])
 
 
 def observed(p):
-    """Signals before the vertex, after it and on the far side; positions of the first events, a snap among them."""
+    """Signals before and after the vertex and on the far side; positions of the first events, including a snap."""
     length, modulus, base, tip, start, growth, c = p
     stiffness = jw.Whisker.conical(length, modulus, base, tip).bending_stiffness
     whisker = jw.Whisker(length, stiffness, Spiral(start, growth))
@@ -144,7 +144,7 @@ def observed(p):
     return jnp.concatenate([result.fx[:5, 0], result.mz[:5, 0], result.events.control[:3]])
 
 
-def test_derivatives_by_all_that_shapes_a_whisker():
+def test_derivatives_by_all_parameters_of_a_whisker():
     rng = np.random.default_rng(3)
     direction = P * jnp.asarray(rng.uniform(0.5, 1.0, P.size))
     weights = jnp.asarray(rng.normal(size=jax.eval_shape(observed, P).size))
@@ -163,25 +163,19 @@ def test_derivatives_by_all_that_shapes_a_whisker():
         assert abs(difference - pulled[k]) < DIFFERENCES * np.max(np.abs(pulled * P)) / size
 
 
-def test_a_whisker_that_curls_round_is_refused():
-    with pytest.raises(
-        ValueError, match=r"`intrinsic_curvature` must turn .* less than a right angle, .* by 91\.67 degrees"
-    ):
-        jw.Whisker(intrinsic_curvature=1.6)
-    with pytest.raises(ValueError, match="`rod` must be Shooting"):
-        jw.Scene(jw.Whisker(intrinsic_curvature=0.1), jw.Parabola(0.2), rod=jw.ClosedForm())
+def test_a_whisker_that_curls_up_is_invalid_in_a_batch():
     kappa = jnp.array([0.4, 1.6])
     mz, status = jax.jit(jax.vmap(lambda k: (lambda r: (r.mz, r.status))(jw.scan(curved(k), CONTROL[::16]))))(kappa)
     assert np.all(status[1] == jw.Status.invalid) and np.all(np.isnan(mz[1]))
     assert np.all(status[0] == jw.Status.ok) and np.all(np.isfinite(mz[0]))
 
 
-def test_a_whisker_that_would_touch_twice_is_refused():
-    # Leaning away and then over the object, it stands out with its lower half and with its tip.
+def test_a_whisker_that_would_touch_in_two_places_is_an_error():
+    # The whisker leans away and then over the object: its lower half and its tip protrude.
     bent = jw.Whisker(intrinsic_curvature=Spiral(-3.0, 8.0))
     with pytest.raises(ValueError, match=r"`intrinsic_curvature` must let .* in one place only"):
         jw.scan(jw.Scene(bent, jw.Parabola(0.2, 10.0)), CONTROL[::16])
-    # In front of a flatter object the same whisker meets it with its tip only.
+    # A flatter object meets the same whisker at its tip only.
     assert all_ok(jw.scan(jw.Scene(bent, jw.Parabola(0.2, 0.3)), CONTROL[:32:8]))
     growth = jnp.array([8.0, 2.0])
 
@@ -189,6 +183,6 @@ def test_a_whisker_that_would_touch_twice_is_refused():
         whisker = jw.Whisker(intrinsic_curvature=Spiral(-3.0 * growth / 8, growth))
         return jw.scan(jw.Scene(whisker, jw.Parabola(0.2, 10.0)), CONTROL[::16]).status
 
-    found = jax.jit(jax.vmap(status))(growth)
-    assert np.all(found[0] == jw.Status.invalid)
-    assert np.all(found[1] == jw.Status.ok)
+    each = jax.jit(jax.vmap(status))(growth)
+    assert np.all(each[0] == jw.Status.invalid)
+    assert np.all(each[1] == jw.Status.ok)

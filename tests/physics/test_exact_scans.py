@@ -1,4 +1,4 @@
-"""Against exact scans by elliptic integrals (exact.py) of scenes that are drawn at random, once and for all."""
+"""Scans against exact ones by elliptic integrals (exact.py), for a fixed list of scenes that were drawn at random."""
 
 import math
 
@@ -9,7 +9,7 @@ import pytest
 import jaxwhisker as jw
 from scenes import all_ok, told
 
-SIGNAL = 1e-6  # of a signal's peak over the scan; beside a fold both solutions lose digits
+SIGNAL = 1e-6  # relative to a signal's peak over the scan; near a fold both solutions lose digits
 EVENT = 1e-8
 EVERY = 40  # of the default control's steps: the exact solver is slow
 

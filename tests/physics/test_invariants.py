@@ -1,4 +1,4 @@
-"""What must hold of any scan: balance, symmetry, units, limits of the network."""
+"""Invariants of every scan: balance, symmetry, units, limits of the network."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +9,9 @@ import jaxwhisker as jw
 from scenes import all_ok, model, told
 
 BALANCE = 1e-9  # of forces and moments, relative to the largest
-SAME = 1e-9  # two ways to the same scan
-UNITS = 1e-12  # units are taken out before anything is computed
-STIFF = 1e-9  # 1e12 against infinity: forces stay below 1e3
+SAME = 1e-9  # two computations of the same scan
+UNITS = 1e-12  # scenes are made dimensionless before anything is computed
+STIFF = 1e-9  # a stiffness of 1e12 against infinity: forces stay below 1e3
 
 CONTROL = np.linspace(0.9, -2.2, 240)
 few = settings(max_examples=6)
@@ -36,11 +36,11 @@ def test_every_whisker_and_every_base_is_in_balance(values):
     size = max(1.0, np.max(f))
     np.testing.assert_allclose(result.fx, -f * np.sin(alpha), atol=BALANCE * size)
     np.testing.assert_allclose(result.fy, f * np.cos(alpha), atol=BALANCE * size)
-    # Moments about the base: the contact force turns what mz holds.
+    # Moments about the base: mz balances the contact force.
     arm_x, arm_y = np.asarray(result.contact_x - result.base_x), np.asarray(result.contact_y)
     moment = result.mz + arm_x * (-np.asarray(result.fy)) - arm_y * (-np.asarray(result.fx))
     np.testing.assert_allclose(np.where(touching, moment, 0), 0, atol=BALANCE * size)
-    # Springs on each base carry what the support gives to its whisker.
+    # The springs on each base carry the reaction on its whisker.
     tension = np.stack(
         [(result.spring_length[:, k] - s.rest_length) / s.softness for k, s in enumerate(scene.support.springs)],
         axis=1,
@@ -48,7 +48,7 @@ def test_every_whisker_and_every_base_is_in_balance(values):
     c1, c2, c3 = tension.T
     np.testing.assert_allclose(-c1 + c2, result.fx[:, 0], atol=BALANCE * size * 10)
     np.testing.assert_allclose(-c2 - c3, result.fx[:, 1], atol=BALANCE * size * 10)
-    # The contact point lies on the object, the contact arc within the whisker.
+    # The contact point lies on the object, and the contact arc within the whisker.
     _, _, _, q, a, _ = values
     on_object = q + a * np.asarray(result.contact_x) ** 2
     np.testing.assert_allclose(np.where(touching, result.contact_y - on_object, 0), 0, atol=SAME)
@@ -82,13 +82,13 @@ def test_units_drop_out(values):
     force, moment = bending / length**2, bending / length
     for name, size in (("fx", force), ("fy", force), ("mz", moment), ("base_x", length), ("contact_arc", length)):
         a_, b_ = np.asarray(getattr(one, name)), np.asarray(getattr(other, name)) / size
-        # Rounding of the input moves the state by the condition number, large only beside a fold.
+        # Rounding of the input is amplified by the condition number, which is large only near a fold.
         assert np.median(np.abs(a_ - b_)) <= UNITS * max(1, np.max(np.abs(a_)))
         np.testing.assert_allclose(a_, b_, atol=1e-8 * max(1, np.max(np.abs(a_))))
 
 
 def test_the_mirror_image_scanned_from_the_left_is_the_mirrored_scan():
-    # From the right to the left and back: the way back is the mirrored way out.
+    # A scan from the right to the left and back: the way back is the mirror image of the way out.
     out = np.linspace(1.0, -2.0, 301)
     there = jw.scan(model("clamped"), out)
     back = jw.scan(model("clamped"), np.concatenate([[1.0, -2.0], -out]))

@@ -1,4 +1,4 @@
-"""The path decides, not the grid: coarse and fine, out and back, from the middle, past and beside the object."""
+"""Results depend on the path, not on the grid: coarse and fine, out and back, from the middle, beside the object."""
 
 import exact
 import numpy as np
@@ -9,7 +9,7 @@ from scenes import all_ok, model, step_nearest, told
 
 GRID = 1e-9  # states shared by two grids
 EVENT = 1e-8  # events of two grids
-RETRACE = 1e-9  # out and back without a snap
+RETRACE = 1e-9  # of states out and back without a snap
 FLAT = np.linspace(3.3, -4.0, 400)  # across a wide object
 
 
@@ -91,7 +91,7 @@ def test_an_object_out_of_reach_is_no_contact():
     np.testing.assert_allclose(result.base_x[:, 0] - result.control, 0.2, atol=1e-12)
 
 
-def test_the_default_control_holds_the_whole_story():
+def test_the_default_control_contains_all_events():
     for name in ("clamped", "FB", "FBFBFBR"):
         result = jw.scan(model(name))
         assert np.all(np.asarray(result.phase[0]) == jw.Phase.free)
@@ -101,12 +101,12 @@ def test_the_default_control_holds_the_whole_story():
 
 
 def test_the_far_side():
-    # c = 10 slips at u = -1.0246, lands on the far side bent the other way, and leaves smoothly.
+    # With c = 10 the whisker slips at u = -1.0246, lands on the far side, bent the other way, and leaves smoothly.
     result = jw.scan(model("FB", 10.0))
     landing = result.events.of(jw.EventKind.snap_through)[1]
     assert landing.whiskers == (1,)
     assert landing.whisker == 1
-    assert result.events[2].whisker is None  # the snap through the vertex, in which nobody slips
+    assert result.events[2].whisker is None  # the snap through the vertex, at which no whisker slips
     assert landing.state is landing.after
     assert landing.before.mz[0] > 0 > landing.after.mz[0]
     assert abs(landing.after.base_x[0] + 0.8400653) < 1e-6
@@ -119,7 +119,7 @@ def test_sixteen_whiskers_in_a_row():
     result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.4), jw.Support(springs)), np.linspace(0.8, -3.8, 300))
     assert all_ok(result)
     assert result.fx.shape == (300, 16)
-    # Every whisker meets the object; some that spring back after a snap meet it once more.
+    # Every whisker touches the object; some spring back after a snap and touch it again.
     assert {w for kind, whiskers, _ in told(result) if kind == "touch" for w in whiskers} == set(range(1, 17))
     drive = 200.0 * (np.asarray(result.spring_length)[:, 0] - 0.15)
     np.testing.assert_allclose(-drive, np.asarray(result.fx).sum(axis=1), atol=1e-9 * 200)
@@ -134,7 +134,7 @@ def test_just_below_the_critical_stiffness_it_snaps_and_just_above_it_does_not()
 
 
 def test_a_snap_at_a_corner_and_a_flow_across_one():
-    # Soft FBFB at q = 0.4: stability is lost at a change of phase, and the flow ends close to another.
+    # Soft FBFB at q = 0.4: stability is lost at a change of phase, and the flow ends close to another change.
     result = jw.scan(model("FBFB", 11.65, distance=0.4))
     assert all_ok(result)
     expected = [
@@ -150,7 +150,7 @@ def test_a_snap_at_a_corner_and_a_flow_across_one():
 
 
 def test_beneath_the_edge_of_a_flat_object_a_whisker_slides_on():
-    # Its branch turns back where the edge slips beneath the tip, and is stable again at once, bent as before.
+    # The branch turns back where the edge slips beneath the tip, and is stable again immediately, bent as before.
     a, b, distance = 3.1907, 0.036, 0.7042
     result = jw.scan(jw.Scene(jw.Whisker(), jw.Ellipse(distance, a, b), jw.Support.clamped()), FLAT)
     branch = exact.ClampedBranch(exact.ellipse(distance, a, b))
@@ -165,13 +165,15 @@ def test_beneath_the_edge_of_a_flat_object_a_whisker_slides_on():
     assert kinds == ["touch", "tangential_to_tip", "snap_through", "vertex", "snap_off"]
     snap = result.events[2]
     assert abs(snap.control - x) < EVENT
-    assert abs(snap.before.contact_slope[0] - slope) < 1e-4  # a fold knows its state to the root of its position
+    assert (
+        abs(snap.before.contact_slope[0] - slope) < 1e-4
+    )  # at a fold, the error of the state is the root of that of the position
     assert abs(snap.after.contact_slope[0] - further.contact_slope) < 1e-6
     assert snap.after.mz[0] > 0
 
 
 def test_a_stretch_between_two_changes_of_phase_is_not_missed():
-    # Tip contact turns tangential and back within one long step of the march.
+    # Tip contact becomes tangential and tip again within one long step of the march.
     whisker, profile = jw.Whisker(), jw.Parabola(0.5189945179467305, 0.21826609)
     result = jw.scan(jw.Scene(whisker, profile, jw.Support.clamped(), jw.ClosedForm()), np.linspace(2, -2, 400))
     assert all_ok(result)

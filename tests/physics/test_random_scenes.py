@@ -1,4 +1,4 @@
-"""Random scenes, states checked by laws that share nothing with the engine. Far more of them: benchmarks/soak.py."""
+"""Random scenes, checked by laws that share no code with the package (many more in benchmarks/soak.py)."""
 
 from functools import cache
 
@@ -11,22 +11,22 @@ from independent import violations
 import jaxwhisker as jw
 from random_scenes import drawn, mechanics, scans
 
-SOUND = 1e-7  # by how much a state may miss a law, relative to its size: the engine asks 1e-8 of itself
-REFUSED = 0.01  # share of scenes that may end with a status; some 0.2 % do, all of them for a named reason
+SOUND = 1e-7  # largest relative residual of a law; the package itself requires 1e-8
+REFUSED = 0.01  # largest share of scenes that end with a status; about 0.2 % do, all with a known reason
 KINDS = {("FB", "parabola"): 600, ("FBFB", "ellipse"): 400}  # scenes of each
 COUPLED = ("FBFB", "ellipse")
 
 
 @cache
 def scanned(network, profile):
-    """Parameters and scans, with one method for each of both kinds."""
+    """Parameters and scans of one kind; each kind uses another method for rods."""
     p = drawn(network, profile, KINDS[network, profile], np.random.default_rng(1))
     rod = jw.Shooting() if network == "FB" else jw.ClosedForm()
     return p, jax.block_until_ready(scans(network, profile, rod)(p))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_none_says_ok_and_is_wrong(kind):
+def test_states_with_status_ok_satisfy_all_laws(kind):
     network, profile = kind
     p, result = scanned(network, profile)
     for law, amount in violations(mechanics(network, profile, p), p.control, result).items():
@@ -35,13 +35,13 @@ def test_none_says_ok_and_is_wrong(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_hardly_any_is_refused(kind):
+def test_few_scenes_fail(kind):
     _, result = scanned(*kind)
     worst = np.max(np.asarray(result.status), axis=1)
     assert np.mean(worst != jw.Status.ok) <= REFUSED
     assert not np.any(worst == jw.Status.invalid)
     touched = np.any(np.asarray(result.phase) != jw.Phase.free, axis=(1, 2))
-    assert np.mean(touched) > 0.9  # or nothing has been checked
+    assert np.mean(touched) > 0.9  # otherwise little was checked
 
 
 WRONG = {
@@ -56,15 +56,15 @@ WRONG = {
 
 
 @pytest.mark.parametrize("field", WRONG)
-def test_what_is_wrong_is_noticed(field):
+def test_wrong_fields_violate_a_law(field):
     p, result = scanned(*COUPLED)
     wrong = eqx.tree_at(lambda r: getattr(r, field), result, WRONG[field](result))
     missed = violations(mechanics(*COUPLED, p), p.control, wrong)
     assert max(np.max(amount) for amount in missed.values()) > SOUND
 
 
-def test_an_unstable_state_is_noticed():
-    # With springs a hundred times softer than those that hold the bases.
+def test_an_unstable_state_violates_a_law():
+    # The springs are a hundred times softer than those of the scan.
     p, result = scanned(*COUPLED)
     scenes = mechanics(*COUPLED, p)
     missed = violations(scenes._replace(flexibility=100 * scenes.flexibility), p.control, result)

@@ -1,4 +1,4 @@
-"""Against exact scans by elliptic integrals, stored with nine decimals, and their landmarks."""
+"""Scans against exact ones by elliptic integrals, stored with nine decimals, and their landmarks."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 import jaxwhisker as jw
 from scenes import REFERENCE, all_ok, from_reference, told
 
-SIGNAL = 1e-6  # of a signal's peak, at every listed control: what the reference is asked to confirm
+SIGNAL = 1e-6  # relative to a signal's peak, at every stored control
 EVENT = 1e-7  # in u: a hundred times the reference's rounding
 PRINTED = 5.1e-8  # landmarks are printed with seven decimals
 PEAK = 5.1e-6  # peaks are printed with five decimals, read on a grid of 0.001
@@ -39,7 +39,7 @@ def test_all_events_of_the_default_scan(case):
     controls = np.array([e["control"] for e in case["events"]])
     np.testing.assert_allclose([u for _, _, u in told(result)], controls, rtol=0, atol=EVENT)
     for event, exact in zip(result.events, case["events"], strict=True):
-        # The reference takes `after` 1e-7 further on, and `before` a little ahead of a fold, where base_x moves fast.
+        # The reference stores `after` 1e-7 later, and `before` slightly before a fold, where base_x changes fast.
         for state, stored in ((event.before, exact.get("before", [])), (event.after, exact.get("after", []))):
             for i, values in enumerate(stored):
                 assert abs(state.base_x[i] - values["base_x"]) < 1e-3
@@ -51,10 +51,10 @@ def test_all_events_of_the_default_scan(case):
 
 @by_name
 def test_peaks_of_the_default_scan(case):
-    # The default grid is another one than the reference's: near a peak both miss it by less than the bound.
+    # The default grid differs from the reference's: near a peak, both differ from it by less than the bound.
     result = jw.scan(from_reference(case))
     for i, peaks in enumerate(case["peaks"]):
-        last = np.asarray(result.control) > -2  # all of it: a guard against an empty scan
+        last = np.asarray(result.control) > -2  # guards against an empty scan
         assert last.sum() > 1000
         assert abs(np.min(result.fx[:, i]) - peaks["fx_min"]) < 2e-2
         assert abs(np.max(result.fy[:, i]) - peaks["fy_max"]) < 5e-2 * peaks["fy_max"]
@@ -86,7 +86,7 @@ def test_landmarks_are_the_same_for_every_network():
             ]
             for value, exact in landmarks:
                 assert abs(value - exact) < PRINTED
-    clamped_result = jw.scan(clamped, np.arange(0.9, -1.23, -0.0001))  # so fine that the grid hides no peak
+    clamped_result = jw.scan(clamped, np.arange(0.9, -1.23, -0.0001))  # fine enough for the peaks
     snap = clamped_result.events.of(jw.EventKind.snap_off)[0]
     assert abs(snap.before.base_x[0] + 1.2224698) < PRINTED
     assert abs(np.degrees(snap.before.contact_slope[0]) + 47.23) < 0.005

@@ -18,7 +18,7 @@ TIP_FOLLOWER = {  # A.1
     10: (-9.8894, 1.4833, 1.7224),
 }
 FOLLOWER_ALONG = {0.3: (0.9990, 0.0450, 0.2999), 0.5: (0.9922, 0.1246, 0.4992), 0.7: (0.9703, 0.2421, 0.6958)}  # A.2
-TIP_DEAD = {1: 0.943567, 3: 2.2367, 5: 3.0619, 7: 3.6895, 10: 4.4500}  # A.3, whose 0.9437 is a misprint
+TIP_DEAD = {1: 0.943567, 3: 2.2367, 5: 3.0619, 7: 3.6895, 10: 4.4500}  # A.3, which prints 0.9437 for F = 1
 DEAD_ALONG = {0.3: 0.2998, 0.5: 0.4979, 0.7: 0.6893}  # A.4
 
 
@@ -64,7 +64,7 @@ def test_a_tip_moment_bends_an_arc():
 def test_several_loads_balance():
     whisker = jw.Whisker(length=2.0, bending_stiffness=3.0)
     d = jw.deflect(whisker, jw.PointForce(1.0, 1.5, direction=2.5), jw.PointMoment(0.3, 1.0), jw.PointForce(2.0, 0.7))
-    order_does_not_matter = jw.deflect(
+    reordered = jw.deflect(
         whisker, jw.PointForce(2.0, 0.7), jw.PointForce(1.0, 1.5, direction=2.5), jw.PointMoment(0.3, 1.0)
     )
     at = {s: (np.interp(s, d.s, d.x), np.interp(s, d.s, d.y)) for s in (0.7, 1.5)}
@@ -73,7 +73,7 @@ def test_several_loads_balance():
     assert abs(d.fx + sum(f[0] for f in forces.values())) < EXACT
     assert abs(d.fy + sum(f[1] for f in forces.values())) < EXACT
     assert abs(d.mz + moment) < EXACT
-    assert abs(d.mz - order_does_not_matter.mz) < EXACT
+    assert abs(d.mz - reordered.mz) < EXACT
 
 
 def test_a_follower_turns_with_the_whisker_and_a_dead_load_does_not():
@@ -84,7 +84,7 @@ def test_a_follower_turns_with_the_whisker_and_a_dead_load_does_not():
     np.testing.assert_allclose([dead.fx, dead.fy], [2.0, 0.0], atol=EXACT)
 
 
-def test_units_are_carried():
+def test_deflections_in_si_units():
     one = jw.deflect(jw.Whisker(), jw.PointForce(5.0))
     length, stiffness = 0.02, 3e-7
     si = jw.deflect(jw.Whisker(length, stiffness), jw.PointForce(5.0 * stiffness / length**2))
@@ -92,10 +92,47 @@ def test_units_are_carried():
     np.testing.assert_allclose(si.x / length, one.x, atol=1e-12)
 
 
-def test_a_load_too_large_for_the_steps_says_so():
+def test_a_load_too_large_for_the_steps_has_a_status():
     d = jw.deflect(jw.Whisker(), jw.PointForce(1e4))
     assert d.status == jw.Status.inexact
     assert np.isnan(d.mz) and np.all(np.isnan(d.x))
+
+
+def test_shapes_have_points_on_each_stretch():
+    whisker = jw.Whisker(2.0)
+    d = jw.deflect(whisker, jw.PointForce(0.3, 1.5), jw.PointForce(0.2, 0.5), points=11)
+    assert d.s.shape == (11 + 11 + 1,)
+    np.testing.assert_allclose(np.asarray(d.s)[[0, 10, 11, 21, 22]], [0.0, 0.5, 0.5, 1.5, 2.0], atol=EXACT)
+    np.testing.assert_allclose([d.x[0], d.y[0]], [d.base_x, d.base_y], atol=EXACT)
+    # Beyond the outermost load the whisker is straight.
+    step = np.array([d.x[22] - d.x[21], d.y[22] - d.y[21]])
+    np.testing.assert_allclose(step, 0.5 * np.array([np.cos(d.angle[21]), np.sin(d.angle[21])]), atol=EXACT)
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: jw.deflect("whisker", jw.PointForce(1.0)), "`whisker` must be a Whisker, got 'whisker'"),  # pyright: ignore[reportArgumentType]
+        (lambda: jw.deflect(jw.Whisker()), r"`loads` must be one or more of PointForce and PointMoment, got \(\)"),
+        (lambda: jw.deflect(jw.Whisker(), 3.0), "`loads` must be one or more of PointForce and PointMoment, got"),  # pyright: ignore[reportArgumentType]
+        (
+            lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0, 1.5)),
+            "`position` must be at most the length 1.0, got 1.5",
+        ),
+        (
+            lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0), points=1),
+            "`points` must be an int of at least 2, got 1",
+        ),
+        (
+            lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0), support=jw.Support.fbfb(70.0)),
+            "`support` must be a Support of one whisker, got",
+        ),
+    ],
+)
+def test_wrong_arguments(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
 
 
 def test_vmap_is_a_loop():
@@ -105,9 +142,9 @@ def test_vmap_is_a_loop():
     np.testing.assert_allclose(batch, loop, rtol=1e-13)
 
 
-LOADS = jnp.array([3.0, 0.8, 2.5, 0.6, 1.1, 0.9])  # force, its position, direction; moment; length, bending stiffness
+LOADS = jnp.array([3.0, 0.8, 2.5, 0.6, 1.1, 0.9])  # force, position, direction; moment; length, bending stiffness
 MODES = 1e-10  # forward against reverse
-DIFFERENCES = 1e-7  # central differences with step 1e-5 of a smooth function
+DIFFERENCES = 1e-7  # central differences of a smooth function with step 1e-5
 
 
 def bent(p, follower):
@@ -135,7 +172,7 @@ def test_derivatives_by_loads_and_whisker(follower):
         np.testing.assert_allclose(forward[:, k], difference, atol=DIFFERENCES * np.max(np.abs(forward)))
 
 
-def test_the_derivative_of_a_small_deflection_is_that_of_a_beam():
+def test_derivatives_of_small_deflections_agree_with_beam_theory():
     # Cantilever: tip deflection F L^3 / 3 EI, base moment F L; the force towards -x.
     def tip(force, length, bending_stiffness):
         d = jw.deflect(jw.Whisker(length, bending_stiffness), jw.PointForce(force))
@@ -156,7 +193,7 @@ def test_second_derivatives():
         np.testing.assert_allclose(hessian[k], [(a - b) / 2e-5 for a, b in zip(ahead, behind, strict=True)], atol=1e-7)
 
 
-def test_failed_lanes_leak_no_derivative():
+def test_failed_batch_elements_have_no_derivative():
     def mean(forces, positions, stiffness):
         def one(force, position):
             return jw.deflect(jw.Whisker(1.0, stiffness), jw.PointForce(force, position)).mz
@@ -164,12 +201,12 @@ def test_failed_lanes_leak_no_derivative():
         return jnp.nanmean(jax.vmap(one)(forces, positions))
 
     gradient = jax.jit(jax.grad(mean, argnums=(0, 1, 2)))
-    # A NaN, a load off the whisker, one that is too large, another NaN; then two good ones.
+    # A NaN, a load beyond the tip, one that is too large, another NaN; then two valid ones.
     forces = jnp.array([jnp.nan, 1.0, 1e7, 1.0, 1.0, 2.0])
     positions = jnp.array([0.5, 1.5, 0.7, jnp.nan, 0.5, 0.8])
     by_force, by_position, by_stiffness = gradient(forces, positions, 1.0)
     assert np.all(by_force[:4] == 0) and np.all(by_position[:4] == 0)
     assert np.all(by_force[4:] != 0) and np.all(by_position[4:] != 0)
-    # The good ones in the place of the others have the same mean.
+    # A batch of valid loads only has the same mean.
     _, _, alone = gradient(jnp.tile(forces[4:], 3), jnp.tile(positions[4:], 3), 1.0)
     np.testing.assert_allclose(by_stiffness, alone, rtol=MODES)

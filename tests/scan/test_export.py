@@ -1,4 +1,4 @@
-"""Tables and Datasets of scans: names, values, and that they are read back."""
+"""Tables of scans: names, values, and that they can be read back."""
 
 import re
 
@@ -11,12 +11,10 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._inverse.measured import CHANNELS, measured_of
-from jaxwhisker._study.fields import FIELDS
 from scenes import model
 
 CONTROL = np.linspace(0.72, -1.62, 118)
 PARSED = 1e-15  # relative: the usual parser of pandas 2 is off by a last digit here and there
-SAME = 1e-9  # a scan in a batch and alone, relative to the largest value
 
 
 def scene(stiffness):
@@ -80,33 +78,6 @@ def test_table_of_a_clamped_whisker_has_no_springs(result):
     clamped = model("clamped")
     table = jw.to_dataframe(jw.Result(**fields | {"spring_length": jnp.zeros((CONTROL.size, 0)), "scene": clamped}))
     assert not any(name.startswith("spring") for name in table)
-
-
-def test_dataset_is_that_of_a_study(result):
-    data = result.to_xarray()
-    studied = jw.study(scene, control=CONTROL, outputs="all", stiffness=[70.0]).isel(stiffness=0, drop=True)
-    assert set(data.variables) == set(studied.variables) and set(FIELDS) <= set(data.variables)
-    assert data.sizes == studied.sizes
-    for name, one in studied.variables.items():
-        other = data[name]
-        assert (one.dims, one.dtype, str(one.attrs)) == (other.dims, other.dtype, str(other.attrs)), name
-        if one.dtype.kind == "f":
-            np.testing.assert_allclose(other, one, rtol=0, atol=SAME * max(np.nanmax(np.abs(one)), 1.0), err_msg=name)
-        else:
-            np.testing.assert_array_equal(other, one, err_msg=name)
-    assert data.attrs.keys() == studied.attrs.keys()
-    assert all(data.attrs[name] == studied.attrs[name] for name in data.attrs if name != "date")
-    assert_same(measured_of(data), result)
-
-
-def test_dataset_tells_what_failed(failed):
-    assert failed.to_xarray().attrs["points"] == "0 of 1 ok; 1: lost"
-
-
-def test_dataset_has_the_units_of_the_scene(result):
-    assert result.to_xarray().fx.attrs["units"] == "EI/L^2"
-    long = eqx.tree_at(lambda r: r.scene.whisker.length, result, jnp.asarray(2.0))
-    assert long.to_xarray().fx.attrs["units"] == "force"
 
 
 @pytest.mark.unchecked

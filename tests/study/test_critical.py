@@ -1,4 +1,4 @@
-"""The critical stiffness against the closed form, and against scans on both sides of it."""
+"""The critical stiffness, compared with the closed form and with scans on both sides of it."""
 
 import jax
 import numpy as np
@@ -12,7 +12,7 @@ from scenes import all_ok, model
 # maximised in 40 digits.
 EXACT = {0.1: (129.7212723891506, -0.0888582778568), 0.4: (5.823515964515434, -0.3674412508699)}
 SLOPE = 1e-9  # relative
-PLACE = 1e-7  # a maximum's place is known to the root of what its value is known to
+PLACE = 1e-7  # the position of a maximum is known to the square root of the precision of its value
 MARGIN = 1e-3  # relative, on both sides of the critical stiffness
 
 
@@ -45,11 +45,11 @@ def test_a_scan_snaps_through_below_the_steepest_slope_only():
 
 @pytest.mark.parametrize("below", [1e-4, 1e-5, 1e-6, 1e-7])
 def test_just_below_the_bases_creep_away_in_one_snap(below):
-    # The two folds lie 1e-3 and less apart, a millionth of that in u: the flow between them has next to no force.
+    # The two folds are at most 1e-3 apart, and a millionth of that in u: the flow between them has almost no force.
     result = jw.scan(model("FB", EXACT[0.1][0] * (1 - below), distance=0.1), np.linspace(0.9, -0.8, 64))
     assert all_ok(result)
     (snap,) = result.events.of(jw.EventKind.snap_through)
-    # The state moves by less than the root of what the stiffness lacks, but it moves, and nothing else happens there.
+    # The state moves by less than the square root of the deficit in stiffness, and there is no other event.
     moved = abs(float(snap.after.base_x[0] - snap.before.base_x[0]))
     assert 0.03 * np.sqrt(below) < moved < 3 * np.sqrt(below)
 
@@ -63,5 +63,5 @@ def test_softest_base_of_the_models():
 
 @pytest.mark.unchecked
 def test_a_traced_object_is_refused():
-    with pytest.raises(ValueError, match="must be concrete, but are traced"):
+    with pytest.raises(ValueError, match="must be concrete, got traced ones"):
         jax.jit(lambda q: steepest(jw.Whisker(), jw.Parabola(q)).slope)(0.2)

@@ -1,6 +1,7 @@
-"""Studies: every point is a scan of its own, whatever the blocks; bad points and bad arguments."""
+"""Studies: every point equals a single scan, whatever the blocks; bad points and bad arguments."""
 
 import importlib
+import math
 import re
 from typing import Any
 
@@ -11,14 +12,12 @@ import xarray as xr
 from jax.core import Tracer
 
 import jaxwhisker as jw
-from jaxwhisker._scan.scan import STEP, default_control
-from jaxwhisker._study.control import common_control
-from jaxwhisker._study.parameters import parameters_of
+from jaxwhisker._study.compute import Kernel
 
 CONTROL = np.linspace(0.8, -1.6, 61)
-STIFFNESS = np.array([70.0, -1.0, 40.0, np.nan, 200.0])  # two of them are none
+STIFFNESS = np.array([70.0, -1.0, 40.0, np.nan, 200.0])  # two of them are invalid
 DISTANCE = np.array([0.2, 0.3, 1.5])  # the last out of reach
-ROUNDING = 1e-9  # of a solution whose Newton iteration ends elsewhere, relative to the peak, about 20
+ROUNDING = 1e-9  # two solutions of Newton's method, relative to the peak of about 20
 SLOPE = 1e-6  # of central differences with STRETCH, relative to the largest slope
 STRETCH = 1e-3
 
@@ -62,11 +61,30 @@ class TestPoints:
         assert bool((free.status == jw.Status.ok).all())
         assert bool((free.mz == 0).all())
 
-    def test_the_points_are_counted_in_words(self, data):
-        assert data.attrs["points"] == "9 of 15 ok; 6: `stiffness` must be a positive number"
+    def test_the_points_are_counted(self, data):
+        words = "9 of 15 ok; 6 invalid (stiffness = -1, distance = 0.2: `stiffness` must be"
+        assert data.attrs["points"].startswith(words)
+        counts = {jw.Status.ok: 9, jw.Status.invalid: 6}
+        assert {status: int((data.point_status == status).sum()) for status in counts} == counts
+
+    def test_events_that_are_not_stored_are_counted(self, data, monkeypatch, capsys):
+        assert "omitted_events" not in data.attrs
+        computed = Kernel.__call__
+
+        def many(self, values):
+            found = computed(self, values)
+            return found | {"event_count": np.where(found["event_count"] > 3, 99, found["event_count"])}
+
+        monkeypatch.setattr(Kernel, "__call__", many)
+        axes: dict[str, Any] = {"stiffness": STIFFNESS[:3], "distance": DISTANCE}
+        crowded = jw.study(build, control=CONTROL, **axes)
+        room = crowded.sizes["event"]
+        words = f"4 of 9 points have more than the {room} events stored, up to 99"
+        assert crowded.attrs["omitted_events"] == words
+        assert words in capsys.readouterr().err
 
     def test_rows_of_a_table(self, data):
-        # As many as in a block of the axes: the compiled function is the same.
+        # As many as in a block of the axes: the compiled function has the same shape.
         columns = {"distance": [0.3, 0.2, 0.2, 0.3, 0.3, 0.2], "stiffness": [40.0, 70.0, 40.0, -1.0, 70.0, 200.0]}
         table = jw.study(build, control=CONTROL, points=pd.DataFrame(columns), outputs="all")
         assert table.fx.dims == ("point", "control", "whisker")
@@ -74,14 +92,6 @@ class TestPoints:
             row = table.isel(point=k)
             assert (float(row.distance), float(row.stiffness)) == (distance, stiffness)
             np.testing.assert_allclose(row.mz, data.mz.sel(stiffness=stiffness, distance=distance), atol=20 * ROUNDING)
-
-    def test_default_control_spans_all_contacts(self):
-        points = {"stiffness": [70.0, 200.0, 40.0], "distance": [0.2, 0.3, np.nan]}  # the last tells nothing
-        control = common_control(build, parameters_of(build, points, {}, ()))
-        each = [default_control(build(c, q)) for c, q in ((70.0, 0.2), (200.0, 0.3))]
-        assert control[0] == pytest.approx(max(u[0] for u in each), abs=ROUNDING)
-        assert min(u[-1] for u in each) - 2 * STEP < control[-1] < min(u[-1] for u in each) + STEP
-        np.testing.assert_allclose(np.diff(control), -STEP)
 
     def test_traced_once_whatever_the_size(self):
         traced = []
@@ -170,6 +180,26 @@ def _other_ends(stiffness, distance):
     return jw.Scene(jw.Whisker(), jw.Parabola(distance), support)
 
 
+def _interpolates(stiffness, distance):
+    return build(np.interp(stiffness, [0.0, 100.0], [0.0, 100.0]), distance)
+
+
+def _calls_math(stiffness, distance):
+    return build(math.sqrt(stiffness), distance)
+
+
+def _looks_up(stiffness, distance):
+    return build({40.0: 1.0, 70.0: 2.0}[stiffness], distance)
+
+
+def _misspelt(stiffness, distance):
+    return build(stiffness, distanse)  # pyright: ignore[reportUndefinedVariable]
+
+
+def _bad_constant(stiffness, distance):
+    return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.fb(-1.0))
+
+
 def _positional(stiffness, /, distance):
     return build(stiffness, distance)
 
@@ -184,70 +214,77 @@ AXES: dict[str, Any] = {"stiffness": [40.0, 70.0], "distance": [0.2, 0.3]}
 class TestErrors:
     @pytest.mark.unchecked
     @pytest.mark.parametrize(
-        ("call", "told"),
+        ("call", "words"),
         [
             (dict(build=3), "`build` must be a function"),
-            (dict(radius=[1.0]), "`radius` must be a parameter of `build`.* stiffness, distance"),
+            (dict(radius=[1.0]), r"must be a parameter of `build` \(stiffness, distance\), got `radius`"),
             (dict(distance=None), "`distance` must be an array of real numbers"),
             (dict(distance=["a"]), "`distance` must be an array of real numbers"),
-            (dict(distance=0.2), r"`distance` must be one-dimensional .* shape \(\)"),
-            (dict(distance=[[0.2]]), r"`distance` must be one-dimensional .* shape \(1, 1\)"),
-            (dict(distance=[]), "`distance` must hold at least one value"),
+            (dict(distance=0.2), r"`distance` must be one-dimensional, got shape \(\)"),
+            (dict(distance=[[0.2]]), r"`distance` must be one-dimensional, got shape \(1, 1\)"),
+            (dict(distance=[]), "`distance` must have at least one value"),
             (dict(points={"stiffness": [1.0]}), "`points` must be left out .*stiffness, distance"),
-            (dict(outputs=("fx", "force")), "`outputs` must be names among reactions.* but one is 'force'"),
-            (dict(derivatives="radius"), "`derivatives` must be among stiffness, distance, but one is 'radius'"),
+            (dict(outputs=("fx", "force")), "`outputs` must be names among reactions.* got 'force'"),
+            (dict(derivatives="radius"), "`derivatives` must be among stiffness, distance, got 'radius'"),
             (dict(control=[]), "`control` must be a non-empty"),
             (dict(control=[0.0, np.nan]), "`control` must be"),
             (dict(memory=-1.0), "`memory` must be a positive number"),
-            (dict(client=3), "`client` must be a dask.distributed.Client, but is 3"),
-            (dict(store=3), "`store` must be the path of a folder, but is 3"),
+            (dict(client=3), "`client` must be a dask.distributed.Client, got 3"),
+            (dict(store=3), "`store` must be the path of a folder, got 3"),
             (dict(store="s3://bucket/study"), "`store` must be the path of a folder"),
-            (dict(store="/nowhere/at/all/study.zarr"), "no /nowhere/at/all"),
-            (dict(build=lambda stiffness, distance: 3), "`build` must return a Scene, but returned 3"),
-            (dict(build=_branches), "`build` must not decide .* by `distance`:"),
-            (dict(build=_grows), "by `stiffness`:"),
-            (dict(build=_other_object), "`scene.profile` changes"),
-            (dict(build=_other_ends), r"`scene.support.springs\[0\].between` changes"),
-            (dict(build=_positional), "`stiffness` is positional only"),
+            (dict(store="/nowhere/at/all/study.zarr"), "/nowhere/at/all is missing"),
+            (dict(build=lambda stiffness, distance: 3), "`build` must return a Scene, got 3"),
+            (dict(build=_branches), "`build` must not depend on the value .* on `distance`:"),
+            (dict(build=_grows), "on `stiffness`:"),
+            (dict(build=_interpolates), "`build` must not depend .* on `stiffness`:.* jnp.interp"),
+            (dict(build=_calls_math), "`build` must not depend .* on `stiffness`:.* jnp.exp"),
+            (dict(build=_looks_up), "`build` must be traceable by JAX, got TypeError"),
+            (dict(build=_misspelt), "`build` must return a Scene, got NameError .*'distanse'"),
+            (dict(build=_bad_constant), "`stiffness` must be"),
+            (dict(build=_other_object), "`scene.profile` differs"),
+            (dict(build=_other_ends), r"`scene.support.springs\[0\].between` differs"),
+            (dict(build=_positional), "positional-only `stiffness`"),
         ],
         ids=lambda value: None if isinstance(value, str) else "-".join(value),
     )
-    def test_are_told_before_anything_is_computed(self, call, told, monkeypatch):
+    def test_are_raised_before_anything_is_computed(self, call, words, monkeypatch):
         monkeypatch.setattr(importlib.import_module("jaxwhisker._study.study"), "Kernel", None)
         arguments = {"build": build, "control": CONTROL} | AXES | call
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=words):
             jw.study(**arguments)
 
     def test_a_missing_axis(self):
-        with pytest.raises(ValueError, match="`distance` must be given as an axis"):
+        with pytest.raises(ValueError, match="`distance` must be an axis, because"):
             jw.study(build, stiffness=[70.0])
-        with pytest.raises(ValueError, match="`axes` must be at least one"):
+        with pytest.raises(ValueError, match="`axes` must contain the values of at least one"):
             jw.study(build)
 
     def test_a_parameter_named_like_an_option(self):
-        with pytest.raises(ValueError, match="`build` must not name a parameter `memory`: that is an option"):
+        with pytest.raises(ValueError, match=r"`build` must not have a parameter .* option of `study`, got `memory`"):
             jw.study(_memory, control=CONTROL, other=[1.0])
 
     def test_an_axis_named_like_a_variable(self):
-        with pytest.raises(ValueError, match="`whisker` must not be the name of an axis"):
+        with pytest.raises(ValueError, match=r"name of an axis must not be .* got `whisker`"):
             jw.study(lambda whisker: build(whisker, 0.2), whisker=[70.0])
 
     @pytest.mark.unchecked
     @pytest.mark.parametrize(
-        ("points", "told"),
+        ("points", "words"),
         [
-            ({"stiffness": [1.0, 2.0], "distance": [0.2]}, "columns of one length.*'stiffness': 2, 'distance': 1"),
-            ({"stiffness": [1.0]}, "`distance` must be given"),
+            ({"stiffness": [1.0, 2.0], "distance": [0.2]}, "columns of equal length.*'stiffness': 2, 'distance': 1"),
+            ({"stiffness": [1.0]}, "`distance` must be an axis"),
             ([1.0, 2.0], "`points` must be a table"),
         ],
     )
-    def test_a_bad_table(self, points, told):
-        with pytest.raises(ValueError, match=told):
+    def test_a_bad_table(self, points, words):
+        with pytest.raises(ValueError, match=words):
             jw.study(build, points=points)
 
     def test_a_control_too_long(self, monkeypatch):
-        monkeypatch.setattr(importlib.import_module("jaxwhisker._study.control"), "MAX_STEPS", 100)
-        with pytest.raises(ValueError, match=r"`control` must be given: from .* more than 100"):
+        monkeypatch.setattr(importlib.import_module("jaxwhisker._study.compute"), "MAX_STEPS", 100)
+        with pytest.raises(
+            ValueError, match=r"`control` must be given .* 100 positions.* stiffness = 50, distance = 0.1"
+        ):
             jw.study(build, points={"stiffness": [50.0, 200.0, 70.0], "distance": [0.1, 0.4, 0.2]})
 
     @pytest.mark.parametrize("package", ["xarray", "tqdm"])

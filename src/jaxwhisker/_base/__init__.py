@@ -1,1 +1,1 @@
-"""Foundations: argument checks, types, compilation, small linear algebra."""
+"""Argument checks, types, compilation, small linear algebra."""

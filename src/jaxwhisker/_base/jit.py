@@ -9,8 +9,8 @@ from jaxlib.version import __version_info__ as version
 
 from jaxwhisker._base.checks import is_traced
 
-# Until 0.10 jaxlib can emit CPU kernels in two ways. The one that is not the default compiles in half the time, and its
-# kernels are as fast.
+# Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles twice as
+# fast, and its kernels are equally fast.
 COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if version < (0, 11) else {}
 
 
@@ -22,7 +22,7 @@ class jit:  # noqa: N801, a decorator
 
     def __init__(self, function: Callable):
         self._inside = eqx.filter_jit(function)
-        # XLA takes compiler options for a whole program only.
+        # XLA accepts compiler options for whole programs only.
         options: Any = {"compiler_options": COMPILER_OPTIONS}
         self._outermost = eqx.filter_jit(function, **options)
         self.__doc__, self.__wrapped__ = function.__doc__, function

@@ -1,16 +1,16 @@
-"""Linear algebra of the small dense systems that a network of a few whiskers leads to."""
+"""Linear algebra for small dense systems: the networks of a few whiskers."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-UNROLLED = 4  # up to this size elimination is written out; beyond, LAPACK's batched calls are faster to compile
+UNROLLED = 4  # up to this size elimination is unrolled; beyond it, LAPACK's batched calls compile faster
 
 
 def solve(matrix: Float[Array, "n n"], right: Float[Array, "n k"]) -> Float[Array, "n k"]:
-    """Solution of matrix @ x = right by elimination with partial pivoting.
+    """Solve matrix @ x = right by elimination with partial pivoting.
 
-    Never raises: a singular matrix gives infinities or NaN in its own lane. Small systems are written out, because a
-    library call for each of a million 2 x 2 systems costs more than the rods that they couple.
+    It never raises: a singular matrix gives infinities or NaN in its own batch element. Small systems are unrolled,
+    because one library call for each of a million 2 x 2 systems would cost more than the rods that they couple.
     """
     n = matrix.shape[0]
     if n > UNROLLED:
@@ -30,7 +30,7 @@ def solve(matrix: Float[Array, "n n"], right: Float[Array, "n k"]) -> Float[Arra
 
 
 def positive_definite(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
-    """Whether the symmetric matrix is positive definite; False if it holds a NaN."""
+    """Whether the symmetric matrix is positive definite; False if it contains NaN."""
     n = matrix.shape[0]
     if n > UNROLLED:
         return jnp.all(jnp.isfinite(jnp.linalg.cholesky(matrix)))

@@ -50,7 +50,7 @@ def _(primals, tangents):
     point, problem, mode, row = primals
     _, problem_dot, _, row_dot = tangents
     here = solved(point, problem, mode, row)
-    _, point_dot = _moved(here, problem, mode, row, problem_dot, row_dot)
+    _, point_dot = _implicit_step(here, problem, mode, row, problem_dot, row_dot)
     return here, point_dot
 
 
@@ -68,20 +68,22 @@ def _linear(function, *at):
     return value, differential
 
 
-def _nothing(tree):
+def _no_tangents(tree):
     return jax.tree.map(lambda _: None, tree)
 
 
-def _moved(here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot) -> tuple[Condensed, Point]:
+def _implicit_step(
+    here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot
+) -> tuple[Condensed, Point]:
     """The condensed whiskers at a solution, and the tangent of the solution for tangents of problem and row."""
     z, phase = with_dummy_contacts(problem, here.z, mode.phase)
     value, differential = _linear(
         lambda problem, z, u: evaluate(problem, Point(z, u), phase, mode.side), problem, z, here.u
     )
     # A whisker's equations depend on its own contact only: three directions serve all whiskers.
-    columns = jax.vmap(lambda e: differential(_nothing(problem), jnp.broadcast_to(e, z.shape), None))(jnp.eye(3))
+    columns = jax.vmap(lambda e: differential(_no_tangents(problem), jnp.broadcast_to(e, z.shape), None))(jnp.eye(3))
     gradient = jax.tree.map(jnp.transpose, columns)
-    by_u = differential(_nothing(problem), None, jnp.ones_like(here.u)) if problem.frames_move else None
+    by_u = differential(_no_tangents(problem), None, jnp.ones_like(here.u)) if problem.frames_move else None
     value_dot = differential(problem_dot, None, None)
 
     def at(problem, value):
@@ -117,7 +119,7 @@ def _(primals, tangents):
         Point(along.z / scale_of(here.z) ** 2, along.u)
     )  # any plane across the path would do
     across = Row(weight.z, here.z, weight.u, here.u, none)
-    at, drift = _moved(here, problem, mode, across, problem_dot, _nothing(across))
+    at, drift = _implicit_step(here, problem, mode, across, problem_dot, _no_tangents(across))
     tangent = solve_coupled(problem, mode, across, here, at).tangent
 
     def row_residual(point, problem, row):
@@ -133,7 +135,7 @@ def _(primals, tangents):
     def distance(vanishing, holds, known, known_dot):
         """How far the event moves along the path where it is defined by this function being zero; elsewhere zero."""
         _, rate = _linear(vanishing, here, *known)
-        by_drift, by_tangent = rate(drift, *known_dot), rate(tangent, *_nothing(known))
+        by_drift, by_tangent = rate(drift, *known_dot), rate(tangent, *_no_tangents(known))
         return jnp.where(holds, -by_drift / jnp.where(holds, by_tangent, 1.0), 0.0)
 
     by_row = distance(row_residual, ~fold, (problem, row), (problem_dot, row_dot))

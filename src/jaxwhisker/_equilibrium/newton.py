@@ -45,7 +45,7 @@ def with_dummy_contacts(
     return jnp.where(free[:, None], dummy, z), jnp.where(free, Phase.tip, phase)
 
 
-def linearise(
+def linearise_all(
     problem: Problem, point: Point, mode: Mode, rates: AbstractRod
 ) -> tuple[BaseEquations, BaseEquations, BaseEquations | None]:
     """Values, gradients by the contacts and derivatives by the control of every whisker's equations."""
@@ -142,7 +142,7 @@ def condense(
     )
 
 
-class Step(NamedTuple):
+class NewtonStep(NamedTuple):
     """A Newton step, and what the same linear system says about the path."""
 
     step: Point
@@ -154,13 +154,13 @@ class Step(NamedTuple):
     tangent_pose: Poses
 
 
-def newton_step(problem: Problem, mode: Mode, row: Row, point: Point, rates: AbstractRod | None = None) -> Step:
+def newton_step(problem: Problem, mode: Mode, row: Row, point: Point, rates: AbstractRod | None = None) -> NewtonStep:
     """Solve the linearised equations of all whiskers, network and row."""
-    linear = linearise(problem, point, mode, problem.rod if rates is None else rates)
+    linear = linearise_all(problem, point, mode, problem.rod if rates is None else rates)
     return solve_coupled(problem, mode, row, point, condense(problem, point.z, mode, *linear))
 
 
-def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Condensed) -> Step:
+def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Condensed) -> NewtonStep:
     """Solve the linearised equations of network and row."""
     n, axes = at.load.shape
     touching, size = (mode.phase != Phase.free)[:, None], n * axes
@@ -183,7 +183,7 @@ def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Cond
     step, pose, load = moved(solution[:, 0])
     tangent, tangent_pose, tangent_load = moved(solution[:, 1])
     load = at.load + load
-    return Step(
+    return NewtonStep(
         step._replace(z=step.z + at.particular),
         tangent,
         at,
@@ -278,7 +278,7 @@ class Solution(NamedTuple):
     """A solved point; `newton` is the last linearisation, taken one step before it."""
 
     point: Point
-    newton: Step
+    newton: NewtonStep
     converged: Bool[Array, ""]
     iterations: Int[Array, ""]
 

@@ -10,7 +10,7 @@ that it would have if no base were loaded. Everything that depends on the coordi
 """
 
 import abc
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.lanes import harmless
+from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.contact import Base, Body
@@ -281,7 +281,7 @@ class InPlane(Problem):
 def problem_of(scene: Scene) -> Problem:
     """The dimensionless problem of a scene, differentiable with respect to all of it."""
     valid = _valid(scene)
-    scene = harmless(scene, valid)
+    scene = safe_placeholder(scene, valid)
     unit = jax.tree.map(checks.as_float, units(scene))
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])
@@ -289,7 +289,7 @@ def problem_of(scene: Scene) -> Problem:
     flexibility = scene.support.flexibility()
     if flexibility is not None:
         valid &= flexibility.consistent
-    common = {
+    common: dict[str, Any] = {
         "length": length,
         "bending_stiffness": stiffness / (unit.moment * unit.length),
         "section": section,
@@ -313,11 +313,11 @@ def problem_of(scene: Scene) -> Problem:
     mount = Pose(x / unit.length, y / unit.length, angle)
     flexibility = None if flexibility is None else flexibility.in_frames(angle, unit.length, unit.force)
     outline = outlines(scene.whiskers, length, section)
-    touches, single = _first_touches(common["profile"], outline, length, mount.y, angle, curved)
+    touches, single = _first_touches(common["profile"], outline, length, y / unit.length, angle, curved)
     return InPlane(**common, **touches, flexibility=flexibility, valid=valid & single, mount=mount, outline=outline)
 
 
-def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict[str, Touch]:
+def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict[str, Any]:
     """First touches of straight whiskers that stand upright at height 0."""
     right, left = (jax.vmap(lambda h, s=s: touch.first_touch_upright(profile, h, s))(length) for s in (1.0, -1.0))
     return {"touch_right": right, "touch_left": left}
@@ -325,7 +325,7 @@ def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict
 
 def _first_touches(
     profile: AbstractProfile, outline: Outline, length: PerWhisker, height: PerWhisker, angle: PerWhisker, curved: bool
-) -> tuple[dict[str, Touch], Bool[Array, ""] | bool]:
+) -> tuple[dict[str, Any], Bool[Array, ""] | bool]:
     """First touches of whiskers with these outlines, and whether each touches the object in one place only."""
     right, left = jax.vmap(lambda *own: touch.first_touches(profile, *own))(length, outline, height, angle)
     touches = {"touch_right": right, "touch_left": left}

@@ -1,52 +1,49 @@
-// Sliders for a scene: with draw.js before it one module, for Jupyter (anywidget) and for the local page (assets.py).
+// Sliders for a scene. With draw.js in front this is a single module, for Jupyter (anywidget) and for the local page.
 //
-// A host gives `ask(values)`, a promise of one reply (see reply.py), a whole scan: moving the drive asks nobody.
+// A host gives `ask(values)`, which promises a picture (see picture.py): a whole scan. Moving the drive asks for nothing.
 
 const POSITIONS = 1000; // of a slider
-const UNDER_WAY = 2; // requests at a time: one travels while the other is computed
-const COMPILING = "Compiling: the first picture of such a scene takes 10 to 30 seconds.";
+const MOST_REQUESTS = 2; // at a time: one travels while the other is computed
+const COMPILING = "Compiling. The first picture of such a scene takes 10 to 30 seconds.";
 const ARRAYS = { f8: Float64Array, f4: Float32Array, i1: Int8Array };
 
-// Replies
-
-/** Header and arrays of a reply, and what follows from them for all steps. */
-function decoded(reply) {
-  // Jupyter hands over a part of a longer buffer.
-  const bytes = reply.buffer ? reply.buffer.slice(reply.byteOffset, reply.byteOffset + reply.byteLength) : reply;
+/** Header and arrays of a picture, and what drawing derives from them for all steps. */
+function unpacked(packed) {
+  // Jupyter's buffer is a part of a longer one.
+  const bytes = packed.buffer ? packed.buffer.slice(packed.byteOffset, packed.byteOffset + packed.byteLength) : packed;
   const length = new DataView(bytes).getUint32(0, true);
-  const found = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
-  if (found.error) throw new Error(found.error);
+  const picture = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
+  if (picture.error) throw new Error(picture.error);
   let at = 4 + length;
-  for (const [name, type, shape] of found.arrays) {
+  for (const [name, type, shape] of picture.arrays) {
     const size = shape.reduce((product, factor) => product * factor, 1);
-    found[name] = new ARRAYS[type](bytes, at, size);
-    at += found[name].byteLength;
-    if (name === "line_x") [found.steps, found.whiskers, found.points] = shape;
+    picture[name] = new ARRAYS[type](bytes, at, size);
+    at += picture[name].byteLength;
+    if (name === "line_x") [picture.steps, picture.whiskers, picture.points] = shape;
   }
-  found.range = extremes(found.control);
-  found.largest = extremes(found.contact_force)[1];
-  found.shown = view(found);
-  return found;
+  picture.range = extremes(picture.control);
+  picture.largestForce = extremes(picture.contact_force)[1];
+  picture.viewAt = viewOf(picture);
+  return picture;
 }
-
-// The page
 
 function make(tag, properties, ...children) {
-  const made = Object.assign(document.createElement(tag), properties);
-  made.append(...children);
-  return made;
+  const element = Object.assign(document.createElement(tag), properties);
+  element.append(...children);
+  return element;
 }
 
-function slider(name, note, heard) {
+/** A labelled slider; `setText` shows its value. */
+function slider(name, note, onInput) {
   const input = make("input", { type: "range", min: 0, max: POSITIONS, name });
   const readout = make("span", { className: "value", ariaHidden: "true" });
-  input.addEventListener("input", () => heard(Number(input.value)));
-  const tell = (words) => (input.ariaValueText = readout.textContent = words);
-  const words = make("span", {}, name.replaceAll("_", " "), note);
-  return { input, tell, element: make("label", { className: "slider" }, words, readout, input) };
+  input.addEventListener("input", () => onInput(Number(input.value)));
+  const setText = (text) => (input.ariaValueText = readout.textContent = text);
+  const label = make("span", {}, name.replaceAll("_", " "), note);
+  return { input, setText, element: make("label", { className: "slider" }, label, readout, input) };
 }
 
-/** The value at a slider's position, with four digits; its ends as they were given. */
+/** The value at a position of a slider, with four digits; the ends exactly as given. */
 function valueAt({ low, high, logarithmic }, position) {
   const share = position / POSITIONS;
   const digits = Math.max(0, 3 - Math.floor(Math.log10(high - low)));
@@ -60,28 +57,27 @@ function positionOf({ low, high, logarithmic }, value) {
   return Math.round(share * POSITIONS);
 }
 
-/** A number with six digits at least; zero has no sign. */
-function number(value, dimensionless) {
+/** A number with at least six digits, and zero without a sign. */
+function format(value, dimensionless) {
   if (dimensionless) return value.toFixed(6).replace(/^-(0\.0+)$/, "$1");
   return value && Math.abs(value) < 1e-3 ? value.toExponential(6) : value.toPrecision(7);
 }
 
-/** Show the sliders in an element; `ask` takes their values to a promise of a reply. Returns how to take them away. */
+/** Show the sliders in an element; returns a function that removes them. */
 export function explore(el, { sliders, phases, statuses }, ask) {
   const values = Object.fromEntries(sliders.map(({ name, start }) => [name, start]));
-  let reply, step, wished, wanted, due;
-  let [asked, answered, waiting, drawn] = [0, 0, 0, 0];
+  let picture, step, wishedControl, outdated, nextFrame;
+  let [sent, latest, waiting, drawn] = [0, 0, 0, 0]; // numbers of requests; the request that is shown is `latest`
 
   const title = make("p", { className: "title" });
   const summary = make("p", { className: "summary" });
   const message = make("p", { className: "message", role: "status" });
   const scene = make("canvas", { role: "img" });
   const signals = make("canvas", { role: "img", className: "signals" });
-  const pictures = make("div", { className: "pictures" }, scene, signals);
-  const drive = slider("drive", "", (position) => moveTo(turned(position)));
+  const canvases = make("div", { className: "pictures" }, scene, signals);
+  const drive = slider("drive", "", (position) => moveTo(reversed(position)));
   const controls = make("div", { className: "sliders" }, drive.element);
-  const heads = ["whisker", "phase", ...SIGNALS, "base x", "contact arc"];
-  const head = make("tr", {}, ...heads.map((words) => make("th", { scope: "col" }, words)));
+  const head = make("tr", {});
   const rows = make("tbody", {});
   const table = make("div", { className: "table" }, make("table", {}, make("thead", {}, head), rows));
   const events = make("ol", { ariaLabel: "events of the scan" });
@@ -89,99 +85,100 @@ export function explore(el, { sliders, phases, statuses }, ask) {
   const show = make("button", { type: "button", ariaExpanded: "false" }, "Python code");
   const copy = make("button", { type: "button", hidden: true }, "copy");
   const code = make("pre", { hidden: true, tabIndex: 0, ariaLabel: "Python code of the scene" });
-  const parts = [title, summary, message, pictures, controls, numbers, show, copy, code];
+  const parts = [title, summary, message, canvases, controls, numbers, show, copy, code];
   const root = make("div", { className: "jaxwhisker", ariaBusy: "true" }, ...parts);
   el.replaceChildren(root);
 
-  for (const one of sliders) {
-    const { input, tell, element } = slider(one.name, one.logarithmic ? " (log)" : "", (position) => {
-      values[one.name] = valueAt(one, position);
-      tell(`${values[one.name]}`);
+  for (const range of sliders) {
+    const { input, setText, element } = slider(range.name, range.logarithmic ? " (log)" : "", (position) => {
+      values[range.name] = valueAt(range, position);
+      setText(`${values[range.name]}`);
       refresh();
     });
-    input.value = positionOf(one, one.start);
-    tell(`${one.start}`);
+    input.value = positionOf(range, range.start);
+    setText(`${range.start}`);
     controls.append(element);
   }
 
-  /** The slider runs along u, whichever way the scan goes. */
-  function turned(position) {
-    return reply && reply.control[0] > reply.control[reply.steps - 1] ? reply.steps - 1 - position : position;
+  /** The slider of the drive runs along u in either direction of the scan: from its position to a step, and back. */
+  function reversed(position) {
+    return picture && picture.control[0] > picture.control[picture.steps - 1] ? picture.steps - 1 - position : position;
   }
 
-  function nearest(u) {
-    const away = (k) => Math.abs(reply.control[k] - u);
-    return reply.control.reduce((best, _, k) => (away(k) < away(best) ? k : best), 0);
+  function nearestStep(u) {
+    const distance = (k) => Math.abs(picture.control[k] - u);
+    return picture.control.reduce((best, _, k) => (distance(k) < distance(best) ? k : best), 0);
   }
 
-  function moveTo(next) {
-    if (!reply) return;
-    [step, wished] = [next, reply.control[next]];
+  function moveTo(nextStep) {
+    if (!picture) return;
+    [step, wishedControl] = [nextStep, picture.control[nextStep]];
     draw();
   }
 
-  /** Ask for the current values, as soon as not too many requests are under way. */
+  /** Ask for the current values, now or when a request has been answered. */
   function refresh() {
-    wanted = waiting === UNDER_WAY;
-    if (!wanted) request(++asked);
+    outdated = waiting === MOST_REQUESTS;
+    if (!outdated) request(++sent);
   }
 
   async function request(number) {
     waiting++;
     root.ariaBusy = "true";
-    const told = () => number > answered && say(reply ? "Computing ..." : COMPILING);
-    const slow = setTimeout(told, reply ? 1000 : 0);
-    let found, wrong;
+    const explain = () => number > latest && say(picture ? "Computing ..." : COMPILING);
+    const slow = setTimeout(explain, picture ? 1000 : 0);
+    let next, error;
     try {
-      found = decoded(await ask({ ...values }));
-    } catch (error) {
-      wrong = error.message;
+      next = unpacked(await ask({ ...values }));
+    } catch ({ message }) {
+      error = message;
     }
     clearTimeout(slow);
     waiting--;
-    if (number > answered) {
-      // Replies may overtake each other; the latest values win.
-      answered = number;
-      if (found) take(found);
-      say(wrong ?? "", Boolean(wrong));
+    if (number > latest) {
+      // Answers may overtake each other; the latest values win.
+      latest = number;
+      if (next) take(next);
+      say(error ?? next.note, Boolean(error));
     }
-    if (wanted) refresh();
+    if (outdated) refresh();
     draw();
   }
 
   function take(next) {
-    reply = next;
-    wished ??= (reply.range[0] + reply.range[1]) / 2;
-    step = nearest(wished);
-    drive.input.max = reply.steps - 1;
-    title.textContent = scene.ariaLabel = reply.title;
+    picture = next;
+    wishedControl ??= (picture.range[0] + picture.range[1]) / 2;
+    step = nearestStep(wishedControl);
+    drive.input.max = picture.steps - 1;
+    title.textContent = scene.ariaLabel = picture.title;
     signals.ariaLabel = `${SIGNALS.join(", ")} of all whiskers over the drive's position`;
-    summary.textContent = reply.summary;
-    summary.classList.toggle("wrong", reply.failed > 0);
-    const told = reply.events.length ? reply.events : [{ text: "no events" }];
-    events.replaceChildren(...told.map(({ text }) => make("li", {}, text)));
-    if (rows.childElementCount === reply.whiskers) return;
-    rows.replaceChildren(
-      ...Array.from({ length: reply.whiskers }, (_, k) => {
-        const name = make("th", { scope: "row" }, `${k + 1}`);
-        name.style.setProperty("--colour", colour(k, "currentColor"));
-        return make("tr", {}, name, ...heads.slice(1).map(() => make("td", {})));
-      }),
-    );
+    summary.textContent = picture.summary;
+    summary.classList.toggle("wrong", picture.failed > 0);
+    const texts = picture.events.length ? picture.events.map(({ text }) => text) : ["no events"];
+    events.replaceChildren(...texts.map((text) => make("li", {}, text)));
+    const headings = ["whisker", "phase", ...picture.columns.map(([, heading]) => heading)];
+    head.replaceChildren(...headings.map((text) => make("th", { scope: "col" }, text)));
+    rows.replaceChildren(...Array.from({ length: picture.whiskers }, (_, k) => row(k, headings.length - 1)));
   }
 
-  function say(words, wrong = false) {
-    if (message.textContent !== words) message.textContent = words;
+  function row(whisker, cells) {
+    const name = make("th", { scope: "row" }, `${whisker + 1}`);
+    name.style.setProperty("--colour", colour(whisker, "currentColor"));
+    return make("tr", {}, name, ...Array.from({ length: cells }, () => make("td", {})));
+  }
+
+  function say(text, wrong = false) {
+    if (message.textContent !== text) message.textContent = text;
     root.classList.toggle("refused", wrong);
   }
 
   function draw() {
-    due ??= requestAnimationFrame(() => {
-      due = undefined;
-      if (reply) {
-        const failure = reply.status[step] ? `no state here: ${statuses[reply.status[step]]}` : "";
-        drawScene(scene, reply, step, failure);
-        drawSignals(signals, reply, step);
+    nextFrame ??= requestAnimationFrame(() => {
+      nextFrame = undefined;
+      if (picture) {
+        const failure = picture.status[step] ? `no state here: ${statuses[picture.status[step]]}` : "";
+        drawScene(scene, picture, step, failure);
+        drawSignals(signals, picture, step);
         write(failure);
         root.dataset.drawn = ++drawn;
       }
@@ -189,24 +186,24 @@ export function explore(el, { sliders, phases, statuses }, ask) {
     });
   }
 
-  /** Write the numbers at the drive's position. */
+  /** Write the numbers at the position of the drive. */
   function write(failure) {
-    const told = (value) => number(value, reply.dimensionless);
-    drive.input.value = turned(step);
-    drive.tell(`u = ${told(reply.control[step])}`);
-    [...rows.children].forEach((row, whisker) => {
-      const at = step * reply.whiskers + whisker;
-      const found = [...SIGNALS, "base_x", "contact_arc"].map((name) => (failure ? "" : told(reply[name][at])));
-      const cells = [failure ? "unknown" : phases[reply.phase[at]], ...found];
-      cells.forEach((words, k) => (row.children[k + 1].textContent = words));
+    const text = (value) => format(value, picture.dimensionless);
+    drive.input.value = reversed(step);
+    drive.setText(`u = ${text(picture.control[step])}${picture.unit}`);
+    [...rows.children].forEach(({ children }, whisker) => {
+      const at = step * picture.whiskers + whisker;
+      const known = picture.columns.map(([name]) => (failure ? "" : text(picture[name][at])));
+      const cells = [failure ? "unknown" : phases[picture.phase[at]], ...known];
+      cells.forEach((cell, k) => (children[k + 1].textContent = cell));
     });
-    if (!code.hidden) code.textContent = reply.code.join(step);
+    if (!code.hidden) code.textContent = picture.code.join(step);
   }
 
   const follow = ({ offsetX }) => {
-    if (!reply) return;
+    if (!picture) return;
     const share = (offsetX - MARGINS.left) / (signals.clientWidth - MARGINS.left - MARGINS.right);
-    moveTo(nearest(reply.range[0] + share * (reply.range[1] - reply.range[0])));
+    moveTo(nearestStep(picture.range[0] + share * (picture.range[1] - picture.range[0])));
   };
   signals.addEventListener("pointerdown", (event) => {
     signals.setPointerCapture(event.pointerId);
@@ -219,12 +216,12 @@ export function explore(el, { sliders, phases, statuses }, ask) {
     draw();
   });
   copy.addEventListener("click", async () => {
-    getSelection().selectAllChildren(code);
-    await navigator.clipboard?.writeText(code.textContent); // elsewhere the text is marked at least
+    getSelection().selectAllChildren(code); // for browsers without access to the clipboard
+    await navigator.clipboard?.writeText(code.textContent);
   });
   const resized = new ResizeObserver(draw);
   for (const canvas of [scene, signals]) resized.observe(canvas);
-  const themed = new MutationObserver(draw); // JupyterLab's light and dark
+  const themed = new MutationObserver(draw); // JupyterLab switches between light and dark
   themed.observe(document.body, { attributes: true });
   const dark = matchMedia("(prefers-color-scheme: dark)");
   dark.addEventListener("change", draw);
@@ -236,18 +233,16 @@ export function explore(el, { sliders, phases, statuses }, ask) {
   };
 }
 
-// Jupyter
-
-/** What anywidget calls: the kernel is asked by messages, which tell by number what they reply to. */
+/** Jupyter: anywidget calls this. Answers of the kernel carry the number of their request. */
 function render({ model, el }) {
   const waiting = new Map();
-  const heard = ({ id, error }, buffers) => {
-    const settle = waiting.get(id); // unknown where another view of the widget has asked
+  const onAnswer = ({ id, error }, buffers) => {
+    const promise = waiting.get(id); // undefined if another view of the widget has asked
     waiting.delete(id);
-    if (error) settle?.reject(new Error(error));
-    else settle?.resolve(buffers[0]);
+    if (error) promise?.reject(new Error(error));
+    else promise?.resolve(buffers[0]);
   };
-  model.on("msg:custom", heard);
+  model.on("msg:custom", onAnswer);
   const ask = (values) =>
     new Promise((resolve, reject) => {
       const id = `${Math.random()}`;
@@ -256,24 +251,22 @@ function render({ model, el }) {
     });
   const remove = explore(el, model.get("description"), ask);
   return () => {
-    model.off("msg:custom", heard);
+    model.off("msg:custom", onAnswer);
     remove();
   };
 }
 
 export default { render };
 
-// The local page
-
-async function fetched(...request) {
-  const response = await fetch(...request).catch(() => {
-    throw new Error("No answer: the command that serves this page has ended.");
-  });
-  if (!response.ok) throw new Error(await response.text());
-  return response;
-}
-
+/** The local page. */
 async function open() {
+  const fetched = async (...request) => {
+    const response = await fetch(...request).catch(() => {
+      throw new Error("No answer: the command that serves this page has ended.");
+    });
+    if (!response.ok) throw new Error(await response.text());
+    return response;
+  };
   const headers = { "Content-Type": "application/json" };
   const ask = async (values) =>
     (await fetched("scan", { method: "POST", headers, body: JSON.stringify(values) })).arrayBuffer();

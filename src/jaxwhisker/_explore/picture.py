@@ -1,29 +1,40 @@
-"""What there is to show of a scene: a scan over its default range, all shapes, the drive and the object.
+"""Pictures: a scan of a scene with all shapes, as bytes that a page can draw.
 
-One function, compiled once for scenes of one structure, whatever their numbers are.
+The bytes are the length of the header (four bytes, little-endian), the header in JSON, padded so that the arrays begin
+at a multiple of eight, and the arrays one after the other, those with the largest items first.
 """
 
+import json
+import struct
+import textwrap
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
+import numpy as np
 from jaxtyping import Float
 
-from jaxwhisker._base.jit import COMPILER_OPTIONS
+from jaxwhisker._base.jit import jit
+from jaxwhisker._explore.code import code_of_scan
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.silhouette import silhouette
-from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.quantities import QUANTITIES, REACTIONS, STATE, Unit, UnitSystem, control_kind
+from jaxwhisker._scan.report import status_line
+from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.scan import scan_across
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 
 STEPS = 400  # of a scan, evenly over the range of the default control
 POINTS = 32  # of a whisker's centre line
-OUTLINE = 241  # points of the object
+OUTLINE_POINTS = 241  # of the object
+SHORT = 0.1  # lengths: springs with a shorter rest length are drawn longer, from a wall that moves with the drive
+LONGEST_MESSAGE = 500  # characters
+DTYPES = {"f8": np.float64, "f4": np.float32, "i1": np.int8}  # by their names in a header
+COLUMNS = {"fx": "fx", "fy": "fy", "mz": "mz", "base_x": "base x", "contact_arc": "contact arc"}  # of the page's table
 
 
 class Picture(NamedTuple):
-    """A scan and its geometry, in the scene's own units."""
+    """A scan and its geometry, in the scene's units."""
 
     result: Result
     lines: Shapes  # fields (steps, whiskers, points)
@@ -31,13 +42,141 @@ class Picture(NamedTuple):
     outline: Float[jax.Array, "points 2"]  # of the object; NaN where a graph ends
 
 
-def _picture(scene: Scene) -> Picture:
-    """The picture of a scene."""
+@jit
+def picture_of(scene: Scene) -> Picture:
+    """Scan a scene; compiled once for all scenes with the same structure."""
     result = scan_across(scene, STEPS)
     lines = shapes_of(result, scene.whiskers, points=POINTS)
     drive = jax.vmap(scene.motion.pose)(result.control)
-    return Picture(result, lines, drive, silhouette(scene.profile, scene.whiskers[0].length, points=OUTLINE))
+    outline = silhouette(scene.profile, scene.whiskers[0].length, points=OUTLINE_POINTS)
+    return Picture(result, lines, drive, outline)
 
 
-_COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
-picture = eqx.filter_jit(_picture, **_COMPILED)
+def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") -> bytes:
+    """Pack a picture, its labels and its code; all numbers in the units in which the scene is shown.
+
+    Args:
+        picture: with numpy arrays.
+        scene: its scene, with the numbers that the user gave.
+        code: Python code that constructs the scene.
+        note: a message for the user.
+
+    Raises:
+        ValueError: if the scene has no scan.
+    """
+    result = picture.result
+    failed, summary = status_line(result)
+    if not np.isfinite(result.control).all():
+        raise ValueError(f"The scene has no scan: {summary}.")
+    units = UnitSystem(scene)
+    length, along = units.of_kind("length").size, units.unit("control")
+    header = {
+        "title": str(scene),
+        "note": note,
+        "dimensionless": units.dimensionless,
+        "unit": _after_number(along),
+        "labels": _labels(units),
+        "columns": _columns(units),
+        "failed": failed,
+        "summary": summary,
+        "events": [_event(event, along) for event in result.events],
+        "springs": _springs(scene, length),
+        "lowest": min(0.0, *(float(mount.y) / length for mount in scene.support.mounts)),
+        "length": float(scene.whiskers[0].length) / length,
+        "code": code_of_scan(code, np.asarray(result.control)),
+    }
+    return _packed(header, _arrays(picture, units))
+
+
+def _arrays(picture: Picture, units: UnitSystem) -> dict[str, Any]:
+    result, lines, drive, outline = picture
+    length = units.of_kind("length").size
+    arrays: dict[str, Any] = {
+        name: units.shown(name, getattr(result, name)).astype(QUANTITIES[name].dtype)
+        for name in ("control", *STATE, "status")
+    }
+    arrays |= {"drive_x": drive.x / length, "drive_y": drive.y / length, "drive_angle": drive.angle}
+    outline = outline[np.isfinite(outline).all(axis=1)]
+    coarse = {"line_x": lines.x, "line_y": lines.y, "outline_x": outline[:, 0], "outline_y": outline[:, 1]}
+    return arrays | {name: (values / length).astype(np.float32) for name, values in coarse.items()}
+
+
+def packed_error(error: Exception) -> bytes:
+    """Pack the message of an error; that of a ValueError stands for itself."""
+    message = textwrap.shorten(str(error), LONGEST_MESSAGE, placeholder=" ...")
+    return _packed({"error": message if isinstance(error, ValueError) else f"{type(error).__name__}: {message}"}, {})
+
+
+def _packed(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> bytes:
+    names = {dtype: name for name, dtype in DTYPES.items()}
+    ordered = sorted(arrays.items(), key=lambda item: -item[1].itemsize)
+    listed = [[name, names[array.dtype.type], array.shape] for name, array in ordered]
+    text = json.dumps(header | {"arrays": listed}, allow_nan=False).encode()
+    text += b" " * (-(len(text) + 4) % 8)
+    return b"".join([struct.pack("<I", len(text)), text, *(array.tobytes() for _, array in ordered)])
+
+
+def unpacked(reply: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The header and the arrays of packed bytes."""
+    (length,) = struct.unpack_from("<I", reply)
+    header, start, arrays = json.loads(reply[4 : 4 + length]), 4 + length, {}
+    for name, dtype, shape in header["arrays"]:
+        arrays[name] = np.frombuffer(reply, DTYPES[dtype], int(np.prod(shape)), start).reshape(shape)
+        start += arrays[name].nbytes
+    return header, arrays
+
+
+# How a symbol is made dimensionless, in plain text.
+_SCALED = {"length": "/L", "force": " L²/EI", "moment": " L/EI"}
+
+
+def _after_number(unit: Unit) -> str:
+    return f" {unit.name}" * bool(unit.name)
+
+
+def _labels(units: UnitSystem) -> dict[str, str]:
+    """Labels of axes: symbols with units."""
+
+    def label(symbol: str, kind: str) -> str:
+        if units.dimensionless:
+            return symbol + _SCALED[kind]
+        return f"{symbol} ({units.of_kind(kind).name})"
+
+    along_x = control_kind(units.scene) == "length"
+    labels = {"x": label("x", "length"), "y": label("y", "length")}
+    labels |= {name: label(name, QUANTITIES[name].kind) for name in REACTIONS}
+    return labels | {"u": label("u", "length") if along_x else units.label("control")}
+
+
+def _columns(units: UnitSystem) -> list[list[str]]:
+    """Names and headings of the columns of the table."""
+    if units.dimensionless:
+        return [[name, heading] for name, heading in COLUMNS.items()]
+    return [[name, f"{heading} ({units.unit(name).name})"] for name, heading in COLUMNS.items()]
+
+
+def _event(event: Event, unit: Unit) -> dict[str, Any]:
+    control = event.control / unit.size
+    return {
+        "text": str(event._replace(control=control)).replace("  ", f"{_after_number(unit)}  ", 1),
+        "control": control,
+        "whiskers": [number - 1 for number in event.whiskers],
+        "snap": event.kind.name.startswith("snap"),
+    }
+
+
+def _springs(scene: Scene, length: float) -> list[dict[str, Any]]:
+    """How to draw the springs; lengths divided by `length`."""
+    whisker_length = float(scene.whiskers[0].length)
+    mounts = ((float(m.x) / length, float(m.y) / length, float(m.angle)) for m in scene.support.mounts)
+    poses = [(0.0, 0.0, 0.0), *mounts]
+    return [
+        {
+            "between": spring.between,
+            "axis": spring.axis,
+            "rigid": float(spring.softness) == 0,
+            "short": abs(float(spring.rest_length)) < SHORT * whisker_length,
+            "offset": np.subtract(poses[spring.between[1]], poses[spring.between[0]]).tolist(),
+        }
+        for spring in scene.support.springs
+    ]

@@ -1,55 +1,67 @@
-"""A session: what is computed for the values of the sliders.
+"""A session: sliders over the parameters of a scene, and a picture for each of their values.
 
-Scenes are built anew from the sliders' values, in Python. The reply is a whole scan with all shapes, so that moving the
-drive asks for nothing.
+Every picture is a whole scan with all shapes, so that moving the drive asks for nothing.
 """
 
-import threading
+import inspect
+import math
+import reprlib
+import types
 from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import PlainFunction
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._explore.code import code_of
-from jaxwhisker._explore.lifted import Lifting
-from jaxwhisker._explore.picture import picture
-from jaxwhisker._explore.reply import failure, success
-from jaxwhisker._explore.sliders import Slider, sliders_of
+from jaxwhisker._explore.picture import packed_error, packed_picture, picture_of
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 
-Coded = Callable[[Scene, Mapping[str, float]], str]  # the code that makes the scene of these values
+LOGARITHMIC = 20.0  # a range from a positive number to more than this many times that number is logarithmic
+DIGITS = 4  # of the value in the middle of a range, as of the values that a slider can be dragged to
+
+RECOMPILED = (
+    "A function of the scene depends on the sliders, so every picture is compiled (10 to 30 seconds). "
+    "An equinox.Module with numeric fields instead of the function avoids this."
+)
+
+
+class Slider(NamedTuple):
+    """A parameter and its range."""
+
+    name: str
+    low: float
+    high: float
+    start: float
+    logarithmic: bool
 
 
 class Session:
-    """Answers what a scene looks like. Several threads may ask at once.
+    """Pictures of the scenes that `build` makes from the values of the sliders. It answers one caller at a time.
 
     Args:
         build: makes a Scene from numbers given by name.
         ranges: a range for each slider; see `jw.explore`.
-        code: tells the Python code that makes a scene; that of `build` by default.
 
     Raises:
-        ValueError: as `jw.explore`.
+        ValueError: as for `jw.explore`.
     """
 
     sliders: tuple[Slider, ...]
 
-    def __init__(self, build: Callable[..., Scene], ranges: Mapping[str, Any], code: Coded | None = None):
+    def __init__(self, build: Callable[..., Scene], ranges: Mapping[str, Any]):
         checks.float64_mode()
         self.sliders = sliders_of(build, ranges)
-        self._build, self._code = build, code or partial(code_of, build)
-        self._lifted, self._one, self._closed = Lifting(), threading.Lock(), False
+        self._build, self._functions = build, _Functions()
         self._scene({slider.name: slider.start for slider in self.sliders})
 
     @property
     def description(self) -> dict[str, Any]:
-        """What a page has to know before the first reply."""
+        """What a page needs before the first picture."""
         return {
             "sliders": [slider._asdict() for slider in self.sliders],
             "phases": [phase.name for phase in Phase],
@@ -57,45 +69,103 @@ class Session:
         }
 
     def answer(self, values: Any) -> bytes:
-        """The reply for the sliders' values; where the scene is refused it tells why.
-
-        Raises:
-            ValueError: if the values are not one finite number for each slider, within its range.
-        """
-        numbers = self._checked(values)
-        with self._one:
-            if self._closed:
-                raise ValueError("The sliders are closed.")
-            try:
-                scene = self._scene(numbers)
-                shown = jax.tree.map(np.asarray, picture(self._lifted(jax.tree.map(checks.as_float, scene))))
-                result = eqx.tree_at(lambda r: r.scene, shown.result, scene)
-                return success(shown._replace(result=result), self._code(scene, numbers))
-            except Exception as error:  # whatever `build` may raise, the page goes on
-                return failure(error)
-
-    @property
-    def busy(self) -> bool:
-        """Whether a scene is being computed, or compiled."""
-        return self._one.locked()
-
-    def close(self) -> None:
-        """Answer no more; waits for what is being computed."""
-        with self._one:
-            self._closed = True
+        """The picture for the values of the sliders, or the error that prevents it."""
+        try:
+            numbers = self._checked(values)
+            scene = self._scene(numbers)
+            comment = ", ".join(f"{name} = {value!r}" for name, value in numbers.items())
+            reused, new = self._functions.reused(scene)
+            picture = jax.tree.map(np.asarray, picture_of(jax.tree.map(checks.as_float, reused)))
+            return packed_picture(picture, scene, code_of(scene, comment), RECOMPILED if new else "")
+        except Exception as error:  # whatever `build` raises, the sliders stay usable
+            return packed_error(error)
 
     def _scene(self, values: Mapping[str, float]) -> Scene:
         scene = self._build(**values)
         if not isinstance(scene, Scene):
-            raise ValueError(f"`build` must return a Scene, but returned {scene!r}.")
+            raise ValueError(f"`build` must return a Scene, got {scene!r}.")
         return scene
 
     def _checked(self, values: Any) -> dict[str, float]:
         names = [slider.name for slider in self.sliders]
-        if not isinstance(values, dict) or sorted(values) != sorted(names):
-            raise ValueError(f"The values must be those of {', '.join(names) or 'no slider'}, but are {values!r}.")
+        if not isinstance(values, dict) or set(values) != set(names):
+            raise ValueError(f"A request must hold {', '.join(names) or 'no values'}, got {reprlib.repr(values)}.")
         for name, low, high, *_ in self.sliders:
             value = values[name]
             if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-                raise ValueError(f"`{name}` must be a number from {low:g} to {high:g}, but is {value!r}.")
+                raise ValueError(f"`{name}` must be a number from {low:g} to {high:g}, got {reprlib.repr(value)}.")
         return {name: float(values[name]) for name in names}
+
+
+class _Functions:
+    """Plain functions of the scenes. `build` often makes new ones; the first one that does the same replaces them.
+
+    JAX would compile a scene with a new function again.
+    """
+
+    def __init__(self):
+        self._known: dict[Any, PlainFunction] = {}  # by code and by the values that it uses
+
+    def reused(self, scene: Scene) -> tuple[Scene, bool]:
+        """The scene with known functions in place of equal new ones, and whether it needs another version of one."""
+        known = len(self._known)
+        scene = jax.tree.map(self._first, scene, is_leaf=lambda leaf: isinstance(leaf, PlainFunction))
+        return scene, 0 < known < len(self._known)
+
+    def _first(self, leaf: Any) -> Any:
+        if not isinstance(leaf, PlainFunction) or not isinstance(leaf.function, types.FunctionType):
+            return leaf
+        function = leaf.function
+        values = tuple(cell.cell_contents for cell in function.__closure__ or ())
+        keywords = frozenset((function.__kwdefaults__ or {}).items())
+        try:
+            return self._known.setdefault((id(function.__code__), values, function.__defaults__, keywords), leaf)
+        except TypeError:  # values that cannot be compared, such as arrays
+            return self._known.setdefault(id(function), leaf)
+
+
+def sliders_of(build: Callable[..., Scene], ranges: Mapping[str, Any]) -> tuple[Slider, ...]:
+    """A slider for each range.
+
+    Raises:
+        ValueError: if a range is not valid or is not that of a parameter of `build`, or if a parameter without a
+            default has no range.
+    """
+    if not callable(build):
+        raise ValueError(f"`build` must be a function that returns a Scene, got {build!r}.")
+    _check_names(build, ranges)
+    return tuple(_slider(name, given) for name, given in ranges.items())
+
+
+def _check_names(build: Callable[..., Scene], ranges: Mapping[str, Any]) -> None:
+    try:
+        parameters = inspect.signature(build).parameters.values()
+    except (TypeError, ValueError):  # a callable without a signature
+        return
+    named = {p.name: p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+    for p in parameters:
+        if p.kind is p.POSITIONAL_ONLY and p.default is p.empty:
+            raise ValueError(f"`build` must take its parameters by name, got the positional-only `{p.name}`.")
+    unknown = [name for name in ranges if name not in named]
+    if unknown and not any(p.kind is p.VAR_KEYWORD for p in parameters):
+        raise ValueError(f"`{unknown[0]}` must be a parameter of `build`, which has {', '.join(named) or 'none'}.")
+    for name, p in named.items():
+        if p.default is p.empty and name not in ranges:
+            raise ValueError(f"`{name}` must have a range (low, high), because `build` has no default for it.")
+
+
+def _slider(name: str, given: Any) -> Slider:
+    try:
+        low, high, *rest = numbers = [float(value) for value in given]
+    except (TypeError, ValueError):
+        low, high, *rest = numbers = [math.nan, math.nan]
+    if len(rest) > 1 or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"`{name}` must be (low, high) or (low, high, start) with finite numbers, got {given!r}.")
+    if not low < high:
+        raise ValueError(f"`{name}` must be a range with low < high, got {given!r}.")
+    logarithmic = low > 0 and high / low > LOGARITHMIC
+    middle = math.sqrt(low * high) if logarithmic else (low + high) / 2
+    start = rest[0] if rest else min(max(float(f"{middle:.{DIGITS}g}"), low), high)
+    if not low <= start <= high:
+        raise ValueError(f"`{name}` must start from {low:g} to {high:g}, got {start:g}.")
+    return Slider(name, low, high, start, logarithmic)

@@ -16,7 +16,8 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.fit_status import FitStatus, plausible
 from jaxwhisker._inverse.points import Reconstruction
 from jaxwhisker._model.contour import Contour, Spline, spline, tabulate
-from jaxwhisker._model.profile import STEEPEST, AbstractProfile, Circle, Ellipse, Parabola
+from jaxwhisker._model.profile import STEEPEST, AbstractProfile
+from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
 
 KNOTS = 8  # of a Contour
 REWEIGHTINGS = 5  # weights depend on the profile: they are those of the last one

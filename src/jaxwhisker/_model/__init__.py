@@ -1,1 +1,1 @@
-"""What users build: whiskers, objects, supports, motions, scenes."""
+"""Parts of a scene that users build: whiskers, objects, supports, motions."""

@@ -1,4 +1,4 @@
-"""A contour of any strictly convex shape: its radius of curvature over the slope angle."""
+"""A contour of any strictly convex shape: its radius of curvature as a function of the slope angle."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -10,29 +10,37 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import as_text, text_unless
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.profile import STEEPEST, AbstractProfile, ContactPoint, FirstTouch, bisect, differs, show
+from jaxwhisker._model.profile import STEEPEST, AbstractProfile, ContactPoint, FirstTouch, bisect
 
-CELLS = 32  # between two knots: x and y are good to 1e-11 of the radius even if that grows by e^2 from knot to knot
-GAUSS = 4  # points of quadrature a cell
+CELLS = 32  # between two knots; x and y are accurate to 1e-11 of the radius even if that grows by e^2 from knot to knot
+GAUSS = 4  # quadrature points per cell
 
 
 class Contour(AbstractProfile):
-    """A strictly convex contour by its radius of curvature rho, by slope angle alpha.
+    """A strictly convex contour, given by its radius of curvature rho as a function of the slope angle alpha.
 
         x = position + int_0^alpha rho cos(a) da,  y = distance + int_0^alpha rho sin(a) da.
 
-    log rho is a cubic spline over alpha, constant beyond the outermost knots: whatever its values, the contour is
-    strictly convex, and smooth. The parameter is the slope angle.
+    log rho is a cubic spline in alpha, constant beyond the outermost knots, and therefore the contour is smooth and
+    strictly convex for any values. Its parameter is the slope angle.
 
     Args:
-        distance: q, height of the lowest point above the bases; positive.
-        log_radius: log of the radius of curvature, in the unit of length, at the knots; a one-dimensional array.
-        slopes: the knots: slope angles, rad, strictly increasing, less than a right angle; two at least.
-        position: x of the lowest point.
+        distance: q, height of the lowest point above the bases, a length; positive.
+        log_radius: log of the radius of curvature (a length) at the knots, shape (knots,).
+        slopes: slope angles of the knots, rad, strictly increasing, each less than a right angle; at least two.
+        position: x of the lowest point, a length.
 
     Raises:
-        ValueError: if an argument is not of that kind.
+        ValueError: if an argument is not a finite number or array, or not in its domain.
+
+    Examples:
+        >>> contour = jw.Contour(0.2, log_radius=jnp.log(jnp.array([0.4, 0.5, 0.8])), slopes=(-1.0, 0.0, 1.0))
+        >>> print(contour)
+        contour q = 0.2, 3 knots
+        >>> print(f"{contour.radius(0.0):.3f}")
+        0.500
     """
 
     distance: Scalar
@@ -46,16 +54,15 @@ class Contour(AbstractProfile):
         knots = np.asarray(self.slopes)
         checks.vector("slopes", knots)
         if knots.size < 2 or not (np.diff(knots) > 0).all() or np.abs(knots).max() > STEEPEST:
-            raise ValueError(
-                "`slopes` must be two strictly increasing slope angles or more, each less than a right angle, but is "
-                f"{self.slopes}."
+            checks.fail(
+                "slopes", "at least two strictly increasing slope angles, each less than a right angle", self.slopes
             )
         if isinstance(self.log_radius, (np.ndarray, jax.Array)) and jnp.shape(self.log_radius) == ():
-            return  # one of many, as transformations rebuild it
+            return  # transformations rebuild one of several contours
         checks.vector("log_radius", self.log_radius)
         if self.log_radius.shape != knots.shape:
-            raise ValueError(
-                f"`log_radius` must hold one per knot ({knots.size}), but its shape is {self.log_radius.shape}."
+            checks.fail(
+                "log_radius", f"one value per knot ({knots.size})", f"an array of shape {self.log_radius.shape}"
             )
 
     @classmethod
@@ -63,20 +70,20 @@ class Contour(AbstractProfile):
         """A contour with the vertex of another profile, and its radii of curvature at the knots.
 
         Args:
-            profile: with a smooth point of every one of these slopes.
-            slopes: as of a Contour.
+            profile: a profile that has a smooth point of each of these slopes.
+            slopes: slope angles of the knots, as for a Contour.
         """
         x, y = profile.vertex()
         radius = jax.vmap(lambda slope: _radius(profile, slope))(jnp.asarray(slopes, dtype=float))
         return cls(y, jnp.log(radius), slopes, x)
 
     def radius(self, slope: Scalar) -> Float[Array, ""]:
-        """The radius of curvature at a slope angle, a length."""
+        """Radius of curvature at a slope angle (rad), a length."""
         x_rate, y_rate = jax.jvp(lambda a: self.point(a)[:2], (jnp.asarray(slope, dtype=float),), (jnp.ones(()),))[1]
         return x_rate * jnp.cos(slope) + y_rate * jnp.sin(slope)
 
     def tabulated(self) -> "Tabulated":
-        """The same, made ready for points."""
+        """The same contour as a table of polynomials, from which points are evaluated."""
         return tabulate(spline(self.slopes), self.distance, self.position, self.log_radius)
 
     def point(self, parameter):
@@ -95,22 +102,23 @@ class Contour(AbstractProfile):
         return [self.distance]
 
     def __str__(self):
-        return f"contour q = {show(self.distance)}, {len(self.slopes)} knots{differs(', x = ', self.position)}"
+        position = text_unless(0.0, ", x = ", self.position)
+        return f"contour q = {as_text(self.distance)}, {len(self.slopes)} knots{position}"
 
 
 class Tabulated(AbstractProfile):
-    """A contour as polynomials of degree 5 between nodes, CELLS of them from knot to knot."""
+    """A contour as polynomials of degree 5 between nodes, with CELLS of them from knot to knot."""
 
     distance: Scalar
     position: Scalar
     knots: Float[Array, " knots"]
-    cells: Float[Array, "cells 12"]  # coefficients of x, then of y, by the share of the cell
-    ends_at: Float[Array, "2 3"]  # x, y, radius at the first knot, and at the last one
+    cells: Float[Array, "cells 12"]  # coefficients of x, then of y, in powers of the fraction of the cell
+    ends_at: Float[Array, "2 3"]  # x, y, radius at the first and at the last knot
 
     def point(self, parameter):
         cos, sin = jnp.cos(parameter), jnp.sin(parameter)
         knots = jax.lax.stop_gradient(self.knots)
-        x, y = _within(self.cells, knots, parameter)
+        x, y = _between_knots(self.cells, knots, parameter)
         for beyond, at, (end_x, end_y, radius) in (
             (parameter < knots[0], knots[0], self.ends_at[0]),
             (parameter > knots[-1], knots[-1], self.ends_at[1]),
@@ -141,11 +149,11 @@ class Tabulated(AbstractProfile):
         return [self.distance]
 
     def __str__(self):
-        return f"contour q = {show(self.distance)}"
+        return f"contour q = {as_text(self.distance)}"
 
 
 def _as_array(values):
-    # What transformations of jax put in the place of leaves stays.
+    # Transformations of JAX replace leaves by objects that are no arrays; these pass unchanged.
     try:
         return jnp.asarray(values, dtype=float)
     except (TypeError, ValueError):
@@ -157,7 +165,7 @@ def _as_tuple(values):
 
 
 def _radius(profile: AbstractProfile, slope: Scalar) -> Float[Array, ""]:
-    """The radius of curvature of any profile at a slope angle."""
+    """Radius of curvature of any profile at a slope angle."""
 
     def angle(parameter):
         at = profile.point(parameter)
@@ -173,7 +181,7 @@ def _radius(profile: AbstractProfile, slope: Scalar) -> Float[Array, ""]:
 
 
 class Spline(NamedTuple):
-    """Linear maps from values at the knots to those at nodes, their derivatives there, and values at Gauss points."""
+    """Linear maps from values at the knots to values and derivatives at nodes, and to values at Gauss points."""
 
     knots: np.ndarray
     node: np.ndarray
@@ -187,12 +195,12 @@ class Spline(NamedTuple):
 
 @lru_cache(maxsize=64)
 def spline(slopes: tuple[float, ...]) -> Spline:
-    """The cubic spline through values at these slopes."""
-    from scipy.interpolate import CubicSpline  # loaded when the first contour is
+    """The maps of the cubic spline through values at these slopes."""
+    from scipy.interpolate import CubicSpline  # scipy is loaded with the first contour
 
     knots = np.asarray(slopes)
-    share = np.arange(CELLS) / CELLS
-    node = np.append((knots[:-1, None] + share * np.diff(knots)[:, None]).ravel(), knots[-1])
+    fraction = np.arange(CELLS) / CELLS
+    node = np.append((knots[:-1, None] + fraction * np.diff(knots)[:, None]).ravel(), knots[-1])
     cubic = CubicSpline(knots, np.eye(knots.size))
     at, weight = np.polynomial.legendre.leggauss(GAUSS)
     width = np.diff(node)
@@ -200,45 +208,61 @@ def spline(slopes: tuple[float, ...]) -> Spline:
     return Spline(knots, node, cubic(node), cubic(node, 1), gauss, cubic(gauss), width, weight / 2)
 
 
-# y'' and the like at both ends of a cell to the coefficients 3, 4 and 5 of the quintic Hermite interpolant.
+# From value, rate and second rate at the end of a cell to coefficients 3, 4 and 5 of the quintic Hermite interpolant.
 _HERMITE = np.linalg.inv(np.array([[1.0, 1.0, 1.0], [3.0, 4.0, 5.0], [6.0, 12.0, 20.0]]))
 
 
+class _Radii(NamedTuple):
+    """Radius of curvature at the nodes, its derivative by the slope angle, and the radius at the Gauss points."""
+
+    value: Float[Array, " nodes"]
+    rate: Float[Array, " nodes"]
+    at_gauss: Float[Array, "cells gauss"]
+
+
 def tabulate(spline: Spline, distance: Scalar, position: Scalar, log_radius: Float[Array, " knots"]) -> Tabulated:
-    """The contour of that vertex and these radii."""
+    """The contour with this vertex and these radii of curvature."""
     values = jnp.asarray(log_radius, dtype=float)
     radius = jnp.exp(jnp.sum(spline.value * values, axis=-1))
     radius_rate = radius * jnp.sum(spline.rate * values, axis=-1)
-    at_gauss = jnp.exp(jnp.sum(spline.at_gauss * values, axis=-1))
+    radii = _Radii(radius, radius_rate, jnp.exp(jnp.sum(spline.at_gauss * values, axis=-1)))
     cos, sin = jnp.cos(spline.node), jnp.sin(spline.node)
-
-    def along(direction, turned, at):
-        """Coefficients of the integral of radius times `direction`, whose derivative is `turned`."""
-        rises = spline.width * jnp.sum(spline.weight * at_gauss * at, axis=-1)
-        start = jnp.concatenate([jnp.zeros(1), jnp.cumsum(rises)])
-        rate, bend = radius * direction, radius_rate * direction + radius * turned
-        a0, a1, a2 = start[:-1], rate[:-1] * spline.width, bend[:-1] * spline.width**2 / 2
-        ends = jnp.stack([
-            rises - a1 - a2,
-            rate[1:] * spline.width - a1 - 2 * a2,
-            bend[1:] * spline.width**2 - 2 * a2,
-        ])  # fmt: skip
-        return jnp.stack([a0, a1, a2, *(jnp.sum(row[:, None] * ends, axis=0) for row in _HERMITE)], axis=-1), start[-1]
-
-    x, x_end = along(cos, -sin, jnp.cos(spline.gauss))
-    y, y_end = along(sin, cos, jnp.sin(spline.gauss))
+    x, x_end = _integral(spline, radii, cos, -sin, jnp.cos(spline.gauss))
+    y, y_end = _integral(spline, radii, sin, cos, jnp.sin(spline.gauss))
     distance, position = jnp.asarray(distance, dtype=float), jnp.asarray(position, dtype=float)
     cells, knots = jnp.concatenate([x, y], axis=-1), jnp.asarray(spline.knots)
     ends = jnp.stack([jnp.stack([0.0, 0.0, radius[0]]), jnp.stack([x_end, y_end, radius[-1]])])
-    # So far the first knot was the origin.
+    # The integrals start at the first knot; shift the curve to its vertex.
     lowest = Tabulated(distance, position, knots, cells, ends).point(jnp.zeros(()))
     dx, dy = position - lowest.x, distance - lowest.y
     cells = cells.at[:, 0].add(dx).at[:, 6].add(dy)
     return Tabulated(distance, position, knots, cells, ends + jnp.stack([dx, dy, 0.0]))
 
 
-def _within(cells: Float[Array, "cells 12"], knots: Float[Array, " knots"], slope: Scalar):
-    """The polynomials' x and y at a slope between the outermost knots; beyond, at these."""
+def _integral(
+    spline: Spline,
+    radii: _Radii,
+    direction: Float[Array, " nodes"],
+    direction_rate: Float[Array, " nodes"],
+    at_gauss: Float[Array, "cells gauss"],
+) -> tuple[Float[Array, "cells 6"], Float[Array, ""]]:
+    """Coefficients of the integral of radius times direction (cosine or sine) in each cell, and its last value."""
+    rises = spline.width * jnp.sum(spline.weight * radii.at_gauss * at_gauss, axis=-1)
+    start = jnp.concatenate([jnp.zeros(1), jnp.cumsum(rises)])
+    rate, bend = radii.value * direction, radii.rate * direction + radii.value * direction_rate
+    a0, a1, a2 = start[:-1], rate[:-1] * spline.width, bend[:-1] * spline.width**2 / 2
+    ends = jnp.stack([
+        rises - a1 - a2,
+        rate[1:] * spline.width - a1 - 2 * a2,
+        bend[1:] * spline.width**2 - 2 * a2,
+    ])  # fmt: skip
+    return jnp.stack([a0, a1, a2, *(jnp.sum(row[:, None] * ends, axis=0) for row in _HERMITE)], axis=-1), start[-1]
+
+
+def _between_knots(
+    cells: Float[Array, "cells 12"], knots: Float[Array, " knots"], slope: Scalar
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """x and y of the polynomials at a slope, which is clipped to the outermost knots."""
     inside = jnp.clip(slope, knots[0], knots[-1])
     still = jax.lax.stop_gradient(inside)
     interval = jnp.sum(still >= knots[1:-1])

@@ -1,4 +1,4 @@
-"""The motion: how the drive, to which the bases are tied, moves with the control."""
+"""The motion of the drive, which carries the bases, as a function of the control."""
 
 import abc
 from collections.abc import Callable
@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.functions import as_field, name_of
+from jaxwhisker._base.leaves import as_field, name_of
 from jaxwhisker._base.types import Scalar
 
 
 class Pose(NamedTuple):
-    """Where a frame stands in the scene: its origin, and its angle to the upright, counter-clockwise."""
+    """Pose of a frame in the scene: its origin, and its angle to the upright (rad, positive counter-clockwise)."""
 
     x: Scalar
     y: Scalar
@@ -24,45 +24,49 @@ class Pose(NamedTuple):
 
 
 class AbstractMotion(eqx.Module):
-    """A motion takes the drive along a curve of poses; a scan runs through it from where all whiskers are free."""
+    """A motion: a curve of poses of the drive, along which a scan runs from where all whiskers are free."""
 
     @abc.abstractmethod
     def pose(self, control: Scalar) -> Pose:
-        """The pose of the drive's frame."""
+        """The pose of the drive's frame at a control."""
 
     @property
     @abc.abstractmethod
     def ends(self) -> tuple[Scalar, Scalar] | None:
-        """Controls between which a scan lies, the first one with all whiskers free; None if far away on both sides."""
+        """First control, at which all whiskers are free, and last control of a scan; None if both are far away."""
 
     @property
     @abc.abstractmethod
     def onwards(self) -> int:
-        """+1 if the control grows on the way, else -1."""
+        """+1 if the control increases during a scan, else -1."""
 
     @abc.abstractmethod
     def unit(self, length: Scalar) -> Scalar:
-        """The size of a step of the control that goes with that length."""
+        """Control increment that corresponds to a given length."""
 
     @abc.abstractmethod
     def valid(self) -> Any:
-        """Whether traced parameters lie where the constructor would have let them."""
+        """Whether traced parameters are in the domain that the constructor checks."""
 
 
 class Translation(AbstractMotion):
-    """The drive moves along x; the control is its position, a length.
+    """Translation of the drive along x; the control is its position, a length.
 
     Args:
-        direction: -1 for a scan towards -x, from the right of the object; +1 from the left.
+        direction: -1 for a scan towards -x, from the right of the object; +1 for a scan from the left.
 
     Raises:
-        ValueError: if it is neither.
+        ValueError: if `direction` is neither -1 nor 1.
+
+    Examples:
+        >>> print(jw.Scene(jw.Whisker(), jw.Parabola(0.2), motion=jw.Translation(direction=1)))
+        clamped: 1 whisker, parabola q = 0.2, translation towards +x
     """
 
     direction: int = eqx.field(static=True, default=-1)
 
     def __check_init__(self):
-        _direction(self.direction)
+        _check_direction(self.direction)
 
     def pose(self, control):
         control = jnp.asarray(control, dtype=float)
@@ -87,17 +91,23 @@ class Translation(AbstractMotion):
 
 
 class Rotation(AbstractMotion):
-    """The drive turns about a pivot; the control is its angle to the upright, rad, counter-clockwise positive.
+    """Rotation of the drive about a pivot; the control is its angle to the upright, rad, positive counter-clockwise.
 
     A scan runs from a right angle on one side to a right angle on the other.
 
     Args:
         pivot: (x, y) of the pivot, lengths.
-        radius: how far in front of it the bases lie; of a pivot far below them the motion is a translation.
+        radius: distance of the drive in front of the pivot, a length. With a pivot far below the drive, the motion
+            becomes a translation.
         direction: +1 turns counter-clockwise, from the right of the object to the left; -1 clockwise.
 
     Raises:
-        ValueError: if a value is not a finite number, or the direction neither of the two.
+        ValueError: if a value is not a finite number, or `direction` is neither -1 nor 1.
+
+    Examples:
+        >>> pose = jw.Rotation(pivot=(0.0, -0.5), radius=0.5).pose(0.1)
+        >>> print(f"x = {pose.x:.4f}, y = {pose.y:.4f}")
+        x = -0.0499, y = -0.0025
     """
 
     pivot: tuple[Scalar, Scalar] = (0.0, 0.0)
@@ -105,12 +115,9 @@ class Rotation(AbstractMotion):
     direction: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
-        if not (isinstance(self.pivot, tuple) and len(self.pivot) == 2):
-            raise ValueError(f"`pivot` must be a pair of numbers, but is {self.pivot!r}.")
-        for value in self.pivot:
-            checks.number("pivot", value)
+        checks.pair("pivot", self.pivot)
         checks.number("radius", self.radius)
-        _direction(self.direction)
+        _check_direction(self.direction)
 
     def pose(self, control):
         x, y = self.pivot
@@ -136,38 +143,40 @@ class Rotation(AbstractMotion):
 
 
 class Motion(AbstractMotion):
-    """A motion of one's own.
+    """User-defined motion of the drive.
 
     Args:
-        function: takes the control to (x, y, angle) of the drive's frame: two lengths, and the angle to the upright,
-            rad, counter-clockwise. It is traced; an `equinox.Module` keeps its parameters differentiable.
+        function: maps the control to (x, y, angle) of the drive's frame: two lengths, and the angle to the upright,
+            rad, positive counter-clockwise. JAX must be able to trace it. The parameters of an `equinox.Module` are
+            differentiable; a plain function is constant.
         start: a control at which all whiskers are free.
-        stop: where the default control of a scan ends.
+        stop: the last control of the default scan.
 
     Raises:
-        ValueError: if start and stop are not two different finite numbers.
+        ValueError: if `function` is not such a function, or `start` and `stop` are not two different finite numbers.
+
+    Examples:
+        >>> bob = jw.Motion(lambda u: (1.2 - u, 0.03 * jnp.sin(2 * u), 0.0), start=0.0, stop=2.6)
+        >>> print(f"x = {bob.pose(1.0).x:.3f}, y = {bob.pose(1.0).y:.3f}")
+        x = 0.200, y = 0.027
     """
 
-    function: Callable[[Any], Any] = eqx.field(converter=as_field)
+    function: Callable[[Any], Any]
     start: Scalar
     stop: Scalar
     direction: int = eqx.field(static=True)
 
     def __init__(self, function: Callable, start: float, stop: float):
-        if not callable(function):
-            raise ValueError(f"`function` must take the control to (x, y, angle), but is {function!r}.")
+        checks.function("function", function, Pose._fields)
         checks.number("start", start)
         checks.number("stop", stop)
         if float(start) == float(stop):
-            raise ValueError(f"`stop` must differ from `start`, but both are {float(start)}.")
+            checks.fail("stop", "different from `start`", f"{float(stop)} for both")
         self.function, self.start, self.stop = as_field(function), float(start), float(stop)
         self.direction = 1 if float(stop) > float(start) else -1
 
     def pose(self, control):
-        pose = tuple(self.function(control))
-        if len(pose) != len(Pose._fields):
-            raise ValueError(f"`function` must return x, y and angle, but returned {len(pose)} values.")
-        return Pose(*(jnp.asarray(value, dtype=float) for value in pose))
+        return Pose(*(jnp.asarray(value, dtype=float) for value in self.function(control)))
 
     @property
     def ends(self):
@@ -188,13 +197,13 @@ class Motion(AbstractMotion):
         return f"motion {name_of(self.function)}(u)"
 
 
-def _direction(value: Any) -> None:
+def _check_direction(value: Any) -> None:
     if isinstance(value, bool) or value not in (-1, 1):
-        raise ValueError(f"`direction` must be -1 or 1, but is {value!r}.")
+        checks.fail("direction", "-1 or 1", repr(value))
 
 
 class Frame(NamedTuple):
-    """Where a base would be without load on any: origin, and the direction of its x axis."""
+    """Frame of a base when no base is loaded: its origin, and the direction of its x axis."""
 
     x: Float[Array, "*batch"]
     y: Float[Array, "*batch"]
@@ -203,7 +212,7 @@ class Frame(NamedTuple):
 
 
 def mounted(pose: Pose, mount: Pose) -> Frame:
-    """The frame of a mount on a drive."""
+    """The frame of a mount on the drive."""
     cos, sin = jnp.cos(pose.angle), jnp.sin(pose.angle)
     angle = pose.angle + mount.angle
     return Frame(
@@ -215,7 +224,7 @@ def mounted(pose: Pose, mount: Pose) -> Frame:
 
 
 def frame_and_rate(drive: Callable[[Scalar], Pose], mounts: Pose, control: Scalar) -> tuple[Frame, Frame]:
-    """Frames of all mounts at a control, and their derivative by it."""
+    """Frames of all mounts at a control, and their derivative by the control."""
 
     def at(control):
         return jax.vmap(lambda mount: mounted(drive(control), mount))(mounts)

@@ -1,4 +1,4 @@
-"""The network: how the bases yield that springs along one axis connect to the drive."""
+"""The network: flexibility of bases that springs along one axis connect to the drive."""
 
 from typing import NamedTuple
 
@@ -11,24 +11,24 @@ from jaxwhisker._model.spring import Spring
 
 
 class Flexibility(NamedTuple):
-    """How bases yield to loads on them: displacement = offset + matrix @ load.
+    """Displacement of the bases under loads on them: displacement = offset + matrix @ load.
 
-    Along x alone a row for each base; else three, for x, y and angle.
+    If bases move along x only, there is one row per base; otherwise three, for x, y and angle.
     """
 
     matrix: Float[Array, "rows rows"]
     root: Float[Array, "rows rows"]  # matrix = root @ root.T
     offset: Float[Array, " rows"]
-    consistent: Bool[Array, ""]  # rigid loops close with their rest lengths
+    consistent: Bool[Array, ""]  # rest lengths around every rigid loop add up
 
     def in_unit(self, length: Scalar, force: Scalar) -> "Flexibility":
-        """The same without dimensions, along x alone."""
+        """The dimensionless flexibility of bases that move along x only."""
         stiffness = force / length
         root = self.root * jnp.sqrt(jax.lax.stop_gradient(jnp.asarray(stiffness)))
         return Flexibility(self.matrix * stiffness, root, self.offset / length, self.consistent)
 
     def in_frames(self, angle: Float[Array, " whiskers"], length: Scalar, force: Scalar) -> "Flexibility":
-        """The same without dimensions, along all axes, each base seen in a frame turned by its angle to the drive's."""
+        """The dimensionless flexibility along all axes, each base in a frame at its angle to the drive's frame."""
         n = angle.size
         matrix, root, offset = self.matrix, self.root, self.offset
         if offset.size == n:
@@ -51,60 +51,74 @@ class Flexibility(NamedTuple):
         )
 
 
-def reached(springs: tuple[Spring, ...]) -> set[int]:
-    """The drive, 0, and the bases that springs connect to it."""
-    found = {0}
+def connected(springs: tuple[Spring, ...]) -> set[int]:
+    """The drive (0) and all bases that springs connect to it."""
+    ends = {0}
     for _ in springs:
-        found |= {end for spring in springs for end in spring.between if found & set(spring.between)}
-    return found
+        ends |= {end for spring in springs for end in spring.between if ends & set(spring.between)}
+    return ends
 
 
 def flexibility(springs: tuple[Spring, ...], whiskers: int) -> Flexibility:
     """Flexibility of a connected network; bases without a spring are rigid.
 
-    A spring is a measurement of the distance of its ends with variance 1/stiffness: the springs of a spanning tree
-    add up along their paths, every further one is a rank-one update. Nothing is divided by a difference of
-    stiffnesses, and rigid springs (variance 0) need no path of their own.
+    A spring acts like a measurement of the distance of its ends with variance 1/stiffness. The variances of the springs
+    in a spanning tree add up along their paths; every other spring is a rank-one update. Nothing is divided by a
+    difference of stiffnesses, and rigid springs (variance 0) need no special treatment.
     """
-    sprung = {end for spring in springs for end in spring.between}
-    # Base -> {spring of the tree: sign}; what no spring moves stands where the drive does.
-    rows: dict[int, dict[int, float]] = {end: {} for end in range(whiskers + 1) if end == 0 or end not in sprung}
-    loops = list(range(len(springs)))
-    while len(rows) <= whiskers:
-        for k in loops:
-            first, second = springs[k].between
-            if (first in rows) != (second in rows):
-                known, new, sign = (first, second, 1.0) if first in rows else (second, first, -1.0)
-                rows[new] = {**rows[known], k: sign}
-                loops.remove(k)
-                break
+    paths, loops = _spanning_tree(springs, whiskers)
     softness = [s.softness for s in springs]
     rest = [jnp.asarray(s.rest_length, dtype=float) for s in springs]
-    tree = sorted(set().union(*rows.values()))
-    signs = jnp.array([[rows[base].get(k, 0.0) for k in tree] for base in range(1, whiskers + 1)])
+    tree = sorted(set().union(*paths.values()))
+    signs = jnp.array([[paths[base].get(k, 0.0) for k in tree] for base in range(1, whiskers + 1)])
     soft = jnp.stack([softness[k] for k in tree])
     matrix = jnp.sum(signs[:, None, :] * signs[None, :, :] * soft, axis=-1)
-    # For decisions only: its slope at 0 is infinite.
+    # The root serves decisions only; it has no derivative, because its slope at 0 is infinite.
     root = signs * jnp.sqrt(jax.lax.stop_gradient(soft))
     root = jnp.pad(root, ((0, 0), (0, whiskers - len(tree))))
     offset = jnp.sum(signs * jnp.stack([rest[k] for k in tree]), axis=-1)
-    consistent = jnp.asarray(True)
+    network = Flexibility(matrix, root, offset, jnp.asarray(True))
     for k in loops:
-        across = _incidence(springs[k].between, whiskers)
-        gap = rest[k] - jnp.sum(across * offset)
-        column = jnp.sum(matrix * across, axis=-1)
-        spread = jnp.sum(across * column)
-        total = softness[k] + spread
-        rigid = total <= 0
-        gain = jnp.where(rigid, 0.0, column / jnp.where(rigid, 1.0, total))
-        consistent &= ~rigid | (jnp.abs(gap) <= 1e-12 * (1 + jnp.abs(rest[k])))
-        matrix = matrix - gain[:, None] * column[None, :]
-        offset = offset + gain * gap
-        # Potter's form of the same update keeps the root a root, whatever the range of stiffnesses.
-        row = jnp.sum(root * across[:, None], axis=0)
-        noise, all_ = jax.lax.stop_gradient((softness[k], jnp.where(rigid, 1.0, total)))
-        scale = jnp.where(rigid, 1.0, all_ + jnp.sqrt(noise * all_))
-        root = root - jnp.sum(root * row, axis=-1)[:, None] * row[None, :] / scale
+        network = _with_spring(network, _incidence(springs[k].between, whiskers), softness[k], rest[k])
+    return network
+
+
+def _spanning_tree(springs: tuple[Spring, ...], whiskers: int) -> tuple[dict[int, dict[int, float]], list[int]]:
+    """The path from the drive to each base as {spring: sign}, and the springs that are on no path."""
+    sprung = {end for spring in springs for end in spring.between}
+    # Bases without a spring stay where the drive is.
+    paths: dict[int, dict[int, float]] = {end: {} for end in range(whiskers + 1) if end == 0 or end not in sprung}
+    loops = list(range(len(springs)))
+    while len(paths) <= whiskers:
+        for k in loops:
+            first, second = springs[k].between
+            if (first in paths) != (second in paths):
+                known, new, sign = (first, second, 1.0) if first in paths else (second, first, -1.0)
+                paths[new] = {**paths[known], k: sign}
+                loops.remove(k)
+                break
+    return paths, loops
+
+
+def _with_spring(
+    network: Flexibility, across: Float[Array, " whiskers"], softness: Float[Array, ""], rest: Float[Array, ""]
+) -> Flexibility:
+    """The network with one more spring, which closes a loop."""
+    matrix, root, offset, consistent = network
+    gap = rest - jnp.sum(across * offset)
+    column = jnp.sum(matrix * across, axis=-1)
+    spread = jnp.sum(across * column)
+    total = softness + spread
+    rigid = total <= 0
+    gain = jnp.where(rigid, 0.0, column / jnp.where(rigid, 1.0, total))
+    consistent &= ~rigid | (jnp.abs(gap) <= 1e-12 * (1 + jnp.abs(rest)))
+    matrix = matrix - gain[:, None] * column[None, :]
+    offset = offset + gain * gap
+    # Potter's form of the same update: root @ root.T stays positive semidefinite for any range of stiffnesses.
+    row = jnp.sum(root * across[:, None], axis=0)
+    noise, total = jax.lax.stop_gradient((softness, jnp.where(rigid, 1.0, total)))
+    scale = jnp.where(rigid, 1.0, total + jnp.sqrt(noise * total))
+    root = root - jnp.sum(root * row, axis=-1)[:, None] * row[None, :] / scale
     return Flexibility(matrix, root, offset, consistent)
 
 

@@ -1,4 +1,4 @@
-"""The support: springs between the drive (0) and the bases (1 to N), and how whiskers are mounted on these."""
+"""The support: springs between the drive (0) and the bases (1 to N), and the mounts of the whiskers."""
 
 import equinox as eqx
 import jax
@@ -7,23 +7,28 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import PerSpring, Scalar
-from jaxwhisker._model.network import Flexibility, flexibility, reached
+from jaxwhisker._model.network import Flexibility, connected, flexibility
 from jaxwhisker._model.spring import AXES, Spring
 
 
 class Mount(eqx.Module):
-    """How a whisker is mounted on its base: where it stands in the drive's frame if all springs have rest length 0.
+    """Mount of a whisker on its base: its position in the drive's frame when all rest lengths are 0, and its angle.
 
-    It turns about its root.
+    The whisker is turned about its root.
 
     Args:
         x: offset along x, a length.
         y: height of the base, a length.
-        angle: of the unloaded whisker's root to the upright, rad, counter-clockwise (towards -x); less than a right
-            angle.
+        angle: angle between the root of the unloaded whisker and the upright, rad, positive counter-clockwise (towards
+            -x); less than a right angle.
 
     Raises:
-        ValueError: if a value is not a finite number, or the angle a right one or more.
+        ValueError: if a value is not a finite number, or the angle is not less than a right angle.
+
+    Examples:
+        >>> leaning = jw.Mount(y=0.05, angle=-0.2)
+        >>> jw.Support.follicle(phi=3.0, mount=leaning).mounts[0].angle
+        -0.2
     """
 
     x: Scalar = 0.0
@@ -31,18 +36,15 @@ class Mount(eqx.Module):
     angle: Scalar = 0.0
 
     def __check_init__(self):
-        for name in ("x", "y", "angle"):
-            checks.number(name, getattr(self, name))
-        if not checks.is_traced(self.angle) and not abs(float(self.angle)) < RIGHT_ANGLE:
-            raise ValueError(f"`angle` must be less than a right angle, but is {float(self.angle):g} rad.")
+        checks.number("x", self.x)
+        checks.number("y", self.y)
+        checks.acute_angle("angle", self.angle)
 
     def valid(self) -> Bool[Array, ""]:
-        """Whether traced parameters lie where the constructor would have let them."""
+        """Whether traced parameters are in the domain that the constructor checks."""
         x, y, angle = (jnp.asarray(value, dtype=float) for value in (self.x, self.y, self.angle))
-        return jnp.isfinite(x) & jnp.isfinite(y) & (jnp.abs(angle) < RIGHT_ANGLE)
+        return jnp.isfinite(x) & jnp.isfinite(y) & (jnp.abs(angle) < checks.RIGHT_ANGLE)
 
-
-RIGHT_ANGLE = 1.5707963267948966
 
 _NAMED = {
     "FB": ((0, 1),),
@@ -53,17 +55,25 @@ _NAMED = {
 
 
 class Support(eqx.Module):
-    """Springs between drive and bases; without any, the bases are clamped to the drive.
+    """Springs between the drive and the bases; without springs, the bases are clamped to the drive.
 
-    Along an axis without springs a base is rigid relative to the drive.
+    A base is rigidly connected to the drive along every axis that has no springs.
 
     Args:
-        springs: any network; every base from 1 to N has to occur.
-        mount: how whiskers are mounted on their bases: a Mount for all, or a tuple with one per base (without springs
-            their number is that of the whiskers); upright at height 0 by default.
+        springs: any network; every base from 1 to N must occur in it.
+        mount: a Mount for all whiskers, or a tuple with one per base, which also sets the number of whiskers if there
+            are no springs. Default: upright at height 0.
 
     Raises:
-        ValueError: if a base is missing, or springs along an axis do not connect it to the drive.
+        ValueError: if an argument has the wrong type, springs along an axis do not connect all bases to the drive, or
+            the rest lengths around a loop of rigid springs do not add up.
+
+    Examples:
+        >>> print(jw.Support.fbfbr(stiffness=70.0, rest_length=0.2).springs[2].rest_length)
+        0.4
+        >>> springs = tuple(jw.Spring((k, k + 1), stiffness=50.0, rest_length=0.1) for k in range(4))
+        >>> jw.Support(springs).whiskers
+        4
     """
 
     springs: tuple[Spring, ...] = ()
@@ -71,28 +81,36 @@ class Support(eqx.Module):
 
     def __check_init__(self):
         if not isinstance(self.springs, tuple) or not all(isinstance(s, Spring) for s in self.springs):
-            raise ValueError(f"`springs` must be a tuple of Spring, but is {self.springs!r}.")
+            checks.fail("springs", "a tuple of Spring", repr(self.springs))
+        self._check_mounts()
+        self._check_connected()
+        self._check_rigid_loops()
+
+    def _check_mounts(self) -> None:
         mounts = self.mount if isinstance(self.mount, tuple) else (self.mount,)
         if self.mount is not None and not (mounts and all(isinstance(m, Mount) for m in mounts)):
-            raise ValueError(f"`mount` must be a Mount or a tuple of them, but is {self.mount!r}.")
+            checks.fail("mount", "a Mount or a tuple of them", repr(self.mount))
         if isinstance(self.mount, tuple) and self.springs and len(mounts) != self.whiskers:
-            raise ValueError(f"`mount` must hold one per base ({self.whiskers}), but holds {len(mounts)}.")
-        named = {end for spring in self.springs for end in spring.between}
+            checks.fail("mount", f"one Mount or one per base ({self.whiskers})", f"{len(mounts)} of them")
+
+    def _check_connected(self) -> None:
+        ends = {end for spring in self.springs for end in spring.between}
         for axis in self.axes:
             springs = self.along(axis)
-            loose = {end for s in springs for end in s.between} - reached(springs)
-            missing = loose | (set(range(1, self.whiskers + 1)) - named)
+            loose = {end for s in springs for end in s.between} - connected(springs)
+            missing = loose | (set(range(1, self.whiskers + 1)) - ends)
             if missing:
                 raise ValueError(
-                    f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, but along {axis} "
-                    f"base {min(missing)} is not connected (springs between {[s.between for s in springs]})."
+                    f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, got no connection of "
+                    f"base {min(missing)} along {axis} (springs between {[s.between for s in springs]})."
                 )
-        with jax.ensure_compile_time_eval():  # known values may be checked inside jit, too
+
+    def _check_rigid_loops(self) -> None:
+        with jax.ensure_compile_time_eval():  # concrete values are checked inside jit, too
             rigid = not checks.is_traced(self.springs) and any(s.softness == 0 for s in self.springs)
-            open_ = rigid and not all(flexibility(self.along(a), self.whiskers).consistent for a in self.axes)
-        if open_:
-            lengths = [float(s.rest_length) for s in self.springs]
-            raise ValueError(f"`rest_length` must let loops of infinitely stiff springs close, but is {lengths}.")
+            if rigid and not all(flexibility(self.along(a), self.whiskers).consistent for a in self.axes):
+                lengths = [float(s.rest_length) for s in self.springs]
+                checks.fail("rest_length", "the same along all paths of infinitely stiff springs", lengths)
 
     def along(self, axis: str) -> tuple[Spring, ...]:
         """The springs along an axis."""
@@ -100,7 +118,7 @@ class Support(eqx.Module):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The axes along which there are springs."""
+        """The axes that have springs."""
         return tuple(axis for axis in AXES if self.along(axis))
 
     @property
@@ -117,7 +135,7 @@ class Support(eqx.Module):
 
     @property
     def name(self) -> str:
-        """The thesis's name of the model, `clamped`, `follicle`, or `network`."""
+        """The name of the model in the thesis, or `clamped`, `follicle`, or `network`."""
         between = tuple(s.between for s in self.springs)
         if self.axes in ((), ("x",)):
             return next((name for name, ends in _NAMED.items() if ends == between), "network" if between else "clamped")
@@ -125,7 +143,7 @@ class Support(eqx.Module):
 
     @classmethod
     def clamped(cls) -> "Support":
-        """One whisker clamped to the drive: no springs at all."""
+        """One whisker clamped to the drive, without springs."""
         return cls()
 
     @classmethod
@@ -157,13 +175,13 @@ class Support(eqx.Module):
         *,
         mount: Mount | None = None,
     ) -> "Support":
-        """One whisker whose base yields in up to three directions, at rest on the drive.
+        """One whisker whose base can move in up to three directions; at rest it is on the drive.
 
         Args:
             x: stiffness across the whisker, force per length; None for rigid.
-            y: stiffness along it.
-            phi: torsional stiffness, moment per rad.
-            mount: how the whisker is mounted.
+            y: stiffness along the whisker, force per length; None for rigid.
+            phi: torsional stiffness, moment per rad; None for rigid.
+            mount: the mount of the whisker.
         """
         stiffness = {"x": x, "y": y, "phi": phi}
         springs = (Spring((0, 1), value, axis=axis) for axis, value in stiffness.items() if value is not None)
@@ -174,15 +192,19 @@ class Support(eqx.Module):
         """A model of the thesis by name: `clamped`, `FB`, `FBFB`, `FBFBR`, `FBFBFBR`.
 
         Args:
-            model: its name.
-            stiffness: one number for all springs or one per spring, in the order c1, c2, ...
-            rest_length: one per spring, or one number for each spring of the row; a feedback spring then rests at the
-                sum over the row that it spans, so that nothing is strained before contact.
+            model: name of the model.
+            stiffness: one number for all springs or one per spring, in the order c1, c2, ...; force per length.
+            rest_length: one length per spring, or one length for each spring in the row. In the second case the rest
+                length of a feedback spring is the sum over the springs that it spans, and nothing is strained before
+                contact.
+
+        Raises:
+            ValueError: if the model is unknown, or the number of values is wrong.
         """
         if model == "clamped":
             return cls()
         if model not in _NAMED:
-            raise ValueError(f"`model` must be one of clamped, {', '.join(_NAMED)}, but is {model!r}.")
+            checks.fail("model", f"one of clamped, {', '.join(_NAMED)}", repr(model))
         ends = _NAMED[model]
         spans = [second - first for first, second in ends]
         stiffnesses = _per_spring("stiffness", stiffness, [1] * len(ends))
@@ -190,9 +212,9 @@ class Support(eqx.Module):
         return cls(tuple(Spring(e, c, r) for e, c, r in zip(ends, stiffnesses, rest_lengths, strict=True)))
 
     def flexibility(self) -> Flexibility | None:
-        """How the bases yield in the drive's frame; None without springs.
+        """Flexibility of the bases in the drive's frame; None without springs.
 
-        Where all springs act along x a row for each base, else three: x, y, angle of the first one, and so on.
+        If all springs act along x, there is one row per base; otherwise three: x, y, angle of base 1, then of base 2.
         """
         if not self.springs:
             return None
@@ -209,9 +231,9 @@ class Support(eqx.Module):
         return Flexibility(matrix.reshape(n * k, n * k), root.reshape(n * k, n * k), offset.reshape(-1), consistent)
 
     def spring_length(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
-        """Length of every spring, of torsion springs the angle, from the bases' positions relative to the drive.
+        """Length of every spring, or angle of a torsion spring, for the bases' positions relative to the drive.
 
-        These are along x, or along all axes: see `flexibility`.
+        Positions have one axis (x) or three, as in `flexibility`.
         """
         still = jnp.zeros_like(displacement[..., :1, :])
         nodes = jnp.concatenate([still, displacement], axis=-2)
@@ -222,14 +244,15 @@ class Support(eqx.Module):
         return jnp.stack(lengths, axis=-1) if lengths else jnp.zeros((*displacement.shape[:-2], 0))
 
     def valid(self) -> Bool[Array, ""]:
-        """Whether traced parameters lie where the constructors would have let them."""
+        """Whether traced parameters are in the domain that the constructors check."""
         ok = [part.valid() for part in (*self.springs, *([] if self.mount is None else self.mounts))]
         return jnp.all(jnp.stack(ok)) if ok else jnp.asarray(True)
 
 
 def _per_spring(name: str, value, shares: list[int]) -> list:
+    """One value per spring; a single number is multiplied by the share of each spring."""
     if not isinstance(value, (list, tuple)) and jnp.ndim(value) == 0:
         return [value if share == 1 else share * value for share in shares]
     if jnp.ndim(value if not isinstance(value, (list, tuple)) else 0) > 1 or len(value) != len(shares):
-        raise ValueError(f"`{name}` must be one number or one per spring ({len(shares)}), but is {value!r}.")
+        checks.fail(name, f"one number or one per spring ({len(shares)})", repr(value))
     return list(value)

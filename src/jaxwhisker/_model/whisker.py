@@ -9,35 +9,46 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.functions import as_field
+from jaxwhisker._base.leaves import number_or_function
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._rod.rod import AlongRod, Section, at_arc
 
 AlongWhisker: TypeAlias = AlongRod  # a number, or a function of the arc length from the base
-LOOKED_AT = 65  # points at which a function of arc length is looked at
+SAMPLES = 65  # points at which a function of arc length is checked
 
 
 class Whisker(eqx.Module):
-    """A whisker, clamped upright.
+    """A whisker, clamped upright at its base.
+
+    With the default values everything is dimensionless: lengths in L, forces in EI/L^2, moments in EI/L.
 
     Args:
-        length: L, the arc length from base to tip, in your unit of length; positive.
+        length: L, the arc length from base to tip, in any unit of length; positive.
         bending_stiffness: EI, force times length squared: a positive number, or a function of the arc length s in
-            [0, L] from the base, positive but at the tip, where it may vanish. An `equinox.Module` keeps its parameters
-            differentiable; a plain function is taken as it is. It is called with one s at a time, traced.
-        intrinsic_curvature: kappa0 = d phi / ds of the unloaded whisker, 1/length, counter-clockwise positive (towards
-            -x, where a scan goes): a number or such a function. None for a straight whisker, which costs less.
+            [0, L] from the base that is positive and may vanish only at the tip. The function is called with one traced
+            number. The parameters of an `equinox.Module` are differentiable; a plain function is constant.
+        intrinsic_curvature: kappa0 = d phi / ds of the unloaded whisker, 1/length, positive counter-clockwise (towards
+            -x, the direction of a scan): a number or such a function. Default: a straight whisker, which is faster
+            than a curvature of 0.
 
     Raises:
-        ValueError: if the length is not a positive finite number, the bending stiffness is not positive and finite, or
-            the unloaded whisker curls round: turns by a right angle or more, so that it does not rise to its tip.
+        ValueError: if the length is not a positive finite number, the bending stiffness is not positive and finite, a
+            function is not one of a single number that JAX can trace, or the unloaded whisker turns by a right angle
+            or more.
 
-    With the defaults everything is dimensionless: lengths in L, forces in EI/L^2, moments in EI/L.
+    Examples:
+        >>> jw.Whisker().uniform
+        True
+        >>> cone = jw.Whisker(length=0.05, bending_stiffness=lambda s: 2e-6 * (1 - 15.0 * s) ** 4)
+        >>> print(f"{cone.stiffness_at(0.04):.2e}")  # N m^2, at 40 mm from the base
+        5.12e-08
     """
 
     length: Scalar = 1.0
-    bending_stiffness: AlongWhisker = eqx.field(default=1.0, converter=as_field)
-    intrinsic_curvature: AlongWhisker | None = eqx.field(default=None, converter=as_field)
+    bending_stiffness: AlongWhisker = eqx.field(default=1.0, converter=number_or_function("bending_stiffness"))
+    intrinsic_curvature: AlongWhisker | None = eqx.field(
+        default=None, converter=number_or_function("intrinsic_curvature")
+    )
 
     def __check_init__(self):
         checks.number("length", self.length, positive=True)
@@ -45,79 +56,76 @@ class Whisker(eqx.Module):
             checks.number("intrinsic_curvature", self.intrinsic_curvature)
         if not callable(self.bending_stiffness):
             checks.number("bending_stiffness", self.bending_stiffness, positive=True)
-        elif not checks.is_traced(self):
-            with jax.ensure_compile_time_eval():
-                values = np.asarray(self._stiffness_looked_at())
-            bad = ~(np.isfinite(values) & (values > 0))
-            bad[-1] &= values[-1] != 0
-            if bad.any():
-                k = int(np.argmax(bad))
-                raise ValueError(
-                    "`bending_stiffness` must be positive and finite along the whisker (zero at the tip at most), but "
-                    f"is {values[k]} at {k / (LOOKED_AT - 1):.3g} of its length."
-                )
-        if not checks.is_traced(self):
-            with jax.ensure_compile_time_eval():
-                turn = float(self._largest_turn())
-            if not turn < np.pi / 2:
-                raise ValueError(
-                    "`intrinsic_curvature` must turn the unloaded whisker by less than a right angle, but it turns by "
-                    f"{np.degrees(turn):.4g} degrees: a whisker that curls round touches in more than one place."
-                )
+        if checks.is_traced(self):
+            return
+        with jax.ensure_compile_time_eval():
+            if callable(self.bending_stiffness):
+                _check_positive(np.asarray(self._stiffness_samples()))
+            turn = float(self._largest_turn())
+        if not turn < np.pi / 2:
+            raise ValueError(
+                "`intrinsic_curvature` must turn the unloaded whisker by less than a right angle, got a turn of "
+                f"{np.degrees(turn):.4g} degrees: a whisker that curls up would touch in more than one place."
+            )
 
     @property
     def uniform(self) -> bool:
-        """Whether the whisker is straight and its bending stiffness a number."""
+        """Whether the whisker is straight and its bending stiffness constant."""
         return not callable(self.bending_stiffness) and self.intrinsic_curvature is None
 
     def stiffness_at(self, s: Scalar) -> Float[Array, ""]:
-        """EI at an arc length from the base."""
+        """EI at the arc length s from the base."""
         return at_arc(self.bending_stiffness, s)
 
     @property
     def base_stiffness(self) -> Scalar:
-        """EI at the base, by which a scene is made dimensionless."""
+        """EI at the base, which makes a scene dimensionless."""
         return self.stiffness_at(jnp.zeros(())) if callable(self.bending_stiffness) else self.bending_stiffness
 
     def valid(self):
-        """Whether traced parameters lie where the constructor would have let them."""
-        length, values = jnp.asarray(self.length), self._stiffness_looked_at()
+        """Whether traced parameters are in the domain that the constructor checks."""
+        length, values = jnp.asarray(self.length), self._stiffness_samples()
         inside = jnp.all((values[:-1] > 0) & jnp.isfinite(values[:-1])) & (values[-1] >= 0) & jnp.isfinite(values[-1])
         return jnp.isfinite(length) & (length > 0) & inside & (self._largest_turn() < jnp.pi / 2)
 
     def curvature_at(self, s: Scalar) -> Float[Array, ""]:
-        """kappa0 at an arc length from the base."""
+        """kappa0 at the arc length s from the base."""
         return at_arc(0.0 if self.intrinsic_curvature is None else self.intrinsic_curvature, s)
 
     def section(self, length_unit: Scalar, stiffness_unit: Scalar) -> Section:
         """Bending stiffness and intrinsic curvature along the whisker, in these units of length and EI."""
-        one = jnp.asarray(1.0)  # an array, since the orientation of each whisker differs in a batch
+        one = jnp.asarray(1.0)  # an array, because the orientation of each whisker differs in a batch
         return Section(self.bending_stiffness, self.intrinsic_curvature, length_unit, stiffness_unit, one)
 
     def _largest_turn(self) -> Float[Array, ""]:
-        """The largest angle of the unloaded whisker to the upright."""
+        """Largest angle between the unloaded whisker and the upright."""
         if self.intrinsic_curvature is None:
             return jnp.zeros(())
-        step = jnp.asarray(self.length, dtype=float) / (LOOKED_AT - 1)
-        curvature = jax.vmap(self.curvature_at)(step * jnp.arange(LOOKED_AT))
+        step = jnp.asarray(self.length, dtype=float) / (SAMPLES - 1)
+        curvature = jax.vmap(self.curvature_at)(step * jnp.arange(SAMPLES))
         return jnp.max(jnp.abs(jnp.cumsum((curvature[1:] + curvature[:-1]) / 2) * step))
 
-    def _stiffness_looked_at(self) -> Float[Array, " points"]:
+    def _stiffness_samples(self) -> Float[Array, " points"]:
         if not callable(self.bending_stiffness):
             return jnp.broadcast_to(jnp.asarray(self.bending_stiffness, dtype=float), 2)
-        return jax.vmap(self.stiffness_at)(jnp.linspace(0.0, 1.0, LOOKED_AT) * self.length)
+        return jax.vmap(self.stiffness_at)(jnp.linspace(0.0, 1.0, SAMPLES) * self.length)
 
     @classmethod
     def from_material(cls, length: Scalar, youngs_modulus: AlongWhisker, diameter: AlongWhisker) -> "Whisker":
-        """A whisker of circular section, EI = E pi d^4 / 64.
+        """A whisker of circular cross-section, EI = E pi d^4 / 64.
 
         Args:
-            length: L, m.
-            youngs_modulus: E, Pa: a number, or a function of the arc length from the base.
-            diameter: d, m: a number, or a function of the arc length from the base.
+            length: L, m; positive.
+            youngs_modulus: E, Pa; a positive number, or a function of the arc length from the base.
+            diameter: d, m; a positive number, or a function of the arc length from the base.
 
         Raises:
-            ValueError: as for a Whisker; a number has to be positive.
+            ValueError: as for a Whisker.
+
+        Examples:
+            >>> whisker = jw.Whisker.from_material(length=0.05, youngs_modulus=3e9, diameter=2e-4)
+            >>> print(f"{whisker.bending_stiffness:.3e}")  # N m^2
+            2.356e-07
         """
         for name, value in (("youngs_modulus", youngs_modulus), ("diameter", diameter)):
             if not callable(value):
@@ -129,23 +137,26 @@ class Whisker(eqx.Module):
     def conical(
         cls, length: Scalar, youngs_modulus: AlongWhisker, base_diameter: Scalar, tip_diameter: Scalar
     ) -> "Whisker":
-        """A whisker whose diameter falls linearly from base to tip.
+        """A whisker whose diameter decreases linearly from base to tip.
 
         Args:
-            length: L, m.
-            youngs_modulus: E, Pa: a number, or a function of the arc length from the base.
+            length: L, m; positive.
+            youngs_modulus: E, Pa; a positive number, or a function of the arc length from the base.
             base_diameter: d at the base, m; positive.
-            tip_diameter: d at the tip, m; 0 for a point, which carries no force: it bends away, and the contact is
-                tangential at once.
+            tip_diameter: d at the tip, m; not negative. A pointed tip (0) carries no force: it bends away, and the
+                contact is tangential from the start.
 
         Raises:
-            ValueError: as for `from_material`; if a diameter is negative.
+            ValueError: as for a Whisker, or if a diameter is negative.
+
+        Examples:
+            >>> cone = jw.Whisker.conical(length=0.05, youngs_modulus=3e9, base_diameter=2e-4, tip_diameter=5e-5)
+            >>> print(f"{cone.base_stiffness / cone.stiffness_at(0.05):.0f}")  # the ratio of diameters, to the fourth
+            256
         """
         checks.number("base_diameter", base_diameter, positive=True)
-        checks.number("tip_diameter", tip_diameter)
-        if not checks.is_traced(tip_diameter) and float(tip_diameter) < 0:
-            raise ValueError(f"`tip_diameter` must be at least 0, but is {float(tip_diameter)}.")
-        return cls.from_material(length, youngs_modulus, Linear(base_diameter, tip_diameter, length))
+        checks.number("tip_diameter", tip_diameter, non_negative=True)
+        return cls.from_material(length, youngs_modulus, LinearTaper(base_diameter, tip_diameter, length))
 
     @classmethod
     def rat(
@@ -159,31 +170,36 @@ class Whisker(eqx.Module):
     ) -> "Whisker":
         """The average vibrissa of a rat at a place of its array, in SI units: a cone.
 
-        With r = 1 to 5 for the rows A to E and c for the column, in millimetres: arc length S = 43 + 1.8 r - 7.6 c,
-        diameter at the base 0.041 + 0.002 S + 0.011 r - 0.0039 c; the radius falls by 0.0012 + 0.00017 r - 0.000066 c +
-        0.00011 c^2 per length, down to 1.5 micrometres at least.
+        With r = 1 to 5 for the rows A to E, c for the column, and lengths in millimetres: the arc length is
+        S = 43 + 1.8 r - 7.6 c, the diameter at the base is 0.041 + 0.002 S + 0.011 r - 0.0039 c, and the radius
+        decreases by 0.0012 + 0.00017 r - 0.000066 c + 0.00011 c^2 per length, down to at least 1.5 micrometres.
 
         Args:
-            row: "A", the uppermost, to "E".
-            column: 0, the Greek arc at the back, to 5.
-            length: S, m, instead of the average one.
-            youngs_modulus: E, Pa; 3 GPa is a usual round value, measured ones scatter by more than its half.
-            intrinsic_curvature: 1/m, number or function, as of any whisker.
+            row: "A" (uppermost) to "E".
+            column: 0 (the Greek arc, at the back) to 5; to 4 in rows A and B.
+            length: S, m; default: the average.
+            youngs_modulus: E, Pa. 3 GPa is a common round value; measured values scatter by more than half of it.
+            intrinsic_curvature: 1/m, a number or a function, as for any whisker.
 
         Raises:
-            ValueError: if there is no such place in the array.
+            ValueError: if the array has no such place, or as for a Whisker.
+
+        Examples:
+            >>> whisker = jw.Whisker.rat("C", 2)
+            >>> print(f"{1e3 * whisker.length:.1f} mm")
+            33.2 mm
 
         Source: Belli, Yang, Bresee and Hartmann (2017), J. Neurophysiol. 117, 1807, regressions over seven studies;
-        with the coefficients and the least tip of the simulator WHISKiT Physics (Zweifel et al. 2021, PNAS 118,
-        e2011905118), which takes its whiskers from there.
+        with the coefficients and the smallest tip radius of the simulator WHISKiT Physics (Zweifel et al. 2021, PNAS
+        118, e2011905118), which takes its whiskers from there.
         """
-        if row not in ROWS:
-            raise ValueError(f"`row` must be one of {', '.join(ROWS)}, but is {row!r}.")
-        if not isinstance(column, int) or not 0 <= column <= COLUMNS[row]:
-            raise ValueError(f"`column` must be an int from 0 to {COLUMNS[row]} in row {row}, but is {column!r}.")
+        if not isinstance(row, str) or row not in COLUMNS:
+            checks.fail("row", f"one of {', '.join(COLUMNS)}", repr(row))
+        if not isinstance(column, int) or isinstance(column, bool) or not 0 <= column <= COLUMNS[row]:
+            checks.fail("column", f"an int from 0 to {COLUMNS[row]} in row {row}", repr(column))
         if length is not None:
             checks.number("length", length, positive=True)
-        r, c = ROWS.index(row) + 1, column
+        r, c = list(COLUMNS).index(row) + 1, column
         arc = 43 + 1.8 * r - 7.6 * c if length is None else length * 1e3
         base = 0.041 + 0.002 * arc + 0.011 * r - 0.0039 * c
         slope = 0.0012 + 0.00017 * r - 0.000066 * c + 0.00011 * c**2
@@ -192,13 +208,24 @@ class Whisker(eqx.Module):
         return cls(cone.length, cone.bending_stiffness, intrinsic_curvature)
 
 
-ROWS = "ABCDE"
-COLUMNS = {"A": 4, "B": 4, "C": 5, "D": 5, "E": 5}  # up to which the regression gives a length
+COLUMNS = {"A": 4, "B": 4, "C": 5, "D": 5, "E": 5}  # last column of each row for which the regression gives a length
 LEAST_TIP_RADIUS = 0.0015  # mm
 
 
-class Linear(eqx.Module):
-    """A straight line over the arc length: from `base` at 0 to `tip` at `length`."""
+def _check_positive(stiffness: np.ndarray) -> None:
+    bad = ~(np.isfinite(stiffness) & (stiffness > 0))
+    bad[-1] &= stiffness[-1] != 0
+    if bad.any():
+        k = int(np.argmax(bad))
+        checks.fail(
+            "bending_stiffness",
+            "positive and finite along the whisker (zero only at the tip)",
+            f"{stiffness[k]} at {k / (SAMPLES - 1):.3g} of its length",
+        )
+
+
+class LinearTaper(eqx.Module):
+    """A linear function of the arc length: `base` at 0 and `tip` at `length`."""
 
     base: Scalar
     tip: Scalar
@@ -209,10 +236,10 @@ class Linear(eqx.Module):
 
 
 class RoundSection(eqx.Module):
-    """Bending stiffness of a circular section, E pi d^4 / 64; both may be functions of the arc length."""
+    """Bending stiffness of a circular cross-section, E pi d^4 / 64; both may be functions of the arc length."""
 
-    youngs_modulus: AlongWhisker = eqx.field(converter=as_field)
-    diameter: AlongWhisker = eqx.field(converter=as_field)
+    youngs_modulus: AlongWhisker = eqx.field(converter=number_or_function("youngs_modulus"))
+    diameter: AlongWhisker = eqx.field(converter=number_or_function("diameter"))
 
     def __call__(self, s: Scalar) -> Scalar:
         modulus, diameter = (value(s) if callable(value) else value for value in (self.youngs_modulus, self.diameter))

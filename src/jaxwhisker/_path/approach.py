@@ -23,7 +23,7 @@ FAR = 1e4  # lengths that an unbounded drive travels at most; a march ends long 
 HIGHEST_FORCE = 1e3  # EI / L^2 on every whisker; a scan before snap-off hardly ever meets it
 
 
-class Range(NamedTuple):
+class Limits(NamedTuple):
     """Where a scan right across the object begins, where it ends if nothing happens, and how far it searches."""
 
     start: Scalar
@@ -54,11 +54,11 @@ class AbstractApproach(abc.ABC):
         """Whether nothing can happen any more if the drive moves on without reversing."""
 
     @abc.abstractmethod
-    def range(self) -> Range:
-        """The range of a scan right across the object."""
+    def limits(self) -> Limits:
+        """The limits of a scan right across the object."""
 
     @abc.abstractmethod
-    def crop(self, path: Path, whole: Bool[Array, ""], limits: Range) -> tuple[Path, Scalar, Scalar]:
+    def crop(self, path: Path, whole: Bool[Array, ""], limits: Limits) -> tuple[Path, Scalar, Scalar]:
         """The path, and the first and last control of the contacts on it, with a margin."""
 
     def _last_contact(self, path: Path, end: Scalar) -> Scalar:
@@ -95,14 +95,14 @@ class FromAfar(AbstractApproach):
         beyond = (mode.phase == Phase.free) & (mode.side * self.onwards > 0)
         return jnp.all(beyond & jnp.where(self.onwards < 0, at.x < at.left.x, at.x > at.right.x))
 
-    def range(self):
+    def limits(self):
         problem, zero = self.problem, jnp.asarray(0.0)
         unloaded = problem.in_scene(zero, problem.rest(zero))
         middle, first = problem.profile.vertex()[0] - jnp.mean(unloaded.x), self.first_touch()
         start = jnp.where(jnp.isfinite(first), first, middle - self.onwards) - self.onwards * MARGIN
         hardest = jnp.zeros((problem.length.size, problem.axes)).at[:, 0].set(HIGHEST_FORCE)
         softness = jnp.max(problem.displacement(hardest))
-        return Range(start, middle + self.onwards, start + self.onwards * (FAR + softness))
+        return Limits(start, middle + self.onwards, start + self.onwards * (FAR + softness))
 
     def crop(self, path, whole, limits):
         del whole
@@ -133,9 +133,9 @@ class Bounded(AbstractApproach):
         del mode, at
         return jnp.asarray(False)
 
-    def range(self):
+    def limits(self):
         start, end = self._ends()
-        return Range(start, end, end)
+        return Limits(start, end, end)
 
     def crop(self, path, whole, limits):
         passed, event = jnp.arange(path.nodes.kind.shape[0]) < path.count, path.nodes.kind >= 0

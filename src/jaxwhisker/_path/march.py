@@ -33,7 +33,7 @@ from jaxwhisker._path.transitions import after_advance, after_arrive, after_even
 CHUNK = 16  # iterations between two checks whether the whole batch is done
 
 
-def _event_row(state: MarchState, stop_u: Scalar) -> Row:
+def _target_row(state: MarchState, stop_u: Scalar) -> Row:
     kind = state.target.kind
     return at_event(
         state.target.whisker,
@@ -61,7 +61,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     guess = select(flowing, Point(flow.guess, state.point.u), guess)
     onwards = at_arc_length(state.point, state.tangent, state.step)
     fixed = at_control(state.point.u, guess.z)
-    row = select(state.task == Task.advance, onwards, select(at_target, _event_row(state, stop_u), fixed))
+    row = select(state.task == Task.advance, onwards, select(at_target, _target_row(state, stop_u), fixed))
     # A touch is the beginning of a contact, and solved for as a contact.
     target = state.target
     begins = target.whisker & at_target & (target.kind == TOUCH)

@@ -32,7 +32,7 @@ from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
 
-STEP = 0.02  # largest change of any contact, in its scale; the flow is first order in it
+LARGEST_CHANGE = 0.02  # largest change of any contact, in its scale; the flow is first order in it
 SHORTEST = 1e-7  # ... tried where a whisker cannot follow a longer one
 FIRST_TIME_STEP = 1e-3
 NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
@@ -74,7 +74,7 @@ def start(mode: Mode, pose: Poses) -> Flow:
         slope=jnp.zeros((n, axes, axes)),
         load=jnp.zeros_like(pose),
         gap=none,
-        step=jnp.asarray(STEP),
+        step=jnp.asarray(LARGEST_CHANGE),
         time_step=jnp.asarray(FIRST_TIME_STEP),
         slipped=no,
         sliding=no,
@@ -224,7 +224,7 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
         iterations=iterations,
         # Too many steps, or a far side that ends before the whisker lands.
         exhausted=(iterations > ITERATIONS) | missed,
-        step=jnp.minimum(2 * flow.step, STEP),
+        step=jnp.minimum(2 * flow.step, LARGEST_CHANGE),
         time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
     )
     return flow, Mode(phase, side, jnp.asarray(False)), z

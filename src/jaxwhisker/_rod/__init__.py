@@ -1,1 +1,1 @@
-"""One rod from its contact to its base: integrated, or by elliptic functions."""
+"""One rod from its contact to its base, by integration or by elliptic functions."""

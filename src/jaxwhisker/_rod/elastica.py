@@ -1,9 +1,11 @@
-"""The elastica between contact and base, seen from the contact: two ways to compute its end.
+"""The elastica between contact and base, in the frame of the contact: two ways to compute its end.
 
-The contact is the origin, x along the object's tangent. There the moment vanishes and the force pushes along -y; `bend`
-is the force over EI. Whatever the end is differentiated by, two tangents go through the computation, and twelve numbers
-are all that a reverse pass has to keep: a longer rod is the same one with another piece at its base. (That holds for
-uniform rods; others are differentiated as they are integrated.)
+The contact is the origin, and x runs along the object's tangent. At the contact the moment vanishes and the force acts
+along -y; `bend` is the force divided by EI.
+
+Derivatives of a uniform rod's end need only two tangents through the computation, with respect to force and angle: a
+longer rod is the same rod with another piece at its base, and this gives the derivative by the arc length. A reverse
+pass stores twelve numbers. Other rods are differentiated through their integration.
 """
 
 import abc
@@ -26,46 +28,59 @@ End = Float[Array, "4"]  # x, y, cos phi, sin phi at the base
 
 
 class AbstractRod(eqx.Module):
-    """How rods are computed, and how exactly the equilibrium is solved for with them."""
+    """How rods are computed, and to which tolerance the equilibrium is solved."""
 
     newton_tolerance: float = eqx.field(static=True, default=1e-6, kw_only=True)
     newton_steps: int = eqx.field(static=True, default=8, kw_only=True)
 
     def __check_init__(self):
         if not (isinstance(self.newton_tolerance, float) and 0 < self.newton_tolerance < 1):
-            raise ValueError(f"`newton_tolerance` must be a float in (0, 1), but is {self.newton_tolerance!r}.")
+            checks.fail("newton_tolerance", "a float in (0, 1)", repr(self.newton_tolerance))
         checks.count("newton_steps", self.newton_steps)
 
     @abc.abstractmethod
     def end(self, bend: Scalar, arc: Scalar, angle: Scalar, section: Section | None = None) -> End:
-        """The rod's end an arc length before the contact, where it has that angle to the object.
+        """End of the rod at its base, in the frame of the contact.
 
-        Of a rod that is not uniform `bend` is the force, and `section` tells what changes along it.
+        Args:
+            bend: force divided by EI, 1/length^2; the force itself if a section is given.
+            arc: arc length from the base to the contact.
+            angle: angle between the rod at the contact and the object, rad.
+            section: stiffness and curvature along a rod that is not uniform.
         """
 
     def for_rates(self) -> "AbstractRod":
-        """The method for derivatives that a user sees, to be as exact as the values, of which they are a multiple."""
+        """The method for a user's derivatives; they can be larger than the values and need a smaller relative error."""
         return self
 
 
 class Shooting(AbstractRod):
-    """The rod's differential equation, integrated with diffrax from the contact to the base.
+    """Integrate the rod's differential equation with diffrax, from the contact to the base.
 
     Args:
-        steps: of the solver; rods that are not uniform take twice as many, shorter where they are thinner. No status
-            tells of too few: with the default solver 8 are good for 1e-9, and for 1e-7 of a cone.
-        solver: any diffrax solver, its own adaptive steps not used; by default the best `Splitting` of order 6.
-        newton_tolerance: size of the last Newton step; convergence is quadratic, so the error is about its square.
-        newton_steps: limit of Newton's method; good predictions need 2.
+        steps: number of steps of equal size. Rods that are not uniform take twice as many, shorter where they are
+            thinner. No status reports too few steps: with the default solver, 8 steps give errors of 1e-9, and of 1e-7
+            for a cone.
+        solver: any diffrax solver; its step-size control is not used. Default: the best `Splitting` of order 6.
+        newton_tolerance: size of the last Newton step. Convergence is quadratic: the error is about its square.
+        newton_steps: largest number of Newton steps; from good predictions, 2 suffice.
+
+    Raises:
+        ValueError: if an argument is not of this kind.
+
+    Examples:
+        >>> accurate = jw.Shooting(steps=12)
+        >>> print(jw.Scene(jw.Whisker(), jw.Parabola(distance=0.2), rod=accurate))
+        clamped: 1 whisker, parabola q = 0.2, shooting, 12 steps
     """
 
-    steps: int = eqx.field(static=True, default=8)  # 1e-9 L in the base's position for the hardest bends of a scan
+    steps: int = eqx.field(static=True, default=8)  # base's position to 1e-9 L for the strongest bends
     solver: diffrax.AbstractSolver | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         checks.count("steps", self.steps)
-        if not (self.solver is None or isinstance(self.solver, diffrax.AbstractSolver)):
-            raise ValueError(f"`solver` must be a solver of diffrax, but is {self.solver!r}.")
+        if self.solver is not None:
+            checks.instance("solver", self.solver, diffrax.AbstractSolver, "a solver of diffrax")
 
     def end(self, bend, arc, angle, section=None):
         zero = jnp.zeros_like(bend)
@@ -83,19 +98,27 @@ class Shooting(AbstractRod):
 
 
 class ClosedForm(AbstractRod):
-    """Jacobi's elliptic functions: exact to rounding, for uniform straight whiskers.
+    """Evaluate Jacobi's elliptic functions; exact to rounding, for uniform straight whiskers only.
 
-    With chi = pi/2 - theta, theta the angle to the object, the rod is a pendulum, chi'' = -bend sin(chi), at rest where
-    it touches. From sin(chi/2) = k cd(u, k), with u^2 = bend arc^2 and k = sin(chi/2) at the contact, follow
-    cos(theta) = 2 k k' cd nd and sin(theta) = 1 - 2 k^2 cd^2, and with them their integrals. k^2 is at most 1/2.
+    Let theta be the angle between the rod and the object's tangent, and chi = pi/2 - theta. The rod is a pendulum,
+    chi'' = -bend sin(chi), at rest at the contact: sin(chi/2) = k cd(u, k) with u^2 = bend arc^2 and k = sin(chi/2) at
+    the contact. This gives cos(theta) = 2 k k' cd nd, sin(theta) = 1 - 2 k^2 cd^2 and their integrals. k^2 is at most
+    1/2.
 
     Args:
-        newton_tolerance: size of the last Newton step; convergence is quadratic, so the error is about its square.
-        newton_steps: limit of Newton's method; good predictions need 2.
+        newton_tolerance: size of the last Newton step. Convergence is quadratic: the error is about its square.
+        newton_steps: largest number of Newton steps; from good predictions, 2 suffice.
+
+    Raises:
+        ValueError: if an argument is not of this kind.
+
+    Examples:
+        >>> print(jw.Scene(jw.Whisker(), jw.Parabola(distance=0.2), rod=jw.ClosedForm()))
+        clamped: 1 whisker, parabola q = 0.2, closed form
     """
 
     def end(self, bend, arc, angle, section=None):
-        assert section is None  # a Scene refuses it
+        assert section is None  # checked by Scene
         cos, sin = jnp.cos(angle), jnp.sin(angle)
         sn, cn, dn, epsilon = jacobi(bend * arc**2, (1 - sin) / 2)
         cd, nd = cn / dn, 1 / dn
@@ -112,7 +135,7 @@ class ClosedForm(AbstractRod):
 
 @partial(jax.custom_jvp, nondiff_argnums=(3, 4))
 def rod_end(bend: Scalar, arc: Scalar, angle: Scalar, method: AbstractRod, for_rates: AbstractRod) -> End:
-    """The rod's end by one method, its derivatives by another one."""
+    """The rod's end by one method, with derivatives by another."""
     del for_rates
     return method.end(bend, arc, angle)
 
@@ -121,11 +144,11 @@ def rod_end(bend: Scalar, arc: Scalar, angle: Scalar, method: AbstractRod, for_r
 def _(method, for_rates, primals, tangents):
     bend, arc, angle = primals
 
-    def twice(bend_and_angle):
+    def value_twice(bend_and_angle):
         end = for_rates.end(bend_and_angle[0], arc, bend_and_angle[1])
         return end, end
 
-    by_bend_and_angle, end = jax.jacfwd(twice, has_aux=True)(jnp.stack([bend, angle]))
+    by_bend_and_angle, end = jax.jacfwd(value_twice, has_aux=True)(jnp.stack([bend, angle]))
     x, _, cos, sin = end
     turn = bend * x
     by_arc = jnp.stack([-cos, -sin, turn * sin, -turn * cos])
@@ -138,7 +161,7 @@ def _(method, for_rates, primals, tangents):
 def uneven_rod_end(
     force: Scalar, arc: Scalar, angle: Scalar, section: Section, method: AbstractRod, for_rates: AbstractRod
 ) -> End:
-    """The end of a rod that is not uniform, by one method, its derivatives by another one."""
+    """The end of a rod that is not uniform, by one method, with derivatives by another."""
     del for_rates
     return method.end(force, arc, angle, section)
 

@@ -1,91 +1,60 @@
-"""Deflection of one whisker under given loads: forces and moments at points along it."""
+"""Deflection of one whisker under given loads: forces and moments at points along it.
+
+The rod is integrated from the outermost load inwards. The direction of the whisker there is the only unknown, and the
+angle of the base is the only equation (Steigenberger 2013).
+"""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.lanes import harmless
+from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.implicit import without_rule
+from jaxwhisker._model.loads import PointForce, PointMoment
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
-LOAD_STEPS = 32  # from rest to the full load: the state that grows out of rest is found, not just any
+LOAD_STEPS = 32  # from rest to the full load, to follow the branch of solutions that begins at rest
 STEPS = 32  # of the rod between two loads
-RESIDUAL = 1e-8  # of the base's direction, with twice the steps
+RESIDUAL = 1e-8  # largest error of the base's direction and position, compared with twice the steps
 CLAMPED = Support.clamped()
 
 
-class PointForce(eqx.Module):
-    """A force at one point of the whisker.
-
-    Args:
-        force: its size, a force (EI/L^2 with the default whisker).
-        position: arc length of the point from the base; the tip by default.
-        follower: whether the force turns with the whisker, or keeps its direction (a dead load).
-        direction: angle to +x at rest, rad; pi by default, towards -x: across the upright whisker.
-    """
-
-    force: Scalar
-    position: Scalar | None = None
-    follower: bool = eqx.field(static=True, default=False)
-    direction: Scalar = float(np.pi)
-
-    def __check_init__(self):
-        checks.number("force", self.force)
-        if not isinstance(self.follower, bool):
-            raise ValueError(f"`follower` must be True or False, but is {self.follower!r}.")
-        checks.number("direction", self.direction)
-        if self.position is not None:
-            checks.number("position", self.position, positive=True)
-
-
-class PointMoment(eqx.Module):
-    """A moment at one point of the whisker, counter-clockwise positive.
-
-    Args:
-        moment: its size, force times length (EI/L with the default whisker).
-        position: arc length of the point from the base; the tip by default.
-    """
-
-    moment: Scalar
-    position: Scalar | None = None
-
-    def __check_init__(self):
-        checks.number("moment", self.moment)
-        if self.position is not None:
-            checks.number("position", self.position, positive=True)
-
-
 class Deflection(eqx.Module):
-    """A deflected whisker: support reaction, pose of its base, and shape at arc lengths s from there.
+    """A deflected whisker: support reaction, pose of its base, and its shape at arc lengths s from the base.
 
-    Everything is NaN unless `status` is `Status.ok`.
+    All values are NaN unless `status` is `Status.ok`.
+
+    Examples:
+        >>> bent = jw.deflect(jw.Whisker(), jw.PointForce(1.0))
+        >>> print(bent.status == jw.Status.ok, bent.x.shape)
+        True (102,)
     """
 
-    fx: Float[Array, ""]  # support reaction on the whisker
+    fx: Float[Array, ""]  # support reaction on the whisker, a force
     fy: Float[Array, ""]
-    mz: Float[Array, ""]  # counter-clockwise positive
+    mz: Float[Array, ""]  # force times length, counter-clockwise positive
     base_x: Float[Array, ""]
     base_y: Float[Array, ""]
-    base_angle: Float[Array, ""]  # to the upright, rad, counter-clockwise
-    s: Float[Array, " points"]
+    base_angle: Float[Array, ""]  # to the upright, rad, counter-clockwise positive
+    s: Float[Array, " points"]  # arc length from the base
     x: Float[Array, " points"]
     y: Float[Array, " points"]
     angle: Float[Array, " points"]  # of the whisker's direction to +x, rad; pi/2 at a clamped base
-    curvature: Float[Array, " points"]
+    curvature: Float[Array, " points"]  # 1/length, counter-clockwise positive
     status: Int[Array, ""]
 
 
 class _Loads(eqx.Module):
-    # All loads as one kind, sorted from the tip to the base; dimensionless.
+    """Forces and moments in one form, sorted from the tip to the base; dimensionless."""
+
     force: Float[Array, " loads"]
     direction: Float[Array, " loads"]
     follower: Float[Array, " loads"]
@@ -94,38 +63,44 @@ class _Loads(eqx.Module):
 
 
 class _Base(eqx.Module):
-    # Where the base is without load, and how it yields to force and moment; dimensionless, x, y and angle.
+    """Pose (x, y, angle) of the unloaded base, and its compliance to forces and moment; dimensionless."""
+
     rest: Float[Array, "3"]
     compliance: Float[Array, "3"] | None  # None for a clamp
 
     def angle(self, moment: Scalar) -> Scalar:
-        """To the upright, under the moment of the whisker on it."""
+        """Angle to the upright under the moment of the whisker on the base."""
         return self.rest[2] if self.compliance is None else self.rest[2] + self.compliance[2] * moment
 
-    def misses(self, cos: Scalar, sin: Scalar, moment: Scalar) -> Scalar:
-        """By how much a whisker with this direction at its base misses the base's angle."""
+    def residual(self, cos: Scalar, sin: Scalar, moment: Scalar) -> Scalar:
+        """Difference between the angle of the base and that of the whisker with this direction at its base."""
         if self.compliance is None:
-            # The sine of it, which tells a whisker that has wound half round, too, but costs less.
+            # Its sine is cheaper. It vanishes for a half turn, too, which the check of the solution detects.
             return cos * jnp.cos(self.rest[2]) + sin * jnp.sin(self.rest[2])
         return self.angle(moment) - jnp.arctan2(-cos, sin)
 
-
-def _base(whisker: Whisker, support: Support) -> _Base:
-    length, stiffness = whisker.length, whisker.base_stiffness
-    mount, flexibility = support.mounts[0], support.flexibility()
-    rest = jnp.stack([jnp.asarray(v, dtype=float) for v in (mount.x / length, mount.y / length, mount.angle)])
-    if flexibility is None:
-        return _Base(rest, None)
-    framed = flexibility.in_frames(jnp.zeros(1), length, stiffness / length**2)
-    return _Base(rest + framed.offset, jnp.diagonal(framed.matrix))
+    def position(self, force_x: Scalar, force_y: Scalar) -> tuple[Scalar, Scalar]:
+        """x and y under the forces of the whisker on the base."""
+        x, y, _ = self.rest
+        if self.compliance is None:
+            return x, y
+        return x + self.compliance[0] * force_x, y + self.compliance[1] * force_y
 
 
-def _along(whisker: Whisker) -> Section | None:
-    """What changes along the whisker, dimensionless; None if it is uniform."""
-    return None if whisker.uniform else whisker.section(whisker.length, whisker.base_stiffness)
+class _Problem(eqx.Module):
+    """The dimensionless equations of one whisker and its loads."""
+
+    loads: _Loads
+    section: Section | None  # None for a uniform whisker
+    base: _Base
 
 
-def _collect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> _Loads:
+def _problem_of(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support) -> _Problem:
+    section = None if whisker.uniform else whisker.section(whisker.length, whisker.base_stiffness)
+    return _Problem(_sorted_loads(whisker, loads), section, _base_of(whisker, support))
+
+
+def _sorted_loads(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> _Loads:
     length, stiffness = whisker.length, whisker.base_stiffness
     rows = []
     for load in loads:
@@ -140,205 +115,244 @@ def _collect(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> _
     return _Loads(*(column[order] for column in columns))
 
 
+def _base_of(whisker: Whisker, support: Support) -> _Base:
+    length, stiffness = whisker.length, whisker.base_stiffness
+    mount, flexibility = support.mounts[0], support.flexibility()
+    rest = jnp.stack([jnp.asarray(v, dtype=float) for v in (mount.x / length, mount.y / length, mount.angle)])
+    if flexibility is None:
+        return _Base(rest, None)
+    framed = flexibility.in_frames(jnp.zeros(1), length, stiffness / length**2)
+    return _Base(rest + framed.offset, jnp.diagonal(framed.matrix))
+
+
 class _Stretch(eqx.Module):
     """A stretch of the rod between two loads (or load and base), from its outer end."""
 
     start: rod.RodState
     load: rod.Load
     arc: Scalar
+    position: Scalar  # of the outer end
 
 
-def _stretches(
-    loads: _Loads, section: Section | None, tip_angle: Scalar, factor: Scalar, steps: int
-) -> tuple[list[_Stretch], rod.RodState]:
-    """All stretches from the outermost load to the base, and the state at the base; origin at the outermost load."""
-    zero = jnp.zeros(())
+def _stretches(problem: _Problem, tip_angle: Scalar, factor: Scalar, steps: int) -> tuple[list[_Stretch], rod.RodState]:
+    """All stretches from the outermost load (the origin) to the base, and the state at the base."""
+    loads, zero = problem.loads, jnp.zeros(())
     state = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle))
-    force_x, force_y, bend = zero, zero, zero
+    total = rod.Load(zero, zero, zero)
     stretches = []
     ends = jnp.append(loads.position[1:], 0.0)
     for k in range(loads.force.shape[0]):
-        x, y, cos, sin = state
-        angle = loads.direction[k]
-        turned_cos = jnp.sin(angle) * cos + jnp.cos(angle) * sin  # angle + (phi - pi/2)
-        turned_sin = jnp.sin(angle) * sin - jnp.cos(angle) * cos
-        follower = loads.follower[k] > 0
-        force = factor * loads.force[k]
-        fx = force * jnp.where(follower, turned_cos, jnp.cos(angle))
-        fy = force * jnp.where(follower, turned_sin, jnp.sin(angle))
-        force_x, force_y = force_x + fx, force_y + fy
-        bend = bend + x * fy - y * fx + factor * loads.moment[k]
-        total = rod.Load(force_x, force_y, bend)
-        stretch = _Stretch(state, total, loads.position[k] - ends[k])
+        total = _with_load(total, loads, k, state, factor)
+        stretch = _Stretch(state, total, loads.position[k] - ends[k], loads.position[k])
         stretches.append(stretch)
-        state = rod.integrate(state, stretch.arc, total, section, steps=steps, from_base=loads.position[k])
+        state = rod.integrate(state, stretch.arc, total, problem.section, steps=steps, from_base=loads.position[k])
     return stretches, state
 
 
-def _misdirection(tip_angle: Scalar, args: tuple[_Loads, Section | None, _Base, Scalar]) -> Scalar:
-    loads, section, base, factor = args
-    stretches, (x, y, cos, sin) = _stretches(loads, section, tip_angle, factor, STEPS)
-    return base.misses(cos, sin, rod.moment(x, y, stretches[-1].load))
+def _with_load(total: rod.Load, loads: _Loads, k: int, state: rod.RodState, factor: Scalar) -> rod.Load:
+    """The load on the rod inside of load k, which acts at this state."""
+    x, y, cos, sin = state
+    angle = loads.direction[k]
+    turned_cos = jnp.sin(angle) * cos + jnp.cos(angle) * sin  # of angle + (phi - pi/2)
+    turned_sin = jnp.sin(angle) * sin - jnp.cos(angle) * cos
+    follower = loads.follower[k] > 0
+    force = factor * loads.force[k]
+    fx = force * jnp.where(follower, turned_cos, jnp.cos(angle))
+    fy = force * jnp.where(follower, turned_sin, jnp.sin(angle))
+    moment = total.moment + x * fy - y * fx + factor * loads.moment[k]  # pyright: ignore[reportOptionalOperand]
+    return rod.Load(total.force_x + fx, total.force_y + fy, moment)  # pyright: ignore[reportOptionalOperand]
+
+
+def _residual(tip_angle: Scalar, args: tuple[_Problem, Scalar]) -> Scalar:
+    problem, factor = args
+    stretches, (x, y, cos, sin) = _stretches(problem, tip_angle, factor, STEPS)
+    return problem.base.residual(cos, sin, rod.moment(x, y, stretches[-1].load))
 
 
 @eqx.filter_custom_jvp
-def _balanced(tip_angle: Scalar, loads: _Loads, section: Section | None, base: _Base) -> Scalar:
-    """The tip angle, at which the base points as its support lets it, with its derivatives (see implicit.py)."""
-    return without_rule(tip_angle, (loads, section, base))
+def _differentiable(tip_angle: Scalar, problem: _Problem) -> Scalar:
+    """The solved tip angle with its implicit derivatives (see implicit.py)."""
+    return without_rule(tip_angle, problem)
 
 
-@_balanced.def_jvp
+@_differentiable.def_jvp
 def _(primals, tangents):
-    tip_angle, *known = primals
-    _, *known_dot = tangents
-    here, one = _balanced(tip_angle, *known), jnp.asarray(1.0)
-    slope = jax.jacfwd(_misdirection)(here, (*known, one))
-    _, missed = eqx.filter_jvp(lambda *known: _misdirection(here, (*known, one)), tuple(known), tuple(known_dot))
-    return here, -missed / slope
+    tip_angle, problem = primals
+    _, problem_dot = tangents
+    here, one = _differentiable(tip_angle, problem), jnp.asarray(1.0)
+    slope = jax.jacfwd(_residual)(here, (problem, one))
+    _, change = eqx.filter_jvp(lambda problem: _residual(here, (problem, one)), (problem,), (problem_dot,))
+    return here, -change / slope
 
 
-def _misdirected(loads: _Loads, section: Section | None, base: _Base) -> Scalar:
-    """Direction of the unloaded whisker where the outermost load will act: away from upright if it is curved."""
+def _unloaded_angle(problem: _Problem) -> Scalar:
+    """Direction of the unloaded whisker at the outermost load, which is not upright if the whisker is curved."""
     upright = jnp.asarray(jnp.pi / 2)
-    if section is None:
-        return upright + base.rest[2]
-    _, (_, _, cos, sin) = _stretches(loads, section, upright, jnp.asarray(0.0), STEPS)
-    return jnp.pi - jnp.arctan2(sin, cos) + base.rest[2]
+    if problem.section is None:
+        return upright + problem.base.rest[2]
+    _, (_, _, cos, sin) = _stretches(problem, upright, jnp.asarray(0.0), STEPS)
+    return jnp.pi - jnp.arctan2(sin, cos) + problem.base.rest[2]
 
 
-def _grown(loads: _Loads, section: Section | None, base: _Base) -> Scalar:
-    """Direction of the whisker beyond the outermost load, on the branch that grows out of rest."""
+def _tip_angle(problem: _Problem) -> Scalar:
+    """Direction of the whisker beyond the outermost load, on the branch of solutions that begins at rest."""
     newton = optx.Newton(rtol=1e-10, atol=1e-10)
 
     def solve(guess, factor):
-        return optx.root_find(
-            _misdirection, newton, guess, args=(loads, section, base, factor), max_steps=20, throw=False
-        ).value
+        return optx.root_find(_residual, newton, guess, args=(problem, factor), max_steps=20, throw=False).value
 
-    def grow(carry, factor):
+    def increase(carry, factor):
         angle, change = carry
-        found = solve(angle + change, factor)
-        return (found, found - angle), None
+        solution = solve(angle + change, factor)
+        return (solution, solution - angle), None
 
     factors = jnp.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:]
-    (angle, _), _ = jax.lax.scan(grow, (_misdirected(loads, section, base), jnp.asarray(0.0)), factors)
+    (angle, _), _ = jax.lax.scan(increase, (_unloaded_angle(problem), jnp.asarray(0.0)), factors)
     return angle
 
 
-def _found(
+def _solve(
     whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support
 ) -> tuple[Scalar, Int[Array, ""]]:
     """Direction of the tip, and the status."""
-    collected, section, base = _collect(whisker, loads), _along(whisker), _base(whisker, support)
-    valid = whisker.valid() & support.valid() & jnp.all((collected.position > 0) & (collected.position <= 1))
-    valid &= jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(collected)]))
-    tip_angle = _grown(collected, section, base)
-    one = jnp.asarray(1.0)
-    stretches, (x, y, cos, sin) = _stretches(collected, section, tip_angle, one, STEPS)
-    _, (fine_x, fine_y, fine_cos, fine_sin) = _stretches(collected, section, tip_angle, one, 2 * STEPS)
-    load = stretches[-1].load
-    turn, wanted = jnp.arctan2(-cos, sin), base.angle(rod.moment(x, y, load))
-    fine_turn, fine_wanted = jnp.arctan2(-fine_cos, fine_sin), base.angle(rod.moment(fine_x, fine_y, load))
-    miss = jnp.max(jnp.abs(jnp.stack([turn - wanted, fine_turn - fine_wanted, fine_x - x, fine_y - y])))
-    return tip_angle, jnp.where(valid, jnp.where(miss < RESIDUAL, Status.ok, Status.inexact), Status.invalid)
+    problem = _problem_of(whisker, loads, support)
+    position = problem.loads.position
+    valid = whisker.valid() & support.valid() & jnp.all((position > 0) & (position <= 1))
+    valid &= jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(problem.loads)]))
+    tip_angle = _tip_angle(problem)
+    error = _error(problem, tip_angle)
+    return tip_angle, jnp.where(valid, jnp.where(error < RESIDUAL, Status.ok, Status.inexact), Status.invalid)
+
+
+def _error(problem: _Problem, tip_angle: Scalar) -> Float[Array, ""]:
+    """Largest error of the base's angle and position, by comparison with twice the steps."""
+
+    def at_base(steps):
+        stretches, (x, y, cos, sin) = _stretches(problem, tip_angle, jnp.asarray(1.0), steps)
+        turn = jnp.arctan2(-cos, sin)
+        return turn - problem.base.angle(rod.moment(x, y, stretches[-1].load)), x, y
+
+    (misfit, x, y), (fine_misfit, fine_x, fine_y) = at_base(STEPS), at_base(2 * STEPS)
+    return jnp.max(jnp.abs(jnp.stack([misfit, fine_misfit, fine_x - x, fine_y - y])))
 
 
 def deflect(
     whisker: Whisker, *loads: PointForce | PointMoment, support: Support = CLAMPED, points: int = 101
 ) -> Deflection:
-    """Reaction and shape of a whisker under the given loads, clamped at (0, 0) along +y or on a support.
+    """Reaction and shape of a whisker under given loads, clamped at (0, 0) along +y or on a support.
 
-    Dead loads are raised from zero, so that the state found is the one that grows out of rest. The rod is integrated
-    from the outermost load inwards, with the direction there as the only unknown (Steigenberger 2013).
+    Loads are increased from zero in steps, and the solution is the one that begins at rest.
 
     Args:
         whisker: the whisker.
-        *loads: at least one PointForce or PointMoment, in any order. Their directions are those at rest of an upright
-            whisker, whatever its mount; a dead load keeps its own.
-        support: of one whisker; the drive stands at (0, 0). A clamp by default.
-        points: shape points on each stretch between loads.
+        *loads: at least one PointForce or PointMoment, in any order. Their directions refer to the upright whisker at
+            rest, also if it is mounted at an angle; a dead load keeps its direction.
+        support: support of one whisker, with the drive at (0, 0). Default: a clamp.
+        points: number of points on each stretch between loads; at least 2.
 
     Returns:
-        A Deflection; NaN with status `inexact` where the load is too large for the steps (beyond a few hundred EI/L^2)
-        and `invalid` for a load that is off the whisker.
+        A Deflection. It is NaN with status `inexact` if the load is too large for the steps (beyond a few hundred
+        EI/L^2), and NaN with status `invalid` if a parameter is out of its domain or a load beyond the tip.
 
     Raises:
-        ValueError: if there is no load, one lies beyond the tip, or the support is for several whiskers.
+        ValueError: if there is no load, a load lies beyond the tip, the support is for several whiskers, or JAX is in
+            float32 mode.
+
+    Examples:
+        >>> bent = jw.deflect(jw.Whisker(), jw.PointForce(5.0, position=1.0, follower=True))
+        >>> print(f"fx = {bent.fx:.4f}, fy = {bent.fy:.4f}, mz = {bent.mz:.4f}")
+        fx = -2.5163, fy = 4.3207, mz = -2.9396
+        >>> print(f"tip at ({bent.x[-1]:.3f}, {bent.y[-1]:.3f})")
+        tip at (-0.781, 0.172)
+
+    Source: Steigenberger (2013).
     """
     checks.float64_mode()
-    if not isinstance(whisker, Whisker):
-        raise ValueError(f"`whisker` must be a Whisker, but is {whisker!r}.")
+    checks.instance("whisker", whisker, Whisker, "a Whisker")
     if not loads or not all(isinstance(load, PointForce | PointMoment) for load in loads):
-        raise ValueError(f"`loads` must be one or more of PointForce and PointMoment, but is {loads!r}.")
+        checks.fail("loads", "one or more of PointForce and PointMoment", repr(loads))
     if not isinstance(support, Support) or support.whiskers != 1:
-        raise ValueError(f"`support` must be a Support of one whisker, but is {support!r}.")
-    if not isinstance(points, int) or points < 2:
-        raise ValueError(f"`points` must be an int of at least 2, but is {points!r}.")
+        checks.fail("support", "a Support of one whisker", repr(support))
+    checks.count("points", points, least=2)
     for load in loads:
         if load.position is None or checks.is_traced((load.position, whisker)):
             continue
         if float(load.position) > float(whisker.length):
-            raise ValueError(f"`position` must be at most the length {whisker.length}, but is {load.position}.")
+            checks.fail("position", f"at most the length {whisker.length}", load.position)
     whisker, loads, support = jax.tree.map(checks.as_float, (whisker, loads, support))
     return _deflect(whisker, loads, support, points)
-
-
-def _curvature(moment: Scalar | rod.Along, section: Section | None, s: rod.Along) -> Scalar | rod.Along:
-    return moment if section is None else jax.vmap(section.bent)(moment, s)
 
 
 @eqx.filter_jit
 def _deflect(
     whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support, points: int
 ) -> Deflection:
-    tip_angle, status = _found(*jax.lax.stop_gradient((whisker, loads, support)))
+    tip_angle, status = _solve(*jax.lax.stop_gradient((whisker, loads, support)))
     ok = status == Status.ok
-    whisker, loads, support = harmless((whisker, loads, support), ok)
-    collected, section, base = _collect(whisker, loads), _along(whisker), _base(whisker, support)
-    tip_angle = _balanced(jnp.where(ok, tip_angle, jnp.pi / 2), collected, section, base)
-    stretches, (base_x, base_y, _, _) = _stretches(collected, section, tip_angle, jnp.asarray(1.0), STEPS)
-
-    shapes, bends, arcs = [], [], []
-    for stretch, outer in zip(stretches, collected.position, strict=True):
-        line = rod.points(stretch.start, stretch.arc, stretch.load, section, count=points, from_base=outer)
-        states = jnp.stack(line)[:, ::-1]
-        s = outer - stretch.arc * jnp.linspace(1.0, 0.0, points)
-        shapes.append(states)
-        bends.append(_curvature(rod.moment(states[0], states[1], stretch.load), section, s))
-        arcs.append(s)
-    # Innermost stretch first; beyond the outermost load the whisker is as it was: straight, which two points tell.
-    first, zero = collected.position[0], jnp.zeros(())
-    start, nothing = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle)), rod.Load(None, zero, None)
-    count = 2 if section is None else points
-    beyond = rod.points(start, first - 1.0, nothing, section, count=count, from_base=first)
-    x, y, cos, sin = jnp.concatenate([*shapes[::-1], jnp.stack(beyond)[:, 1:]], axis=1)
-    s = jnp.concatenate([*arcs[::-1], jnp.linspace(first, 1.0, count)[1:]])
-    bends.append(_curvature(jnp.zeros(count - 1), section, s[1 - count :]))
-    curvature = jnp.concatenate([*bends[-2::-1], bends[-1]])
-
-    load = stretches[-1].load
+    whisker, loads, support = safe_placeholder((whisker, loads, support), ok)
+    problem = _problem_of(whisker, loads, support)
+    tip_angle = _differentiable(jnp.where(ok, tip_angle, jnp.pi / 2), problem)
+    stretches, (x, y, _, _) = _stretches(problem, tip_angle, jnp.asarray(1.0), STEPS)
+    load, shape = stretches[-1].load, _shape(problem, tip_angle, stretches, points)
     assert load.force_x is not None
+    moment, (base_x, base_y) = rod.moment(x, y, load), problem.base.position(load.force_x, load.force_y)
     length, stiffness = whisker.length, whisker.base_stiffness
-    bent = rod.moment(base_x, base_y, load)
-    # How far its loads move the base.
-    rest_x, rest_y, _ = base.rest
-    if base.compliance is not None:
-        rest_x, rest_y = rest_x + base.compliance[0] * load.force_x, rest_y + base.compliance[1] * load.force_y
 
     def where_ok(value):
         return jnp.where(ok, value, jnp.nan)
 
     return Deflection(
-        fx=where_ok(-load.force_x * stiffness / length**2),  # pyright: ignore[reportOptionalOperand]
+        fx=where_ok(-load.force_x * stiffness / length**2),
         fy=where_ok(-load.force_y * stiffness / length**2),
-        mz=where_ok(-bent * stiffness / length),
-        base_x=where_ok(rest_x * length),
-        base_y=where_ok(rest_y * length),
-        base_angle=where_ok(base.angle(bent)),
-        s=where_ok(s * length),
-        x=where_ok((x - base_x + rest_x) * length),
-        y=where_ok((y - base_y + rest_y) * length),
-        angle=where_ok(jnp.unwrap(jnp.arctan2(sin, cos))),
-        curvature=where_ok(curvature / length),
+        mz=where_ok(-moment * stiffness / length),
+        base_x=where_ok(base_x * length),
+        base_y=where_ok(base_y * length),
+        base_angle=where_ok(problem.base.angle(moment)),
+        s=where_ok(shape.s * length),
+        x=where_ok((shape.x - x + base_x) * length),
+        y=where_ok((shape.y - y + base_y) * length),
+        angle=where_ok(jnp.unwrap(jnp.arctan2(shape.sin, shape.cos))),
+        curvature=where_ok(shape.curvature / length),
         status=status,
     )
+
+
+class _Shape(eqx.Module):
+    """Points of the whisker from base to tip, dimensionless, relative to the outermost load."""
+
+    s: rod.Along
+    x: rod.Along
+    y: rod.Along
+    cos: rod.Along
+    sin: rod.Along
+    curvature: Scalar | rod.Along
+
+
+def _shape(problem: _Problem, tip_angle: Scalar, stretches: list[_Stretch], points: int) -> _Shape:
+    parts = [_loaded_shape(problem, stretch, points) for stretch in reversed(stretches)]
+    # Beyond the outermost load the whisker is unloaded; a straight line needs two points.
+    tip = _unloaded_shape(problem, tip_angle, 2 if problem.section is None else points)
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts, tip)
+
+
+def _loaded_shape(problem: _Problem, stretch: _Stretch, points: int) -> _Shape:
+    line = rod.points(
+        stretch.start, stretch.arc, stretch.load, problem.section, count=points, from_base=stretch.position
+    )
+    x, y, cos, sin = (values[::-1] for values in line)
+    s = stretch.position - stretch.arc * jnp.linspace(1.0, 0.0, points)
+    return _Shape(s, x, y, cos, sin, _curvature(problem, rod.moment(x, y, stretch.load), s))
+
+
+def _unloaded_shape(problem: _Problem, tip_angle: Scalar, points: int) -> _Shape:
+    """The shape beyond the outermost load, without the point of that load."""
+    position, zero = problem.loads.position[0], jnp.zeros(())
+    start, nothing = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle)), rod.Load(None, zero, None)
+    line = rod.points(start, position - 1.0, nothing, problem.section, count=points, from_base=position)
+    x, y, cos, sin = (values[1:] for values in line)
+    s = jnp.linspace(position, 1.0, points)[1:]
+    return _Shape(s, x, y, cos, sin, _curvature(problem, jnp.zeros(points - 1), s))
+
+
+def _curvature(problem: _Problem, moment: Scalar | rod.Along, s: rod.Along) -> Scalar | rod.Along:
+    return moment if problem.section is None else jax.vmap(problem.section.total_curvature)(moment, s)

@@ -1,14 +1,15 @@
 """The elastic energy stored in whiskers and springs.
 
-Along the loaded part of a whisker, t being its unit tangent and F = (-fx, -fy) the force of the object on it,
-EI kappa' = F x t, so that EI kappa^2 / 2 + F . t is the same everywhere: at the base t = t0 and EI kappa = -mz. What is
-left of the integral of EI kappa^2 / 2 is that of F . t = F . dr/ds, which is a difference:
+Along the loaded part of a uniform straight whisker, with unit tangent t and the force F = (-fx, -fy) of the object on
+it, EI kappa' = F x t. Therefore EI kappa^2 / 2 + F . t is constant; at the base, t = t0 and EI kappa = -mz. The
+integral of F . t = F . dr/ds is a difference, and the energy of the whisker is
 
     U = (mz^2 / (2 EI) + F . t0) s1 - F . (r1 - r0),    r0 the base, r1 the contact point, s1 the contact arc.
 
-Of curved whiskers, and where EI changes, EI (kappa - kappa0)^2 / 2 = M^2 / (2 EI) is integrated along the shape.
+For other whiskers, EI (kappa - kappa0)^2 / 2 = M^2 / (2 EI) is integrated along the shape.
 
-Springs hold 1/2 F . C F, C the flexibility matrix of the support and F the loads on the bases in the drive's frame.
+Springs store 1/2 F . C F, with the flexibility matrix C of the support and the loads F on the bases in the drive's
+frame.
 """
 
 import jax
@@ -16,52 +17,59 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.result import State
-from jaxwhisker._scan.shapes import base_of, outwards
+from jaxwhisker._scan.state import State, base_of, outwards
+
+INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; its error falls with their fourth power
 
 
 def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
-    """Elastic energy of whiskers and springs (force times length), zero where all whiskers are free.
+    """Elastic energy of whiskers and springs; zero where all whiskers are free.
 
-    While the drive moves without a snap, energy is only exchanged with what moves: dE = sum(fx) du; an object that
-    moves does the work of the contact forces, dE = -sum(fx) dx - sum(fy) dy. A snap loses what E drops by. (Along x:
-    of another motion the work is that of forces and moments on the drive.)
+    While the drive moves without a snap, energy is only exchanged with whatever moves. A drive that moves along x does
+    the work dE = sum(fx) du; on other motions it does the work of forces and moments. A moving object does the work of
+    the contact forces, dE = -sum(fx) dx - sum(fy) dy. At a snap, the drop in E is lost.
 
-    Springs that strain each other at rest (a loop whose rest lengths do not add up) hold a constant besides, left out.
+    Springs that strain each other at rest (a loop whose rest lengths do not add up) store a constant energy, which is
+    not included.
 
     Args:
-        scene: what was scanned.
+        scene: the scanned scene.
         state: the Result of its scan, or the states `before` or `after` its events; NaN gives NaN.
 
+    Returns:
+        Energy in force times length, one value per step.
+
     Raises:
-        ValueError: if an argument is not of that kind.
+        ValueError: if an argument has the wrong type.
     """
-    if not isinstance(scene, Scene):
-        raise ValueError(f"`scene` must be a Scene, but is {scene!r}.")
-    if not isinstance(state, State):
-        raise ValueError(f"`state` must be a Result or a State, but is {state!r}.")
+    checks.instance("scene", scene, Scene, "a Scene")
+    checks.instance("state", state, State, "a Result or a State")
     fields = {name: jnp.asarray(getattr(state, name)) for name in State.__dataclass_fields__}
     state, whiskers = State(**fields), scene.whiskers
-    bent = [_bent(whisker, jax.tree.map(lambda leaf, k=k: leaf[..., k], state)) for k, whisker in enumerate(whiskers)]
-    energy = sum(bent[1:], bent[0])
+    each = [
+        _whisker_energy(whisker, jax.tree.map(lambda leaf, k=k: leaf[..., k], state))
+        for k, whisker in enumerate(whiskers)
+    ]
+    energy = sum(each[1:], each[0])
     flexibility = scene.support.flexibility()
     if flexibility is None:
         return energy
     load = _loads(scene, state, flexibility)
-    # Elementwise: jax 0.10.2 gets large batches of small matrix products wrong.
+    # Elementwise, because jax 0.10.2 computes large batches of small matrix products incorrectly.
     strain = jnp.sum(flexibility.matrix * load[..., None, :], axis=-1)
     return energy + jnp.sum(load * strain, axis=-1) / 2
 
 
 def _loads(scene: Scene, state: State, flexibility: Flexibility) -> Float[Array, "*steps rows"]:
-    """Loads on the bases in the frame of the drive, as its flexibility takes them."""
+    """Loads on the bases in the drive's frame, in the order of the flexibility's rows."""
     turned, n = jnp.asarray(0.0), scene.support.whiskers
     if not isinstance(scene.motion, Translation):
-        # The base is turned like the drive, but for its mount and its torsion springs.
+        # The angle of the drive is that of the base without its mount and the deflection of its torsion springs.
         turned = state.base_angle - jnp.stack([jnp.asarray(m.angle, dtype=float) for m in scene.support.mounts])
         if flexibility.offset.size > n:
             yields, rest = jnp.reshape(flexibility.matrix, (n, 3, n, 3))[:, 2, :, 2], flexibility.offset[2::3]
@@ -74,11 +82,8 @@ def _loads(scene: Scene, state: State, flexibility: Flexibility) -> Float[Array,
     return jnp.reshape(load, (*load.shape[:-2], 3 * n))
 
 
-INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; its error falls with their fourth power
-
-
-def _bent(whisker: Whisker, state: State) -> Float[Array, "*steps"]:
-    """The energy of one bent whisker."""
+def _whisker_energy(whisker: Whisker, state: State) -> Float[Array, "*steps"]:
+    """Energy of one whisker."""
     if whisker.uniform:
         along = state.fx * jnp.sin(state.base_angle) - state.fy * jnp.cos(state.base_angle)
         density = state.mz**2 / (2 * whisker.base_stiffness) + along

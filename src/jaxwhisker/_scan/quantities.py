@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxwhisker._base.checks import is_traced
 from jaxwhisker._model.motion import Rotation, Translation
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._model.scene import Scene, Units
+from jaxwhisker._model.scene import units as units_of_scene
 
 # Kinds of quantities, as powers of force and length.
 KINDS = {
@@ -36,6 +38,7 @@ class Quantity(NamedTuple):
     axes: tuple[str, ...]
     sign: str = ""  # what a positive value means, where that is not obvious
     dtype: str = "float64"
+    per: str = "number"  # of a derivative: the kind of the parameter
 
     @property
     def fill(self) -> float | int | bool:
@@ -105,9 +108,10 @@ def control_name(scene: Scene) -> str:
 
 
 def is_dimensionless(scene: Scene) -> bool:
-    """Whether the first whisker has length and bending stiffness 1; other scenes are shown in SI units."""
+    """Whether the first whisker has length 1 and, at its base, bending stiffness 1; others are shown in SI units."""
     first = scene.whiskers[0]
-    return all(not callable(value) and np.all(value == 1.0) for value in (first.length, first.bending_stiffness))
+    values = (first.length, first.base_stiffness)
+    return not any(is_traced(value) or np.any(np.asarray(value) != 1.0) for value in values)
 
 
 class Unit(NamedTuple):
@@ -150,8 +154,9 @@ class UnitSystem:
     def __init__(self, scene: Scene, units: str = "auto", *, prefixes_of: Scene | None = None):
         check_units(units)
         self.scene = scene
-        self.prefixes_of = scene if prefixes_of is None else prefixes_of
         self.dimensionless = is_dimensionless(scene) if units == "auto" else units == "dimensionless"
+        self._own = units_of_scene(scene)
+        self._prefixed = self._own if prefixes_of is None else units_of_scene(prefixes_of)
 
     def unit(self, name: str) -> Unit:
         """The unit of a quantity by its name."""
@@ -164,8 +169,8 @@ class UnitSystem:
         if kind == "number":
             return Unit("", 1.0)
         if self.dimensionless:
-            return Unit("", _natural(self.scene, kind))
-        powers, sizes = KINDS[kind], units(self.prefixes_of)
+            return Unit("", _natural(self._own, kind))
+        powers, sizes = KINDS[kind], self._prefixed
         parts = [with_prefix(base, float(size)) for base, size in (("N", sizes.force), ("m", sizes.length))]
         above = [_power(unit.name, power) for unit, power in zip(parts, powers, strict=True) if power > 0]
         below = [_power(unit.name, -power) for unit, power in zip(parts, powers, strict=True) if power < 0]
@@ -182,7 +187,7 @@ class UnitSystem:
 
     def scale(self, kind: str) -> float:
         """The number that is shown for L, EI/L^2, EI/L, ... of the scene: 1 if dimensionless."""
-        return 1.0 if kind in ("angle", "number") else _natural(self.scene, kind) / self.of_kind(kind).size
+        return 1.0 if kind in ("angle", "number") else _natural(self._own, kind) / self.of_kind(kind).size
 
     def label(self, name: str) -> str:
         """Symbol and unit of a quantity, for an axis."""
@@ -204,10 +209,9 @@ def dimensionless_label(symbol: str, kind: str) -> str:
     return f"${symbol}{_SCALED.get(kind, '')}$" + " (rad)" * (kind == "angle")
 
 
-def _natural(scene: Scene, kind: str) -> float:
+def _natural(sizes: Units, kind: str) -> float:
     """The unit of a kind of quantity that is made of L and EI of the first whisker."""
     force, length = KINDS[kind]
-    sizes = units(scene)
     return float(sizes.force) ** force * float(sizes.length) ** length
 
 

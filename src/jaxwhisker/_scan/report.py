@@ -1,21 +1,24 @@
-"""A scan in words and columns: aligned tables of events and peaks, and CSV files."""
+"""Text output of scans: aligned tables of events and peaks, and CSV files."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import units as natural_units
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.quantities import REACTIONS
+from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, kind_of, unit_in_words
 from jaxwhisker._scan.result import Result
 
-NOISE = 1e-9  # share of a unit below which a number is shown as zero
+NOISE = 1e-9  # relative to the unit; smaller numbers are printed as zero
+LEAST_DECIMALS, MOST_DECIMALS = -1, 9  # of six significant digits; beyond that, numbers are printed in powers of ten
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Aligned columns: words to the left, numbers to the right."""
+    """Aligned columns: words on the left, numbers on the right."""
     columns = list(zip(header, *rows, strict=True))
     widths = [max(map(len, column)) for column in columns]
     numeric = [all(_is_number(cell) for cell in column[1:]) for column in columns]
@@ -36,72 +39,94 @@ def _is_number(cell: str) -> bool:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """A number with that many decimals; no minus sign before a zero."""
-    return (
-        f"{float(value) + 0.0:.{digits}f}"
-        if abs(value) >= 0.5 * 10.0**-digits or np.isnan(value)
-        else f"{0:.{digits}f}"
-    )
+    """A number with this many decimals and without a minus sign before zero."""
+    rounds_to_zero = abs(value) < 0.5 * 10.0**-digits
+    return f"{0.0 if rounds_to_zero else value:.{digits}f}"
 
 
-def _in(unit: float, digits: int = 6) -> Callable[[float], str]:
-    """How to write quantities of a unit's size, in powers of ten where it is very small or large."""
-    decade = math.floor(math.log10(unit))
-    if -3 <= decade <= 5:
-        return lambda value: number(value, digits - 1 - decade)
-    return lambda value: f"{value:.{digits - 1}e}" if abs(value) > NOISE * unit else "0"
+class _Printed:
+    """Units and numbers of a scene's quantities in printed tables."""
+
+    def __init__(self, scene: Scene, units: str):
+        self._scene, self._system = scene, UnitSystem(scene, units)
+
+    def heading(self, name: str) -> str:
+        """Name and unit of a quantity."""
+        unit = self._system.unit(name).name
+        if self._system.dimensionless and not unit:
+            unit = unit_in_words(kind_of(name, self._scene), dimensionless=True)
+        return f"{name} ({unit})" if unit not in ("", "1") else name
+
+    def cell(self, name: str, value: float) -> str:
+        """Six significant digits of L, EI/L^2 or EI/L; one more for the control, because events are more accurate."""
+        kind, own, shown = kind_of(name, self._scene), natural_units(self._scene), self._system.unit(name)
+        size = own.control if name == "control" else getattr(own, kind)
+        ratio = float(size) / shown.size
+        decimals = (6 if name == "control" else 5) - math.floor(math.log10(ratio))
+        value /= shown.size
+        if LEAST_DECIMALS <= decimals <= MOST_DECIMALS:
+            return number(value, max(0, decimals))
+        return f"{value:.5e}" if abs(value) > NOISE * ratio else "0"
 
 
-def _formats(scene: Scene) -> dict[str, Callable[[float], str]]:
-    unit = units(scene)
-    length, force, moment = (_in(float(size)) for size in (unit.length, unit.force, unit.moment))
-    control = _in(float(unit.length), digits=7)  # events are worth another one
-    return {"control": control, "base_x": length, "fx": force, "fy": force, "mz": moment}
+def event_table(result: Result, units: str = "auto") -> str:
+    """One row per event and whisker, and for a snap one before it and one after it; says how many events are missing.
 
-
-def event_rows(result: Result) -> list[list[str]]:
-    """Header and one row per event and whisker; a snap has one before and one after it."""
-    formats = _formats(result.scene)
-    rows = [["control", "event", "whisker", "", "base_x", *REACTIONS]]
+    Args:
+        result: of `scan`.
+        units: "auto", "SI" or "dimensionless".
+    """
+    printed = _Printed(result.scene, units)
+    names = ("base_x", *REACTIONS)
+    rows = [[printed.heading("control"), "event", "whisker", "", *map(printed.heading, names)]]
     for event in result.events:
-        # A snap of the network as a whole names no whisker: all of them move.
+        # A snap of the whole network names no whisker because all of them move.
         whiskers = event.whiskers or tuple(range(1, np.asarray(event.before.fx).shape[0] + 1))
         snap = event.kind.name.startswith("snap")
         for when in ("before", "after") if snap else ("before",):
             state = getattr(event, when)
             for whisker in whiskers:
-                values = [
-                    formats[name](float(np.asarray(getattr(state, name))[whisker - 1]))
-                    for name in ("base_x", *REACTIONS)
-                ]
-                at = formats["control"](event.control)
-                rows.append([at, event.kind.name, str(whisker), when if snap else "", *values])
-    return rows
+                values = [printed.cell(name, float(np.asarray(getattr(state, name))[whisker - 1])) for name in names]
+                control = printed.cell("control", event.control)
+                rows.append([control, event.kind.name, str(whisker), when if snap else "", *values])
+    count, shown = int(result.events.count), len(result.events)
+    missing = f"\nOnly the first {shown:,} of {count:,} events fit into the result." if count > shown else ""
+    return (table(rows[0], rows[1:]) if len(rows) > 1 else "No events.") + missing
 
 
-def peak_rows(result: Result) -> list[list[str]]:
-    """Header and one row per whisker and reaction: extremes and where the drive then is."""
-    formats = _formats(result.scene)
-    control = np.asarray(result.control)
-    rows = [["whisker", "reaction", "minimum", "at control", "maximum", "at control"]]
+def peak_table(result: Result, units: str = "auto") -> str:
+    """One row per whisker and reaction with its extremes and the drive positions at which they occur.
+
+    Args:
+        result: of `scan`.
+        units: "auto", "SI" or "dimensionless".
+    """
+    printed = _Printed(result.scene, units)
+    control, place = np.asarray(result.control), f"at {printed.heading('control')}"
+    rows = [["whisker", "reaction", "minimum", place, "maximum", place]]
     for whisker in range(np.asarray(result.fx).shape[1]):
         for name in REACTIONS:
             column = np.asarray(getattr(result, name))[:, whisker]
-            row = [str(whisker + 1), name]
+            row = [str(whisker + 1), printed.heading(name)]
             for pick in (np.nanargmin, np.nanargmax):
-                if np.isfinite(column).any():
-                    step = pick(column)
-                    # A zero is wherever the whisker is free, nowhere in particular.
-                    at = formats["control"](control[step]) if column[step] != 0 else "-"
-                    row += [formats[name](float(column[step])), at]
-                else:
+                if not np.isfinite(column).any():
                     row += ["-", "-"]
+                    continue
+                step = pick(column)
+                # Zero is the value of every free whisker, so its position has no meaning.
+                at = printed.cell("control", float(control[step])) if column[step] != 0 else "-"
+                row += [printed.cell(name, float(column[step])), at]
             rows.append(row)
-    return rows
+    return table(rows[0], rows[1:])
+
+
+def touches_object(result: Result) -> bool:
+    """Whether any whisker touches the object at any step."""
+    return bool(np.any(np.asarray(result.phase) != Phase.free))
 
 
 def status_line(result: Result) -> tuple[int, str]:
-    """Number of failed steps and a sentence that counts them by status."""
+    """Number of failed steps, and a line that counts the steps by status."""
     status = np.asarray(result.status)
     kinds, counts = np.unique(status, return_counts=True)
     failed = int(np.sum(status != Status.ok))
@@ -110,7 +135,7 @@ def status_line(result: Result) -> tuple[int, str]:
 
 
 def write_columns(columns: dict[str, np.ndarray], path: Path, comment: str) -> None:
-    """Write columns of one length as CSV below a comment line."""
+    """Write columns of equal length as CSV below a comment line."""
     kinds = ["%d" if np.asarray(c).dtype.kind in "iu" else "%.9g" for c in columns.values()]
     header = f"# {comment}\n{','.join(columns)}"
     values = np.column_stack(list(columns.values())) + 0.0  # no minus sign before a zero
@@ -118,6 +143,6 @@ def write_columns(columns: dict[str, np.ndarray], path: Path, comment: str) -> N
 
 
 def write_rows(rows: Sequence[Sequence[str]], path: Path) -> None:
-    """Write a table of words as CSV; a cell without a value stays empty."""
+    """Write a table of words as CSV; cells without a value are empty."""
     lines = [",".join("" if cell == "-" else cell for cell in row) for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

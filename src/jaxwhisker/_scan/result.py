@@ -10,31 +10,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, Status
+from jaxwhisker._scan.dataset import scan_dataset
+from jaxwhisker._scan.energy import stored_energy
+from jaxwhisker._scan.quantities import STATE
+from jaxwhisker._scan.state import State
 
 if TYPE_CHECKING:
     import xarray as xr
-
-
-class State(eqx.Module):
-    """Whiskers in equilibrium; every field has shape (whiskers,) and is in the scene's units.
-
-    The reactions and all contact fields of a free whisker are zero.
-    """
-
-    base_x: Float[Array, "*steps whiskers"]  # position of the base, a length
-    base_y: Float[Array, "*steps whiskers"]
-    base_angle: Float[
-        Array, "*steps whiskers"
-    ]  # angle of the whisker at its base to the upright, rad, counter-clockwise
-    fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along x
-    fy: Float[Array, "*steps whiskers"]  # force along y
-    mz: Float[Array, "*steps whiskers"]  # moment, counter-clockwise positive
-    contact_force: Float[Array, "*steps whiskers"]  # f >= 0
-    contact_slope: Float[Array, "*steps whiskers"]  # alpha of the object at the contact, rad
-    contact_arc: Float[Array, "*steps whiskers"]  # arc length from base to contact
-    contact_x: Float[Array, "*steps whiskers"]
-    contact_y: Float[Array, "*steps whiskers"]
-    phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
 
 
 class Event(NamedTuple):
@@ -125,7 +107,7 @@ class Result(State):
     scene: Scene
 
     def to_xarray(self) -> "xr.Dataset":
-        """The scan as a Dataset: dimensions `control`, `whisker`, `spring` and `event`, units and long names.
+        """The scan as a Dataset: dimensions `control`, `whisker`, `spring` and `event`, with units and long names.
 
         Its variables are those of a `study` with `outputs="all"`.
 
@@ -133,9 +115,8 @@ class Result(State):
             ValueError: if it is a batch of scans.
             ImportError: if xarray is missing: `pip install jaxwhisker[study]`.
         """
-        from jaxwhisker._scan.export import to_xarray
-
-        return to_xarray(self)
+        check_one_scan(self)
+        return scan_dataset(self.scene, arrays_of(self))
 
     def __str__(self) -> str:
         statuses, counts = np.unique(np.asarray(self.status), return_counts=True)
@@ -166,3 +147,21 @@ def check_one_scan(result: Any) -> Result:
             f"{np.shape(result.fx)[:-2]}: select one, such as jax.tree.map(lambda leaf: leaf[0], result)."
         )
     return result
+
+
+def arrays_of(result: Result) -> dict[str, Array]:
+    """All quantities of a scan by their names in `quantities.QUANTITIES`."""
+    events = result.events
+    states = {"": result, "before_": events.before, "after_": events.after}
+    fields = {prefix + name: getattr(state, name) for prefix, state in states.items() for name in STATE}
+    return fields | {
+        "control": result.control,
+        "spring_length": result.spring_length,
+        "status": result.status,
+        "event_kind": events.kind,
+        "event_control": events.control,
+        "event_whisker": events.whiskers,
+        "event_count": events.count,
+        "event_energy_before": stored_energy(result.scene, events.before),
+        "event_energy_after": stored_energy(result.scene, events.after),
+    }

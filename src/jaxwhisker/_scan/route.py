@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._path.path import Status
 
-ROOM = 8  # stops of a route that turns are padded to a multiple of this; a traced route has room for twice as many
+STOPS = 8  # stops of a route that turns are padded to a multiple of this; a traced route has room for twice as many
 
 
 class Route(NamedTuple):
@@ -27,7 +27,7 @@ def route_of(control: Float[np.ndarray, " steps"]) -> Route:
     signs = np.sign(np.diff(control)[moves])
     turns = moves[1:][signs[1:] != signs[:-1]]
     stops = np.concatenate([control[:1], control[turns], control[-1:]])
-    room = 2 if stops.size == 2 else ROOM * int(np.ceil(stops.size / ROOM))
+    room = 2 if stops.size == 2 else STOPS * int(np.ceil(stops.size / STOPS))
     padded = np.concatenate([stops, np.full(room - stops.size, stops[-1])])
     return Route(control, np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))]), padded, stops.size - 1)
 
@@ -44,7 +44,7 @@ def traced_route(control: Float[Array, " steps"]) -> tuple[Route, Int[Array, ""]
     carried = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
     turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
     turns = turns[-control.size :].at[0].set(True)
-    index = jnp.nonzero(turns, size=min(2 * ROOM, control.size), fill_value=control.size - 1)[0]
+    index = jnp.nonzero(turns, size=min(2 * STOPS, control.size), fill_value=control.size - 1)[0]
     route = Route(control, _travel(control), control[index], jnp.minimum(jnp.sum(turns), index.size) - 1)
     status = jnp.where(jnp.sum(turns) <= index.size, Status.ok, Status.too_long)
     return route, jnp.where(jnp.all(jnp.isfinite(control)), status, Status.invalid)

@@ -23,9 +23,10 @@ from jaxwhisker._model.scene import Scene, moves_along_x, units
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import march, no_path
 from jaxwhisker._path.path import Path, Status
-from jaxwhisker._scan.result import Events, Result, State
+from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.route import Route, across, route_of, straight, traced_route
 from jaxwhisker._scan.signals import events
+from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps
 
 STEP = 0.001  # of the default control, in lengths of the first whisker
@@ -143,7 +144,7 @@ def _capacity(problem: Problem, stops: int) -> int:
 def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:
     """March to all stops, in the scene's units; right across the object if the first one is NaN."""
     unit, approach = problem.unit, approach_of(problem)
-    limits, whole = approach.range(), jnp.isnan(stops[0])
+    limits, whole = approach.limits(), jnp.isnan(stops[0])
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
     path = march(*jax.lax.stop_gradient((problem, stops)), last, capacity=_capacity(problem, stops.shape[0]))
     path, start, stop = approach.crop(path, whole, limits)

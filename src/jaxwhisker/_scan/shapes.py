@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Control, Scalar
@@ -14,13 +14,14 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.result import Result, State
+from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.state import State, base_of, material, outwards
 
 
 class Shapes(eqx.Module):
-    """Centre lines: the last axis runs from base to contact in equal arcs; its last point is the tip.
+    """Centre lines of whiskers: along the last axis from base to contact at equal arc lengths, then the tip.
 
-    Of curved whiskers half of the points lie between contact and tip.
+    For curved whiskers, half of the points lie between contact and tip.
     """
 
     x: Float[Array, "*at whiskers points"]
@@ -28,22 +29,24 @@ class Shapes(eqx.Module):
 
 
 def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Shapes:
-    """Centre lines of all whiskers at the scan steps nearest to the controls `at` (default: at every step).
+    """Centre lines of all whiskers at the scan steps nearest to given drive positions.
 
-    They are integrated from the bases outwards with the scan's reactions.
+    They are integrated from the bases outwards under the scan's reactions.
 
     Args:
         result: a scan.
-        at: drive positions, a length each; where the drive came by more than once, its first time.
-        points: points a whisker, at least 3.
+        at: drive positions, shape (positions,), in the unit of the control. A position that the drive passes several
+            times refers to the first time. Default: every step.
+        points: number of points per whisker, at least 3.
+
+    Returns:
+        Shapes, with arrays of shape (positions, whiskers, points).
 
     Raises:
         ValueError: if `at` is not a one-dimensional array of finite numbers, or `points` is below 3.
     """
-    if not isinstance(result, Result):
-        raise ValueError(f"`result` must be the Result of a scan, but is {result!r}.")
-    if not isinstance(points, int) or points < 3:
-        raise ValueError(f"`points` must be an int of at least 3, but is {points!r}.")
+    checks.instance("result", result, Result, "the Result of a scan")
+    checks.count("points", points, least=3)
     index = np.arange(result.control.shape[0])
     if at is not None:
         checks.vector("at", at)
@@ -55,23 +58,11 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
 
 @eqx.filter_jit
 def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Shapes:
-    """Centre lines of whiskers in the given state(s)."""
-
-    def of(whisker: Whisker, base, fx, fy, mz, arc, free):
-        arc = jnp.where(free, whisker.length, arc)
-        loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
-        x, y, cos, sin = outwards(whisker, base, fx, fy, mz, arc, count=loaded)
-        # Beyond the contact the whisker is as it was: straight, which one point tells, or curved.
-        end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
-        tip_x, tip_y, _, _ = rod.points(
-            end, arc - whisker.length, nothing, material(whisker), count=points - loaded + 1, from_base=arc
-        )
-        return jnp.append(x, tip_x[1:]), jnp.append(y, tip_y[1:])
-
+    """Centre lines of whiskers in one or more states."""
     fields = base_of(state), state.fx, state.fy, state.mz, state.contact_arc, state.phase == Phase.free
     lines = []
     for k, whisker in enumerate(whiskers):
-        line = partial(of, whisker)
+        line = partial(_line, whisker, points)
         for _ in range(state.base_x.ndim - 1):
             line = jax.vmap(line)
         lines.append(line(*jax.tree.map(lambda field, k=k: field[..., k], fields)))
@@ -79,19 +70,16 @@ def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Sh
     return Shapes(x, y)
 
 
-def base_of(state: State) -> Pose:
-    """The poses of the bases."""
-    return Pose(state.base_x, state.base_y, state.base_angle)
-
-
-def outwards(whisker: Whisker, base: Pose, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, *, count: int):
-    """The rod's states at `count` equidistant points from the base up to that arc, under the base's reaction."""
-    # Outwards is towards the base with a negative arc. The load is what the reaction balances.
-    load = rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
-    start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
-    return rod.points(start, -arc, load, material(whisker), count=count, from_base=jnp.zeros_like(arc))
-
-
-def material(whisker: Whisker) -> rod.Material:
-    """What the rod is made of, in the whisker's own units."""
-    return whisker.base_stiffness if whisker.uniform else whisker.section(1.0, 1.0)
+def _line(
+    whisker: Whisker, points: int, base: Pose, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, free: Bool[Array, ""]
+) -> tuple[rod.Along, rod.Along]:
+    """x and y of one whisker from base to tip."""
+    arc = jnp.where(free, whisker.length, arc)
+    loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
+    x, y, cos, sin = outwards(whisker, base, fx, fy, mz, arc, count=loaded)
+    # Beyond the contact the whisker is unloaded: a straight line, for which one more point suffices, or curved.
+    end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
+    tip_x, tip_y, _, _ = rod.points(
+        end, arc - whisker.length, nothing, material(whisker), count=points - loaded + 1, from_base=arc
+    )
+    return jnp.append(x, tip_x[1:]), jnp.append(y, tip_y[1:])

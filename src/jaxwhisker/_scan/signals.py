@@ -5,6 +5,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
@@ -14,7 +15,8 @@ from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, select
-from jaxwhisker._scan.result import Events, State
+from jaxwhisker._scan.result import Events
+from jaxwhisker._scan.state import State
 
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
@@ -33,7 +35,14 @@ def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State
 
 
 def _residual(
-    problem: Problem, z: Contacts, u: Scalar, mode: Mode, base: Base, pose: Poses, wanted: Poses, here: ScenePose
+    problem: Problem,
+    z: Contacts,
+    u: Scalar,
+    mode: Mode,
+    base: Base,
+    pose: Float[Array, "whiskers 3"],
+    wanted: Poses,
+    here: ScenePose,
 ) -> Scalar:
     """Largest residual of any equation or inequality of the touching whiskers."""
     touching = mode.phase != Phase.free
@@ -100,7 +109,7 @@ def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tup
     return (before, before_mode), (Point(after, before.u), after_mode)
 
 
-def _nothing(node: Node) -> Node:
+def _placeholder(node: Node) -> Node:
     """A node at which all whiskers are free and nothing happens: a placeholder for unused room."""
     nowhere = jax.tree.map(jnp.zeros_like, node)
     along = Point(nowhere.point.z, jnp.asarray(-1.0))
@@ -121,7 +130,7 @@ def events(problem: Problem, path: Path) -> Events:
     filled = jnp.arange(size) < count
     empty = jax.tree.map(lambda leaf: leaf[0], nodes)
     node, previous = (
-        jax.vmap(lambda k, is_one: select(is_one, jax.tree.map(lambda leaf: leaf[k], nodes), _nothing(empty)))(
+        jax.vmap(lambda k, is_one: select(is_one, jax.tree.map(lambda leaf: leaf[k], nodes), _placeholder(empty)))(
             at - back, filled
         )
         for back in (0, 1)

@@ -16,8 +16,8 @@ from jaxwhisker._equilibrium.point import Contacts, Mode, Point, at_control, dot
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path.path import Path, Status
-from jaxwhisker._scan.result import State
 from jaxwhisker._scan.signals import signals
+from jaxwhisker._scan.state import State
 
 BATCH = 32  # steps solved for at once
 RESIDUAL = 1e-8  # of a step marked ok: directions and, relative to the drive's, positions at the base
@@ -55,7 +55,7 @@ def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
     return Point(jnp.where(apart, z, here.point.z), u)
 
 
-class Step(NamedTuple):
+class SolvedStep(NamedTuple):
     """A solution and its checks."""
 
     z: Contacts
@@ -64,7 +64,7 @@ class Step(NamedTuple):
     stable: Bool[Array, ""]
 
 
-def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Bool[Array, ""]) -> Step:
+def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Bool[Array, ""]) -> SolvedStep:
     """Solve for the equilibrium at a control behind a node, where the path is known."""
     mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
     guess = interpolate(path, index, u)
@@ -76,15 +76,15 @@ def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known
     accepted = known & exact & stable
     # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see lanes.py).
     mode = mode._replace(phase=jnp.where(accepted, mode.phase, Phase.free))
-    return Step(jnp.where(accepted, z, 0.0), mode, exact, stable)
+    return SolvedStep(jnp.where(accepted, z, 0.0), mode, exact, stable)
 
 
-def _point(problem: Problem, u: Scalar, step: Step) -> Point:
+def _point(problem: Problem, u: Scalar, step: SolvedStep) -> Point:
     """The equilibrium with its derivatives."""
     return solved(Point(step.z, jax.lax.stop_gradient(u)), problem, step.mode, at_control(u, step.z))
 
 
-def _state(problem: Problem, point: Point, step: Step) -> tuple[State, Int[Array, ""]]:
+def _checked_state(problem: Problem, point: Point, step: SolvedStep) -> tuple[State, Int[Array, ""]]:
     """State and status of a step."""
     state, residual = signals(problem, point.z, point.u, step.mode)
     exact = step.exact & (residual < RESIDUAL)
@@ -110,7 +110,7 @@ def solve_steps(
     steps = jax.lax.map(lambda one: _solve(fixed, path, *one), at, batch_size=batch)
     # Outside the loop: differentiated backwards, a loop drops the rules by which derivatives are differentiated again.
     points = jax.vmap(partial(_point, problem))(jnp.where(jnp.isfinite(u), u, 0.0), steps)
-    state, status = jax.lax.map(lambda one: _state(problem, *one), (points, steps), batch_size=batch)
+    state, status = jax.lax.map(lambda one: _checked_state(problem, *one), (points, steps), batch_size=batch)
     status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
     status = jnp.where(problem.valid, status, Status.invalid)
     ok = (status == Status.ok)[:, None]

@@ -1,1 +1,1 @@
-"""Many scans."""
+"""Studies: scans at many points of named parameters."""

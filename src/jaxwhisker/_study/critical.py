@@ -1,21 +1,25 @@
 """The critical stiffness: below it a scan snaps through the vertex and skips the maximum.
 
 A base on a spring is stable while the spring is stiffer than the object's force is steep, c > dF_x/dx0 of the clamped
-whisker, F_x = -fx being the force on the whisker. The steepest slope near the vertex is therefore the critical
-stiffness of one whisker. (Towards the snap-off the slope grows without bound: there every spring gives way, and none
-skips a maximum.) Coupled whiskers: as much more as the softest base yields more than a single spring, if the forces on
-the others stayed as they are; they don't, so that this is an estimate.
+whisker, where F_x = -fx is the force on the whisker. The steepest slope near the vertex is therefore the critical
+stiffness of one whisker. (Towards the snap-off the slope grows without bound. Every spring gives way there, and no
+maximum is skipped.) For coupled whiskers the critical stiffness is larger by the factor by which the softest base
+yields more than a single spring, if the forces on the other whiskers stay the same. They do not, so this is an
+estimate.
 """
 
-from typing import NamedTuple
+from __future__ import annotations
 
-import equinox as eqx
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.jit import jit
 from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, units
@@ -23,8 +27,12 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.scan import scan
 
-STEPS = 257  # of a search; every further one looks between the neighbours of the last one's best
-SEARCHES = 4  # the last one's steps are 1e-8 of the first one's range
+if TYPE_CHECKING:
+    import xarray as xr
+
+STEPS = 257  # per search; each further search covers the neighbours of the best step of the previous one
+SEARCHES = 4  # the steps of the last one are 1e-8 of the range of the first one
+FINE = 33  # values of each parameter between which the critical stiffness is interpolated
 
 
 class Steepest(NamedTuple):
@@ -35,19 +43,21 @@ class Steepest(NamedTuple):
 
 
 def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
-    """The largest slope of the clamped whisker's force between its first touch and its snap-off, to 1e-9 of it.
+    """The largest slope of the clamped whisker's force between its first touch and its snap-off, to a relative 1e-9.
 
-    NaN if there is none: the whisker is out of reach, or so far from the object that the slope only grows, up to the
-    snap-off.
+    It is NaN if there is none: the object is out of reach, or so far away that the slope grows up to the snap-off.
 
     Args:
-        whisker: the whisker; concrete, as is the profile: the place of the maximum is searched for.
+        whisker: the whisker.
         profile: the object.
+
+    Raises:
+        ValueError: if an argument is traced: the maximum is found by a search.
     """
     checks.float64_mode()
     if checks.is_traced((whisker, profile)):
         raise ValueError(
-            "`whisker` and `profile` must be concrete, but are traced: the steepest slope is searched for."
+            "`whisker` and `profile` must be concrete, got traced ones: the steepest slope is found by a search."
         )
     scene = jax.tree.map(checks.as_float, Scene(whisker, profile))
     touch, length = problem_of(scene), float(units(scene).length)
@@ -57,7 +67,7 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
         x = np.linspace(first, last, STEPS)
         slope, force = (np.asarray(leaf) for leaf in _slope(scene, jnp.asarray(x)))
         known = np.isfinite(slope) & (force > 0) & (slope > 0)
-        # What is largest next to the snap-off, where contact ends, is no maximum.
+        # A value that is largest only because contact ends next to it is not a maximum.
         top = known[1:-1] & known[:-2] & known[2:] & (slope[1:-1] >= slope[:-2]) & (slope[1:-1] >= slope[2:])
         if not top.any():
             break
@@ -66,7 +76,7 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
     return best
 
 
-@eqx.filter_jit
+@jit
 def _slope(scene: Scene, base_x: Float[Array, " steps"]) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
     """dF_x/dx0 and the contact force at positions of the clamped base."""
 
@@ -79,6 +89,47 @@ def _slope(scene: Scene, base_x: Float[Array, " steps"]) -> tuple[Float[Array, "
 
 
 def softest(support: Support) -> float:
-    """How far the softest base yields to a force there: max C_ii, a length per force; 0 for a clamped one."""
+    """Displacement of the softest base per force on it: max C_ii, a length per force; 0 for clamped bases."""
     flexibility = support.flexibility()
     return 0.0 if flexibility is None else float(np.max(np.diag(np.asarray(flexibility.matrix))))
+
+
+def steepness(build: Callable[..., Scene], data: xr.Dataset) -> xr.DataArray:
+    """Steepest slope of the clamped whisker's force times the softest base's flexibility, over the range of a study.
+
+    Where it is above 1 a scan snaps through the vertex: the springs are softer than the critical stiffness (an estimate
+    for coupled whiskers). It is NaN where a scene is invalid or there is no steepest slope.
+
+    Args:
+        build: makes a scene from named parameters, as in `study`.
+        data: the Dataset of the study or its summary, over one or more axes.
+
+    Returns:
+        An array over the same axes, with `FINE` values each.
+    """
+    import xarray as xr
+
+    axes = [str(dim) for dim in data.sizes if dim not in ("control", "whisker", "spring", "event")]
+    ranges = [data[axis].values[np.isfinite(data[axis].values)] for axis in axes]
+    values = [np.linspace(known.min(), known.max(), FINE) for known in ranges]
+    grid = np.meshgrid(*values, indexing="ij")
+    slopes: dict[str, float] = {}
+    found = [
+        _steepness_at(build, dict(zip(axes, map(float, point), strict=True)), slopes)
+        for point in zip(*[g.ravel() for g in grid], strict=True)
+    ]
+    return xr.DataArray(np.reshape(found, grid[0].shape), dict(zip(axes, values, strict=True)), axes)
+
+
+def _steepness_at(build: Callable[..., Scene], point: dict[str, float], slopes: dict[str, float]) -> float:
+    try:
+        scene = build(**point)
+    except ValueError:
+        return np.nan
+    whisker = scene.whiskers[0]
+    # The slope does not depend on the springs: scenes with the same whisker and object share one search.
+    leaves, structure = jax.tree.flatten(whisker)
+    same = repr(([np.asarray(leaf).tolist() for leaf in leaves], structure, scene.profile))
+    if same not in slopes:
+        slopes[same] = steepest(whisker, scene.profile).slope
+    return slopes[same] * softest(scene.support)

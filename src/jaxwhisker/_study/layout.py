@@ -1,85 +1,157 @@
-"""The layout of a study's Dataset: its dimensions, coordinates, variables and what they are called."""
+"""The Dataset of a study: its variables, dimensions, coordinates and attributes."""
 
-import platform
-from datetime import UTC, datetime
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
-import jaxwhisker
-from jaxwhisker._study.fields import Field, attributes, kind_of_axis, unit
+from jaxwhisker._scan.dataset import VARIABLES, SceneLayout
+from jaxwhisker._scan.quantities import REACTIONS, STATE, Quantity, unit_in_words
 from jaxwhisker._study.parameters import Parameters
-from jaxwhisker._study.structure import Structure
+from jaxwhisker._study.summary import SUMMARY, comment_on
 
 if TYPE_CHECKING:
     import xarray as xr
 
-SIGNS = (
-    "x along the scan, y up from the bases to the object; the drive moves towards -x, fx, fy and mz (counter-clockwise "
-    "positive) are what the support exerts on the whisker at its base"
-)
+GROUPS = {
+    "reactions": REACTIONS,
+    "status": ("status",),
+    "events": tuple(name for name in VARIABLES if name.startswith("event_")),
+    "contact": ("phase", *(name for name in STATE if name.startswith("contact_"))),
+    "springs": ("base_x", "base_y", "base_angle", "spring_length"),
+    "event_states": tuple(name for name in VARIABLES if name.startswith(("before_", "after_"))),
+    "all": tuple(VARIABLES),
+}
+DEFAULT = ("reactions", "status", "events")
+POINT_STATUS = "point_status"
+NOT_COMPUTED = -1  # status of such a point
+DEFAULT_CONTROL = "default: from the earliest start to the latest end of the default controls of all points"
+
+
+def chosen(outputs: Sequence[str] | str) -> tuple[str, ...]:
+    """Names of the variables that `outputs`, names of variables and groups, stands for."""
+    wanted: set[str] = set()
+    for name in (outputs,) if isinstance(outputs, str) else outputs:
+        if name not in GROUPS and name not in VARIABLES:
+            raise ValueError(f"`outputs` must be names among {', '.join([*GROUPS, *VARIABLES])}, got {name!r}.")
+        wanted |= set(GROUPS.get(name, (name,)))
+    return tuple(name for name in VARIABLES if name in wanted)
+
+
+def variables_of(outputs: Sequence[str] | str, derivatives: Sequence[str], summarised: bool) -> dict[str, Quantity]:
+    """The variables of a study; those along the control are left out if they are summarised."""
+    kept = {name: VARIABLES[name] for name in chosen(outputs)}
+    if summarised:
+        kept = {name: quantity for name, quantity in kept.items() if "control" not in quantity.axes}
+    for name, quantity in list(kept.items()):
+        for parameter in derivatives if quantity.dtype == "float64" else ():
+            words = f"derivative of the {quantity.description} with respect to {parameter}"
+            slope = quantity._replace(description=words, symbol="", sign="", per=kind_of_axis(parameter))
+            kept[derivative_name(name, parameter)] = slope
+    status = Quantity("first status of the point that is not ok", "", "number", (), dtype="int8")
+    return kept | (SUMMARY if summarised else {}) | {POINT_STATUS: status}
+
+
+def derivative_name(name: str, parameter: str) -> str:
+    """The variable that holds the derivative of another one with respect to a parameter."""
+    return f"d_{name}_d_{parameter}"
+
+
+def kind_of_axis(name: str) -> str:
+    """The kind of quantity that a parameter's name suggests; a number if it suggests none."""
+    name = name.rstrip("_0123456789")
+    for kind, endings in {
+        "bending stiffness": ("bending_stiffness",),
+        "stiffness": ("stiffness",),
+        "length": ("length", "distance", "radius", "position"),
+    }.items():
+        if name.endswith(endings):
+            return kind
+    return "number"
 
 
 class Layout(NamedTuple):
-    """Everything about a Dataset but the values of its variables."""
+    """Everything about the Dataset of a study except the values of its variables."""
 
     parameters: Parameters
-    structure: Structure
+    scene: SceneLayout
+    build: str  # hash of the scenes, see structure.fingerprint
     control: Float[np.ndarray, " steps"]
-    events: int  # how many a scan has room for
-    variables: dict[str, Field]
+    default_control: bool
+    variables: dict[str, Quantity]
+    events: int = 0  # how many of a scan are stored
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Size of every dimension behind those of the points."""
-        n, springs = self.structure.whiskers, len(self.structure.springs)
-        return {"control": self.control.size, "whisker": n, "spring": springs, "event": self.events}
+        """Size of every dimension after those of the points."""
+        scene = self.scene
+        sizes = {"control": self.control.size, "whisker": scene.whiskers, "spring": len(scene.springs)}
+        return sizes | {"event": self.events}
 
     def dims(self, name: str) -> tuple[str, ...]:
         """Dimensions of a variable."""
-        return self.parameters.dims + self.variables[name].dims
+        return self.parameters.dims + self.variables[name].axes
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of a variable."""
-        return self.parameters.shape + tuple(self.sizes[dim] for dim in self.variables[name].dims)
+        return self.parameters.shape + tuple(self.sizes[dim] for dim in self.variables[name].axes)
 
     def attributes(self, name: str) -> dict:
         """Attributes of a variable."""
-        return attributes(name, self.variables[name], self.structure.dimensionless)
+        return self.scene.attributes(name, self.variables[name]) | comment_on(name, self.control)
 
     def frame(self) -> "xr.Dataset":
         """Coordinates and global attributes."""
         import xarray as xr
 
-        plain = self.structure.dimensionless
-        used = {dim for field in self.variables.values() for dim in field.dims}
-        coords: dict = {}
+        paired = self.parameters.paired
+        coordinates: dict = {}
         for name, values in self.parameters.values.items():
-            known = {"long_name": name.replace("_", " "), "units": unit(kind_of_axis(name), plain)}
-            coords[name] = ("point" if self.parameters.paired else name, values, known)
-        if self.parameters.paired:
-            point = np.arange(self.parameters.shape[0])
-            coords["point"] = ("point", point, {"long_name": "row of the table of points", "units": "1"})
-        words, kind = self.structure.control
-        drive = {"long_name": words, "units": unit(kind, plain)}
-        coords["control"] = ("control", self.control, drive)
-        for dim, words in (("whisker", "number of the whisker"), ("spring", "number of the spring")):
-            if dim in used:
-                coords[dim] = (dim, np.arange(1, self.sizes[dim] + 1), {"long_name": words, "units": "1"})
-        if "spring" in used:
-            ends = np.array(self.structure.springs, dtype=object)
-            coords["between"] = ("spring", ends, {"long_name": "ends of the spring, 0 the drive", "units": "1"})
-        attrs = {
-            "title": f"scans with tactile whiskers: {self.structure.words}",
-            "scene": self.structure.words,
-            "signs": SIGNS,
-            "source": f"jaxwhisker {jaxwhisker.__version__}",
-            "jaxwhisker_version": jaxwhisker.__version__,
-            "jax_version": jax.__version__,
-            "python_version": platform.python_version(),
-            "date": datetime.now(UTC).isoformat(timespec="seconds"),
-            "Conventions": "CF-1.11",
-        }
-        return xr.Dataset(coords=coords, attrs=attrs)
+            units = unit_in_words(kind_of_axis(name), self.scene.dimensionless)
+            known = {"long_name": name.replace("_", " "), "units": units}
+            coordinates[name] = ("point" if paired else name, values, known)
+        if paired:
+            rows = np.arange(self.parameters.shape[0])
+            coordinates["point"] = ("point", rows, {"long_name": "row of the table of points", "units": "1"})
+        used = {dim for quantity in self.variables.values() for dim in quantity.axes}
+        coordinates |= self.scene.coordinates(self.control, used)
+        if self.default_control:
+            coordinates["control"][2]["comment"] = DEFAULT_CONTROL
+        return xr.Dataset(coords=coordinates, attrs=self.scene.dataset_attributes() | {"build": self.build})
+
+    def difference(self, stored: "xr.Dataset") -> str | None:
+        """The first thing in which a stored study differs from this one, in words; None if they agree."""
+        frame, own = self.frame(), list(self.parameters.values)
+        other = [str(name) for name in stored.coords if name not in RESERVED]
+        if set(own) != set(other) or ("point" in stored.dims) != self.parameters.paired:
+            kinds = ["points" if paired else "axes" for paired in ("point" in stored.dims, self.parameters.paired)]
+            return f"its {kinds[0]} are {', '.join(sorted(other))}, here {kinds[1]} are {', '.join(sorted(own))}"
+        for name in own:
+            if words := _other_values(frame[name].values, stored[name].values):
+                return f"its axis `{name}` {words}"
+        if (stored["control"].attrs.get("comment") == DEFAULT_CONTROL) != self.default_control:
+            return f"its control is {'an explicit one' if self.default_control else 'the default'}"
+        if not self.default_control and (words := _other_values(self.control, stored["control"].values)):
+            return f"its control {words}"
+        names, here = set(map(str, stored.data_vars)), set(self.variables)
+        if names != here:
+            parts = (("lack", here - names), ("also contain", names - here))
+            return "its variables " + " and ".join(f"{verb} {', '.join(sorted(some))}" for verb, some in parts if some)
+        for name, attribute in (
+            ("jaxwhisker", "jaxwhisker_version"),
+            ("jax", "jax_version"),
+            ("backend", "jax_backend"),
+        ):
+            if stored.attrs[attribute] != frame.attrs[attribute]:
+                return f"its {name} is {stored.attrs[attribute]}, here {frame.attrs[attribute]}"
+        return None if stored.attrs["build"] == self.build else "its `build` makes other scenes"
+
+
+RESERVED = {"control", "whisker", "spring", "event", "point", "between"}
+
+
+def _other_values(here: np.ndarray, stored: np.ndarray) -> str | None:
+    if here.size != stored.size:
+        return f"has {stored.size} values, this one {here.size}"
+    return None if np.array_equal(here, stored, equal_nan=True) else "has other values"

@@ -1,22 +1,33 @@
 """The points of a study: every combination of its axes, or the rows of a table."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-Region = tuple[slice, ...]  # of the points' dimensions
-Index = tuple[int, ...]  # of a block along them
+from jaxwhisker._scan.quantities import Quantity
+
+Region = tuple[slice, ...]  # along the dimensions of the points
+Index = tuple[int, ...]  # of a block along these dimensions
+
+LANES = 128  # most points of a block: more are not faster, and an interrupted study would lose more
+PARTS, FEW = 16, 8  # a smaller study has PARTS blocks, to keep all processors busy, or fewer of at least FEW points
+BASE = 1.2e9  # bytes of a process that has compiled a study and holds no block
+COPIES = 3  # of the results of a block: as computed, as variables, and while being stored
+PATH, STEP = 160e3, 60.0  # bytes per whisker and point: for its path, and for each of its steps
 
 
 class Parameters(NamedTuple):
-    """Named parameters and the points at which scenes are built from them."""
+    """Named parameters and the points at which scenes are built from them.
+
+    Points are numbered with the last dimension running fastest.
+    """
 
     values: dict[str, Float[np.ndarray, " values"]]
-    paired: bool  # one point per row, rather than every combination
+    paired: bool  # one point per row of a table instead of every combination
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -30,30 +41,41 @@ class Parameters(NamedTuple):
         return sizes[:1] if self.paired else sizes
 
     def at(self, region: Region) -> dict[str, Float[np.ndarray, " points"]]:
-        """The parameters of all points of a region, the last dimension running fastest."""
+        """The parameters of all points of a region."""
         if self.paired:
             return {name: column[region[0]] for name, column in self.values.items()}
         picked = [values[part] for values, part in zip(self.values.values(), region, strict=True)]
         return {n: v.ravel() for n, v in zip(self.values, np.meshgrid(*picked, indexing="ij"), strict=True)}
 
     def numbered(self, numbers: np.ndarray) -> dict[str, Float[np.ndarray, " points"]]:
-        """The parameters of the points with those numbers, the last dimension running fastest."""
+        """The parameters of the points with these numbers."""
         where = np.unravel_index(numbers, self.shape)
         rows = where * len(self.values) if self.paired else where
         return {name: v[k] for (name, v), k in zip(self.values.items(), rows, strict=True)}
 
-    def one(self, index: int) -> dict[str, float]:
-        """The parameters of the point with that number, the last dimension running fastest."""
-        return {name: float(v[0]) for name, v in self.numbered(np.array([index])).items()}
+    def one(self, number: int) -> dict[str, float]:
+        """The parameters of the point with this number."""
+        return {name: float(v[0]) for name, v in self.numbered(np.array([number])).items()}
+
+    @property
+    def total(self) -> int:
+        """Number of points."""
+        return int(np.prod(self.shape))
+
+    def spread(self, most: int) -> np.ndarray:
+        """Numbers of at most `most` points spread over all, the first few of them far apart."""
+        numbers = np.unique(np.linspace(0, self.total - 1, min(self.total, most)).astype(int))
+        inwards = np.stack([numbers, numbers[::-1]], axis=1).ravel()  # from both ends
+        return inwards[: numbers.size]
 
 
 def padded(values: dict[str, np.ndarray], lanes: int) -> dict[str, np.ndarray]:
-    """Points for a block of one fixed size; the last one is repeated."""
+    """Repeat the last point to fill a block of fixed size."""
     return {n: np.concatenate([v, np.full(lanes - v.size, v[-1])]) for n, v in values.items()}
 
 
 class Blocks(NamedTuple):
-    """Rectangular parts of the points, all of one shape but the last along each dimension."""
+    """Rectangular parts of the points, equal in shape except for the last along each dimension."""
 
     shape: tuple[int, ...]
     block: tuple[int, ...]
@@ -72,14 +94,9 @@ class Blocks(NamedTuple):
         """The points of a block."""
         return tuple(slice(k * b, min((k + 1) * b, n)) for k, b, n in zip(index, self.block, self.shape, strict=True))
 
-    def numbers(self, index: Index) -> np.ndarray:
-        """The numbers of a block's points among all."""
-        inside = [np.arange(part.start, part.stop) for part in self.region(index)]
-        return np.ravel_multi_index(np.meshgrid(*inside, indexing="ij"), self.shape).ravel()
-
 
 def split(shape: tuple[int, ...], most: int) -> Blocks:
-    """Cut points evenly into blocks of at most `most`, whole along the last dimensions if possible."""
+    """Split points evenly into blocks of at most `most`, whole along the last dimensions if possible."""
     block: list[int] = []
     for n in reversed(shape):
         room = max(1, most // int(np.prod(block, initial=1)))
@@ -87,59 +104,83 @@ def split(shape: tuple[int, ...], most: int) -> Blocks:
     return Blocks(shape, tuple(block))
 
 
+def blocks_of(
+    shape: tuple[int, ...], sizes: Mapping[str, int], quantities: Iterable[Quantity], memory: float, workers: int
+) -> Blocks:
+    """Split points into blocks that fit into memory with `workers` of them at a time.
+
+    Unless memory is short, the blocks do not depend on the machine.
+    """
+    bytes_each = sum(
+        COPIES * np.dtype(q.dtype).itemsize * int(np.prod([sizes[dim] for dim in q.axes], initial=1))
+        for q in quantities
+    ) + sizes["whisker"] * (PATH + STEP * sizes["control"])
+    room = int(max(0.0, memory - BASE) / (workers * bytes_each))
+    total = int(np.prod(shape))
+    wanted = LANES if total >= PARTS * LANES else max(FEW, -(-total // PARTS))
+    return split(shape, max(1, min(room, wanted, total)))
+
+
 def parameters_of(build: Any, points: Any, axes: Mapping[str, Any], options: tuple[str, ...]) -> Parameters:
-    """The points that the user asks for; `options` are the names that a study takes for itself.
+    """The points of a study.
+
+    Args:
+        build: makes a scene from named parameters.
+        points: a table with one row per point, or None.
+        axes: values of each parameter if there is no table.
+        options: names that are arguments of `study` and cannot be axes.
 
     Raises:
-        ValueError: if they do not fit what `build` takes, or are not columns of numbers.
+        ValueError: if the parameters do not match the arguments of `build`, or are not columns of numbers.
     """
     if not callable(build):
-        raise ValueError(f"`build` must be a function that returns a Scene, but is {build!r}.")
+        raise ValueError(f"`build` must be a function that returns a Scene, got {build!r}.")
     if points is not None and axes:
-        raise ValueError(f"`points` must be left out where axes are given, but there are both ({', '.join(axes)}).")
+        raise ValueError(f"`points` must be left out if axes are given, got axes {', '.join(axes)}.")
     if points is None and not axes:
-        raise ValueError("`axes` must be at least one parameter of `build` with its values, but there is none.")
+        raise ValueError("`axes` must contain the values of at least one parameter of `build`, got none.")
     given = axes if points is None else _columns(points)
     _check_names(build, given, options if points is None else ())
     values = {str(name): _values(name, given[name]) for name in given}
     if points is not None:
         sizes = {name: column.size for name, column in values.items()}
         if len(set(sizes.values())) > 1:
-            raise ValueError(f"`points` must be columns of one length, but their lengths are {sizes}.")
+            raise ValueError(f"`points` must have columns of equal length, got lengths {sizes}.")
     return Parameters(values, points is not None)
 
 
 def _columns(points: Any) -> Mapping[str, Any]:
-    # A DataFrame is no Mapping, but has columns that are indexed alike.
+    # A DataFrame is not a Mapping, but its columns are indexed in the same way.
     names = list(points.columns) if hasattr(points, "columns") else list(points) if isinstance(points, Mapping) else []
     if not names or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"`points` must be a table of named columns, but is {points!r}.")
+        raise ValueError(f"`points` must be a table of named columns, got {points!r}.")
     return {name: points[name] for name in names}
 
 
 def _check_names(build: Callable, given: Mapping[str, Any], options: tuple[str, ...]) -> None:
     try:
         parameters = inspect.signature(build).parameters.values()
-    except (TypeError, ValueError):  # a callable that does not tell
+    except (TypeError, ValueError):  # some callables have no signature
         return
     named = {p.name: p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
     anything = any(p.kind is p.VAR_KEYWORD for p in parameters)
     for p in parameters:
         if p.kind is p.POSITIONAL_ONLY and p.default is p.empty:
-            raise ValueError(f"`build` must take its parameters by name, but `{p.name}` is positional only.")
+            raise ValueError(f"`build` must accept its parameters by name, got positional-only `{p.name}`.")
     for name, p in named.items():
         if name in options and p.default is p.empty:
             raise ValueError(
-                f"`build` must not name a parameter `{name}`: that is an option of `study`. Rename it or give `points`."
+                "`build` must not have a parameter with the name of an option of `study`, "
+                f"got `{name}`: rename it, or use `points`."
             )
     unknown = [name for name in given if name not in named]
     if unknown and not anything:
         allowed = ", ".join(named) or "none"
-        raise ValueError(f"`{unknown[0]}` must be a parameter of `build` to be an axis, but `build` takes {allowed}.")
+        raise ValueError(f"Each axis must be a parameter of `build` ({allowed}), got `{unknown[0]}`.")
     for name, p in named.items():
         if p.default is p.empty and name not in given:
             raise ValueError(
-                f"`{name}` must be given as an axis: `build` needs it, but only {', '.join(given)} is there."
+                f"`{name}` must be an axis, because `build` requires it and it has no default, got {', '.join(given)}."
             )
 
 
@@ -149,9 +190,9 @@ def _values(name: str, values: Any) -> Float[np.ndarray, " values"]:
     except (TypeError, ValueError):
         array = np.asarray(None)
     if array.dtype.kind not in "iuf":
-        raise ValueError(f"`{name}` must be an array of real numbers, but is {values!r}.")
+        raise ValueError(f"`{name}` must be an array of real numbers, got {values!r}.")
     if array.ndim != 1:
-        raise ValueError(f"`{name}` must be one-dimensional to be an axis, but is of shape {array.shape}.")
+        raise ValueError(f"`{name}` must be one-dimensional, got shape {array.shape}.")
     if array.size == 0:
-        raise ValueError(f"`{name}` must hold at least one value, but is empty.")
+        raise ValueError(f"`{name}` must have at least one value, got none.")
     return np.array(array, dtype=float)

@@ -1,14 +1,12 @@
-"""A study on disk: a zarr group that xarray reads at any time, and a note of which blocks are complete.
+"""Where the results of a study are kept while it is computed: in memory, or in a zarr store that can be resumed.
 
-    study.zarr/            the Dataset: what is not computed yet is NaN, -1 or False
-    study.zarr/.study/     lock (held while somebody computes), the description, done/<block>.json
-
-A block is noted once its chunks are on disk; a resumed study computes what is not noted. The empty Dataset is written
-beside, in study.zarr.new, and renamed when complete.
+A store is a Dataset that xarray can read at any time; variables that are not computed yet are NaN, -1 or False. The
+chunk of `point_status` that belongs to a block is written last, in one operation: a block whose chunk is missing is
+computed again. The empty Dataset is written to study.zarr.new and renamed when it is complete, and study.zarr.lock is
+locked while a process computes.
 """
 
 import fcntl
-import json
 import os
 import shutil
 import warnings
@@ -17,175 +15,195 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxwhisker._path.path import Status
-from jaxwhisker._study.description import Description, difference
-from jaxwhisker._study.layout import Layout
+from jaxwhisker._study.compute import Arrays
+from jaxwhisker._study.layout import NOT_COMPUTED, POINT_STATUS, Layout
 from jaxwhisker._study.parameters import Blocks, Index
 
 if TYPE_CHECKING:
     import xarray as xr
 
-NOTES, LOCK, DESCRIPTION, DONE = ".study", "lock", "study.json", "done"
-GROUP = '{"zarr_format": 3, "node_type": "group", "attributes": {}}'  # makes zarr take the notes for a part of it
+
+class Memory:
+    """A study in memory."""
+
+    stored: "xr.Dataset | None" = None
+    blocks: tuple[int, ...] = ()
+
+    def check(self, layout: Layout) -> None:
+        """Check nothing: there is no earlier study."""
+        del layout
+
+    def begin(self, layout: Layout, blocks: Blocks) -> set[Index]:
+        """Allocate all variables; no block is complete."""
+        self._layout, self._blocks = layout, blocks
+        self._arrays = {n: np.full(layout.shape(n), q.fill, q.dtype) for n, q in layout.variables.items()}
+        return set()
+
+    def write(self, index: Index, arrays: Arrays) -> None:
+        """Keep the variables of a block; their first axis runs over its points."""
+        region = self._blocks.region(index)
+        for name, target in self._arrays.items():
+            target[region] = arrays[name].reshape(target[region].shape)
+
+    def dataset(self, attributes: dict[str, str] | None = None) -> "xr.Dataset":
+        """The study with additional attributes."""
+        layout = self._layout
+        variables = {n: (layout.dims(n), array, layout.attributes(n)) for n, array in self._arrays.items()}
+        return layout.frame().assign(variables).assign_attrs(attributes or {})
+
+    def close(self) -> None:
+        """Release nothing."""
 
 
 class Store:
-    """The place of a study on disk, held by one process at a time.
+    """A study on disk, used by one process at a time.
+
+    Args:
+        path: folder of the zarr store, which may exist.
 
     Raises:
-        ValueError: if there is something else, or somebody else computes there.
+        ValueError: if the folder is not that of a study, or another process is using it.
     """
 
     def __init__(self, path: str | os.PathLike[str]):
         if not isinstance(path, str | os.PathLike) or "://" in str(path):
-            raise ValueError(f"`store` must be the path of a folder, but is {path!r}.")
+            raise ValueError(f"`store` must be the path of a folder, got {path!r}.")
         self.path = Path(path).absolute()
-        self._new = self.path.with_name(self.path.name + ".new")
-        if self.path.exists() and not (self.path / NOTES / DESCRIPTION).is_file():
-            raise ValueError(f"`store` must hold a study or not exist, but {path} is something else.")
         if not self.path.parent.is_dir():
-            raise ValueError(f"`store` must be in a folder that exists, but there is no {self.path.parent}.")
-        self._lock = self._locked()
-        self._known: Description | None = None
+            raise ValueError(f"`store` must be in an existing folder, got {path}, and {self.path.parent} is missing.")
         if self.path.exists():
-            self._known = json.loads((self.path / NOTES / DESCRIPTION).read_text())
+            _open(self.path)
+        self._lock = self._locked()
+        self.stored = _open(self.path) if self.path.exists() else None
 
     def _locked(self) -> int:
         while True:
-            folder = self.path if self.path.exists() else self._new
-            (folder / NOTES).mkdir(parents=True, exist_ok=True)
-            lock = os.open(folder / NOTES / LOCK, os.O_RDWR | os.O_CREAT)
+            lock = os.open(self._beside("lock"), os.O_RDWR | os.O_CREAT)
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 os.close(lock)
                 raise ValueError(
-                    f"`store` must be free, but another process computes the study in {self.path}."
+                    f"`store` must not be in use, got {self.path}, in which another process is computing."
                 ) from None
-            if folder == self.path or not self.path.exists():
+            if os.fstat(lock).st_nlink:
                 return lock
-            os.close(lock)  # another process has made the study in between
+            os.close(lock)  # the last user has just removed it
+
+    def _beside(self, suffix: str) -> Path:
+        return self.path.with_name(f"{self.path.name}.{suffix}")
 
     def close(self) -> None:
-        """Let others have the store. The system does so, too, when a process dies."""
+        """Release the store. The system does so, too, when a process dies."""
+        self._beside("lock").unlink(missing_ok=True)
         os.close(self._lock)
 
-    def control(self) -> np.ndarray:
-        """The control of the study that is there."""
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Shape of the blocks of the stored study."""
+        return self._group()[POINT_STATUS].chunks
+
+    def _group(self) -> Any:
         import zarr
 
-        return np.asarray(zarr.open_array(self.path / "control", mode="r")[:])
+        return zarr.open_group(self.path, mode="r+", use_consolidated=False)
 
-    def begin(self, layout: Layout, blocks: Blocks, description: Description) -> dict[Index, np.ndarray]:
-        """Go on with the study or lay it out; return the status of all points of the blocks that are complete.
+    def check(self, layout: Layout) -> None:
+        """Check that the stored study, if there is one, is the one with this layout.
 
         Raises:
-            ValueError: if the store holds another study.
+            ValueError: if it is another one.
         """
-        import zarr
-
-        if self.check(description) is None:
-            self._lay_out(layout, blocks, description)
-        self._layout, self._blocks = layout, blocks
-        group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
-        self._arrays: dict[str, Any] = {name: group[name] for name in layout.variables}
-        return dict(self._noted(note) for note in sorted((self.path / NOTES / DONE).glob("*.json")))
-
-    def check(self, description: Description) -> Description | None:
-        """The description of the study that is there, which must agree with this one; None if there is none."""
-        if self._known is None:
-            return None
-        differs = difference(description, self._known)
-        if differs:
+        different = None if self.stored is None else layout.difference(self.stored)
+        if different:
             raise ValueError(
-                f"`store` must hold this study or not exist, but {self.path} holds another study: {differs}."
+                f"`store` must be that of the same study or not exist, got {self.path}, which differs: {different}."
             )
-        return self._known
 
-    def _lay_out(self, layout: Layout, blocks: Blocks, description: Description) -> None:
+    def begin(self, layout: Layout, blocks: Blocks) -> set[Index]:
+        """Create the store if it does not exist, and return the blocks that are complete."""
+        if self.stored is None:
+            self._create(layout, blocks)
+        self._blocks, group = blocks, self._group()
+        self._arrays = {name: group[name] for name in layout.variables}
+        status = self._arrays[POINT_STATUS][...]
+        return {index for index in blocks.indices() if not np.any(status[blocks.region(index)] == NOT_COMPUTED)}
+
+    def _create(self, layout: Layout, blocks: Blocks) -> None:
         """Write the empty Dataset, all or nothing."""
         import zarr
-        from zarr.errors import ZarrUserWarning
 
-        for entry in (*self._new.iterdir(), *(self._new / NOTES).iterdir()):  # of somebody who was killed here
-            if entry.name not in (NOTES, LOCK):
-                shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
-        _replace(self._new / NOTES / "zarr.json", GROUP)
-        with warnings.catch_warnings():
-            # That others may not read consolidated metadata, and that the notes are no part of the Dataset.
-            warnings.simplefilter("ignore", ZarrUserWarning)
-            layout.frame().to_zarr(self._new, mode="a", zarr_format=3, consolidated=False)
-            group = zarr.open_group(self._new, mode="r+", use_consolidated=False)
-            for name, field in layout.variables.items():
-                shape = layout.shape(name)
-                known = layout.attributes(name)
-                group.create_array(
-                    name,
-                    shape=shape,
-                    dtype=field.dtype,
-                    chunks=(*blocks.block, *(max(1, n) for n in shape[len(blocks.block) :])),
-                    fill_value=field.fill,
-                    dimension_names=layout.dims(name),
-                    attributes={k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in known.items()},
-                )
-            zarr.consolidate_metadata(self._new)
-        notes = self._new / NOTES
-        (notes / DONE).mkdir(exist_ok=True)
-        (notes / DESCRIPTION).write_text(json.dumps(description))
-        for folder, _, files in os.walk(self._new):
-            for name in files:
-                _sync(Path(folder) / name)
-            _sync(Path(folder))
-        os.rename(self._new, self.path)
+        new = self._beside("new")
+        if new.exists():
+            shutil.rmtree(new)  # of a process that was killed here
+        layout.frame().to_zarr(new, zarr_format=3, consolidated=False)
+        group = zarr.open_group(new, mode="r+", use_consolidated=False)
+        for name, quantity in layout.variables.items():
+            shape, attributes = layout.shape(name), layout.attributes(name)
+            group.create_array(
+                name,
+                shape=shape,
+                dtype=quantity.dtype,
+                chunks=(*blocks.block, *(max(1, n) for n in shape[len(blocks.block) :])),
+                fill_value=quantity.fill,
+                dimension_names=layout.dims(name),
+                attributes={k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attributes.items()},
+            )
+        _consolidate(new)
+        for path in [*new.rglob("*"), new]:
+            _sync(path)
+        os.rename(new, self.path)
         _sync(self.path.parent)
 
-    def write(self, index: Index, arrays: dict[str, np.ndarray], worst: np.ndarray) -> None:
-        """Put the variables of a block's points, the first axis of each, in their place, then note the block."""
+    def write(self, index: Index, arrays: Arrays) -> None:
+        """Store the variables of a block; their first axis runs over its points. `point_status` is the last one."""
         region = self._blocks.region(index)
-        folders = set()
-        for name, target in self._arrays.items():
+        for name in sorted(self._arrays, key=lambda name: name == POINT_STATUS):
+            target = self._arrays[name]
             shape = tuple(part.stop - part.start for part in region) + target.shape[len(region) :]
             target[region] = arrays[name].reshape(shape)
-            chunk = self.path / name / Path("c", *map(str, index), *["0"] * (len(shape) - len(region)))
-            if chunk.exists():  # a chunk of nothing but fill values is not
-                _sync(chunk)
-                folders |= {chunk.parent, *chunk.parents[1 : len(shape)]}
-        for folder in folders:
-            _sync(folder)
-        bad = np.flatnonzero(worst != Status.ok)
-        note = {"points": worst.size, "failed": {str(k): int(worst[k]) for k in bad}}
-        _replace(self.path / NOTES / DONE / f"{'.'.join(map(str, index))}.json", json.dumps(note))
+            chunk = (*index, *[0] * (target.ndim - len(index)))
+            _sync(self.path / name / target.metadata.encode_chunk_key(chunk))
 
-    def _noted(self, path: Path) -> tuple[Index, np.ndarray]:
-        note = json.loads(path.read_text())
-        worst = np.zeros(note["points"], np.int8)
-        for k, status in note["failed"].items():
-            worst[int(k)] = status
-        return tuple(int(k) for k in path.stem.split(".")), worst
-
-    def dataset(self, points: str) -> "xr.Dataset":
-        """The study, read when its values are asked for; what became of its points is noted in the store."""
-        import xarray as xr
-
-        # By hand: zarr would write the attributes and then, apart from them, their consolidated copy.
-        metadata = json.loads((self.path / "zarr.json").read_text())
-        metadata["attributes"]["points"] = points
-        _replace(self.path / "zarr.json", json.dumps(metadata))
-        return xr.open_zarr(self.path, chunks=None)
+    def dataset(self, attributes: dict[str, str] | None = None) -> "xr.Dataset":
+        """The study, with additional attributes, which are stored; values are read when they are needed."""
+        if attributes:
+            self._group().attrs.update(attributes)
+            _consolidate(self.path)
+        return _open(self.path)
 
 
-def _replace(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all."""
-    temporary = path.with_name(f"{path.name}.tmp")
-    temporary.write_text(text)
-    _sync(temporary)
-    os.replace(temporary, path)
-    _sync(path.parent)
+def _open(path: Path) -> "xr.Dataset":
+    """The study in a folder.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    import xarray as xr
+
+    try:
+        data = xr.open_zarr(path, chunks=None, consolidated=False)
+    except (OSError, ValueError, KeyError):
+        data = None
+    if data is None or POINT_STATUS not in data or "build" not in data.attrs:
+        raise ValueError(f"`store` must be that of a study or not exist, got {path}, which is something else.")
+    return data
+
+
+def _consolidate(path: Path) -> None:
+    import zarr
+    from zarr.errors import ZarrUserWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ZarrUserWarning)  # that other libraries may not read consolidated metadata
+        zarr.consolidate_metadata(path)
 
 
 def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    """Wait until a file or folder is on disk; chunks that contain nothing but fill values do not exist."""
+    if path.exists():
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

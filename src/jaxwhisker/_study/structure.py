@@ -1,100 +1,90 @@
-"""What holds for the scenes of a study at all of its points: one structure, only numbers differ."""
+"""The structure that all scenes of a study share: only their numbers differ."""
 
+import hashlib
 import types
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, TypeGuard
 
 import equinox as eqx
 import jax
 import numpy as np
-from jax.core import Tracer
 
-from jaxwhisker._model.motion import Rotation, Translation
+from jaxwhisker._base import checks
 from jaxwhisker._model.scene import Scene
+from jaxwhisker._scan.dataset import SceneLayout, layout_of
 from jaxwhisker._study.parameters import Parameters
 
-SAMPLES = 64  # points at most at which scenes are built to be compared; the first few that can be built
-COMPARED = 5
+SAMPLES = 64  # most points at which scenes are built to be compared and hashed
+COMPARED = 5  # scenes whose structure is compared
+ARGUMENTS = np.geomspace(1e-3, 1e3, 19)  # functions in a scene are hashed by their values at these, both signs and 0
+REMEDY = (
+    "all points of a study are computed by one compiled function (use jnp.where instead of `if`, jnp.interp instead of "
+    "np.interp, jnp.exp instead of math.exp, and no float())"
+)
 
 
-class Structure(NamedTuple):
-    """What the scenes of a study have in common."""
-
-    whiskers: int
-    springs: tuple[str, ...]  # between what, and along which axis if not x
-    control: tuple[str, str]  # what the control is, and its kind (fields.KINDS)
-    dimensionless: bool  # the first whisker's length and bending stiffness are 1 at every point
-    words: str
-
-
-def structure_of(build: Callable, parameters: Parameters) -> Structure:
-    """Build scenes at a few points and from traced parameters, and compare them.
+def layout_of_scenes(build: Callable, parameters: Parameters) -> SceneLayout:
+    """Build scenes at a few points and from traced parameters, compare them, and return their common layout.
 
     Raises:
-        ValueError: if `build` returns no Scene, depends on the value of a parameter where it is traced, or returns
-            scenes that differ by more than numbers.
+        ValueError: if `build` does not return a Scene, cannot be traced, or returns scenes that differ by more than
+            numbers.
     """
     samples = _samples(build, parameters)
-    traced = _traced(build, parameters)
+    traced = _traced(build, parameters, bool(samples))
     for scene in [*samples[1:], traced]:
         different = _difference(samples[0], scene, "scene") if samples else None
         if different:
             raise ValueError(
-                f"`build` must return scenes of one structure at all points, but `{different}` changes with the "
-                "parameters."
+                "`build` must return scenes of the same structure at all points, got scenes whose "
+                f"`{different}` differs."
             )
-    first = traced.whiskers[0]
-    units = (first.length, first.bending_stiffness)
-    known = not any(callable(unit) or isinstance(unit, Tracer) for unit in units)
-    plain = known and all(np.all(u == 1.0) for u in units)
-    springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in traced.support.springs)
-    return Structure(traced.support.whiskers, springs, _control(traced), plain, str(traced))
-
-
-def _control(scene: Scene) -> tuple[str, str]:
-    if isinstance(scene.motion, Translation):
-        return "drive position", "length"
-    return ("angle of the drive", "angle") if isinstance(scene.motion, Rotation) else ("control", "number")
+    return layout_of(traced)
 
 
 def _checked(scene: Any) -> Scene:
     if not isinstance(scene, Scene):
-        raise _NoSceneError(f"`build` must return a Scene, but returned {scene!r}.")
+        raise _NoSceneError(f"`build` must return a Scene, got {scene!r}.")
     return scene
 
 
 class _NoSceneError(ValueError):
-    """What is wrong with `build` itself, not with a point."""
+    """`build` itself is wrong, rather than its arguments at one point."""
 
 
 def _samples(build: Callable, parameters: Parameters) -> list[Scene]:
-    """Scenes at a few points spread over all, bad points left out."""
-    total = int(np.prod(parameters.shape))
-    numbers = np.unique(np.linspace(0, total - 1, min(total, SAMPLES)).astype(int))
+    """Scenes at a few points spread over all; points that `build` rejects are left out."""
     found: list[Scene] = []
-    # From the ends inwards, so that the first few are far apart.
-    for k in [n for pair in zip(numbers, numbers[::-1], strict=True) for n in pair][: numbers.size]:
+    for number in parameters.spread(SAMPLES):
         if len(found) == COMPARED:
             break
         try:
-            found.append(_checked(build(**parameters.one(int(k)))))
+            found.append(_checked(build(**parameters.one(int(number)))))
         except _NoSceneError:
             raise
-        except ValueError:  # a bad point: NaN later
-            pass
+        except Exception:  # a bad point: it gets a status and NaN
+            continue
     return found
 
 
-def _traced(build: Callable, parameters: Parameters) -> Scene:
-    """The scene of abstract parameters."""
+def _traced(build: Callable, parameters: Parameters, built: bool) -> Scene:
+    """The scene of abstract parameters; `built` says whether `build` succeeds for some concrete ones."""
     try:
         return _trace(build, tuple(parameters.values), {})
+    except _NoSceneError:
+        raise
     except jax.errors.JAXTypeError as error:
-        blamed = _blamed(build, parameters)
         raise ValueError(
-            f"`build` must not decide by the value of a parameter, but does by {blamed}: all points of a study are "
-            "computed by one compiled function (use jnp.where, or leave Python's float() and if away)."
+            "`build` must not depend on the value of a parameter while JAX traces it, got such a dependence on "
+            f"{_blamed(build, parameters)}: {REMEDY}."
         ) from error
+    except Exception as error:
+        if isinstance(error, ValueError) and not built:
+            raise  # a constructor of the scene rejects a constant, and names it
+        failed = f"{type(error).__name__} ({error})"
+        if built:
+            raise ValueError(f"`build` must be traceable by JAX, got {failed}: {REMEDY}.") from error
+        raise ValueError(f"`build` must return a Scene, got {failed} at every point that was tried.") from error
 
 
 def _trace(build: Callable, names: tuple[str, ...], fixed: dict) -> Scene:
@@ -109,7 +99,7 @@ def _trace(build: Callable, names: tuple[str, ...], fixed: dict) -> Scene:
 
 
 def _blamed(build: Callable, parameters: Parameters) -> str:
-    """Which parameters alone make tracing fail."""
+    """The parameters that make tracing fail on their own, or all of them."""
     point = parameters.one(0)
     found = []
     for name in point:
@@ -117,13 +107,13 @@ def _blamed(build: Callable, parameters: Parameters) -> str:
             _trace(build, (name,), {n: v for n, v in point.items() if n != name})
         except jax.errors.JAXTypeError:
             found.append(f"`{name}`")
-        except ValueError:  # the others' values are bad at this point
-            pass
+        except Exception:  # the other parameters' values are bad at this point
+            continue
     return ", ".join(found or [f"`{name}`" for name in point])
 
 
 def _difference(one: Any, other: Any, path: str) -> str | None:
-    """Where two trees differ by more than numbers; None if nowhere."""
+    """Where two trees differ by more than numbers, or None."""
     if isinstance(one, eqx.Module) and type(one) is type(other):
         fields = one.__dataclass_fields__.items()
         parts = [(getattr(one, n), getattr(other, n), f"{path}.{n}", f.metadata.get("static")) for n, f in fields]
@@ -138,14 +128,54 @@ def _difference(one: Any, other: Any, path: str) -> str | None:
 
 def _differs(one: Any, other: Any, path: str) -> str | None:
     if isinstance(one, types.FunctionType) and isinstance(other, types.FunctionType):
-        # A function made anew by every call of `build` is the same one if its code is.
+        # Each call of `build` may define a function again; it is the same one if its code is.
         return None if one.__code__ is other.__code__ else path
     return None if type(one) is type(other) and one == other else path
 
 
 def _is_number(value: Any) -> TypeGuard[Any]:
-    return isinstance(value, int | float | np.ndarray | np.generic | jax.Array) and not isinstance(value, bool)
+    return checks.is_numeric(value) and not isinstance(value, bool)
 
 
 def _first(found: Iterator[str | None]) -> str | None:
     return next((path for path in found if path), None)
+
+
+def sampled(parameters: Parameters) -> list[dict[str, float]]:
+    """Points at which the scenes of two functions `build` are compared."""
+    return [parameters.one(int(number)) for number in parameters.spread(SAMPLES)]
+
+
+def fingerprint(build: Callable, points: list[dict[str, float]]) -> str:
+    """A hash of the scenes at some points: their structure, their numbers, and values of the functions in them.
+
+    Two functions `build` have the same hash if they make the same scenes there, however they are written.
+    """
+    digest = hashlib.sha256()
+    for point in points:
+        try:
+            scene = build(**point)
+        except Exception as error:  # a bad point
+            digest.update(type(error).__name__.encode())
+            continue
+        leaves, structure = jax.tree.flatten(scene, is_leaf=callable)
+        digest.update(b"".join([str(structure).encode(), *map(_bytes_of, leaves)]))
+    return f"sha256:{digest.hexdigest()}"
+
+
+def _bytes_of(leaf: Any) -> bytes:
+    if checks.is_numeric(leaf):
+        return np.asarray(leaf, dtype=float).tobytes()
+    if not callable(leaf):
+        return repr(leaf).encode()
+    parameters = [leaf for leaf in jax.tree.leaves(leaf) if checks.is_numeric(leaf)]
+    values = [_value_of(leaf, argument) for argument in (*-ARGUMENTS, 0.0, *ARGUMENTS)]
+    return b"".join([*map(_bytes_of, parameters), *values])
+
+
+def _value_of(function: Callable, argument: float) -> bytes:
+    try:
+        with np.errstate(all="ignore"):
+            return b"".join(map(_bytes_of, jax.tree.leaves(function(argument))))
+    except Exception as error:  # outside the function's domain
+        return type(error).__name__.encode()

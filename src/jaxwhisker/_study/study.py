@@ -1,10 +1,9 @@
-"""Studies: scans at many points of named parameters, in blocks of one compiled function."""
+"""Studies: scans at many points of named parameters, in blocks that share one compiled function."""
 
 import importlib
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,26 +11,20 @@ import numpy as np
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._study.cluster import computed_there
-from jaxwhisker._study.control import common_control
-from jaxwhisker._study.description import described
-from jaxwhisker._study.fields import DEFAULT, FIELDS, chosen, variables
-from jaxwhisker._study.kernel import Job, Kernel
-from jaxwhisker._study.layout import Layout
-from jaxwhisker._study.local import computed_here, threads
-from jaxwhisker._study.memory import Held
-from jaxwhisker._study.parameters import Blocks, parameters_of
-from jaxwhisker._study.plan import blocks_of
-from jaxwhisker._study.points import Points
-from jaxwhisker._study.progress import bar
-from jaxwhisker._study.store import Store
-from jaxwhisker._study.structure import structure_of
+from jaxwhisker._path.path import Status
+from jaxwhisker._scan.dataset import VARIABLES, omitted_events, points_in_words
+from jaxwhisker._scan.quantities import Quantity
+from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster, threads
+from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, chosen, variables_of
+from jaxwhisker._study.parameters import Blocks, Index, Parameters, blocks_of, parameters_of
+from jaxwhisker._study.store import Memory, Store
+from jaxwhisker._study.structure import fingerprint, layout_of_scenes, sampled
 
 if TYPE_CHECKING:
     import xarray as xr
 
 OPTIONS = ("control", "points", "outputs", "derivatives", "summary", "store", "client", "memory", "progress")
-SUMMARISED = ("reactions", "base_x", "status", "events", "event_states")  # what a summary is made from
+SUMMARISED = ("reactions", "base_x", "status", "events", "event_states")  # outputs from which a summary is made
 
 
 def study(
@@ -56,111 +49,176 @@ def study(
         data = jw.study(build, stiffness=np.linspace(30, 200, 64), distance=np.linspace(0.1, 0.4, 16))
 
     Args:
-        build: makes a Scene from numbers given by name. It is traced: numbers may differ from point to point, not the
+        build: makes a Scene from numbers given by name. JAX traces it: numbers may differ between points, but not the
             number of whiskers or springs, nor the kind of object.
-        control: drive positions, shape (steps,), the same at all points. Default: from before the first touch to after
-            the last contact of all points in steps of 0.001 whisker lengths; giving it saves a pass over all points.
-        points: a table, one column per parameter (a mapping or a DataFrame), instead of axes: one point per row.
+        control: drive positions, shape (steps,), the same at all points. Default: from the earliest start to the latest
+            end of the default controls of `scan` at all points, in steps of 0.001 lengths of the longest whisker, or
+            0.001 rad. An explicit control avoids computing these ends first.
+        points: a table with one column per parameter (a mapping or a DataFrame) and one row per point, instead of axes.
         outputs: variables, or groups of them: `reactions` (fx fy mz), `status`, `events`, `contact`, `springs`
             (base_x base_y base_angle spring_length), `event_states`, `all`.
-        derivatives: parameters by which every real variable is differentiated, at fixed control.
-        summary: keep peaks, positions of events, widths and work (see `summary`) instead of what runs along the
-            control, chunk by chunk: small, whatever the size of the study.
-        store: path of a zarr store that holds the results, computed so far or finished: the same call goes on with what
-            is missing. Default: memory.
-        client: a `dask.distributed.Client`, on whose workers the blocks are computed. Default: this machine.
-        memory: bytes that this process may take if results go to a store. About 1.2e9 go to jax and its compiler; what
-            is left decides how many points a block has at most.
+        derivatives: parameters with respect to which every real variable is differentiated, at fixed control.
+        summary: keep peaks, positions of events, widths and work (see `summary`) instead of variables along the
+            control. The signals of a block are dropped as soon as they are summarised, to save memory.
+        store: path of a zarr store for the results. The same call on an unfinished store computes what is missing.
+            Default: memory.
+        client: a `dask.distributed.Client` whose workers compute the blocks. Default: this machine.
+        memory: bytes that this process may use; it limits the number of points per block. JAX and its compiler need
+            about 1.2e9 of them.
         progress: whether to show a progress bar. Default: on a terminal.
-        **axes: values of each parameter of `build`, one-dimensional; those with defaults may be left out.
+        **axes: one-dimensional values of each parameter of `build`; those with a default are optional.
 
     Returns:
-        A Dataset: dimensions of the axes (or `point`), `control`, `whisker`, `spring`, `event`, units and long names
-        with every variable. From a store it is read when values are asked for. `attrs["points"]` counts the points all
-        of whose steps are ok and tells what is wrong with the others, which hold NaN and a status.
+        A Dataset with the dimensions of the axes (or `point`), `control`, `whisker`, `spring` and `event`; every
+        variable has units and a long name. With a store, values are read when they are needed. A point that cannot be
+        scanned holds NaN and a status, which is never an error. `point_status` is the first status of each point that
+        is not ok, `attrs["points"]` counts them and gives a reason, and `attrs["omitted_events"]` is present if a point
+        has more events than are stored.
 
     Raises:
-        ValueError: if an argument is wrong, or the store holds another study; before anything is computed.
+        ValueError: if an argument is wrong, or the store contains another study. Nothing has been computed then.
         ImportError: if a package is missing: `pip install jaxwhisker[study]`.
     """
     checks.float64_mode()
-    _need("study", "xarray", "tqdm", *["zarr"] * (store is not None))
-    parameters = parameters_of(build, points, axes, OPTIONS)
-    derivatives = (derivatives,) if isinstance(derivatives, str) else tuple(derivatives)
-    for name in derivatives:
-        if name not in parameters.values:
-            raise ValueError(f"`derivatives` must be among {', '.join(parameters.values)}, but one is {name!r}.")
-    fields = variables(outputs, derivatives, summary)
-    _check_names(parameters.values, fields)
-    if control is not None:
-        checks.vector("control", control)
-        control = np.asarray(control, dtype=float)
+    _check_packages(store, client)
     checks.number("memory", memory, positive=True, finite=False)
-    if client is not None:
-        _need("cluster", "distributed")
-        if not hasattr(client, "nthreads"):
-            raise ValueError(f"`client` must be a dask.distributed.Client, but is {client!r}.")
-    structure = structure_of(build, parameters)
-
-    with closing(Held() if store is None else Store(store)) as target:
-        description = described(parameters, control, list(fields))
-        known = target.check(description)
-        if known is None:
-            control = common_control(build, parameters) if control is None else control
-        else:
-            control = target.control()
-        computed = tuple(n for n in FIELDS if n in fields or (summary and n in chosen(SUMMARISED)))
-        layout = Layout(parameters, structure, control, 0, fields)
-        if known is None:
-            needed = [FIELDS[name] for name in computed] + [fields[name] for name in fields if name not in FIELDS]
-            workers = threads() if client is None else 1
-            blocks = blocks_of(parameters.shape, layout.sizes, needed, memory, workers)
-        else:
-            blocks = Blocks(parameters.shape, tuple(known["block"]))
+    parameters = parameters_of(build, points, axes, OPTIONS)
+    derivatives = _checked_derivatives(derivatives, parameters)
+    layout = _layout(build, parameters, control, variables_of(outputs, derivatives, summary))
+    computed = tuple(n for n in VARIABLES if n in layout.variables or (summary and n in chosen(SUMMARISED)))
+    visible = sys.stderr.isatty() if progress is None else progress
+    with closing(Memory() if store is None else Store(store)) as target:
+        resumed = _resumed(target, layout)
+        if visible:
+            print(f"study: compiling, then {parameters.total:,} scans", file=sys.stderr)
+        layout, blocks = resumed or _planned(layout, build, computed, memory, client)
         job = Job(
             build=build,
             names=tuple(parameters.values),
-            control=control,
+            control=layout.control,
             outputs=computed,
             derivatives=derivatives,
             summary=summary,
-            kept=tuple(fields),
-            whiskers=structure.whiskers,
+            kept=tuple(layout.variables),
+            whiskers=layout.scene.whiskers,
             lanes=blocks.lanes,
         )
         kernel = Kernel(job)
-        description |= {"block": list(blocks.block), "build": kernel.fingerprint()}
-        done = target.begin(layout._replace(events=kernel.events), blocks, description)
-        found = Points(build, parameters)
-        for index, worst in done.items():
-            found.add(blocks.numbers(index), worst)
-        todo = [index for index in blocks.indices() if index not in done]
-        if client is None:
-            results = computed_here(kernel, parameters, blocks, todo, target.write)
-        else:
-            keyed = replace(job, key=description["build"])
-            results = computed_there(client, keyed, parameters, blocks, todo, target.write)
-        with closing(results), bar(found.total, control.size, found.seen, progress) as shown:
-            for index, worst in results:
-                found.add(blocks.numbers(index), worst)
-                shown.update(worst.size * control.size)
-            visible = not shown.disable
-        words = found.words()
-        if visible or not found.all_ok:
-            print(words, file=sys.stderr)
-        return target.dataset(words)
+        layout = layout._replace(events=kernel.events)
+        done = target.begin(layout, blocks)
+        _compute(kernel, target, layout, blocks, done, client, visible)
+        return _finished(target, build, layout, visible)
 
 
-def _need(extra: str, *packages: str) -> None:
-    for package in packages:
+def _layout(
+    build: Callable[..., Scene], parameters: Parameters, control: Any, variables: dict[str, Quantity]
+) -> Layout:
+    """The layout of the Dataset; an empty control stands for the default one, which is not known yet."""
+    for name in parameters.values:
+        if name in RESERVED or name in VARIABLES or name in variables:
+            raise ValueError(
+                f"The name of an axis must not be that of a variable of the Dataset, got `{name}`: rename it."
+            )
+    if control is not None:
+        checks.vector("control", control)
+    scene = layout_of_scenes(build, parameters)
+    positions = np.empty(0) if control is None else np.asarray(control, dtype=float)
+    return Layout(parameters, scene, fingerprint(build, sampled(parameters)), positions, control is None, variables)
+
+
+def _check_packages(store: Any, client: Any) -> None:
+    needed = {"xarray": "study", "tqdm": "study"} | ({} if store is None else {"zarr": "study"})
+    for package, extra in (needed | ({} if client is None else {"distributed": "cluster"})).items():
         try:
             importlib.import_module(package)
         except ImportError as error:
             raise ImportError(f"`study` needs {package}: pip install jaxwhisker[{extra}]") from error
+    if client is not None and not hasattr(client, "nthreads"):
+        raise ValueError(f"`client` must be a dask.distributed.Client, got {client!r}.")
 
 
-def _check_names(names, fields) -> None:
-    taken = {"control", "whisker", "spring", "event", "point", "between", *FIELDS, *fields}
+def _checked_derivatives(derivatives: Sequence[str] | str, parameters: Parameters) -> tuple[str, ...]:
+    names = (derivatives,) if isinstance(derivatives, str) else tuple(derivatives)
     for name in names:
-        if name in taken:
-            raise ValueError(f"`{name}` must not be the name of an axis: the Dataset has that for its own. Rename it.")
+        if name not in parameters.values:
+            raise ValueError(f"`derivatives` must be among {', '.join(parameters.values)}, got {name!r}.")
+    return names
+
+
+def _resumed(target: Memory | Store, layout: Layout) -> tuple[Layout, Blocks] | None:
+    """The layout and blocks of the stored study, if there is one."""
+    if target.stored is None:
+        return None
+    target.check(layout)
+    return layout._replace(control=target.stored["control"].values), Blocks(layout.parameters.shape, target.blocks)
+
+
+def _planned(
+    layout: Layout, build: Callable[..., Scene], computed: Sequence[str], memory: float, client: Any
+) -> tuple[Layout, Blocks]:
+    """The layout with its control, and blocks that fit into memory."""
+    if layout.default_control:
+        layout = layout._replace(control=common_control(build, layout.parameters, layout.scene.onwards))
+    held = {name: VARIABLES[name] for name in computed} | layout.variables
+    workers = threads() if client is None else 1
+    return layout, blocks_of(layout.parameters.shape, layout.sizes, held.values(), memory, workers)
+
+
+def _compute(
+    kernel: Kernel,
+    target: Memory | Store,
+    layout: Layout,
+    blocks: Blocks,
+    done: set[Index],
+    client: Any,
+    visible: bool,
+) -> None:
+    """Compute and store all blocks that are not done, and show the progress."""
+    from tqdm import tqdm
+
+    def points(index: Index) -> int:
+        return int(np.prod([part.stop - part.start for part in blocks.region(index)]))
+
+    todo = [index for index in blocks.indices() if index not in done]
+    if client is None:
+        results = compute_here(kernel, layout.parameters, blocks, todo, target.write)
+    else:
+        results = compute_on_cluster(client, kernel.job, layout.parameters, blocks, todo, target.write)
+    steps = layout.control.size
+    with (
+        closing(results),
+        tqdm(
+            total=layout.parameters.total * steps,
+            initial=sum(map(points, done)) * steps,
+            desc="study",
+            unit=" equilibria",
+            unit_scale=True,
+            disable=not visible,
+        ) as bar,
+    ):
+        for index in results:
+            bar.update(points(index) * steps)
+
+
+def _finished(target: Memory | Store, build: Callable[..., Scene], layout: Layout, visible: bool) -> "xr.Dataset":
+    """The Dataset with a description of failed points, which is printed as well."""
+    data = target.dataset()
+    attributes = {"points": _points_in_words(build, layout.parameters, data[POINT_STATUS].values)}
+    if "event_count" in data and layout.events:
+        attributes |= omitted_events(data["event_count"].values, layout.events)
+    if visible or len(attributes) > 1 or bool((data[POINT_STATUS] != Status.ok).any()):
+        print("; ".join(attributes.values()), file=sys.stderr)
+    return target.dataset(attributes)
+
+
+def _points_in_words(build: Callable[..., Scene], parameters: Parameters, status: np.ndarray) -> str:
+    """How many points are ok or failed, and why the first invalid one is invalid."""
+    words = points_in_words(status)
+    invalid = np.flatnonzero(status == Status.invalid)
+    if invalid.size:
+        point = parameters.one(int(invalid[0]))
+        try:
+            build(**point)
+        except Exception as error:  # whatever `build` raises is the reason
+            words += f" ({', '.join(f'{name} = {value:g}' for name, value in point.items())}: {error})"
+    return words

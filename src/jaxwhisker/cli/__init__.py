@@ -1,27 +1,27 @@
-"""The command `jaxwhisker`: `scan` one scene, `film` or `explore` it, `study` many, and the way back from signals."""
+"""The command `jaxwhisker`: scan, film or explore one scene, study many scenes, or identify a scene from signals."""
 
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 
 import jax
 
-import jaxwhisker
 from jaxwhisker.cli import explore, film, inverse, reproduce, scan, study
-from jaxwhisker.cli.options import INTERRUPTED, NOT_ALL_OK, OK, USAGE, UsageError
+from jaxwhisker.cli.options import INTERRUPTED, NO_CONTACT, NOT_ALL_OK, OK, USAGE, UsageError
 
-__all__ = ["INTERRUPTED", "NOT_ALL_OK", "OK", "USAGE", "main"]
+__all__ = ["INTERRUPTED", "NOT_ALL_OK", "NO_CONTACT", "OK", "USAGE", "main"]
 
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str):
-        # One line, without the usage, which would bury it.
+        # The usage would hide this line.
         self.exit(USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="jaxwhisker", description="Quasi-static scans with elastically coupled tactile whiskers.")
-    parser.add_argument("--version", action="version", version=f"jaxwhisker {jaxwhisker.__version__}")
+    parser.add_argument("--version", action="version", version=f"jaxwhisker {version('jaxwhisker')}")
     commands = parser.add_subparsers(dest="command", metavar="command", required=True)
     for command in (scan, film, explore, study, inverse, reproduce):
         command.add(commands)
@@ -29,20 +29,20 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit code.
+    """Run the command line and return the exit code.
 
     Wrong options and parameters, and files that cannot be written, end with one line on stderr and exit code 2.
     """
     parser = _parser()
     try:
         args = parser.parse_args(argv)
-    except SystemExit as stop:  # argparse has printed what there is to say
+    except SystemExit as stop:  # argparse has printed the reason
         return stop.code if isinstance(stop.code, int) else USAGE
     jax.config.update("jax_enable_x64", True)
     try:
         return args.run(args)
-    except (UsageError, OSError) as error:
-        message = " ".join(str(error).split())
+    except (UsageError, OSError, MemoryError) as error:
+        message = " ".join(str(error).split()) or "not enough memory"
         print(f"{parser.prog} {args.command}: error: {message}", file=sys.stderr)
         return USAGE
     except KeyboardInterrupt:

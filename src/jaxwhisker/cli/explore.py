@@ -8,22 +8,23 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import ClosedForm
-from jaxwhisker.cli.options import MODELS, OK, PROFILES, UsageError, check_springs, model, number, shape_of
+from jaxwhisker.cli.options import MODELS, OK, PROFILES, UsageError, add_object, check_springs, model, number, shape_of
 
 HELP = """\
-Drag the parameters of a scene, and its drive, on a page in the browser; its
-shapes, signals and events follow. The page is served to this machine alone.
+Drag the parameters of a scene and its drive on a page in the browser; shapes,
+signals and events follow. Only this machine can open the page.
 """
 END = """\
-A parameter is START or a range LOW:HIGH or LOW:HIGH:START; a slider whose
-HIGH/LOW is above 20 is logarithmic. Position, length and bending stiffness
-have sliders where a range is given.
+A parameter is START or a range LOW:HIGH or LOW:HIGH:START; a slider is
+logarithmic if HIGH/LOW is above 20. Position, length and bending stiffness
+have a slider only if a range is given.
 
 The first picture waits for the compiler, 10 to 30 seconds. Units and signs are
-those of `jaxwhisker scan`. A button shows the Python code of the scene.
+those of `jaxwhisker scan`. A button shows Python code for the scene.
 
 exit codes:
-  2    an option or a parameter is wrong, or the port is taken
+  2    an option or a parameter is wrong, the port is taken, or the packages
+       that the page needs are missing
   130  ended by Ctrl-C
 
 examples:
@@ -33,7 +34,7 @@ examples:
 
 Range = tuple[float, ...]  # (start,), (low, high) or (low, high, start)
 
-# Ranges of parameters of which at most a start is told; those without one have no slider then.
+# Default ranges, used if at most a start is given; other parameters have no slider then.
 RANGES = {
     "stiffness": (10.0, 500.0),
     "rest_length": (0.0, 0.5),
@@ -49,19 +50,19 @@ def one(text: str) -> Range:
     """A parameter: START, LOW:HIGH or LOW:HIGH:START."""
     parts = tuple(number(part) for part in text.split(":"))
     if len(parts) > 3:
-        raise argparse.ArgumentTypeError(f"must be START, LOW:HIGH or LOW:HIGH:START, but is {text!r}")
+        raise argparse.ArgumentTypeError(f"must be START, LOW:HIGH or LOW:HIGH:START, got {text!r}")
     return parts
 
 
 def each(text: str) -> tuple[Range, ...]:
-    """A parameter of all springs, or of each."""
+    """A parameter of all springs, or one per spring."""
     return tuple(one(part) for part in text.split(","))
 
 
 def port(text: str) -> int:
-    """A port's number."""
+    """The number of a port."""
     if not text.isdecimal() or int(text) > 65_535:
-        raise argparse.ArgumentTypeError(f"must be a number from 0 to 65535, but is {text!r}")
+        raise argparse.ArgumentTypeError(f"must be a number from 0 to 65535, got {text!r}")
     return int(text)
 
 
@@ -92,59 +93,49 @@ def add(commands) -> None:
     )
     add("--length", type=one, default="1.0", metavar="L", help="length of the whiskers (default: %(default)s)")
     add("--bending-stiffness", type=one, default="1.0", metavar="EI", help="of the whiskers (default: %(default)s)")
-    add = command.add_argument_group("object").add_argument
-    add("--profile", choices=tuple(PROFILES), default="parabola", help="shape of the object (default: %(default)s)")
-    add("--distance", type=one, default="0.2", metavar="Q", help="height of its lowest point (default: %(default)s)")
-    add("--position", type=one, default="0.0", metavar="X", help="x of its lowest point (default: %(default)s)")
-    add(
-        "--a",
-        type=one,
-        metavar="A",
-        help="parabola y = q + A x^2: half the curvature at the vertex; ellipse: horizontal half axis (default: 1)",
-    )
-    add("--b", type=one, metavar="B", help="ellipse: vertical half axis (default: 0.8)")
-    add("--radius", type=one, metavar="R", help="circle: radius (default: 1)")
+    add_object(command, one)
     add = command.add_argument_group("page").add_argument
-    add("--port", type=port, default=0, metavar="N", help="of the page (default: any that is free)")
-    add("--no-browser", action="store_true", help="print the page's address only")
+    add("--port", type=port, default=0, metavar="N", help="of the page (default: any free port)")
+    add("--no-browser", action="store_true", help="only print the address of the page")
     command.set_defaults(run=_run)
 
 
-def _given(args: argparse.Namespace) -> dict[str, Range]:
-    """Every parameter of the scene, springs numbered if each has its own."""
-    found: dict[str, Range] = {}
+def _values(args: argparse.Namespace) -> dict[str, Range]:
+    """Every parameter of the scene; numbered ones if each spring has its own."""
+    springs: dict[str, Range] = {}
     for name, letter in (("stiffness", "c"), ("rest_length", "l")) if args.model != "clamped" else ():
         ranges = getattr(args, name) or ((STARTS[name],),)
         numbered = {f"{letter}{k + 1}": value for k, value in enumerate(ranges)}
-        found |= {name: ranges[0]} if len(ranges) == 1 else numbered
+        springs |= {name: ranges[0]} if len(ranges) == 1 else numbered
     shape = {name: value if isinstance(value, tuple) else (value,) for name, value in shape_of(args).items()}
-    plain = {name: getattr(args, name) for name in ("distance", "position", "length", "bending_stiffness")}
-    return found | plain | shape
+    others = {name: getattr(args, name) for name in ("distance", "position", "length", "bending_stiffness")}
+    return springs | others | shape
 
 
-def _range(name: str, given: Range) -> Range | None:
-    """A parameter's slider; None if it has none."""
-    usual = RANGES.get({"c": "stiffness", "l": "rest_length"}.get(name[:1], name) if name[1:].isdecimal() else name)
-    *_, start = given
-    if len(given) > 1:
-        return given
-    if usual is None or start == float("inf"):
+def _range(name: str, value: Range) -> Range | None:
+    """The range of a parameter's slider; None if it has no slider."""
+    if name[1:].isdecimal():
+        name = {"c": "stiffness", "l": "rest_length"}[name[0]]
+    *_, start = value
+    if len(value) > 1:
+        return value
+    if name not in RANGES or start == float("inf"):
         return None
-    # It reaches out for where it starts.
-    return (min(usual[0], start), max(usual[1], start), start)
+    low, high = RANGES[name]
+    return min(low, start), max(high, start), start
 
 
 def _builder(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, Range]]:
     """The function that builds scenes from the sliders' values, and the sliders' ranges."""
     check_springs(args)
-    given = _given(args)
-    ranges = {name: found for name, value in given.items() if (found := _range(name, value)) is not None}
+    given = _values(args)
+    ranges = {name: limits for name, value in given.items() if (limits := _range(name, value)) is not None}
     fixed = {name: value[0] for name, value in given.items() if name not in ranges}
     shape = tuple(shape_of(args))
 
-    def springs(values: dict[str, float], name: str, letter: str) -> Any:
-        own = [values[key] for key in given if key[0] == letter and key[1:].isdecimal()]
-        return own or values[name]
+    def per_spring(values: dict[str, float], name: str, letter: str) -> Any:
+        numbered = [values[key] for key in given if key[0] == letter and key[1:].isdecimal()]
+        return numbered or values[name]
 
     def build(**sliders: float) -> Scene:
         values = fixed | sliders
@@ -152,21 +143,21 @@ def _builder(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, 
         profile = PROFILES[args.profile][0](**{name: values[name] for name in ("distance", "position", *shape)})
         if args.model == "clamped":
             return Scene(whisker, profile, rod=ClosedForm())
-        both = springs(values, "stiffness", "c"), springs(values, "rest_length", "l")
-        return Scene(whisker, profile, Support.named(args.model, *both), rod=ClosedForm())
+        springs = per_spring(values, "stiffness", "c"), per_spring(values, "rest_length", "l")
+        return Scene(whisker, profile, Support.named(args.model, *springs), rod=ClosedForm())
 
     return build, ranges
 
 
 def _run(args: argparse.Namespace) -> int:
-    from jaxwhisker._explore.code import code_of_scene
-    from jaxwhisker._explore.page import serve
     from jaxwhisker._explore.session import Session
 
     try:
+        from jaxwhisker._explore.hosts import serve
+
         build, ranges = _builder(args)
-        session = Session(build, ranges, code_of_scene)
-    except ValueError as error:
+        session = Session(build, ranges)
+    except (ImportError, ValueError) as error:
         raise UsageError(str(error)) from None
     serve(session, port=args.port, browser=not args.no_browser)
     return OK

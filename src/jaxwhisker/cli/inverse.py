@@ -1,51 +1,39 @@
-"""The commands `identify` and `reconstruct`: from measured signals back to sensor and object."""
+"""The commands `identify` and `reconstruct`: from measured signals to sensor and object."""
 
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from jaxwhisker._inverse.fit_status import FitStatus
-from jaxwhisker._model.scene import Scene
-from jaxwhisker._model.support import Support
+from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.report import write_columns, write_rows
-from jaxwhisker.cli.options import (
-    NOT_ALL_OK,
-    OK,
-    PROFILES,
-    UsageError,
-    add_object,
-    add_sensor,
-    check_picture,
-    check_springs,
-    check_writable,
-    number,
-    shape_of,
-)
+from jaxwhisker.cli import options
+
+LETTERS = dict(zip(options.SPRINGS, "cl", strict=True))  # of the parameters of single springs: c1, l1, ...
 
 DATA = """\
-The file has a line of names, control and any of fx, fy, mz (fx_1, fx_2, ... of
-several whiskers), and a line per position of the drive, in the order in which
-it moved; lines that begin with # are skipped. Signs and units are those of
-`jaxwhisker scan --csv`, whose files will do.
+The file has a header with the names control and any of fx, fy, mz (fx_1,
+fx_2, ... for several whiskers), and one row per drive position, in the order in
+which the drive moved. Lines that begin with # are skipped. Signs and units are
+those of `jaxwhisker scan --csv`, whose files can be used as they are.
 """
 IDENTIFY = f"""\
-Find stiffnesses, rest lengths, the object's distance and shape, ... from
-measured support reactions. Options give the scene; what --free names is
-fitted, from --guess or from the option's value.
+Estimate stiffnesses, rest lengths, the distance and shape of the object, ...
+from measured support reactions. The options describe the scene. Parameters
+named by --free are fitted, starting from --guess or from the option's value.
 
 {DATA}"""
-IDENTIFY_END = """\
-names: stiffness (of all springs, each its own: c1, c2, ...), rest_length (l1,
-l2, ...), c1, l2, ..., distance, position, a, b, radius, length,
-bending_stiffness
+IDENTIFY_DETAILS = """\
+parameters: stiffness (of all springs, each on its own: c1, c2, ...),
+rest_length (l1, l2, ...), c1, l2, ..., distance, position, a, b, radius,
+length, bending_stiffness
 
 exit codes:
-  0  the fit ended well
-  1  it did not: the reason is printed, and there are no standard errors
+  0  the fit is ok
+  1  the fit failed: the reason is printed, and there are no standard errors
   2  an option or the data are wrong, or a file cannot be written
 
 example:
@@ -53,14 +41,14 @@ example:
       --guess stiffness=100,distance=0.25 --free stiffness,distance
 """
 RECONSTRUCT = f"""\
-Find where the whiskers touched the object, from measured support reactions
-and what is known of the sensor; then fit a contour to all signals at once.
+Reconstruct the points at which the whiskers touched the object, from measured
+support reactions and the known sensor; then fit a contour to all signals.
 
 {DATA}"""
-RECONSTRUCT_END = """\
+RECONSTRUCT_DETAILS = """\
 exit codes:
-  0  contacts were found, and the fit, if one was asked for, ended well
-  1  no contact was found, or the fit did not end well
+  0  contact points were reconstructed, and the fit, if any, is ok
+  1  there is no contact, or the fit failed
   2  an option or the data are wrong, or a file cannot be written
 
 example:
@@ -71,117 +59,109 @@ example:
 
 def add(commands) -> None:
     """Add the commands."""
-    command = _command(commands, "identify", "fit a scene's parameters to measured signals", IDENTIFY, IDENTIFY_END)
-    add_sensor(command)
-    add_object(command, number)
+    short = "fit the parameters of a scene to measured signals"
+    about, details = IDENTIFY, IDENTIFY_DETAILS
+    command = options.add_command(commands, "identify", _identify, short=short, about=about, details=details)
+    _add_data(command)
+    options.add_object(command)
     add = command.add_argument_group("fit").add_argument
-    add("--free", required=True, metavar="NAME[,NAME...]", help="what is fitted")
-    add("--guess", type=_named, default={}, metavar="NAME=X[,...]", help="where to start")
-    add("--sigma", type=_sigma, metavar="X | fx=X,fy=X,mz=X", help="standard deviation of the noise (default: unknown)")
-    add("--offsets", action="store_true", help="each channel is off by an unknown constant")
-    add("--shift", action="store_true", help="the control is off by an unknown constant")
-    _add_output(command, "estimates and standard errors")
-    command.set_defaults(run=_identify)
+    add("--free", required=True, metavar="NAME[,NAME...]", help="parameters to fit")
+    add("--guess", type=_named, default={}, metavar="NAME=X[,...]", help="initial values")
+    _add_sigma(add, "unknown")
+    add("--offsets", action="store_true", help="fit an unknown constant offset of each channel")
+    add("--shift", action="store_true", help="fit an unknown constant offset of the control")
+    options.add_output(command, csv="estimates and standard errors")
 
-    command = _command(
-        commands, "reconstruct", "find the object's contour in measured signals", RECONSTRUCT, RECONSTRUCT_END
-    )
-    add_sensor(command)
+    short = "reconstruct the contour of the object from measured signals"
+    about, details = RECONSTRUCT, RECONSTRUCT_DETAILS
+    command = options.add_command(commands, "reconstruct", _reconstruct, short=short, about=about, details=details)
+    _add_data(command)
     add = command.add_argument_group("contour").add_argument
-    add("--sigma", type=_sigma, metavar="X | fx=X,fy=X,mz=X", help="standard deviation of the noise (default: none)")
+    _add_sigma(add, "none")
     add(
         "--family",
         choices=("points", "parabola", "circle", "ellipse", "free"),
         default="points",
-        help="points only, or a shape fitted to them; free: any convex contour, to all signals (default: %(default)s)",
+        help="points only, or a shape fitted to them; free: any convex contour, fitted to all signals "
+        "(default: %(default)s)",
     )
-    add("--knots", type=int, default=11, metavar="N", help="of a free contour (default: %(default)s)")
-    _add_output(command, "points with slope, phase and standard error")
-    command.set_defaults(run=_reconstruct)
+    add("--knots", type=int, default=11, metavar="N", help="knots of a free contour (default: %(default)s)")
+    options.add_output(command, csv="points with slope, phase and standard error")
 
 
-def _command(commands, name: str, short: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    command = commands.add_parser(
-        name, help=short, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def _add_data(command: argparse.ArgumentParser) -> None:
     command.add_argument("data", type=Path, metavar="DATA.csv", help="measured signals")
-    return command
+    options.add_sensor(command)
 
 
-def _add_output(command: argparse.ArgumentParser, what: str) -> None:
-    add = command.add_argument_group("output").add_argument
-    add("--plot", type=Path, metavar="FILE", help="picture: .png, .pdf, .svg, ...")
-    add("--csv", type=Path, metavar="FILE", help=what)
+def _add_sigma(add: Callable, default: str) -> None:
+    text = f"standard deviation of the noise (default: {default})"
+    add("--sigma", type=_sigma, metavar="X | fx=X,fy=X,mz=X", help=text)
 
 
 def _named(text: str) -> dict[str, float]:
-    found = {}
+    """Numbers by name."""
+    values = {}
     for part in text.split(","):
         name, equals, value = part.partition("=")
         if not equals:
-            raise argparse.ArgumentTypeError(f"must be NAME=VALUE, but is {part!r}")
-        found[name.strip().replace("-", "_")] = number(value)
-    return found
+            raise argparse.ArgumentTypeError(f"must be NAME=VALUE, got {part!r}")
+        values[_name(name)] = options.number(value)
+    return values
+
+
+def _name(text: str) -> str:
+    return text.strip().replace("-", "_")
 
 
 def _sigma(text: str) -> float | dict[str, float]:
-    return _named(text) if "=" in text else number(text)
-
-
-def _springs(args: argparse.Namespace) -> Support:
-    check_springs(args)
-    stiffness = 70.0 if args.stiffness is None else args.stiffness
-    return Support.named(args.model, stiffness, 0.2 if args.rest_length is None else args.rest_length)
+    return _named(text) if "=" in text else options.number(text)
 
 
 def _parameters(args: argparse.Namespace) -> tuple[dict[str, float], Callable[..., Scene]]:
-    """Every number of the scene by name, and the function that makes it from them."""
-    ends = [spring.between for spring in _springs(args).springs]
-    values: dict[str, float] = {f"c{k + 1}": float(s.softness**-1) for k, s in enumerate(_springs(args).springs)}
-    values |= {f"l{k + 1}": float(s.rest_length) for k, s in enumerate(_springs(args).springs)}
-    shape = {name: float(value) for name, value in shape_of(args).items()}
-    values |= {name: float(getattr(args, name)) for name in ("distance", "position", "length", "bending_stiffness")}
-    values |= shape
+    """All parameters of the scene by name, those of springs numbered, and the function that builds the scene."""
+    springs = options.support_of(args).springs
+    values: dict[str, float] = {f"c{k}": float(spring.softness**-1) for k, spring in enumerate(springs, 1)}
+    values |= {f"l{k}": float(spring.rest_length) for k, spring in enumerate(springs, 1)}
+    values |= {name: float(v) for name, v in options.parameters_of(args).items() if name not in options.SPRINGS}
 
-    def build(**v) -> Scene:
-        stiffness, rest = ([v[f"{name}{k + 1}"] for k in range(len(ends))] for name in "cl")
-        support = Support.named(args.model, stiffness, rest) if ends else Support()
-        of_profile = {name: v[name] for name in ("distance", "position", *shape)}
-        return Scene(Whisker(v["length"], v["bending_stiffness"]), PROFILES[args.profile][0](**of_profile), support)
+    def build(**parameters) -> Scene:
+        several = {
+            name: [parameters[f"{letter}{k}"] for k in range(1, len(springs) + 1)] for name, letter in LETTERS.items()
+        }
+        return options.make_scene(args, parameters | several if springs else parameters)
 
     return values, build
 
 
 def _expanded(name: str, values: dict[str, float]) -> list[str]:
-    """The parameters that a name of the command line stands for."""
-    letter = {"stiffness": "c", "rest_length": "l"}.get(name)
-    found = [n for n in values if n == name or (letter is not None and n[0] == letter and n[1:].isdigit())]
-    if not found:
-        raise UsageError(f"{name} is no parameter of this scene, which has {', '.join(values)}")
-    return found
+    """The parameters that a name in --free or --guess stands for."""
+    letter = LETTERS.get(name)
+    names = [n for n in values if n == name or (letter is not None and n[0] == letter and n[1:].isdigit())]
+    if not names:
+        known = ", ".join(values)
+        raise options.UsageError(f"--free and --guess must name parameters of the scene ({known}), got {name}.")
+    return names
 
 
 def _identify(args: argparse.Namespace) -> int:
     from jaxwhisker._inverse.identify import identify
 
-    for path in (args.plot, args.csv):
-        check_writable(path)
-    check_picture(args.plot)
-    try:
-        values, whole = _parameters(args)
-        free = [n for name in args.free.split(",") for n in _expanded(name.strip().replace("-", "_"), values)]
+    options.check_writable(args.plot, args.csv)
+    options.check_picture(args.plot)
+    with options.usage_errors():
+        values, build = _parameters(args)
+        free = [n for name in args.free.split(",") for n in _expanded(_name(name), values)]
         for name, value in args.guess.items():
             values.update(dict.fromkeys(_expanded(name, values), float(value)))
-        fixed = {name: value for name, value in values.items() if name not in free}
-
-        def build(**sought) -> Scene:
-            return whole(**fixed, **sought)
-
         guess = {name: values[name] for name in dict.fromkeys(free)}
+        fixed = {name: value for name, value in values.items() if name not in guess}
+
+        def build_free(**parameters) -> Scene:
+            return build(**fixed, **parameters)
+
         print(f"fitting {', '.join(guess)} to {args.data}", flush=True)
-        fit = identify(build, guess, args.data, sigma=args.sigma, offsets=args.offsets, shift=args.shift)
-    except ValueError as error:
-        raise UsageError(str(error)) from None
+        fit = identify(build_free, guess, args.data, sigma=args.sigma, offsets=args.offsets, shift=args.shift)
     print(f"\n{fit}")
     if args.csv is not None:
         rows = [
@@ -192,57 +172,52 @@ def _identify(args: argparse.Namespace) -> int:
     if args.plot is not None:
         from jaxwhisker import plot
 
-        _save(plot.fit(fit)[0], args.plot)
-    return OK if fit.status == FitStatus.ok else NOT_ALL_OK
+        options.save_picture(plot.fit(fit)[0], args.plot)
+    return options.OK if fit.status == FitStatus.ok else options.NOT_ALL_OK
 
 
 def _cell(value: float) -> str:
     return repr(float(value)) if np.isfinite(value) else "-"
 
 
-def _save(ax: Any, path: Path) -> None:
-    from jaxwhisker import plot
-
-    plot.save(ax, path, dpi=130)
-    print(f"wrote {path}")
-
-
 def _reconstruct(args: argparse.Namespace) -> int:
     from jaxwhisker._inverse.fit_contour import fit_contour
     from jaxwhisker._inverse.fit_profile import fit_profile
     from jaxwhisker._inverse.reconstruct import reconstruct
-    from jaxwhisker._model.scene import Sensor
 
-    for path in (args.plot, args.csv):
-        check_writable(path)
-    check_picture(args.plot)
-    try:
-        sensor = Sensor(Whisker(args.length, args.bending_stiffness), _springs(args))
-        found = reconstruct(args.data, sensor, sigma=args.sigma)
-        print(found)
-        shape, joint, good = None, None, bool(np.isfinite(np.asarray(found.x)).any())
+    options.check_writable(args.plot, args.csv)
+    options.check_picture(args.plot)
+    shape, joint = None, None
+    with options.usage_errors():
+        sensor = Sensor(Whisker(args.length, args.bending_stiffness), options.support_of(args))
+        points = reconstruct(args.data, sensor, sigma=args.sigma)
+        print(points)
+        good = bool(np.isfinite(np.asarray(points.x)).any())
         if good and args.family == "free":
             joint = fit_contour(args.data, sensor, sigma=args.sigma, knots=args.knots)
             print(f"\n{joint}")
             good = joint.fit.status == FitStatus.ok
         elif good and args.family != "points":
-            shape = fit_profile(found, PROFILES[args.family][0])
+            shape = fit_profile(points, options.PROFILES[args.family][0])
             print(f"\n{shape}")
             good = shape.status == FitStatus.ok
-    except ValueError as error:
-        raise UsageError(str(error)) from None
     if args.csv is not None:
-        columns = {"control": np.asarray(found.control)}
-        for k in range(found.x.shape[1]):
-            for name in ("x", "y", "slope", "arc", "force", "normal_error", "phase", "status"):
-                columns[f"{name}_{k + 1}"] = np.asarray(getattr(found, name))[:, k]
-        write_columns(columns, args.csv, "contact points; normal_error: standard error across the contour")
-        print(f"wrote {args.csv}")
+        _write_points(points, args.csv)
     if args.plot is not None:
         from jaxwhisker import plot
 
-        ax = plot.contour(found, profile=None if shape is None else shape.profile)
+        ax = plot.contour(points, profile=None if shape is None else shape.profile)
         if joint is not None:
             plot.contour(joint, ax=ax)
-        _save(ax, args.plot)
-    return OK if good else NOT_ALL_OK
+        options.save_picture(ax, args.plot)
+    return options.OK if good else options.NOT_ALL_OK
+
+
+def _write_points(points, path: Path) -> None:
+    """Write the reconstructed points as CSV."""
+    columns = {"control": np.asarray(points.control)}
+    for k in range(points.x.shape[1]):
+        for name in ("x", "y", "slope", "arc", "force", "normal_error", "phase", "status"):
+            columns[f"{name}_{k + 1}"] = np.asarray(getattr(points, name))[:, k]
+    write_columns(columns, path, "contact points; normal_error: standard error across the contour")
+    print(f"wrote {path}")

@@ -1,49 +1,32 @@
 """The command `scan`: one scene."""
 
 import argparse
-from pathlib import Path
 
-import numpy as np
-
-from jaxwhisker._model.scene import Scene
-from jaxwhisker._model.support import Support
-from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.export import to_csv
-from jaxwhisker._scan.report import event_rows, peak_rows, status_line, table
-from jaxwhisker._scan.scan import STEP, scan
-from jaxwhisker.cli.options import (
-    NOT_ALL_OK,
-    OK,
-    PROFILES,
-    UsageError,
-    add_drive,
-    add_object,
-    add_sensor,
-    check_drive,
-    check_picture,
-    check_springs,
-    check_writable,
-    number,
-    positions,
-    shape_of,
-)
+from jaxwhisker._scan.report import event_table, peak_table, status_line, touches_object
+from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.scan import scan
+from jaxwhisker.cli import options
 
-HELP = """\
-Scan one object with the whiskers of one model. A table of events, the peaks
-and the count of failed steps go to the screen, the signals to --csv, a picture
-to --plot.
+ABOUT = """\
+Scan one object with the whiskers of one model. The command prints the events,
+the peaks and the number of failed steps. It writes the signals to --csv and a
+picture to --plot.
 """
-END = """\
-Any consistent system of units will do. With the defaults all is dimensionless:
-lengths in L, forces in EI/L^2, moments in EI/L, stiffnesses in EI/L^3. The
-drive moves towards -x; reactions are those of the support on the whisker.
+DETAILS = """\
+Any consistent system of units is allowed. With the defaults everything is
+dimensionless: lengths in L, forces in EI/L^2, moments in EI/L, stiffnesses in
+EI/L^3. Other numbers are shown as SI units (m, N, N m) with prefixes. The drive
+moves towards -x; reactions are those of the support on the whisker.
 
-The CSV begins with a comment line: pandas.read_csv(file, comment="#").
+The CSV has the units of the options. It begins with a comment line:
+pandas.read_csv(file, comment="#").
 
 exit codes:
   0  every step is ok
-  1  some steps failed: they hold NaN, and the status says why
+  1  some steps failed: they contain NaN and a status with the reason
   2  an option or a parameter is wrong, or a file cannot be written
+  3  no whisker touches the object
 
 examples:
   jaxwhisker scan --model FBFBR --stiffness 70 --distance 0.2 \\
@@ -55,70 +38,41 @@ examples:
 
 def add(commands) -> None:
     """Add the command."""
-    command = commands.add_parser(
-        "scan",
-        help="scan one scene of your own",
-        description=HELP,
-        epilog=END,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add_sensor(command)
-    add_object(command, number)
-    add_drive(command)
-    add = command.add_argument_group("output").add_argument
-    add("--plot", type=Path, metavar="FILE", help="picture: .png, .pdf, .svg, ...")
-    add("--csv", type=Path, metavar="FILE", help="control, reactions, base positions, spring lengths, phases, status")
-    command.set_defaults(run=_run)
-
-
-def scene_of(args: argparse.Namespace) -> Scene:
-    """The scene that the options tell."""
-    check_springs(args)
-    stiffness = 70.0 if args.stiffness is None else args.stiffness
-    rest_length = 0.2 if args.rest_length is None else args.rest_length
-    support = Support.named(args.model, stiffness, rest_length)
-    profile = PROFILES[args.profile][0](distance=args.distance, position=args.position, **shape_of(args))
-    return Scene(Whisker(args.length, args.bending_stiffness), profile, support)
-
-
-def control_of(args: argparse.Namespace, scene: Scene) -> np.ndarray | None:
-    """Positions of the drive, None for the default ones."""
-    check_drive(args)
-    if args.start is None and args.stop is None and args.step is None:
-        return None
-    start, stop = args.start, args.stop
-    if start is None or stop is None:
-        usual = np.asarray(scan(scene).control)
-        start, stop = (usual[0] if start is None else start), (usual[-1] if stop is None else stop)
-    return positions(start, stop, STEP * args.length if args.step is None else args.step)
+    command = options.add_command(commands, "scan", _run, short="scan one scene", about=ABOUT, details=DETAILS)
+    options.add_sensor(command)
+    options.add_object(command)
+    options.add_drive(command)
+    add = options.add_output(command, csv="control, reactions, base positions, spring lengths, phases, status")
+    options.add_units(add)
 
 
 def _run(args: argparse.Namespace) -> int:
-    for path in (args.plot, args.csv):
-        check_writable(path)
-    check_picture(args.plot)
-    try:
-        scene = scene_of(args)
-        control = control_of(args, scene)
-    except ValueError as error:
-        raise UsageError(str(error)) from None
-    print(scene, flush=True)
-    result = scan(scene) if control is None else scan(scene, control)
-    rows = event_rows(result)
-    print()
-    print(table(rows[0], rows[1:]) if len(rows) > 1 else "No events: the whiskers never touch the object.")
-    rows = peak_rows(result)
-    print()
-    print(table(rows[0], rows[1:]))
-    failed, line = status_line(result)
-    print()
-    print(line)
+    options.check_writable(args.plot, args.csv)
+    options.check_picture(args.plot)
+    with options.usage_errors():
+        scene = options.scene_of(args)
+        options.check_drive(args)
+        print(scene, flush=True)
+        result = scan(scene, options.control_of(args, scene))
+    if touches_object(result):
+        print(f"\n{event_table(result, args.units)}\n\n{peak_table(result, args.units)}\n")
+    print(status_line(result)[1])
     if args.csv is not None:
         to_csv(result, args.csv)
         print(f"wrote {args.csv}")
     if args.plot is not None:
         from jaxwhisker import plot
 
-        plot.save(plot.overview(result), args.plot, dpi=130)
-        print(f"wrote {args.plot}")
-    return NOT_ALL_OK if failed else OK
+        options.save_picture(plot.overview(result, units=args.units), args.plot)
+    return scan_code(result)
+
+
+def scan_code(result: Result) -> int:
+    """The exit code for a scan; says so if no whisker touches the object."""
+    failed, _ = status_line(result)
+    if failed:
+        return options.NOT_ALL_OK
+    if touches_object(result):
+        return options.OK
+    print("No whisker touches the object: all reactions are zero.")
+    return options.NO_CONTACT

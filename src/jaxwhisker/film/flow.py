@@ -23,10 +23,11 @@ from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, problem_
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import Node, select
-from jaxwhisker._scan.result import Result, State
+from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import route_of
 from jaxwhisker._scan.scan import follow_path_now, problem_now
 from jaxwhisker._scan.signals import signals
+from jaxwhisker._scan.state import State
 
 ROOM = 1024  # states stored per flow; snaps of the march take a few hundred steps
 

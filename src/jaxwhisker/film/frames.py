@@ -12,8 +12,9 @@ from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.silhouette import silhouette_of
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.result import Event, Result, State
+from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.shapes import Shapes, shapes_of
+from jaxwhisker._scan.state import State
 from jaxwhisker.film.flow import flows
 
 SNAP_FRAMES = 13  # of a snap, including the states before and after it

@@ -19,8 +19,9 @@ from jaxwhisker._model.motion import Pose, Rotation
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.spring import AXES, Spring
 from jaxwhisker._path.approach import FromAfar
-from jaxwhisker._scan.result import Result, State
+from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.shapes import shapes_of
+from jaxwhisker._scan.state import State
 
 # Lengths are in L of the first whisker.
 POINTS = 64  # per centre line

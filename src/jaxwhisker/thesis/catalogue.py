@@ -1,11 +1,12 @@
-"""What every figure of the thesis shows: one entry each, in its order."""
+"""The figures of the thesis: what each of them shows, in the order of the thesis."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker.thesis.scans import DISTANCES, REST_LENGTHS, STIFFNESSES, WHISKERS, Case, vary
 
-Moment = tuple[str, int]  # kind of event, whisker
+EventOf = tuple[str, int]  # kind of event, whisker
 
 
 @dataclass(frozen=True)
@@ -17,20 +18,20 @@ class Deflections:
 
 @dataclass(frozen=True)
 class States:
-    """Four states of a scan, each midway in time between two events."""
+    """Four states of a scan, each midway between two events."""
 
     case: Case
-    between: tuple[tuple[Moment, Moment], ...]
+    between: tuple[tuple[EventOf, EventOf], ...]
 
 
 @dataclass(frozen=True)
 class Signals:
-    """Quantities of several scans over the drive: a row each, one column per whisker or spring."""
+    """Quantities of several scans over the drive position: one row per quantity, one column per whisker or spring."""
 
     cases: Mapping[str, Case]
     quantities: tuple[str, ...]
     indices: tuple[int, ...]
-    overlay: bool = False  # all indices in one column: each panel shows every whisker of a single scan
+    overlay: bool = False  # one column, in which each panel shows every whisker of a single scan
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Detail:
     cases: Mapping[str, Case]
     quantity: str
     index: int
-    around: Moment
+    around: EventOf
 
 
 @dataclass(frozen=True)
@@ -53,19 +54,18 @@ class Figure:
 
     @property
     def cases(self) -> tuple[Case, ...]:
-        """The scans that it needs."""
+        """The scans that the figure needs."""
         if isinstance(self.shows, States):
             return (self.shows.case,)
         return tuple(getattr(self.shows, "cases", {}).values())
 
     @property
     def file(self) -> str:
-        """File name without ending, such that names sort like numbers."""
+        """File name without suffix; names sort in the order of the figures."""
         chapter, number = self.number.split(".")
         return f"figure_{chapter}.{int(number):02d}"
 
 
-REACTIONS = ("fx", "fy", "mz")
 _BASE = "c = 70, q = 0.2, λ = 0.2"
 _VARIED = {
     "stiffness": (STIFFNESSES, "stiffness c", "q = 0.2, λ = 0.2"),
@@ -81,15 +81,15 @@ def _count(n: int) -> tuple[int, ...]:
 
 
 def _family(model: str, first: int) -> list[Figure]:
-    """Reactions and spring lengths for varied stiffness, distance and rest length: six figures from `first` on."""
+    """Reactions and spring lengths for varied stiffness, distance and rest length: six figures, starting at `first`."""
     figures = []
     for varied, (values, name, fixed) in _VARIED.items():
         cases = vary(varied, values, Case(model))
-        for what, quantities, n in (
+        for kind, quantities, n in (
             ("Reactions", REACTIONS, WHISKERS[model]),
             ("Spring lengths" if model != "FB" else "Spring length", ("spring_length",), _SPRINGS[model]),
         ):
-            title = f"{what} of {_NAMES[model]} for varied {name} ({fixed})"
+            title = f"{kind} of {_NAMES[model]} for varied {name} ({fixed})"
             figures.append(Figure(f"6.{first + len(figures)}", title, Signals(cases, quantities, _count(n))))
     return figures
 
@@ -137,7 +137,7 @@ FIGURES = {
         ),
         Figure(
             "6.10",
-            "Detail: fy of whisker 2 when whisker 1 lets go (FBFB, q = 0.2, λ = 0.2)",
+            "Detail: fy of whisker 2 when whisker 1 detaches (FBFB, q = 0.2, λ = 0.2)",
             Detail(vary("stiffness", STIFFNESSES, Case("FBFB")), "fy", 2, around=("snap_off", 1)),
         ),
         *_family("FBFB", 11),

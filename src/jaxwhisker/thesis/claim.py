@@ -1,4 +1,4 @@
-"""A claim of the thesis, and the words that all of them use."""
+"""A claim of the thesis, and the quantities that claims compare."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -9,42 +9,44 @@ import numpy as np
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.report import number
 from jaxwhisker._scan.result import Result
-from jaxwhisker.thesis import page
 from jaxwhisker.thesis.scans import WHISKERS, Case, Scans, vary
 
 MAXIMA = ("min_fx", "max_fy", "max_mz")
 MAXIMA_NAMES = tuple(name.replace("_", " ") for name in MAXIMA)
 CLAMPED = Case(stiffness=math.inf)
 MODELS = ("FB", "FBFB", "FBFBR")
-SAME = 1e-6  # relative: maxima closer than this are called unchanged; they are read from steps of the drive
+SAME = 1e-6  # relative difference below which maxima count as unchanged
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What the thesis says, what was found, why, and the numbers."""
+    """A statement of the thesis and what the scans show."""
 
-    says: str
-    verdict: str
-    why: str
+    statement: str
+    figures: str  # that show it; empty if the thesis does not make the statement
+    holds: str  # "yes", "in part", "no", or "new" for what the thesis does not state
+    result: str
+    explanation: str
     rows: Sequence[Sequence[str]]
 
-    def page(self, at: int) -> list[page.Block]:
-        """The claim as part of a page."""
-        return [
-            page.Heading(3, f"{at}. {self.says}"),
-            page.Paragraph(" ".join(self.verdict.split()), strong="Found:"),
-            page.Paragraph(" ".join(self.why.split())),
-            page.Table(self.rows),
-        ]
+    def in_short(self) -> str:
+        """The first sentence of the result, for a table whose other column says whether the claim holds."""
+        first = " ".join(self.result.split()).split(". ")[0].rstrip(".")
+        return first.removeprefix("The claim holds").lstrip(": ")
 
 
-def shown(value: float) -> str:
-    """The value of what is varied."""
+def verdict(holds: bool) -> str:
+    """The beginning of a result."""
+    return "The claim holds" if holds else "The claim does not hold"
+
+
+def varied_value(value: float) -> str:
+    """The value of a varied parameter in a table."""
     return "inf" if value == math.inf else f"{value:g}"
 
 
 def cell(value: float, digits: int = 4) -> str:
-    """A number as a cell of a table."""
+    """A number in a table."""
     return "-" if math.isnan(value) else number(value, digits)
 
 
@@ -59,40 +61,45 @@ def whiskers(model: str) -> range:
 
 
 def maxima(scans: Scans, case: Case, whisker: int) -> list[float]:
-    """Smallest fx, largest fy and mz."""
+    """Smallest fx, largest fy and largest mz."""
     return [scans.summary(case, name, whisker) for name in MAXIMA]
 
 
-def from_clamped(scans: Scans, values: Sequence[float]) -> float:
-    """Largest relative deviation of such maxima from those of the clamped whisker."""
-    return max(abs(v / wanted - 1) for v, wanted in zip(values, maxima(scans, CLAMPED, 1), strict=True))
+def deviation_from_clamped(scans: Scans, values: Sequence[float]) -> float:
+    """Largest relative deviation of these maxima from those of the clamped whisker."""
+    expected = maxima(scans, CLAMPED, 1)
+    return max(abs(value / reference - 1) for value, reference in zip(values, expected, strict=True))
 
 
 def monotone(values: Sequence[float] | np.ndarray, sign: float) -> bool:
-    """Whether values grow (sign = 1) or fall (-1) throughout."""
+    """Whether all differences between neighbours are positive (sign = 1) or negative (-1)."""
     return bool(np.all(sign * np.diff(values) > 0))
 
 
-def measured(
+def measure_all(
     families: Mapping[str, Sequence[Case]], field: str, measure: Callable[[Case, int], Sequence[float]]
 ) -> tuple[list[list[str]], list[tuple[str, np.ndarray]]]:
-    """What `measure` finds in cases that differ in a field, by whisker: rows of a table; names and (cases, numbers)."""
-    rows, found = [], []
+    """Apply `measure` to every whisker of cases that differ in one field.
+
+    Returns:
+        The rows of a table; and for every whisker the name of its family and an array (cases, numbers).
+    """
+    rows, measured = [], []
     for name, family in families.items():
         for whisker in whiskers(family[0].model):
             numbers = np.array([measure(case, whisker) for case in family])
             rows += [
-                [name, shown(getattr(c, field)), str(whisker), *map(cell, n)]
-                for c, n in zip(family, numbers, strict=True)
+                [name, varied_value(getattr(case, field)), str(whisker), *map(cell, values)]
+                for case, values in zip(family, numbers, strict=True)
             ]
-            found.append((name, numbers))
-    return rows, found
+            measured.append((name, numbers))
+    return rows, measured
 
 
 def jump(result: Result, whisker: int, other: int) -> tuple[float, float]:
-    """fy of another whisker before and after one loses contact for good; NaN if there is none, or no such event."""
-    gone = [e for kind in (EventKind.snap_off, EventKind.release) for e in result.events.of(kind, whisker)]
-    if not gone or other > result.scene.support.whiskers:
+    """fy of whisker `other` before and after the last detachment of `whisker`; NaN without either of them."""
+    detached = [e for kind in (EventKind.snap_off, EventKind.release) for e in result.events.of(kind, whisker)]
+    if not detached or other > result.scene.support.whiskers:
         return math.nan, math.nan
-    last = min(gone, key=lambda e: e.control)
+    last = min(detached, key=lambda e: e.control)
     return float(last.before.fy[other - 1]), float(last.after.fy[other - 1])

@@ -1,4 +1,4 @@
-"""How the figures of the catalogue are drawn, and the data behind them written."""
+"""Draw the figures of the catalogue and write the data behind them."""
 
 import re
 from collections.abc import Mapping
@@ -11,9 +11,10 @@ from matplotlib.transforms import Bbox
 
 from jaxwhisker import plot
 from jaxwhisker._scan.report import write_columns
+from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.shapes import shapes
-from jaxwhisker.thesis.catalogue import Deflections, Detail, Figure, Moment, Signals, States
-from jaxwhisker.thesis.scans import Case, Scans, event
+from jaxwhisker.thesis.catalogue import Deflections, Detail, EventOf, Figure, Signals, States
+from jaxwhisker.thesis.scans import Case, Scans, first_event
 from jaxwhisker.thesis.tables import TABLES, bend
 
 DPI = 110
@@ -22,7 +23,7 @@ DETAIL = 50  # steps shown on both sides of an event
 
 
 def draw(figure: Figure, scans: Scans, folder: Path) -> tuple[Path, Path]:
-    """Write a figure as PNG and its data as CSV; return both paths."""
+    """Write a figure as PNG and its data as CSV, and return both paths."""
     picture, data = folder / f"{figure.file}.png", folder / f"{figure.file}.csv"
     canvas, columns = _draw(figure.shows, scans)
     canvas.suptitle(f"Figure {figure.number}: {figure.title}", fontsize=10, y=1 - 0.1 / canvas.get_figheight())
@@ -32,7 +33,7 @@ def draw(figure: Figure, scans: Scans, folder: Path) -> tuple[Path, Path]:
 
 
 def plain(text: str) -> str:
-    """A label without its mathematics."""
+    """A label without LaTeX."""
     for symbol, word in ((r"$\infty$", "inf"), (r"$\lambda$", "lambda"), ("λ", "lambda"), ("$", "")):
         text = text.replace(symbol, word)
     return re.sub(r"\s*=\s*", "=", text)
@@ -40,7 +41,7 @@ def plain(text: str) -> str:
 
 @singledispatch
 def _draw(shows, scans: Scans) -> tuple[Canvas, dict[str, np.ndarray]]:
-    raise TypeError(f"cannot draw {shows!r}")
+    raise TypeError(f"`shows` must be an entry of the catalogue, got {shows!r}.")
 
 
 @_draw.register
@@ -65,7 +66,7 @@ def _(shows: Deflections, scans: Scans):
 def _force_arrow(ax, deflection, position: float, follower: bool, size: float, colour: str) -> None:
     s, x, y, angle = (np.asarray(getattr(deflection, name)) for name in ("s", "x", "y", "angle"))
     at = np.array([np.interp(position, s, x), np.interp(position, s, y)])
-    # At rest the force points towards -x, 90 degrees ahead of the whisker; a follower force keeps to the whisker.
+    # Before bending, the force points towards -x, 90 degrees ahead of the whisker; a follower force turns with it.
     direction = np.interp(position, s, angle) + np.pi / 2 if follower else np.pi
     tip = at + size * np.array([np.cos(direction), np.sin(direction)])
     arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
@@ -74,29 +75,29 @@ def _force_arrow(ax, deflection, position: float, follower: bool, size: float, c
     ax.autoscale_view()
 
 
-def _control_of(result, moment: Moment) -> float:
-    kind, whisker = moment
-    found = event(result, kind, whisker)
-    if found is None:
-        raise RuntimeError(f"the scan of {result.scene} has no {kind} of whisker {whisker}")
-    return found.control
+def _control_of(result: Result, which: EventOf) -> float:
+    kind, whisker = which
+    event = first_event(result, kind, whisker)
+    if event is None:
+        raise RuntimeError(f"The scan of {result.scene} must have a {kind} of whisker {whisker}, got none.")
+    return event.control
 
 
-def _midway(result, moments: tuple[Moment, Moment]) -> float:
-    return sum(_control_of(result, moment) for moment in moments) / 2
+def _midway(result: Result, pair: tuple[EventOf, EventOf]) -> float:
+    return sum(_control_of(result, which) for which in pair) / 2
 
 
 @_draw.register
 def _(shows: States, scans: Scans):
     result = scans(shows.case)
-    ats = [_midway(result, moments) for moments in shows.between]
+    ats = [_midway(result, pair) for pair in shows.between]
     canvas = Canvas()
     axes = canvas.subplots(2, 2)
     for ax, at, letter in zip(axes.flat, ats, "abcd", strict=True):
         plot.shapes(result, at, whole=not shows.case.semicircle, ax=ax)
         if legend := ax.get_legend():
-            legend.remove()  # one of them is enough
-        ax.set_title(f"{letter}) $u/L$ = {at:.3f}; {_in_words(result, at)}", fontsize=9)
+            legend.remove()  # one legend is enough
+        ax.set_title(f"{letter}) $u/L$ = {at:.3f}; {_state_in_words(result, at)}", fontsize=9)
         ax.label_outer()
     plot.same_window(axes.flat)
     (left, right), (bottom, top) = axes[0, 0].get_xlim(), axes[0, 0].get_ylim()
@@ -114,7 +115,7 @@ def _(shows: States, scans: Scans):
 
 
 def _arrange(canvas: Canvas, width: float, panel: float, rows: int, head: float, between: float = 0.1) -> None:
-    """Size a figure with rows of panels of that height below a head of title and legend; all in inches."""
+    """Set the size of a figure with rows of panels below a head of title and legend; all lengths in inches."""
     foot = 0.5
     height = head + rows * panel + (rows - 1) * between + foot
     canvas.set_size_inches(width, height)
@@ -123,7 +124,7 @@ def _arrange(canvas: Canvas, width: float, panel: float, rows: int, head: float,
     )
 
 
-def _in_words(result, at: float) -> str:
+def _state_in_words(result: Result, at: float) -> str:
     words = plot.in_words(result, at)
     return words.removeprefix("1: ") + " contact" if "," not in words else "whisker " + words
 
@@ -131,14 +132,14 @@ def _in_words(result, at: float) -> str:
 @_draw.register
 def _(shows: Signals, scans: Scans):
     results = {name: scans(case) for name, case in shows.cases.items()}
-    rows, columns = len(shows.quantities), 1 if shows.overlay else len(shows.indices)
-    canvas = Canvas()
-    lengths = "spring_length" in shows.quantities
-    axes = canvas.subplots(rows, columns, sharex=True, sharey="none" if lengths else "row", squeeze=False)
     low, high = plot.contact_range(list(results.values()))
+    rows, columns = len(shows.quantities), 1 if shows.overlay else len(shows.indices)
+    lengths = "spring_length" in shows.quantities
+    canvas = Canvas()
+    axes = canvas.subplots(rows, columns, sharex=True, sharey="none" if lengths else "row", squeeze=False)
     for row, quantity in enumerate(shows.quantities):
-        for column in range(columns):
-            ax, index = axes[row, column], shows.indices[column]
+        for column, index in enumerate(shows.indices[:columns]):
+            ax = axes[row, column]
             if shows.overlay:
                 plot.signal(next(iter(results.values())), quantity, ax=ax)
             else:
@@ -150,26 +151,31 @@ def _(shows: Signals, scans: Scans):
             ax.set_xlabel(ax.get_xlabel() if row == rows - 1 else "")
             ax.tick_params(labelbottom=row == rows - 1)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    legend, titles = 0.27 * (len(handles) > 1), 0.22 * (columns > 1)
-    _arrange(canvas, (7, 10, 12)[columns - 1], 3.9 if rows == 1 else 1.75, rows, head=0.45 + legend + titles)
+    head = 0.45 + 0.27 * (len(handles) > 1) + 0.22 * (columns > 1)
+    _arrange(canvas, (7, 10, 12)[columns - 1], 3.9 if rows == 1 else 1.75, rows, head=head)
     canvas.subplots_adjust(wspace=0.2 if lengths else 0.05)
-    if legend:
+    if len(handles) > 1:
         at = (0.5, 1 - 0.32 / canvas.get_figheight())
         canvas.legend(handles, labels, fontsize=9, loc="upper center", ncols=6, bbox_to_anchor=at, frameon=False)
+    return canvas, _signal_columns(shows, results, (low, high))
+
+
+def _signal_columns(shows: Signals, results: Mapping[str, Result], shown: tuple[float, float]) -> dict[str, np.ndarray]:
+    """The curves of a figure within the range of drive positions that it shows."""
     control = np.asarray(next(iter(results.values())).control)
-    inside = (control >= low) & (control <= high)
-    data = {"control": control[inside]}
+    inside = (control >= shown[0]) & (control <= shown[1])
+    columns = {"control": control[inside]}
     for name, result in results.items():
         for index in shows.indices:
             for quantity in shows.quantities:
                 short = "spring" if quantity == "spring_length" else quantity
                 column = f"{short}_{index}" + f" ({plain(name)})" * (len(results) > 1)
-                data[column] = np.asarray(getattr(result, quantity))[inside, index - 1]
-    return canvas, data
+                columns[column] = np.asarray(getattr(result, quantity))[inside, index - 1]
+    return columns
 
 
 def _colours(cases: Mapping[str, Case]) -> tuple[str, ...]:
-    # The clamped whisker is black wherever it stands beside others.
+    # The clamped whisker is black in every comparison.
     return tuple(
         plot.COLOURS[-1] if np.isinf(case.stiffness) and len(cases) > 1 else plot.COLOURS[k]
         for k, case in enumerate(cases.values())
@@ -178,8 +184,8 @@ def _colours(cases: Mapping[str, Case]) -> tuple[str, ...]:
 
 @_draw.register
 def _(shows: Detail, scans: Scans):
-    canvas = Canvas(figsize=(7, 5))
-    ax = canvas.add_axes((0.11, 0.11, 0.86, 0.8))
+    canvas = Canvas(figsize=(9, 5))
+    ax = canvas.add_axes((0.08, 0.11, 0.66, 0.8))
     columns = {}
     for (name, case), colour in zip(shows.cases.items(), _colours(shows.cases), strict=True):
         result = scans(case)
@@ -194,14 +200,14 @@ def _(shows: Detail, scans: Scans):
             f"control ({plain(name)})": control[steps],
             f"{shows.quantity}_{shows.index} ({plain(name)})": values,
         }
-    ax.set_xlabel(f"$(u - u_{shows.around[1]})/L$, $u_{shows.around[1]}$: where whisker {shows.around[1]} lets go")
+    ax.set_xlabel(f"$(u - u_{shows.around[1]})/L$, $u_{shows.around[1]}$: where whisker {shows.around[1]} detaches")
     ax.set_ylabel(plot.axis_label(shows.quantity))
     ax.grid(alpha=0.3)
-    ax.legend(fontsize=9)
+    ax.legend(fontsize=9, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return canvas, columns
 
 
-def table_picture(title: str, rows: list[list[str]], path: Path) -> None:
+def draw_table(title: str, rows: list[list[str]], path: Path) -> None:
     """Write a table as PNG."""
     canvas = Canvas(figsize=(7.5, 0.8 + 0.27 * len(rows)))
     ax = canvas.add_axes((0.02, 0.02, 0.96, 0.88 - 0.2 / len(rows)))

@@ -1,140 +1,90 @@
-"""A page as a list of blocks, written as Markdown and as HTML."""
+"""Results as Markdown: paragraphs, tables, figures and claims, for the folder of results and for the documentation.
 
+Python-Markdown, which renders the documentation, also renders the page in the folder of results.
+"""
+
+import re
+import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import singledispatch
-from html import escape
 
+from jaxwhisker.thesis.claims import Claim
 
-@dataclass(frozen=True)
-class Heading:
-    """A heading; level 1 is the page's title."""
-
-    level: int
-    text: str
-
-
-@dataclass(frozen=True)
-class Paragraph:
-    """Plain text; `strong` stands before it."""
-
-    text: str
-    strong: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Header and rows of words, and files that hold the same."""
-
-    rows: Sequence[Sequence[str]]
-    files: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Image:
-    """A picture, what it shows, and the file with its data."""
-
-    file: str
-    caption: str
-    data: str
-
-
-Block = Heading | Paragraph | Table | Image
-
-
-def markdown(blocks: Sequence[Block]) -> str:
-    """The page as Markdown."""
-    return "\n\n".join(_markdown(block) for block in blocks) + "\n"
-
-
-def html(blocks: Sequence[Block]) -> str:
-    """The page as HTML that needs nothing else."""
-    title = next((b.text for b in blocks if isinstance(b, Heading)), "")
-    body = "\n".join(_html(block) for block in blocks)
-    return _PAGE.format(title=escape(title), body=body)
-
-
-_PAGE = """<!DOCTYPE html>
+WIDTH = 120
+HTML = """\
+<!DOCTYPE html>
 <html lang="en">
-<head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title>
 <style>
 body {{ font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }}
 img {{ max-width: 100%; }}
-.wide {{ overflow-x: auto; }}
-table {{ border-collapse: collapse; font-size: 0.85rem; }}
-th, td {{ border: 1px solid #ccc; padding: 0.15rem 0.5rem; text-align: right; }}
+table {{ border-collapse: collapse; font-size: 0.85rem; display: block; overflow-x: auto; }}
+th, td {{ border: 1px solid #ccc; padding: 0.15rem 0.5rem; }}
 th {{ background: #eee; }}
-figure {{ margin: 1.5rem 0; }}
 </style>
-</head>
-<body>
 {body}
-</body>
 </html>
 """
 
 
-@singledispatch
-def _markdown(block) -> str:
-    raise TypeError(f"no block of a page: {block!r}")
+def html_page(text: str) -> str:
+    """Render a page of Markdown, whose first line is its title.
+
+    Raises:
+        ImportError: if Python-Markdown is missing.
+    """
+    try:
+        from markdown import markdown
+    except ImportError as error:
+        raise ImportError("`reproduce` needs markdown: pip install jaxwhisker[study]") from error
+    return HTML.format(title=text.splitlines()[0].lstrip("# "), body=markdown(text, extensions=["tables", "toc"]))
 
 
-@_markdown.register
-def _(block: Heading) -> str:
-    return f"{'#' * block.level} {block.text}"
+def paragraph(text: str) -> str:
+    """Wrap a text to lines of at most 120 characters."""
+    return textwrap.fill(" ".join(text.split()), WIDTH, break_on_hyphens=False)
 
 
-@_markdown.register
-def _(block: Paragraph) -> str:
-    return f"**{block.strong}** {block.text}" if block.strong else block.text
+def markdown_table(rows: Sequence[Sequence[str]], align: str = "---:") -> str:
+    """A table with a header and rows of words; numbers are aligned to the right by default."""
+    cells = [[cell.replace("|", r"\|") for cell in row] for row in [rows[0], [align] * len(rows[0]), *rows[1:]]]
+    return "\n".join("| " + " | ".join(row) + " |" for row in cells)
 
 
-@_markdown.register
-def _(block: Table) -> str:
-    def line(cells):
-        return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
-
-    lines = [line(block.rows[0]), line(["---:"] * len(block.rows[0])), *map(line, block.rows[1:])]
-    links = [", ".join(f"[{file}]({file})" for file in block.files)] if block.files else []
-    return "\n\n".join(["\n".join(lines), *links])
+def folded(title: str, text: str) -> str:
+    """A text that the reader unfolds."""
+    return f"<details markdown><summary>{title}</summary>\n\n{text}\n\n</details>"
 
 
-@_markdown.register
-def _(block: Image) -> str:
-    return f"![{block.caption}]({block.file})\n\n{block.caption} ([data]({block.data}))"
+def figure(file: str, caption: str, data: str = "") -> str:
+    """A picture with its caption and a link to its data."""
+    return f"![{caption}]({file})\n\n{caption}" + f" ([data]({data}))" * bool(data)
 
 
-@singledispatch
-def _html(block) -> str:
-    raise TypeError(f"no block of a page: {block!r}")
+def claims_table(claims: Sequence[Claim]) -> str:
+    """All claims at a glance, with links to their sections."""
+    rows = [["", "claim", "figures", "holds", "result"]]
+    for number, claim in enumerate(claims, 1):
+        words = re.sub(r"[^\w\s-]", "", f"{number}. {claim.statement}").strip().lower()
+        anchor = re.sub(r"[-\s]+", "-", words)
+        figures = claim.figures or "not in the thesis"
+        rows.append([f"[{number}](#{anchor})", claim.statement, figures, claim.holds, claim.in_short()])
+    return markdown_table(rows, align="---")
 
 
-@_html.register
-def _(block: Heading) -> str:
-    return f"<h{block.level}>{escape(block.text)}</h{block.level}>"
+def claim_section(number: int, claim: Claim, fold: bool = False) -> str:
+    """One claim: statement, result, explanation and numbers."""
+    numbers = markdown_table(claim.rows)
+    parts = [
+        f"### {number}. {claim.statement}",
+        paragraph(f"**Result:** {claim.result}"),
+        paragraph(claim.explanation),
+        folded("Numbers", numbers) if fold else numbers,
+    ]
+    return "\n\n".join(parts)
 
 
-@_html.register
-def _(block: Paragraph) -> str:
-    strong = f"<strong>{escape(block.strong)}</strong> " if block.strong else ""
-    return f"<p>{strong}{escape(block.text)}</p>"
-
-
-@_html.register
-def _(block: Table) -> str:
-    def line(cells, tag):
-        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
-
-    rows = [line(block.rows[0], "th"), *(line(row, "td") for row in block.rows[1:])]
-    links = ", ".join(f'<a href="{escape(file)}">{escape(file)}</a>' for file in block.files)
-    return '<div class="wide"><table>\n' + "\n".join(rows) + f"\n</table></div>\n<p>{links}</p>"
-
-
-@_html.register
-def _(block: Image) -> str:
-    caption = f'{escape(block.caption)} (<a href="{escape(block.data)}">data</a>)'
-    image = f'<img src="{escape(block.file)}" alt="{escape(block.caption)}" loading="lazy">'
-    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+def claim_sections(claims: Sequence[Claim], fold: bool = False) -> str:
+    """All claims in full."""
+    return "\n\n".join(claim_section(number, claim, fold) for number, claim in enumerate(claims, 1))

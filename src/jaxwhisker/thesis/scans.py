@@ -1,24 +1,26 @@
-"""The scans behind figures and claims: one study for each structure, of all cases that are asked for."""
+"""The scans behind figures and claims: one study per kind of scene, with all cases that a figure or a claim needs."""
 
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 
-from jaxwhisker._model.profile import Circle, Parabola
+from jaxwhisker._model.profiles import Circle, Parabola
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.result import Event, Events, Result, State
+from jaxwhisker._scan.result import Event, Events, Result
+from jaxwhisker._scan.state import State
+from jaxwhisker._study.critical import Steepest, softest, steepest
 from jaxwhisker._study.study import study
-from jaxwhisker._study.summaries import summary
+from jaxwhisker._study.summary import summary
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,11 +33,14 @@ STEP = 0.001
 CORES = 2  # studies computed at the same time
 SNAPS = (EventKind.snap_through, EventKind.snap_off)
 WHISKERS = {"FB": 1, "FBFB": 2, "FBFBR": 2, "FBFBFBR": 3}
+BRACKET = 5e-3  # relative width of the bracket around a critical stiffness
+# Range of the critical stiffness of coupled whiskers, relative to its value if the other forces were constant.
+SEARCHED = 1.0, 1.25
 
 
 @dataclass(frozen=True)
 class Case:
-    """One scan of the thesis; the defaults are the values that stay while others are varied."""
+    """One scan of the thesis. The defaults are the base values, which stay while another parameter is varied."""
 
     model: str = "FB"
     stiffness: float = 70.0
@@ -45,34 +50,37 @@ class Case:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What differs between the cases of a study."""
+        """Parameters that may differ between the cases of a study."""
         return {"stiffness": self.stiffness, "distance": self.distance, "rest_length": self.rest_length}
 
     def control(self) -> np.ndarray:
-        """Positions of the drive that hold every scan of this model, whatever is varied."""
+        """Drive positions that cover every scan of this model, for all parameters."""
         trailing = WHISKERS[self.model] * max(REST_LENGTHS)
         return STEP * np.arange(round(1.0 / STEP), -round((1.4 + trailing) / STEP) - 1, -1)
 
 
 def build(*, model: str, semicircle: bool, stiffness, distance, rest_length) -> Scene:
-    """The scene of a case: infinite stiffness makes FB the clamped whisker."""
+    """Build the scene of a case; infinite stiffness turns FB into the clamped whisker."""
     profile = Circle(distance, RADIUS) if semicircle else Parabola(distance)
     return Scene(Whisker(), profile, Support.named(model, stiffness, rest_length))
 
 
 def vary(field: str, values: Sequence, base: Case = Case()) -> dict[str, Case]:
-    """Label -> case, one field of `base` replaced by each value."""
+    """Cases with one field of `base` replaced by each value, by label."""
     return {label(field, value): dataclasses.replace(base, **{field: value}) for value in values}
 
 
 def label(field: str, value) -> str:
-    """How a varied value is named in a legend."""
+    """Label of a varied value in a legend."""
     symbol = {"stiffness": r"$c$ = ", "distance": r"$q$ = ", "rest_length": r"$\lambda$ = ", "model": ""}[field]
     return symbol + (r"$\infty$" if value == math.inf else value if field == "model" else f"{value:g}")
 
 
 class Scans:
-    """Scans by case, from studies that run in the background; a context, which gives up those not begun when left."""
+    """Scans by case, from studies that run in the background.
+
+    As a context manager, it cancels the studies that have not started when the context ends.
+    """
 
     def __init__(self, cases: Iterable[Case]):
         self._pool = ThreadPoolExecutor(CORES)
@@ -88,7 +96,7 @@ class Scans:
         self._pool.shutdown(cancel_futures=True)
 
     def data(self, case: Case) -> "xr.Dataset":
-        """What the study holds of a case, with its summary."""
+        """The point of the study that belongs to a case, with its summary."""
         key = _structure(case)
         return self._studies[key].result().isel(point=self._cases[key].index(case))
 
@@ -97,7 +105,7 @@ class Scans:
         return _result(self.data(case), build(model=case.model, semicircle=case.semicircle, **case.numbers))
 
     def summary(self, case: Case, name: str, whisker: int) -> float:
-        """A variable of the summary of a case: `max_mz`, `control_of_max_mz`, `last_contact`, ..."""
+        """A variable of the summary of a case, such as `max_mz`, `control_of_max_mz` or `last_contact`."""
         return float(self.data(case)[name].sel(whisker=whisker))
 
 
@@ -114,30 +122,58 @@ def _study(cases: list[Case]) -> "xr.Dataset":
 
 
 def _result(data: "xr.Dataset", scene: Scene) -> Result:
-    """The result of `scan` from one point of a study that holds all outputs."""
+    """Convert one point of a study with all outputs into the result of `scan`."""
 
-    def of(names: Iterable[str], prefix: str = "") -> dict:
+    def arrays(names: Iterable[str], prefix: str = "") -> dict:
         return {name: jnp.asarray(data[prefix + name].values) for name in names}
 
-    before, after = (State(**of(State.__dataclass_fields__, side)) for side in ("before_", "after_"))
+    before, after = (State(**arrays(State.__dataclass_fields__, side)) for side in ("before_", "after_"))
     whiskers = jnp.asarray(data.event_whisker.values)
-    told = of(("kind", "control", "count"), "event_")
-    travel = jnp.abs(told["control"] - jnp.asarray(data.control.values)[0])
-    events = Events(**told, travel=travel, whiskers=whiskers, before=before, after=after)
-    signals = of([*State.__dataclass_fields__, "control", "spring_length", "status"])
+    fields = arrays(("kind", "control", "count"), "event_")
+    travel = jnp.abs(fields["control"] - jnp.asarray(data.control.values)[0])
+    events = Events(**fields, travel=travel, whiskers=whiskers, before=before, after=after)
+    signals = arrays([*State.__dataclass_fields__, "control", "spring_length", "status"])
     return Result(**signals, events=events, scene=scene)
 
 
-def event(result: Result, kind: str, whisker: int) -> Event | None:
-    """The first event of that kind of that whisker."""
+def first_event(result: Result, kind: str, whisker: int) -> Event | None:
+    """The first event of this kind and whisker."""
     return next(iter(result.events.of(EventKind[kind], whisker)), None)
 
 
 def snap_through(result: Result) -> Event | None:
-    """The first snap, through or off, of a whisker before it has passed the vertex: what lies on its way is skipped."""
-    for found in result.events:
-        if found.kind in SNAPS:
-            moved = np.abs(np.asarray(found.after.base_x) - np.asarray(found.before.base_x))
-            if np.asarray(found.before.contact_slope)[np.argmax(moved)] > 0:
-                return found
+    """The first snap of a whisker before it has passed the vertex; such a snap skips a part of the signal."""
+    for event in result.events:
+        if event.kind in SNAPS:
+            moved = np.abs(np.asarray(event.after.base_x) - np.asarray(event.before.base_x))
+            if np.asarray(event.before.contact_slope)[np.argmax(moved)] > 0:
+                return event
     return None
+
+
+@lru_cache
+def steepest_slope(distance: float) -> Steepest:
+    """The steepest slope of the clamped whisker's force, which is the critical stiffness of FB."""
+    return steepest(Whisker(), Parabola(distance))
+
+
+def critical_cases(model: str, distance: float) -> list[Case]:
+    """Cases of rising stiffness on both sides of the critical stiffness.
+
+    If the forces on the other whiskers were constant, it would be the steepest slope times `softest`.
+    """
+    guess = steepest_slope(distance).slope * softest(Support.named(model, 1.0))
+    low, high = (1 - BRACKET / 2, 1 + BRACKET / 2) if WHISKERS[model] == 1 else SEARCHED
+    stiffness = guess * np.geomspace(low, high, round(math.log(high / low) / BRACKET) + 1)
+    return list(vary("stiffness", stiffness.tolist(), Case(model, distance=distance)).values())
+
+
+def critical_bracket(scans: Scans, cases: list[Case]) -> tuple[float, float]:
+    """The largest stiffness at which a whisker snaps through the vertex, and the next stiffness of the cases.
+
+    NaN replaces the first one if no case snaps, and the second one if all cases do.
+    """
+    snaps = [snap_through(scans(case)) is not None for case in cases]
+    last = max((k for k, snap in enumerate(snaps) if snap), default=-1)
+    ends = [cases[k].stiffness if 0 <= k < len(cases) else math.nan for k in (last, last + 1)]
+    return ends[0], ends[1]

@@ -1,7 +1,7 @@
-"""Tables A.1-A.4: support reactions of a clamped whisker under a given force, against the printed ones.
+"""Tables A.1 to A.4: support reactions of a clamped whisker under a given force, beside the printed ones.
 
-The force points towards -x at rest. The thesis lists what we call fx and fy, and the bending moment at the base, which
-is our -mz. Its tables also hold the values of a multi-body model (ALASKA), which are repeated here for the record.
+The force points towards -x on the unloaded whisker. The thesis lists fx, fy and the bending moment at the base, which
+is -mz. Its tables also contain the values of a multi-body model (ALASKA), which are repeated here.
 """
 
 import math
@@ -12,12 +12,14 @@ from jaxwhisker._scan.deflect import PointForce, deflect
 from jaxwhisker._scan.report import number
 
 LISTED = ("Fx", "Fy", "Mz")
-MISPRINT = "Table A.3 prints 0.9437 for F = 1, table A.4 prints 0.9436 for the same load; right is 0.943567."
+MISPRINT = (
+    "Table A.3 prints 0.9437 for F = 1, and table A.4 prints 0.9436 for the same load. The correct value is 0.943567."
+)
 
 
 @dataclass(frozen=True)
 class Load:
-    """One row: a force and the printed values, NaN where the thesis's value is not on record."""
+    """A force and the printed values; NaN where no printed value is recorded."""
 
     force: float
     position: float  # arc length from the base, in L
@@ -26,7 +28,7 @@ class Load:
 
     @property
     def label(self) -> str:
-        """How the load is named in a legend."""
+        """Label of the load in a legend."""
         return f"F = {self.force:g} at {100 * self.position:.0f} %"
 
 
@@ -99,7 +101,7 @@ TABLES = {
 
 
 def bend(table: Table) -> dict[str, object]:
-    """Label -> deflection under every load of the table."""
+    """Deflections under every load of the table, by label."""
     whisker = Whisker()
     return {
         load.label: deflect(whisker, PointForce(load.force, position=load.position, follower=table.follower))
@@ -108,17 +110,17 @@ def bend(table: Table) -> dict[str, object]:
 
 
 def listed(deflection) -> tuple[float, float, float]:
-    """What the thesis's tables list of a deflection: fx, fy and the bending moment at the base."""
+    """The values that the tables list: fx, fy and the bending moment at the base."""
     return float(deflection.fx), float(deflection.fy), -float(deflection.mz)
 
 
-def rows(table: Table) -> list[list[str]]:
-    """Header and one row per load and reaction: ours, the thesis's, their difference, the multi-body model's."""
-    out = [["load", "reaction", "jaxwhisker", "thesis", "difference", "multi-body"]]
+def table_rows(table: Table) -> list[list[str]]:
+    """Header and one row per load and reaction: jaxwhisker, thesis, their difference, multi-body model."""
+    rows = [["load", "reaction", "jaxwhisker", "thesis", "difference", "multi-body"]]
     for load, deflection in zip(table.loads, bend(table).values(), strict=True):
         for name, ours, theirs, body in zip(LISTED, listed(deflection), load.thesis, load.multibody, strict=True):
-            out.append([load.label, name, number(ours, 6), _cell(theirs), _cell(ours - theirs, "+.6f"), _cell(body)])
-    return out
+            rows.append([load.label, name, number(ours, 6), _cell(theirs), _cell(ours - theirs, "+.6f"), _cell(body)])
+    return rows
 
 
 def _cell(value: float, form: str = ".4f") -> str:

@@ -1,0 +1,71 @@
+"""Leaves of a scene: user-defined functions as fields, values as text, placeholders for invalid values."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Array, Bool
+
+from jaxwhisker._base import checks
+
+Tree = TypeVar("Tree")
+
+
+class PlainFunction(eqx.Module):
+    # A plain function has no leaves. It is hidden from JAX, which could neither batch nor differentiate it.
+    function: Callable = eqx.field(static=True)
+
+    def __call__(self, x):
+        return self.function(x)
+
+
+def as_field(value: Any) -> Any:
+    """Wrap a plain function as static structure; an `equinox.Module` keeps its parameters differentiable."""
+    return PlainFunction(value) if callable(value) and not isinstance(value, eqx.Module) else value
+
+
+def number_or_function(name: str) -> Callable[[Any], Any]:
+    """Converter of a field that is a number or a function of one; the function is checked."""
+
+    def convert(value):
+        if callable(value):
+            checks.function(name, value)
+        return as_field(value)
+
+    return convert
+
+
+def name_of(function: Callable) -> str:
+    """Name of a user-defined function, or of its class."""
+    function = function.function if isinstance(function, PlainFunction) else function
+    return getattr(function, "__name__", type(function).__name__)
+
+
+def as_text(value: Any) -> str:
+    """A number as a person would write it; `?` while it is traced."""
+    return "?" if isinstance(value, Tracer) else f"{float(value):.6g}" if jnp.ndim(value) == 0 else "..."
+
+
+def text_unless(default: float, prefix: str, value: Any) -> str:
+    """The prefix and the value, or nothing if the value is the default."""
+    text = as_text(value)
+    return "" if text == as_text(default) else prefix + text
+
+
+def safe_placeholder(tree: Tree, valid: Bool[Array, ""]) -> Tree:
+    """The tree, with safe placeholder values in (0, 1] where it is invalid.
+
+    Invalid batch elements are computed like all others, and their results are discarded. Their derivatives must be
+    finite nevertheless: zero weight times NaN would be NaN for every parameter that the batch shares.
+    """
+
+    def placeholder(leaf):
+        if not checks.is_numeric(leaf):
+            return leaf
+        safe = jnp.where(jnp.isfinite(leaf) & (leaf > 0), jnp.minimum(leaf, 1.0), 1.0)
+        return jnp.where(valid, leaf, jax.lax.stop_gradient(safe))
+
+    return jax.tree.map(placeholder, tree)

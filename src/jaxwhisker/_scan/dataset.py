@@ -1,0 +1,159 @@
+"""The Dataset of a scan: variables, coordinates, attributes and flags. A study adds its own axes."""
+
+import platform
+from collections import Counter
+from collections.abc import Collection, Mapping
+from datetime import UTC, datetime
+from enum import IntEnum
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._path.path import EventKind, Status
+from jaxwhisker._scan.quantities import (
+    CONTROL,
+    QUANTITIES,
+    Quantity,
+    control_kind,
+    control_name,
+    is_dimensionless,
+    unit_in_words,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+VARIABLES = {name: quantity for name, quantity in QUANTITIES.items() if name != "control"}
+# Integers that stand for words, and the word for -1.
+FLAGS: dict[str, tuple[type[IntEnum], str | None]] = {
+    "phase": (Phase, None),
+    "status": (Status, "not_computed"),
+    "event_kind": (EventKind, "none"),
+}
+SIGNS = (
+    "x along the scan, y up from the bases to the object; fx, fy and mz (counter-clockwise positive) are what the "
+    "support exerts on the whisker at its base"
+)
+
+
+class SceneLayout(NamedTuple):
+    """Everything that the Dataset of a scene depends on except numbers."""
+
+    description: str
+    whiskers: int
+    springs: tuple[str, ...]  # the two ends of each, and its axis if that is not x
+    control_name: str
+    control_kind: str  # of quantities.KINDS
+    onwards: int  # +1 if the control grows during a scan, else -1
+    dimensionless: bool  # the first whisker's length and bending stiffness are 1
+
+    def attributes(self, name: str, quantity: Quantity) -> dict[str, Any]:
+        """Long name, units, the meaning of a positive sign and of flags."""
+        kind = self.control_kind if quantity.kind == CONTROL else quantity.kind
+        found: dict[str, Any] = {
+            "long_name": quantity.description,
+            "units": unit_in_words(kind, self.dimensionless, quantity.per),
+        }
+        if quantity.sign:
+            found["positive_means"] = quantity.sign
+        if name == "spring_length" and any(" phi" in spring for spring in self.springs):
+            found["comment"] = "torsion springs (`between` ends in phi) have an angle instead, in rad"
+        if quantity.dtype == "int8":
+            words, missing = FLAGS[name.removeprefix("before_").removeprefix("after_").removeprefix("point_")]
+            flags = ({-1: missing} if missing else {}) | {int(w): w.name for w in words}
+            found |= {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
+        return found
+
+    def coordinates(self, control: np.ndarray, dimensions: Collection[str]) -> dict[str, tuple]:
+        """Coordinates along the control, and along whiskers and springs if these are among the dimensions."""
+        units = unit_in_words(self.control_kind, self.dimensionless)
+        found: dict[str, tuple] = {"control": ("control", control, {"long_name": self.control_name, "units": units})}
+        for dim, size in (("whisker", self.whiskers), ("spring", len(self.springs))):
+            if dim in dimensions:
+                found[dim] = (dim, np.arange(1, size + 1), {"long_name": f"number of the {dim}", "units": "1"})
+        if "spring" in dimensions:
+            ends = np.array(self.springs, dtype=object)
+            found["between"] = ("spring", ends, {"long_name": "ends of the spring, 0 the drive", "units": "1"})
+        return found
+
+    def dataset_attributes(self) -> dict[str, str]:
+        """Attributes of the whole Dataset."""
+        return {
+            "title": f"scans with tactile whiskers: {self.description}",
+            "scene": self.description,
+            "signs": SIGNS,
+            "source": f"jaxwhisker {version('jaxwhisker')}",
+            "jaxwhisker_version": version("jaxwhisker"),
+            "jax_version": jax.__version__,
+            "jax_backend": jax.default_backend(),
+            "python_version": platform.python_version(),
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "Conventions": "CF-1.11",
+        }
+
+
+def layout_of(scene: Scene) -> SceneLayout:
+    """The layout of a scene, traced or not."""
+    springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in scene.support.springs)
+    return SceneLayout(
+        str(scene),
+        scene.support.whiskers,
+        springs,
+        control_name(scene),
+        control_kind(scene),
+        scene.motion.onwards,
+        is_dimensionless(scene),
+    )
+
+
+def scan_dataset(scene: Scene, arrays: Mapping[str, Any]) -> "xr.Dataset":
+    """The Dataset of one scan.
+
+    Args:
+        scene: the scene that was scanned.
+        arrays: all quantities of the scan by name.
+
+    Raises:
+        ImportError: if xarray is missing.
+    """
+    try:
+        import xarray as xr
+    except ImportError as error:
+        raise ImportError("`to_xarray` needs xarray: pip install jaxwhisker[study]") from error
+    layout = layout_of(scene)
+    variables = {
+        name: (quantity.axes, np.asarray(arrays[name]).astype(quantity.dtype), layout.attributes(name, quantity))
+        for name, quantity in VARIABLES.items()
+    }
+    dims = {dim for quantity in VARIABLES.values() for dim in quantity.axes}
+    coordinates = layout.coordinates(np.asarray(arrays["control"]), dims)
+    status = np.asarray(arrays["status"])
+    room = np.shape(arrays["event_kind"])[0]
+    attributes = layout.dataset_attributes() | {"points": points_in_words(first_failure(status))}
+    return xr.Dataset(variables, coordinates, attributes | omitted_events(np.asarray(arrays["event_count"]), room))
+
+
+def first_failure(status: np.ndarray) -> np.ndarray:
+    """The first status along the control (the last axis) that is not ok, or ok."""
+    first = np.argmax(status != Status.ok, axis=-1)
+    return np.take_along_axis(status, first[..., None], axis=-1)[..., 0]
+
+
+def points_in_words(status: np.ndarray) -> str:
+    """How many points are ok, and how many failed with which status."""
+    failed = Counter(int(s) for s in status.ravel() if s != Status.ok)
+    counts = [f"{count:,} {Status(s).name}" for s, count in sorted(failed.items(), key=lambda item: (-item[1], item))]
+    return "; ".join([f"{status.size - failed.total():,} of {status.size:,} ok", *counts])
+
+
+def omitted_events(count: np.ndarray, room: int) -> dict[str, str]:
+    """An attribute that says whether some points have more events than the Dataset has room for."""
+    more = count > room
+    if not more.any():
+        return {}
+    words = f"{more.sum():,} of {count.size:,} points have more than the {room} events stored, up to {count.max():,}"
+    return {"omitted_events": words}

@@ -1,0 +1,145 @@
+"""Write the results of the thesis: tables, figures and claims with their data, and a page that shows all of them."""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from jaxwhisker._scan.report import write_rows
+from jaxwhisker.thesis.catalogue import FIGURES
+from jaxwhisker.thesis.claims import all_claims, needed
+from jaxwhisker.thesis.figures import draw, draw_table
+from jaxwhisker.thesis.page import claim_sections, claims_table, figure, html_page, markdown_table, paragraph
+from jaxwhisker.thesis.scans import Case, Scans
+from jaxwhisker.thesis.tables import TABLES, table_rows
+
+CLAIMS = "claims"
+ALL_NAMES = "A.1 to A.4, 5.10 to 5.16, 6.1 to 6.24, 7.4 and claims"
+
+TITLE = "# Elastically coupled tactile whiskers: results of the thesis"
+ABOUT = """
+Whiskers whose bases sit on springs scan a rigid convex object quasi-statically. This page shows the tables, figures and
+claims of the thesis as jaxwhisker computes them. All quantities are dimensionless: lengths in L, forces in EI/L^2,
+moments in EI/L, spring stiffnesses in EI/L^3. u is the position of the drive, which moves towards -x, so curves over u
+run from right to left. fx, fy and mz are the reactions of the support on the whisker.
+"""
+PARAMETERS = """
+The thesis does not print all values of the parameters that it varies. These were chosen here: stiffness c in {30, 50,
+70, 100, 200, infinity}, object distance q in {0.1, 0.2, 0.3, 0.4} and rest length λ in {0.1, 0.2, 0.3, 0.4} (of every
+spring in the row; the rest length of a feedback spring is the sum over those that it spans). The base values are c =
+70, q = 0.2 and λ = 0.2, with the parabola y = x^2 + q. All springs have the same stiffness. The semicircle of figures
+5.14 to 5.16 has the radius 1. Figures 6.9 and 6.18 show the scans with the base values, figure 6.10 varies the
+stiffness. Infinite stiffness is the clamped whisker. At q = 0.1 the base value c = 70 is below the critical stiffness,
+so a whisker snaps through the vertex: these curves jump and miss their maximum.
+"""
+TABLES_ABOUT = """
+The tables list the reactions of a clamped whisker under a given force. A follower force turns with the whisker. Fx and
+Fy are fx and fy; Mz is the bending moment at the base, -mz. The last column repeats the values of the multi-body model
+(ALASKA) of the thesis.
+"""
+
+
+def available() -> list[str]:
+    """Names of all results."""
+    return [*TABLES, *FIGURES, CLAIMS]
+
+
+def parse_names(text: str) -> list[str]:
+    """The names in a comma-separated list; "6.02" is the same as "6.2".
+
+    Raises:
+        ValueError: for a name that is not available.
+    """
+    wanted = []
+    for word in (part.strip() for part in text.split(",")):
+        chapter, _, number = word.partition(".")
+        name = f"{chapter}.{int(number)}" if number.isdigit() else word
+        name = name.upper() if name.upper() in TABLES else name.lower() if name.lower() == CLAIMS else name
+        if name not in available():
+            raise ValueError(f"--only must name some of {ALL_NAMES}, got {word!r}.")
+        wanted.append(name)
+    return wanted
+
+
+def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
+    """Write tables, figures and claims with their data into a folder, and one page that shows all of them.
+
+    The page is written as index.html and as README.md.
+
+    Args:
+        out: the folder; it is created if it does not exist.
+        only: some of `available()`. Default: everything.
+
+    Raises:
+        ImportError: if a package of `jaxwhisker[study]` is missing.
+    """
+    wanted = available() if only is None else list(only)
+    out.mkdir(parents=True, exist_ok=True)
+    html_page(TITLE)  # reports a missing package before anything is computed
+    parts = [TITLE, paragraph(ABOUT), paragraph(PARAMETERS)]
+    interactive = sys.stderr.isatty()
+    with Scans(_cases(wanted)) as scans, tqdm(total=len(wanted), unit="result", disable=not interactive) as bar:
+        for heading, group, make in _groups(out, scans):
+            chosen = [name for name in group if name in wanted]
+            parts += [f"## {heading}"] * bool(chosen)
+            for name in chosen:
+                bar.set_description(name)
+                parts.append(make(name))
+                bar.update()
+            if chosen and not interactive:
+                print(f"done: {heading}", flush=True)
+    text = "\n\n".join(parts) + "\n"
+    (out / "README.md").write_text(text, encoding="utf-8")
+    (out / "index.html").write_text(html_page(text), encoding="utf-8")
+    print(f"wrote {len(wanted)} results to {out}; see {out / 'index.html'}")
+
+
+def _cases(wanted: Sequence[str]) -> list[Case]:
+    """The cases that these results need."""
+    cases = [case for name in wanted if name in FIGURES for case in FIGURES[name].cases]
+    return cases + (needed() if CLAIMS in wanted else [])
+
+
+def _groups(out: Path, scans: Scans) -> list[tuple[str, list[str], Callable[[str], str]]]:
+    """Heading, names and writer of every section of the page."""
+
+    def chapter(prefix: str) -> list[str]:
+        return [number for number in FIGURES if number.startswith(prefix)]
+
+    def table(name: str) -> str:
+        return _table(name, out)
+
+    def picture(name: str) -> str:
+        file, data = draw(FIGURES[name], scans, out)
+        return figure(file.name, f"Figure {name}: {FIGURES[name].title}", data.name)
+
+    def claims(_: str) -> str:
+        return _claims(scans, out)
+
+    return [
+        ("Tables A.1 to A.4: reactions under given forces", list(TABLES), table),
+        ("Chapter 5: one clamped whisker", chapter("5."), picture),
+        ("Chapter 6: one and two whiskers on springs", chapter("6."), picture),
+        ("Chapter 7: three whiskers", chapter("7."), picture),
+        ("Claims", [CLAIMS], claims),
+    ]
+
+
+def _table(name: str, out: Path) -> str:
+    table, rows = TABLES[name], table_rows(TABLES[name])
+    title = f"Table {name}: {table.title}"
+    files = [f"table_{name}.png", f"table_{name}.csv"]
+    draw_table(title, rows, out / files[0])
+    write_rows(rows, out / files[1])
+    links = ", ".join(f"[{file}]({file})" for file in files)
+    about = [paragraph(TABLES_ABOUT)] * (name == next(iter(TABLES)))
+    return "\n\n".join([*about, f"### {title}", markdown_table(rows), links, *table.notes])
+
+
+def _claims(scans: Scans, out: Path) -> str:
+    claims = list(all_claims(scans))
+    text = f"{claims_table(claims)}\n\n{claim_sections(claims)}"
+    title = "# Claims of chapter 6 with numbers"
+    (out / "claims.md").write_text(f"{title}\n\n{paragraph(ABOUT)}\n\n{text}\n", encoding="utf-8")
+    return text

@@ -1,0 +1,43 @@
+"""Small dense systems, unrolled and by LAPACK."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxwhisker._base.linear_algebra import UNROLLED, positive_definite, solve
+
+ROUNDING = 1e-12
+SIZES = (1, 2, 3, UNROLLED, UNROLLED + 1)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_solutions(n):
+    rng = np.random.default_rng(n)
+    matrix, right = rng.normal(size=(n, n)), rng.normal(size=(n, 2))
+    np.testing.assert_allclose(solve(jnp.asarray(matrix), jnp.asarray(right)), np.linalg.solve(matrix, right), ROUNDING)
+
+
+def test_a_vanishing_pivot_needs_another_row():
+    matrix = jnp.array([[0.0, 2.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 1.0]])
+    np.testing.assert_allclose(matrix @ solve(matrix, jnp.eye(3)), np.eye(3), atol=ROUNDING)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_a_singular_matrix_spoils_only_its_own_batch_element(n):
+    matrices = jnp.stack([jnp.eye(n), jnp.zeros((n, n))])
+    good, bad = jax.vmap(lambda m: solve(m, jnp.ones((n, 1))))(matrices)
+    np.testing.assert_array_equal(good, np.ones((n, 1)))
+    assert not np.any(np.isfinite(bad))
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_positive_definite(n):
+    rng = np.random.default_rng(n)
+    factor = rng.normal(size=(n, n))
+    matrix = jnp.asarray(factor @ factor.T + 0.1 * np.eye(n))
+    assert positive_definite(matrix)
+    least = float(np.linalg.eigvalsh(matrix)[0])
+    assert not positive_definite(matrix - 1.01 * least * jnp.eye(n))
+    assert positive_definite(matrix - 0.99 * least * jnp.eye(n))
+    assert not positive_definite(matrix.at[0, 0].set(jnp.nan))

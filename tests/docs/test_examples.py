@@ -1,0 +1,43 @@
+"""The examples in the docstrings of the public API print what they show."""
+
+import doctest
+import inspect
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+
+# These are how users begin: each must have an example.
+ILLUSTRATED = [
+    *("Circle", "ClosedForm", "Contour", "Deflection", "Ellipse", "Graph", "Motion", "Mount", "Parabola", "PointForce"),
+    *("PointMoment", "Rotation", "Scene", "Sensor", "Shooting", "Spring", "Support", "Tilted", "Translation"),
+    *("Whisker", "Whisker.conical", "Whisker.from_material", "Whisker.rat", "deflect"),
+]
+
+
+def examples():
+    """All examples by the name of their function or class."""
+    finder, found = doctest.DocTestFinder(exclude_empty=True), {}
+    for name in jw.__all__:
+        own = inspect.unwrap(getattr(jw, name))
+        for test in finder.find(own, name, module=False, globs={"jw": jw, "jnp": jnp, "np": np}):
+            if test.examples:
+                found[test.name] = test
+    return found
+
+
+EXAMPLES = examples()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_prints_what_it_shows(name):
+    output = []
+    doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(EXAMPLES[name], out=output.append)
+    assert not output, "".join(output)
+
+
+@pytest.mark.parametrize("name", ILLUSTRATED)
+def test_what_users_begin_with_has_an_example(name):
+    assert name in EXAMPLES

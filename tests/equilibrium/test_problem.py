@@ -1,0 +1,190 @@
+"""The dimensionless problem: programs that scenes share, units, coordinates of the bases."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from exact_contacts import contacts, scene
+from jaxwhisker._base.jit import jit
+from jaxwhisker._equilibrium.newton import newton_step
+from jaxwhisker._equilibrium.point import Mode, Point, at_control
+from jaxwhisker._equilibrium.problem import AlongX, InPlane, Stance, problem_of
+from jaxwhisker._equilibrium.stability import load_slopes
+from jaxwhisker._equilibrium.touch import Touch
+
+ROUNDING = 1e-13  # the same numbers by other operations
+TOUCHED = 1e-9  # first touches in the plane are searched, and exact to 1e-10 of a length
+CLOSED_FORM = 1e-10  # the same equilibrium by other coordinates
+
+FOLLICLE = scene(jw.Support.follicle(x=70.0, mount=jw.Mount(0.1, -0.05, 0.2)))
+problem_now = jit(problem_of)
+
+
+def spring(first, second, stiffness=70.0, rest_length=0.2):
+    return jw.Spring((first, second), stiffness, rest_length)
+
+
+def shape(scene):
+    """What a program is compiled for: structure, shapes and dtypes."""
+    abstract = eqx.filter_eval_shape(problem_of, jax.tree.map(lambda leaf: jnp.asarray(leaf, float), scene))
+    return jax.tree.structure(abstract), [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(abstract)]
+
+
+def test_all_networks_of_two_whiskers_along_x_share_one_program():
+    networks = [
+        jw.Support.fbfb(70.0),
+        jw.Support.fbfbr([70.0, jnp.inf, 5.0]),
+        jw.Support((spring(0, 2), spring(2, 1, 30.0, -0.2))),
+        jw.Support((spring(0, 1), spring(0, 2))),
+    ]
+    first, *others = [shape(scene(network)) for network in networks]
+    assert all(other == first for other in others)
+    for different in (jw.Support.fb(70.0), jw.Support.clamped(), jw.Support.fbfbfbr(70.0)):
+        assert shape(scene(different)) != first
+
+
+@pytest.mark.parametrize(
+    ("support", "motion", "kind"),
+    [
+        (jw.Support.clamped(), jw.Translation(), AlongX),
+        (jw.Support.fbfb(70.0), jw.Translation(1), AlongX),
+        (jw.Support.follicle(x=70.0), jw.Translation(), AlongX),
+        (jw.Support.follicle(x=70.0, mount=jw.Mount()), jw.Translation(), InPlane),
+        (jw.Support.follicle(phi=5.0), jw.Translation(), InPlane),
+        (jw.Support.fb(70.0), jw.Rotation((0.0, -0.5), 0.5), InPlane),
+    ],
+)
+def test_bases_move_along_x_only_where_nothing_else_can_move_them(support, motion, kind):
+    problem = eqx.filter_eval_shape(problem_of, scene(support, motion=motion))
+    assert type(problem) is kind
+    assert problem.axes == (1 if kind is AlongX else 3)
+
+
+def test_a_scene_in_si_units_is_the_same_problem():
+    length, bending_stiffness = 0.05, 2.4e-5
+    force = bending_stiffness / length**2
+    metres = jw.Scene(
+        (jw.Whisker(length, bending_stiffness), jw.Whisker(0.9 * length, 2 * bending_stiffness)),
+        jw.Parabola(0.2 * length, 1 / length, 0.3 * length),
+        jw.Support.fbfb([70.0 * force / length, 30.0 * force / length], [0.2 * length, 0.1 * length]),
+    )
+    plain = jw.Scene(
+        (jw.Whisker(), jw.Whisker(0.9, 2.0)), jw.Parabola(0.2, 1.0, 0.3), jw.Support.fbfb([70.0, 30.0], [0.2, 0.1])
+    )
+    one, other = problem_now(metres), problem_now(plain)
+    np.testing.assert_allclose(one.unit, (length, force, force * length, length), rtol=ROUNDING)
+    np.testing.assert_allclose(other.unit, 1.0, rtol=ROUNDING)
+    leaves = [jax.tree.leaves(eqx.tree_at(lambda p: p.unit, problem, other.unit)) for problem in (one, other)]
+    for a, b in zip(*leaves, strict=True):
+        np.testing.assert_allclose(a, b, rtol=ROUNDING, atol=ROUNDING)
+
+
+def test_an_invalid_scene_has_finite_numbers():
+    good = scene(jw.Support.fb(70.0))
+    bad = eqx.tree_at(lambda s: (s.profile.distance, s.support.springs[0].stiffness), good, (-0.2, jnp.nan))
+    assert bool(problem_now(good).valid)
+    problem = problem_now(bad)
+    assert not bool(problem.valid)
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(problem))
+
+
+@pytest.fixture(scope="module")
+def in_plane():
+    return problem_now(FOLLICLE)
+
+
+def test_unloaded_bases_rest_on_their_mounts_and_rest_lengths(in_plane):
+    at = in_plane.in_scene(0.7, in_plane.rest(0.7))
+    # The default rest length of a follicle is zero.
+    np.testing.assert_allclose(np.ravel(at), [0.7 + 0.1, -0.05, 0.2], atol=ROUNDING)
+    rest_length = 0.3
+    softly = eqx.tree_at(lambda s: s.support.springs[0].rest_length, FOLLICLE, rest_length)
+    problem = problem_now(softly)
+    # The spring acts along the drive's x axis, the coordinates along the axes of the mount.
+    np.testing.assert_allclose(problem.rest(0.7)[0], rest_length * np.array([np.cos(0.2), -np.sin(0.2), 0]), atol=1e-13)
+    at = problem.in_scene(0.7, problem.rest(0.7))
+    np.testing.assert_allclose(np.ravel(at), [0.7 + 0.1 + rest_length, -0.05, 0.2], atol=ROUNDING)
+
+
+def test_a_shift_moves_bases_along_the_scenes_x_axis():
+    motion = jw.Rotation((0.3, -0.5), 0.4)
+    problem = problem_now(scene(jw.Support.follicle(phi=5.0, mount=jw.Mount(0.1, -0.05, 0.2)), motion=motion))
+    u, pose, distance = 0.6, jnp.array([[0.02, -0.03, 0.1]]), jnp.array([0.25])
+    before = problem.in_scene(u, pose)
+    after = problem.in_scene(u, pose + problem.shift(u, distance))
+    np.testing.assert_allclose(np.ravel(after) - np.ravel(before), [0.25, 0.0, 0.0], atol=ROUNDING)
+    # The unloaded base turns about the pivot with the drive.
+    unloaded = problem.in_scene(u, problem.rest(u))
+    arm = np.array([0.1, 0.4 - 0.05])
+    turned = np.array([[np.cos(u), -np.sin(u)], [np.sin(u), np.cos(u)]]) @ arm + [0.3, -0.5]
+    np.testing.assert_allclose(np.ravel(unloaded), [*turned, 0.2 + u], atol=ROUNDING)
+    # Frames and their derivatives by the control; those of the turning drive are its arm, turned by a right angle.
+    frame, rate = problem.frames(u)
+    np.testing.assert_allclose(
+        np.ravel(rate), [-turned[1] - 0.5, turned[0] - 0.3, -frame.sin[0], frame.cos[0]], atol=ROUNDING
+    )
+
+
+def test_a_base_in_the_plane_that_yields_along_x_only_has_the_equations_of_a_base_along_x():
+    alone, plane = (
+        problem_now(scene(jw.Support.follicle(x=70.0, mount=mount)))
+        for mount in (None, jw.Mount())
+    )  # fmt: skip
+    assert isinstance(alone, AlongX) and isinstance(plane, InPlane)
+    for name in ("x", "parameter", "slack", "reaches"):
+        for touch in ("touch_right", "touch_left"):
+            values = [getattr(getattr(problem, touch), name) for problem in (alone, plane)]
+            np.testing.assert_allclose(*values, atol=TOUCHED)
+    at = contacts(0.6)
+    u = at.base_x[0] - at.force_x[0] / 70.0
+    mode = Mode(jnp.asarray(at.phase), jnp.ones(1), jnp.asarray(False))
+    z = jnp.asarray(at.z)
+
+    @jit
+    def step(problem):
+        newton = newton_step(problem, mode, at_control(u, z), Point(z, jnp.asarray(u)))
+        return newton, load_slopes(mode, newton.condensed), problem.in_scene(jnp.asarray(u), newton.pose).x
+
+    (one, slope, x), (other, slopes, in_scene_x) = step(alone), step(plane)
+    assert one.residual < CLOSED_FORM and other.residual < CLOSED_FORM
+    np.testing.assert_allclose(other.tangent.z, one.tangent.z, rtol=CLOSED_FORM)
+    np.testing.assert_allclose(other.load[:, :1], one.load, atol=CLOSED_FORM)
+    np.testing.assert_allclose(slopes[:, :1, :1], slope, rtol=CLOSED_FORM)
+    np.testing.assert_allclose([x, in_scene_x], at.base_x[0], atol=CLOSED_FORM)
+
+
+def test_where_whiskers_stand():
+    def at(x, reaches=True):
+        same = jnp.full(3, 0.0)
+        return Touch(same, jnp.full(3, x), same, same, jnp.full(3, reaches))
+
+    x = jnp.array([1.0, 0.125, -1.0])
+    stance = Stance(x, at(0.75), at(-0.5))
+    assert stance.clear.tolist() == [True, False, True]
+    # Half-way between both touches, at 0.125, the right-hand side counts as the nearer one.
+    assert stance.side.tolist() == [1.0, 1.0, -1.0]
+    assert stance.first(jnp.array([1.0, -1.0, 1.0])).x.tolist() == [0.75, -0.5, 0.75]
+    assert Stance(x, at(0.75, False), at(-0.5, False)).clear.all()
+
+
+def test_only_free_whiskers_out_of_reach_change_their_side(in_plane):
+    none = jnp.zeros(3)
+    away = Touch(none, none, none, none, none > 0)
+    stance = Stance(jnp.array([-1.0, -1.0, 1.0]), away, away)
+    side = in_plane.updated_side(jnp.array([True, False, True]), jnp.ones(3), stance)
+    assert side.tolist() == [-1.0, 1.0, 1.0]
+    near = away._replace(reaches=jnp.ones(3, bool))
+    assert in_plane.updated_side(jnp.ones(3, bool), jnp.ones(3), stance._replace(right=near)).tolist() == [1.0] * 3
+
+
+def test_displacements_are_flexibility_times_load():
+    stiff = problem_now(scene(jw.Support.fbfb([50.0, 20.0], 0.2)))
+    # Spring 1 carries both loads, spring 2 that of base 2.
+    moved = stiff.displacement(jnp.array([[3.0], [-1.0]]))
+    np.testing.assert_allclose(moved[:, 0], [2 / 50, 2 / 50 - 1 / 20], atol=ROUNDING)
+    clamped = problem_now(scene(jw.Support.clamped()))
+    assert clamped.displacement(jnp.array([[3.0]])).tolist() == [[0.0]]
+    assert clamped.rest(0.4).tolist() == [[0.4]]

@@ -1,0 +1,104 @@
+"""Selection among cases, and the margins that tell how far away events are."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from exact_contacts import scene
+from jaxwhisker._base.jit import jit
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.point import Mode, Point
+from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._path.path import EventKind, Status, first_case, margin_rates, margins, select
+
+DIFFERENCE = 1e-9  # margins are linear in point and pose: central differences are exact to rounding
+
+FREE, TIP, TANGENTIAL = (int(phase) for phase in Phase)
+# A free, a tip and a tangential contact; the free whisker first on the right of the object, then on its left.
+MODES = [
+    Mode(jnp.array([FREE, TIP, TANGENTIAL]), jnp.array(side), jnp.asarray(False))
+    for side in ([1.0, 1.0, 1.0], [-1.0, 1.0, -1.0])
+]
+POINT = Point(jnp.array([[0.0, 0.0, 0.0], [1.5, 0.8, -0.3], [2.5, 0.1, 0.4]]), jnp.asarray(0.3))
+POSE = jnp.array([[1.1], [0.7], [0.2]])
+
+
+@pytest.mark.parametrize("conditions", [(True, True), (False, True), (True, False), (False, False)])
+def test_the_first_true_case_wins(conditions):
+    first, second = (jnp.asarray(condition) for condition in conditions)
+    tree = first_case((first, {"a": 1.0}), (second, {"a": 2.0}), otherwise={"a": 3.0})
+    assert tree["a"] == (1.0 if conditions[0] else 2.0 if conditions[1] else 3.0)
+
+
+def test_leaves_that_both_trees_share_are_not_selected():
+    shared = jnp.arange(3.0)
+    tree = select(jnp.asarray(True), (shared, jnp.asarray(1.0)), (shared, jnp.asarray(2.0)))
+    assert tree[0] is shared and tree[1] == 1.0
+
+
+def test_numbers_of_status_and_kinds_are_those_that_files_hold():
+    # Stored results hold these numbers.
+    names = ["ok", "invalid", "lost", "unsettled", "not_convex", "too_long", "inexact", "unstable"]
+    assert [status.name for status in Status] == names and list(Status) == list(range(8))
+    kinds = ["touch", "tip_to_tangential", "vertex", "tangential_to_tip", "release", "snap_through", "snap_off"]
+    assert [kind.name for kind in EventKind] == kinds and list(EventKind) == list(range(7))
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return jit(problem_of)(scene(jw.Support.fbfbfbr(70.0)))
+
+
+@pytest.fixture(scope="module")
+def at(problem):
+    """Margins of a mode at a point and pose."""
+
+    @jit
+    def at(mode, point, pose):
+        ahead = mode.side * jnp.sin(point.z[:, 1])
+        return margins(mode, point, problem.stance(point.u, pose), ahead, jnp.asarray(0.05))
+
+    return at
+
+
+def test_margins_are_distances_from_events(at):
+    touch = np.sqrt(0.8)  # of an upright whisker of length 1 before y = x^2 + 0.2
+    right, left = (at(mode, POINT, POSE) for mode in MODES)
+    np.testing.assert_allclose(right.touch, [1.1 - touch, np.inf, np.inf], rtol=1e-14)
+    # Beyond its first touch from the left a whisker has a negative margin.
+    np.testing.assert_allclose(left.touch, [-1.1 - touch, np.inf, np.inf], rtol=1e-14)
+    assert right.release.tolist() == [np.inf, 1.5, 2.5]
+    assert right.phase.tolist() == [np.inf, 0.3, 0.4]
+    np.testing.assert_allclose(right.vertex, [np.inf, np.sin(0.8), np.sin(0.1)])
+    np.testing.assert_allclose(left.vertex, [np.inf, np.sin(0.8), -np.sin(0.1)])
+    assert right.stop.tolist() == [0.05]
+
+
+def test_whiskers_out_of_reach_never_touch(problem):
+    mode, stance = MODES[0], problem.stance(0.3, POSE)
+    stance = stance._replace(right=stance.right._replace(reaches=jnp.zeros(3, bool)))
+    assert np.all(margins(mode, POINT, stance, jnp.ones(3), 1.0).touch == np.inf)
+
+
+@pytest.mark.parametrize("mode", MODES, ids=["right", "left"])
+def test_rates_are_derivatives_of_the_margins(problem, at, mode):
+    rng = np.random.default_rng(2)
+    direction = Point(jnp.asarray(rng.normal(size=(3, 3))), jnp.asarray(-1.0))
+    pose_rate, step = jnp.asarray(rng.normal(size=(3, 1))), 1e-3
+
+    def moved(by):
+        return at(mode, Point(POINT.z + by * direction.z, POINT.u + by * direction.u), POSE + by * pose_rate)
+
+    rates = margin_rates(problem, mode, direction, pose_rate)
+    ahead, behind = moved(step), moved(-step)
+    for name in ("touch", "release", "phase"):
+        later, earlier, here = (np.asarray(getattr(m, name)) for m in (ahead, behind, at(mode, POINT, POSE)))
+        finite = np.isfinite(here)
+        assert finite.any()
+        difference = np.where(finite, (np.where(finite, later, 0) - np.where(finite, earlier, 0)) / (2 * step), 0.0)
+        np.testing.assert_allclose(getattr(rates, name), difference, atol=DIFFERENCE, err_msg=name)
+    # Vertex and stop are passed only once: between two steps, nothing is interpolated.
+    assert np.all(rates.vertex == 0) and np.all(rates.stop == 0)
+    assert jax.tree.map(jnp.shape, rates) == jax.tree.map(jnp.shape, ahead)

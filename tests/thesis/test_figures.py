@@ -1,0 +1,33 @@
+"""Figures: labels, colours; drawing itself: test_reproduce."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from jaxwhisker import plot
+from jaxwhisker.thesis.catalogue import Figure
+from jaxwhisker.thesis.figures import _colours, draw, draw_table, plain
+from jaxwhisker.thesis.scans import Case, Scans, vary
+
+
+def test_labels_of_data_have_no_latex():
+    assert plain(r"$c$ = $\infty$") == "c=inf" and plain(r"$\lambda$ = 0.1") == "lambda=0.1"
+
+
+def test_the_clamped_whisker_is_black_in_comparisons():
+    assert _colours(vary("stiffness", (30.0, np.inf)))[-1] == plot.COLOURS[-1]
+    assert _colours({"clamped": Case(stiffness=np.inf)}) == plot.COLOURS[:1]
+
+
+@pytest.mark.unchecked
+def test_unknown_entries_are_rejected(tmp_path):
+    wrong: Any = 3
+    with pytest.raises(TypeError, match="`shows` must be an entry of the catalogue, got 3"):
+        draw(Figure("6.1", "title", wrong), Scans([]), tmp_path)
+
+
+def test_tables_are_drawn(tmp_path):
+    draw_table("Title", [["x", "y"], ["1", "2"]], tmp_path / "table.png")
+    assert np.std(imread(tmp_path / "table.png")[..., :3]) > 0.01
