@@ -48,8 +48,8 @@ def test_films_in_si_units_have_prefixes(soft_in_si):
         number = f"{1000 * shown.control[k]:+.1f}".replace("-", "\N{MINUS SIGN}")
         assert canvas.captions.words[0] == f"u = {number} mm"
         (base,), (whisker,) = canvas.stage._bases, canvas.stage._whiskers
-        np.testing.assert_allclose(base.get_xdata(), 1000 * shown.state.base_x[k])
-        np.testing.assert_allclose(whisker.get_ydata(), 1000 * np.asarray(shown.lines.y[k, 0]))
+        np.testing.assert_allclose(np.asarray(base.get_xdata()), 1000 * shown.state.base_x[k])
+        np.testing.assert_allclose(np.asarray(whisker.get_ydata()), 1000 * np.asarray(shown.lines.y[k, 0]))
         head = canvas.curves._heads[2][0]
         np.testing.assert_allclose(head.get_xydata()[0], [1e3 * shown.control[k], 1e6 * shown.state.mz[k, 0]])
     left, right = canvas.stage.axes.get_xlim()

@@ -1,6 +1,7 @@
 """Labels, units that results share, argument checks, and saved files."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false
+# pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 
 import jax
 import jax.numpy as jnp

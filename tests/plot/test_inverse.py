@@ -1,6 +1,7 @@
 """Figures of fits, information and contours."""
 
-# pyright: reportArgumentType=false
+# pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 
 import numpy as np
 import pytest

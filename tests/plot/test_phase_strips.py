@@ -1,6 +1,7 @@
 """Strips of phases: where they begin and end, events, and gaps."""
 
-# pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false
+# pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 
 import numpy as np
 from matplotlib.colors import to_hex

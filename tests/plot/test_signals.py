@@ -1,6 +1,7 @@
 """Figures of quantities over the control."""
 
-# pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false
+# pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 
 import numpy as np
 from matplotlib.axes import Axes

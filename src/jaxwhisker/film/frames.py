@@ -63,15 +63,16 @@ def frames(result: Result, count: int) -> tuple[Frames, list[tuple[int, Event]]]
     """
     events, control = list(result.events), np.asarray(result.control)
     shown = np.round(np.linspace(0, control.size - 1, count)).astype(int)
-    of_scan = State(**{name: np.asarray(getattr(result, name))[shown] for name in State.__dataclass_fields__})
+    of_scan = State(**{name: jnp.asarray(getattr(result, name))[shown] for name in State.__dataclass_fields__})
+    of_scan = jax.tree.map(np.asarray, of_scan)
     snaps = [k for k, event in enumerate(events) if event.kind >= EventKind.snap_through]
     groups = [of_scan, *map(_with_ends, [events[k] for k in snaps], flows(result, snaps))]
     lines = lines_of(groups, result)
     scan = Frames(shown, control[shown], of_scan, lines[0], np.zeros(count, bool))
     begin = _first_steps(result)
     of_snap = {
-        k: _snap_frames(result, int(begin[k]) - 1, events[k], *own)
-        for k, *own in zip(snaps, groups[1:], lines[1:], strict=True)
+        k: _snap_frames(result, int(begin[k]) - 1, events[k], states, own)
+        for k, states, own in zip(snaps, groups[1:], lines[1:], strict=True)
     }
     parts, marks, start = [], [], 0
     for k, event in enumerate(events):

@@ -5,7 +5,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import UInt8
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from matplotlib.figure import Figure
 from PIL import Image
 
 from jaxwhisker.film.canvas import Canvas
@@ -55,7 +57,7 @@ class _Video(FFMpegWriter):
     """Sends the pixels that the canvas has drawn; `savefig` would draw the whole figure again, six times slower."""
 
     def grab_frame(self, **_) -> None:
-        self._proc.stdin.write(self.fig.canvas.buffer_rgba())
+        self._proc.stdin.write(_pixels(self.fig))  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class _Gif(PillowWriter):
@@ -66,15 +68,19 @@ class _Gif(PillowWriter):
         self._palette = palette
 
     def grab_frame(self, **_) -> None:
-        image = Image.fromarray(np.asarray(self.fig.canvas.buffer_rgba())[..., :3])
-        self._frames.append(image.quantize(palette=self._palette, dither=Image.Dither.NONE))
+        image = Image.fromarray(_pixels(self.fig)[..., :3]).quantize(palette=self._palette, dither=Image.Dither.NONE)
+        self._frames.append(image)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _pixels(figure: Figure) -> UInt8[np.ndarray, "height width 4"]:
+    return np.asarray(figure.canvas.buffer_rgba())  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _palette(canvas: Canvas) -> Image.Image:
     samples = np.unique(np.linspace(0, canvas.count - 1, SAMPLES).astype(int))
     pixels = np.concatenate([canvas.image(int(frame)) for frame in samples])
     image = Image.fromarray(pixels).quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
-    colours = np.reshape(image.getpalette(), (-1, 3))
+    colours = np.array(image.getpalette()).reshape(-1, 3)
     colours[colours.min(axis=1) > NEARLY_WHITE] = 255
     image.putpalette(colours.ravel().tolist())
     return image

@@ -159,7 +159,7 @@ def save(drawn: Figure | Axes | Iterable[Axes], path: str | Path, **options: Any
     """
     import matplotlib
 
-    first = drawn if isinstance(drawn, Figure) else next(iter(np.ravel(np.asarray(drawn, dtype=object))), drawn)
+    first: Any = drawn if isinstance(drawn, Figure) else next(iter(np.ravel(np.asarray(drawn, dtype=object))), drawn)
     check_type("drawn", first, (Figure, Axes), "a matplotlib Figure or Axes")
     figure = first if isinstance(first, Figure) else first.figure
     with matplotlib.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42, "ps.fonttype": 42}):

@@ -118,8 +118,8 @@ def contour(
     check_type("result", result, (Reconstruction, ContourFit), "the result of jw.reconstruct or jw.fit_contour")
     check_type("profile", profile, (AbstractProfile, NoneType), "a profile such as jw.Parabola(0.2)")
     axes = one_axes(ax)
-    draw = _draw_fitted if isinstance(result, ContourFit) else _draw_points
-    slopes, left, right = draw(result, axes)
+    fitted = isinstance(result, ContourFit)
+    slopes, left, right = _draw_fitted(result, axes) if fitted else _draw_points(result, axes)
     if profile is not None:
         at = _between(jax.tree.map(checks.as_float, profile), jnp.asarray(slopes))
         # Slopes are less certain than points, so the range of the points limits the line as well.
