@@ -1,6 +1,7 @@
 """Residuals: weights of both stages, snaps and their price, overlaid scans, and derivatives."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -72,7 +73,7 @@ def snaps_at(snap):
 @pytest.mark.unchecked
 def test_a_snap_within_its_gap_costs_little_and_far_outside_much():
     gap = 0.1
-    weights = SimpleNamespace(jump_width=2.0 * gap * jnp.ones(JUMPS), jump_weight=12**0.5 / gap * jnp.ones(JUMPS))
+    weights: Any = SimpleNamespace(jump_width=2.0 * gap * jnp.ones(JUMPS), jump_weight=12**0.5 / gap * jnp.ones(JUMPS))
 
     def cost(snap):
         return float(_residuals_of_snaps(snaps_at(snap), weights)[0])
@@ -101,7 +102,7 @@ def test_overlay_takes_touch_to_touch_and_release_to_release():
         yes = jnp.array([True])
         return _ContactEnds(jnp.array([touch]), yes, jnp.array([release]), yes)
 
-    observed = SimpleNamespace(
+    observed: Any = SimpleNamespace(
         touch=jnp.array([0.2]), release=jnp.array([1.2]), travel=jnp.array([0.0, 2.0]), overlaid=jnp.asarray(True)
     )
     overlay = _overlay(observed, ends(0.1, 2.1))

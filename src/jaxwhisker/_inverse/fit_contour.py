@@ -159,7 +159,7 @@ def fit_contour(
     build = _ContourScene(make, fixed, slopes)
     fits: list[Fit] = []
     for x, y, radii in _starts(points, slopes, guess):
-        first = {name: values[name] for name in unknown} | {"distance": float(y), "position": float(x)}
+        first = {name: values[name] for name in unknown} | {"distance": y, "position": x}
         first |= {f"{RADIUS}{k}": float(radius) for k, radius in enumerate(radii)}
         fits.append(identify(build, first, measured, sigma=sigma, starts=0, near=True))
         if fits[-1].status == FitStatus.ok:
@@ -190,7 +190,8 @@ def _starts(
     """
     if guess is not None:
         start = guess if isinstance(guess, Contour) and guess.slopes == slopes else Contour.like(guess, slopes)
-        return [(*start.vertex(), np.exp(np.asarray(start.log_radius)))]
+        x, y = start.vertex()
+        return [(float(x), float(y), np.exp(np.asarray(start.log_radius)))]
     x, y, radii = _through(points, slopes)
     return [(x, y, radii), (x, y, np.r_[SHARP * radii[1], radii[1:-1], SHARP * radii[-2]])]
 
@@ -220,7 +221,7 @@ def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, 
     right = np.concatenate([x * weight, y * weight, np.zeros(len(bends))])
     (vertex_x, vertex_y, *radii), *_ = np.linalg.lstsq(rows, right, rcond=None)
     least = LEAST_RADIUS * np.median(np.abs(radii))
-    return vertex_x, max(vertex_y, LEAST_DISTANCE * float(np.min(y))), np.maximum(radii, least)
+    return float(vertex_x), float(max(vertex_y, LEAST_DISTANCE * np.min(y))), np.maximum(radii, least)
 
 
 def _checked_knots(knots: Sequence[float]) -> tuple[float, ...]:

@@ -14,7 +14,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.jit import jit
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.points import Reconstruction
-from jaxwhisker._inverse.statistics import FitStatus, is_plausible
+from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible
 from jaxwhisker._model.contour import Contour, Spline, spline, tabulate
 from jaxwhisker._model.profile import STEEPEST, AbstractProfile, Circle, Ellipse, Parabola
 
@@ -116,7 +116,7 @@ def fit_profile(
         raise ValueError(f"`points` must be enough for {values.size} parameters, got {count} points.")
     values, residual, gradient = _least_squares(like, values, observed)
     residual, gradient = np.asarray(residual).ravel(), np.asarray(gradient).reshape(-1, values.size)
-    chi2 = float(np.sum(residual**2))
+    chi2 = chi_squared(residual)
     status, covariance = _judge(residual, gradient)
     if observed.covariance is not None and np.isfinite(chi2) and not is_plausible(chi2, degrees):
         status, covariance = FitStatus.implausible, np.full_like(covariance, np.nan)
@@ -185,9 +185,7 @@ def _read_points(points: Any, significance: float) -> _Points:
     x, y, slope = table["x"], table["y"], table.get("slope")
     for name, values in (("x", x), ("y", y), ("slope", slope)):
         if values is not None and (values.ndim != 1 or values.shape != x.shape):
-            raise ValueError(
-                f"`points` must hold one-dimensional arrays of equal length, got shape {values.shape} for {name}."
-            )
+            raise ValueError(f"`points` must hold arrays of one length, got shape {values.shape} for {name}.")
     noise = _noise_of(table, 2 if slope is None else 3)
     known = np.isfinite(x) & np.isfinite(y) & (slope is None or np.isfinite(slope))
     known &= noise is None or np.isfinite(noise).all(axis=(1, 2))

@@ -229,7 +229,7 @@ class _Problem(NamedTuple):
         if not (np.isfinite(off[self.compared(solution)]).all() and np.isfinite(solution.misfit)):
             return False
         return is_plausible(solution.misfit, degrees) and (
-            self.scatter is None or is_plausible(chi_squared(off / self.largest_noise()), degrees)
+            self.scatter is None or is_plausible(chi_squared(np.nan_to_num(off / self.largest_noise())), degrees)
         )
 
     def with_noise_of(self, solution: Solution) -> "_Problem":

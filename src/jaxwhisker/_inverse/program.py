@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from jaxwhisker._base.jit import COMPILER_OPTIONS
 from jaxwhisker._inverse.parameters import Unknowns
 from jaxwhisker._inverse.residuals import Comparison, Samples, residuals
+from jaxwhisker._inverse.statistics import chi_squared
 from jaxwhisker._model.scene import Scene
 
 MAX_STEPS = 60  # of Levenberg-Marquardt
@@ -108,7 +109,7 @@ class Solution(NamedTuple):
     @property
     def misfit(self) -> float:
         """Sum of squares of all residuals, that of the prior included."""
-        return float(np.sum(np.square(self.residual)))
+        return chi_squared(self.residual)
 
     @property
     def observed(self) -> tuple[np.ndarray, np.ndarray]:

@@ -29,8 +29,8 @@ class FitStatus(IntEnum):
 
 
 def chi_squared(whitened: np.ndarray) -> float:
-    """Sum of squares of whitened residuals, without those that are NaN."""
-    return float(np.nansum(np.square(whitened)))
+    """Sum of squares of whitened residuals."""
+    return float(np.sum(np.square(whitened)))
 
 
 def is_plausible(chi2: float, degrees: int) -> bool:
