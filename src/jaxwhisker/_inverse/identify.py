@@ -85,7 +85,8 @@ def identify(
 
     Raises:
         ValueError: if an argument is wrong; if JAX cannot trace `build`, or `build` ignores a parameter; if `measured`
-            has too few values, shows no contact, or is in reversed order or in other units than the scene.
+            has too few values, shows no contact, is in other units than the scene, or is in reversed order (which is
+            recognised for translations that start free, if fx of all whiskers is measured).
     """
     checks.float64_mode()
     guess = read_parameters("guess", guess)

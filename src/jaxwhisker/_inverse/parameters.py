@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._inverse.statistics import NORMAL_95
 from jaxwhisker._model.scene import Scene, Sensor
+from jaxwhisker._scan.quantities import REACTIONS
 
 KINDS = ("log", "linear")
 
@@ -29,7 +30,7 @@ class Unknowns(NamedTuple):
     def all_names(self) -> tuple[str, ...]:
         """Names of all unknowns, in the order of the fit's variables."""
         several = len({k for k, _ in self.offsets}) > 1
-        channels = [("fx", "fy", "mz")[r] + (f"_{k + 1}" if several else "") for k, r in self.offsets]
+        channels = [REACTIONS[r] + (f"_{k + 1}" if several else "") for k, r in self.offsets]
         return (*self.names, *(f"offset_{c}" for c in channels), *["shift"] * self.shift)
 
 
@@ -249,11 +250,11 @@ def check_traceable(build: Callable[..., Any], values: Mapping[str, float], call
     try:
         jax.eval_shape(lambda values: numbers_of(build(**values)), {k: jnp.asarray(v) for k, v in values.items()})
     except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
+        name = getattr(build, "__name__", type(build).__name__)
         raise ValueError(
-            f"`{called}` must be a function that JAX can trace, got {getattr(build, '__name__', build)!r}, which needs "
-            f"the value of a parameter while it is traced ({type(error).__name__}). Use jnp.where instead of `if`, and "
-            "functions of jax.numpy (jnp.interp, jnp.exp) instead of those of numpy and math."
-        ) from None
+            f"`{called}` must be a function that JAX can trace, got {name}, which raised {type(error).__name__}. Use "
+            "jnp.where instead of `if`, jnp.interp instead of np.interp, and jax.numpy instead of math and numpy."
+        ) from error
 
 
 def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
