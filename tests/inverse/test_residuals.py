@@ -117,10 +117,10 @@ def test_derivatives_are_those_of_differences(data):
     _, _, _, solve, padded, solution = jw.identify(fb, TRUTH, noisy(data, 0), sigma=NOISE)._internals
 
     def residual(y):
-        return solve(y, padded, free=np.zeros(y.size, bool)).residual
+        return solve(y, padded, free=np.zeros(y.size, bool)).observed[0]  # without the prior, which follows y
 
-    np.testing.assert_allclose(residual(solution.y), solution.residual)
+    np.testing.assert_allclose(residual(solution.y), solution.observed[0])
     for k, step in enumerate(DIFFERENCE * np.eye(solution.y.size)):
         difference = (residual(solution.y + step) - residual(solution.y - step)) / (2 * DIFFERENCE)
-        expected = solution.jacobian[:, k]
+        expected = solution.observed[1][:, k]
         np.testing.assert_allclose(difference, expected, rtol=0, atol=SLOPE * np.abs(expected).max())
