@@ -26,7 +26,7 @@ def test_points_of_exact_signals(name):
     (states, measured), profile = signals(name), CASES[name][1]
     points = reconstruct(measured, sensor(name))
     phases = np.array([jw.Phase(int(p)).name for p in np.ravel(points.phase)]).reshape(states.phase.shape)
-    assert np.array_equal(phases, states.phase)  # no step of this control is within CHANGE of a change
+    assert np.array_equal(phases, states.phase)  # no step of this control is within 1e-6 of a change
     touching = states.phase != "free"
     assert np.array_equal(np.asarray(points.status) == PointStatus.ok, touching)
     assert np.array_equal(np.isfinite(points.x), touching) and touching.any() and not touching.all()
@@ -129,8 +129,8 @@ def summary():
     def points(shift, stiffness):
         shifted = some | {c: some[c] + shift[:, :, k] for k, c in enumerate(("fx", "fy", "mz"))}
         springs = jw.Support.fbfbr([stiffness, 70.0, 70.0])
-        points = reconstruct(shifted, Sensor(jw.Whisker(), springs), sigma=sigma)
-        return jnp.stack([points.x, points.y, points.slope, points.arc]).ravel()
+        located = reconstruct(shifted, Sensor(jw.Whisker(), springs), sigma=sigma)
+        return jnp.stack([located.x, located.y, located.slope, located.arc]).ravel()
 
     return points, (jnp.zeros((3, 2, 3)), jnp.asarray(70.0))
 
