@@ -219,7 +219,8 @@ def check_arguments(argument: str, function: Any, names: Sequence[str], called: 
         signature.bind(**dict.fromkeys(names))
     except TypeError as error:
         raise ValueError(
-            f"`{argument}` must name the parameters of `{called}`, which takes {signature}: {error}."
+            f"`{argument}` must name the parameters of `{called}`, which takes {signature}, got "
+            f"{', '.join(map(repr, names))}: {error}."
         ) from None
 
 
