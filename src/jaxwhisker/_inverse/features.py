@@ -1,83 +1,112 @@
-"""Features of measured signals by which scans are laid over each other: where contact begins and ends, and jumps."""
+"""Features of observed signals: their noise, and where contact begins, ends and jumps."""
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
-from jaxwhisker._inverse.measured import CHANNELS, Measured
+from jaxwhisker._inverse.observations import Observations
 
-JUMPS = 16  # that are looked at, at most
-ABOVE_NOISE = 5.0  # standard deviations, of what is called contact
-LEAST = 2e-3  # of the peak, where noise is unknown or small
-STEEPER = 4.0  # a jump than what is beside it
-JUMP = 0.02  # of the peak, at least
+JUMPS = 16  # largest number of jumps
+ABOVE_NOISE = 5.0  # standard deviations from which a signal counts as contact
+LEAST_CONTACT = 2e-3  # of the peak, from which it does where noise is unknown or small
+STEEPER = 4.0  # times as steep as the signal on either side: a jump
+LEAST_JUMP = 0.02  # of the peak
 BEFORE = 5  # samples before a jump that is
-LARGER = 2.0  # times as large, there are no others
+LARGER = 2.0  # times as large, in which there is no other one
 EARLY = 0.2  # of the peak, up to which a signal is a parabola after a touch
-ONSETS = 60  # that are tried
-FEWEST = 6  # samples that tell one
+ONSETS = 60  # positions of the touch that are tried
+FEWEST = 6  # samples from which a touch is estimated
+
+ROUNDING = 1e-14  # of the peak: smaller differences are zero
+MAD_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
 class Features(NamedTuple):
-    """Where signals begin, end and jump; `way` is that of the drive since the first sample, a length."""
+    """Where signals begin, end and jump; travel is the way of the drive since the first sample, a length."""
 
-    way: np.ndarray  # (steps,)
-    low: np.ndarray  # (JUMPS,) way before and behind each jump; NaN beyond their number
-    high: np.ndarray
-    touch: np.ndarray  # (whiskers,) way at the first touch, NaN where it is not seen
-    touch_error: np.ndarray  # (whiskers,) its standard error
-    release: np.ndarray  # (whiskers,) way where contact ends for good
+    travel: Float[np.ndarray, " steps"]
+    low: Float[np.ndarray, " jumps"]  # travel before and behind each jump; NaN beyond their number
+    high: Float[np.ndarray, " jumps"]
+    touch: Float[np.ndarray, " whiskers"]  # travel at the first touch; NaN if it is not visible
+    touch_error: Float[np.ndarray, " whiskers"]  # its standard error
+    release: Float[np.ndarray, " whiskers"]  # travel at the end of the last contact; NaN if it is not visible
 
 
-def features(measured: Measured) -> Features:
-    """What can be told from the signals alone."""
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(measured.control)))])
-    peak = peaks(measured)
-    noise = np.where(np.isfinite(measured.sigma), measured.sigma, 0.0)
-    low, high = _jumps(way, measured.values / peak, noise / peak)
-    loud = np.abs(measured.values) > np.maximum(ABOVE_NOISE * noise, LEAST * peak)
-    ends = [_contact(way, measured.values[:, k], loud[:, k]) for k in range(loud.shape[1])]
+class Scatter(NamedTuple):
+    """Noise estimated from neighbouring samples."""
+
+    sigma: Float[np.ndarray, " 3"]  # standard deviation of each reaction; 0 if nothing is known
+    count: int  # number of differences in the estimate of the reaction with the fewest
+
+
+def features(observations: Observations) -> Features:
+    """Find touches, releases and jumps in the signals alone."""
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(observations.control)))])
+    noise = np.nan_to_num(observations.sigma)
+    low, high = _jumps(travel, observations.values / observations.peaks, noise / observations.peaks)
+    contact = in_contact(observations)
+    ends = [_contact(travel, observations.values[:, k], contact[:, k]) for k in range(contact.shape[1])]
     touch, touch_error, release = np.array(ends).T
-    return Features(way, low, high, touch, touch_error, release)
+    return Features(travel, low, high, touch, touch_error, release)
 
 
-def peaks(measured: Measured) -> np.ndarray:
-    """The largest size of each channel, of all whiskers; 1 where there is none: (3,)."""
-    with np.errstate(all="ignore"):
-        peak = np.nanmax(np.where(measured.known, np.abs(measured.values), 0.0), axis=(0, 1), initial=0.0)
-    return np.where(peak > 0, peak, 1.0)
+def in_contact(observations: Observations) -> Bool[np.ndarray, "steps whiskers 3"]:
+    """Where a signal is clear of its noise."""
+    noise = np.nan_to_num(observations.sigma)
+    return np.abs(observations.values) > np.maximum(ABOVE_NOISE * noise, LEAST_CONTACT * observations.peaks)
 
 
-def noise_of(measured: Measured) -> np.ndarray:
-    """Standard deviation of each channel's noise, from what is rough in it: third differences of smooth signals vanish.
+def neighbour_scatter(observations: Observations) -> Scatter:
+    """Estimate the noise of each reaction from third differences of neighbouring samples.
 
-    Their median is taken, which neither jumps nor corners move: (3,).
+    Smooth signals hardly have any. Divided differences allow for gaps and unequal steps; each is scaled by the standard
+    deviation that noise of size one gives it. Their median is not moved by jumps and corners. Signals that are still
+    curved on the scale of four samples make the estimate too large, never too small. Noise that is correlated between
+    samples (by a low-pass filter) makes it too small.
     """
-    found = np.zeros(len(CHANNELS))
-    for c in range(len(CHANNELS)):
-        rough = [np.diff(v[np.isfinite(v)], n=3) for v in measured.values[:, :, c].T]
-        loud = np.concatenate([r[r != 0] for r in rough])
-        found[c] = ROBUST * np.median(np.abs(loud)) / np.sqrt(THIRD) if loud.size else 0.0
-    return found
+    sigma, counts = np.zeros(observations.values.shape[2]), []
+    for r in range(sigma.size):
+        rough = np.concatenate([_third_differences(observations.control, v) for v in observations.values[:, :, r].T])
+        rough = rough[np.abs(rough) > ROUNDING * observations.peaks[r]]  # not where a whisker is free
+        if rough.size:
+            sigma[r] = MAD_TO_SIGMA * np.median(np.abs(rough))
+            counts.append(rough.size)
+    return Scatter(sigma, min(counts, default=0))
 
 
-ROBUST = 1.4826  # a normal distribution's standard deviation over its median deviation
-THIRD = 1 + 9 + 9 + 1  # variance of third differences of noise of variance 1
+def _third_differences(control: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    """Third divided differences of a signal, over their standard deviation for noise of size one."""
+    known = np.isfinite(signal)
+    signal = signal[known]
+    if signal.size < 4:
+        return np.zeros(0)
+    window = np.lib.stride_tricks.sliding_window_view
+    at = window(np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])[known], 4)
+    size = np.where(at[:, -1:] > at[:, :1], at[:, -1:] - at[:, :1], 1.0)
+    apart = (at[:, :, None] - at[:, None, :]) / size[:, :, None]
+    apart[:, range(4), range(4)] = 1.0
+    product = np.prod(apart, axis=2)
+    apart_everywhere = np.all(product != 0, axis=1)  # not where the drive stood still
+    weight = 1 / product[apart_everywhere]
+    return np.sum(weight * window(signal, 4)[apart_everywhere], axis=1) / np.linalg.norm(weight, axis=1)
 
 
-def _jumps(way: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ways before and behind the largest jumps, in order."""
-    found: list[tuple[float, float, float]] = []
-    for signal, rough in zip(values.reshape(way.size, -1).T, noise.reshape(way.size, -1).T, strict=True):
-        found += _jumps_of(way, signal, rough)
-    # Channels have gaps: what they agree on is where the signals jump.
+def _jumps(
+    travel: Float[np.ndarray, " steps"], values: np.ndarray, noise: np.ndarray
+) -> tuple[Float[np.ndarray, " jumps"], Float[np.ndarray, " jumps"]]:
+    """Travel before and behind the largest jumps, in order."""
+    jumps: list[tuple[float, float, float]] = []
+    for signal, deviation in zip(values.reshape(travel.size, -1).T, noise.reshape(travel.size, -1).T, strict=True):
+        jumps += _jumps_of(travel, signal, deviation)
+    # Channels have gaps, so a jump is narrowed down to where all of them agree.
     merged: list[tuple[float, float, float]] = []
-    for low, high, size in sorted(found):
+    for low, high, size in sorted(jumps):
         if merged and low < merged[-1][1]:
             last = merged.pop()
             low, high, size = max(low, last[0]), min(high, last[1]), max(size, last[2])
         merged.append((low, high, size))
-    merged = [jump for jump in merged if not any(_steepens(jump, snap) for snap in merged)]
+    merged = [jump for jump in merged if not any(_leads_to(jump, snap) for snap in merged)]
     largest = sorted(sorted(merged, key=lambda jump: -jump[2])[:JUMPS])
     low, high = np.full(JUMPS, np.nan), np.full(JUMPS, np.nan)
     for k, jump in enumerate(largest):
@@ -85,55 +114,54 @@ def _jumps(way: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple[np.n
     return low, high
 
 
-def _steepens(jump: tuple[float, float, float], snap: tuple[float, float, float]) -> bool:
-    """Whether what looks like a jump is the steep signal before a larger one: at a fold it is steep without bound."""
+def _leads_to(jump: tuple[float, float, float], snap: tuple[float, float, float]) -> bool:
+    """Whether an apparent jump is the steep signal before a larger one: at a fold the slope grows without bound."""
     return snap[2] > LARGER * jump[2] and 0 <= snap[0] - jump[1] < BEFORE * (snap[1] - snap[0])
 
 
-def _jumps_of(way: np.ndarray, signal: np.ndarray, noise: np.ndarray) -> list[tuple[float, float, float]]:
-    """Ways before and behind the jumps of one signal, and their sizes."""
-    seen = np.flatnonzero(np.isfinite(signal))
-    if seen.size < 3:
+def _jumps_of(travel: np.ndarray, signal: np.ndarray, noise: np.ndarray) -> list[tuple[float, float, float]]:
+    """Travel before and behind the jumps of one signal, and their sizes."""
+    known = np.flatnonzero(np.isfinite(signal))
+    if known.size < 3:
         return []
-    size, gap = np.abs(np.diff(signal[seen])), np.diff(way[seen])
+    size, gap = np.abs(np.diff(signal[known])), np.diff(travel[known])
     slope = np.where(gap > 0, size / np.where(gap > 0, gap, 1.0), 0.0)
     beside = np.maximum(np.append(0.0, slope[:-1]), np.append(slope[1:], 0.0))
-    loud = size > np.maximum(6 * np.sqrt(2) * noise[seen[1:]], JUMP)
+    loud = size > np.maximum(6 * np.sqrt(2) * noise[known[1:]], LEAST_JUMP)
     at = np.flatnonzero(loud & (slope > STEEPER * beside))
-    return [(float(way[seen[k]]), float(way[seen[k + 1]]), float(size[k])) for k in at]
+    return [(float(travel[known[k]]), float(travel[known[k + 1]]), float(size[k])) for k in at]
 
 
-def _contact(way: np.ndarray, values: np.ndarray, loud: np.ndarray) -> tuple[float, float, float]:
-    """Way at the first touch, its error, and way at the last contact of one whisker; NaN where they are not shown."""
-    steps = np.flatnonzero(loud.any(axis=1))
+def _contact(travel: np.ndarray, values: np.ndarray, contact: np.ndarray) -> tuple[float, float, float]:
+    """Travel at the first touch of one whisker, its error, and travel at the last contact; NaN if not visible."""
+    steps = np.flatnonzero(contact.any(axis=1))
     if steps.size == 0:
         return np.nan, np.nan, np.nan
     first, last = steps[0], steps[-1]
-    release = float("nan") if last == way.size - 1 else float(way[last + 1])
+    release = float("nan") if last == travel.size - 1 else float(travel[last + 1])
     if first == 0:
         return np.nan, np.nan, release
-    # Noise hides the touch itself: it is where what follows, nearly a parabola, comes from. Of some channels it is one
-    # for longer than of others.
-    found = [_onset(way, signal, clear) for signal, clear in zip(values.T, loud.T, strict=True)]
-    error, touch = min((error, touch) for touch, error in found)
-    return (touch, error, release) if np.isfinite(error) else (float(way[max(first - 1, 0)]), 0.0, release)
+    # Noise hides the touch itself: extrapolate the parabola that follows. Some channels are one for longer than others.
+    onsets = [_onset(travel, signal, clear) for signal, clear in zip(values.T, contact.T, strict=True)]
+    error, touch = min((error, touch) for touch, error in onsets)
+    return (touch, error, release) if np.isfinite(error) else (float(travel[max(first - 1, 0)]), 0.0, release)
 
 
-def _onset(way: np.ndarray, signal: np.ndarray, loud: np.ndarray) -> tuple[float, float]:
-    """Where a signal that was zero sets out along a parabola, by least squares, and its error; infinite if unknown."""
+def _onset(travel: np.ndarray, signal: np.ndarray, contact: np.ndarray) -> tuple[float, float]:
+    """Where a zero signal turns into a parabola, by least squares, and its error; infinite if unknown."""
     size = np.nan_to_num(np.abs(signal))
-    part = np.flatnonzero(np.isfinite(signal[: int(np.argmax(loud & (size > EARLY * size.max()))) + 1]))
+    part = np.flatnonzero(np.isfinite(signal[: int(np.argmax(contact & (size > EARLY * size.max()))) + 1]))
     if part.size < FEWEST:
         return np.nan, np.inf
-    way, signal = way[part], signal[part]
+    travel, signal = travel[part], signal[part]
 
-    def missed(onset: float) -> float:
-        past = np.maximum(way - onset, 0.0)
+    def misfit(onset: float) -> float:
+        past = np.maximum(travel - onset, 0.0)
         columns = np.stack([past, past**2], axis=1)
         curve, *_ = np.linalg.lstsq(columns, signal, rcond=None)
         return float(np.sum((columns @ curve - signal) ** 2))
 
-    onsets = np.linspace(way[0], way[-1], ONSETS + 1)[:-1]
-    misfit = np.array([missed(onset) for onset in onsets])
-    near = onsets[misfit <= misfit.min() * (1 + 1 / part.size)]  # one standard deviation
-    return float(onsets[np.argmin(misfit)]), float(near[-1] - near[0] + onsets[1] - onsets[0]) / 2
+    onsets = np.linspace(travel[0], travel[-1], ONSETS + 1)[:-1]
+    misfits = np.array([misfit(onset) for onset in onsets])
+    near = onsets[misfits <= misfits.min() * (1 + 1 / part.size)]  # one standard deviation
+    return float(onsets[np.argmin(misfits)]), float(near[-1] - near[0] + onsets[1] - onsets[0]) / 2

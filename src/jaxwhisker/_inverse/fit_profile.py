@@ -1,6 +1,6 @@
-"""Fit a profile to points of an object: what shape it has, and how exactly that is known."""
+"""Fit a profile to points of an object: its shape, and the uncertainty of that shape."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -11,26 +11,27 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import COMPILER_OPTIONS
+from jaxwhisker._base.jit import jit
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._inverse.fit_status import FitStatus, plausible
 from jaxwhisker._inverse.points import Reconstruction
+from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible
 from jaxwhisker._model.contour import Contour, Spline, spline, tabulate
 from jaxwhisker._model.profile import STEEPEST, AbstractProfile
 from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
 
 KNOTS = 8  # of a Contour
-REWEIGHTINGS = 5  # weights depend on the profile: they are those of the last one
+REWEIGHTINGS = 5  # weights depend on the profile: those of the previous fit are used
 MAX_STEPS = 128
 RTOL = 1e-7
-SETTLED = 0.1  # a further step of Gauss-Newton is at most this share of the standard errors,
+SETTLED = 0.1  # a further Gauss-Newton step is at most this share of the standard errors,
 EXACTLY = 1e-8  # or this, of logs of lengths
 HALVINGS, NEWTON_STEPS = 14, 3  # to a point's foot on the profile
-LEAST = 1e-12  # share of a slope's variance that is not position's
-SURE = 0.1  # rad: knots of a Contour are spread over slopes that are known better
+LEAST = 1e-12  # share of a slope's variance that is independent of the position
+SURE = 0.1  # rad: knots of a Contour are spread over slopes known better than this
 SIGNIFICANCE = 40.0  # standard deviations
-OUTLIER = 3.0  # standard deviations from which on a point counts less, by Huber's rule: few contacts are of wrong phase
-WORST_CONDITION = 1e13  # of the scaled normal matrix: beyond, the points do not tell all parameters
+OUTLIER = 3.0  # standard deviations from which a point is weighted less (Huber): a few contacts have the wrong phase
+WORST_CONDITION = 1e13  # of the scaled normal matrix: beyond, the points do not determine all parameters
+BLOCK = 256  # points are padded to multiples: one compilation serves most numbers of points
 
 FAMILIES: dict[type, tuple[str, ...]] = {
     Parabola: ("distance", "a", "position"),
@@ -39,50 +40,37 @@ FAMILIES: dict[type, tuple[str, ...]] = {
 }
 
 
-_COMPILED: Any = {"compiler_options": COMPILER_OPTIONS}
-
-
 class ProfileFit(eqx.Module):
     """A profile fitted to points.
 
-    Standard errors are those of the points' covariances; without any, of their scatter about the profile. They are NaN
-    where the status is not ok: `implausible` where covariances do not explain how far the points are from the profile.
+    Standard errors follow from the covariances of the points, or, without any, from the scatter of the points about the
+    profile. They are NaN where the status is not ok: `implausible` if the covariances do not explain the distances of
+    the points from the profile, `undetermined` if the points do not determine all parameters, or `not_converged`.
     """
 
     profile: AbstractProfile
     estimates: dict[str, float]
     standard_error: dict[str, float]
     covariance: Float[np.ndarray, "p p"]  # of the estimates, in their order
-    chi2: float  # sum of squares of the weighted residuals
+    chi2: float  # sum of squares of the whitened residuals
     degrees_of_freedom: int = eqx.field(static=True)
     status: FitStatus = eqx.field(static=True)
 
     def band(self, slopes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """x and y of the profile at slope angles, and the standard error across it, to first order; each (slopes,)."""
-        slopes = np.atleast_1d(np.asarray(slopes, dtype=float))
-        like = _Family.of(self.profile)
-        by, x, y = map(np.asarray, _along(like, like.values(self.profile), jnp.asarray(slopes)))
+        x, y, by = points_and_rates(self.profile, slopes)
         error = np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", by, self.covariance, by), 0.0))
-        return np.asarray(x), np.asarray(y), np.where(np.isfinite(self.covariance).all(), error, np.nan)
+        return x, y, np.where(np.isfinite(self.covariance).all(), error, np.nan)
 
     def __str__(self) -> str:
-        lines = [f"{self.profile}: chi^2 {self.chi2:.4g} of {self.degrees_of_freedom} degrees of freedom"]
-        lines += [f"status: {self.status.name}, standard errors are not known"] * (self.status != FitStatus.ok)
+        lines = [f"{self.profile}: chi^2 = {self.chi2:.4g} with {self.degrees_of_freedom} degrees of freedom"]
+        lines += [f"status: {self.status.name}, standard errors are unknown"] * (self.status != FitStatus.ok)
         width = max(map(len, self.estimates))
         for name, value in self.estimates.items():
             lines.append(f"  {name:<{width}}  {value:< 14.8g} +- {self.standard_error[name]:.2g}")
         return "\n".join(lines)
 
     __repr__ = __str__
-
-
-class _Points(eqx.Module):
-    x: Float[Array, " points"]
-    y: Float[Array, " points"]
-    slope: Float[Array, " points"]  # 0.0 if unknown
-    covariance: Float[Array, "points 3 3"] | None  # of x, y, slope
-    weight: Float[Array, " points"]  # 0.0 of those that only fill up
-    has_slope: bool = eqx.field(static=True)
 
 
 def fit_profile(
@@ -93,61 +81,75 @@ def fit_profile(
     guess: AbstractProfile | None = None,
     significance: float = SIGNIFICANCE,
 ) -> ProfileFit:
-    """The profile of a family that lies nearest to points, weighted with the errors in position and slope.
+    """Find the profile of a family nearest to points, weighted with their errors in position and slope.
 
-    Residuals of a point are its distance from the profile and, if it has a slope, what that exceeds the slope of the
-    nearest point of the profile by: linear in what was measured, as errors of weak contacts' slopes are not small.
+    The residuals of a point are its distance from the profile and, if it has a slope, the difference to the slope of
+    the nearest point of the profile. Both are linear in the measured values, because errors of the slopes of weak
+    contacts are not small.
 
     Args:
-        points: a Reconstruction, of which all points are taken that are significant; or a mapping with x, y,
-            perhaps slope, and perhaps their covariance (points, 2 or 3, 2 or 3) or sigma, a standard deviation of x
-            and y.
+        points: a Reconstruction, of which all significant points are used; or a mapping with x, y, optionally slope,
+            and optionally their covariance (points, 2 or 3, 2 or 3) or sigma, a standard deviation of x and y.
         family: Parabola, Circle, Ellipse or Contour.
-        knots: of a Contour: how many, evenly spread over the slopes of the points, or the knots themselves, rad.
+        knots: of a Contour: their number, spread evenly over the slopes of the points, or the knots themselves, rad.
         guess: a profile of the family to start from.
-        significance: of a Reconstruction, points whose signals are fewer standard deviations of noise are left out:
-            their weights follow their noise, which pulls a fit to one side.
+        significance: points of a Reconstruction whose signals are fewer standard deviations of noise are left out:
+            their weights follow their noise, which biases a fit.
+
+    Returns:
+        A ProfileFit.
 
     Raises:
-        ValueError: if an argument is not of that kind, or there are fewer points than parameters.
+        ValueError: if an argument is wrong, or there are fewer points than parameters.
     """
     checks.float64_mode()
     if family not in (*FAMILIES, Contour):
-        raise ValueError(f"`family` must be Parabola, Circle, Ellipse or Contour, but is {family!r}.")
+        raise ValueError(f"`family` must be Parabola, Circle, Ellipse or Contour, got {family!r}.")
     if guess is not None and not isinstance(guess, family):
-        raise ValueError(f"`guess` must be a {family.__name__}, but is {guess!r}.")
-    known = _points_of(points, significance)
-    start = guess if guess is not None else _guess(known, family, knots)
+        raise ValueError(f"`guess` must be a {family.__name__}, got {guess!r}.")
+    observed = _read_points(points, significance)
+    start = guess if guess is not None else _guess(observed, family, knots)
     like = _Family.of(start)
     values = like.values(start)
-    count = int(np.sum(np.asarray(known.weight) > 0))
-    free = count * (2 if known.has_slope else 1) - values.size
-    if free < 0:
-        raise ValueError(f"`points` must be enough for {values.size} parameters, but are {count}.")
-    values, residual, gradient = _fitted(like, values, known)
+    count = int(np.sum(np.asarray(observed.weight) > 0))
+    degrees = count * (2 if observed.has_slope else 1) - values.size
+    if degrees < 0:
+        raise ValueError(f"`points` must be enough for {values.size} parameters, got {count} points.")
+    values, residual, gradient = _least_squares(like, values, observed)
     residual, gradient = np.asarray(residual).ravel(), np.asarray(gradient).reshape(-1, values.size)
-    chi2 = float(np.sum(residual**2))
-    status, covariance = _ended(residual, gradient)
-    if known.covariance is not None and np.isfinite(chi2) and not plausible(chi2, free):
+    chi2 = chi_squared(residual)
+    status, covariance = _judge(residual, gradient)
+    if observed.covariance is not None and np.isfinite(chi2) and not is_plausible(chi2, degrees):
         status, covariance = FitStatus.implausible, np.full_like(covariance, np.nan)
-    if known.covariance is None:
-        covariance = covariance * (chi2 / free if free else np.nan)
+    if observed.covariance is None:
+        covariance = covariance * (chi2 / degrees if degrees else np.nan)
     estimates, rates = map(np.asarray, like.estimates(values))
     covariance = covariance * np.outer(rates, rates)
-    errors = np.sqrt(np.diag(covariance))
     return ProfileFit(
         profile=_profile(start, values),
-        estimates=dict(zip(like.names, map(float, estimates), strict=True)),
-        standard_error=dict(zip(like.names, map(float, errors), strict=True)),
+        estimates=dict(zip(like.names, estimates.tolist(), strict=True)),
+        standard_error=dict(zip(like.names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
         covariance=covariance,
         chi2=chi2,
-        degrees_of_freedom=free,
+        degrees_of_freedom=degrees,
         status=status,
     )
 
 
-def _ended(residual: np.ndarray, gradient: np.ndarray) -> tuple[FitStatus, np.ndarray]:
-    """How the fit ended, and the covariance of what was fitted; NaN if badly."""
+def points_and_rates(profile: AbstractProfile, slopes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x and y of a profile at slope angles, (slopes,), and how it moves along its normal with its parameters.
+
+    The derivatives, (slopes, p), are with respect to the fields in FAMILIES, or distance, position and log_radius of a
+    Contour.
+    """
+    like = _Family.of(profile)
+    slopes = np.atleast_1d(np.asarray(slopes, dtype=float))
+    by, x, y = map(np.asarray, _along(like, like.values(profile), jnp.asarray(slopes)))
+    return x, y, by
+
+
+def _judge(residual: np.ndarray, gradient: np.ndarray) -> tuple[FitStatus, np.ndarray]:
+    """The status by the residuals and their derivatives, and the covariance of the fitted values; NaN if not ok."""
     unknown = np.full((gradient.shape[1],) * 2, np.nan)
     size = np.linalg.norm(gradient, axis=0)
     if not (np.isfinite(residual).all() and np.isfinite(size).all()):
@@ -156,8 +158,8 @@ def _ended(residual: np.ndarray, gradient: np.ndarray) -> tuple[FitStatus, np.nd
     if not ((size > 0).all() and np.linalg.cond(scaled.T @ scaled) < WORST_CONDITION):
         return FitStatus.undetermined, unknown
     covariance = np.linalg.inv(scaled.T @ scaled) / np.outer(size, size)
-    further = np.abs(covariance @ (gradient.T @ residual))
-    if not ((further < SETTLED * np.sqrt(np.diag(covariance))) | (further < EXACTLY)).all():
+    step = np.abs(covariance @ (gradient.T @ residual))
+    if not ((step < SETTLED * np.sqrt(np.diag(covariance))) | (step < EXACTLY)).all():
         return FitStatus.not_converged, unknown
     return FitStatus.ok, covariance
 
@@ -168,104 +170,117 @@ def _profile(start: AbstractProfile, values: Float[Array, " p"]) -> AbstractProf
     return _Family.of(start).profile(values)
 
 
-def _points_of(points: Any, significance: float) -> _Points:
-    if isinstance(points, Reconstruction):
-        noise = np.asarray(points.covariance)[..., :3, :3].reshape(-1, 3, 3)
-        clear = ~(np.asarray(points.significance) < significance)
-        table: dict[str, Any] = {
-            name: np.where(clear, getattr(points, name), np.nan).ravel() for name in ("x", "y", "slope")
-        }
-        known = np.isfinite(noise).all(axis=(1, 2))
-        table["covariance"] = noise if known.any() else None
-    elif isinstance(points, Mapping) and {"x", "y"} <= set(points) <= {"x", "y", "slope", "covariance", "sigma"}:
-        table = {name: np.asarray(value, dtype=float) for name, value in points.items() if value is not None}
-    else:
-        raise ValueError(
-            f"`points` must be a Reconstruction or a mapping with x, y and perhaps slope, covariance or sigma, but is "
-            f"{sorted(points) if isinstance(points, Mapping) else repr(points)}."
-        )
+class _Points(eqx.Module):
+    """Points of an object, padded."""
+
+    x: Float[Array, " points"]
+    y: Float[Array, " points"]
+    slope: Float[Array, " points"]  # 0.0 if unknown
+    covariance: Float[Array, "points 3 3"] | None  # of x, y, slope
+    weight: Float[Array, " points"]  # 0.0 for padding
+    has_slope: bool = eqx.field(static=True)
+
+
+def _read_points(points: Any, significance: float) -> _Points:
+    table = _table_of(points, significance)
     x, y, slope = table["x"], table["y"], table.get("slope")
     for name, values in (("x", x), ("y", y), ("slope", slope)):
         if values is not None and (values.ndim != 1 or values.shape != x.shape):
-            raise ValueError(f"`points` must hold one-dimensional arrays of one length, but {name} is {values.shape}.")
-    size = 2 if slope is None else 3
-    noise = table.get("covariance")
-    if noise is None and "sigma" in table:
-        sigma = np.broadcast_to(table["sigma"], x.shape)
-        if not (sigma > 0).all():
-            raise ValueError(f"`points` must hold a positive sigma, but its least is {sigma.min()}.")
-        noise = sigma[:, None, None] ** 2 * np.diag([1.0, 1.0, 0.0][:size])
-    if noise is not None:
-        if noise.shape[0] != x.size or noise.shape[1:] not in ((size, size), (2, 2), (4, 4)):
-            raise ValueError(
-                f"`points` must hold a covariance for each, {(x.size, size, size)}, but it is {noise.shape}."
-            )
-        noise = np.pad(noise, ((0, 0), (0, 3), (0, 3)))[:, :3, :3]
+            raise ValueError(f"`points` must hold arrays of one length, got shape {values.shape} for {name}.")
+    noise = _noise_of(table, 2 if slope is None else 3)
     known = np.isfinite(x) & np.isfinite(y) & (slope is None or np.isfinite(slope))
     known &= noise is None or np.isfinite(noise).all(axis=(1, 2))
     if not known.any():
-        raise ValueError("`points` must hold points, but none is known.")
-    # Lengths are rounded up, so that most are compiled for already.
-    at = np.concatenate([np.flatnonzero(known), np.full(-known.sum() % 256, np.flatnonzero(known)[0])])
+        raise ValueError("`points` must hold finite values, got none.")
+    at = np.concatenate([np.flatnonzero(known), np.full(-known.sum() % BLOCK, np.flatnonzero(known)[0])])
     weight = jnp.asarray((np.arange(at.size) < known.sum()).astype(float))
-    angle = np.zeros_like(x) if slope is None else slope
-    x, y, angle = (jnp.asarray(values[at]) for values in (x, y, angle))
+    x, y, angle = (jnp.asarray(v[at]) for v in (x, y, np.zeros_like(x) if slope is None else slope))
     return _Points(x, y, angle, None if noise is None else jnp.asarray(noise[at]), weight, slope is not None)
 
 
-def _guess(known: _Points, family: type, knots: Any) -> AbstractProfile:
-    own = np.asarray(known.weight) > 0
-    x, y = np.asarray(known.x)[own], np.asarray(known.y)[own]
-    middle, width = np.mean(x), max(np.ptp(x), 1e-9 * (1 + np.max(np.abs(x))))
-    spread = np.stack([((x - middle) / width) ** k for k in (2, 1, 0)], axis=1)
-    (bend, tilt, height), *_ = np.linalg.lstsq(spread, y, rcond=None)
-    bend = max(bend, 1e-3 * (np.ptp(y) + 1e-300)) / width**2
-    position, lowest = middle - tilt / width / (2 * bend), np.min(y)
-    distance = max(float(height - (tilt / width) ** 2 / (4 * bend)), 0.1 * float(lowest))
-    parabola = Parabola(distance, float(bend), float(position))
-    if family is Parabola:
-        return parabola
-    # The circle for which x^2 + y^2 is nearest to linear in x and y.
+def _table_of(points: Any, significance: float) -> dict[str, Any]:
+    if isinstance(points, Reconstruction):
+        noise = np.asarray(points.covariance)[..., :3, :3].reshape(-1, 3, 3)
+        weak = np.asarray(points.significance) < significance
+        table: dict[str, Any] = {n: np.where(weak, np.nan, getattr(points, n)).ravel() for n in ("x", "y", "slope")}
+        return table | {"covariance": noise if np.isfinite(noise).all(axis=(1, 2)).any() else None}
+    if isinstance(points, Mapping) and {"x", "y"} <= set(points) <= {"x", "y", "slope", "covariance", "sigma"}:
+        return {name: np.asarray(value, dtype=float) for name, value in points.items() if value is not None}
+    raise ValueError(
+        "`points` must be a Reconstruction or a mapping with x, y and optionally slope, covariance or sigma, got "
+        f"{sorted(points) if isinstance(points, Mapping) else repr(points)}."
+    )
+
+
+def _noise_of(table: Mapping[str, Any], size: int) -> np.ndarray | None:
+    """Covariances of x, y and slope, (points, 3, 3); None if they are unknown."""
+    noise, count = table.get("covariance"), table["x"].size
+    if noise is None and "sigma" in table:
+        sigma = np.broadcast_to(table["sigma"], (count,))
+        if not (sigma > 0).all():
+            raise ValueError(f"`points` must hold a positive sigma, got {sigma.min()}.")
+        noise = sigma[:, None, None] ** 2 * np.diag([1.0, 1.0, 0.0][:size])
+    if noise is None:
+        return None
+    if noise.shape[0] != count or noise.shape[1:] not in ((size, size), (2, 2), (4, 4)):
+        raise ValueError(f"`points` must hold a covariance for each, {(count, size, size)}, got shape {noise.shape}.")
+    return np.pad(noise, ((0, 0), (0, 3), (0, 3)))[:, :3, :3]
+
+
+def _guess(observed: _Points, family: type, knots: int | Sequence[float]) -> AbstractProfile:
+    """A profile by linear least squares: a parabola, or the circle for which x^2 + y^2 is nearest to linear."""
+    own = np.asarray(observed.weight) > 0
+    x, y = np.asarray(observed.x)[own], np.asarray(observed.y)[own]
+    middle, width, lowest = np.mean(x), max(np.ptp(x), 1e-9 * (1 + np.max(np.abs(x)))), float(np.min(y))
+    if family in (Parabola, Contour):
+        powers = np.stack([((x - middle) / width) ** k for k in (2, 1, 0)], axis=1)
+        (bend, tilt, height), *_ = np.linalg.lstsq(powers, y, rcond=None)
+        bend = max(bend, 1e-3 * (np.ptp(y) + 1e-300)) / width**2
+        distance = max(float(height - (tilt / width) ** 2 / (4 * bend)), 0.1 * lowest)
+        parabola = Parabola(distance, float(bend), float(middle - tilt / width / (2 * bend)))
+        if family is Parabola:
+            return parabola
+        return Contour.like(parabola, _spread_knots(observed, parabola, knots) if isinstance(knots, int) else knots)
     columns = np.stack([x - middle, y, np.ones_like(x)], axis=1)
     (a, b, c), *_ = np.linalg.lstsq(columns, (x - middle) ** 2 + y**2, rcond=None)
     radius = float(np.sqrt(max(c + (a / 2) ** 2 + (b / 2) ** 2, 1e-6 * width**2)))
-    distance = max(float(b) / 2 - radius, 0.1 * float(lowest))
-    if family is Circle:
-        return Circle(distance, radius, float(middle + a / 2))
-    if family is Ellipse:
-        return Ellipse(distance, radius, 1.1 * radius, float(middle + a / 2))
-    if isinstance(knots, int):
-        slopes = np.asarray(known.slope)[own] if known.has_slope else np.arctan(2 * bend * (x - position))
-        sure = np.ones(slopes.size, bool)
-        if known.covariance is not None:
-            sure = (
-                np.asarray(known.covariance)[own, 2, 2] <= max(SURE, np.sqrt(np.median(known.covariance[:, 2, 2]))) ** 2
-            )
-        low, high = np.quantile(slopes[sure], [0.01, 0.99])
-        knots = np.linspace(max(low, -1.5), min(high, 1.5), knots)
-    return Contour.like(parabola, knots)
+    distance, position = max(float(b) / 2 - radius, 0.1 * lowest), float(middle + a / 2)
+    return Circle(distance, radius, position) if family is Circle else Ellipse(distance, radius, 1.1 * radius, position)
+
+
+def _spread_knots(observed: _Points, near: Parabola, count: int) -> np.ndarray:
+    """Slope angles spread evenly over those of the points; of a parabola near them if they have none."""
+    own = np.asarray(observed.weight) > 0
+    slopes = np.asarray(observed.slope)[own]
+    if not observed.has_slope:
+        slopes = np.arctan(2 * near.a * (np.asarray(observed.x)[own] - near.position))
+    sure = np.ones(slopes.size, bool)
+    if observed.covariance is not None:
+        variance = np.asarray(observed.covariance)[:, 2, 2]
+        sure = variance[own] <= max(SURE, np.sqrt(np.median(variance))) ** 2
+    low, high = np.quantile(slopes[sure], [0.01, 0.99])
+    return np.linspace(max(low, -1.5), min(high, 1.5), count)
 
 
 class _Family(eqx.Module):
-    """Profiles with parameters to fit: position, the logs of positive fields, and log_radius of a Contour."""
+    """Profiles with values to fit: position, the logs of positive fields, and log_radius of a Contour."""
 
     kind: type = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
-    spline: Spline | None  # an array, so that other knots need no other code
+    spline: Spline | None  # an array: one compilation serves all knots
 
     @classmethod
     def of(cls, profile: AbstractProfile) -> "_Family":
         if not isinstance(profile, Contour):
             return cls(type(profile), FAMILIES[type(profile)], None)
         radii = (f"log_radius[{k}]" for k in range(len(profile.slopes)))
-        maps = jax.tree.map(jnp.asarray, spline(profile.slopes))
-        return cls(Contour, ("distance", "position", *radii), maps)
+        return cls(Contour, ("distance", "position", *radii), jax.tree.map(jnp.asarray, spline(profile.slopes)))
 
     def values(self, profile: AbstractProfile) -> Float[Array, " p"]:
-        plain = ["distance", "position"] if isinstance(profile, Contour) else self.names
-        values = [jnp.asarray(getattr(profile, name), dtype=float) for name in plain]
-        values = [value if name == "position" else jnp.log(value) for name, value in zip(plain, values, strict=True)]
-        return jnp.concatenate([jnp.stack(values), *([profile.log_radius] if isinstance(profile, Contour) else [])])
+        fields = ["distance", "position"] if isinstance(profile, Contour) else self.names
+        values = {name: jnp.asarray(getattr(profile, name), dtype=float) for name in fields}
+        values = jnp.stack([value if name == "position" else jnp.log(value) for name, value in values.items()])
+        return jnp.concatenate([values, profile.log_radius]) if isinstance(profile, Contour) else values
 
     def profile(self, values: Float[Array, " p"]) -> AbstractProfile:
         if self.spline is not None:
@@ -274,7 +289,7 @@ class _Family(eqx.Module):
         return self.kind(**{name: v if name == "position" else jnp.exp(v) for name, v in fields})
 
     def estimates(self, values: Float[Array, " p"]) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-        """Values of the fields, and their derivatives by what was fitted."""
+        """Values of the fields, and their derivatives with respect to the fitted values."""
         logs = np.array([name != "position" and not name.startswith("log") for name in self.names])
         estimates = jnp.where(logs, jnp.exp(values), values)
         return estimates, jnp.where(logs, estimates, 1.0)
@@ -287,47 +302,47 @@ def _parameter(profile: AbstractProfile, slope: Scalar) -> Scalar:
     return slope
 
 
-def _residuals(like: "_Family", values, known: _Points, weights) -> Array:
-    """Of every point, whitened by `weights`: distance from the profile and slope's excess over that of the foot."""
+def _residuals(like: _Family, values, observed: _Points, weights) -> Array:
+    """Residuals of every point, whitened by `weights`: its distance, and its slope minus that of its foot."""
     profile = like.profile(values)
-    still = jax.lax.stop_gradient(profile)
+    constant = jax.lax.stop_gradient(profile)
 
     def one(x, y, slope, weights):
-        foot, _ = _foot(profile, still, x, y)
+        foot, _ = _foot(profile, constant, x, y)
         at = profile.point(_parameter(profile, jax.lax.stop_gradient(foot)))
-        # The distance does not depend on where exactly the foot is, to first order.
+        # To first order, the distance does not depend on the position of the foot.
         off = (at.x - x) * at.sin - (at.y - y) * at.cos
         return weights @ jnp.stack([off, slope - foot])
 
-    found = jax.vmap(one)(known.x, known.y, known.slope, weights)
-    return found * known.weight[:, None]
+    residuals = jax.vmap(one)(observed.x, observed.y, observed.slope, weights)
+    return residuals * observed.weight[:, None]
 
 
-def _foot(profile, still, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+def _foot(profile, constant, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     """Slope at the profile's point nearest to (x, y), and the radius of curvature there."""
 
     def ahead(profile, slope):
         at = profile.point(_parameter(profile, slope))
         return (at.x - x) * at.cos + (at.y - y) * at.sin
 
-    def narrower(_, bracket):
+    def bisect(_, bracket):
         low, high = bracket
         middle = (low + high) / 2
-        before = ahead(still, middle) < 0
+        before = ahead(constant, middle) < 0
         return jnp.where(before, middle, low), jnp.where(before, high, middle)
 
-    low, high = jax.lax.fori_loop(0, HALVINGS, narrower, (jnp.asarray(-STEEPEST), jnp.asarray(STEEPEST)))
+    low, high = jax.lax.fori_loop(0, HALVINGS, bisect, (jnp.asarray(-STEEPEST), jnp.asarray(STEEPEST)))
     slope = (low + high) / 2
     for step in range(NEWTON_STEPS):
         last = step == NEWTON_STEPS - 1
-        off, rate = jax.jvp(lambda slope: ahead(still, slope), (slope,), (jnp.ones(()),))
+        off, rate = jax.jvp(lambda slope: ahead(constant, slope), (slope,), (jnp.ones(()),))
         # The last step carries the derivative.
         slope = slope - (ahead(profile, slope) if last else off) / jnp.where(rate > 0, rate, 1.0)
     return slope, rate
 
 
-def _weights(like: "_Family", values, known: _Points) -> Float[Array, "points 2 2"]:
-    """What whitens the residuals: lower triangular matrices."""
+def _weights(like: _Family, values, observed: _Points) -> Float[Array, "points 2 2"]:
+    """Lower triangular matrices that whiten the residuals, smaller for outliers (Huber)."""
     profile = like.profile(values)
 
     def one(x, y, noise):
@@ -343,44 +358,38 @@ def _weights(like: "_Family", values, known: _Points) -> Float[Array, "points 2 
         c = jnp.sqrt(jnp.maximum(c - b**2, LEAST * c + 1e-300))
         return jnp.stack([jnp.stack([1 / a, zero]), jnp.stack([-b / (a * c), 1 / c])])
 
-    weights = jax.vmap(one)(known.x, known.y, known.covariance)
-    return weights if known.has_slope else weights.at[:, 1].set(0.0)
-
-
-def _robust(like: "_Family", values, known: _Points) -> Float[Array, "points 2 2"]:
-    """Weights, smaller for points that lie farther off than their errors allow: Huber's."""
-    weights = _weights(like, values, known)
-    if known.covariance is None:
+    weights = jax.vmap(one)(observed.x, observed.y, observed.covariance)
+    weights = weights if observed.has_slope else weights.at[:, 1].set(0.0)
+    if observed.covariance is None:
         return weights
-    size = jnp.sqrt(jnp.sum(_residuals(like, values, known, weights) ** 2, axis=-1))
+    size = jnp.sqrt(jnp.sum(_residuals(like, values, observed, weights) ** 2, axis=-1))
     share = jnp.sqrt(jnp.minimum(1.0, OUTLIER / jnp.maximum(size, OUTLIER)))
     return weights * share[:, None, None]
 
 
-@eqx.filter_jit(**_COMPILED)
-def _fitted(like: _Family, values, known: _Points):
+@jit
+def _least_squares(like: _Family, values, observed: _Points):
     solver = optx.LevenbergMarquardt(rtol=RTOL, atol=1e-2 * RTOL)
 
-    def again(_, values):
-        weights = _robust(like, values, known)
+    def fit(_, values):
         solution = optx.least_squares(
-            lambda values, weights: _residuals(like, values, known, weights),
+            lambda values, weights: _residuals(like, values, observed, weights),
             solver,
             values,
-            args=weights,
+            args=_weights(like, values, observed),
             max_steps=MAX_STEPS,
             throw=False,
         )
         return solution.value
 
-    values = jax.lax.fori_loop(0, REWEIGHTINGS, again, values)
-    weights = _robust(like, values, known)
-    residual = _residuals(like, values, known, weights)
-    gradient = jax.jacfwd(lambda values: _residuals(like, values, known, weights))(values)
+    values = jax.lax.fori_loop(0, REWEIGHTINGS, fit, values)
+    weights = _weights(like, values, observed)
+    residual = _residuals(like, values, observed, weights)
+    gradient = jax.jacfwd(lambda values: _residuals(like, values, observed, weights))(values)
     return values, residual, gradient
 
 
-@eqx.filter_jit(**_COMPILED)
+@jit
 def _along(like: _Family, values, slopes: Float[Array, " slopes"]):
     def across(values):
         profile = like.profile(values)

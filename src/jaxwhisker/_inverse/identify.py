@@ -1,36 +1,44 @@
-"""Identification: parameters of a scene from signals that were measured, by least squares."""
+"""Identification: estimate parameters of a scene from observed signals by least squares."""
 
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base import checks
-from jaxwhisker._inverse.features import Features, features, noise_of, peaks
-from jaxwhisker._inverse.fit import Fit
-from jaxwhisker._inverse.fit_status import FitStatus, plausible
-from jaxwhisker._inverse.identifiability import identifiability
-from jaxwhisker._inverse.kernel import COARSE, Kernel, Solved, could_fall, kernel
-from jaxwhisker._inverse.measured import CHANNELS, Measured, has_contact, measured_of
-from jaxwhisker._inverse.misfit import BLOCK, Samples, Sought, samples
-from jaxwhisker._inverse.transforms import Transform, checked_scene, checked_values, natural, table, transforms_of
+from jaxwhisker._inverse.features import Features, Scatter, features, neighbour_scatter
+from jaxwhisker._inverse.fit import Fit, FitInternals
+from jaxwhisker._inverse.observations import Observations, read_observations
+from jaxwhisker._inverse.parameters import (
+    Transforms,
+    Unknowns,
+    build_scene,
+    check_traceable,
+    check_used,
+    read_parameters,
+    transforms_of,
+)
+from jaxwhisker._inverse.program import COARSE, LeastSquares, Solution, possible_decrease
+from jaxwhisker._inverse.recording import check_recording
+from jaxwhisker._inverse.residuals import BLOCK, Samples, samples_of
+from jaxwhisker._inverse.statistics import FitStatus, chi_squared, correlation, identifiability, is_plausible
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.route import route_of
 
-LEAST_NOISE = 1e-4  # as a share of the peak, until the residuals tell
-MISFIT = 0.05  # share of the peak, root mean square, above which it is where the noise is not known
-SPREAD = np.log(4.0)  # of starts around the guess: half the range of the fit's variables
-FAR = {"control": (1e-2, 1e3), "reaction": (1e-3, 1e4)}  # ratios to the scene's units outside of which one is warned
-REWEIGHTINGS = 4  # at most, where the residuals tell the noise
+LEAST_NOISE = 1e-4  # of the peak, until the residuals show how much there is
+EXACT = 1e-6  # of the peak: residuals below it are numerical
+SCATTER_ERROR = 6.0  # relative error that the scatter between n neighbours may have, times sqrt(n): 3.4 standard errors
+SPREAD = np.log(4.0)  # half the range of the fit's variables in which other starts lie
+REWEIGHTINGS = 4  # at most, where the noise is estimated from the residuals
+SETTLED = 0.5  # share of the degrees of freedom above which chi-squared of reweighted residuals has settled
 BASELINE = 5  # first samples, from which constant offsets are guessed
 ENOUGH = 3  # starts that end in the same plausible minimum: no more are tried
-SAME = 1e-3  # difference of the fit's variables up to which two minima are one
-FALL = 1e-2  # of chi^2, within a tenth of a standard error: a minimum, although the solver did not come to an end
-END = 1e-3  # share of the way between bounds: as near is at one
+SAME = 1e-3  # difference of the fit's variables up to which two minima are the same
+NEGLIGIBLE = 1e-2  # possible decrease of chi-squared, a tenth of a standard error: a minimum, although steps ran out
+AT_BOUND = 1e-3  # share of the way between bounds
 
 
 def identify(
@@ -46,94 +54,100 @@ def identify(
     starts: int = 16,
     near: bool = False,
 ) -> Fit:
-    """Find the parameters of a scene whose signals are those that were measured.
+    """Estimate the parameters of a scene from measured signals.
 
-    Levenberg-Marquardt on whitened residuals, with exact derivatives. Snaps count by their positions: see misfit.py.
-    A first stage lays the scans over each other, so that guesses may be wrong by a factor of three and more. If the
-    misfit then is not plausible, fits from other starts follow.
+    Levenberg-Marquardt on whitened residuals, with exact derivatives. Snaps contribute by their positions (see
+    residuals.py). A first stage overlays the scans; therefore guesses may be off by a factor of three and more. If the
+    residuals are then not plausible, fits from other starts follow.
 
     Args:
-        build: makes a Scene from numbers given by name: any numbers, of springs, object, whiskers.
-        guess: a first value for each parameter that is sought.
-        measured: a mapping of arrays, a Result, a Dataset with one scan, a DataFrame or the path of a CSV file, with
-            `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers), in the units of the scene and with
-            the signs of `scene.py`; in the order in which the drive moved. NaN is skipped.
-        sigma: standard deviation of the noise: a number, or a mapping from channels to numbers or arrays. Default: a
-            number per channel, estimated from the residuals.
-        offsets: whether every measured channel has an unknown constant added.
+        build: makes a Scene from named numbers: parameters of springs, object and whiskers. JAX must be able to trace
+            it.
+        guess: a first value of each unknown parameter.
+        measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers): a mapping of arrays, a Result,
+            a Dataset with one scan, a DataFrame or the path of a CSV file. In the units of the scene, with the signs of
+            `scene.py` (forces and moments of the support on the whisker), and in the order in which the drive moved.
+            NaN is skipped.
+        sigma: standard deviation of the noise: a number, or a mapping from channels to numbers or arrays. Default: one
+            number per channel, estimated from the residuals; the fit is then plausible if the residuals are not larger
+            than the scatter between neighbouring samples. Noise that is correlated between samples needs `sigma`.
+        offsets: whether an unknown constant is added to every measured channel.
         shift: whether the control is off by an unknown constant: the scene's is the measured one plus `shift`.
-        bounds: pairs (low, high) by name, None for no bound; they are kept.
-        transform: "log" or "linear" by name. Default: log of what the scene wants to be positive.
-        near: whether the guess is near: leaves out the first stage.
-        starts: how many other starts to try at most where the first misfit is implausible; 0 for none.
+        bounds: pairs (low, high) by name, None for no bound.
+        transform: "log" or "linear" by name. Default: log for parameters that `build` rejects if they are negative.
+        starts: largest number of other starts if the first fit is not plausible; 0 for none.
+        near: whether the guess is close: skips the first stage.
 
     Returns:
-        A Fit. Its status tells whether it ended well; what the data do not tell has no standard error, and
-        `combinations` say what it is.
+        A Fit. Unless its status is `ok`, `reason` says why and there are no standard errors: `implausible` (noise does
+        not explain the residuals), `not_converged`, `at_bound` or `failed` (the scene cannot be scanned there).
+        Parameters that are not identifiable have no standard error, and `combinations` describes them.
 
     Raises:
-        ValueError: if an argument is wrong; if `build` ignores a parameter; if there are fewer data than parameters, or
-            no contact in them.
-
-    Warns:
-        UserWarning: if measured values and the scene's units differ by orders of magnitude.
+        ValueError: if an argument is wrong; if JAX cannot trace `build`, or `build` ignores a parameter; if `measured`
+            has too few values, shows no contact, is in other units than the scene, or is in reversed order (which is
+            recognised for translations that start free, if fx of all whiskers is measured).
     """
     checks.float64_mode()
-    guess = checked_values("guess", guess)
-    checked_scene("guess", build, guess)
+    guess = read_parameters("guess", guess)
+    scene = build_scene("guess", build, guess)
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
-        raise ValueError(f"`starts` must be an int of at least 0, but is {starts!r}.")
-    transforms = transforms_of(build, guess, bounds or {}, transform or {})
-    scene = build(**guess)
-    _check_used(build, guess)
-    data = measured_of(measured, sigma, whiskers=len(scene.whiskers))
-    _check_data(data, scene, len(guess))
+        raise ValueError(f"`starts` must be an int of at least 0, got {starts!r}.")
+    transforms = transforms_of(build, guess, bounds, transform)
+    check_traceable(build, guess)
+    check_used(build, guess)
+    observations = read_observations(measured, sigma, whiskers=len(scene.whiskers))
 
-    peak, start = peaks(data), dict(guess)
-    channels = [(k, c) for k in range(data.values.shape[1]) for c in range(len(CHANNELS)) if data.known[:, k, c].any()]
-    channels = tuple(channels) if offsets else ()
-    every = list(transforms.values())
-    for k, c in channels:
-        every.append(Transform(scale=float(peak[c])))
-        first = data.values[:, k, c][data.known[:, k, c]][:BASELINE]
-        start[f"offset {k} {c}"] = float(np.median(first)) if first.size else 0.0
-    if shift:
-        every.append(Transform(scale=float(units(scene).control)))
-        start["shift"] = 0.0
-    sought = Sought(tuple(guess), channels, shift)
-    transforms = tuple(every)
-    y = np.array([t.seen(x) for t, x in zip(every, start.values(), strict=True)])
+    channels = tuple((c.whisker, c.reaction) for c in observations.channels) if offsets else ()
+    unknowns = Unknowns(tuple(guess), channels, shift)
+    baselines = [_baseline(observations, *channel) for channel in channels]
+    centred = _without_offsets(observations, unknowns, baselines)
+    check_recording(centred, scene, len(unknowns.all_names))
+    sizes = [float(observations.peaks[reaction]) for _, reaction in channels] + [float(units(scene).control)] * shift
+    transforms = transforms.then(Transforms.of([False] * len(sizes), sizes, [(-np.inf, np.inf)] * len(sizes)))
+    start = transforms.variables([*guess.values(), *baselines, *[0.0] * shift])
 
-    unknown = bool(np.isnan(data.sigma[data.known]).all())
-    if unknown:
-        noise = np.maximum(noise_of(data), LEAST_NOISE * peak)
-        data = Measured(data.control, data.values, np.broadcast_to(noise, data.values.shape))
-    zeroed = data.values.copy()
-    for n, (k, c) in enumerate(channels):
-        zeroed[:, k, c] -= list(start.values())[len(guess) + n]
-    seen = features(Measured(data.control, zeroed, data.sigma))
-    leg = _until_turn(data.control)
-    begun = features(Measured(data.control[leg], zeroed[leg], data.sigma[leg]))
-    problem = _Problem(kernel(build, sought), sought, transforms, data, seen, begun, scene)
-    found, steps = problem.fit(y, near)
-    tried = agreeing = 1
-    if starts and not problem.plausible(found):
-        others = [found]
-        # Where a feature of the data is not what it seems, scans that are laid over each other mislead from everywhere.
-        for k, other in enumerate([y, *_starts(y, starts - 1)]):
-            others.append(problem.fit(other, near=k % 2 == 0)[0])
-            found = min(others, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
-            agreeing = sum(bool(np.max(np.abs(s.y - found.y)) < SAME) for s in others)
-            if agreeing >= ENOUGH and problem.plausible(found):
-                break
-        tried = len(others)
-    for _ in range(REWEIGHTINGS if unknown else 0):
-        problem = problem.with_noise(found)
-        found, more = problem.fine(found.y)
-        steps += more
-        if found.misfit > problem.degrees(found) / 2:  # or the fit has gone on, and there is less noise than it seemed
-            break
-    return _told(build, problem, found, steps, tried, agreeing, unknown)
+    scatter = None
+    if np.isnan(observations.sigma[observations.known]).all():
+        scatter = neighbour_scatter(observations)
+        noise = np.maximum(scatter.sigma, LEAST_NOISE * observations.peaks)
+        observations, centred = observations.with_sigma(noise), centred.with_sigma(noise)
+    leg = _until_turn(observations.control)
+    problem = _Problem(
+        build=build,
+        solve=LeastSquares(build, unknowns),
+        unknowns=unknowns,
+        transforms=transforms,
+        observations=observations,
+        landmarks=features(centred),
+        landmarks_until_turn=features(centred.at(leg)),
+        scatter=None,
+        scene=scene,
+    )
+    search = _search(problem, start, starts, near)
+    if scatter is not None:
+        problem, search = _reweighted(problem._replace(scatter=scatter), search)
+    return _fit_of(problem, search)
+
+
+def _baseline(observations: Observations, whisker: int, reaction: int) -> float:
+    """Median of a channel's first samples."""
+    signal = observations.values[:, whisker, reaction]
+    first = signal[np.isfinite(signal)][:BASELINE]
+    return float(np.median(first)) if first.size else 0.0
+
+
+def _without_offsets(observations: Observations, unknowns: Unknowns, offsets: list[float]) -> Observations:
+    values = observations.values.copy()
+    for (whisker, reaction), offset in zip(unknowns.offsets, offsets, strict=True):
+        values[:, whisker, reaction] -= offset
+    return Observations(observations.control, values, observations.sigma)
+
+
+def _heading(control: np.ndarray) -> float:
+    """Sign of the drive's first move."""
+    moves = np.diff(control)
+    return float(np.sign(moves[moves != 0][:1]).sum())
 
 
 def _until_turn(control: np.ndarray) -> slice:
@@ -142,214 +156,214 @@ def _until_turn(control: np.ndarray) -> slice:
     return slice(0, back[0] + 1 if back.size else control.size)
 
 
-def _heading(control: np.ndarray) -> float:
-    """The sign of the drive's first move."""
-    moves = np.diff(control)
-    return float(np.sign(moves[moves != 0][:1]).sum())
+class _Problem(NamedTuple):
+    """Observations and the program that fits them."""
+
+    build: Callable[..., Scene]
+    solve: LeastSquares
+    unknowns: Unknowns
+    transforms: Transforms
+    observations: Observations
+    landmarks: Features
+    landmarks_until_turn: Features  # of the samples before the drive first turns, which can be overlaid with a scan
+    scatter: Scatter | None  # of neighbouring samples, to judge a fit whose noise was estimated from its residuals
+    scene: Scene  # at the guess
+
+    def samples(self, prior: np.ndarray, *, overlaid: bool = False, thin: bool = False) -> Samples:
+        """The observations for one stage: all of them, or as many as one block holds."""
+        observations, landmarks = self.observations, self.landmarks
+        if overlaid:
+            observations, landmarks = observations.at(_until_turn(observations.control)), self.landmarks_until_turn
+        if thin and observations.control.size > BLOCK:
+            pick = np.unique(np.linspace(0, observations.control.size - 1, BLOCK).astype(int))
+            observations, landmarks = observations.at(pick), landmarks._replace(travel=landmarks.travel[pick])
+        route, length = route_of(self.observations.control), float(units(self.scene).control)
+        return samples_of(observations, landmarks, self.transforms, prior, route, overlaid=overlaid, length=length)
+
+    @property
+    def can_be_overlaid(self) -> bool:
+        """Whether the drive sets out as in a default scan and a touch is visible: both scans then have a beginning."""
+        sets_out = _heading(self.observations.control) == self.scene.motion.onwards
+        return sets_out and bool(np.isfinite(self.landmarks_until_turn.touch).any())
+
+    def fit(self, y: np.ndarray, near: bool = False) -> tuple[Solution, int]:
+        """Fit from a guess, in stages, and count the steps."""
+        whole, part = self.samples(y), self.samples(y, thin=True)
+        thinned = whole.control.size != part.control.size
+        if thinned:
+            self.solve.compile_all(part, whole)
+        steps = 0
+        for overlaid in [True] * (self.can_be_overlaid and not near) + [False] * thinned:
+            solution = self.solve(y, self.samples(y, overlaid=overlaid, thin=True), least=COARSE)
+            y, steps = solution.y if np.isfinite(solution.y).all() else y, steps + int(solution.steps)
+        solution = self.solve(y, self.samples(y))
+        return solution, steps + int(solution.steps)
+
+    def compared(self, solution: Solution) -> np.ndarray:
+        """Which values are compared with the model, (steps, whiskers, 3): all but those left out at snaps."""
+        steps = self.observations.control.size
+        return self.observations.known & ~solution.compared.left_out[:steps, None, None]
+
+    def off(self, solution: Solution) -> np.ndarray:
+        """Measured - model, (steps, whiskers, 3); NaN where nothing is compared."""
+        signals = solution.compared.signals[: self.observations.control.size]
+        return np.where(self.compared(solution), self.observations.values - signals, np.nan)
+
+    def degrees(self, solution: Solution) -> int:
+        """Degrees of freedom."""
+        return int(self.compared(solution).sum()) - solution.y.size
+
+    def largest_noise(self) -> np.ndarray:
+        """Noise that the observations may have, (..., 3): as given, or by the scatter between neighbours."""
+        if self.scatter is None:
+            return self.observations.sigma
+        uncertainty = 1 + SCATTER_ERROR / np.sqrt(max(1, self.scatter.count))
+        return uncertainty * np.maximum(self.scatter.sigma, EXACT * self.observations.peaks)
+
+    def is_plausible(self, solution: Solution) -> bool:
+        """Whether noise explains the residuals.
+
+        Noise that was estimated from the residuals explains them by construction, unless samples are left out. So they
+        are compared with the scatter between neighbouring samples as well.
+        """
+        off, degrees = self.off(solution), max(1, self.degrees(solution))
+        if not (np.isfinite(off[self.compared(solution)]).all() and np.isfinite(solution.misfit)):
+            return False
+        return is_plausible(solution.misfit, degrees) and (
+            self.scatter is None or is_plausible(chi_squared(np.nan_to_num(off / self.largest_noise())), degrees)
+        )
+
+    def with_noise_of(self, solution: Solution) -> "_Problem":
+        """The same problem with the noise of each reaction estimated from the residuals."""
+        off, compared = self.off(solution), self.compared(solution)
+        correction = compared.sum() / max(1, self.degrees(solution))
+        count = compared.sum(axis=(0, 1))
+        squares = np.sum(np.where(compared, off, 0.0) ** 2, axis=(0, 1))
+        noise = np.sqrt(correction * squares / np.maximum(count, 1))
+        noise = np.where(count > 0, np.maximum(noise, np.finfo(float).eps * self.observations.peaks), 1.0)
+        return self._replace(observations=self.observations.with_sigma(noise))
 
 
-def _starts(y: np.ndarray, count: int) -> list[np.ndarray]:
-    """Other starts around a guess, evenly spread."""
+class _Search(NamedTuple):
+    """The best solution from several starts."""
+
+    solution: Solution
+    steps: int
+    starts: int
+    agreeing: int  # starts that ended in the same minimum
+
+
+def _search(problem: _Problem, start: np.ndarray, starts: int, near: bool) -> _Search:
+    """Fit from the guess, and from other starts until the fit is plausible."""
+    best, steps = problem.fit(start, near)
+    if not starts or problem.is_plausible(best):
+        return _Search(best, steps, 1, 1)
+    solutions, agreeing = [best], 1
+    # Overlaid scans mislead from every start if a feature of the data is not what it seems: skip them every other time.
+    for k, y in enumerate([start, *_other_starts(start, starts - 1)]):
+        solutions.append(problem.fit(y, near=k % 2 == 0)[0])
+        best = min(solutions, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
+        agreeing = sum(bool(np.max(np.abs(s.y - best.y)) < SAME) for s in solutions)
+        if agreeing >= ENOUGH and problem.is_plausible(best):
+            break
+    return _Search(best, steps, len(solutions), agreeing)
+
+
+def _other_starts(y: np.ndarray, count: int) -> list[np.ndarray]:
+    """Starts spread evenly around a guess."""
     from scipy.stats import qmc
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a count that is no power of two
+        warnings.simplefilter("ignore", UserWarning)  # a count that is not a power of two
         unit = qmc.Sobol(y.size, scramble=True, rng=0).random(count)
     return list(y + SPREAD * (2 * unit - 1))
 
 
-class _Problem(NamedTuple):
-    """Data and the kernel that fits them."""
-
-    kernel: Kernel
-    sought: Sought
-    transforms: tuple[Transform, ...]
-    data: Measured
-    seen: Features
-    begun: Features  # of the data before the drive turns, which can be laid over a scan
-    scene: Scene
-
-    def samples(self, prior: np.ndarray, *, overlaid: bool, thin: bool) -> Samples:
-        """What is compared: all of it, or so much as one block holds."""
-        data, seen = self.data, self.seen
-        if overlaid:
-            leg, seen = _until_turn(data.control), self.begun
-            data = Measured(data.control[leg], data.values[leg], data.sigma[leg])
-        if thin and data.control.size > BLOCK:
-            pick = np.unique(np.linspace(0, data.control.size - 1, BLOCK).astype(int))
-            data = Measured(data.control[pick], data.values[pick], data.sigma[pick])
-            seen = seen._replace(way=seen.way[pick])
-        length = float(units(self.scene).control)
-        route = route_of(self.data.control)
-        return samples(data, seen, self.transforms, prior, (route.stops, route.last), overlaid=overlaid, length=length)
-
-    @property
-    def overlayable(self) -> bool:
-        """Whether the drive sets out as a default scan does and there is a touch, so that scans have a beginning."""
-        sets_out = _heading(self.data.control) == self.scene.motion.onwards
-        return sets_out and bool(np.isfinite(self.begun.touch).any())
-
-    def fit(self, y: np.ndarray, near: bool = False) -> tuple[Solved, int]:
-        """From a guess, in stages."""
-        whole, part = (self.samples(y, overlaid=False, thin=thin) for thin in (False, True))
-        two = whole.control.size != part.control.size
-        if two:
-            self.kernel.compile(part, whole)
-        steps = 0
-        if self.overlayable and not near:
-            found = self.kernel(y, self.samples(y, overlaid=True, thin=True), fall=COARSE)
-            y, steps = (found.y if np.isfinite(found.y).all() else y), int(found.steps)
-        if two:
-            found = self.kernel(y, self.samples(y, overlaid=False, thin=True), fall=COARSE)
-            y, steps = (found.y if np.isfinite(found.y).all() else y), steps + int(found.steps)
-        found, more = self.fine(y)
-        return found, steps + more
-
-    def fine(self, y: np.ndarray) -> tuple[Solved, int]:
-        """From nearby."""
-        found = self.kernel(y, self.samples(y, overlaid=False, thin=False))
-        return found, int(found.steps)
-
-    def compared(self, found: Solved) -> np.ndarray:
-        """Which measured values have an equal of the model's: (steps, whiskers, 3)."""
-        steps = self.data.control.size
-        return self.data.known & ~found.compared.left_out[:steps, None, None]
-
-    def misses(self, found: Solved) -> np.ndarray:
-        """Measured - model, (steps, whiskers, 3); NaN where nothing is compared."""
-        signals = found.compared.signals[: self.data.control.size]
-        return np.where(self.compared(found), self.data.values - signals, np.nan)
-
-    def degrees(self, found: Solved) -> int:
-        """Of freedom."""
-        return int(self.compared(found).sum()) - found.y.size
-
-    def plausible(self, found: Solved, unknown: bool = False) -> bool:
-        """Whether noise explains the misfit; where nothing is known of the noise, whether it is small."""
-        misses = self.misses(found)
-        if not np.isfinite(misses[self.compared(found)]).all() or not np.isfinite(found.misfit):
-            return False
-        if unknown:
-            return bool(np.sqrt(np.nanmean((misses / peaks(self.data)) ** 2)) < MISFIT)
-        degrees = max(1, self.degrees(found))
-        return plausible(found.misfit, degrees)
-
-    def with_noise(self, found: Solved) -> "_Problem":
-        """The same with the noise of each channel that the residuals tell."""
-        misses, compared = self.misses(found), self.compared(found)
-        lost = compared.sum() / max(1, self.degrees(found))
-        size, count = np.where(compared, misses, 0.0), compared.sum(axis=(0, 1))
-        noise = np.sqrt(lost * np.sum(size**2, axis=(0, 1)) / np.maximum(count, 1))
-        least = np.finfo(float).eps * peaks(self.data)
-        noise = np.where(count > 0, np.maximum(noise, least), 1.0)
-        return self._replace(data=Measured(self.data.control, self.data.values, self.data.sigma * 0 + noise))
+def _reweighted(problem: _Problem, search: _Search) -> tuple[_Problem, _Search]:
+    """Estimate the noise from the residuals and fit again, until both have settled."""
+    for _ in range(REWEIGHTINGS):
+        problem = problem.with_noise_of(search.solution)
+        solution = problem.solve(search.solution.y, problem.samples(search.solution.y))
+        search = search._replace(solution=solution, steps=search.steps + int(solution.steps))
+        if solution.misfit > SETTLED * problem.degrees(solution):  # else there is less noise than it seemed
+            break
+    return problem, search
 
 
-def _told(
-    build: Callable[..., Scene], problem: _Problem, found: Solved, steps: int, tried: int, agreeing: int, unknown: bool
-) -> Fit:
-    """The fit that is handed out."""
-    sought, names = problem.sought, problem.sought.all_names
-    x = np.asarray(natural(jnp.asarray(found.y), table(problem.transforms)))
-    estimates = dict(zip(names, x.tolist(), strict=True))
-    status, reason = _judged(problem, found, unknown)
-    stretch = np.array([t.stretch(float(v)) for t, v in zip(problem.transforms, found.y, strict=True)])
-    rows = found.residual.size - found.y.size  # without the prior
+def _fit_of(problem: _Problem, search: _Search) -> Fit:
+    solution, transforms, names = search.solution, problem.transforms, problem.unknowns.all_names
+    x = transforms.natural(solution.y, np)
+    status, reason = _status_of(problem, solution, x)
+    residual, jacobian = solution.observed
     with np.errstate(divide="ignore", invalid="ignore"):
-        jacobian = np.nan_to_num(found.jacobian[:rows] / stretch)
-    log = np.array([t.log for t in problem.transforms])
-    scale = np.array([t.scale for t in problem.transforms])
-    known = identifiability(jacobian, names, log, scale)
-    per = np.array([t.per_inner(v) for t, v in zip(problem.transforms, x, strict=True)])
-    covariance = known.covariance * np.outer(per, per)
+        by_inner = np.nan_to_num(jacobian / transforms.stretch(solution.y))
+    information = identifiability(by_inner, names, transforms.log, transforms.scale)
+    rate = transforms.per_inner(x)
+    covariance = information.covariance * np.outer(rate, rate)
     if status != FitStatus.ok:
         covariance = np.full_like(covariance, np.nan)
     errors = np.sqrt(np.diag(covariance))
-    intervals = [t.interval(v, e) for t, v, e in zip(problem.transforms, x, errors, strict=True)]
+    estimates = dict(zip(names, x.tolist(), strict=True))
+    at_estimates = {name: estimates[name] for name in problem.unknowns.names}
     return Fit(
         names=names,
         estimates=estimates,
         standard_error=dict(zip(names, errors.tolist(), strict=True)),
-        interval=dict(zip(names, intervals, strict=True)),
+        interval=dict(zip(names, transforms.interval(x, errors), strict=True)),
         covariance=covariance,
-        correlation=covariance / np.outer(errors, errors),
-        identified=dict(zip(names, known.identified.tolist(), strict=True)),
-        combinations=known.combinations,
+        correlation=correlation(covariance),
+        identified=dict(zip(names, information.identified.tolist(), strict=True)),
+        combinations=information.combinations,
         status=status,
         reason=reason,
-        chi2=float(np.sum(np.square(found.residual[:rows]))),
-        degrees=problem.degrees(found),
-        residuals=problem.misses(found),
-        signals=found.compared.signals[: problem.data.control.size],
-        measured=problem.data,
-        steps=steps,
-        starts=tried,
-        agreeing=agreeing,
-        scene=build(**{name: estimates[name] for name in sought.names}) if np.isfinite(x).all() else problem.scene,
-        _sought=sought,
-        _transforms=problem.transforms,
-        _kernel=problem.kernel,
-        _data=problem.samples(found.y, overlaid=False, thin=False),
-        _solved=found,
-        _build=build,
+        chi2=chi_squared(residual),
+        degrees=problem.degrees(solution),
+        residuals=problem.off(solution),
+        signals=solution.compared.signals[: problem.observations.control.size],
+        measured=problem.observations,
+        steps=search.steps,
+        starts=search.starts,
+        agreeing=search.agreeing,
+        scene=problem.build(**at_estimates) if np.isfinite(x).all() else problem.scene,
+        _internals=FitInternals(
+            problem.build, problem.unknowns, transforms, problem.solve, problem.samples(solution.y), solution
+        ),
     )
 
 
-def _judged(problem: _Problem, found: Solved, unknown: bool) -> tuple[FitStatus, str]:
-    """How the fit ended, and why it is no good one."""
-    if not np.isfinite(found.y).all() or int(found.compared.status) != Status.ok:
-        return FitStatus.failed, f"the scene cannot be scanned there ({Status(int(found.compared.status)).name})"
-    estimates = np.asarray(natural(jnp.asarray(found.y), table(problem.transforms)))
-    for name, t, x, y in zip(problem.sought.all_names, problem.transforms, estimates, found.y, strict=True):
-        if t.bounded and abs(t.stretch(float(y))) < END * max(1.0, abs(t.stretch(0.0))):
-            return FitStatus.at_bound, f"{name} = {float(x):.6g} ended at its bound ({t.low:g}, {t.high:g})"
-    if not problem.plausible(found, unknown):
-        size = np.sqrt(np.nanmean((problem.misses(found) / problem.data.sigma) ** 2))
-        share = np.sqrt(np.nanmean((problem.misses(found) / peaks(problem.data)) ** 2))
-        words = f"{share:.2g} of the peaks" + ("" if unknown else f", {size:.3g} standard deviations of the noise")
-        return FitStatus.implausible, f"the residuals are {words} (root mean square)"
-    if not bool(found.converged) and float(could_fall(jnp.asarray(found.residual), jnp.asarray(found.jacobian))) > FALL:
-        return FitStatus.not_converged, f"no minimum was found in {int(found.steps)} steps"
+def _status_of(problem: _Problem, solution: Solution, x: np.ndarray) -> tuple[FitStatus, str]:
+    """How the fit ended, and the reason for failure."""
+    path = Status(int(solution.compared.status))
+    if not np.isfinite(solution.y).all() or path != Status.ok:
+        return FitStatus.failed, f"the scene cannot be scanned there ({path.name})"
+    transforms = problem.transforms
+    stretch, middle = (np.abs(transforms.stretch(y)) for y in (solution.y, np.zeros_like(solution.y)))
+    for k in np.flatnonzero(transforms.bounded & (stretch < AT_BOUND * np.maximum(1.0, middle))):
+        low, high = transforms.bounds[k]
+        name = problem.unknowns.all_names[k]
+        return FitStatus.at_bound, f"{name} = {x[k]:.6g} ended at its bound ({low:g}, {high:g})"
+    if not problem.is_plausible(solution):
+        return FitStatus.implausible, _why_implausible(problem, solution)
+    decrease = possible_decrease(jnp.asarray(solution.residual), jnp.asarray(solution.jacobian))
+    if not bool(solution.converged) and float(decrease) > NEGLIGIBLE:
+        return FitStatus.not_converged, f"no minimum was reached in {int(solution.steps)} steps"
     return FitStatus.ok, ""
 
 
-def _check_used(build: Callable[..., Scene], guess: dict[str, float]) -> None:
-    def leaves(values):
-        return [leaf for leaf in jax.tree.leaves(jax.tree.map(checks.as_float, build(**values))) if _numeric(leaf)]
-
-    changes = jax.jacfwd(leaves)(guess)
-    for name in guess:
-        if not any(np.any(np.asarray(change[name]) != 0) for change in changes):
-            raise ValueError(
-                f"`guess` must name parameters that `build` uses, but nothing in its scene depends on {name}."
-            )
-
-
-def _numeric(leaf: Any) -> bool:
-    return isinstance(leaf, (jax.Array, np.ndarray))
+def _why_implausible(problem: _Problem, solution: Solution) -> str:
+    off, given = problem.off(solution), problem.scatter is None
+    noise = problem.observations.sigma if problem.scatter is None else problem.scatter.sigma
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share, size = (_rms(off / unit) for unit in (problem.observations.peaks, noise))
+    unit = "standard deviations of the noise" if given else "times the scatter between neighbouring samples"
+    degrees, compared = problem.degrees(solution), int(problem.compared(solution).sum())
+    reason = f"the residuals are {share:.2g} of the peaks, {size:.3g} {unit} (root mean square)"
+    if compared < problem.observations.known.sum() / 2:
+        reason += f", and only {compared} of {problem.observations.known.sum()} values lie on the same side of a snap"
+    reason += f"; chi^2 = {chi_squared(solution.observed[0]):.3g} with {degrees} degrees of freedom"
+    return reason if given else f"{reason}. If the noise is correlated between samples, give `sigma`"
 
 
-def _check_data(data: Measured, scene: Scene, sought: int) -> None:
-    if data.known.sum() <= sought:
-        raise ValueError(
-            f"`measured` must hold more values than there are parameters ({sought}), but holds {data.known.sum()}."
-        )
-    if not has_contact(data):
-        raise ValueError(
-            "`measured` must show a contact, but no value stands out of the noise by five standard deviations."
-        )
-    unit = units(scene)
-    ratios = {
-        "control": (float(np.ptp(data.control)) / float(unit.control), FAR["control"], "the range of `control`"),
-        **{
-            name: (float(np.nanmax(np.abs(data.values[:, :, k]), initial=0.0)) / float(size), FAR["reaction"], name)
-            for k, (name, size) in enumerate(zip(CHANNELS, (unit.force, unit.force, unit.moment), strict=True))
-        },
-    }
-    for ratio, (low, high), name in ratios.values():
-        if ratio > 0 and not low < ratio < high:
-            warnings.warn(
-                f"{name} of `measured` is {ratio:.2g} of the scene's unit at the guess (L, EI/L^2 or EI/L of the first "
-                "whisker): are both in the same units?",
-                stacklevel=3,
-            )
+def _rms(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else np.nan

@@ -1,57 +1,51 @@
-"""Fisher information: what a scene's signals know about its parameters, by channel, along the scan and by event."""
+"""Fisher information: how well signals determine parameters, by channel, along the scan and by event; sensor design."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import COMPILER_OPTIONS
 from jaxwhisker._base.types import Control
-from jaxwhisker._inverse.identifiability import identifiability
-from jaxwhisker._inverse.measured import CHANNELS, measured_of
-from jaxwhisker._inverse.misfit import BETWEEN
-from jaxwhisker._inverse.transforms import checked_scene, checked_values, transforms_of
+from jaxwhisker._inverse.observations import Channel, channels_of, read_observations
+from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
+from jaxwhisker._inverse.program import Program, program
+from jaxwhisker._inverse.residuals import UNIFORM
+from jaxwhisker._inverse.statistics import Identifiability, correlation, identifiability
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind
+from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.report import table
 from jaxwhisker._scan.route import route_of
 from jaxwhisker._scan.scan import TracedScan, default_control
 
+if TYPE_CHECKING:
+    import xarray as xr
 
-class Rates(NamedTuple):
-    """Signals and events of a scan with their derivatives by relative changes of parameters, or by their scales."""
-
-    signals: Any  # (steps, whiskers, 3)
-    by_parameter: Any  # (steps, whiskers, 3, parameters); NaN where a step failed
-    kind: Any  # (events,) -1 beyond their number
-    whiskers: Any  # (events, whiskers)
-    control: Any  # (events,)
-    control_by_parameter: Any  # (events, parameters)
-    gap: Any  # (events,) between the steps before and behind an event
+DESIGN_STEPS = 512  # of the default control of a design
 
 
 class EventInformation(NamedTuple):
-    """What the position of one event tells."""
+    """Information in the position of one event."""
 
     kind: EventKind
     whiskers: tuple[int, ...]  # numbered from 1
     control: float
     by_parameter: np.ndarray  # (parameters,) d control / d parameter
-    sigma: float  # standard error with which signals that jump there tell the control; infinite where they do not
+    sigma: float  # standard error of the position by the jump of the signals there; infinite without a jump
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Information:
-    """The Fisher information of signals with Gaussian noise, J^T J with J the derivatives over the noise.
+    """Fisher information of signals with Gaussian noise: J^T J, where J holds the derivatives over the noise.
 
-    Signals jump at a snap, which is thereby known to lie anywhere between two steps, h apart: it counts as a value with
-    standard error h / sqrt(12). Parameters are counted in their own units. The inverse bounds the covariance of every
-    unbiased estimate (Cramer and Rao); what is not told has no standard error.
+    Signals jump at a snap, which therefore lies anywhere between two steps, h apart: its position counts as a value
+    with standard error h / sqrt(12). Parameters are in their own units. The inverse bounds the covariance of every
+    unbiased estimate (Cramer and Rao); a parameter that is not identifiable has no standard error.
     """
 
     names: tuple[str, ...]
@@ -60,32 +54,32 @@ class Information:
     channels: tuple[str, ...]  # fx, fy, mz, or fx_1, fx_2, ... of several whiskers
     rates: np.ndarray  # (steps, channels, parameters) whitened derivatives; 0 where a step failed
     events: tuple[EventInformation, ...]
-    log: np.ndarray  # (parameters,) whether changes of a parameter are counted as relative ones in words
+    log: np.ndarray  # (parameters,) whether `combinations` describes changes of a parameter as relative ones
 
     def of(self, *channels: str) -> "Information":
-        """What some of the channels tell: `of("mz_1", "mz_2")`, or all whiskers' `of("mz")`.
+        """The information of some of the channels: `of("mz_1", "mz_2")`, or `of("mz")` for all whiskers.
 
         Raises:
             ValueError: if there is no such channel.
         """
         for name in channels:
-            if name not in self.channels and name not in CHANNELS:
-                raise ValueError(f"`channels` must be among {', '.join(self.channels)}, but one is {name!r}.")
+            if name not in self.channels and name not in REACTIONS:
+                raise ValueError(f"`channels` must be among {', '.join(self.channels)}, got {name!r}.")
         keep = [k for k, c in enumerate(self.channels) if c in channels or c.split("_")[0] in channels]
         return replace(self, channels=tuple(self.channels[k] for k in keep), rates=self.rates[:, keep])
 
     def known(self, *names: str) -> "Information":
-        """What the signals tell of the other parameters, if these are known.
+        """The information about the other parameters if these are known.
 
         Raises:
-            ValueError: if there is no such parameter, or nothing is left.
+            ValueError: if there is no such parameter, or none is left.
         """
         for name in names:
             if name not in self.names:
-                raise ValueError(f"`names` must be among {', '.join(self.names)}, but one is {name!r}.")
+                raise ValueError(f"`names` must be among {', '.join(self.names)}, got {name!r}.")
         keep = [k for k, n in enumerate(self.names) if n not in names]
         if not keep:
-            raise ValueError("`names` must leave one parameter at least, but are all of them.")
+            raise ValueError("`names` must leave at least one parameter, got all of them.")
         events = tuple(e._replace(by_parameter=e.by_parameter[keep]) for e in self.events)
         left = tuple(self.names[k] for k in keep)
         at = {name: self.at[name] for name in left}
@@ -104,7 +98,7 @@ class Information:
 
     @property
     def by_channel(self) -> dict[str, np.ndarray]:
-        """The share of each channel in the matrix, and of the snaps."""
+        """Contribution of each channel to the matrix, and that of the snaps."""
         snaps = self.jacobian[self.rates.shape[0] * self.rates.shape[1] :]
         return {name: self.rates[:, k].T @ self.rates[:, k] for k, name in enumerate(self.channels)} | {
             "snaps": snaps.T @ snaps
@@ -112,14 +106,15 @@ class Information:
 
     @property
     def density(self) -> np.ndarray:
-        """What each step tells of each parameter alone, (steps, parameters): the matrix's diagonal along the scan."""
+        """Information of each step about each parameter alone, (steps, parameters): the diagonal along the scan."""
         return np.sum(self.rates**2, axis=1)
 
     def with_events(self, sigma: float) -> "Information":
-        """What is told if the positions of all events are known, each with that standard error (a length).
+        """The information if the positions of all events are measured as well, each with this standard error (a
+        length).
 
         Raises:
-            ValueError: if it is no positive number.
+            ValueError: if it is not a positive number.
         """
         checks.number("sigma", sigma, positive=True)
         return replace(self, events=tuple(e._replace(sigma=min(float(sigma), e.sigma)) for e in self.events))
@@ -130,54 +125,53 @@ class Information:
         return np.where(values > 0, values, 1.0)
 
     @property
-    def _judged(self):
+    def _identifiability(self) -> Identifiability:
         return identifiability(self.jacobian * self._scale, self.names, self.log, self._scale)
 
     @property
     def covariance(self) -> np.ndarray:
-        """The bound of Cramer and Rao, (parameters, parameters); NaN for what is not told."""
-        return self._judged.covariance * np.outer(self._scale, self._scale)
+        """The bound of Cramer and Rao, (parameters, parameters); NaN for parameters that are not identifiable."""
+        return self._identifiability.covariance * np.outer(self._scale, self._scale)
 
     @property
     def standard_error(self) -> dict[str, float]:
-        """The least standard error of each parameter, all sought together; NaN for what is not told."""
+        """Least standard error of each parameter if all are estimated together; NaN if it is not identifiable."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
     def correlation(self) -> np.ndarray:
-        """Of estimates."""
-        errors = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.outer(errors, errors)
+        """Correlation of the estimates, (parameters, parameters)."""
+        return correlation(self.covariance)
 
     @property
     def combinations(self) -> tuple[str, ...]:
-        """Combinations of parameters that the signals do not tell, in words."""
-        return self._judged.combinations
+        """Combinations of parameters that are not identifiable, in words."""
+        return self._identifiability.combinations
 
     @property
     def rank(self) -> int:
-        """How many combinations are told."""
-        return self._judged.rank
+        """Number of combinations that are identifiable."""
+        return self._identifiability.rank
 
     @property
     def condition(self) -> float:
-        """Ratio of the largest to the smallest singular value of J by relative changes."""
-        return self._judged.condition
+        """Ratio of the largest to the smallest singular value of J with respect to relative changes."""
+        return self._identifiability.condition
 
     def __str__(self) -> str:
-        errors = self.standard_error
-        rows = [
-            [name, f"{self.at[name]:.6g}", "-" if np.isnan(e) else f"{e:.3g}", "-" if np.isnan(e) else self._best(k)]
-            for k, (name, e) in enumerate(errors.items())
-        ]
-        lines = [table(["parameter", "value", "standard error", "told most by"], rows)]
-        lines += [f"not told: {words}." for words in self.combinations]
+        rows = []
+        for k, (name, error) in enumerate(self.standard_error.items()):
+            shown = ["-", "-"] if np.isnan(error) else [f"{error:.3g}", self._best_channel(k)]
+            rows.append([name, f"{self.at[name]:.6g}", *shown])
+        lines = [table(["parameter", "value", "standard error", "best channel"], rows)]
+        lines += [f"not identifiable: {words}." for words in self.combinations]
         lines.append(f"rank {self.rank} of {len(self.names)}, condition {self.condition:.2g}")
         return "\n".join(lines)
 
     __repr__ = __str__
 
-    def _best(self, parameter: int) -> str:
+    def _best_channel(self, parameter: int) -> str:
+        """The channel with most of the information about a parameter, and its share."""
         share = {name: matrix[parameter, parameter] for name, matrix in self.by_channel.items()}
         name = max(share, key=lambda n: share[n])
         return f"{name} ({share[name] / max(sum(share.values()), 1e-300):.0%})"
@@ -189,126 +183,200 @@ def information(
     *,
     sigma: Any,
     control: Control | None = None,
-    channels: Sequence[str] = CHANNELS,
+    channels: Sequence[str] = REACTIONS,
 ) -> Information:
-    """The Fisher information of a scene's signals about its parameters, by exact derivatives.
+    """Compute the Fisher information of a scene's signals about its parameters, by exact derivatives.
 
     Args:
-        build: makes a Scene from numbers given by name.
-        at: the parameters that one wants to know, with their values.
+        build: makes a Scene from named numbers. JAX must be able to trace it.
+        at: the unknown parameters with their values.
         sigma: standard deviation of the signals' noise, independent from step to step: a number, or a mapping from
             channels to numbers.
-        control: drive positions, (steps,). Default: that of a scan. Twice as many steps tell twice as much.
-        channels: those that are measured.
+        control: drive positions, (steps,). Default: that of a scan. Information is proportional to the density of
+            steps.
+        channels: the measured ones.
 
     Raises:
-        ValueError: if an argument is wrong.
+        ValueError: if an argument is wrong, or JAX cannot trace `build`.
     """
     checks.float64_mode()
-    values = checked_values("at", at)
-    scene = checked_scene("at", build, values)
-    if control is None:
-        control = default_control(scene)
+    values = read_parameters("at", at)
+    scene = build_scene("at", build, values)
+    positions = _positions(default_control(scene) if control is None else control)
+    noise = _noise_by_channel(len(scene.whiskers), positions.size, sigma, channels)
+    check_traceable(build, values)
+    rates = _rates(program(_rates_of, build, tuple(values)), values, {}, positions)
+    return _information_of(rates, values, positions, noise, transforms_of(build, values).log)
+
+
+def design(
+    build: Callable[..., Scene],
+    at: Mapping[str, float],
+    *,
+    sigma: Any,
+    control: Control | None = None,
+    channels: Sequence[str] = REACTIONS,
+    **axes: Any,
+) -> "xr.Dataset":
+    """Compare sensors: how well parameters can be estimated, for all combinations of design choices.
+
+        data = jw.design(build, at=dict(a=1.0), sigma=0.02, stiffness=[20.0, 70.0, 200.0], distance=[0.2, 0.3, 0.4])
+        data.relative_error.sel(parameter="a").idxmin("stiffness")
+
+    Args:
+        build: makes a Scene from named numbers: unknown parameters and design choices. JAX must be able to trace it.
+        at: the unknown parameters, estimated together, with their expected values.
+        sigma: standard deviation of the signals' noise, as in `information`.
+        control: drive positions, the same for all choices. Default: 512 over the contact of all.
+        channels: the measured ones.
+        **axes: values of each design choice, one-dimensional.
+
+    Returns:
+        A Dataset over the axes: `standard_error` and `relative_error` of each parameter (NaN if it is not
+        identifiable), `condition` and `rank` of the information matrix. `attrs["best"]` names the choice with the least
+        geometric mean of the relative errors.
+
+    Raises:
+        ValueError: if an argument is wrong, or JAX cannot trace `build`.
+        ImportError: if xarray is missing: `pip install jaxwhisker[study]`.
+    """
+    checks.float64_mode()
+    values = read_parameters("at", at)
+    grids = _grids(axes, values)
+    points = [dict(zip(grids, chosen, strict=True)) for chosen in itertools.product(*grids.values())]
+    scenes = [build_scene("at` and `axes", build, {**values, **point}) for point in points]
+    positions = _positions(_common_control(scenes) if control is None else control)
+    noise = _noise_by_channel(len(scenes[0].whiskers), positions.size, sigma, channels)
+    check_traceable(build, {**values, **points[0]})
+    log = transforms_of(build, {**values, **points[0]}).log[: len(values)]
+    rates = program(_rates_of, build, tuple(values))
+    of_points = [_information_of(_rates(rates, values, p, positions), values, positions, noise, log) for p in points]
+    return _dataset(values, grids, points, of_points)
+
+
+def _positions(control: Control) -> np.ndarray:
     checks.vector("control", control)
-    control = np.asarray(control, dtype=float)
-    noise = noise_by_channel(len(scene.whiskers), control.size, sigma, channels)
-    transforms = transforms_of(build, values, {}, {})
-    found = _kernel(build, tuple(values))(values, control)
-    return of_rates(found, values, control, noise, np.array([t.log for t in transforms.values()]))
+    return np.asarray(control, dtype=float)
 
 
-class Noise(NamedTuple):
-    """Of one channel of one whisker."""
+def _grids(axes: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """Values of the design choices."""
+    if not axes:
+        raise ValueError("`axes` must be at least one parameter of `build` with its values, got none.")
+    for name, choices in axes.items():
+        checks.vector(name, choices)
+        if name in values:
+            raise ValueError(f"`{name}` must be in `at` or among the axes, got it in both.")
+    return {name: np.asarray(choices, dtype=float) for name, choices in axes.items()}
 
-    whisker: int
-    channel: int
+
+def _common_control(scenes: Sequence[Scene]) -> np.ndarray:
+    """Drive positions over the contact of all scenes."""
+    ends = np.array([default_control(scene)[[0, -1]] for scene in scenes])
+    onwards = np.sign(ends[0, 1] - ends[0, 0])
+    return onwards * np.linspace(np.min(onwards * ends[:, 0]), np.max(onwards * ends[:, 1]), DESIGN_STEPS)
+
+
+def _dataset(values: Mapping[str, float], grids: Mapping[str, np.ndarray], points, of_points) -> "xr.Dataset":
+    import xarray as xr
+
+    size = np.abs(np.array(list(values.values())))
+    error = np.array([list(one.standard_error.values()) for one in of_points])
+    relative = error / np.where(size > 0, size, 1.0)
+    shape, dims = tuple(grid.size for grid in grids.values()), tuple(grids)
+    data = xr.Dataset(
+        {
+            "standard_error": ((*dims, "parameter"), error.reshape(*shape, -1)),
+            "relative_error": ((*dims, "parameter"), relative.reshape(*shape, -1)),
+            "condition": (dims, np.reshape([one.condition for one in of_points], shape)),
+            "rank": (dims, np.reshape([one.rank for one in of_points], shape)),
+        },
+        {**grids, "parameter": list(values)},
+    )
+    mean = np.exp(np.mean(np.log(relative), axis=-1))
+    if np.isfinite(mean).any():
+        best = points[int(np.nanargmin(mean))]
+        data.attrs["best"] = ", ".join(f"{name} = {value:g}" for name, value in best.items())
+    return data
+
+
+class _Noise(NamedTuple):
+    """The noise of one channel."""
+
+    channel: Channel
     sigma: np.ndarray  # (steps,)
 
 
-def noise_by_channel(whiskers: int, steps: int, sigma: Any, channels: Sequence[str]) -> dict[str, Noise]:
-    """The channels that are measured, by name, checked before anything is compiled."""
+def _noise_by_channel(whiskers: int, steps: int, sigma: Any, channels: Sequence[str]) -> list[_Noise]:
+    """The measured channels with their noise."""
     if not channels:
-        raise ValueError(f"`channels` must name at least one of {', '.join(CHANNELS)}, but is empty.")
+        raise ValueError(f"`channels` must name at least one of {', '.join(REACTIONS)}, got an empty sequence.")
+    every = channels_of(whiskers)
+    allowed = {*REACTIONS, *(channel.name for channel in every)} | {f"{name}_1" for name in REACTIONS}
     for name in channels:
-        if name not in CHANNELS and not any(name == f"{c}_{k + 1}" for c in CHANNELS for k in range(whiskers)):
-            raise ValueError(f"`channels` must be among {', '.join(CHANNELS)}, but one is {name!r}.")
-    named = [(k, c, CHANNELS[c] + (f"_{k + 1}" if whiskers > 1 else "")) for k in range(whiskers) for c in range(3)]
-    wanted = [(k, c, name) for k, c, name in named if name in channels or CHANNELS[c] in channels]
+        if name not in allowed:
+            raise ValueError(f"`channels` must be among {', '.join(REACTIONS)}, got {name!r}.")
+    measured = [
+        c for c in every if {c.name, REACTIONS[c.reaction], f"{REACTIONS[c.reaction]}_{c.whisker + 1}"} & {*channels}
+    ]
     some = np.zeros(steps)
-    found = measured_of({"control": some} | {name: some for *_, name in wanted}, sigma, whiskers=whiskers).sigma
-    return {name: Noise(k, c, found[:, k, c]) for k, c, name in wanted}
+    table = {"control": some} | {channel.name: some for channel in measured}
+    deviation = read_observations(table, sigma, whiskers=whiskers).sigma
+    return [_Noise(c, deviation[:, c.whisker, c.reaction]) for c in measured]
 
 
-def of_rates(
-    found: Rates, at: dict[str, float], control: np.ndarray, noise: dict[str, Noise], log: np.ndarray
+class Rates(NamedTuple):
+    """Signals and events of a scan with their derivatives with respect to the parameters."""
+
+    signals: Any  # (steps, whiskers, 3)
+    by_parameter: Any  # (steps, whiskers, 3, parameters); NaN where a step failed
+    kind: Any  # (events,) -1 beyond their number
+    whiskers: Any  # (events, whiskers)
+    control: Any  # (events,)
+    control_by_parameter: Any  # (events, parameters)
+    gap: Any  # (events,) between the steps before and behind an event
+
+
+def _rates(rates: Program, values: Mapping[str, float], chosen: Mapping[str, Any], control: np.ndarray) -> Rates:
+    route = route_of(control)
+    return rates(np.array(list(values.values())), dict(chosen), control, route.travel, route.stops, route.last)
+
+
+def _rates_of(build: Callable[..., Scene], names: tuple[str, ...], x, chosen, control, travel, stops, last) -> Rates:
+    def value(x):
+        scan = TracedScan(build(**dict(zip(names, x, strict=True)), **chosen), stops, last)
+        signals, ok = scan.signals(control, travel)
+        return (signals, scan.events.control), (ok, scan.events)
+
+    (signals, where), push, (ok, events) = jax.linearize(value, x, has_aux=True)
+    by, where_by = jax.vmap(push, out_axes=-1)(jnp.eye(x.size))
+    # The last step before a snap is left out, as in a fit: signals change without bound there.
+    snaps = jnp.where(events.kind >= EventKind.snap_through, events.travel, jnp.nan)
+    before = (travel[:-1, None] <= snaps) & (travel[1:, None] > snaps)
+    gap = jnp.sum(jnp.where(before, (travel[1:] - travel[:-1])[:, None], 0.0), axis=0)
+    ok &= ~jnp.append(jnp.any(before, axis=1), False)
+    by = jnp.where(ok[:, None, None, None], by, jnp.nan)
+    return Rates(signals, by, events.kind, events.whiskers, where, where_by, gap)
+
+
+def _information_of(
+    rates: Rates, at: Mapping[str, float], control: np.ndarray, noise: Sequence[_Noise], log: np.ndarray
 ) -> Information:
     """Information from derivatives."""
-    whitened = [found.by_parameter[:, n.whisker, n.channel] / n.sigma[:, None] for n in noise.values()]
-    rates = np.stack(whitened, axis=1)
-    events = tuple(
-        EventInformation(
-            EventKind(int(kind)),
-            tuple(int(k) + 1 for k in np.flatnonzero(who)),
-            float(u),
-            np.nan_to_num(by),
-            float(BETWEEN * gap) if kind >= EventKind.snap_through and gap > 0 else np.inf,
+    whitened = [rates.by_parameter[:, c.whisker, c.reaction] / sigma[:, None] for c, sigma in noise]
+    events = []
+    for k in np.flatnonzero(rates.kind >= 0):
+        jumps = rates.kind[k] >= EventKind.snap_through and rates.gap[k] > 0
+        events.append(
+            EventInformation(
+                kind=EventKind(int(rates.kind[k])),
+                whiskers=tuple(int(w) + 1 for w in np.flatnonzero(rates.whiskers[k])),
+                control=float(rates.control[k]),
+                by_parameter=np.nan_to_num(rates.control_by_parameter[k]),
+                sigma=float(UNIFORM * rates.gap[k]) if jumps else np.inf,
+            )
         )
-        for kind, who, u, by, gap in zip(
-            found.kind, found.whiskers, found.control, found.control_by_parameter, found.gap, strict=True
-        )
-        if kind >= 0
+    names = tuple(c.name for c, _ in noise)
+    return Information(
+        tuple(at), dict(at), control, names, np.nan_to_num(np.stack(whitened, axis=1)), tuple(events), log
     )
-    return Information(tuple(at), dict(at), control, tuple(noise), np.nan_to_num(rates), events, log)
-
-
-def _kernel(build: Callable[..., Scene], names: tuple[str, ...]) -> Callable[[dict, np.ndarray], Rates]:
-    """Signals, events and their derivatives, compiled once for each number of steps."""
-    try:
-        hash(build)
-    except TypeError:  # a module with arrays
-        return _compiled(build, names)
-    return _kept(build, names)
-
-
-def _compiled(build: Callable[..., Scene], names: tuple[str, ...]) -> Callable[[dict, np.ndarray], Rates]:
-    compiled: dict[tuple, Any] = {}
-
-    def call(values: dict[str, float], control: np.ndarray) -> Rates:
-        arguments = (
-            jnp.array(list(values.values())),
-            jnp.asarray(control),
-            *map(jnp.asarray, route_of(np.asarray(control, dtype=float))[2:]),
-        )
-        sizes = arguments[1].size, arguments[2].size
-        if sizes not in compiled:
-            compiled[sizes] = jax.jit(rates_of(build, names)).lower(*arguments).compile(COMPILER_OPTIONS)
-        return jax.tree.map(np.asarray, compiled[sizes](*arguments))
-
-    return call
-
-
-_kept = lru_cache(maxsize=32)(_compiled)
-
-
-def rates_of(build: Callable[..., Scene], names: tuple[str, ...]) -> Callable[..., Rates]:
-    """The function of (parameters, control, stops, last) that tells signals and events with their derivatives."""
-
-    def rates(x, control, stops, last):
-        def value(x):
-            ways = TracedScan(build(**dict(zip(names, x, strict=True))), stops, last)
-            signals, ok = ways.signals(control, travel)
-            return (signals, ways.events.control), (ok, ways.events)
-
-        travel = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
-        (signals, where), push, (ok, events) = jax.linearize(value, x, has_aux=True)
-        kind, whiskers = events.kind, events.whiskers
-        by, where_by = jax.vmap(push, out_axes=-1)(jnp.eye(x.size))
-        # The last step before a snap is left out, as a fit does: there signals change without bound.
-        snaps = jnp.where(kind >= EventKind.snap_through, events.travel, jnp.nan)
-        last = (travel[:-1, None] <= snaps) & (travel[1:, None] > snaps)
-        gap = jnp.sum(jnp.where(last, (travel[1:] - travel[:-1])[:, None], 0.0), axis=0)
-        ok &= ~jnp.append(jnp.any(last, axis=1), False)
-        by = jnp.where(ok[:, None, None, None], by, jnp.nan)
-        return Rates(signals, by, kind, whiskers, where, where_by, gap)
-
-    return rates

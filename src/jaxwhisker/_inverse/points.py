@@ -1,4 +1,4 @@
-"""What a reconstruction returns: points of the object, how exactly they are known, and what follows from them."""
+"""The result of a reconstruction: points of the object, their uncertainty, and what follows from them."""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -6,29 +6,30 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._inverse.statistics import NORMAL_95
 
-NORMAL_95 = 1.959963984540054  # standard deviations on either side that hold 95 %
-NEAR_VERTEX = 0.2  # largest |tan(slope)| of points by which it is told
-AT_LEAST = 8  # points
-SIGNIFICANT = 20.0  # standard deviations: the errors of weaker contacts are no linear matter
+NEAR_VERTEX = 0.2  # largest |tan(slope)| of points from which the vertex is estimated
+FEWEST = 8  # points for a polynomial
+SIGNIFICANT = 20.0  # standard deviations: below, errors are not linear in the noise
+LARGEST_CONDITION = 1e12  # of a polynomial's normal matrix
 
 
 class PointStatus(IntEnum):
-    """What became of one whisker at one step."""
+    """Status of one whisker at one step."""
 
     ok = 0
-    free = 1  # its signals are compatible with nothing
+    free = 1  # its signals are compatible with no contact
     failed = 2  # no state of the whisker was found near its signals
-    missing = 3  # a signal is NaN: its own, or one on which the position of its base depends
+    missing = 3  # a signal is NaN: its own, or one that the position of its base depends on
 
 
 class Step(eqx.Module):
-    """Whiskers whose contact was found; every field (steps, whiskers), in the sensor's units.
+    """Contacts of the whiskers; every field (steps, whiskers), in the sensor's units.
 
-    NaN, and Phase.free, where the status is not ok; the pose of the base is known of free whiskers, too.
+    NaN, and Phase.free, where the status is not ok; the pose of the base is also known for free whiskers.
     """
 
     x: Float[Array, "*steps whiskers"]  # contact: a point of the object
@@ -40,14 +41,14 @@ class Step(eqx.Module):
     base_x: Float[Array, "*steps whiskers"]
     base_y: Float[Array, "*steps whiskers"]
     base_angle: Float[Array, "*steps whiskers"]  # of the whisker there to the upright, rad, counter-clockwise
-    chi2: Float[Array, "*steps whiskers"]  # by how much the signals miss a possible state: one degree of freedom
-    significance: Float[Array, "*steps whiskers"]  # of the signals: how many standard deviations of their noise
+    chi2: Float[Array, "*steps whiskers"]  # distance of the signals from a possible state: one degree of freedom
+    significance: Float[Array, "*steps whiskers"]  # of the signals, in standard deviations of their noise
     status: Int[Array, "*steps whiskers"]  # PointStatus
     covariance: Float[Array, "*steps whiskers 4 4"]  # of x, y, slope and arc
 
 
 class Vertex(NamedTuple):
-    """The object's lowest point as every whisker tells it, each (whiskers,); NaN of one that never passed it."""
+    """The object's lowest point as estimated by every whisker, (whiskers,); NaN for one that never passed it."""
 
     x: Float[np.ndarray, " whiskers"]
     x_error: Float[np.ndarray, " whiskers"]  # standard errors
@@ -58,11 +59,11 @@ class Vertex(NamedTuple):
 
 
 class Consistency(NamedTuple):
-    """How far the points of whiskers 2, 3, ... lie outside of the contour that whisker 1 tells."""
+    """Distances of the points of whiskers 2, 3, ... from the contour of whisker 1."""
 
-    distance: Float[np.ndarray, "steps others"]  # along the outward normal; NaN where not known
+    distance: Float[np.ndarray, "steps others"]  # along the outward normal; NaN where it is unknown
     error: Float[np.ndarray, "steps others"]  # standard error of the distance
-    chi2: float  # mean square of their ratio: 1 if all whiskers tell of one contour, and NaN without a noise
+    chi2: float  # mean square of their ratio: 1 if all whiskers see the same contour; NaN without noise
 
     def __str__(self) -> str:
         known = np.isfinite(self.distance)
@@ -71,23 +72,22 @@ class Consistency(NamedTuple):
 
 
 class Reconstruction(Step):
-    """Points of the object, at every step of a scan and of every whisker, and how exactly they are known.
+    """Points of the object at every step and for every whisker, with their uncertainty.
 
-    Errors are first order in the noise, of which a step's three reactions of all whiskers, and parameters of the sensor
-    if their covariance was given, are the sources; where both phases may be, their difference is added. NaN where
-    neither noise nor covariance is known.
+    Errors are first order in the noise of a step's reactions of all whiskers, and in the parameters of the sensor if
+    their covariance was given; where both phases are possible, their difference is added. NaN if neither is known.
     """
 
     control: Float[Array, " steps"]
 
     @property
     def standard_error(self) -> Float[Array, "steps whiskers 4"]:
-        """Of x, y, slope and arc."""
+        """Standard errors of x, y, slope and arc."""
         return jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
 
     @property
-    def clear(self) -> np.ndarray:
-        """Which points stand clear of the noise, so that their errors are linear in it: (steps, whiskers)."""
+    def clear(self) -> Bool[np.ndarray, "steps whiskers"]:
+        """Which points are clear of the noise: their errors are linear in it."""
         return (np.asarray(self.status) == PointStatus.ok) & ~(np.asarray(self.significance) < SIGNIFICANT)
 
     @property
@@ -105,46 +105,35 @@ class Reconstruction(Step):
         return self.x + reach * jnp.sin(self.slope), self.y - reach * jnp.cos(self.slope)
 
     def vertex(self) -> Vertex:
-        """The object's lowest point, from the points near it, where the force is vertical and the spring's load zero.
+        """Estimate the object's lowest point from the points near it, where the force is vertical.
 
-        There x = x0 + radius t + O(t^2) and y = y0 + radius t^2 / 2 + O(t^3), with t = tan(slope): two more powers are
-        fitted, weighted with the covariances; errors are NaN where these are not known.
+        There x = x0 + radius t + O(t^2) and y = y0 + radius t^2 / 2 + O(t^3), with t = tan(slope). Two more powers are
+        fitted, weighted with the covariances; errors are NaN if these are unknown.
         """
-        found = [self._vertex(k) for k in range(self.x.shape[1])]
-        return Vertex(*(np.array(values) for values in zip(*found, strict=True)))
+        each = [self._vertex(k) for k in range(self.x.shape[1])]
+        return Vertex(*(np.array(values) for values in zip(*each, strict=True)))
 
     def _vertex(self, k: int) -> tuple[float, ...]:
         x, y, slope, base_x = (np.asarray(v)[:, k] for v in (self.x, self.y, self.slope, self.base_x))
         near = (np.abs(np.tan(slope)) < NEAR_VERTEX) & self.clear[:, k]  # False where it is NaN
         t = np.tan(slope[near])
-        if t.size < AT_LEAST or not t.min() < 0 < t.max():
+        if t.size < FEWEST or not t.min() < 0 < t.max():
             return (np.nan,) * len(Vertex._fields)
         spread = np.asarray(self.covariance)[near, k, :3, :3]
-        noisy = bool(np.isfinite(spread).all() and (spread[:, [0, 1, 2], [0, 1, 2]] > 0).all())
-        columns = np.stack([t**0, t, t**2, t**3], axis=1)
-
-        def at_zero(values, columns, by_slope):
-            """Coefficients of a fit, and the standard error of the first; `by_slope`: what an error of slope does."""
-            by = np.concatenate([values[1], -by_slope[:, None]], axis=1)
-            variance = np.sum(by[:, :, None] * spread * by[:, None, :], axis=(1, 2)) if noisy else np.ones_like(t)
-            columns = columns / np.sqrt(variance)[:, None]
-            inverse = np.linalg.inv(columns.T @ columns)
-            error = np.sqrt(inverse[0, 0]) if noisy else np.nan
-            return inverse @ (columns.T @ (values[0] / np.sqrt(variance))), error
-
-        along, up = np.tile([1.0, 0.0], (t.size, 1)), np.tile([0.0, 1.0], (t.size, 1))
-        (_, radius, *_), _ = at_zero((x[near], along), columns, 0 * t)
-        turn = radius * (1 + t**2)
-        (x0, radius, *_), x_error = at_zero((x[near], along), columns, turn)
-        (y0, *_), y_error = at_zero((y[near], up), np.stack([t**0, t**2, t**3, t**4], axis=1), turn * t)
-        (crossing, *_), _ = at_zero((base_x[near], along), columns, turn)
+        cubic = np.stack([t**0, t, t**2, t**3], axis=1)
+        (_, radius, *_), _ = _polynomial(x[near], (1.0, 0.0), 0 * t, cubic, spread)
+        by_slope = radius * (1 + t**2)  # dx/dslope
+        (x0, radius, *_), x_error = _polynomial(x[near], (1.0, 0.0), by_slope, cubic, spread)
+        quartic = np.stack([t**0, t**2, t**3, t**4], axis=1)
+        (y0, *_), y_error = _polynomial(y[near], (0.0, 1.0), by_slope * t, quartic, spread)
+        (crossing, *_), _ = _polynomial(base_x[near], (1.0, 0.0), by_slope, cubic, spread)
         return x0, x_error, y0, y_error, radius, crossing
 
     def consistency(self) -> Consistency:
-        """Whether all whiskers tell of one contour: each one's points against the contour that whisker 1 tells.
+        """Compare the points of every other whisker with the contour of whisker 1.
 
-        That is a cubic through its nearest points, weighted with their errors. Noise that two whiskers have in common
-        is left out: they are at that place at other times.
+        That is a cubic through its nearest points, weighted with their errors. The noise of two whiskers at one place
+        is independent, because they pass it at different times.
         """
         others = [self._against_first(k) for k in range(1, self.x.shape[1])]
         if not others:
@@ -155,30 +144,34 @@ class Reconstruction(Step):
         return Consistency(distance, error, chi2)
 
     def _against_first(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of whisker k's points from the contour of whisker 1, (steps,), and its error."""
         x, y, slope = (np.asarray(v) for v in (self.x, self.y, self.slope))
         covariance = np.asarray(self.covariance)[:, :, :2, :2]
-        first, here = (np.flatnonzero(self.clear[:, own]) for own in (0, k))
+        first, here = (np.flatnonzero(self.clear[:, whisker]) for whisker in (0, k))
         distance, error = np.full((2, x.shape[0]), np.nan)
-        if first.size < AT_LEAST:
+        if first.size < FEWEST:
             return distance, error
         from_x, from_y = x[first, 0] - x[here, k, None], y[first, 0] - y[here, k, None]
-        nearest = np.argpartition(from_x**2 + from_y**2, AT_LEAST - 1, axis=1)[:, :AT_LEAST]
+        nearest = np.argpartition(from_x**2 + from_y**2, FEWEST - 1, axis=1)[:, :FEWEST]
         from_x, from_y = (np.take_along_axis(v, nearest, axis=1) for v in (from_x, from_y))
         cos, sin = np.cos(slope[here, k, None]), np.sin(slope[here, k, None])
         along, across = from_x * cos + from_y * sin, from_x * sin - from_y * cos
         normal = np.concatenate([sin, -cos], axis=1)
-        noise = covariance[first, 0][nearest]
-        variance = np.sum(normal[:, None, :, None] * noise * normal[:, None, None, :], axis=(2, 3))
-        own = np.sum(normal[:, :, None] * covariance[here, k] * normal[:, None, :], axis=(1, 2))
+        variance = np.sum(
+            normal[:, None, :, None] * covariance[first, 0][nearest] * normal[:, None, None, :], axis=(2, 3)
+        )
+        own_variance = np.sum(normal[:, :, None] * covariance[here, k] * normal[:, None, :], axis=(1, 2))
         weight = np.where(variance > 0, 1 / variance, 1.0)
         size = np.maximum(np.abs(along).max(axis=1, keepdims=True), 1e-300)
         columns = (along / size)[:, :, None] ** np.arange(4)
         normal_matrix = np.sum(weight[:, :, None, None] * columns[..., :, None] * columns[..., None, :], axis=1)
-        between = (along.min(axis=1) < 0) & (along.max(axis=1) > 0) & (np.linalg.cond(normal_matrix) < 1e12)
+        between = (
+            (along.min(axis=1) < 0) & (along.max(axis=1) > 0) & (np.linalg.cond(normal_matrix) < LARGEST_CONDITION)
+        )
         inverse = np.linalg.inv(np.where(between[:, None, None], normal_matrix, np.eye(4)))
         there = np.sum(inverse[:, 0] * np.sum((weight * across)[:, :, None] * columns, axis=1), axis=1)
         distance[here] = np.where(between, -there, np.nan)
-        error[here] = np.where(between, np.sqrt(own + inverse[:, 0, 0]), np.nan)
+        error[here] = np.where(between, np.sqrt(own_variance + inverse[:, 0, 0]), np.nan)
         return distance, error
 
     def __str__(self) -> str:
@@ -197,6 +190,21 @@ class Reconstruction(Step):
         return "\n".join([*lines, *([str(self.consistency())] * (whiskers > 1))])
 
     __repr__ = __str__
+
+
+def _polynomial(values, direction, by_slope, columns, spread) -> tuple[np.ndarray, float]:
+    """Coefficients of a weighted fit to values along a direction, and the standard error of the first coefficient.
+
+    An error of the slope acts like one of the values: `by_slope` is the derivative of the polynomial with respect to
+    it.
+    """
+    noisy = bool(np.isfinite(spread).all() and (spread[:, [0, 1, 2], [0, 1, 2]] > 0).all())
+    by = np.column_stack([np.tile(direction, (values.size, 1)), -by_slope])
+    variance = np.sum(by[:, :, None] * spread * by[:, None, :], axis=(1, 2)) if noisy else np.ones_like(values)
+    columns = columns / np.sqrt(variance)[:, None]
+    inverse = np.linalg.inv(columns.T @ columns)
+    error = np.sqrt(inverse[0, 0]) if noisy else np.nan
+    return inverse @ (columns.T @ (values / np.sqrt(variance))), error
 
 
 def _with_error(value: float, error: float) -> str:

@@ -1,0 +1,228 @@
+"""Observations: measured signals read from experiments, tables, files and scans, with the noise they contain."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxwhisker._scan.quantities import QUANTITIES, REACTIONS
+from jaxwhisker._scan.result import Result
+
+CHANNEL = re.compile(rf"({'|'.join(REACTIONS)})(?:_(\d+))?")
+# Other columns of scans and studies, which are ignored.
+_IGNORED = re.compile(rf"(?:{'|'.join(QUANTITIES)}|spring|time|event_.*|n_events)(?:_\d+)?")
+
+
+class Observations(eqx.Module):
+    """Support reactions over the control; NaN where nothing was measured."""
+
+    control: Float[np.ndarray, " steps"]  # drive positions in the order in which they were visited
+    values: Float[np.ndarray, "steps whiskers 3"]  # fx, fy, mz of the support on the whisker
+    sigma: Float[np.ndarray, "steps whiskers 3"]  # standard deviation of their noise; NaN if unknown
+
+    @property
+    def known(self) -> Bool[np.ndarray, "steps whiskers 3"]:
+        """Where a value was measured."""
+        return np.isfinite(self.values)
+
+    @property
+    def channels(self) -> list["Channel"]:
+        """The channels that hold a value, in the order of the last two axes."""
+        return [
+            channel
+            for channel in channels_of(self.values.shape[1])
+            if self.known[:, channel.whisker, channel.reaction].any()
+        ]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the channels that hold a value: fx, or fx_1, fx_2 of several whiskers."""
+        return [channel.name for channel in self.channels]
+
+    @property
+    def peaks(self) -> Float[np.ndarray, " 3"]:
+        """Largest magnitude of each reaction over all whiskers; 1 for a reaction that is zero or not measured."""
+        peak = np.max(np.abs(np.where(self.known, self.values, 0.0)), axis=(0, 1), initial=0.0)
+        return np.where(peak > 0, peak, 1.0)
+
+    def at(self, steps: Any) -> "Observations":
+        """The observations at some steps, given by a slice or by indices."""
+        return Observations(self.control[steps], self.values[steps], self.sigma[steps])
+
+    def with_sigma(self, sigma: Any) -> "Observations":
+        """The same observations with noise of another standard deviation."""
+        return Observations(self.control, self.values, np.array(np.broadcast_to(sigma, self.values.shape), dtype=float))
+
+
+class Channel(NamedTuple):
+    """One reaction of one whisker."""
+
+    whisker: int  # index
+    reaction: int  # index into REACTIONS
+    name: str  # fx, or fx_1, fx_2, ... of several whiskers
+
+
+def channels_of(whiskers: int) -> list[Channel]:
+    """All channels of a number of whiskers."""
+    return [
+        Channel(k, r, f"{name}_{k + 1}" if whiskers > 1 else name)
+        for k in range(whiskers)
+        for r, name in enumerate(REACTIONS)
+    ]
+
+
+def read_observations(data: Any, sigma: Any = None, *, whiskers: int | None = None) -> Observations:
+    """Read signals from a Result, a Dataset, a DataFrame, a CSV file or a mapping of arrays.
+
+    Args:
+        data: holds `control` and any of fx, fy, mz: (steps,) for one whisker, (steps, whiskers) or columns fx_1, fx_2,
+            ... for several. Lines of a file that begin with # are skipped.
+        sigma: standard deviation of the noise: a number for all channels, or a mapping from channels to numbers or
+            arrays; None if unknown.
+        whiskers: number of whiskers; the data may omit whiskers that were not measured.
+
+    Raises:
+        ValueError: if a channel is unknown, too short or too long, or if sigma is not positive.
+    """
+    table = _table_of(data)
+    if "control" not in table:
+        raise ValueError(f"`measured` must hold `control`, got {', '.join(table) or 'nothing'}.")
+    control = _as_numbers("control", table["control"])
+    if control.ndim != 1 or control.size == 0 or not np.isfinite(control).all():
+        raise ValueError(
+            "`measured` must hold a non-empty one-dimensional `control` of finite numbers, got shape "
+            f"{control.shape} with {int(np.sum(~np.isfinite(control)))} values that are not finite."
+        )
+    columns = _columns(table, control.size)
+    if not columns:
+        raise ValueError(f"`measured` must hold at least one of {', '.join(REACTIONS)}, got {', '.join(table)}.")
+    lowest, highest = 1 + min(k for k, _ in columns), 1 + max(k for k, _ in columns)
+    if lowest < 1 or (whiskers is not None and highest > whiskers):
+        raise ValueError(
+            f"`measured` must hold channels of whiskers 1 to {whiskers or 'their number'}, got one of whisker "
+            f"{highest if lowest > 0 else lowest}."
+        )
+    values = np.full((control.size, whiskers or highest, len(REACTIONS)), np.nan)
+    for (whisker, reaction), column in columns.items():
+        values[:, whisker, reaction] = column
+    values[~np.isfinite(values)] = np.nan
+    return Observations(control, values, _sigma_of(sigma, values))
+
+
+def _columns(table: Mapping[str, Any], steps: int) -> dict[tuple[int, int], np.ndarray]:
+    """The measured columns by whisker and reaction."""
+    columns: dict[tuple[int, int], np.ndarray] = {}
+    for name, values in table.items():
+        matched = CHANNEL.fullmatch(name)
+        if matched is None:
+            if _IGNORED.fullmatch(name):
+                continue
+            raise ValueError(
+                f"`measured` must hold channels among {', '.join(REACTIONS)} (or fx_1, fx_2, ... of several whiskers), "
+                f"got {name!r}."
+            )
+        values = _as_numbers(name, values)
+        if values.shape[:1] != (steps,) or values.ndim > 2:
+            raise ValueError(
+                f"`measured` must hold a value of {name} for each of the {steps} controls, got shape {values.shape}."
+            )
+        if matched[2] is not None and values.ndim > 1:
+            raise ValueError(f"`measured` must hold one column for {name}, got shape {values.shape}.")
+        first = int(matched[2] or 1) - 1
+        for k, column in enumerate(values.reshape(steps, -1).T):
+            columns[first + k, REACTIONS.index(matched[1])] = column
+    return columns
+
+
+def _table_of(data: Any) -> dict[str, Any]:
+    if isinstance(data, Observations):
+        return {"control": data.control} | {name: data.values[:, :, r] for r, name in enumerate(REACTIONS)}
+    if isinstance(data, (str, Path)):
+        return _read_csv(Path(data))
+    if isinstance(data, Result):
+        return {name: getattr(data, name) for name in ("control", *REACTIONS)}
+    if hasattr(data, "data_vars"):  # an xarray.Dataset
+        return _table_of_dataset(data)
+    if hasattr(data, "columns"):  # a DataFrame
+        return {str(name): data[name] for name in data.columns}
+    if isinstance(data, Mapping):
+        return {str(name): values for name, values in data.items()}
+    raise ValueError(
+        "`measured` must be a mapping of arrays, a Result, a Dataset, a DataFrame or the path of a CSV file, got "
+        f"{data!r}."
+    )
+
+
+def _table_of_dataset(data: Any) -> dict[str, Any]:
+    table = {}
+    for name in (name for name in (*REACTIONS, "control") if name in data.variables):
+        others = [dim for dim in data[name].dims if dim not in ("control", "whisker")]
+        several = [dim for dim in others if data.sizes[dim] > 1]
+        if several:
+            raise ValueError(
+                f"`measured` must be one scan, got a Dataset with several along {', '.join(map(str, several))}: pick "
+                "one with .isel or .sel."
+            )
+        array = data[name].squeeze(others, drop=True)
+        table[name] = array.transpose(*(dim for dim in ("control", "whisker") if dim in array.dims)).values
+    return table
+
+
+def _read_csv(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise ValueError(f"`measured` must be the path of a CSV file, got {path}, which does not exist.")
+    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
+    names = [name.strip().strip('"') for name in lines[0].split(",")] if lines else []
+    try:
+        rows = [[float(cell) if cell.strip() else np.nan for cell in line.split(",")] for line in lines[1:]]
+    except ValueError as error:
+        raise ValueError(f"`measured` must be columns of numbers below a line of names, got {path}: {error}.") from None
+    if not rows or any(len(row) != len(names) for row in rows):
+        raise ValueError(f"`measured` must be columns of equal length below a line of names, got {path}.")
+    return dict(zip(names, np.array(rows).T, strict=True))
+
+
+def _as_numbers(name: str, values: Any) -> np.ndarray:
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"`measured` must hold numbers, got {values!r} for {name}.") from None
+
+
+def _sigma_of(sigma: Any, values: np.ndarray) -> np.ndarray:
+    """Standard deviation of every value; NaN if unknown."""
+    deviation = np.full(values.shape, np.nan)
+    known = np.isfinite(values)
+    if sigma is None:
+        return deviation
+    for name, value in (sigma if isinstance(sigma, Mapping) else dict.fromkeys(REACTIONS, sigma)).items():
+        matched = CHANNEL.fullmatch(str(name))
+        if matched is None:
+            raise ValueError(f"`sigma` must name channels among {', '.join(REACTIONS)}, got {name!r}.")
+        if matched[2] is not None and not 1 <= int(matched[2]) <= values.shape[1]:
+            raise ValueError(f"`sigma` must name channels of whiskers 1 to {values.shape[1]}, got {name!r}.")
+        whiskers = slice(None) if matched[2] is None else slice(int(matched[2]) - 1, int(matched[2]))
+        _fill(deviation[:, whiskers, REACTIONS.index(matched[1])], name, value)
+    if np.isnan(deviation[known]).any():
+        lacking = [c for r, c in enumerate(REACTIONS) if (np.isnan(deviation[:, :, r]) & known[:, :, r]).any()]
+        raise ValueError(f"`sigma` must be given for every measured channel, got none for {', '.join(lacking)}.")
+    return deviation
+
+
+def _fill(part: np.ndarray, name: str, value: Any) -> None:
+    """Set the standard deviation of a channel, (steps, whiskers)."""
+    try:
+        value = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"`sigma` must hold numbers, got {value!r} for {name}.") from None
+    bad = value[~(np.isfinite(value) & (value > 0))]
+    if bad.size:
+        raise ValueError(f"`sigma` must be positive and finite, got {bad.ravel()[0]} for {name}.")
+    try:
+        part[...] = value if value.ndim != 1 or value.shape == part.shape[1:] else value[:, None]
+    except ValueError:
+        raise ValueError(f"`sigma` must be a number or one per control, got shape {value.shape} for {name}.") from None

@@ -1,0 +1,272 @@
+"""Parameters of a `build` function: checks, and transforms to the unbounded variables of a fit."""
+
+import inspect
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base import checks
+from jaxwhisker._inverse.statistics import NORMAL_95
+from jaxwhisker._model.scene import Scene, Sensor
+from jaxwhisker._scan.quantities import REACTIONS
+
+KINDS = ("log", "linear")
+
+
+class Unknowns(NamedTuple):
+    """Everything that a fit estimates: parameters of `build`, constant offsets of channels, a shift of the control."""
+
+    names: tuple[str, ...]  # of the parameters of `build`
+    offsets: tuple[tuple[int, int], ...]  # (whisker, reaction)
+    shift: bool
+
+    @property
+    def all_names(self) -> tuple[str, ...]:
+        """Names of all unknowns, in the order of the fit's variables."""
+        several = len({k for k, _ in self.offsets}) > 1
+        channels = [REACTIONS[r] + (f"_{k + 1}" if several else "") for k, r in self.offsets]
+        return (*self.names, *(f"offset_{c}" for c in channels), *["shift"] * self.shift)
+
+
+class Transforms(eqx.Module):
+    """Invertible maps from the fit's variables y, unbounded and of size one, to parameters x.
+
+    x = scale * v, or x = exp(v) in log, where v = y without bounds. With two bounds, v is a logistic curve from one to
+    the other; with one bound, v leaves it like an exponential and goes on like a straight line.
+    """
+
+    table: Any  # (parameters, 4): whether in log, the scale, the lower and the upper bound of v
+
+    @classmethod
+    def of(cls, log: Sequence[bool], scale: Sequence[float], bounds: Sequence[tuple[float, float]]) -> "Transforms":
+        """Transforms with bounds of x; a lower bound of 0 of a parameter in log is no bound."""
+
+        def inner(x: float, is_log: bool, size: float) -> float:
+            return (math.log(x) if x > 0 else -math.inf) if is_log else x / size
+
+        rows = [
+            (is_log, size, *(inner(bound, is_log, size) for bound in pair))
+            for is_log, size, pair in zip(log, scale, bounds, strict=True)
+        ]
+        return cls(np.array(rows, dtype=float).reshape(-1, 4))
+
+    def then(self, other: "Transforms") -> "Transforms":
+        """These transforms, followed by those of other parameters."""
+        return Transforms(np.concatenate([self.table, other.table]))
+
+    @property
+    def log(self) -> Bool[np.ndarray, " parameters"]:
+        """Which parameters are fitted in log."""
+        return np.asarray(self.table[:, 0] > 0)
+
+    @property
+    def scale(self) -> Float[np.ndarray, " parameters"]:
+        """Sizes of the other parameters."""
+        return np.asarray(self.table[:, 1])
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Bounds of x."""
+        low, high = (np.where(self.log, np.exp(v), v * self.scale) for v in self.table[:, 2:].T)
+        return list(zip(low.tolist(), high.tolist(), strict=True))
+
+    @property
+    def bounded(self) -> Bool[np.ndarray, " parameters"]:
+        """Which parameters have a finite bound of v."""
+        return np.isfinite(self.table[:, 2:]).any(axis=1)
+
+    def natural(self, y: Any, xp: Any = jnp) -> Any:
+        """Parameters x from the fit's variables; traceable, or in numpy with `xp=numpy`."""
+        log, scale, low, high = self.table.T
+        above, below = xp.isfinite(low), xp.isfinite(high)
+        low, high = xp.where(above, low, 0.0), xp.where(below, high, 0.0)
+        bent = xp.logaddexp(y, 0.0)
+        one = xp.where(above, low + bent, xp.where(below, high - bent, y))
+        inner = xp.where(above & below, low + (high - low) / (1 + xp.exp(-y)), one)
+        return xp.where(log > 0, xp.exp(xp.where(log > 0, inner, 0.0)), inner * scale)
+
+    def variables(self, x: Iterable[float]) -> Float[np.ndarray, " parameters"]:
+        """The fit's variables y from parameters within their bounds."""
+        rows = zip(x, self.table.tolist(), strict=True)
+        return np.array(
+            [_unbounded(math.log(v) if log else v / scale, low, high) for v, (log, scale, low, high) in rows]
+        )
+
+    def stretch(self, y: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
+        """dv/dy: a change of y as a relative change of x, or in units of the scale."""
+        _, _, low, high = self.table.T
+        above, below = np.isfinite(low), np.isfinite(high)
+        with np.errstate(over="ignore", invalid="ignore"):
+            share = 1 / (1 + np.exp(-y))
+            both = (high - low) * share * (1 - share)
+        return np.where(above & below, both, np.where(above, share, np.where(below, -share, 1.0)))
+
+    def per_inner(self, x: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
+        """dx/dv."""
+        return np.where(self.log, x, self.scale)
+
+    def interval(self, x: np.ndarray, error: np.ndarray) -> list[tuple[float, float]]:
+        """95 % intervals from standard errors of x; symmetric in log x for parameters in log, cut off at the bounds."""
+        reach = NORMAL_95 * error
+        with np.errstate(over="ignore", invalid="ignore"):
+            factor = np.exp(reach / np.where(self.log, x, 1.0))
+        low, high = np.where(self.log, x / factor, x - reach), np.where(self.log, x * factor, x + reach)
+        rows = zip(low.tolist(), high.tolist(), self.bounds, strict=True)
+        return [(max(a, bounds[0]), min(b, bounds[1])) for a, b, bounds in rows]
+
+
+def _unbounded(inner: float, low: float, high: float) -> float:
+    """y from v and its bounds."""
+    if math.isfinite(low) and math.isfinite(high):
+        share = (inner - low) / (high - low)
+        return math.log(share / (1 - share))
+    if not (math.isfinite(low) or math.isfinite(high)):
+        return inner
+    bent = inner - low if math.isfinite(low) else high - inner
+    return bent + math.log(-math.expm1(-bent))
+
+
+def transforms_of(
+    build: Callable[..., Scene],
+    guess: Mapping[str, float],
+    bounds: Mapping[str, Any] | None = None,
+    kinds: Mapping[str, str] | None = None,
+) -> Transforms:
+    """Transforms of the parameters: in log by default for parameters that `build` rejects if they are negative.
+
+    Raises:
+        ValueError: if a name is unknown, the guess is not within its bounds, or a kind does not exist or does not fit.
+    """
+    bounds, kinds = bounds or {}, kinds or {}
+    for argument, given in (("bounds", bounds), ("transform", kinds)):
+        for name in given:
+            if name not in guess:
+                raise ValueError(f"`{argument}` must name parameters of `guess` ({', '.join(guess)}), got {name!r}.")
+    pairs = [_bounds_of(name, bounds.get(name), value) for name, value in guess.items()]
+    logs = [_is_log(build, guess, name, kinds.get(name)) for name in guess]
+    length = float(np.asarray(build(**guess).whiskers[0].length))
+    scales = [1.0 if log else max(abs(value), length) for log, value in zip(logs, guess.values(), strict=True)]
+    return Transforms.of(logs, scales, pairs)
+
+
+def _is_log(build: Callable[..., Scene], guess: Mapping[str, float], name: str, kind: str | None) -> bool:
+    if kind is None:
+        return guess[name] > 0 and _must_be_positive(build, guess, name)
+    if kind not in KINDS:
+        raise ValueError(f"`transform` must be one of {', '.join(KINDS)}, got {kind!r} for {name}.")
+    if kind == "log" and not guess[name] > 0:
+        raise ValueError(
+            f"`transform` must be linear where the guess is not positive, got log for {name} = {guess[name]}."
+        )
+    return kind == "log"
+
+
+def _must_be_positive(build: Callable[..., Scene], guess: Mapping[str, float], name: str) -> bool:
+    try:
+        build(**{**guess, name: -guess[name]})
+    except ValueError:
+        return True
+    return False
+
+
+def _bounds_of(name: str, given: Any, value: float) -> tuple[float, float]:
+    if given is None:
+        return -math.inf, math.inf
+    try:
+        low, high = (math.inf * sign if end is None else float(end) for end, sign in zip(given, (-1, 1), strict=True))
+    except (TypeError, ValueError):
+        raise ValueError(f"`bounds` must be pairs (low, high), None for no bound, got {given!r} for {name}.") from None
+    if not low < value < high:
+        raise ValueError(f"`guess` must lie between its bounds, got {name} = {value} for ({low}, {high}).")
+    return low, high
+
+
+def read_parameters(argument: str, given: Any) -> dict[str, float]:
+    """Values of parameters as floats.
+
+    Raises:
+        ValueError: if they are not a mapping to finite numbers; names the argument.
+    """
+    if not isinstance(given, Mapping) or not given:
+        raise ValueError(f"`{argument}` must be a mapping of parameters to numbers, got {given!r}.")
+    for name, value in given.items():
+        try:
+            checks.number(str(name), value)
+        except ValueError as error:
+            raise ValueError(f"`{argument}` must hold finite numbers: {error}") from None
+    return {str(name): float(value) for name, value in given.items()}
+
+
+def check_arguments(argument: str, function: Any, names: Sequence[str], called: str = "build") -> None:
+    """Check that a user's function takes arguments of these names.
+
+    Raises:
+        ValueError: if not; names the argument of ours that the names come from, and the function.
+    """
+    if not callable(function):
+        raise ValueError(f"`{called}` must be a function that returns a Scene, got {function!r}.")
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        return  # a function without a signature
+    try:
+        signature.bind(**dict.fromkeys(names))
+    except TypeError as error:
+        raise ValueError(
+            f"`{argument}` must name the parameters of `{called}`, which takes {signature}, got "
+            f"{', '.join(map(repr, names))}: {error}."
+        ) from None
+
+
+def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Scene:
+    """The scene that `build` makes of values.
+
+    Raises:
+        ValueError: if `build` does not take these names, or returns something else than a Scene.
+    """
+    check_arguments(argument, build, list(values))
+    scene = build(**values)
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`build` must return a Scene, got {scene!r}.")
+    return scene
+
+
+def numbers_of(scene: Scene | Sensor) -> list[Array]:
+    """All numeric leaves of a scene as arrays."""
+    return [jnp.asarray(leaf, dtype=float) for leaf in jax.tree.leaves(scene) if checks.is_numeric(leaf)]
+
+
+def check_traceable(build: Callable[..., Any], values: Mapping[str, float], called: str = "build") -> None:
+    """Check that JAX can trace a user's function, which every compiled program does.
+
+    Raises:
+        ValueError: if not; names the function and the remedy.
+    """
+    try:
+        jax.eval_shape(lambda values: numbers_of(build(**values)), {k: jnp.asarray(v) for k, v in values.items()})
+    except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
+        name = getattr(build, "__name__", type(build).__name__)
+        raise ValueError(
+            f"`{called}` must be a function that JAX can trace, got {name}, which raised {type(error).__name__}. Use "
+            "jnp.where instead of `if`, jnp.interp instead of np.interp, and jax.numpy instead of math and numpy."
+        ) from error
+
+
+def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
+    """Check that the scene depends on every parameter.
+
+    Raises:
+        ValueError: if not; names the parameter.
+    """
+    changes = jax.jacfwd(lambda values: numbers_of(build(**values)))(dict(guess))
+    for name in guess:
+        if not any(np.any(np.asarray(change[name]) != 0) for change in changes):
+            raise ValueError(
+                f"`guess` must name parameters that `build` uses, got {name}: nothing in the scene depends on {name}."
+            )

@@ -1,0 +1,180 @@
+"""Compiled programs: kept per user's function and argument shapes, and the least-squares fit among them."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from jaxwhisker._base.jit import COMPILER_OPTIONS
+from jaxwhisker._inverse.parameters import Unknowns
+from jaxwhisker._inverse.residuals import Comparison, Samples, residuals
+from jaxwhisker._inverse.statistics import chi_squared
+from jaxwhisker._model.scene import Scene
+
+MAX_STEPS = 60  # of Levenberg-Marquardt
+FINE = 1e-6  # decrease of the sum of squares below which a fit ends: within 1e-3 standard errors of the minimum
+COARSE = 1e-4  # the same of the first stages
+SMALL = 1e-7  # change of variables of size one, and of residuals, at which a fit ends as well
+ROUNDING = 1e-14  # of a scaled normal matrix: an unknown that is held has no row of its own
+KEPT = 32  # functions whose programs are kept
+
+
+class Program:
+    """A function that is compiled once for each shape of its arguments; arrays in and out are numpy's."""
+
+    def __init__(self, function: Callable):
+        self._function = function
+        self._compiled: dict[Any, Any] = {}
+
+    def __call__(self, *args):
+        return jax.tree.map(np.asarray, self.compile(*args)(*jax.tree.map(jnp.asarray, args)))
+
+    def compile(self, *args) -> Any:
+        """The compiled function for arguments of these shapes."""
+        leaves, structure = jax.tree.flatten(args)
+        shapes = structure, *((np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)
+        if shapes not in self._compiled:
+            lowered = jax.jit(self._function).lower(*jax.tree.map(jnp.asarray, args))
+            self._compiled[shapes] = lowered.compile(COMPILER_OPTIONS)
+        return self._compiled[shapes]
+
+    def compile_all(self, *several: tuple) -> None:
+        """Compile for arguments of several shapes in parallel."""
+        with ThreadPoolExecutor(len(several)) as threads:
+            list(threads.map(lambda args: self.compile(*args), several))
+
+
+def program(function: Callable, build: Callable, *static: Any) -> Program:
+    """The program of `function(build, *static, ...)`; kept, because compiling takes longer than running."""
+    try:
+        hash(build)
+    except TypeError:  # a module with arrays
+        return Program(partial(function, build, *static))
+    return _kept(function, build, *static)
+
+
+@lru_cache(maxsize=KEPT)
+def _kept(function: Callable, build: Callable, *static: Any) -> Program:
+    return Program(partial(function, build, *static))
+
+
+class LevenbergMarquardt(optx.LevenbergMarquardt):
+    """Levenberg-Marquardt that ends when another step would not lower the sum of squares by more than `least`.
+
+    Unknowns that are hardly determined would move on for long, and at the minimum rounding decides which steps are
+    accepted.
+    """
+
+    least: Any = 0.0
+
+    def __init__(self, least: Any):
+        super().__init__(rtol=SMALL, atol=SMALL)
+        self.least = least
+
+    def terminate(self, fn, y, args, options, state, tags):
+        """Whether the fit has ended, and its result code."""
+        small, result = super().terminate(fn, y, args, options, state, tags)
+        jacobian = jax.vmap(state.f_info.jac.mv, out_axes=1)(jnp.eye(y.size))
+        settled = possible_decrease(state.f_info.residual, jacobian) < self.least
+        return small | (settled & ~state.first_step), result
+
+
+def possible_decrease(
+    residual: Float[Array, " residuals"], jacobian: Float[Array, "residuals unknowns"]
+) -> Float[Array, ""]:
+    """Decrease of the sum of squares that a Gauss-Newton step predicts."""
+    size = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
+    scaled = jacobian / jnp.where(size > 0, size, 1.0)
+    slope, bend = scaled.T @ residual, scaled.T @ scaled + ROUNDING * jnp.eye(size.size)
+    return slope @ jnp.linalg.solve(bend, slope)
+
+
+class Solution(NamedTuple):
+    """Where a fit ended."""
+
+    y: Any  # (unknowns,)
+    residual: Any  # (residuals,)
+    jacobian: Any  # (residuals, unknowns)
+    compared: Comparison
+    steps: Any
+    converged: Any
+
+    @property
+    def misfit(self) -> float:
+        """Sum of squares of all residuals, that of the prior included."""
+        return chi_squared(self.residual)
+
+    @property
+    def observed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and derivatives without those of the prior."""
+        rows = self.residual.size - self.y.size
+        return self.residual[:rows], self.jacobian[:rows]
+
+
+class LeastSquares:
+    """Least-squares fits of one `build` to data of any shape; compiled at the first call for each."""
+
+    def __init__(self, build: Callable[..., Scene], unknowns: Unknowns):
+        self._count = len(unknowns.all_names)
+        self._program = program(_solve, build, unknowns)
+
+    def __call__(self, y: np.ndarray, data: Samples, free: np.ndarray | None = None, least: float = FINE) -> Solution:
+        """Fit from y on; unknowns that are not free are held."""
+        return self._program(y, data, np.ones(self._count, bool) if free is None else free, least)
+
+    def compile_all(self, *several: Samples) -> None:
+        """Compile for data of several shapes in parallel."""
+        arguments = np.zeros(self._count), np.ones(self._count, bool)
+        self._program.compile_all(*((arguments[0], data, arguments[1], FINE) for data in several))
+
+
+def _solve(
+    build: Callable[..., Scene],
+    unknowns: Unknowns,
+    start: Float[Array, " unknowns"],
+    data: Samples,
+    free: Any,
+    least: Any,
+) -> Solution:
+    # Traced and compiled once, although the solver asks for values in one place and for derivatives in another.
+    @jax.jit
+    def both(y, data):
+        value, push, compared = jax.linearize(lambda y: residuals(build, unknowns, y, data), y, has_aux=True)
+        return value, jax.vmap(push, out_axes=1)(jnp.eye(y.size)), compared
+
+    @eqx.filter_custom_jvp
+    def value(y, data):
+        residual, _, compared = both(y, data)
+        return residual, compared
+
+    @value.def_jvp
+    def _(primals, tangents):
+        residual, jacobian, compared = both(*primals)
+        constant = jax.tree.map(lambda leaf: None, compared)
+        return (residual, compared), (jacobian @ tangents[0], constant)
+
+    solution = optx.least_squares(
+        lambda y, _: value(jnp.where(free, y, jax.lax.stop_gradient(start)), data),
+        LevenbergMarquardt(least),
+        start,
+        has_aux=True,
+        max_steps=MAX_STEPS,
+        throw=False,
+        adjoint=optx.RecursiveCheckpointAdjoint(),
+    )
+    info = solution.state.f_info
+    return Solution(
+        jnp.where(free, solution.value, start),
+        info.residual,
+        jax.vmap(info.jac.mv, out_axes=1)(jnp.eye(start.size)),
+        solution.aux,
+        solution.stats["num_steps"],
+        solution.result == optx.RESULTS.successful,
+    )

@@ -1,0 +1,97 @@
+"""Checks of a recording that need no compilation: information, units and the direction of time."""
+
+import numpy as np
+
+from jaxwhisker._inverse.features import ABOVE_NOISE, in_contact, neighbour_scatter
+from jaxwhisker._inverse.observations import Channel, Observations
+from jaxwhisker._model.motion import Translation
+from jaxwhisker._model.scene import Scene, Sensor, units_of
+from jaxwhisker._scan.quantities import REACTIONS
+
+LEAST_POSITIONS = 5  # drive positions from which a scan is recognised
+ENOUGH_DIFFERENCES = 30  # from which the scatter between neighbours distinguishes contact from noise
+CONTROL_RATIO = 1e-2, 1e3  # plausible ranges, in the units of the scene
+REACTION_RATIO = 1e-3, 1e4
+NEGATIVE_WORK = 0.1  # of all work done along the way, from which on it is significant; reversed scans reach 0.4 to 0.8
+ROUNDING = 1e-12  # relative change of a constant signal
+
+
+def check_recording(observations: Observations, sensor: Scene | Sensor, unknowns: int) -> None:
+    """Check that observations can be a scan with this sensor from which so many unknowns can be estimated.
+
+    Raises:
+        ValueError: if there are too few values or drive positions, no contact, values in another unit, or values in
+            reversed order.
+    """
+    _check_count(observations, unknowns)
+    if not np.isfinite(observations.sigma).any():
+        scatter = neighbour_scatter(observations)
+        observations = observations.with_sigma(scatter.sigma if scatter.count >= ENOUGH_DIFFERENCES else 0.0)
+    if not any(_changes(observations, channel) for channel in observations.channels):
+        raise ValueError(
+            "`measured` must show a contact, got signals of which none changes by more than five standard deviations "
+            "of its noise."
+        )
+    _check_units(observations, sensor)
+    if isinstance(sensor.motion, Translation):
+        _check_direction(observations)
+
+
+def _check_count(observations: Observations, unknowns: int) -> None:
+    known = observations.known
+    if known.sum() <= unknowns:
+        raise ValueError(
+            f"`measured` must hold more values than there are unknowns ({unknowns}), got {known.sum()} finite values."
+        )
+    positions, least = np.unique(observations.control[known.any(axis=(1, 2))]).size, max(LEAST_POSITIONS, unknowns + 1)
+    if positions < least:
+        raise ValueError(
+            f"`measured` must hold values at {least} or more drive positions for {unknowns} unknowns, got {positions}."
+        )
+
+
+def _changes(observations: Observations, channel: Channel) -> bool:
+    """Whether a signal changes by more than its noise and rounding."""
+    signal = observations.values[:, channel.whisker, channel.reaction]
+    noise = observations.sigma[:, channel.whisker, channel.reaction]
+    away = np.abs(signal - np.nanmedian(signal)) - ABOVE_NOISE * noise
+    return bool(np.nanmax(away) > ROUNDING * np.nanmax(np.abs(signal)))
+
+
+def _check_units(observations: Observations, sensor: Scene | Sensor) -> None:
+    unit = units_of(sensor.whiskers[0], sensor.motion)
+    sizes = {"the range of control": (float(np.ptp(observations.control)), float(unit.control), CONTROL_RATIO)}
+    for r, (name, size) in enumerate(zip(REACTIONS, (unit.force, unit.force, unit.moment), strict=True)):
+        peak = float(np.nanmax(np.abs(observations.values[:, :, r]), initial=0.0))
+        sizes[f"the peak of {name}"] = peak, float(size), REACTION_RATIO
+    for name, (value, size, (low, high)) in sizes.items():
+        if value > 0 and not low < value / size < high:
+            raise ValueError(
+                f"`measured` must be in the same units as the scene, got {value:.3g} for {name}, which is "
+                f"{value / size:.2g} of the unit of the first whisker (L, EI/L^2 or EI/L) at the guess."
+            )
+
+
+def _check_direction(observations: Observations) -> None:
+    """Check that the drive does work on whiskers that start free; they can only store or dissipate it.
+
+    The work is the integral of the sum of all fx over the control. In reversed order, the energy that a snap dissipates
+    seems to come from nowhere.
+    """
+    fx = observations.values[:, :, 0]
+    complete: np.ndarray = np.isfinite(fx).all(axis=1)
+    control, force = observations.control[complete], fx[complete].sum(axis=1)
+    if control.size < LEAST_POSITIONS or in_contact(observations)[0].any() or not complete[0]:
+        return
+    steps, middle = np.diff(control), (force[1:] + force[:-1]) / 2
+    # Between two samples the force is anywhere between their values, as far as a monotonic signal goes.
+    most = np.cumsum(middle * steps + np.abs(np.diff(force) * steps) / 2)
+    noise = (observations.sigma[complete, :, 0] ** 2).sum(axis=1)
+    deviation = np.sqrt(np.cumsum(noise[1:] * steps**2))
+    scale = np.cumsum(np.abs(middle * steps))
+    if np.any(most + ABOVE_NOISE * deviation < -NEGATIVE_WORK * scale[-1]):
+        raise ValueError(
+            "`measured` must be in the order in which the drive moved, with the forces of the support on the whiskers, "
+            f"got signals with which whiskers that start free do the work {-most.min():.3g} on the drive. Reverse the "
+            "order of all arrays, or check the sign of fx."
+        )

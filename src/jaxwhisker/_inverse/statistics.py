@@ -1,0 +1,114 @@
+"""Statistics that all fits share: how a fit ended, chi-squared, 95 % intervals, and what the data determine."""
+
+import math
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+NORMAL_95 = 1.959963984540054  # standard deviations on either side of the mean that hold 95 %
+CHI2_95 = NORMAL_95**2  # rise of chi-squared at the ends of a 95 % interval of one parameter
+DEVIATIONS = 6.0  # standard deviations of chi-squared above its mean from which a misfit is implausible
+
+RELATIVE_ZERO = 1e-7  # of the largest singular value: below it a direction changes no signal; derivatives hold to 1e-9
+LARGEST_LOG_ERROR = 1.0  # standard error of a logarithm above which a parameter is not identified: a factor of e
+NAMED = 0.05  # share of a direction's largest component from which on a parameter is named with it
+INVOLVED = 1e-4  # component in a direction that changes no signal from which on a parameter is not identified
+
+
+class FitStatus(IntEnum):
+    """How a fit ended; only a fit with status `ok` has standard errors."""
+
+    ok = 0
+    implausible = 1  # noise does not explain the residuals: another scene, another minimum, or too small a `sigma`
+    not_converged = 2  # the least-squares solver did not reach a minimum
+    at_bound = 3  # a parameter ended at its bound
+    failed = 4  # the scene cannot be scanned at the estimates
+    undetermined = 5  # the points do not determine all parameters of a profile
+
+
+def chi_squared(whitened: np.ndarray) -> float:
+    """Sum of squares of whitened residuals."""
+    return float(np.sum(np.square(whitened)))
+
+
+def is_plausible(chi2: float, degrees: int) -> bool:
+    """Whether noise explains a sum of squares with so many degrees of freedom."""
+    return bool(chi2 < degrees + DEVIATIONS * math.sqrt(2 * max(degrees, 1)))
+
+
+def correlation(covariance: np.ndarray) -> np.ndarray:
+    """Correlation matrix of a covariance matrix."""
+    errors = np.sqrt(np.diag(covariance))
+    return covariance / np.outer(errors, errors)
+
+
+class Identifiability(NamedTuple):
+    """What signals determine, in relative changes of parameters fitted in log, and in units of `scale` of others."""
+
+    covariance: np.ndarray  # (parameters, parameters); NaN for parameters that are not identified
+    identified: np.ndarray  # (parameters,) bool
+    combinations: tuple[str, ...]  # of parameters that are not identifiable, in words
+    rank: int  # number of combinations that are identifiable
+    condition: float  # ratio of the largest to the smallest singular value of the whitened derivatives
+
+
+def identifiability(jacobian: np.ndarray, names: Sequence[str], log: np.ndarray, scale: np.ndarray) -> Identifiability:
+    """Find the combinations of parameters that signals determine, from the singular values of their derivatives.
+
+    Args:
+        jacobian: derivatives of whitened residuals, (residuals, parameters): with respect to log x of parameters in
+            log, and to x / scale of the others.
+        names: of the parameters.
+        log: which parameters are in log, (parameters,).
+        scale: of the others, (parameters,).
+    """
+    # Thousands of residuals and a handful of parameters: QR first.
+    _, singular, directions = np.linalg.svd(np.linalg.qr(jacobian, mode="r"))
+    largest = float(singular[0]) if singular.size else 0.0
+    null = singular <= RELATIVE_ZERO * largest
+    with np.errstate(divide="ignore"):
+        error = np.where(null, np.inf, 1 / np.where(singular > 0, singular, 1.0))
+    # Only a logarithm has an absolute limit; a parameter of either sign has no natural size.
+    leading = np.argmax(np.abs(directions), axis=1) if singular.size else np.zeros(0, int)
+    weak = ~null & (error > LARGEST_LOG_ERROR) & log[leading]
+    covariance = (directions.T * np.where(null, 0.0, error) ** 2) @ directions
+    involved = np.any(np.abs(directions[null]) > INVOLVED, axis=0) if null.any() else np.zeros(len(names), bool)
+    identified = ~involved & (~log | (np.sqrt(np.diag(covariance)) <= LARGEST_LOG_ERROR)) & (largest > 0)
+    covariance = np.where(identified[:, None] & identified[None, :], covariance, np.nan)
+    simple = _simplest_basis(directions[null]) if null.any() else directions[:0]
+    words = [_in_words(direction, np.inf, names, log, scale) for direction in simple]
+    words += [_in_words(d, e, names, log, scale) for d, e in zip(directions[weak], error[weak], strict=True)]
+    condition = np.inf if null.any() else largest / (float(singular[-1]) if singular.size else 0.0)
+    return Identifiability(covariance, identified, tuple(words), int(np.sum(~null & ~weak)), condition)
+
+
+def _simplest_basis(null: np.ndarray) -> np.ndarray:
+    """Eliminate as many components of a null space's basis as possible: combinations of few parameters."""
+    rows = null.copy()
+    for k in range(rows.shape[0]):
+        column = int(np.argmax(np.abs(rows[k])))
+        rows[k] /= rows[k, column]
+        for other in range(rows.shape[0]):
+            if other != k:
+                rows[other] -= rows[other, column] * rows[k]
+    return rows
+
+
+def _in_words(direction: np.ndarray, error: float, names: Sequence[str], log: np.ndarray, scale: np.ndarray) -> str:
+    """A combination of parameters, described by changes that compensate each other."""
+    size = np.abs(direction)
+    leading = int(np.argmax(size))
+    direction = direction / direction[leading]
+    members = [int(k) for k in np.argsort(-size) if size[k] > NAMED * size[leading]]
+
+    def change(k: int) -> str:
+        step = 0.01 * direction[k]
+        return f"{names[k]} {100 * step:+.3g} %" if log[k] else f"{names[k]} {step * scale[k]:+.3g}"
+
+    changes = f"{names[leading]} alone" if len(members) == 1 else " with ".join(change(k) for k in members)
+    if not np.isfinite(error):
+        return f"{changes} changes no signal"
+    within = f"a factor of {np.exp(min(error, 700.0)):.3g}" if log[leading] else f"{error * scale[leading]:.3g}"
+    return f"{changes} is determined only to within {within}"

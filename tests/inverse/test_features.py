@@ -1,0 +1,73 @@
+"""Features of signals: touches in noise, jumps and steep signals before them, and the noise of neighbouring samples."""
+
+import numpy as np
+import pytest
+
+from jaxwhisker._inverse.features import features, neighbour_scatter
+from jaxwhisker._inverse.observations import Observations
+from jaxwhisker._inverse.residuals import OVERLAID_EVENT
+from recordings import STEPS
+
+CONTROL = np.linspace(0.0, -1.0, STEPS)
+
+
+def observations(values, noise=np.nan, control=CONTROL):
+    """One whisker with values (steps, 3)."""
+    return Observations(control, values[:, None], np.full(values[:, None].shape, noise))
+
+
+def test_a_touch_in_noise_is_located():
+    # fx is loudest, but not a parabola; mz is one.
+    touch, noise = 0.3, 0.02
+    past = np.maximum(-CONTROL - touch, 0.0)
+    values = np.stack([0.2 * past + 20 * past**7, np.full(STEPS, np.nan), past + past**2], axis=-1)
+    errors = []
+    for seed in range(20):
+        random = np.random.default_rng(seed).standard_normal(values.shape)
+        errors.append(abs(features(observations(values + noise * random, noise)).touch[0] - touch))
+    assert np.median(errors) < OVERLAID_EVENT / 2
+
+
+def test_a_snap_is_found_and_the_steep_signal_before_it_is_not():
+    # A square root before a fold, as a signal has it, then zero.
+    fold = 0.6
+    values = np.where(fold > -CONTROL, 2.0 + np.sqrt(np.maximum(fold + CONTROL, 0.0)), 0.0)
+    values = np.where(-CONTROL < 0.2, 0.0, values * np.minimum(1.0, 10 * (-CONTROL - 0.2)))
+    seen = features(observations(np.stack([values] * 3, axis=-1)))
+    jumps = np.isfinite(seen.low)
+    assert jumps.sum() == 1
+    assert seen.low[0] < fold <= seen.high[0] and seen.high[0] - seen.low[0] == pytest.approx(1 / (STEPS - 1))
+    assert seen.release[0] == pytest.approx(seen.high[0])
+
+
+def smooth(control):
+    return np.stack([np.sin(3 * control), 5 * control**2, np.exp(control)], axis=-1)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 0.1])
+@pytest.mark.parametrize("kind", ["equal steps", "unequal steps", "gaps", "a jump", "free half of the time"])
+def test_scatter_of_neighbours_is_the_noise(kind, scale):
+    rng = np.random.default_rng(1)
+    control = np.linspace(0.0, -1.0, 4 * STEPS)
+    if kind == "unequal steps":
+        control = -np.sort(rng.uniform(0.0, 1.0, control.size))
+    values = smooth(control)
+    if kind == "a jump":
+        values[control < -0.5] += 10.0
+    if kind == "free half of the time":
+        values[control < -0.5] = 0.0
+    values = values + scale * rng.standard_normal(values.shape) * [1.0, 2.0, 3.0]
+    if kind == "gaps":
+        values[::3, 0] = np.nan
+        values[100:200] = np.nan
+    scatter = neighbour_scatter(observations(values, control=control))
+    np.testing.assert_allclose(scatter.sigma, scale * np.array([1.0, 2.0, 3.0]), rtol=0.12)
+    assert scatter.count > STEPS
+
+
+def test_smooth_signals_scatter_hardly_and_constant_ones_not_at_all():
+    scatter = neighbour_scatter(observations(smooth(CONTROL)))
+    assert np.all(scatter.sigma < 1e-6) and scatter.count > STEPS / 2
+    assert np.all(neighbour_scatter(observations(np.ones((STEPS, 3)))).sigma == 0)
+    standing = np.repeat(CONTROL, 2)  # the drive stops at every position
+    assert np.isfinite(neighbour_scatter(observations(smooth(standing), control=standing)).sigma).all()

@@ -1,0 +1,117 @@
+"""Observations: every form of data and of noise ends in the same arrays, or in an error that names the argument."""
+
+import numpy as np
+import pytest
+
+from jaxwhisker._inverse.observations import Observations, channels_of, read_observations
+
+CONTROL = np.linspace(0.5, -0.5, 6)
+FX, MZ = np.arange(12.0).reshape(6, 2), np.arange(6.0) - 2.0
+
+
+def same(a, b):
+    return all(np.array_equal(getattr(a, n), getattr(b, n), equal_nan=True) for n in ("control", "values", "sigma"))
+
+
+def test_columns_and_arrays_are_the_same():
+    arrays = read_observations({"control": CONTROL, "fx": FX, "mz_2": MZ})
+    columns = read_observations({"control": CONTROL, "fx_1": FX[:, 0], "fx_2": FX[:, 1], "mz_2": MZ})
+    assert same(arrays, columns) and same(arrays, read_observations(arrays))
+    np.testing.assert_array_equal(arrays.values[:, :, 0], FX)
+    np.testing.assert_array_equal(arrays.values[:, 1, 2], MZ)
+    assert np.isnan(arrays.values[:, :, 1]).all() and np.isnan(arrays.values[:, 0, 2]).all()
+    assert arrays.names == ["fx_1", "fx_2", "mz_2"] and np.isnan(arrays.sigma).all()
+    np.testing.assert_array_equal(arrays.peaks, [11.0, 1.0, 3.0])  # 1 where nothing was measured
+
+
+def test_other_columns_of_a_scan_are_ignored():
+    others = {
+        name: MZ for name in ("status", "phase_1", "base_x_1", "contact_force", "spring_1", "event_control", "time")
+    }
+    assert same(
+        read_observations({"control": CONTROL, "fx": FX} | others), read_observations({"control": CONTROL, "fx": FX})
+    )
+
+
+def test_whiskers_may_be_missing_and_infinite_values_are_gaps():
+    observed = read_observations({"control": CONTROL, "mz": np.where(MZ > 2, np.inf, MZ)}, whiskers=3)
+    assert observed.values.shape == (6, 3, 3) and observed.known.sum() == 5
+    assert [c.name for c in observed.channels] == ["mz_1"]
+    assert [c.name for c in channels_of(1)] == ["fx", "fy", "mz"]
+
+
+def test_noise_by_number_by_channel_and_by_step():
+    data = {"control": CONTROL, "fx": FX, "mz": FX}
+    assert np.all(read_observations(data, 0.5).sigma == 0.5)
+    each = read_observations(data, {"fx": np.arange(1.0, 7.0), "mz": 3.0, "mz_2": 4.0}).sigma
+    np.testing.assert_array_equal(each[:, 1, 0], np.arange(1.0, 7.0))
+    assert np.all(each[:, 0, 2] == 3.0) and np.all(each[:, 1, 2] == 4.0)
+
+
+def test_parts_of_observations():
+    observed = read_observations({"control": CONTROL, "fx": FX}, 0.5)
+    assert same(observed.at(slice(0, 2)), Observations(CONTROL[:2], observed.values[:2], observed.sigma[:2]))
+    np.testing.assert_array_equal(observed.with_sigma([1.0, 2.0, 3.0]).sigma[4, 1], [1.0, 2.0, 3.0])
+
+
+def test_a_file_is_read_with_comments_gaps_and_quotes(tmp_path):
+    path = tmp_path / "measured.csv"
+    path.write_text('# made today\n"control",fx\n0.5,1\n0.4,\n\n0.3,2\n', encoding="utf-8-sig")
+    observed = read_observations(path)
+    np.testing.assert_array_equal(observed.control, [0.5, 0.4, 0.3])
+    np.testing.assert_array_equal(observed.values[:, 0, 0], [1.0, np.nan, 2.0])
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"fx": MZ}, "`control`, got fx"),
+        ({"control": CONTROL[:, None], "fx": MZ}, r"got shape \(6, 1\)"),
+        ({"control": np.where(MZ > 0, np.nan, CONTROL), "fx": MZ}, "3 values that are not finite"),
+        ({"control": CONTROL, "fx": MZ[:5]}, "fx for each of the 6 controls"),
+        ({"control": CONTROL, "fx_1": FX}, "one column for fx_1"),
+        ({"control": CONTROL, "force": MZ}, "got 'force'"),
+        ({"control": CONTROL, "fx": ["a"] * 6}, "hold numbers"),
+        ({"control": CONTROL, "fx_3": MZ}, "whisker 3"),
+        ({"control": CONTROL, "fx_0": MZ}, "whisker 0"),
+        ({"control": CONTROL}, "at least one of fx, fy, mz, got control"),
+        (None, "got None"),
+    ],
+)
+def test_wrong_data(data, words):
+    with pytest.raises(ValueError, match=f"`measured` must .*{words}"):
+        read_observations(data, whiskers=2)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "columns of equal length"),
+        ("control,fx\n1,2,3\n", "columns of equal length"),
+        ("control,fx\n1,a\n", "columns of numbers"),
+    ],
+)
+def test_wrong_files(tmp_path, text, words):
+    path = tmp_path / "measured.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=f"`measured` must be {words}"):
+        read_observations(path)
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize(
+    ("sigma", "words"),
+    [
+        (-1.0, r"positive and finite, got -1\.0"),
+        ({"fx": np.nan}, "positive and finite, got nan"),
+        ("a", "hold numbers, got 'a'"),
+        ({"fz": 1.0}, "got 'fz'"),
+        ({"fx_3": 1.0}, "got 'fx_3'"),
+        ({"mz": 1.0}, "got none for fx"),
+        ({"fx": np.ones(5)}, r"got shape \(5,\)"),
+    ],
+)
+def test_wrong_noise(sigma, words):
+    with pytest.raises(ValueError, match=f"`sigma` must .*{words}"):
+        read_observations({"control": CONTROL, "fx": FX}, sigma)

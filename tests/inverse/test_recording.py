@@ -1,0 +1,103 @@
+"""Recordings that cannot be fitted are refused, and no others."""
+
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker._inverse.observations import read_observations
+from jaxwhisker._inverse.recording import check_recording
+from recordings import CONTROL, NOISE, STEPS, TRUTH, exact, fb, noisy, reversed_order
+
+TABLE = np.linspace(0.7, -1.3, 300)
+
+
+def check(data, sigma=None, unknowns=2, scene=None):
+    check_recording(read_observations(data, sigma), fb(**TRUTH) if scene is None else scene, unknowns)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return exact(fb(**TRUTH))
+
+
+ROUND_TRIP = np.concatenate([np.linspace(0.75, -0.6, STEPS // 2), np.linspace(-0.6, 0.75, STEPS // 2)])
+
+
+@pytest.mark.parametrize(
+    "control", [CONTROL, CONTROL[::-1], ROUND_TRIP], ids=["scan", "from the other side", "reversing"]
+)
+@pytest.mark.parametrize("seed", [None, 0])
+def test_scans_pass(control, seed):
+    scan = exact(fb(**TRUTH), control)
+    check(scan if seed is None else noisy(scan, seed))
+    check(scan if seed is None else noisy(scan, seed), NOISE)
+    check({n: v[np.sum(control > 0.2) :] for n, v in scan.items()})  # begins in contact
+
+
+@pytest.mark.parametrize("c", [10.0, 60.0, 1000.0])
+@pytest.mark.parametrize("seed", [None, 0])
+def test_reversed_order_is_refused(c, seed):
+    # Every fourth sample is enough; c = 10 snaps to the far side, and is released there.
+    scan = exact(fb(c, 0.25), np.linspace(0.75, -1.6, STEPS))
+    data = reversed_order(scan if seed is None else noisy(scan, seed))
+    for part in (data, {n: v[::4] for n, v in data.items()}):
+        with pytest.raises(ValueError, match=r"`measured` must be in the order .*sign of fx"):
+            check(part)
+    with pytest.raises(ValueError, match=r"`measured` must be in the order .*sign of fx"):
+        check(scan | {"fx": -scan["fx"]})
+
+
+def test_reversed_order_needs_fx_of_all_whiskers_and_a_free_start(data):
+    back = reversed_order(data)
+    check({n: v for n, v in back.items() if n != "fx"})
+    check({n: v[np.argmax(np.abs(back["fx"][:, 0]) > 1) :] for n, v in back.items()})
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (np.full(300, np.nan), "more values .*got 0"),
+        (np.where(np.arange(300) < 4, 1.0, np.nan), "5 or more drive positions for 2 unknowns, got 4"),
+        (np.zeros(300), "contact"),
+        (np.ones(300), "contact"),
+        (np.random.default_rng(0).standard_normal(300), "contact"),
+        (3.0 + np.random.default_rng(1).standard_normal(300), "contact"),
+    ],
+)
+def test_recordings_without_information_are_refused(values, words):
+    with pytest.raises(ValueError, match=f"`measured` must .*{words}"):
+        check({"control": TABLE, "fx": values})
+
+
+def test_more_unknowns_than_positions_and_noise_that_hides_the_contact(data):
+    few = {n: v[:: STEPS // 8] for n, v in data.items()}
+    check(few)
+    with pytest.raises(ValueError, match="12 or more drive positions for 11 unknowns, got 8"):
+        check(few, unknowns=11)
+    with pytest.raises(ValueError, match="`measured` must show a contact"):
+        check(data, sigma=10.0)
+    still = data | {"control": np.zeros(STEPS)}
+    with pytest.raises(ValueError, match="got 1"):
+        check(still)
+
+
+@pytest.mark.parametrize(
+    ("factors", "name"),
+    [
+        ({"control": 1e3}, "range of control"),
+        ({"control": 1e-3}, "range of control"),
+        ({"fx": 1e-6}, "fx"),
+        ({"mz": 1e6}, "mz"),
+    ],
+)
+def test_other_units_are_refused(data, factors, name):
+    with pytest.raises(ValueError, match=f"`measured` must be in the same units as the scene, got .*{name}"):
+        check({n: v * factors.get(n, 1.0) for n, v in data.items()})
+
+
+def test_units_of_the_scene_count(data):
+    length, stiffness = 0.05, 2.4e-5
+    force = stiffness / length**2
+    sizes = {"control": length, "fx": force, "fy": force, "mz": force * length}
+    scene = jw.Scene(jw.Whisker(length, stiffness), jw.Parabola(0.27 * length), jw.Support.fb(55.0 * force / length))
+    check({n: v * sizes[n] for n, v in data.items()}, scene=scene)
