@@ -23,7 +23,7 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import quick, write
-from jaxwhisker._inverse.identifiability import INVOLVED, NULL
+from jaxwhisker._inverse.statistics import INVOLVED, RELATIVE_ZERO
 
 NETWORKS = {
     "FB": ((0, 1),),
@@ -119,7 +119,7 @@ def standard_error(information, along):
     scale = np.array([abs(v) or 1.0 for v in information.at.values()])
     _, singular, directions = np.linalg.svd(np.linalg.qr(information.jacobian * scale, mode="r"))
     part = (along * scale) @ directions.T
-    null = singular <= NULL * singular[0]
+    null = singular <= RELATIVE_ZERO * singular[0]
     hidden = np.linalg.norm(part[..., null], axis=-1) > INVOLVED * np.linalg.norm(part, axis=-1)
     error = np.linalg.norm(part[..., ~null] / singular[~null], axis=-1)
     return np.where(hidden, np.nan, error)
@@ -208,7 +208,7 @@ def null_space(information, places):
         along = np.zeros(len(names))
         along[lengths], along[names.index("x")] = by_length, 1.0
         effect = np.linalg.norm(information.jacobian @ along)
-        shift = int(effect < NULL * np.linalg.norm(information.jacobian[:, names.index("x")]))
+        shift = int(effect < RELATIVE_ZERO * np.linalg.norm(information.jacobian[:, names.index("x")]))
     return {"pre-strains": int(free), "shifts": shift}
 
 

@@ -7,7 +7,7 @@ import xarray as xr
 
 import jaxwhisker as jw
 from jaxwhisker._inverse.information import EventInformation
-from jaxwhisker._inverse.measured import Measured
+from jaxwhisker._inverse.observations import Observations
 
 CONTROL = np.linspace(0.72, -1.62, 235)
 ANGLES = np.linspace(-0.45, 0.7, 116)
@@ -87,7 +87,7 @@ def some_information():
 def some_fit(result):
     """A made-up fit with small residuals."""
     values = np.stack([np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz")], axis=-1)
-    measured = Measured(np.asarray(result.control), values + 0.3 * np.sin(40 * values), np.ones(values.shape))
+    measured = Observations(np.asarray(result.control), values + 0.3 * np.sin(40 * values), np.ones(values.shape))
     known = {"status": jw.FitStatus.ok, "measured": measured, "signals": values, "scene": result.scene}
     return jw.Fit(**dict.fromkeys(jw.Fit.__dataclass_fields__) | known)  # pyright: ignore[reportArgumentType]
 

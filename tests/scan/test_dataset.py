@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._inverse.measured import CHANNELS, measured_of
+from jaxwhisker._inverse.observations import read_observations
 from jaxwhisker._scan.dataset import VARIABLES, layout_of, omitted_events, points_in_words
+from jaxwhisker._scan.quantities import REACTIONS
 from scenes import model
 
 CONTROL = np.linspace(0.72, -1.62, 118)
@@ -41,9 +42,9 @@ def test_is_that_of_a_study(result):
             np.testing.assert_array_equal(other, one, err_msg=name)
     assert data.attrs.keys() == studied.attrs.keys() - {"build"}
     assert all(data.attrs[name] == studied.attrs[name] for name in data.attrs if name != "date")
-    measured = measured_of(data)
+    measured = read_observations(data)
     np.testing.assert_array_equal(measured.control, result.control)
-    for c, name in enumerate(CHANNELS):
+    for c, name in enumerate(REACTIONS):
         np.testing.assert_array_equal(measured.values[:, :, c], getattr(result, name))
 
 

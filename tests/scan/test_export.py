@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._inverse.measured import CHANNELS, measured_of
+from jaxwhisker._inverse.observations import read_observations
+from jaxwhisker._scan.quantities import REACTIONS
 from scenes import model
 
 CONTROL = np.linspace(0.72, -1.62, 118)
@@ -43,7 +44,7 @@ def failed(result):
 
 def assert_same(measured, result):
     np.testing.assert_array_equal(measured.control, result.control)
-    for c, name in enumerate(CHANNELS):
+    for c, name in enumerate(REACTIONS):
         np.testing.assert_array_equal(measured.values[:, :, c], getattr(result, name))
 
 
@@ -59,14 +60,14 @@ def test_table_holds_a_row_a_step(result):
 @pytest.mark.parametrize("kind", ["result", "failed"])
 def test_table_is_read_back(kind, request):
     scanned = request.getfixturevalue(kind)
-    assert_same(measured_of(jw.to_dataframe(scanned)), scanned)
+    assert_same(read_observations(jw.to_dataframe(scanned)), scanned)
 
 
 @pytest.mark.parametrize("kind", ["result", "failed"])
 def test_file_is_read_back_to_the_last_digit(kind, request, tmp_path):
     scanned, path = request.getfixturevalue(kind), tmp_path / "scan.csv"
     jw.to_csv(scanned, path)
-    assert_same(measured_of(path), scanned)
+    assert_same(read_observations(path), scanned)
     read = pd.read_csv(path, comment="#")
     pd.testing.assert_frame_equal(read, jw.to_dataframe(scanned), rtol=PARSED, atol=0, check_dtype=False)
     assert path.read_text().startswith(f"# {scanned.scene}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxwhisker._inverse.fit_status import FitStatus
+from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.report import write_columns, write_rows
