@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxwhisker._base.leaves import as_field, as_text, harmless, name_of, number_or_function, text_unless
+from jaxwhisker._base.leaves import as_field, as_text, name_of, number_or_function, safe_placeholder, text_unless
 
 
 class Line(eqx.Module):
@@ -65,7 +65,7 @@ def test_the_default_is_not_written():
 @pytest.mark.parametrize("bad", [jnp.nan, jnp.inf, -3.0, 0.0, 0.5, 7.0])
 def test_placeholders_are_positive_and_have_no_derivative(bad):
     def root(value, valid):
-        return jnp.sqrt(harmless(value, valid))
+        return jnp.sqrt(safe_placeholder(value, valid))
 
     value, slope = jax.value_and_grad(root)(bad, jnp.asarray(False))
     assert 0 < value <= 1 and slope == 0
@@ -74,6 +74,6 @@ def test_placeholders_are_positive_and_have_no_derivative(bad):
 
 
 def test_placeholders_keep_functions():
-    tree = harmless((parabola, jnp.asarray(-1.0)), jnp.asarray(False))
+    tree = safe_placeholder((parabola, jnp.asarray(-1.0)), jnp.asarray(False))
     assert tree[0] is parabola
     assert tree[1] == 1.0

@@ -76,7 +76,8 @@ def test_has_the_units_of_the_scene(result):
 def test_positions_have_the_unit_of_the_control(result, motion, unit):
     fields: dict[str, Any] = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
     moved = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfbr(70.0), motion=motion)
-    data = jw.Result(**fields | {"scene": moved}).to_xarray()
+    fields["scene"] = moved
+    data = jw.Result(**fields).to_xarray()
     assert data.event_control.attrs["units"] == data.control.attrs["units"] == unit
     assert jw.summary(data).contact_width.attrs["units"] == unit
     assert data.base_x.attrs["units"] == "L"

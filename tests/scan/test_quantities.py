@@ -14,11 +14,11 @@ from jaxwhisker._scan.quantities import (
     REACTIONS,
     STATE,
     UnitSystem,
-    _with_prefix,
     control_kind,
     control_name,
     kind_of,
     unit_in_words,
+    with_prefix,
 )
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.state import State
@@ -133,11 +133,11 @@ def test_units_are_one_of_three():
     [(1e-20, "pN"), (1e-12, "pN"), (0.9e-3, "µN"), (1e-3, "mN"), (0.999, "mN"), (1.0, "N"), (999.0, "N"), (1e3, "kN")],
 )
 def test_prefixes_leave_one_to_three_digits(size, unit):
-    assert _with_prefix("N", size).name == unit
+    assert with_prefix("N", size).name == unit
 
 
 def test_prefixes_end_at_giga():
-    assert _with_prefix("m", 1e20) == ("Gm", 1e9)
+    assert with_prefix("m", 1e20) == ("Gm", 1e9)
 
 
 @pytest.mark.parametrize(

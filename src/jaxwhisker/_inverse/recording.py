@@ -79,7 +79,7 @@ def _check_direction(observations: Observations) -> None:
     seems to come from nowhere.
     """
     fx = observations.values[:, :, 0]
-    complete: np.ndarray = np.isfinite(fx).all(axis=1)
+    complete = np.asarray(np.isfinite(fx).all(axis=1))
     control, force = observations.control[complete], fx[complete].sum(axis=1)
     if control.size < LEAST_POSITIONS or in_contact(observations)[0].any() or not complete[0]:
         return
