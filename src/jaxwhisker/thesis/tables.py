@@ -7,8 +7,9 @@ is -mz. Its tables also contain the values of a multi-body model (ALASKA), which
 import math
 from dataclasses import dataclass, field
 
+from jaxwhisker._model.loads import PointForce
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.deflect import PointForce, deflect
+from jaxwhisker._scan.deflect import Deflection, deflect
 from jaxwhisker._scan.report import number
 
 LISTED = ("Fx", "Fy", "Mz")
@@ -100,7 +101,7 @@ TABLES = {
 }
 
 
-def bend(table: Table) -> dict[str, object]:
+def bend(table: Table) -> dict[str, Deflection]:
     """Deflections under every load of the table, by label."""
     whisker = Whisker()
     return {
