@@ -35,7 +35,7 @@ def all_ok(result):
     return bool(jnp.all(result.status == jw.Status.ok))
 
 
-def told(result):
+def event_list(result):
     """The events as plain tuples (kind, whiskers, control)."""
     return [(e.kind.name, e.whiskers, e.control) for e in result.events]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from scenes import all_ok, told
+from scenes import all_ok, event_list
 
 EXACT = 1e-12
 SAME = 1e-8  # two parametrisations of one object
@@ -43,7 +43,7 @@ def test_a_small_circle_is_first_met_by_the_shaft():
     assert abs(touch.after.base_x[0] - 0.2) < EXACT
     assert abs(touch.after.contact_arc[0] - 0.5) < EXACT
     assert abs(touch.after.contact_slope[0] - np.pi / 2) < EXACT
-    assert [e for e in told(result) if e[0] == "tip_to_tangential"] == []
+    assert [e for e in event_list(result) if e[0] == "tip_to_tangential"] == []
     assert result.control[0] > touch.control
 
 
@@ -62,7 +62,7 @@ def test_the_graph_of_a_parabola_is_the_parabola():
     assert all_ok(graph)
     for name in ("fx", "fy", "mz", "base_x"):
         np.testing.assert_allclose(getattr(graph, name), getattr(parabola, name), atol=SAME)
-    np.testing.assert_allclose([e[2] for e in told(graph)], [e[2] for e in told(parabola)], atol=SAME)
+    np.testing.assert_allclose([e[2] for e in event_list(graph)], [e[2] for e in event_list(parabola)], atol=SAME)
 
 
 def test_a_graph_may_end_like_a_semicircle():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from scenes import all_ok, told
+from scenes import all_ok, event_list
 
 SIGNAL = 1e-6  # relative to a signal's peak over the scan; near a fold both solutions lose digits
 EVENT = 1e-8
@@ -60,7 +60,7 @@ def test_signals_and_events(model, profile, stiffness, rest_length):
         assert np.max(np.abs(values - exactly) / peak) < SIGNAL, name
     phases = np.array([jw.Phase(int(p)).name for p in np.asarray(result.phase)[::EVERY].ravel()])
     assert np.array_equal(phases, np.asarray(reference.states.phase).ravel())
-    events = [e for e in told(result) if e[2] >= control[-1]]
+    events = [e for e in event_list(result) if e[2] >= control[-1]]
     exactly = [e for e in reference.events if e.control >= control[-1]]
     assert [e[:2] for e in events] == [(e.kind, tuple(e.whiskers)) for e in exactly]
     np.testing.assert_allclose([e[2] for e in events], [e.control for e in exactly], rtol=0, atol=EVENT)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxwhisker as jw
-from scenes import all_ok, model, told
+from scenes import all_ok, event_list, model
 
 BALANCE = 1e-9  # of forces and moments, relative to the largest
 SAME = 1e-9  # two computations of the same scan
@@ -64,7 +64,7 @@ def test_a_shift_along_x_shifts_everything(values, shift):
     for name in ("fx", "fy", "mz", "contact_arc"):
         np.testing.assert_allclose(getattr(here, name), getattr(there, name), atol=SAME * 1e2)
     np.testing.assert_allclose(np.asarray(here.base_x) + shift, there.base_x, atol=SAME)
-    assert [e[:2] for e in told(here)] == [e[:2] for e in told(there)]
+    assert [e[:2] for e in event_list(here)] == [e[:2] for e in event_list(there)]
 
 
 @few
@@ -119,7 +119,9 @@ def test_twins_touch_and_slip_together():
     twins = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support(springs)))
     alone = jw.scan(model("FB"))
     assert all_ok(twins)
-    np.testing.assert_allclose(twins.events.of(jw.EventKind.snap_off)[0].control, told(alone)[-1][2], atol=SAME * 10)
+    np.testing.assert_allclose(
+        twins.events.of(jw.EventKind.snap_off)[0].control, event_list(alone)[-1][2], atol=SAME * 10
+    )
     assert twins.phase[-1].sum() == 0
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import jaxwhisker as jw
-from scenes import all_ok, model, step_nearest, told
+from scenes import all_ok, event_list, model, step_nearest
 
 GRID = 1e-9  # states shared by two grids
 EVENT = 1e-8  # events of two grids
@@ -21,8 +21,8 @@ def test_coarse_and_fine_agree():
             assert all_ok(coarse)
             for field in ("fx", "fy", "mz", "base_x"):
                 np.testing.assert_allclose(getattr(coarse, field), getattr(fine, field)[::k], atol=GRID * 10)
-            np.testing.assert_allclose([e[2] for e in told(coarse)], [e[2] for e in told(fine)], atol=EVENT)
-            assert [e[:2] for e in told(coarse)] == [e[:2] for e in told(fine)]
+            np.testing.assert_allclose([e[2] for e in event_list(coarse)], [e[2] for e in event_list(fine)], atol=EVENT)
+            assert [e[:2] for e in event_list(coarse)] == [e[:2] for e in event_list(fine)]
 
 
 def test_out_and_back_without_a_snap_retraces_itself():
@@ -33,7 +33,7 @@ def test_out_and_back_without_a_snap_retraces_itself():
     for field in ("fx", "fy", "mz", "base_x"):
         values = np.asarray(getattr(result, field))
         np.testing.assert_allclose(values[201:], values[:200][::-1], atol=RETRACE * 10)
-    kinds = [e[0] for e in told(result)]
+    kinds = [e[0] for e in event_list(result)]
     assert kinds.count("touch") == kinds.count("release") == 2
     assert kinds.count("vertex") % 2 == 0
 
@@ -56,7 +56,7 @@ def test_back_after_a_snap_off_touches_from_the_other_side():
     out = np.linspace(1.5, -1.5, 301)
     result = jw.scan(model("FB"), np.concatenate([out, out[::-1]]))
     assert all_ok(result)
-    kinds = [e[0] for e in told(result)]
+    kinds = [e[0] for e in event_list(result)]
     assert kinds.count("snap_off") == 2
     again = result.events.of(jw.EventKind.touch)[1]
     assert abs(again.after.base_x[0] + np.sqrt(0.8)) < EVENT
@@ -71,8 +71,8 @@ def test_starting_in_the_middle_of_contact():
     part = jw.scan(model("FBFB"), np.linspace(-0.4, -1.6, 121))
     for field in ("fx", "fy", "mz", "base_x", "phase"):
         np.testing.assert_allclose(getattr(part, field), getattr(whole, field)[120:], atol=GRID * 10)
-    assert told(part)[0][2] < -0.4
-    assert [e[:2] for e in told(part)] == [e[:2] for e in told(whole) if e[2] < -0.4]
+    assert event_list(part)[0][2] < -0.4
+    assert [e[:2] for e in event_list(part)] == [e[:2] for e in event_list(whole) if e[2] < -0.4]
 
 
 def test_one_step_and_standing_still():
@@ -96,7 +96,7 @@ def test_the_default_control_contains_all_events():
         result = jw.scan(model(name))
         assert np.all(np.asarray(result.phase[0]) == jw.Phase.free)
         assert np.all(np.asarray(result.phase[-1]) == jw.Phase.free)
-        assert result.control[0] > told(result)[0][2] > told(result)[-1][2] > result.control[-1]
+        assert result.control[0] > event_list(result)[0][2] > event_list(result)[-1][2] > result.control[-1]
         np.testing.assert_allclose(np.diff(result.control), -0.001, atol=1e-12)
 
 
@@ -110,8 +110,8 @@ def test_the_far_side():
     assert landing.state is landing.after
     assert landing.before.mz[0] > 0 > landing.after.mz[0]
     assert abs(landing.after.base_x[0] + 0.8400653) < 1e-6
-    assert abs(told(result)[-1][2] + 1.094427191) < EVENT
-    assert told(result)[-1][0] == "release"
+    assert abs(event_list(result)[-1][2] + 1.094427191) < EVENT
+    assert event_list(result)[-1][0] == "release"
 
 
 def test_sixteen_whiskers_in_a_row():
@@ -120,7 +120,7 @@ def test_sixteen_whiskers_in_a_row():
     assert all_ok(result)
     assert result.fx.shape == (300, 16)
     # Every whisker touches the object; some spring back after a snap and touch it again.
-    assert {w for kind, whiskers, _ in told(result) if kind == "touch" for w in whiskers} == set(range(1, 17))
+    assert {w for kind, whiskers, _ in event_list(result) if kind == "touch" for w in whiskers} == set(range(1, 17))
     drive = 200.0 * (np.asarray(result.spring_length)[:, 0] - 0.15)
     np.testing.assert_allclose(-drive, np.asarray(result.fx).sum(axis=1), atol=1e-9 * 200)
 
@@ -145,8 +145,8 @@ def test_a_snap_at_a_corner_and_a_flow_across_one():
         ("snap_through", (2,), -1.163606539),
         ("release", (2,), -1.174596669),
     ]
-    assert [e[:2] for e in told(result)[-6:]] == [e[:2] for e in expected]
-    np.testing.assert_allclose([e[2] for e in told(result)[-6:]], [e[2] for e in expected], atol=EVENT)
+    assert [e[:2] for e in event_list(result)[-6:]] == [e[:2] for e in expected]
+    np.testing.assert_allclose([e[2] for e in event_list(result)[-6:]], [e[2] for e in expected], atol=EVENT)
 
 
 def test_beneath_the_edge_of_a_flat_object_a_whisker_slides_on():
@@ -161,7 +161,7 @@ def test_beneath_the_edge_of_a_flat_object_a_whisker_slides_on():
 
     further = branch.states(float(brentq(beyond, branch.fold + 0.1, 1.0)))  # pyright: ignore[reportArgumentType]
     assert all_ok(result)
-    kinds = [e[0] for e in told(result)]
+    kinds = [e[0] for e in event_list(result)]
     assert kinds == ["touch", "tangential_to_tip", "snap_through", "vertex", "snap_off"]
     snap = result.events[2]
     assert abs(snap.control - x) < EVENT
@@ -177,7 +177,13 @@ def test_a_stretch_between_two_changes_of_phase_is_not_missed():
     whisker, profile = jw.Whisker(), jw.Parabola(0.5189945179467305, 0.21826609)
     result = jw.scan(jw.Scene(whisker, profile, jw.Support.clamped(), jw.ClosedForm()), np.linspace(2, -2, 400))
     assert all_ok(result)
-    assert [e[0] for e in told(result)] == ["touch", "tip_to_tangential", "tangential_to_tip", "vertex", "snap_off"]
+    assert [e[0] for e in event_list(result)] == [
+        "touch",
+        "tip_to_tangential",
+        "tangential_to_tip",
+        "vertex",
+        "snap_off",
+    ]
 
 
 def test_a_soft_spring_is_stretched_over_thousands_of_lengths():
@@ -188,4 +194,4 @@ def test_a_soft_spring_is_stretched_over_thousands_of_lengths():
     assert all_ok(result)
     change = result.events.of(jw.EventKind.tip_to_tangential)[0]
     assert abs(change.control - (known.before.base_x[0] - rest + stretch * stiff / soft)) < 1e-8 * stiff / soft
-    assert told(result)[-1][0] == "snap_off"
+    assert event_list(result)[-1][0] == "snap_off"

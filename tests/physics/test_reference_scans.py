@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from scenes import REFERENCE, all_ok, from_reference, told
+from scenes import REFERENCE, all_ok, event_list, from_reference
 
 SIGNAL = 1e-6  # relative to a signal's peak, at every stored control
 EVENT = 1e-7  # in u: a hundred times the reference's rounding
@@ -34,10 +34,10 @@ def test_all_events_of_the_default_scan(case):
     result = jw.scan(from_reference(case))
     assert all_ok(result)
     kinds = [e["kind"].replace("->", "_to_").replace("-", "_") for e in case["events"]]
-    assert [kind for kind, _, _ in told(result)] == kinds
-    assert [list(whiskers) for _, whiskers, _ in told(result)] == [e["whisker"] for e in case["events"]]
+    assert [kind for kind, _, _ in event_list(result)] == kinds
+    assert [list(whiskers) for _, whiskers, _ in event_list(result)] == [e["whisker"] for e in case["events"]]
     controls = np.array([e["control"] for e in case["events"]])
-    np.testing.assert_allclose([u for _, _, u in told(result)], controls, rtol=0, atol=EVENT)
+    np.testing.assert_allclose([u for _, _, u in event_list(result)], controls, rtol=0, atol=EVENT)
     for event, exact in zip(result.events, case["events"], strict=True):
         # The reference stores `after` 1e-7 later, and `before` slightly before a fold, where base_x changes fast.
         for state, stored in ((event.before, exact.get("before", [])), (event.after, exact.get("after", []))):

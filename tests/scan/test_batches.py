@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from scenes import model, told
+from scenes import event_list, model
 
 LOOP = 1e-11  # a batch is compiled differently from one scene: rounding, beside a fold enlarged
 CONTROL = jnp.linspace(0.8, -1.6, 160)
@@ -44,9 +44,9 @@ def test_vmap_is_a_loop(good, batch):
         for name in SIGNALS:
             np.testing.assert_allclose(getattr(batch, name)[k], getattr(one, name), atol=LOOP * 100, rtol=LOOP)
         lane = jax.tree.map(lambda leaf, k=k: leaf[k], batch)
-        assert [e[:2] for e in told(lane)] == [e[:2] for e in told(one)]
-        np.testing.assert_allclose([e[2] for e in told(lane)], [e[2] for e in told(one)], atol=1e-10)
-    kinds = {e[0] for k in range(8) for e in told(jax.tree.map(lambda leaf, k=k: leaf[k], batch))}
+        assert [e[:2] for e in event_list(lane)] == [e[:2] for e in event_list(one)]
+        np.testing.assert_allclose([e[2] for e in event_list(lane)], [e[2] for e in event_list(one)], atol=1e-10)
+    kinds = {e[0] for k in range(8) for e in event_list(jax.tree.map(lambda leaf, k=k: leaf[k], batch))}
     assert {"snap_off", "snap_through"} <= kinds  # lanes that do different things
 
 
@@ -85,7 +85,7 @@ def test_jit_is_eager():
     for name in SIGNALS:
         np.testing.assert_allclose(getattr(eager, name), getattr(jitted, name), atol=LOOP * 100)
     assert int(jitted.events.count) == len(eager.events)
-    np.testing.assert_allclose([e[2] for e in told(jitted)], [e[2] for e in told(eager)], atol=1e-10)
+    np.testing.assert_allclose([e[2] for e in event_list(jitted)], [e[2] for e in event_list(eager)], atol=1e-10)
 
 
 def test_a_batch_of_one_is_a_batch_of_sixty_four(good):
@@ -102,7 +102,7 @@ def test_default_control_and_traced_control_go_through_vmap():
     assert np.all(np.asarray(default.status) == jw.Status.ok)
     assert default.control.shape == default.fx.shape[:2]
     alone = jw.scan(build(70.0, 0.3))
-    assert [e[0] for e in told(jax.tree.map(lambda leaf: leaf[1], default))] == [e[0] for e in told(alone)]
+    assert [e[0] for e in event_list(jax.tree.map(lambda leaf: leaf[1], default))] == [e[0] for e in event_list(alone)]
     assert abs(default.control[1, 0] - alone.control[0]) < 1e-12
     out = np.linspace(0.8, -1.0, 40)
     there_and_back = jnp.asarray(np.concatenate([out, out[::-1]]))
