@@ -39,7 +39,7 @@ notebooks: $(VENV)/installed-dev ## run all notebooks and save them with outputs
 	    $(BIN)/jupytext --quiet --set-kernel python3 --to ipynb --execute --run-path notebooks --output $(OUT)/notebooks/$$name.ipynb $$notebook || exit 1; \
 	done
 
-figures: $(VENV)/installed-dev ## draw the figures of the documentation (two minutes)
+figures: $(VENV)/installed-dev ## draw the figures of the documentation and write the page on the thesis (10 minutes)
 	@for script in figures/*.py; do $(BIN)/python $$script || exit 1; done
 
 bench: $(VENV)/installed-bench ## measure error and run time, compare simulators (half an hour; QUICK=1: three minutes)

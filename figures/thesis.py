@@ -17,15 +17,15 @@ from jaxwhisker.thesis.reproduce import PARAMETERS, TABLES_ABOUT
 from jaxwhisker.thesis.scans import Scans
 from jaxwhisker.thesis.tables import TABLES, table_rows
 
-HERE = Path(__file__).parent
+DOCS = Path(__file__).parents[1] / "docs"
 SHOWN = ("6.2", "6.10", "7.4")
 ROUNDED = 0.5e-4 + 1e-9  # half a unit of the last of the four printed decimals
 INTRODUCTION = """
 The models of jaxwhisker come from a master's thesis on elastically coupled vibrissae (TU Ilmenau and PUCP): a clamped
 whisker, one whisker on a spring (FB), two coupled whiskers without feedback (FBFB) and with it (FBFBR), and three
 whiskers (FBFBFBR). On this page you can compare the tables, figures and claims of the thesis with what jaxwhisker
-computes. `python docs/thesis.py` writes it. `make demo` or `jaxwhisker reproduce` writes all results with pictures and
-data to `out/`.
+computes. `python figures/thesis.py` writes it. `make demo` or `jaxwhisker reproduce` writes all results with pictures
+and data to `out/`.
 """
 CLAIMS = """
 These are the claims of chapter 6 in the order of the thesis, after the limit that bounds them. A claim that holds "in
@@ -52,9 +52,9 @@ def figures_section(scans: Scans) -> str:
     """Some figures, and the titles of all."""
     parts = ["## Figures", paragraph(PARAMETERS)]
     for name in SHOWN:
-        picture, data = draw(FIGURES[name], scans, HERE)
+        picture, data = draw(FIGURES[name], scans, DOCS)
         data.unlink()
-        picture = picture.rename(HERE / f"thesis_{picture.name}")
+        picture = picture.rename(DOCS / f"thesis_{picture.name}")
         parts.append(figure(picture.name, f"Figure {name}: {FIGURES[name].title}"))
     titles = [["figure", "content"], *([number, entry.title] for number, entry in FIGURES.items())]
     return "\n\n".join(
@@ -68,7 +68,7 @@ def main() -> None:
         figures = figures_section(scans)
     parts = ["# The thesis", paragraph(INTRODUCTION), "## Claims", paragraph(CLAIMS), claims_table(claims)]
     parts += [tables_section(), figures, "## Claims in full", claim_sections(claims, fold=True)]
-    (HERE / "thesis.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    (DOCS / "thesis.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
