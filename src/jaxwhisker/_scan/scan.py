@@ -42,8 +42,8 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     Args:
         scene: whiskers, object and support.
         control: drive positions u, shape (steps,): lengths, or angles in rad for a Rotation; arbitrarily spaced; may
-            reverse direction. The drive approaches control[0] from where all whiskers are free (far to the right of the
-            object, or to the left for `Translation(direction=1)`, or the start of a bounded motion) and then visits the
+            reverse direction. The drive approaches control[0] from where all whiskers are free (the right of the
+            object, the left for `Translation(direction=1)`, or the start of a bounded motion) and then visits the
             positions in order. Default: from just before the first touch to just after the last whisker is free, or to
             the end of the motion, in steps of 0.001 whisker lengths, of 0.001 rad for a Rotation, or of 0.001 times the
             range of a Motion. While the scene is traced, the default has 2048 equally spaced positions over the same
