@@ -1,1 +1,1 @@
-"""Argument checks, types, compilation, small linear algebra."""
+"""Argument checks, types, compilation and small linear algebra."""

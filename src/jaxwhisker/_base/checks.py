@@ -34,12 +34,12 @@ def as_float(leaf: Any) -> Any:
 
 
 def fail(name: str, allowed: str, got: Any) -> NoReturn:
-    """Raise the ValueError for an argument that is not what is allowed."""
+    """Raise a ValueError that names the argument, what it must be and what was passed."""
     raise ValueError(f"`{name}` must be {allowed}, got {got}.")
 
 
 def instance(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str) -> None:
-    """Check that `value` is an instance of `kinds`, which the error describes by `allowed`."""
+    """Check that `value` is an instance of `kinds`; the error message describes these as `allowed`."""
     if not isinstance(value, kinds):
         fail(name, allowed, repr(value))
 
@@ -79,14 +79,17 @@ def pair(name: str, value: Any) -> None:
 
 
 def acute_angle(name: str, value: Any) -> None:
-    """Check that `value` is an angle between minus and plus a right angle."""
+    """Check that `value`, in rad, lies strictly between minus and plus a right angle."""
     number(name, value)
     if not is_traced(value) and not abs(float(value)) < RIGHT_ANGLE:
         fail(name, "less than a right angle", f"{float(value):g} rad")
 
 
 def vector(name: str, value: Any) -> None:
-    """Check that `value` is a finite, non-empty, one-dimensional array of real numbers."""
+    """Check that `value` is a non-empty, one-dimensional array of finite real numbers.
+
+    Only the shape and type of a traced value are checked.
+    """
     allowed = "a non-empty one-dimensional array of finite numbers"
     if not isinstance(value, Tracer):
         try:
@@ -104,13 +107,13 @@ def vector(name: str, value: Any) -> None:
 
 
 def count(name: str, value: Any, least: int = 1) -> None:
-    """Check that `value` is an int (True is not) of at least `least`."""
+    """Check that `value` is an int, not a bool, and at least `least`."""
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
         fail(name, "a positive int" if least == 1 else f"an int of at least {least}", repr(value))
 
 
 def function(name: str, value: Any, returns: tuple[str, ...] = ()) -> None:
-    """Check that `value` is a function of one number, that JAX can trace it, and that it returns numbers.
+    """Check that `value` is a function of one number that JAX can trace and that returns the right numbers.
 
     Args:
         name: name of the argument.
@@ -127,7 +130,7 @@ def function(name: str, value: Any, returns: tuple[str, ...] = ()) -> None:
     called = getattr(value, "__name__", type(value).__name__)
     if not _takes_one_argument(value):
         fail(name, allowed, f"{called}{inspect.signature(value)}")
-    wrong = []  # filled while tracing, because results other than arrays cannot leave the trace
+    wrong = []  # filled during tracing, because results other than arrays cannot leave the trace
     try:
         jax.eval_shape(lambda x: wrong.append(_wrong_result(value(x), returns)), jax.ShapeDtypeStruct((), float))
     except (TypeError, NonConcreteBooleanIndexError) as error:
@@ -150,7 +153,7 @@ def _takes_one_argument(value: Callable) -> bool:
 
 
 def _wrong_result(result: Any, names: tuple[str, ...]) -> str | None:
-    """Description of a result that is not one number, or one number per name; None if it is."""
+    """Description of a wrong result; None if it is one number or, where names are given, one number per name."""
     if not names:
         results = (result,)
     elif isinstance(result, (tuple, list)) or getattr(result, "ndim", 0) == 1:
@@ -173,7 +176,7 @@ def _described(value: Any) -> str:
 
 
 def float64_mode() -> None:
-    """Check that JAX computes in double precision; importing the library does not switch it on."""
+    """Check that JAX computes in double precision, which importing the library does not enable."""
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         raise ValueError(
             "`jax_enable_x64` must be True, got False: in float32, folds and snaps cannot be distinguished from "

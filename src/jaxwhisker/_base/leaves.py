@@ -1,4 +1,4 @@
-"""Leaves of a scene: user-defined functions as fields, values as text, placeholders for invalid values."""
+"""Leaves of a scene: user-defined functions as fields, text for values, placeholders for invalid values."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -15,7 +15,7 @@ Tree = TypeVar("Tree")
 
 
 class PlainFunction(eqx.Module):
-    # A plain function has no leaves. It is hidden from JAX, which could neither batch nor differentiate it.
+    # Static, because JAX can neither batch nor differentiate a plain function.
     function: Callable = eqx.field(static=True)
 
     def __call__(self, x):
@@ -23,12 +23,12 @@ class PlainFunction(eqx.Module):
 
 
 def as_field(value: Any) -> Any:
-    """Wrap a plain function as static structure; an `equinox.Module` keeps its parameters differentiable."""
+    """Wrap a plain function as static structure; an `equinox.Module` stays as it is, with differentiable parameters."""
     return PlainFunction(value) if callable(value) and not isinstance(value, eqx.Module) else value
 
 
 def number_or_function(name: str) -> Callable[[Any], Any]:
-    """Converter of a field that is a number or a function of one; the function is checked."""
+    """Converter for a field that holds a number or a function of one number; a function is checked."""
 
     def convert(value):
         if callable(value):
@@ -45,21 +45,21 @@ def name_of(function: Callable) -> str:
 
 
 def as_text(value: Any) -> str:
-    """A number as a person would write it; `?` while it is traced."""
+    """Format a number with six significant digits; `?` stands for a traced number, `...` for an array."""
     return "?" if isinstance(value, Tracer) else f"{float(value):.6g}" if jnp.ndim(value) == 0 else "..."
 
 
 def text_unless(default: float, prefix: str, value: Any) -> str:
-    """The prefix and the value, or nothing if the value is the default."""
+    """The prefix followed by the value, or an empty text if the value is the default."""
     text = as_text(value)
     return "" if text == as_text(default) else prefix + text
 
 
 def safe_placeholder(tree: Tree, valid: Bool[Array, ""]) -> Tree:
-    """The tree, with safe placeholder values in (0, 1] where it is invalid.
+    """The tree if it is valid; otherwise the tree with safe placeholder values in (0, 1].
 
-    Invalid batch elements are computed like all others, and their results are discarded. Their derivatives must be
-    finite nevertheless: zero weight times NaN would be NaN for every parameter that the batch shares.
+    Invalid batch elements are computed like all others, and their results are discarded. Their derivatives must still
+    be finite: zero weight times NaN would be NaN for every parameter that the batch shares.
     """
 
     def placeholder(leaf):

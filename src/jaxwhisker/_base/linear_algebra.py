@@ -1,15 +1,15 @@
-"""Linear algebra for small dense systems: the networks of a few whiskers."""
+"""Linear algebra for small dense systems, such as networks of a few whiskers."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-UNROLLED = 4  # up to this size elimination is unrolled; beyond it, LAPACK's batched calls compile faster
+UNROLLED = 4  # elimination is unrolled up to this size; for larger systems, LAPACK's batched calls compile faster
 
 
 def solve(matrix: Float[Array, "n n"], right: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """Solve matrix @ x = right by elimination with partial pivoting.
 
-    It never raises: a singular matrix gives infinities or NaN in its own batch element. Small systems are unrolled,
+    A singular matrix raises no error: it gives infinities or NaN in its own batch element. Small systems are unrolled,
     because one library call for each of a million 2 x 2 systems would cost more than the rods that they couple.
     """
     n = matrix.shape[0]
@@ -44,7 +44,7 @@ def positive_definite(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
 
 
 def block_diagonal(blocks: Float[Array, "n size size"]) -> Float[Array, "rows rows"]:
-    """The matrix with these blocks on its diagonal."""
+    """Block-diagonal matrix with these blocks."""
     n, size, _ = blocks.shape
     if size == 1:
         return blocks[:, 0, 0, None] * jnp.eye(n)
@@ -54,7 +54,7 @@ def block_diagonal(blocks: Float[Array, "n size size"]) -> Float[Array, "rows ro
 def times_block_diagonal(
     matrix: Float[Array, "rows rows"], blocks: Float[Array, "n size size"]
 ) -> Float[Array, "rows rows"]:
-    """A matrix times the one with these blocks on its diagonal."""
+    """Product matrix @ block_diagonal(blocks)."""
     n, size, _ = blocks.shape
     if size == 1:
         return matrix * blocks[:, 0, 0]

@@ -1,11 +1,11 @@
-"""One whisker in contact: from the unknowns at the contact to the pose of the base and the reaction there.
+"""One whisker in contact: from the unknowns at the contact to the pose of the base and the load on it.
 
 A contact is described by z = (force, parameter, slack): the magnitude f >= 0 of the contact force, the parameter of the
 profile at the contact point, and the slack. In tangential contact the slack is positive: the arc length of the whisker
-beyond the contact. In tip contact it is negative: minus the angle between whisker and object. Both phases are one
+beyond the contact. In tip contact it is negative: minus the angle between whisker and object. Both phases share one
 system of equations, smooth within each phase and regular at first touch (f = 0) and at a change of phase. The rod is
-integrated in the frame of the contact. A whisker on the far side (side = -1) bends the other way: it is the mirror
-image.
+integrated in the frame of the contact. A whisker that approaches from the left (side = -1) bends the other way: it is
+computed as a mirror image.
 """
 
 import dataclasses
@@ -33,19 +33,19 @@ class Phase(IntEnum):
 
 
 class Body(NamedTuple):
-    """A whisker and the object before it, dimensionless; or all whiskers, stacked (see `of_each`)."""
+    """A whisker and the object in front of it, dimensionless; or all whiskers, stacked (see `of_each`)."""
 
     length: Float[Array, "*batch"]
     bending_stiffness: Float[Array, "*batch"]  # at the base
     profile: AbstractProfile
     rod: AbstractRod
     section: Section | tuple[Section, ...] | None = None  # None if uniform; a tuple for whiskers of different kinds
-    frame: Frame | None = None  # where the unloaded base would be; None if bases stay upright and move along x only
-    frame_rate: Frame | None = None  # derivative of the frame by the control
+    frame: Frame | None = None  # of the base's mount on the drive; None if bases stay upright and move along x only
+    frame_rate: Frame | None = None  # derivative of the frame with respect to the control
 
 
 class Base(NamedTuple):
-    """Pose of the base, and forces and moment there."""
+    """Pose of the base, load on it, and the contact point, in the scene; dimensionless."""
 
     x: Float[Array, "*batch"]
     y: Float[Array, "*batch"]
@@ -56,14 +56,14 @@ class Base(NamedTuple):
     bend: Float[Array, "*batch"]  # EI (kappa - kappa0) at the base
     slope_sin: Float[Array, "*batch"]  # of the object at the contact
     slope_cos: Float[Array, "*batch"]
-    contact_x: Float[Array, "*batch"]
+    contact_x: Float[Array, "*batch"]  # contact point
     contact_y: Float[Array, "*batch"]
 
 
 class BaseEquations(NamedTuple):
-    """The quantities of which the equilibrium equations consist, in the base's frame: values or derivatives.
+    """Quantities that enter the equilibrium equations, in the base's frame: values or derivatives.
 
-    Of a base that moves along x only, x is its position in the scene, and `turn` the sine of its angle.
+    For a base that moves along x only, the frame is that of the scene, and `turn` is the sine of the base's angle.
     """
 
     x: Float[Array, "*batch"]  # pose of the base
@@ -103,7 +103,7 @@ def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Sc
 def base(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
 ) -> Base:
-    """Pose and reaction of the base for the contact z; the rod method `rates` computes its derivatives."""
+    """Pose of the base and load on it for the contact z; the rod method `rates` computes the derivatives."""
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
     rates = body.rod.for_rates() if rates is None else rates
     s = arc(body, z[2], phase)
@@ -117,7 +117,7 @@ def base(
 
 
 def in_base_frame(b: Base, frame: Frame | None) -> BaseEquations:
-    """Pose and load of a base, in its frame."""
+    """Pose of a base and load on it, in its frame."""
     if frame is None:
         return BaseEquations(b.x, b.y, -b.cos, b.force_x, None, None, b.slope_sin)
     x, y, cos, sin = b.x - frame.x, b.y - frame.y, frame.cos, frame.sin
@@ -135,14 +135,17 @@ def in_base_frame(b: Base, frame: Frame | None) -> BaseEquations:
 def equations(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
 ) -> BaseEquations:
-    """Values of the equations' quantities at z."""
+    """Quantities that enter the equations, for the contact z."""
     return in_base_frame(base(body, z, phase, side, rates=rates), body.frame)
 
 
 def linearise(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod
 ) -> tuple[BaseEquations, BaseEquations, BaseEquations | None]:
-    """Values, gradients by z, each (3,), and derivatives by the control (None if the frame does not move)."""
+    """Values, gradients with respect to z of shape (3,), and derivatives with respect to the control.
+
+    The derivatives with respect to the control are None if the frame does not move.
+    """
 
     def value_and_value(z):
         b = base(body, z, phase, side, rates=rates)
@@ -163,7 +166,7 @@ def of_each(bodies: Body, function: Callable, *args):
         frame = None if bodies.frame is None else 0
         axes = Body(0, 0, None, None, None if section is None else 0, frame, frame)  # pyright: ignore[reportArgumentType]
         return jax.vmap(function, in_axes=(axes, *[0] * len(args)))(bodies, *args)
-    # Whiskers of different kinds cannot be batched: one computation for each.
+    # Whiskers of different kinds cannot be batched: each is computed separately.
     values = []
     for k, own in enumerate(section):
         length, stiffness, frames = jax.tree.map(

@@ -23,13 +23,14 @@ Tree = TypeVar("Tree")
 
 
 def without_rule(point: Tree, known: PyTree) -> Tree:
-    """The point, with derivatives NaN with respect to what it was solved from: only a custom rule knows them.
+    """The point, with NaN as its derivatives with respect to `known`: only a custom rule knows the true derivatives.
 
     When a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax 0.10 drops
-    the custom rule. The derivatives would then be zero, which is wrong and goes unnoticed.
+    the custom rule. Without the NaN, the derivatives would be zero: wrong, and unnoticed.
     """
     leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(eqx.filter(known, eqx.is_inexact_array))]
     everything = jnp.concatenate(leaves)
+    # The value is 0. The derivative is NaN, because the square root has no derivative at 0.
     nothing = 0.0 * jnp.sqrt(jnp.sum(jnp.where(jnp.isfinite(everything), 0.0 * everything, 0.0)))
     return jax.tree.map(lambda leaf: leaf + nothing, point)
 
@@ -38,8 +39,8 @@ def without_rule(point: Tree, known: PyTree) -> Tree:
 def solved(point: Point, problem: Problem, mode: Mode, row: Row) -> Point:
     """The solution of the equations of problem, mode and row, with its derivatives with respect to problem and row.
 
-    The derivative is minus the inverse Jacobian times the derivative of the equations: the change of a Newton step from
-    the solution.
+    The derivative is minus the inverse Jacobian times the derivative of the equations, which is the derivative of a
+    Newton step that starts at the solution.
     """
     del mode
     return without_rule(point, (problem, row))
@@ -75,7 +76,7 @@ def _no_tangents(tree):
 def _implicit_step(
     here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot
 ) -> tuple[Condensed, Point]:
-    """The condensed whiskers at a solution, and the tangent of the solution for tangents of problem and row."""
+    """The condensed whiskers at a solution, and the solution's tangent for given tangents of problem and row."""
     z, phase = with_dummy_contacts(problem, here.z, mode.phase)
     value, differential = _linear(
         lambda problem, z, u: evaluate(problem, Point(z, u), phase, mode.side), problem, z, here.u
@@ -90,7 +91,7 @@ def _implicit_step(
         return condense(problem, here.z, mode, value, gradient, by_u)
 
     def step(value, problem, row):
-        # The derivative of the Jacobian is multiplied by residuals, which are zero.
+        # The derivative of the Jacobian does not matter: it is multiplied by residuals, which are zero.
         return solve_coupled(problem, mode, row, here, at(problem, value)).step
 
     _, point_dot = eqx.filter_jvp(step, (value, problem, row), (value_dot, problem_dot, row_dot))
@@ -99,11 +100,11 @@ def _implicit_step(
 
 @eqx.filter_custom_jvp
 def solved_event(point: Point, problem: Problem, mode: Mode, along: Point, row: Row, fold: Bool[Array, ""]) -> Point:
-    """The point of a path that fulfils the row, or, at a fold, at which the control turns back; with its derivatives.
+    """The point of a path that satisfies the row or, at a fold, where the control turns back; with its derivatives.
 
-    The equations are solved in a plane across the path's direction `along`, where they are regular at folds too. How
-    far the event then moves along the path follows from the event's own equation. At a fold this is du/ds = 0, whose
-    derivative needs second derivatives of the whiskers.
+    The equations are solved in a plane transverse to the path's direction `along`, where they are regular at folds too.
+    The distance that the event then moves along the path follows from the event's own equation. At a fold this is
+    du/ds = 0, whose derivative needs second derivatives of the whiskers.
     """
     del mode, along, fold
     return without_rule(point, (problem, row))
@@ -117,7 +118,7 @@ def _(primals, tangents):
     none = jnp.zeros_like(here.z[:, 0])
     weight = jax.lax.stop_gradient(
         Point(along.z / scale_of(here.z) ** 2, along.u)
-    )  # any plane across the path would do
+    )  # any plane transverse to the path would do
     across = Row(weight.z, here.z, weight.u, here.u, none)
     at, drift = _implicit_step(here, problem, mode, across, problem_dot, _no_tangents(across))
     tangent = solve_coupled(problem, mode, across, here, at).tangent
@@ -133,12 +134,12 @@ def _(primals, tangents):
         return unit(newton_step(problem, mode, row, point, problem.rod.for_rates()).tangent, point.z)[0].u
 
     def distance(vanishing, holds, known, known_dot):
-        """How far the event moves along the path where it is defined by this function being zero; elsewhere zero."""
+        """Distance by which the event moves along the path to keep `vanishing` zero; 0 unless `holds`."""
         _, rate = _linear(vanishing, here, *known)
         by_drift, by_tangent = rate(drift, *known_dot), rate(tangent, *_no_tangents(known))
         return jnp.where(holds, -by_drift / jnp.where(holds, by_tangent, 1.0), 0.0)
 
     by_row = distance(row_residual, ~fold, (problem, row), (problem_dot, row_dot))
     by_turn = distance(turn, fold, (problem,), (problem_dot,))
-    # At a fold the control does not change along the path, so its derivative needs no second derivatives.
+    # At a fold the control does not change along the path: its derivative needs no second derivatives.
     return here, Point(drift.z + (by_row + by_turn) * tangent.z, drift.u + by_row * tangent.u)

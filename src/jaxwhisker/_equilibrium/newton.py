@@ -1,17 +1,18 @@
 """Newton's method for all whiskers on their network of springs.
 
-Unknowns are the contacts z, (whiskers, 3), and the control u. Each whisker has equations of its own: in the problem
-`AlongX` (see problem.py) its base stays upright at its height, two equations that leave one degree of freedom, the
-whisker's branch; in `InPlane` no equation, and two further degrees of freedom, across the branch. The network couples
-the whiskers:
+The unknowns are the contacts z, of shape (whiskers, 3), and the control u. In the problem `AlongX` (see problem.py),
+each whisker has two equations of its own: its base stays upright and at height 0. They leave one degree of freedom, the
+position along the whisker's branch. In `InPlane` a whisker has no equations of its own, and two further degrees of
+freedom across the branch. The network couples the whiskers:
 
     pose = rest + flexibility @ load.
 
-Pose and load of a base are its x coordinate and the force along x, or all three coordinates and force x, force y and
-moment. One more equation, the row, selects a point of the path: a given control, an arc length ahead, or an event.
+Pose and load of a base are its x coordinate and the force along x in `AlongX`; in `InPlane` they are x, y, angle and
+force x, force y, moment. One more equation, the row, selects a point of the path: a given control, an arc length ahead,
+or an event.
 
 A Newton step first eliminates each whisker's own equations (static condensation), and then solves the small dense
-system of network and row. It is regular at folds.
+system of the network and the row. This system is regular at folds.
 """
 
 from functools import partial
@@ -34,10 +35,10 @@ from jaxwhisker._rod.elastica import AbstractRod
 def with_dummy_contacts(
     problem: Problem, z: Contacts, phase: Int[Array, " whiskers"]
 ) -> tuple[Contacts, Int[Array, " whiskers"]]:
-    """Contacts and phases in which free whiskers are replaced by a dummy contact.
+    """Replace the contacts and phases of free whiskers by a dummy contact.
 
-    A free whisker is computed like the others. Zeros would be a singular contact, and its NaN derivatives would reach
-    all parameters through a product with zero.
+    Free whiskers are computed like the others. A contact of zeros would be singular, and its NaN derivatives would
+    reach all parameters through a product with zero.
     """
     touch = jax.lax.stop_gradient(problem.touch_right.parameter)
     dummy = jnp.stack([jnp.ones_like(touch), jnp.where(jnp.isfinite(touch), touch, 0.0), -jnp.ones_like(touch)], axis=1)
@@ -48,7 +49,7 @@ def with_dummy_contacts(
 def linearise_all(
     problem: Problem, point: Point, mode: Mode, rates: AbstractRod
 ) -> tuple[BaseEquations, BaseEquations, BaseEquations | None]:
-    """Values, gradients by the contacts and derivatives by the control of every whisker's equations."""
+    """Values of every whisker's equations, and their derivatives with respect to its contact and the control."""
     z, phase = with_dummy_contacts(problem, point.z, mode.phase)
     return of_each(problem.bodies(point.u), partial(contact.linearise, rates=rates), z, phase, mode.side)
 
@@ -71,18 +72,18 @@ def load_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]
 class Condensed(NamedTuple):
     """The linearised whiskers after elimination of their own equations.
 
-    What remains of a contact's step is `particular` plus a combination of the columns of `basis`: a step along the
-    whisker's branch and, in the plane, two steps across it. Free whiskers have no branch: their entries are zero, and
-    their base moves with the step.
+    The step of a contact is `particular` plus a linear combination of the columns of `basis`: a step along the
+    whisker's branch and, in `InPlane`, two steps across it. Free whiskers have no branch: these entries are zero, and
+    the steps displace the base directly.
     """
 
     particular: Contacts
-    basis: Float[Array, "whiskers 3 axes"]  # the first column is the branch, along which y and angle of the base stay
+    basis: Float[Array, "whiskers 3 axes"]  # the first column is the branch, along which the base keeps y and angle
     pose: Poses  # after the particular step; meaningless for free whiskers, whose base the network determines
     load: Poses
-    pose_by: Float[Array, "whiskers axes axes"]  # by the steps
+    pose_by: Float[Array, "whiskers axes axes"]  # derivative with respect to the steps
     load_by: Float[Array, "whiskers axes axes"]
-    pose_by_u: Poses | None  # by the control, at the same contact; None along x
+    pose_by_u: Poses | None  # derivative with respect to the control at a fixed contact; None in `AlongX`
     load_by_u: Poses | None
     slope_sin: PerWhisker
     slope_sin_gradient: Contacts
@@ -143,7 +144,7 @@ def condense(
 
 
 class NewtonStep(NamedTuple):
-    """A Newton step, and what the same linear system says about the path."""
+    """A Newton step, and the tangent of the path from the same linear system."""
 
     step: Point
     tangent: Point  # of the path; row . tangent = 1
@@ -155,13 +156,13 @@ class NewtonStep(NamedTuple):
 
 
 def newton_step(problem: Problem, mode: Mode, row: Row, point: Point, rates: AbstractRod | None = None) -> NewtonStep:
-    """Solve the linearised equations of all whiskers, network and row."""
+    """Solve the linearised equations of all whiskers, the network and the row."""
     linear = linearise_all(problem, point, mode, problem.rod if rates is None else rates)
     return solve_coupled(problem, mode, row, point, condense(problem, point.z, mode, *linear))
 
 
 def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Condensed) -> NewtonStep:
-    """Solve the linearised equations of network and row."""
+    """Solve the linearised equations of the network and the row for condensed whiskers."""
     n, axes = at.load.shape
     touching, size = (mode.phase != Phase.free)[:, None], n * axes
     coupled = touching & ~mode.separate
@@ -173,7 +174,7 @@ def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Cond
     solution = solve(system, right)
 
     def moved(column):
-        """Contacts, control, poses and loads, as they move with the whiskers' steps and the control."""
+        """Changes of contacts and control, poses, and loads for a column of the whiskers' steps and the control."""
         steps, du = jnp.reshape(column[:size], (n, axes)), column[size]
         pose, load = _times(at.pose_by, steps), _times(at.load_by, steps)
         if at.pose_by_u is not None and at.load_by_u is not None:
@@ -199,13 +200,14 @@ def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Cond
 def _linear_system(
     problem: Problem, mode: Mode, row: Row, at: Condensed, network: Poses, row_residual: Scalar
 ) -> tuple[Float[Array, "rows rows"], Float[Array, "rows 2"]]:
-    """Matrix and right-hand sides: of the Newton step, and of the tangent.
+    """Matrix, and right-hand sides for the Newton step and the tangent.
 
-    Separate whiskers stay where they are along their branches; network and row are then left out.
+    If `mode.separate`, whiskers keep their places along their branches, and the equations of the network and the row
+    are left out.
     """
     n, axes = at.load.shape
     touching, size = (mode.phase != Phase.free)[:, None], n * axes
-    # How the residuals of the network change with the steps, and with the control.
+    # Derivatives of the network's residuals with respect to the steps and the control.
     coupling = block_diagonal(at.pose_by)
     if problem.flexibility is not None:
         yields = times_block_diagonal(problem.flexibility.matrix, at.load_by)
@@ -246,8 +248,8 @@ class StructuredNewton(optx.AbstractRootFinder):
     """Newton's method for a function that returns its own Newton step as auxiliary output.
 
     A general Newton solver would push 3 * whiskers tangents through all rods and solve a dense system of that size.
-    Here each whisker is linearised by its own three unknowns. The accepted point is one step better than the tested
-    one: a tolerance of 1e-6 gives an error near 1e-12.
+    Here each whisker is linearised with respect to its own three unknowns. The tolerance applies to the last step,
+    which the returned point includes: a tolerance of 1e-6 gives an error near 1e-12.
     """
 
     rtol: float
@@ -275,7 +277,7 @@ class StructuredNewton(optx.AbstractRootFinder):
 
 
 class Solution(NamedTuple):
-    """A solved point; `newton` is the last linearisation, taken one step before it."""
+    """A solved point; `newton` is the last linearisation, one step before that point."""
 
     point: Point
     newton: NewtonStep
@@ -285,7 +287,6 @@ class Solution(NamedTuple):
 
 def solve_point(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solution:
     """Solve the equations of one point with Newton's method. Failure is a flag, never an exception."""
-
     # Derivatives are attached to the solution (implicit.py); they do not depend on the solver's iterations.
     problem, row, guess = jax.lax.stop_gradient((problem, row, guess))
 

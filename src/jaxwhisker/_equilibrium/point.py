@@ -1,4 +1,4 @@
-"""Points of the path: the unknowns, the phases that hold there, and the equation that selects one point."""
+"""Points of the path: the unknowns, the phases of the whiskers, and the equation that selects one point."""
 
 from typing import NamedTuple
 
@@ -12,27 +12,27 @@ Contacts = Float[Array, "whiskers 3"]
 
 
 class Point(NamedTuple):
-    """A point of the path, or a direction in which it moves: contacts z = (force, parameter, slack), and control u."""
+    """A point of the path, or a direction: contacts z = (force, parameter, slack), and control u; dimensionless."""
 
     z: Contacts
     u: Scalar
 
 
 class Mode(NamedTuple):
-    """What stays fixed while one system of equations holds."""
+    """Phases, sides and constraints that select one system of equations."""
 
     phase: Int[Array, " whiskers"]
     side: PerWhisker  # +1: the whisker approached from the right of the object; -1: from the left
-    separate: Bool[Array, ""]  # each whisker stays at its place on its branch; the network's equations are left out
-    held: Float[Array, "whiskers 2"] | None = None  # with `separate`: y and angle of the bases; None along x
+    separate: Bool[Array, ""]  # each whisker keeps its place on its branch; the network's equations are left out
+    held: Float[Array, "whiskers 2"] | None = None  # with `separate`: given y and angle of bases; None in `AlongX`
 
 
 class Row(NamedTuple):
-    """The equation that selects a point of the path, one more than the equations of equilibrium.
+    """The equation that selects a point of the path, in addition to the equations of equilibrium.
 
     weight_z . (z - z0) + weight_u (u - u0) + vertex . sin(alpha) = 0
 
-    A weighted sum covers all cases (a given control, an arc length, an event), so that each element of a batch can have
+    A weighted sum covers all cases (a given control, an arc length, an event), which lets each element of a batch have
     its own.
     """
 
@@ -55,7 +55,7 @@ def at_control(u: Scalar, like: Contacts) -> Row:
 
 
 def at_arc_length(point: Point, tangent: Point, distance: Scalar) -> Row:
-    """The row that selects the point in a plane across the tangent, a distance ahead (pseudo-arclength)."""
+    """The row that selects the point in the plane normal to the tangent, at a distance ahead (pseudo-arclength)."""
     scale = scale_of(point.z)
     ahead = along(point, tangent, distance)
     return Row(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, 0]))
@@ -74,12 +74,12 @@ def at_event(
     """The row that selects an event of these whiskers.
 
     Args:
-        whiskers: whom the event concerns.
-        like: contacts, for the shape.
-        unloaded: a contact begins or ends: its force is zero.
-        phase: tip and tangential contact meet: the slack is zero.
-        vertex: the contact passes the vertex: its slope is zero.
-        control: no event; the control is u0.
+        whiskers: the whiskers that the event concerns.
+        like: contacts, of which only the shape is used.
+        unloaded: whether a contact begins or ends: its force is zero.
+        phase: whether tip and tangential contact meet: the slack is zero.
+        vertex: whether the contact passes the vertex: its slope is zero.
+        control: whether the point has the control u0 and no event.
         u0: the control.
     """
     none, one = jnp.zeros_like(like), whiskers.astype(float)
@@ -88,12 +88,12 @@ def at_event(
 
 
 def scale_of(z: Contacts) -> Contacts:
-    """Sizes in which changes of a contact are measured."""
+    """Scale in which changes of a contact are measured: 1 + |force| for the force, 1 for parameter and slack."""
     return jnp.ones_like(z).at[:, 0].add(jnp.abs(z[:, 0]))
 
 
 def dot(a: Point, b: Point, scale: Contacts) -> Scalar:
-    """Inner product of two directions, contacts measured in `scale`."""
+    """Inner product of two directions, with contacts measured in `scale`."""
     return jnp.sum(a.z * b.z / scale**2) + a.u * b.u
 
 
@@ -105,7 +105,7 @@ def unit(direction: Point, z: Contacts) -> tuple[Point, Scalar]:
 
 
 def along(start: Point, direction: Point, distance: Scalar, bend: Point | None = None) -> Point:
-    """The point a distance away, on a straight line or on a parabola."""
+    """The point at a distance along a straight line, or along a parabola if `bend` is given."""
     half = 0.0 if bend is None else distance**2 / 2
     bend = direction if bend is None else bend
     return Point(start.z + distance * direction.z + half * bend.z, start.u + distance * direction.u + half * bend.u)

@@ -1,12 +1,13 @@
-"""The dimensionless problem: what the equations see of a scene, and what programs are compiled for.
+"""The dimensionless problem: the form of a scene that enters the equations and that programs are compiled for.
 
 Lengths are in the length L of the first whisker, forces in EI/L^2, moments in EI/L and spring stiffnesses in EI/L^3,
 with EI its bending stiffness at the base. Scenes with the same problem shape (number of whiskers; kinds of rods,
-profile and motion; coordinates of the bases) share their compiled programs, whatever springs couple the bases.
+profile and motion; coordinates of the bases) share their compiled programs, no matter which springs couple the bases.
 
-There are two kinds of problems, by the coordinates of the bases. In `AlongX` the bases stay upright at height 0 and
-their only coordinate is x. In `InPlane` a base has three coordinates, x, y and angle, in a frame of its own: the pose
-that it would have if no base were loaded. Everything that depends on the coordinates is a method of these two classes.
+There are two kinds of problems, which differ in the coordinates of the bases. In `AlongX` the bases stay upright at
+height 0, and their only coordinate is x. In `InPlane` a base has three coordinates, x, y and angle, in its own frame:
+the pose that its mount on the drive gives it. Everything that depends on the coordinates is a method of these two
+classes.
 """
 
 import abc
@@ -36,7 +37,7 @@ Poses = Float[Array, "whiskers axes"]
 
 
 class ScenePose(NamedTuple):
-    """Poses of bases in the scene; angles to the upright."""
+    """Poses of bases in the scene, dimensionless; angles to the upright, rad, positive counter-clockwise."""
 
     x: PerWhisker
     y: PerWhisker
@@ -44,14 +45,14 @@ class ScenePose(NamedTuple):
 
 
 class Stance(NamedTuple):
-    """Positions of bases in the scene, and first touches of their whiskers, unloaded, if they moved along x."""
+    """Positions of bases in the scene, and the first touches of their unloaded whiskers if the bases moved along x."""
 
     x: PerWhisker
-    right: Touch  # approaching from the right
+    right: Touch  # in an approach from the right
     left: Touch
 
     def first(self, side: PerWhisker) -> Touch:
-        """The touch of whiskers that approach from that side."""
+        """First touches of whiskers that approach from these sides (+1 right, -1 left)."""
         return jax.tree.map(lambda right, left: jnp.where(side > 0, right, left), self.right, self.left)
 
     @property
@@ -61,12 +62,12 @@ class Stance(NamedTuple):
 
     @property
     def side(self) -> PerWhisker:
-        """The side of the object on which whiskers stand, or the nearer one: +1 right, -1 left."""
+        """The side of the object on which a whisker stands, or the nearer side: +1 right, -1 left."""
         return jnp.where(self.x - self.right.x >= self.left.x - self.x, 1.0, -1.0)
 
 
 class Problem(eqx.Module):
-    """A scene without dimensions. Whiskers are stacked along the first axis."""
+    """A dimensionless scene. Whiskers are stacked along the first axis."""
 
     length: PerWhisker
     bending_stiffness: PerWhisker  # at the base
@@ -81,11 +82,11 @@ class Problem(eqx.Module):
     unit: Units
 
     axes: eqx.AbstractClassVar[int]  # number of coordinates of a base
-    frames_move: eqx.AbstractClassVar[bool]  # whether they refer to a frame that moves with the control
+    frames_move: eqx.AbstractClassVar[bool]  # whether these refer to a frame that moves with the control
 
     @abc.abstractmethod
     def frames(self, u: Scalar) -> tuple[Frame | None, Frame | None]:
-        """Frames of all bases at a control, and their derivative by it; None if the scene itself is the frame."""
+        """Frames of all bases at a control, and their derivatives with respect to it; None in the scene's frame."""
 
     @abc.abstractmethod
     def rest(self, u: Scalar) -> Poses:
@@ -93,7 +94,7 @@ class Problem(eqx.Module):
 
     @abc.abstractmethod
     def rest_rate(self, du: Scalar) -> Scalar:
-        """How much the x coordinate of an unloaded base grows when the control grows by `du`."""
+        """Change of the x coordinate of an unloaded base when the control changes by `du`."""
 
     @abc.abstractmethod
     def in_scene(self, u: Scalar, pose: Poses) -> ScenePose:
@@ -101,11 +102,11 @@ class Problem(eqx.Module):
 
     @abc.abstractmethod
     def stance(self, u: Scalar, pose: Poses) -> Stance:
-        """Where whiskers stand with their bases at these coordinates."""
+        """Stance of whiskers whose bases have these coordinates."""
 
     @abc.abstractmethod
     def stances(self, *at: tuple[Scalar, Poses]) -> list[Stance]:
-        """Where whiskers stand at several controls."""
+        """Stances at several pairs of control and coordinates."""
 
     @abc.abstractmethod
     def shift(self, u: Scalar, distance: PerWhisker) -> Poses:
@@ -125,15 +126,15 @@ class Problem(eqx.Module):
 
     @abc.abstractmethod
     def not_destabilising(self, slope: Float[Array, "whiskers axes axes"]) -> Float[Array, "whiskers axes axes"]:
-        """Slopes d load / d pose without what destabilises the bases along x."""
+        """Slopes d load / d pose without the part that can destabilise the bases."""
 
     @abc.abstractmethod
     def further_residuals(self, base: Base, pose: ScenePose) -> list[PerWhisker]:
-        """Residuals of a solution that the coordinates alone do not show, of touching whiskers."""
+        """Residuals of touching whiskers that their coordinates alone do not show."""
 
     @abc.abstractmethod
     def if_defined(self, residual: Scalar, pose: ScenePose) -> Scalar:
-        """The residual, or infinity where the motion of the drive is not defined (its pose is not finite)."""
+        """The residual, or infinity if the motion of the drive is not defined here (its pose is not finite)."""
 
     def bodies(self, u: Scalar) -> Body:
         """All whiskers, stacked, at a control."""
@@ -141,7 +142,7 @@ class Problem(eqx.Module):
 
     @property
     def offset(self) -> Poses:
-        """Displacement of the unloaded bases by the rest lengths of the springs."""
+        """Displacement of the unloaded bases due to the rest lengths of the springs."""
         none = jnp.zeros((self.length.shape[0], self.axes))
         return none if self.flexibility is None else jnp.reshape(self.flexibility.offset, none.shape)
 
@@ -198,7 +199,7 @@ class AlongX(Problem):
 
     def further_residuals(self, base, pose):
         del pose
-        return [jnp.where(base.sin > 0, 0.0, jnp.inf)]  # `turn` is a sine, and does not tell up from down
+        return [jnp.where(base.sin > 0, 0.0, jnp.inf)]  # `turn` is a sine, which does not distinguish up from down
 
     def if_defined(self, residual, pose):
         del pose
@@ -248,7 +249,7 @@ class InPlane(Problem):
         return Stance(at.x, *jax.vmap(both)(self.length, self.outline, at.y, at.angle))
 
     def stances(self, *at):
-        # In one batch: the search for a touch is compiled once.
+        # As one batch, the search for a touch is compiled only once.
         batch = jax.vmap(self.stance)(*map(jnp.stack, zip(*at, strict=True)))
         return [jax.tree.map(lambda leaf, k=k: leaf[k], batch) for k in range(len(at))]
 
@@ -274,12 +275,12 @@ class InPlane(Problem):
         return []
 
     def if_defined(self, residual, pose):
-        # Free whiskers have no equation with a residual of their own.
+        # Free whiskers contribute no residual, so the pose itself is checked.
         return jnp.where(jnp.all(jnp.isfinite(jnp.stack(pose))), residual, jnp.inf)
 
 
 def problem_of(scene: Scene) -> Problem:
-    """The dimensionless problem of a scene, differentiable with respect to all of it."""
+    """The dimensionless problem of a scene, differentiable with respect to all numbers of the scene."""
     valid = _valid(scene)
     scene = safe_placeholder(scene, valid)
     unit = jax.tree.map(checks.as_float, units(scene))
@@ -350,7 +351,7 @@ def outlines(
 def sections(
     whiskers: tuple[Whisker, ...], length_unit: Scalar, stiffness_unit: Scalar
 ) -> Section | tuple[Section, ...] | None:
-    """Sections of all whiskers: stacked if they differ in numbers only, None if all are uniform."""
+    """Sections of all whiskers: None if all are uniform, stacked if they differ in numbers only, otherwise a tuple."""
     if all(whisker.uniform for whisker in whiskers):
         return None
     whiskers = jax.tree.map(checks.as_float, whiskers)

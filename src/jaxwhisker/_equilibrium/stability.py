@@ -1,8 +1,8 @@
 """Stability of an equilibrium: of each whisker on its clamped branch, and of the network that holds the bases.
 
-The clamped branch of a whisker consists of its states with the base held in place. It is stable up to its fold, where
-the base would have to move back. The network is stable while its stiffness exceeds the slopes of the loads: K - D
-positive definite, with D = d load / d pose.
+The clamped branch of a whisker consists of its states with a clamped base, for all positions of the base along x. It is
+stable up to its fold, where the base would have to move back. The network is stable while its stiffness exceeds the
+slopes of the loads: K - D is positive definite, with D = d load / d pose.
 """
 
 import jax.numpy as jnp
@@ -14,11 +14,12 @@ from jaxwhisker._equilibrium.newton import Condensed
 from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import PerWhisker, Problem
 
-BRANCH_SIGN = -1.0  # of d base_x along angle x height on a stable branch touched from the right
+# Sign of `by_x` on a stable branch for an approach from the right; the branch has the direction grad turn x grad y.
+BRANCH_SIGN = -1.0
 
 
 def load_slopes(mode: Mode, at: Condensed) -> Float[Array, "whiskers axes axes"]:
-    """Change of the load on a touching base with its pose, d load / d pose; symmetric, since the load has an energy."""
+    """Slope d load / d pose of a touching whisker's base; symmetric, because the load derives from an energy."""
     by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
     along = at.load_by[:, :, 0] / by_x
     columns = [along]
@@ -29,7 +30,7 @@ def load_slopes(mode: Mode, at: Condensed) -> Float[Array, "whiskers axes axes"]
 def network_is_stable(problem: Problem, slope: Float[Array, "whiskers axes axes"]) -> Bool[Array, ""]:
     """Whether the stiffness of the network minus the load slopes is positive definite.
 
-    Written with the flexibility L L^T, that is 1 - L^T slope L, which holds for rigid springs too.
+    With the flexibility L L^T, this is a test of 1 - L^T slope L, which is valid for rigid springs too.
     """
     if problem.flexibility is None:
         return jnp.asarray(True)
@@ -41,13 +42,13 @@ def network_is_stable(problem: Problem, slope: Float[Array, "whiskers axes axes"
 def on_stable_branch(mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
     """Whether whiskers are on the stable part of their clamped branch.
 
-    There the base moves, along the branch, in the direction in which it moved from first touch on; between two folds it
-    moves back.
+    There the base moves along the branch in the same direction as just after first touch; between two folds it moves
+    back.
     """
     return mode.side * by_x * BRANCH_SIGN > 0
 
 
 def is_stable(problem: Problem, mode: Mode, at: Condensed) -> Bool[Array, ""]:
-    """Whether every whisker is on the stable part of its clamped branch, and the network is stable."""
+    """Whether every touching whisker is on the stable part of its clamped branch and the network is stable."""
     own = jnp.all((mode.phase == Phase.free) | on_stable_branch(mode, at.by_x))
     return own & network_is_stable(problem, load_slopes(mode, at)) if problem.flexibility is not None else own

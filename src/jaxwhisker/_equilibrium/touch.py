@@ -1,4 +1,4 @@
-"""First touch: where an unloaded whisker, approaching from one side, meets the object."""
+"""First touch: where an unloaded whisker that approaches from one side meets the object."""
 
 from typing import NamedTuple
 
@@ -11,9 +11,9 @@ from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
-SHAFT_FIRST = 1e-12  # share of the length that must stand above the first contact to call it tangential
-POINTS = 65  # along a whisker that is not upright and straight, where the first touch is searched
-SAME_HEIGHT = 1e-6  # tolerance for whisker and object being at the same height there
+SHAFT_FIRST = 1e-12  # a first contact is tangential if more than this share of the length lies above it
+POINTS = 65  # along a whisker that is not upright and straight, at which the first touch is searched for
+SAME_HEIGHT = 1e-6  # dimensionless tolerance for whisker and object at the same height, and for equal distances
 NEWTON_STEPS = 8
 
 
@@ -23,16 +23,12 @@ class Touch(NamedTuple):
     parameter: Float[Array, "*batch"]  # of the profile
     x: Float[Array, "*batch"]  # position of the base
     slack: Float[Array, "*batch"]  # as in contact.py
-    side: Float[
-        Array, "*batch"
-    ]  # from which it approaches, unless it leans past vertical: the side to which it will bend
-    reaches: Bool[
-        Array, "*batch"
-    ]  # whether it is high enough to meet the object; if not, x puts the tip below the vertex
+    side: Float[Array, "*batch"]  # the side it approaches from or, if it leans past vertical, will bend to
+    reaches: Bool[Array, "*batch"]  # whether it is high enough to meet the object; if not, x only tells the nearer side
 
 
 class Outline(NamedTuple):
-    """An unloaded, upright whisker with its base at the origin, at equidistant points."""
+    """Equidistant points and directions of an unloaded, upright whisker with its base at the origin."""
 
     x: Float[Array, "*batch points"]
     y: Float[Array, "*batch points"]
@@ -41,7 +37,7 @@ class Outline(NamedTuple):
 
 
 def outline(length: Scalar, section: Section | None) -> Outline:
-    """The outline of a whisker; one without a section is straight."""
+    """The outline of a whisker; a whisker without a section is straight."""
     zero = jnp.zeros_like(length)
     upright, nothing = (zero, zero, zero, zero + 1.0), rod.Load(None, zero, None)
     if section is None:
@@ -68,14 +64,14 @@ def first_touch_upright(profile: AbstractProfile, length: Scalar, side: Scalar) 
 
 
 class _Approach(NamedTuple):
-    """Points of a whisker with its base at x = 0, and their lead in an approach along x."""
+    """Points of a whisker with its base at x = 0, and where each would touch in an approach along x."""
 
     x: Float[Array, " points"]
     y: Float[Array, " points"]
     cos: Float[Array, " points"]
     sin: Float[Array, " points"]
     touch: FirstTouch
-    ahead: Float[Array, " points"]  # -inf for points that are too low
+    ahead: Float[Array, " points"]  # side times position of the base at the touch; -inf for points that are too low
 
 
 def _approach(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> _Approach:
@@ -101,10 +97,11 @@ def in_two_places(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scal
 def first_touch(
     profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar, side: Scalar
 ) -> Touch:
-    """The first touch of a whisker with its base at height y, turned by an angle: with its tip or along its shaft.
+    """The first touch, with its tip or along its shaft, of a whisker with its base at height y and turned by an angle.
 
-    It is searched at points of the whisker and then solved for between them, where the outline is cubic in arc length.
-    The result is exact to about 1e-10, without derivatives: the guess for solving the equations of a contact.
+    It is searched for at points of the whisker and then solved for between them, where the outline is interpolated as a
+    cubic in arc length. The result is accurate to about 1e-10 and has no derivatives: it is a guess for the equations
+    of the contact.
     """
     profile, length, own, y, angle = jax.lax.stop_gradient((profile, length, own, y, angle))
     xs, ys, coses, sines, touch, ahead = _approach(profile, own, y, angle, side)

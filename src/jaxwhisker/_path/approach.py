@@ -1,4 +1,4 @@
-"""Approach: how a drive comes to the object and leaves it, from far away or within a bounded motion.
+"""Approach: how the drive comes to the object and leaves it, from far away or within a bounded motion.
 
 A translation comes from far away on one side and leaves to far away on the other: nothing happens before the first
 touch, nor once all whiskers are free beyond the object. A bounded motion has a first and a last control.
@@ -16,15 +16,15 @@ from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import Poses, Problem, Stance
 from jaxwhisker._path.path import Path, Status
 
-FIRST_STEP = 0.02  # of the march after a corner, in lengths; grows at once where the path is smooth
-MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free, in lengths
-GLANCES = 64  # steps at least in which free whiskers go through a bounded motion
+FIRST_STEP = 0.02  # of the march after a corner; steps grow at once where the path is smooth
+MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free, dimensionless
+GLANCES = 64  # smallest number of steps in which free whiskers pass through a bounded motion
 FAR = 1e4  # lengths that an unbounded drive travels at most; a march ends long before, unless springs are very soft
-HIGHEST_FORCE = 1e3  # EI / L^2 on every whisker; a scan before snap-off hardly ever meets it
+HIGHEST_FORCE = 1e3  # EI/L^2 on every whisker; forces before snap-off hardly ever reach it
 
 
 class Limits(NamedTuple):
-    """Where a scan right across the object begins, where it ends if nothing happens, and how far it searches."""
+    """Controls at which a scan right across the object begins, ends if nothing happens, and stops searching."""
 
     start: Scalar
     end: Scalar
@@ -32,14 +32,14 @@ class Limits(NamedTuple):
 
 
 class AbstractApproach(abc.ABC):
-    """Methods that depend on how the drive comes and goes."""
+    """The parts of a scan that depend on how the drive approaches and leaves the object."""
 
     def __init__(self, problem: Problem):
         self.problem, self.onwards = problem, problem.motion.onwards
 
     @abc.abstractmethod
     def start(self, first_stop: Scalar) -> Scalar:
-        """A control, not behind the first stop, at which all whiskers are free."""
+        """A control, at or before the first stop, at which all whiskers are free."""
 
     @abc.abstractmethod
     def starts_clear(self, u: Scalar, pose: Poses) -> Bool[Array, ""]:
@@ -47,7 +47,7 @@ class AbstractApproach(abc.ABC):
 
     @abc.abstractmethod
     def longest_step(self) -> Scalar:
-        """The longest step of a march whose whiskers are all free."""
+        """The longest step of a march while all whiskers are free."""
 
     @abc.abstractmethod
     def is_over(self, mode: Mode, at: Stance) -> Bool[Array, ""]:
@@ -59,7 +59,7 @@ class AbstractApproach(abc.ABC):
 
     @abc.abstractmethod
     def crop(self, path: Path, whole: Bool[Array, ""], limits: Limits) -> tuple[Path, Scalar, Scalar]:
-        """The path, and the first and last control of the contacts on it, with a margin."""
+        """The path, and the first and last control at which whiskers touch on it, with a margin."""
 
     def _last_contact(self, path: Path, end: Scalar) -> Scalar:
         passed, event = jnp.arange(path.nodes.kind.shape[0]) < path.count, path.nodes.kind >= 0
@@ -73,7 +73,7 @@ class FromAfar(AbstractApproach):
     """A drive that moves along x, from far away to far away."""
 
     def first_touch(self) -> Scalar:
-        """The control at which the first whisker touches; infinite, beyond the object, if none ever does."""
+        """The control at which the first whisker touches; infinite, in the direction of motion, if none ever does."""
         problem, zero = self.problem, jnp.asarray(0.0)
         at = problem.stance(zero, problem.rest(zero))
         first = at.right if self.onwards < 0 else at.left
@@ -110,7 +110,7 @@ class FromAfar(AbstractApproach):
 
 
 class Bounded(AbstractApproach):
-    """A motion with a first control, at which all whiskers are free, and a last one."""
+    """A motion with a first control, at which all whiskers are free, and a last control."""
 
     def _ends(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
         assert self.problem.motion.ends is not None
@@ -125,7 +125,7 @@ class Bounded(AbstractApproach):
         return jnp.all(self.problem.stance(u, pose).clear)
 
     def longest_step(self):
-        # Unlike a translation, a long step may pass the object altogether.
+        # A long step of such a motion, unlike one of a translation, could miss the object altogether.
         start, end = self._ends()
         return jnp.abs(end - start) / GLANCES
 
@@ -144,12 +144,12 @@ class Bounded(AbstractApproach):
         start = jnp.where(jnp.any(passed & event), first - self.onwards * MARGIN, limits.start)
         travel = path.nodes.travel - jnp.where(whole, jnp.abs(start - limits.start), 0.0)
         path = path._replace(nodes=path.nodes._replace(travel=travel))
-        # Whiskers need not come free on such a motion.
+        # Whiskers may still touch at the end of such a motion.
         touching = jnp.any(path.nodes.phase[path.count - 1] != Phase.free)
         stop = self._last_contact(path, limits.end)
         return path, start, jnp.where(touching & (path.status == Status.ok), limits.far, stop)
 
 
 def approach_of(problem: Problem) -> FromAfar | Bounded:
-    """How the drive of a problem comes to the object."""
+    """The approach that suits the motion of a problem's drive."""
     return FromAfar(problem) if problem.motion.ends is None else Bounded(problem)

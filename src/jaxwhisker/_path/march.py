@@ -1,18 +1,18 @@
 """The march: following the path of equilibria through events, folds and snaps.
 
-Pseudo-arclength continuation with one Newton solve an iteration, whatever the iteration is for, because all elements of
-a batch pay for the most expensive branch that any of them takes. An iteration has a task:
+This is pseudo-arclength continuation. Each iteration makes one Newton solve, whatever its task, because all elements of
+a batch pay for the most expensive branch that any of them takes. The tasks are:
 
-    advance   a step along the path; its length follows the prediction error
+    advance   take a step along the path; its length follows the prediction error
     event     solve for the point within the last step where a margin vanishes
-    arrive    solve for the same point in the mode that holds from here on, and determine where the path leaves
-    done
-    kick      the first step away from an equilibrium that lost its stability
-    flow      a step of the overdamped bases at fixed drive, until they come to rest (snap_flow.py)
+    arrive    solve for the same point in the mode that holds from here on, and determine in which direction to leave
+    done      do nothing: the march has ended
+    kick      take the first step away from an equilibrium that lost its stability
+    flow      take a step of the overdamped bases at fixed drive, until they come to rest (snap_flow.py)
 
-Stability is checked at every node; a failure of the solver is no test for it. An unstable end of a step means that
-stability was lost within the step: steps are shortened until the loss is located, where the path turns back in u (a
-fold) or, at a corner, leaves in the wrong direction.
+Stability is checked at every node; a failure of the solver does not count as a loss of stability. If the end of a step
+is unstable, stability was lost within the step, and steps are shortened until the loss is located. There the path turns
+back in u (a fold) or, at a corner, leaves in the wrong direction.
 """
 
 import jax
@@ -30,7 +30,7 @@ from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, evaluat
 from jaxwhisker._path.path import AT_STOP, NO_EVENT, PHASE, RELEASE, TOUCH, VERTEX, Node, Path, Status, select
 from jaxwhisker._path.transitions import after_advance, after_arrive, after_event, after_flow
 
-CHUNK = 16  # iterations between two checks whether the whole batch is done
+CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
 
 def _target_row(state: MarchState, stop_u: Scalar) -> Row:
@@ -47,7 +47,7 @@ def _target_row(state: MarchState, stop_u: Scalar) -> Row:
 
 
 def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], state: MarchState):
-    """One iteration: predict, solve, decide. Returns the new state, and the node to be written with its index or -1."""
+    """Predict, solve, decide. Return the new state, and the index (-1 for none) and value of the node to write."""
     stop_u = stops[jnp.minimum(state.goal, last)]
     at_target = state.task == Task.event
     distance = jnp.where(at_target, state.target.distance, state.step)
@@ -62,7 +62,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     onwards = at_arc_length(state.point, state.tangent, state.step)
     fixed = at_control(state.point.u, guess.z)
     row = select(state.task == Task.advance, onwards, select(at_target, _target_row(state, stop_u), fixed))
-    # A touch is the beginning of a contact, and solved for as a contact.
+    # A touch begins a contact and is solved for as a contact.
     target = state.target
     begins = target.whisker & at_target & (target.kind == TOUCH)
     mode = state.mode._replace(
@@ -128,8 +128,8 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
 def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], *, capacity: int) -> Path:
     """Follow the path from where all whiskers are free to stops[0], stops[1], ..., stops[last].
 
-    The march ends at the last stop, when all whiskers have passed the object for good, or where the path is lost; the
-    status of the path tells which.
+    The march ends with status `ok` at the last stop or as soon as all whiskers have passed the object for good. If the
+    path cannot be followed any further, the march ends there, and the status of the path says why.
     """
     state = _start(problem, stops)
     clear = approach_of(problem).starts_clear(state.point.u, state.pose)

@@ -27,7 +27,7 @@ from jaxwhisker._path.path import (
 
 
 class Task(IntEnum):
-    """What an iteration of the march is for."""
+    """Task of an iteration of the march (see march.py)."""
 
     advance = 0
     event = 1
@@ -38,18 +38,18 @@ class Task(IntEnum):
 
 
 class Target(NamedTuple):
-    """An event being approached: the margin that vanishes, of which whisker (one-hot), and where it is expected."""
+    """An event to be solved for: the margin that vanishes, the whisker concerned, and the expected distance."""
 
     kind: Int[Array, ""]  # index into Margins
-    whisker: Bool[Array, " whiskers"]
-    distance: Scalar
+    whisker: Bool[Array, " whiskers"]  # one-hot; all False for a stop
+    distance: Scalar  # along the tangent
     contact: Contacts  # first contacts of whiskers that may touch
     phase: Int[Array, " whiskers"]
     side: PerWhisker
 
 
 class Lead(NamedTuple):
-    """Weights of the tangent whose sum has to grow when the path leaves an event, so that the new mode is valid."""
+    """Weights for the tangent's components: their weighted sum must be positive where the path leaves an event."""
 
     z: Contacts
     pose: Poses
@@ -57,7 +57,7 @@ class Lead(NamedTuple):
 
 
 class MarchState(NamedTuple):
-    """How far the march has got."""
+    """State of the march between two iterations."""
 
     task: Int[Array, ""]
     mode: Mode
@@ -66,15 +66,15 @@ class MarchState(NamedTuple):
     tangent: Point
     tangent_pose: Poses
     bend: Point  # change of the tangent per arc length
-    step: Scalar
-    unstable_at: Scalar  # distance at which an unstable equilibrium is known, or infinity
+    step: Scalar  # length of the next step
+    unstable_at: Scalar  # distance ahead of a known unstable equilibrium, or infinity
     unstable_turn: Scalar  # du/ds there
     target: Target
     lead: Lead
     before_vertex: PerWhisker  # sign of sin(alpha) until the whisker passes the vertex
     goal: Int[Array, ""]  # index of the stop that the drive moves to
-    direction: Scalar
-    travel: Scalar
+    direction: Scalar  # +1 while the drive moves towards larger u, else -1
+    travel: Scalar  # distance that the drive has travelled since the first stop; negative on the approach to it
     pending: Node  # node to be written on arrival
     flow: snap_flow.Flow
     count: Int[Array, ""]
@@ -85,11 +85,11 @@ class MarchState(NamedTuple):
         return self.direction * tangent.u
 
     def stopped(self, status: Status) -> "MarchState":
-        """The end of the march."""
+        """The state after the march has ended with this status."""
         return self._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(int(status)))
 
 
-SHORTEST_CHORD = 1e-6  # that determines a direction; a shorter one keeps the direction of the path
+SHORTEST_CHORD = 1e-6  # shortest chord that determines a direction; for a shorter one the path keeps its direction
 DIP_POINTS = 7  # points within a step at which margins are interpolated
 
 
@@ -100,7 +100,7 @@ class Trial(NamedTuple):
     tangent: Point
     tangent_pose: Poses
     stable: Bool[Array, ""]
-    convex: Bool[Array, ""]
+    convex: Bool[Array, ""]  # whether the profile is convex at all contacts
     here: Margins  # at the start of the step
     there: Margins  # at its end
     stance: Stance  # at its end
@@ -121,7 +121,7 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
     here, there = problem.stances((state.point.u, state.pose), (solution.point.u, newton.pose))
     margins_there = _margins_at(problem, state, solution.point, there, stop_u)
-    # The touching whisker fulfils its contact's equations; its margin, interpolated in its outline, is less exact.
+    # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
     touching = touches & state.target.whisker
     margins_there = margins_there._replace(touch=jnp.where(touching, jnp.inf, margins_there.touch))
     return Trial(
@@ -140,7 +140,7 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
 def _direction_of_parabola(
     state: MarchState, solution: Solution, free: Bool[Array, " whiskers"]
 ) -> tuple[Point, Poses]:
-    """Direction, at the end of a step, of the parabola that starts along the tangent; free whiskers have no contact."""
+    """Direction at the end of a step along a parabola that starts along the tangent; free whiskers do not count."""
     chord = Point(jnp.where(free[:, None], 0.0, solution.point.z - state.point.z), solution.point.u - state.point.u)
     distance = dot(state.tangent, chord, scale_of(state.point.z))
     known = distance > SHORTEST_CHORD
@@ -161,7 +161,7 @@ def slope_sines(problem: Problem, z: Contacts) -> PerWhisker:
 
 
 def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
-    """Whether an event lies within a step of this length, and the first one."""
+    """Whether an event lies within a step of this length, and the first such event."""
     n = trial.here.touch.shape[0]
     now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
     violated = then < -MARGIN_NOISE
@@ -176,12 +176,12 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
 
 
 def dip(problem: Problem, state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether a margin is negative within a step, though not at its ends, and at which share of the step."""
+    """Whether a margin is negative within a step but not at its ends, and the share of the step where it is lowest."""
     now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
     start = distance * jnp.concatenate(margin_rates(problem, state.mode, state.tangent, state.tangent_pose))
     end = distance * jnp.concatenate(margin_rates(problem, state.mode, trial.tangent, trial.tangent_pose))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
     within = now + t * (start + t * ((3 * (then - now) - 2 * start - end) + t * (start + end - 2 * (then - now))))
-    # The margin of an event just passed is zero at the start; rounding is no dip.
+    # The margin of an event just passed is zero at the start; rounding must not count as a dip.
     within = jnp.where((start < 0) & (end > 0) & jnp.isfinite(within), within, 0.0)
     return jnp.any(within < -MARGIN_NOISE), t[jnp.argmin(jnp.min(within, axis=1)), 0]

@@ -1,7 +1,7 @@
-"""The path of equilibria: its nodes, the events on it, and the margins that tell how far away events are.
+"""The path of equilibria: its nodes, the events on it, and the margins that measure the distance to events.
 
-A path is a sequence of nodes: exact equilibria along the way of the drive, with the tangents of the path before and
-behind each. Every corner of the path (an event, a turning point of the drive) is a node.
+A path is a sequence of nodes: exact equilibria in the order in which the drive passes them, with the tangents of the
+path before and after each. Every corner of the path (an event, a turning point of the drive) is a node.
 """
 
 from enum import IntEnum
@@ -22,24 +22,24 @@ class Status(IntEnum):
 
     ok = 0
     invalid = 1  # a parameter is outside its domain
-    lost = 2  # the path could not be followed further: no equilibrium near the last one was found
+    lost = 2  # the path could not be followed further: no equilibrium was found near the last one
     unsettled = 3  # after a loss of stability the bases did not come to rest
-    not_convex = 4  # the profile is not convex where the scan touches it
-    too_long = 5  # the path has more nodes or events than there is room for
-    inexact = 6  # this step's equations are not fulfilled to tolerance
+    not_convex = 4  # the profile is not convex where a whisker touches it
+    too_long = 5  # more nodes, iterations or (for a traced control) turning points than there is room for
+    inexact = 6  # this step's equations are not satisfied to tolerance
     unstable = 7  # this step's equilibrium is not stable
 
 
 class EventKind(IntEnum):
     """Kind of an event."""
 
-    touch = 0
+    touch = 0  # contact begins, with zero force
     tip_to_tangential = 1
-    vertex = 2
+    vertex = 2  # the contact passes the lowest point of the object
     tangential_to_tip = 3
     release = 4  # contact ends smoothly, with zero force
-    snap_through = 5
-    snap_off = 6
+    snap_through = 5  # stability is lost, and no whisker that slips comes free
+    snap_off = 6  # stability is lost, and a whisker slips and comes free
 
 
 NO_EVENT = -1
@@ -47,23 +47,23 @@ STOP = -2  # the drive reverses, or the scan ends
 
 
 class Node(NamedTuple):
-    """An equilibrium on the path, and the path's directions before and behind it."""
+    """An equilibrium on the path, and the path's directions before and after it."""
 
     point: Point
-    z_before: Contacts  # contacts on arrival: those that begin or end here differ
+    z_before: Contacts  # contacts on arrival, which differ if they begin or end here
     arriving: Point  # tangents, of unit length in the scale of the point
     leaving: Point
     phase: Int[Array, " whiskers"]  # from here on
     side: PerWhisker
-    travel: Float[Array, ""]  # way of the drive since the first step; negative on the approach to it
-    kind: Int[Array, ""]
-    whiskers: Bool[Array, " whiskers"]  # which the event concerns
+    travel: Float[Array, ""]  # distance that the drive has travelled since the first step; negative on the approach
+    kind: Int[Array, ""]  # EventKind, NO_EVENT or STOP
+    whiskers: Bool[Array, " whiskers"]  # those that the event concerns
     phase_before: Int[Array, " whiskers"]
     side_before: PerWhisker
 
 
 class Path(NamedTuple):
-    """Nodes 0 to count - 1; arrays are padded. The status says why the path ends where it does."""
+    """Nodes 0 to count - 1, in padded arrays. The status says why the path ends where it does."""
 
     nodes: Node
     count: Int[Array, ""]
@@ -71,13 +71,13 @@ class Path(NamedTuple):
 
 
 def select(condition, yes, no):
-    """One of two trees of the same structure."""
-    # Leaves that both share need no selection: most decisions of a march change little.
+    """Select one of two trees of the same structure by a condition."""
+    # Leaves that both trees share need no selection: most decisions of a march change few leaves.
     return jax.tree.map(lambda a, b: a if a is b else jnp.where(condition, a, b), yes, no)
 
 
 def first_case(*cases, otherwise):
-    """The tree of the first case (condition, tree) whose condition holds."""
+    """Select the tree of the first case (condition, tree) whose condition holds."""
     conditions = [condition for condition, _ in cases]
     first = jnp.argmax(jnp.stack([*conditions, jnp.asarray(True)]))
     for number, (_, tree) in reversed(list(enumerate(cases))):
@@ -86,7 +86,7 @@ def first_case(*cases, otherwise):
 
 
 class Margins(NamedTuple):
-    """Distance of each whisker from each kind of event; an event happens where its margin turns negative."""
+    """Distance of each whisker from each kind of event; an event occurs where its margin becomes negative."""
 
     touch: PerWhisker
     release: PerWhisker
@@ -96,7 +96,7 @@ class Margins(NamedTuple):
 
 
 TOUCH, RELEASE, PHASE, VERTEX, AT_STOP = range(len(Margins._fields))  # indices into Margins
-MARGIN_NOISE = 1e-12  # margins are exact to this: two events at the same place do not violate each other
+MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
 
 
 def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, remaining: Scalar) -> Margins:
@@ -105,9 +105,9 @@ def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, remaining: 
     Args:
         mode: phases and sides.
         point: the point.
-        at: where the whiskers stand there.
+        at: stance of the whiskers at the point.
         ahead: sin(alpha), with the sign that makes it positive before the vertex.
-        remaining: way of the drive to its next stop.
+        remaining: distance of the drive to its next stop.
     """
     free = mode.phase == Phase.free
     force, _, slack = point.z.T

@@ -6,16 +6,17 @@ fold of that branch; then it slips:
 1. If its unloaded shape clears the object, it is free.
 2. Otherwise it slides on along its branch until it is stable again at the same base position, as beneath the edge of a
    flat object.
-3. If its base is unbent before that, it lands on the far side, bent the other way.
+3. If the bending moment at its base or its contact force vanishes before that, it lands on the far side, bent the other
+   way.
 
 With the flexibility C = K^-1, one implicit step of pseudo-time dt is
 
     (1 + C / dt - C D) d pose = rest + C load - pose,        D = d load / d pose,
 
-which holds for rigid springs too. Where the bases run away faster than dt resolves, the matrix is not positive
-definite: the destabilising part (D > 0 along x) is then treated explicitly, and the next dt is shorter. Treating it
-explicitly throughout would be too slow: just below a critical stiffness the bases creep by a millionth of the distance
-per step.
+which is valid for rigid springs too. If the bases run away faster than dt resolves, the matrix is not positive
+definite. The destabilising part of D (D > 0 along x; in the plane, all of D) is then treated explicitly, and the next
+dt is shorter. Treating it explicitly throughout would be too slow: just below a critical stiffness the bases creep by a
+millionth of the distance per step.
 """
 
 from typing import NamedTuple
@@ -32,38 +33,38 @@ from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
 
-LARGEST_CHANGE = 0.02  # largest change of any contact, in its scale; the flow is first order in it
-SHORTEST = 1e-7  # ... tried where a whisker cannot follow a longer one
+LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; the flow is first order in it
+SHORTEST = 1e-7  # smallest such change that is tried if a whisker cannot follow a larger one
 FIRST_TIME_STEP = 1e-3
 NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
 ITERATIONS = 3000
-NO_FORCE = 1e-9  # a contact that has just begun has no force beyond rounding
-LANDED = 1e-6  # tolerance for the place where a slipped whisker's slide or landing ends
+NO_FORCE = 1e-9  # tolerance for the force of a contact that has just begun, which is zero up to rounding
+LANDED = 1e-6  # tolerance for the base position at which a slipped whisker's slide or landing ends
 
 
 class Flow(NamedTuple):
     """State of the snap flow between two iterations of the march."""
 
     pose: Poses
-    guess: Contacts
+    guess: Contacts  # for the next solution
     basis: Float[Array, "whiskers 3 axes"]  # steps along and across each whisker's branch, as in Condensed
-    pose_by: Float[Array, "whiskers axes axes"]  # change of the base's pose with these steps
+    pose_by: Float[Array, "whiskers axes axes"]  # derivative of the base's pose with respect to these steps
     slope: Float[Array, "whiskers axes axes"]  # d load / d pose
     load: Poses
     gap: PerWhisker  # distance of a free whisker's base from where the whisker would touch
-    step: Scalar  # largest change of any contact
+    step: Scalar  # largest change of any contact in the next step
     time_step: Scalar
-    slipped: Bool[Array, " whiskers"]
+    slipped: Bool[Array, " whiskers"]  # since the flow began
     sliding: Bool[Array, " whiskers"]  # past a fold of its branch
     landing: Bool[Array, " whiskers"]  # on the far side
     landing_x: PerWhisker  # base position at which sliding or landing ends
     near: Scalar  # distance from the equilibrium at which Newton's method takes over
     iterations: Int[Array, ""]
-    exhausted: Bool[Array, ""]
+    exhausted: Bool[Array, ""]  # whether the flow has failed to come to rest
 
 
 def start(mode: Mode, pose: Poses) -> Flow:
-    """A flow about to begin."""
+    """The state of a flow that is about to begin."""
     n, axes = pose.shape
     no, none = jnp.zeros(n, bool), jnp.zeros(n)
     return Flow(
@@ -87,7 +88,7 @@ def start(mode: Mode, pose: Poses) -> Flow:
 
 
 def kick(flow: Flow, point: Point, tangent: Point, tangent_pose: Poses) -> Flow:
-    """The first step: onwards along the path that has just become unstable, with the drive at rest."""
+    """Take the first step: onwards along the path that has just become unstable, with the drive at rest."""
     length = jnp.sqrt(jnp.sum((tangent.z / scale_of(point.z)) ** 2))
     step = flow.step / jnp.maximum(length, 1e-3)
     return flow._replace(guess=point.z + step * tangent.z, pose=flow.pose + step * tangent_pose)
@@ -103,26 +104,26 @@ def _implicit_displacement(problem: Problem, pull: Poses, slope, damping: Scalar
 
 
 def _steps(flow: Flow, displacement: Poses) -> Poses:
-    """Steps along and across the branches that displace the bases so far."""
+    """Steps along and across the branches that give the bases this displacement."""
     across = displacement[:, 1:]
     along = displacement[:, 0] - jnp.sum(flow.pose_by[:, 0, 1:] * across, axis=-1)
     return jnp.concatenate([(along / _nonzero(flow.pose_by[:, 0, 0]))[:, None], across], axis=1)
 
 
 def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
-    """The next step of the bases, and the contacts that it leads to."""
+    """Propose the next step of the bases, and a guess for the contacts that it leads to."""
     free = mode.phase == Phase.free
     axes = flow.pose.shape[1]
     pull = problem.rest(point.u) + problem.displacement(flow.load) - flow.pose
-    # Half of the damping must suffice, so that the system is well conditioned.
+    # The system must be stable even with half of the damping, or it would be badly conditioned.
     resolved = network_is_stable(problem, flow.slope - 0.5 / flow.time_step * jnp.eye(axes))
     slope = jnp.where(resolved, flow.slope, problem.not_destabilising(flow.slope))
     moves = _implicit_displacement(problem, pull, slope, 1 / flow.time_step)
-    # A whisker slips at once; the others wait.
+    # A slip takes no time: the other whiskers wait until it ends.
     slipping = flow.sliding | flow.landing
     slipping_now = jnp.any(slipping)
     steps = jnp.where(free[:, None], 0.0, _steps(flow, moves))
-    # A free base may go half-way to where its whisker would touch.
+    # A free base may move half-way to where its whisker would touch.
     reach = (flow.step + 0.5 * flow.gap)[:, None]
     size = jnp.max(jnp.where(free[:, None], jnp.abs(moves) / reach, jnp.abs(steps) / flow.step))
     share = jnp.minimum(1.0, 1 / jnp.maximum(size, 1e-300))
@@ -130,7 +131,7 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     steps = jnp.where(slipping_now, jnp.where(slipping[:, None], to_land, 0.0), share * steps)
     moves = jnp.where(slipping_now, 0.0, share * moves)
     longer = jnp.where(resolved, jnp.where(share < 1, 0.7, 1.4), 0.25)
-    # Across their branches bases are held where the flow puts them; along these they follow the contacts. A contact
+    # Across the branches, bases are held where the flow puts them; along the branches, they follow the contacts. A base
     # whose branch is not known yet waits.
     moved = free[:, None] | (_branch_known(flow)[:, None] & (jnp.arange(axes) > 0))
     return flow._replace(
@@ -141,7 +142,7 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
 
 
 def _step_to_landing(flow: Flow, mode: Mode) -> PerWhisker:
-    """Step along the branch of a slipping whisker, towards the base position at which its slip ends."""
+    """Step along the branch of a slipping whisker towards the base position at which its slip ends."""
     by_x = flow.pose_by[:, 0, 0]
     to_land = jnp.clip((flow.landing_x - flow.pose[:, 0]) / _nonzero(by_x), -flow.step, flow.step)
     return jnp.where(flow.sliding & ~on_stable_branch(mode, by_x), flow.step, to_land)
@@ -155,8 +156,8 @@ class _Slip(NamedTuple):
     """Whiskers whose contact ends, begins, or passes a fold in a step of the flow."""
 
     slips: Bool[Array, " whiskers"]  # passes a fold
-    slides: Bool[Array, " whiskers"]  # ... and is not free
-    freed: Bool[Array, " whiskers"]
+    slides: Bool[Array, " whiskers"]  # passes a fold and does not come free
+    freed: Bool[Array, " whiskers"]  # comes free
     begins: Bool[Array, " whiskers"]  # a free whisker touches
     lands: Bool[Array, " whiskers"]  # on the far side
     holds: Bool[Array, " whiskers"]  # on the stable part of its branch
@@ -165,7 +166,7 @@ class _Slip(NamedTuple):
 def _slip(
     problem: Problem, flow: Flow, mode: Mode, z: Contacts, u: Scalar, pose: Poses, at: Stance, by_x: PerWhisker
 ) -> _Slip:
-    """Apply the snap rule."""
+    """Apply the snap rule, points 1 to 3 above."""
     free = mode.phase == Phase.free
     slipping, holds = flow.sliding | flow.landing, on_stable_branch(mode, by_x)
     ends = ~free & ~slipping & (z[:, 0] < -NO_FORCE)
@@ -211,7 +212,7 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
     no_branch = (fresh | slip.freed)[:, None]
     flow = flow._replace(
         pose=pose,
-        # In a phase that has just begun the direction of the branch is not known yet: first its point is solved for.
+        # The direction of the branch in a phase that has just begun is unknown until a point in it has been solved for.
         basis=jnp.where((fresh | turned)[:, None, None], 0.0, newton.condensed.basis),
         pose_by=jnp.where(no_branch[:, :, None], jnp.eye(pose.shape[1]), newton.condensed.pose_by),
         slope=jnp.where(no_branch[:, :, None], 0.0, load_slopes(mode, newton.condensed)),
@@ -222,7 +223,7 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
         landing=(flow.landing & astray) | slip.lands,
         landing_x=landing_x,
         iterations=iterations,
-        # Too many steps, or a far side that ends before the whisker lands.
+        # Too many steps, or the branch on the far side ends before the whisker has landed.
         exhausted=(iterations > ITERATIONS) | missed,
         step=jnp.minimum(2 * flow.step, LARGEST_CHANGE),
         time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
@@ -237,7 +238,7 @@ def shortened(flow: Flow) -> Flow:
 
 
 def at_rest(problem: Problem, flow: Flow, mode: Mode, u: Scalar) -> Bool[Array, ""]:
-    """Whether a stable equilibrium is near enough for Newton's method."""
+    """Whether a stable equilibrium is near enough for Newton's method to take over."""
     free = mode.phase == Phase.free
     known = jnp.all(free | _branch_known(flow))
     slope = jnp.where(free[:, None, None], 0.0, flow.slope)

@@ -1,4 +1,4 @@
-"""Transitions of the march: what follows from the solved end of a step, for each task.
+"""Transitions of the march: the next state after the solved end of a step, for each task.
 
 Each `after_...` function returns the new state, whether a node is to be written, and the node. All cases are computed
 and one is selected, because a batch pays for every branch anyway.
@@ -34,16 +34,16 @@ from jaxwhisker._path.path import (
     margin_rates,
 )
 
-PREDICTION_ERROR = 2e-3  # aimed at; states between nodes are then interpolated to about 1e-6 before they are solved for
+PREDICTION_ERROR = 2e-3  # target; states between nodes are then interpolated to about 1e-6 before they are solved for
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
-FOLD_SLOPE = 1e-9  # du per arc length at which a fold counts as located: the state is then exact to it, u to its square
-FOLD_BRACKET = 1e-9  # or the step within which stability is lost
-NEAR_FOLD = 2e-4  # ... which is enough where no shorter step is solved; u is off by less than its square
-RESOLVED_STEP = 0.02  # within which du/ds is a parabola ...
-PARABOLA_ERROR = 0.25  # ... to a few percent of its change; with a margin
-SHORTEST_DIP = 1e-4  # within which du/ds changes by some 1e-6 at most: folds closer together are overlooked
-ARRIVAL_MISS = 0.1  # a flow ends nearer than this to its equilibrium
+FOLD_SLOPE = 1e-9  # du/ds below which a fold counts as located: the error of the state is of this size, of u its square
+FOLD_BRACKET = 1e-9  # a loss of stability within a step this short counts as located, too
+NEAR_FOLD = 2e-4  # ... or within one this short, if no shorter step can be solved; u is off by less than its square
+RESOLVED_STEP = 0.02  # step within which du/ds is a parabola to a few percent of its change
+PARABOLA_ERROR = 0.25  # assumed error of the parabola's slopes, relative to that change, with a margin
+SHORTEST_DIP = 1e-4  # step within which du/ds changes by about 1e-6 at most: folds closer together are overlooked
+ARRIVAL_MISS = 0.1  # the equilibrium at which a flow ends is nearer than this
 
 
 def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
@@ -55,7 +55,7 @@ def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""
 
 
 def _step_to_fold(turn: Scalar, unstable_at: Scalar, unstable_turn: Scalar, otherwise: Scalar) -> Scalar:
-    """Length of the next step if stability is lost at a known distance: towards the loss, but not as far."""
+    """Length of the next step: if a loss of stability ahead is known, towards it but not beyond."""
     # du/ds is nearly linear towards a fold, so its zero is a secant away; a loss without a fold is bisected.
     share = jnp.where(unstable_turn < 0, turn / (turn - unstable_turn), 0.5)
     inside = unstable_at * jnp.clip(share, 1e-3, 0.999)
@@ -92,7 +92,7 @@ def _moved(state: MarchState, trial: Trial, node: Node) -> MarchState:
 
 
 def _to_snap(state: MarchState) -> MarchState:
-    """The state about to leave an equilibrium that has lost its stability."""
+    """The state that is about to leave an equilibrium that has lost its stability."""
     return state._replace(
         pending=state.pending._replace(
             z_before=state.point.z,
@@ -109,14 +109,14 @@ def _to_snap(state: MarchState) -> MarchState:
 def _may_fold_twice(state: MarchState, trial: Trial) -> tuple[Bool[Array, ""], Scalar]:
     """Whether u may turn back and forth within a step whose ends are stable, and at which share of the step.
 
-    du/ds within the step is a parabola with the values at its ends and the mean of the step. Near a critical stiffness
-    it dips towards zero. Such a dip is traversed in short steps; a dip below zero is a pair of folds.
+    Within the step, du/ds is taken for a parabola with the values at the step's ends and the step's mean. Near a
+    critical stiffness it dips towards zero. Such a dip is passed in short steps; a dip below zero is a pair of folds.
     """
     start, end = state.turn(state.tangent), state.turn(trial.tangent)
     mean = state.direction * (trial.solution.point.u - state.point.u) / state.step
     least, highest = jnp.minimum(start, end), jnp.maximum(start, end)
     slope, bend = 6 * mean - 4 * start - 2 * end, 3 * start + 3 * end - 6 * mean
-    # The lowest value it may have if the slope at either end is wrong by a share of the change.
+    # The lowest value that du/ds may have if the slope at either end is wrong by this much.
     wrong = PARABOLA_ERROR * (highest - least)
     bowl = jnp.where(bend > 0, bend, 1.0)
     steeper, flatter = slope - wrong, slope + 2 * bend + wrong
@@ -129,7 +129,7 @@ def _may_fold_twice(state: MarchState, trial: Trial) -> tuple[Bool[Array, ""], S
 
 
 def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Point):
-    """End of a step along the path: a new node, an event within the step, a loss of stability, or too long a step."""
+    """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
     scale = scale_of(state.point.z)
     error, good = _prediction_error(state, trial, guess, scale)
     violated, target = first_violated(state, trial, state.step)
@@ -155,7 +155,7 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     )
     at_fold = jnp.isfinite(state.unstable_at) & (turn < FOLD_SLOPE)
     new = first_case(
-        # If several whiskers become unstable at once, Newton's method fails beside the fold: this is near enough.
+        # If several whiskers become unstable at once, Newton's method fails close to the fold: this is near enough.
         (too_short & (state.unstable_at < NEAR_FOLD), _to_snap(state)),
         (too_short, state.stopped(Status.lost)),
         (~good, shorter),
@@ -181,14 +181,14 @@ def _prediction_error(state: MarchState, trial: Trial, guess: Point, scale: Cont
 def _onwards(
     problem: Problem, state: MarchState, moved: MarchState, trial: Trial, error: Scalar, scale: Contacts
 ) -> MarchState:
-    """The state after an accepted step, with the length of the next one."""
+    """The state after an accepted step, with the length of the next step."""
     factor = jnp.clip((PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3), 0.3, 2.5)
     all_free = jnp.all(state.mode.phase == Phase.free)
     contacts = trial.tangent._replace(u=jnp.asarray(0.0))
     bending = jnp.sqrt(dot(contacts, contacts, scale))
     longest = jnp.where(all_free, approach_of(problem).longest_step(), LONGEST_STEP / bending)
     left = state.unstable_at - state.step
-    # Stable nevertheless: lengths along a curve do not quite add up, and the loss is further ahead.
+    # The path is still stable there: lengths along a curve do not quite add up, and the loss is further ahead.
     left = jnp.where(left < FOLD_BRACKET, jnp.inf, left)
     bend = Point((trial.tangent.z - state.tangent.z) / state.step, (trial.tangent.u - state.tangent.u) / state.step)
     turn = state.turn(trial.tangent)
@@ -208,7 +208,7 @@ class _Change(NamedTuple):
 
 
 def after_event(problem: Problem, state: MarchState, trial: Trial):
-    """The point where a margin vanishes: change to the mode that holds from here on."""
+    """Handle the point where a margin vanishes: change to the mode that holds from here on."""
     solution, target = trial.solution, state.target
     change = _Change(*(target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE)))
     z_before = jnp.where(change.touches[:, None], state.point.z, solution.point.z)
@@ -240,13 +240,13 @@ def after_event(problem: Problem, state: MarchState, trial: Trial):
 
 
 def _reached(problem: Problem, state: MarchState, trial: Trial, z_before: Contacts) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether the solution is the event aimed at, within the last step, and its distance."""
+    """Whether the solution is the targeted event, within the last step, and its distance."""
     scale = scale_of(state.point.z)
     chord = Point(z_before - state.point.z, trial.solution.point.u - state.point.u)
     distance = dot(state.tangent, chord, scale)
     reach = jnp.sqrt(dot(chord, chord, scale))
     good = trial.solution.converged & (distance > -1e-9) & (reach <= 1.5 * state.step + 1e-9)
-    # Where the margin grows, the path returns from beyond the event, which began earlier.
+    # If the margin grows, the path comes back from beyond the event, and the event itself lies earlier on the path.
     n = state.mode.phase.shape[0]
     rates = jnp.concatenate(margin_rates(problem, state.mode, trial.tangent, trial.tangent_pose))
     rate = rates[: 4 * n].reshape(4, n)[jnp.minimum(state.target.kind, VERTEX)]
@@ -277,17 +277,17 @@ def _event_node(state: MarchState, trial: Trial, change: _Change, z_before: Cont
 
 
 def _arrived(problem: Problem, state: MarchState, trial: Trial, change: _Change, node: Node) -> MarchState:
-    """The state at an event, about to determine where the path leaves."""
+    """The state at an event, before the direction in which the path leaves is determined."""
     kind, scale = state.target.kind, scale_of(state.point.z)
     tip = state.mode.phase == Phase.tip
     lead_z = jnp.zeros_like(node.point.z).at[:, 0].set(change.touches)
     lead_z = lead_z.at[:, 2].set(change.phase * jnp.where(tip, 1.0, -1.0))
-    # Where the mode does not change, the path continues as it arrives.
+    # If the mode does not change, the path continues as it arrives.
     stops = kind == AT_STOP
     smooth = stops | (kind == VERTEX)
     lead_z += jnp.where(smooth, state.tangent.z / scale**2, 0.0)
     lead_u = jnp.where(smooth, state.tangent.u, 0.0)
-    # A whisker is released towards where its contact would have to pull.
+    # A whisker is released in the direction in which its contact would have to pull.
     by_pose, by_u = _pulling(trial.solution.newton.condensed)
     lead_pose = jnp.where(change.released[:, None], by_pose, 0.0)
     lead_u += jnp.sum(jnp.where(change.released, by_u, 0.0))
@@ -306,7 +306,7 @@ def _arrived(problem: Problem, state: MarchState, trial: Trial, change: _Change,
 
 
 def _pulling(at: Condensed) -> tuple[Poses, PerWhisker]:
-    """Weights of the motions of a whisker's base, and of the control, by which the force of its contact falls."""
+    """Decrease of each contact force per motion of the whisker's base, and per change of the control."""
     by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
     force = at.basis[:, 0, :]
     along = force[:, :1] / by_x
@@ -317,7 +317,7 @@ def _pulling(at: Condensed) -> tuple[Poses, PerWhisker]:
 def after_arrive(
     problem: Problem, state: MarchState, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]
 ):
-    """An event's point in its new mode: leave along the path, or fall off it."""
+    """Handle the point of an event in its new mode: leave along the path, or begin a snap."""
     point = trial.solution.point
     stop_kind = state.pending.kind == STOP
     heading = jnp.sign(stops[jnp.minimum(state.goal, last)] - state.point.u)
@@ -347,7 +347,7 @@ def after_arrive(
     falls = (state.turn(tangent) <= 0) | ~trial.stable
     moved = Point(point.z - state.point.z, point.u - state.point.u)
     near = trial.solution.converged & (dot(moved, moved, scale_of(state.point.z)) < ARRIVAL_MISS**2)
-    # Newton's method may have left the flow's mode, or converged to an equilibrium that the flow would not reach.
+    # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
     there = trial.there
     wrong = jnp.any(jnp.stack([there.touch, there.release, there.phase]) < -MARGIN_NOISE)
     early = after_flow & (wrong | falls | ~near)
@@ -368,14 +368,14 @@ def after_arrive(
 def _is_over(
     problem: Problem, state: MarchState, trial: Trial, last: Int[Array, ""], stop_kind: Bool[Array, ""]
 ) -> Bool[Array, ""]:
-    """Whether the march ends here: at the last stop, or on the way to it with the object behind all whiskers."""
+    """Whether the march ends here: at the last stop, or on the way to it after all whiskers have passed the object."""
     last_leg = (state.goal >= last) & (state.direction * problem.motion.onwards > 0) & (state.goal > 0)
     gone = approach_of(problem).is_over(state.mode, trial.stance) & last_leg
     return (stop_kind & (state.goal > last)) | gone
 
 
 def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, solution: Solution):
-    """A step of the overdamped bases."""
+    """Handle a step of the overdamped bases."""
     flow, mode, z = snap_flow.advance(problem, proposed, state.mode, solution)
     rested = snap_flow.at_rest(problem, flow, mode, state.point.u)
     freed = flow.slipped & (mode.phase == Phase.free)

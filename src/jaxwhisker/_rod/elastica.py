@@ -4,8 +4,8 @@ The contact is the origin, and x runs along the object's tangent. At the contact
 along -y; `bend` is the force divided by EI.
 
 Derivatives of a uniform rod's end need only two tangents through the computation, with respect to force and angle: a
-longer rod is the same rod with another piece at its base, and this gives the derivative by the arc length. A reverse
-pass stores twelve numbers. Other rods are differentiated through their integration.
+longer rod is the same rod with another piece at its base, which gives the derivative with respect to the arc length. A
+reverse pass stores twelve numbers. Other rods are differentiated through their integration.
 """
 
 import abc
@@ -28,7 +28,7 @@ End = Float[Array, "4"]  # x, y, cos phi, sin phi at the base
 
 
 class AbstractRod(eqx.Module):
-    """How rods are computed, and to which tolerance the equilibrium is solved."""
+    """Method that computes rods, and tolerance to which equilibria are solved."""
 
     newton_tolerance: float = eqx.field(static=True, default=1e-6, kw_only=True)
     newton_steps: int = eqx.field(static=True, default=8, kw_only=True)
@@ -47,10 +47,13 @@ class AbstractRod(eqx.Module):
             arc: arc length from the base to the contact.
             angle: angle between the rod at the contact and the object, rad.
             section: stiffness and curvature along a rod that is not uniform.
+
+        Returns:
+            Position x, y (lengths) and direction cos phi, sin phi of the rod at its base, shape (4,).
         """
 
     def for_rates(self) -> "AbstractRod":
-        """The method for a user's derivatives; they can be larger than the values and need a smaller relative error."""
+        """Method for derivatives that users take: they can exceed the values and need a smaller relative error."""
         return self
 
 
@@ -59,14 +62,16 @@ class Shooting(AbstractRod):
 
     Args:
         steps: number of steps of equal size. Rods that are not uniform take twice as many, shorter where they are
-            thinner. No status reports too few steps: with the default solver, 8 steps give errors of 1e-9, and of 1e-7
-            for a cone.
-        solver: any diffrax solver; its step-size control is not used. Default: the best `Splitting` of order 6.
-        newton_tolerance: size of the last Newton step. Convergence is quadratic: the error is about its square.
-        newton_steps: largest number of Newton steps; from good predictions, 2 suffice.
+            thinner. No status reports that there are too few steps: with the default solver, 8 steps give errors of
+            1e-9, and of 1e-7 for a cone.
+        solver: any diffrax solver; its step-size control is not used. Default: a `Splitting` of order 6.
+        newton_tolerance: largest size of the last Newton step, dimensionless. Convergence is quadratic: the error is
+            about its square.
+        newton_steps: maximum number of Newton steps; from good predictions, 2 suffice.
 
     Raises:
-        ValueError: if an argument is not of this kind.
+        ValueError: if `steps` or `newton_steps` is not a positive int, `newton_tolerance` is not a float in (0, 1), or
+            `solver` is not a diffrax solver.
 
     Examples:
         >>> accurate = jw.Shooting(steps=12)
@@ -74,7 +79,7 @@ class Shooting(AbstractRod):
         clamped: 1 whisker, parabola q = 0.2, shooting, 12 steps
     """
 
-    steps: int = eqx.field(static=True, default=8)  # base's position to 1e-9 L for the strongest bends
+    steps: int = eqx.field(static=True, default=8)  # error of the base's position 1e-9 L for the strongest bends
     solver: diffrax.AbstractSolver | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
@@ -98,7 +103,7 @@ class Shooting(AbstractRod):
 
 
 class ClosedForm(AbstractRod):
-    """Evaluate Jacobi's elliptic functions; exact to rounding, for uniform straight whiskers only.
+    """Evaluate the rod's closed form in Jacobi's elliptic functions: exact to rounding, but uniform straight rods only.
 
     Let theta be the angle between the rod and the object's tangent, and chi = pi/2 - theta. The rod is a pendulum,
     chi'' = -bend sin(chi), at rest at the contact: sin(chi/2) = k cd(u, k) with u^2 = bend arc^2 and k = sin(chi/2) at
@@ -106,11 +111,12 @@ class ClosedForm(AbstractRod):
     1/2.
 
     Args:
-        newton_tolerance: size of the last Newton step. Convergence is quadratic: the error is about its square.
-        newton_steps: largest number of Newton steps; from good predictions, 2 suffice.
+        newton_tolerance: largest size of the last Newton step, dimensionless. Convergence is quadratic: the error is
+            about its square.
+        newton_steps: maximum number of Newton steps; from good predictions, 2 suffice.
 
     Raises:
-        ValueError: if an argument is not of this kind.
+        ValueError: if `newton_tolerance` is not a float in (0, 1), or `newton_steps` is not a positive int.
 
     Examples:
         >>> print(jw.Scene(jw.Whisker(), jw.Parabola(distance=0.2), rod=jw.ClosedForm()))
@@ -135,7 +141,7 @@ class ClosedForm(AbstractRod):
 
 @partial(jax.custom_jvp, nondiff_argnums=(3, 4))
 def rod_end(bend: Scalar, arc: Scalar, angle: Scalar, method: AbstractRod, for_rates: AbstractRod) -> End:
-    """The rod's end by one method, with derivatives by another."""
+    """End of a uniform rod, computed by `method`; its derivatives are computed by `for_rates`."""
     del for_rates
     return method.end(bend, arc, angle)
 
@@ -161,7 +167,7 @@ def _(method, for_rates, primals, tangents):
 def uneven_rod_end(
     force: Scalar, arc: Scalar, angle: Scalar, section: Section, method: AbstractRod, for_rates: AbstractRod
 ) -> End:
-    """The end of a rod that is not uniform, by one method, with derivatives by another."""
+    """End of a rod that is not uniform, computed by `method`; its derivatives are computed by `for_rates`."""
     del for_rates
     return method.end(force, arc, angle, section)
 

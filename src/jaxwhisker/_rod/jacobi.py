@@ -1,9 +1,9 @@
 """Jacobi's elliptic functions and epsilon function, as functions of the square of their argument.
 
 sn(u)/u, cn(u), dn(u) and eps(u)/u, where eps(u) is the integral of dn^2 from 0 to u, are smooth functions of w = u^2,
-also at and below w = 0. Their power series are evaluated at u / 2^8 and doubled eight times. The doubling formulas
-avoid cancellation: errors are of the size of rounding. There are no branches and no iterations to convergence, and
-derivatives of all orders are those of a few dozen multiplications.
+also at and below w = 0. Their power series are evaluated at u / 2^8, and the argument is then doubled eight times. The
+doubling formulas avoid cancellation: errors are of the order of rounding. There are no branches and no iterations to
+convergence, and derivatives of all orders are those of a few dozen multiplications.
 
 Source: NIST Handbook of Mathematical Functions (2010), 22.6(ii), 22.10(i), 22.16(ii): addition theorems, power series.
 """
@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 
-DOUBLINGS = 8  # for u < 10 the series is evaluated at less than 0.04, where its next term is below rounding
+DOUBLINGS = 8  # for u <= 10 the series is evaluated below 0.04, where its first omitted term is below rounding
 
 
 class Jacobi(NamedTuple):
@@ -31,11 +31,11 @@ class Jacobi(NamedTuple):
 def jacobi(w: Scalar, m: Scalar) -> Jacobi:
     """Jacobi's functions of u = sqrt(w) with modulus sqrt(m); accurate to 1e-14 for w in [0, 100] and m in [0, 1/2].
 
-    A negative w is an imaginary argument. There the functions have poles: sn at the quarter period of modulus
-    sqrt(1 - m).
+    A negative w corresponds to an imaginary argument u. There the functions have poles; the nearest is at the quarter
+    period of modulus sqrt(1 - m).
 
     Args:
-        w: square of the argument.
+        w: square of the argument u.
         m: parameter, the square of the modulus.
     """
     w = w / 4.0**DOUBLINGS

@@ -7,7 +7,7 @@ state is (x, y, cos phi, sin phi), and the right-hand side is a polynomial:
 
 The position changes with the angle only, and the angle with the position only. This suits Runge-Kutta-Nystroem
 splittings: shifts at constant direction alternate with rotations at constant moment. If EI or kappa0 depends on s, then
-s changes with the position.
+s is advanced together with the position.
 """
 
 import dataclasses
@@ -32,10 +32,10 @@ AlongRod: TypeAlias = Scalar | Callable[[Any], Any]  # a number, or a function o
 class Section(eqx.Module):
     """Bending stiffness and intrinsic curvature along a rod that is not uniform, in given units of length and EI."""
 
-    bending_stiffness: AlongRod
-    intrinsic_curvature: AlongRod | None
-    length_unit: Scalar
-    stiffness_unit: Scalar
+    bending_stiffness: AlongRod  # in the scene's units
+    intrinsic_curvature: AlongRod | None  # in the scene's units, 1/length
+    length_unit: Scalar  # in the scene's units
+    stiffness_unit: Scalar  # of EI, in the scene's units
     orientation: Scalar = 1.0  # -1.0 for the mirror image
 
     def stiffness(self, s: Scalar) -> Float[Array, ""]:
@@ -49,19 +49,19 @@ class Section(eqx.Module):
         return self.orientation * at_arc(self.intrinsic_curvature, s * self.length_unit) * self.length_unit
 
     def total_curvature(self, moment: Scalar, s: Scalar) -> Scalar:
-        """Curvature under a moment. A point without stiffness carries no moment and keeps its intrinsic curvature."""
+        """Curvature under a moment; a point without stiffness carries no moment and keeps its intrinsic curvature."""
         stiffness = self.stiffness(s)
         stiff = stiffness > 0
         return jnp.where(stiff, moment / jnp.where(stiff, stiffness, 1.0), 0.0) + self.curvature(s)
 
 
 def at_arc(value: AlongRod, s: Scalar) -> Float[Array, ""]:
-    """The value of a number or a function at an arc length."""
+    """Value at an arc length of a quantity that is given as a number or a function."""
     return jnp.asarray(value(s) if callable(value) else value, dtype=float)
 
 
 class Load(eqx.Module):
-    """Load on the rod beyond the integrated stretch: force (x, y) and moment about the origin; None if absent."""
+    """Load on the rod at and beyond the start of the integration: force, moment about the origin; None if absent."""
 
     force_x: Scalar | None
     force_y: Scalar
@@ -80,7 +80,7 @@ class _RodArgs(eqx.Module):
 
 def moment(x: Scalar | Along, y: Scalar | Along, load: Load) -> Scalar | Along:
     """The internal moment M0 - x Fy + y Fx at (x, y)."""
-    # This is the innermost loop of the package: absent loads cost nothing.
+    # This is evaluated in the innermost loop of the package: absent loads must cost nothing.
     total = -x * load.force_y
     total = total if load.force_x is None else total + y * load.force_x
     return total if load.moment is None else total + load.moment
@@ -112,7 +112,7 @@ def _symmetric(half: list[float], total: float, middle: bool) -> list[float]:
     return [*half, inner, *([] if middle else [inner]), *half[::-1]]
 
 
-# Shifts and rotations of a step by the number of rotations; they alternate and begin with a shift.
+# For each number of rotations: fractions of a step for shifts and rotations, which alternate, starting with a shift.
 _METHODS = {
     6: (
         _symmetric([0.0829844064174052, 0.396309801498368, -0.0390563049223486], total=1.0, middle=True),
@@ -157,9 +157,10 @@ class Splitting(diffrax.AbstractSolver):
             is linear in position; for sections that change along the rod they converge with order 4 only.
 
     Raises:
-        ValueError: if `stages` is another number.
+        ValueError: if `stages` is not 6, 10 or 11.
 
-    Source: Blanes and Moan (2002), J. Comput. Appl. Math. 142, 313, methods SRKN 6 (order 4), S 10 and SRKN 11 (6).
+    Source: Blanes and Moan (2002), J. Comput. Appl. Math. 142, 313, methods SRKN 6 (order 4), S 10 and SRKN 11 (both
+    of order 6).
     """
 
     term_structure: ClassVar = diffrax.ODETerm
@@ -210,7 +211,7 @@ class Splitting(diffrax.AbstractSolver):
 
 
 def default_solver(material: Material) -> Splitting:
-    """The best method of order 6."""
+    """The splitting of order 6 that suits the material: S 10 for a section, otherwise SRKN 11."""
     return Splitting(10 if isinstance(material, Section) else 11)
 
 
@@ -224,10 +225,10 @@ def integrate(
     solver: diffrax.AbstractSolver | None = None,
     from_base: Scalar | None = None,
 ) -> RodState:
-    """State of the rod an arc length `arc` nearer to the base than `start`.
+    """State of the rod at an arc length `arc` from `start` towards the base.
 
-    Steps are constant: an adaptive controller would wait for the slowest element of a batch and add noise to the
-    residual of a Newton solve.
+    The number of steps is fixed: an adaptive controller would wait for the slowest element of a batch and add noise to
+    the residual of a Newton solve.
 
     Args:
         start: state (x, y, cos phi, sin phi) at the loaded point.
@@ -235,14 +236,14 @@ def integrate(
         load: load at the loaded point and beyond.
         material: bending stiffness, or the section of a rod that is not uniform.
         steps: number of steps.
-        solver: any diffrax solver.
-        from_base: arc length from the base to the loaded point; needed for a section.
+        solver: any diffrax solver. Default: `default_solver(material)`.
+        from_base: arc length from the base to the loaded point; required for a section.
     """
     args = _RodArgs(arc, load, material, from_base)
     terms, no = diffrax.ODETerm(_towards_base), jnp.asarray(False)
     solver = solver or default_solver(material)
     if isinstance(solver, diffrax.AbstractRungeKutta) and solver.scan_kind is None:
-        # This loop over stages supports forward derivatives, the only ones taken through a rod.
+        # This loop over stages supports forward derivatives only, and no others are taken through a rod.
         solver = dataclasses.replace(solver, scan_kind="lax")
     start = jax.tree.map(jnp.asarray, start)
 
@@ -261,12 +262,12 @@ def integrate(
     return end
 
 
-THICKEST = 100.0  # largest ratio of thicknesses by which steps are graded
+THICKEST = 100.0  # steps are graded for a ratio of thicknesses of at most this
 
 
 def _graded(times: Float[Array, " times"], first: Scalar, last: Scalar) -> Float[Array, " times"]:
     """Step boundaries such that the thickness of a conical rod changes by the same ratio in each step."""
-    # Thickness is the fourth root of the stiffness. The solution does not depend on the boundaries: no derivative.
+    # Thickness is the fourth root of stiffness. No derivative: the solution does not depend on the boundaries.
     first, last = jax.lax.stop_gradient((first, last))
     ratio = (last / jnp.where(first > 0, first, last)) ** (1 / 4)
     ratio = jnp.where(first > 0, jnp.clip(ratio, 1 / THICKEST, THICKEST), THICKEST)
@@ -285,7 +286,10 @@ def points(
     count: int,
     from_base: Scalar | None = None,
 ) -> tuple[Along, Along, Along, Along]:
-    """States of the rod at `count` equidistant points from `start` towards the base, over the arc length `arc`."""
+    """States x, y, cos phi, sin phi at `count` equidistant points from `start` on, over `arc` towards the base.
+
+    The arguments are those of `integrate`.
+    """
     fractions = np.linspace(0.0, 1.0, count)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_towards_base),

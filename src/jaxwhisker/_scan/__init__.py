@@ -1,1 +1,1 @@
-"""Scans, given loads, results, events, quantities and export."""
+"""Scans, deflections under given loads, results, events, quantities and export."""

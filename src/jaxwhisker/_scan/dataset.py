@@ -41,7 +41,7 @@ SIGNS = (
 
 
 class SceneLayout(NamedTuple):
-    """Everything that the Dataset of a scene depends on except numbers."""
+    """Everything that the Dataset of a scene depends on, except for numbers."""
 
     description: str
     whiskers: int
@@ -52,7 +52,7 @@ class SceneLayout(NamedTuple):
     dimensionless: bool  # the first whisker's length and bending stiffness are 1
 
     def attributes(self, name: str, quantity: Quantity) -> dict[str, Any]:
-        """Long name, units, the meaning of a positive sign and of flags."""
+        """Attributes of a variable: long name, units, and the meaning of a positive sign and of flags."""
         kind = self.control_kind if quantity.kind == CONTROL else quantity.kind
         found: dict[str, Any] = {
             "long_name": quantity.description,
@@ -115,7 +115,7 @@ def scan_dataset(scene: Scene, arrays: Mapping[str, Any]) -> "xr.Dataset":
 
     Args:
         scene: the scene that was scanned.
-        arrays: all quantities of the scan by name.
+        arrays: all quantities of the scan by their names in `QUANTITIES`, in the scene's units.
 
     Raises:
         ImportError: if xarray is missing.
@@ -138,13 +138,13 @@ def scan_dataset(scene: Scene, arrays: Mapping[str, Any]) -> "xr.Dataset":
 
 
 def first_failure(status: np.ndarray) -> np.ndarray:
-    """The first status along the control (the last axis) that is not ok, or ok."""
+    """The first status along the control (the last axis) that is not ok; ok if there is none."""
     first = np.argmax(status != Status.ok, axis=-1)
     return np.take_along_axis(status, first[..., None], axis=-1)[..., 0]
 
 
 def points_in_words(status: np.ndarray) -> str:
-    """How many points are ok, and how many failed with which status."""
+    """Text that says how many points are ok, and how many failed with which status."""
     failed = Counter(int(s) for s in status.ravel() if s != Status.ok)
     counts = [f"{count:,} {Status(s).name}" for s, count in sorted(failed.items(), key=lambda item: (-item[1], item))]
     return "; ".join([f"{status.size - failed.total():,} of {status.size:,} ok", *counts])

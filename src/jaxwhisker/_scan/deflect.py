@@ -1,7 +1,7 @@
 """Deflection of one whisker under given loads: forces and moments at points along it.
 
-The rod is integrated from the outermost load inwards. The direction of the whisker there is the only unknown, and the
-angle of the base is the only equation (Steigenberger 2013).
+The rod is integrated from the outermost load towards the base. The direction of the whisker at that load is the only
+unknown, and the angle of the base is the only equation (Steigenberger 2013).
 """
 
 import equinox as eqx
@@ -21,16 +21,16 @@ from jaxwhisker._path.path import Status
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
-LOAD_STEPS = 32  # from rest to the full load, to follow the branch of solutions that begins at rest
+LOAD_STEPS = 32  # from no load to the full load, to follow the branch of solutions that begins at rest
 STEPS = 32  # of the rod between two loads
-RESIDUAL = 1e-8  # largest error of the base's direction and position, compared with twice the steps
+RESIDUAL = 1e-8  # largest accepted error of the base's angle and position, by comparison with twice as many steps
 CLAMPED = Support.clamped()
 
 
 class Deflection(eqx.Module):
     """A deflected whisker: support reaction, pose of its base, and its shape at arc lengths s from the base.
 
-    All values are NaN unless `status` is `Status.ok`.
+    Values are in the units of the whisker. All of them are NaN unless `status` is `Status.ok`.
 
     Examples:
         >>> bent = jw.deflect(jw.Whisker(), jw.PointForce(1.0))
@@ -38,18 +38,18 @@ class Deflection(eqx.Module):
         True (102,)
     """
 
-    fx: Float[Array, ""]  # support reaction on the whisker, a force
-    fy: Float[Array, ""]
-    mz: Float[Array, ""]  # force times length, counter-clockwise positive
-    base_x: Float[Array, ""]
+    fx: Float[Array, ""]  # support reaction on the whisker: force along +x
+    fy: Float[Array, ""]  # force along +y
+    mz: Float[Array, ""]  # moment, force times length, counter-clockwise positive
+    base_x: Float[Array, ""]  # position of the base, a length
     base_y: Float[Array, ""]
     base_angle: Float[Array, ""]  # to the upright, rad, counter-clockwise positive
     s: Float[Array, " points"]  # arc length from the base
-    x: Float[Array, " points"]
+    x: Float[Array, " points"]  # position, a length
     y: Float[Array, " points"]
-    angle: Float[Array, " points"]  # of the whisker's direction to +x, rad; pi/2 at a clamped base
+    angle: Float[Array, " points"]  # from +x to the whisker's direction, rad; pi/2 at an upright base
     curvature: Float[Array, " points"]  # 1/length, counter-clockwise positive
-    status: Int[Array, ""]
+    status: Int[Array, ""]  # Status.ok, .inexact or .invalid
 
 
 class _Loads(eqx.Module):
@@ -73,9 +73,9 @@ class _Base(eqx.Module):
         return self.rest[2] if self.compliance is None else self.rest[2] + self.compliance[2] * moment
 
     def residual(self, cos: Scalar, sin: Scalar, moment: Scalar) -> Scalar:
-        """Difference between the angle of the base and that of the whisker with this direction at its base."""
+        """Difference between the angle of the base and the whisker's angle for this direction at its base."""
         if self.compliance is None:
-            # Its sine is cheaper. It vanishes for a half turn, too, which the check of the solution detects.
+            # The sine of the difference is cheaper. It also vanishes at a half turn, which the final check detects.
             return cos * jnp.cos(self.rest[2]) + sin * jnp.sin(self.rest[2])
         return self.angle(moment) - jnp.arctan2(-cos, sin)
 
@@ -126,7 +126,7 @@ def _base_of(whisker: Whisker, support: Support) -> _Base:
 
 
 class _Stretch(eqx.Module):
-    """A stretch of the rod between two loads (or load and base), from its outer end."""
+    """A stretch of the rod between two loads, or between a load and the base, seen from its outer end."""
 
     start: rod.RodState
     load: rod.Load
@@ -150,7 +150,7 @@ def _stretches(problem: _Problem, tip_angle: Scalar, factor: Scalar, steps: int)
 
 
 def _with_load(total: rod.Load, loads: _Loads, k: int, state: rod.RodState, factor: Scalar) -> rod.Load:
-    """The load on the rod inside of load k, which acts at this state."""
+    """The load on the rod between load k, which acts at this state, and the base."""
     x, y, cos, sin = state
     angle = loads.direction[k]
     turned_cos = jnp.sin(angle) * cos + jnp.cos(angle) * sin  # of angle + (phi - pi/2)
@@ -171,7 +171,7 @@ def _residual(tip_angle: Scalar, args: tuple[_Problem, Scalar]) -> Scalar:
 
 @eqx.filter_custom_jvp
 def _differentiable(tip_angle: Scalar, problem: _Problem) -> Scalar:
-    """The solved tip angle with its implicit derivatives (see implicit.py)."""
+    """The solved tip angle with its derivatives by the implicit function theorem (see implicit.py)."""
     return without_rule(tip_angle, problem)
 
 
@@ -225,7 +225,7 @@ def _solve(
 
 
 def _error(problem: _Problem, tip_angle: Scalar) -> Float[Array, ""]:
-    """Largest error of the base's angle and position, by comparison with twice the steps."""
+    """Largest error of the base's angle and position, by comparison with twice as many steps."""
 
     def at_base(steps):
         stretches, (x, y, cos, sin) = _stretches(problem, tip_angle, jnp.asarray(1.0), steps)
@@ -248,15 +248,16 @@ def deflect(
         *loads: at least one PointForce or PointMoment, in any order. Their directions refer to the upright whisker at
             rest, also if it is mounted at an angle; a dead load keeps its direction.
         support: support of one whisker, with the drive at (0, 0). Default: a clamp.
-        points: number of points on each stretch between loads; at least 2.
+        points: number of points on each stretch between loads, and between a load and the base; at least 2.
 
     Returns:
-        A Deflection. It is NaN with status `inexact` if the load is too large for the steps (beyond a few hundred
-        EI/L^2), and NaN with status `invalid` if a parameter is out of its domain or a load beyond the tip.
+        A Deflection. Its values are NaN with status `inexact` if the load is too large for the steps (beyond a few
+        hundred EI/L^2), and NaN with status `invalid` if a traced parameter is outside its domain or a traced load is
+        beyond the tip.
 
     Raises:
-        ValueError: if there is no load, a load lies beyond the tip, the support is for several whiskers, or JAX is in
-            float32 mode.
+        ValueError: if an argument has the wrong type, there is no load, a load lies beyond the tip, the support is for
+            several whiskers, `points` is less than 2, or JAX is in float32 mode.
 
     Examples:
         >>> bent = jw.deflect(jw.Whisker(), jw.PointForce(5.0, position=1.0, follower=True))

@@ -1,8 +1,8 @@
 """The elastic energy stored in whiskers and springs.
 
 Along the loaded part of a uniform straight whisker, with unit tangent t and the force F = (-fx, -fy) of the object on
-it, EI kappa' = F x t. Therefore EI kappa^2 / 2 + F . t is constant; at the base, t = t0 and EI kappa = -mz. The
-integral of F . t = F . dr/ds is a difference, and the energy of the whisker is
+it, EI kappa' = F x t. Therefore EI kappa^2 / 2 + F . t is constant; at the base, t = t0 and EI kappa = -mz. Since
+t = dr/ds, the integral of F . t is F . (r1 - r0), and the energy of the whisker is
 
     U = (mz^2 / (2 EI) + F . t0) s1 - F . (r1 - r0),    r0 the base, r1 the contact point, s1 the contact arc.
 
@@ -24,15 +24,15 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.state import State, base_of, outwards
 
-INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; its error falls with their fourth power
+INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; the error falls with the fourth power
 
 
 def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
     """Elastic energy of whiskers and springs; zero where all whiskers are free.
 
-    While the drive moves without a snap, energy is only exchanged with whatever moves. A drive that moves along x does
-    the work dE = sum(fx) du; on other motions it does the work of forces and moments. A moving object does the work of
-    the contact forces, dE = -sum(fx) dx - sum(fy) dy. At a snap, the drop in E is lost.
+    Between snaps, no energy E is lost: it is exchanged with the drive and with a moving object. A drive that moves
+    along x does the work dE = sum(fx) du; on other motions, forces and moments of the drive do work. A moving object
+    does the work of the contact forces, dE = -sum(fx) dx - sum(fy) dy. At a snap, the drop in E is lost.
 
     Springs that strain each other at rest (a loop whose rest lengths do not add up) store a constant energy, which is
     not included.
@@ -42,7 +42,7 @@ def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
         state: the Result of its scan, or the states `before` or `after` its events; NaN gives NaN.
 
     Returns:
-        Energy in force times length, one value per step.
+        Energy, force times length, shape (steps,): one value per step or event.
 
     Raises:
         ValueError: if an argument has the wrong type.
@@ -69,7 +69,7 @@ def _loads(scene: Scene, state: State, flexibility: Flexibility) -> Float[Array,
     """Loads on the bases in the drive's frame, in the order of the flexibility's rows."""
     turned, n = jnp.asarray(0.0), scene.support.whiskers
     if not isinstance(scene.motion, Translation):
-        # The angle of the drive is that of the base without its mount and the deflection of its torsion springs.
+        # The angle of the drive is that of the base minus those of its mount and of its torsion springs.
         turned = state.base_angle - jnp.stack([jnp.asarray(m.angle, dtype=float) for m in scene.support.mounts])
         if flexibility.offset.size > n:
             yields, rest = jnp.reshape(flexibility.matrix, (n, 3, n, 3))[:, 2, :, 2], flexibility.offset[2::3]

@@ -24,14 +24,14 @@ def columns(result: Result) -> dict[str, np.ndarray]:
 
 
 def to_dataframe(result: Result) -> "pd.DataFrame":
-    """The signals of a scan as a pandas DataFrame with one row per step, in the scene's own units.
+    """Return the signals of a scan as a pandas DataFrame with one row per step, in the scene's own units.
 
     Columns: control; fx_1, fy_1, mz_1, base_x_1, base_y_1, base_angle_1, contact_force_1, contact_slope_1,
     contact_arc_1, contact_x_1, contact_y_1 and the same for further whiskers; spring_1, ...; phase_1, ... (0 free,
     1 tip, 2 tangential); status (0 ok). `identify` and `reconstruct` read such tables. Failed steps are NaN.
 
     Args:
-        result: what `scan` returned.
+        result: the Result of a scan.
 
     Raises:
         ValueError: if `result` is not the result of a single scan.
@@ -45,13 +45,13 @@ def to_dataframe(result: Result) -> "pd.DataFrame":
 
 
 def to_csv(result: Result, path: str | Path) -> None:
-    """Write the signals of a scan to a CSV file with one row per step, with all digits, in the scene's own units.
+    """Write the signals of a scan to a CSV file with one row per step, in full precision and the scene's own units.
 
     A comment line, `# ...`, precedes the columns, which are those of `to_dataframe`. `identify` and `reconstruct` read
     such files.
 
     Args:
-        result: what `scan` returned.
+        result: the Result of a scan.
         path: path of the file; an existing file is overwritten.
 
     Raises:

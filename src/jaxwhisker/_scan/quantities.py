@@ -1,4 +1,4 @@
-"""Quantities: the one table of names, symbols, units, axes and signs of everything that a scan returns.
+"""Quantities: the single table of names, symbols, units, axes and signs of everything that a scan returns.
 
 Results, datasets, CSV headers, axis labels, printed tables and the reference pages all read this table.
 """
@@ -24,9 +24,7 @@ KINDS = {
     "angle": (0, 0),
     "number": (0, 0),
 }
-CONTROL = (
-    "control"  # the kind of everything measured along the control: a length, angle or number, as the motion has it
-)
+CONTROL = "control"  # kind of drive positions: a length, an angle or a number, depending on the motion
 
 
 class Quantity(NamedTuple):
@@ -34,15 +32,15 @@ class Quantity(NamedTuple):
 
     description: str
     symbol: str  # LaTeX
-    kind: str  # of KINDS, or CONTROL
+    kind: str  # a key of KINDS, or CONTROL
     axes: tuple[str, ...]
-    sign: str = ""  # what a positive value means, where that is not obvious
+    sign: str = ""  # meaning of a positive value, unless it is obvious
     dtype: str = "float64"
-    per: str = "number"  # of a derivative: the kind of the parameter
+    per: str = "number"  # for a derivative, the kind of the parameter
 
     @property
     def fill(self) -> float | int | bool:
-        """The value where nothing is known."""
+        """The value that marks missing data."""
         return {"f": np.nan, "i": -1, "b": False}[np.dtype(self.dtype).kind]
 
 
@@ -83,14 +81,12 @@ QUANTITIES = (
     }
 )
 REACTIONS = ("fx", "fy", "mz")
-DRAWN = (
-    *(name for name in STATE if name != "phase"),
-    "spring_length",
-)  # quantities that can be plotted over the control
+# Quantities that can be plotted against the control.
+DRAWN = (*(name for name in STATE if name != "phase"), "spring_length")
 
 
 def kind_of(name: str, scene: Scene) -> str:
-    """The kind of a quantity of a scene; along the control, a length, angle or number."""
+    """The kind of a quantity of a scene; for a drive position, a length, angle or number."""
     kind = QUANTITIES[name].kind
     return control_kind(scene) if kind == CONTROL else kind
 
@@ -103,12 +99,12 @@ def control_kind(scene: Scene) -> str:
 
 
 def control_name(scene: Scene) -> str:
-    """What the control of a scene is called."""
+    """Name of the control of a scene."""
     return {"length": "drive position", "angle": "angle of the drive", "number": "control"}[control_kind(scene)]
 
 
 def is_dimensionless(scene: Scene) -> bool:
-    """Whether the first whisker has length 1 and, at its base, bending stiffness 1; others are shown in SI units."""
+    """Whether the first whisker has length 1 and bending stiffness 1 at its base; other scenes are shown in SI."""
     first = scene.whiskers[0]
     values = (first.length, first.base_stiffness)
     return not any(is_traced(value) or np.any(np.asarray(value) != 1.0) for value in values)
@@ -128,7 +124,7 @@ def check_units(units: Any) -> None:
     """Check the name of a system of units.
 
     Raises:
-        ValueError: if it is none of `UNITS`.
+        ValueError: if it is not one of `UNITS`.
     """
     if units not in UNITS:
         raise ValueError(f"`units` must be one of {', '.join(UNITS)}, got {units!r}.")
@@ -142,10 +138,10 @@ class UnitSystem:
 
     Args:
         scene: a concrete scene.
-        units: "dimensionless" divides by L, EI/L^2 and EI/L of the first whisker; "SI" takes the scene's numbers for SI
-            units and adds prefixes of the scene's size (mm, mN, mN mm); "auto" is "dimensionless" for a whisker with
-            L = EI = 1, else "SI".
-        prefixes_of: the scene whose size decides the prefixes; by default `scene`.
+        units: "dimensionless" divides by L, EI/L^2 and EI/L of the first whisker; "SI" takes the scene's numbers to be
+            in SI units and adds prefixes that suit the scene's size (mm, mN, mN mm); "auto" is "dimensionless" for a
+            whisker with L = EI = 1, else "SI".
+        prefixes_of: the scene whose size decides the prefixes. Default: `scene`.
 
     Raises:
         ValueError: if `units` is none of these.
@@ -159,7 +155,7 @@ class UnitSystem:
         self._prefixed = self._own if prefixes_of is None else units_of_scene(prefixes_of)
 
     def unit(self, name: str) -> Unit:
-        """The unit of a quantity by its name."""
+        """The unit of the quantity with this name."""
         return self.of_kind(kind_of(name, self.scene))
 
     def of_kind(self, kind: str) -> Unit:
@@ -186,7 +182,7 @@ class UnitSystem:
         return np.asarray(values / self.unit(name).size)
 
     def scale(self, kind: str) -> float:
-        """The number that is shown for L, EI/L^2, EI/L, ... of the scene: 1 if dimensionless."""
+        """The number that is shown for L, EI/L^2, EI/L and the like of the scene: 1 if dimensionless."""
         return 1.0 if kind in ("angle", "number") else _natural(self._own, kind) / self.of_kind(kind).size
 
     def label(self, name: str) -> str:
@@ -197,7 +193,7 @@ class UnitSystem:
         return self.label_of(QUANTITIES[name].symbol, kind)
 
     def label_of(self, symbol: str, kind: str) -> str:
-        """Any symbol with the unit of a kind of quantity, for an axis."""
+        """A symbol with the unit of a kind of quantity, for an axis."""
         if self.dimensionless:
             return dimensionless_label(symbol, kind)
         unit = self.of_kind(kind).name
@@ -205,17 +201,17 @@ class UnitSystem:
 
 
 def dimensionless_label(symbol: str, kind: str) -> str:
-    """A symbol divided by the unit that L and EI make for this kind of quantity, for an axis."""
+    """A symbol made dimensionless with L and EI, for an axis."""
     return f"${symbol}{_SCALED.get(kind, '')}$" + " (rad)" * (kind == "angle")
 
 
 def _natural(sizes: Units, kind: str) -> float:
-    """The unit of a kind of quantity that is made of L and EI of the first whisker."""
+    """The natural unit of a kind of quantity, formed from L and EI of the first whisker, in the scene's units."""
     force, length = KINDS[kind]
     return float(sizes.force) ** force * float(sizes.length) ** length
 
 
-# How a symbol is made dimensionless.
+# Factors that make a symbol dimensionless.
 _SCALED = {
     "length": "/L",
     "force": r"\,L^2/EI",
@@ -227,7 +223,7 @@ _SCALED = {
 
 
 def with_prefix(base: str, size: float) -> Unit:
-    """The unit, with a prefix, in which a value of this size has one to three digits before the point."""
+    """The unit, with a prefix, in which a value of this size has one to three digits before the decimal point."""
     decade = min(max(3 * math.floor(math.log10(size) / 3), min(_PREFIXES)), max(_PREFIXES))
     return Unit(_PREFIXES[decade] + base, 10.0**decade)
 

@@ -14,11 +14,11 @@ from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, kind_of, unit_in_
 from jaxwhisker._scan.result import Result
 
 NOISE = 1e-9  # relative to the unit; smaller numbers are printed as zero
-LEAST_DECIMALS, MOST_DECIMALS = -1, 9  # of six significant digits; beyond that, numbers are printed in powers of ten
+LEAST_DECIMALS, MOST_DECIMALS = -1, 9  # decimals of six significant digits; outside, numbers get powers of ten
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Aligned columns: words on the left, numbers on the right."""
+    """Text in aligned columns: words are aligned on the left, numbers on the right."""
     columns = list(zip(header, *rows, strict=True))
     widths = [max(map(len, column)) for column in columns]
     numeric = [all(_is_number(cell) for cell in column[1:]) for column in columns]
@@ -39,7 +39,7 @@ def _is_number(cell: str) -> bool:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """A number with this many decimals and without a minus sign before zero."""
+    """Format a number with this many decimals and without a minus sign before zero."""
     rounds_to_zero = abs(value) < 0.5 * 10.0**-digits
     return f"{0.0 if rounds_to_zero else value:.{digits}f}"
 
@@ -58,7 +58,7 @@ class _Printed:
         return f"{name} ({unit})" if unit not in ("", "1") else name
 
     def cell(self, name: str, value: float) -> str:
-        """Six significant digits of L, EI/L^2 or EI/L; one more for the control, because events are more accurate."""
+        """Six significant digits relative to L, EI/L^2 or EI/L; one more for the control, which is more accurate."""
         kind, own, shown = kind_of(name, self._scene), natural_units(self._scene), self._system.unit(name)
         size = own.control if name == "control" else getattr(own, kind)
         ratio = float(size) / shown.size
@@ -70,11 +70,16 @@ class _Printed:
 
 
 def event_table(result: Result, units: str = "auto") -> str:
-    """One row per event and whisker, and for a snap one before it and one after it; says how many events are missing.
+    """Table of events: one row per event and whisker; for a snap, one row before it and one after it.
+
+    A last line says how many events did not fit into the result.
 
     Args:
-        result: of `scan`.
+        result: the Result of a single scan.
         units: "auto", "SI" or "dimensionless".
+
+    Raises:
+        ValueError: if `units` is none of these.
     """
     printed = _Printed(result.scene, units)
     names = ("base_x", *REACTIONS)
@@ -95,11 +100,14 @@ def event_table(result: Result, units: str = "auto") -> str:
 
 
 def peak_table(result: Result, units: str = "auto") -> str:
-    """One row per whisker and reaction with its extremes and the drive positions at which they occur.
+    """Table of extremes: one row per whisker and reaction, with the drive positions at which the extremes occur.
 
     Args:
-        result: of `scan`.
+        result: the Result of a single scan.
         units: "auto", "SI" or "dimensionless".
+
+    Raises:
+        ValueError: if `units` is none of these.
     """
     printed = _Printed(result.scene, units)
     control, place = np.asarray(result.control), f"at {printed.heading('control')}"
@@ -113,7 +121,7 @@ def peak_table(result: Result, units: str = "auto") -> str:
                     row += ["-", "-"]
                     continue
                 step = pick(column)
-                # Zero is the value of every free whisker, so its position has no meaning.
+                # Every free whisker has the value zero, so the position of a zero has no meaning.
                 at = printed.cell("control", float(control[step])) if column[step] != 0 else "-"
                 row += [printed.cell(name, float(column[step])), at]
             rows.append(row)

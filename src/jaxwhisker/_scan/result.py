@@ -1,4 +1,4 @@
-"""Results of a scan: states over the control, and the events."""
+"""Results of a scan: states at the positions of the control, and events."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,9 +23,9 @@ class Event(NamedTuple):
     """One event of a scan."""
 
     kind: EventKind
-    whiskers: tuple[int, ...]  # numbered from 1; of a snap, those that slipped off their branch
-    control: float
-    before: State
+    whiskers: tuple[int, ...]  # numbered from 1; for a snap, those that slipped off their branch
+    control: float  # drive position, in the unit of the control
+    before: State  # fields (whiskers,)
     after: State  # differs from `before` at a snap
 
     @property
@@ -46,14 +46,17 @@ class Event(NamedTuple):
 class Events(eqx.Module):
     """The events of a scan in order: arrays of fixed size, of which the first `count` are filled.
 
-    Iteration (outside jit and vmap) yields one `Event` each. A scan may have more events than there is room for:
-    `count` includes them, and `truncated` says so.
+    Iteration and indexing (outside jit and vmap) yield `Event` objects. A scan may have more events than there is room
+    for: `count` includes them, and `truncated` is then True.
+
+    Raises:
+        TypeError: on iteration, indexing or `len`, if these are the events of a batch of scans.
     """
 
     kind: Int[Array, " events"]  # EventKind; -1 beyond count
-    whiskers: Bool[Array, "events whiskers"]
-    control: Float[Array, " events"]  # NaN beyond count
-    travel: Float[Array, " events"]  # way of the drive since the first step; no derivatives
+    whiskers: Bool[Array, "events whiskers"]  # those that the event concerns
+    control: Float[Array, " events"]  # drive position; NaN beyond count
+    travel: Float[Array, " events"]  # distance that the drive has travelled since the first step; no derivatives
     before: State  # fields (events, whiskers)
     after: State
     count: Int[Array, ""]
@@ -84,7 +87,6 @@ class Events(eqx.Module):
 
         Raises:
             ValueError: if `kind` is not an EventKind, or there is no such whisker.
-
         """
         if not isinstance(kind, EventKind):
             raise ValueError(f"`kind` must be an EventKind, such as EventKind.touch, got {kind!r}.")
@@ -100,14 +102,14 @@ class Result(State):
     A step whose status is not `Status.ok` holds NaN; its phase is `free`.
     """
 
-    control: Float[Array, " steps"]  # drive position u, a length; for a rotation its angle, rad
-    spring_length: Float[Array, "steps springs"]  # x_second - x_first of every spring, or y, or angle
+    control: Float[Array, " steps"]  # drive position u: a length; for a Rotation, an angle in rad
+    spring_length: Float[Array, "steps springs"]  # x (y, angle) of the spring's second end minus that of its first
     status: Int[Array, " steps"]  # Status.ok, or the reason for failure
     events: Events
     scene: Scene
 
     def to_xarray(self) -> "xr.Dataset":
-        """The scan as a Dataset: dimensions `control`, `whisker`, `spring` and `event`, with units and long names.
+        """Return the scan as a Dataset with dimensions `control`, `whisker`, `spring` and `event`, units and names.
 
         Its variables are those of a `study` with `outputs="all"`.
 

@@ -1,4 +1,4 @@
-"""The route of the drive: its positions, how far it has travelled, and where it turns."""
+"""The route of the drive: its positions, the distance travelled, and the turning points."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ class Route(NamedTuple):
     """Drive positions of a scan, in the unit of the control."""
 
     control: Float[Array, " steps"] | Float[np.ndarray, " steps"]
-    travel: Float[Array, " steps"] | Float[np.ndarray, " steps"]  # length of the way since the first position
+    travel: Float[Array, " steps"] | Float[np.ndarray, " steps"]  # distance travelled since the first position
     stops: Float[Array, " stops"] | Float[np.ndarray, " stops"]  # first position, turning points, last one; padded
     last: Int[Array, ""] | int  # index of the last stop
 
@@ -38,9 +38,12 @@ def straight(control: Float[Array, " steps"]) -> Route:
 
 
 def traced_route(control: Float[Array, " steps"]) -> tuple[Route, Int[Array, ""]]:
-    """The route through traced positions, and its status: `invalid` where one is not finite, or `too_long`."""
+    """The route through traced positions, and its status.
+
+    The status is `invalid` if a position is not finite, `too_long` if there are too many turning points, or `ok`.
+    """
     moves = jnp.sign(jnp.diff(control))
-    # A turn is a move with the other sign than the last one; while the drive stands still, the last sign is carried on.
+    # A move turns if its sign differs from that of the move before; while the drive stands still, the sign is kept.
     carried = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
     turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
     turns = turns[-control.size :].at[0].set(True)
@@ -51,7 +54,7 @@ def traced_route(control: Float[Array, " steps"]) -> tuple[Route, Int[Array, ""]
 
 
 def across() -> tuple[Float[np.ndarray, "2"], int]:
-    """Stops, and the index of the last, of a route right across the object: its ends are not known yet."""
+    """Stops (NaN, because they are not known yet) of a route right across the object, and the index of the last."""
     return np.full(2, np.nan), 1
 
 

@@ -1,8 +1,9 @@
 """The scan: drag whiskers past an object, quasi-statically, and read the signals at their bases.
 
-A scan has two parts. The march follows the path of equilibria from free to the end of the control, with steps of its
-own, and finds all events: stability, snaps and where they end do not depend on the caller's grid. Then the equilibrium
-at every control position is solved for, starting from the path's interpolation, all positions at once.
+A scan has two parts. The march follows the path of equilibria from where all whiskers are free to the end of the
+control. It chooses its steps itself and finds all events: stability, snaps and the states after them do not depend on
+the caller's grid. Then the equilibria at all control positions are solved for in batches, starting from the path's
+interpolation.
 
 Both parts are programs of the dimensionless problem, compiled once per problem shape.
 """
@@ -29,7 +30,7 @@ from jaxwhisker._scan.signals import events
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps
 
-STEP = 0.001  # of the default control, in lengths of the first whisker
+STEP = 0.001  # of the default control, dimensionless: in lengths of the first whisker if the drive moves along x
 MOST_STEPS = 1_000_000  # of the default control
 TRACED_STEPS = 2048  # of the default control of a traced scene, whose length must not depend on values
 BLOCK = 512  # steps computed by one call; a control is padded to a multiple
@@ -42,24 +43,26 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
         scene: whiskers, object and support.
         control: drive positions u, shape (steps,): lengths, or angles in rad for a Rotation; arbitrarily spaced; may
             reverse direction. The drive approaches control[0] from where all whiskers are free (the right of the
-            object, or the start of its motion) and then visits the positions in order. Default: from just before the
-            first touch to just after the last whisker is free, or to the end of the motion, in steps of 0.001 whisker
-            lengths or rad. While the scene is traced, the default has 2048 equal steps over the same range.
+            object, the left for `Translation(direction=1)`, or the start of a bounded motion) and then visits the
+            positions in order. Default: from just before the first touch to just after the last whisker is free, or to
+            the end of the motion, in steps of 0.001 whisker lengths, of 0.001 rad for a Rotation, or of 0.001 times the
+            range of a Motion. While the scene is traced, the default has 2048 equally spaced positions over the same
+            range.
 
     Returns:
-        A Result. A step that fails is NaN and has a status (`invalid`: a parameter is outside its domain; `lost`,
-        `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`).
+        A Result. The values of a step that fails are NaN, and its status says why (`invalid`: a parameter is outside
+        its domain; `lost`, `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`: see `Status`).
 
     Raises:
-        ValueError: if an argument is wrong before tracing, if the default control would have more than a million steps
+        ValueError: if a concrete argument is invalid, if the default control would have more than a million steps
             (springs so soft that the drive travels a thousand lengths), if a whisker is so curved that it would touch
             in two places, or if JAX is in float32 mode.
 
     `scan` works under jax.jit and jax.vmap. Signals, states and event positions have first and second derivatives, in
     both modes, with respect to every numeric field of the scene and to the control. Derivatives are taken at fixed
-    control along the step's own branch; exactly at a change of phase they are those of the phase that begins. Steps
-    that failed or are free have derivative 0. Inside your own lax.map or lax.scan, jax.hessian returns NaN with jax
-    0.10; use vmap, or jacfwd of jacfwd.
+    control along the step's own branch; exactly at a change of phase they are those of the phase that begins. Reactions
+    of failed steps and of free whiskers have derivative 0. Inside your own lax.map or lax.scan, jax.hessian returns NaN
+    with jax 0.10; use vmap, or jacfwd of jacfwd.
     """
     checks.float64_mode()
     if not isinstance(scene, Scene):
@@ -77,7 +80,7 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     path = follow_path_now(problem, jnp.asarray(stops), jnp.asarray(last))
     if route is None:
         route = route_of(_default_control(scene, path))
-    # Blocks of one size: one program serves scans of every length.
+    # All blocks have one size, which lets one program serve scans of every length.
     count, room = route.control.size, -route.control.size % BLOCK
     padded = (np.pad(values, (0, room), mode="edge").reshape(-1, BLOCK) for values in (route.control, route.travel))
     blocks = [solve_steps_now(problem, path.path, jnp.asarray(u), jnp.asarray(s)) for u, s in zip(*padded, strict=True)]
@@ -112,7 +115,7 @@ def _default_control(scene: Scene, path: "ScanPath") -> np.ndarray:
 
 
 def _check_valid(scene: Scene, problem: Problem) -> None:
-    """Raise an error for what the constructors cannot check without tracing."""
+    """Raise an error for invalid values that the constructors do not detect."""
     if bool(problem.valid):
         return
     if not bool(scene.profile.valid()):
@@ -128,7 +131,7 @@ def _check_valid(scene: Scene, problem: Problem) -> None:
 
 
 class ScanPath(NamedTuple):
-    """A path, its events, and the range of control in which they lie."""
+    """A path, its events, and the range of the control in which whiskers touch the object."""
 
     path: Path
     events: Events
@@ -137,12 +140,12 @@ class ScanPath(NamedTuple):
 
 
 def _capacity(problem: Problem, stops: int) -> int:
-    """How many nodes the path to this many stops may have."""
+    """Largest number of nodes on a path to this many stops."""
     return (256 + 64 * problem.length.shape[0]) * max(1, stops // 2)
 
 
 def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:
-    """March to all stops, in the scene's units; right across the object if the first one is NaN."""
+    """March to all stops, given in the scene's units; right across the object if the first one is NaN."""
     unit, approach = problem.unit, approach_of(problem)
     limits, whole = approach.limits(), jnp.isnan(stops[0])
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
@@ -167,12 +170,12 @@ class TracedScan:
     def signals(
         self, control: Float[Array, " steps"], travel: Float[Array, " steps"]
     ) -> tuple[Float[Array, "steps whiskers 3"], Bool[Array, " steps"]]:
-        """Reactions fx, fy, mz at controls that the drive passes after `travel`, and whether they are ok."""
+        """Reactions fx, fy, mz at controls that the drive passes after travelling `travel`, and whether they are ok."""
         state, status = solve_steps(self.problem, self._path.path, control, travel)
         return jnp.stack([state.fx, state.fy, state.mz], axis=-1), status == Status.ok
 
     def result(self, route: Route, status: Int[Array, ""] | None = None) -> Result:
-        """The result along a route to these stops; the status of the route, if given, precedes that of the path."""
+        """The result along a route to these stops; a status of the route, if not ok, replaces that of the path."""
         path, count = self._path.path, self._path.path.count
         if status is not None:
             good = status == Status.ok
@@ -188,7 +191,7 @@ def scan_route(scene: Scene, route: Route) -> Result:
 
 
 def scan_across(scene: Scene, steps: int) -> Result:
-    """Scan a traced scene right across the object, in equal steps over the range of its default control."""
+    """Scan a traced scene right across the object, at equidistant positions over the range of its default control."""
     traced = TracedScan(scene, *map(jnp.asarray, across()))
     start, stop = jax.lax.stop_gradient((traced.start, traced.stop))  # derivatives are taken at fixed positions
     return traced.result(straight(start + (stop - start) * jnp.linspace(0.0, 1.0, steps)))
@@ -210,7 +213,7 @@ def _scan_traced(scene: Scene, control: Control | None) -> Result:
 
 
 def _spring_length(scene: Scene, state: State, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
-    """Lengths of the springs, in the drive's frame."""
+    """Lengths of the springs (angles of torsion springs), in the drive's frame."""
     if moves_along_x(scene):
         return scene.support.spring_length((state.base_x - control[:, None])[:, :, None])
     x, y, angle = jax.tree.map(lambda leaf: leaf[:, None], jax.vmap(scene.motion.pose)(control))
@@ -250,7 +253,7 @@ _COMPILED: set[tuple] = set()
 
 
 def _compile(problem: Problem, stops: int) -> None:
-    """Compile the march and the steps for a problem shape at the same time: one compiler alone leaves a core idle."""
+    """Compile the march and the steps for a problem shape at the same time; one compiler alone leaves a core idle."""
     leaves, structure = jax.tree.flatten(problem)
     shape = (stops, structure, *((leaf.shape, leaf.dtype) if checks.is_numeric(leaf) else leaf for leaf in leaves))
     if shape in _COMPILED:

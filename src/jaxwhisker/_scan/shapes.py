@@ -19,31 +19,32 @@ from jaxwhisker._scan.state import State, base_of, material, outwards
 
 
 class Shapes(eqx.Module):
-    """Centre lines of whiskers: along the last axis from base to contact at equal arc lengths, then the tip.
+    """Centre lines of whiskers: along the last axis, equidistant points from base to contact, then the tip.
 
-    For curved whiskers, half of the points lie between contact and tip.
+    For whiskers with intrinsic curvature, half of the points lie between contact and tip. Steps that failed are NaN.
     """
 
-    x: Float[Array, "*at whiskers points"]
+    x: Float[Array, "*at whiskers points"]  # a length
     y: Float[Array, "*at whiskers points"]
 
 
 def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Shapes:
     """Centre lines of all whiskers at the scan steps nearest to given drive positions.
 
-    They are integrated from the bases outwards under the scan's reactions.
+    They are integrated from the bases to the tips under the scan's reactions.
 
     Args:
-        result: a scan.
-        at: drive positions, shape (positions,), in the unit of the control. A position that the drive passes several
-            times refers to the first time. Default: every step.
+        result: the Result of a scan.
+        at: drive positions, shape (positions,), in the unit of the control. If the drive passes a position several
+            times, the first pass counts. Default: every step.
         points: number of points per whisker, at least 3.
 
     Returns:
         Shapes, with arrays of shape (positions, whiskers, points).
 
     Raises:
-        ValueError: if `at` is not a one-dimensional array of finite numbers, or `points` is below 3.
+        ValueError: if `result` is not a Result, `at` is not a non-empty one-dimensional array of finite numbers, or
+            `points` is less than 3.
     """
     checks.instance("result", result, Result, "the Result of a scan")
     checks.count("points", points, least=3)
@@ -77,7 +78,7 @@ def _line(
     arc = jnp.where(free, whisker.length, arc)
     loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
     x, y, cos, sin = outwards(whisker, base, fx, fy, mz, arc, count=loaded)
-    # Beyond the contact the whisker is unloaded: a straight line, for which one more point suffices, or curved.
+    # Beyond the contact the whisker is unloaded. If it is straight there, one more point suffices.
     end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
     tip_x, tip_y, _, _ = rod.points(
         end, arc - whisker.length, nothing, material(whisker), count=points - loaded + 1, from_base=arc

@@ -46,7 +46,7 @@ def _residual(
 ) -> Scalar:
     """Largest residual of any equation or inequality of the touching whiskers."""
     touching = mode.phase != Phase.free
-    # Coordinates that are not part of the network have to be zero.
+    # Coordinates that are not part of the network must be zero.
     apart = pose - jnp.concatenate([wanted, jnp.zeros((touching.size, 3 - problem.axes))], axis=1)
     apart = apart.at[:, 0].divide(1 + jnp.abs(u))
     equalities = [*apart.T, *problem.further_residuals(base, here)]
@@ -79,7 +79,7 @@ def _state(problem: Problem, z: Contacts, mode: Mode, base: Base, arc: PerWhiske
 
 
 def _event_row(node: Node) -> Row:
-    """The equation that defines a node's event; the control for a node without event."""
+    """The equation that defines a node's event; for a node without an event, its control is given."""
     kind = node.kind
     return at_event(
         node.whiskers,
@@ -93,7 +93,7 @@ def _event_row(node: Node) -> Row:
 
 
 def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tuple[Point, Mode], tuple[Point, Mode]]:
-    """Both sides of an event. A snap happens at the node before it, which is a fold or another event."""
+    """Points and modes before and after an event. A snap starts at the node before its own: a fold or another event."""
     snap = node.kind >= EventKind.snap_through
     at = jax.tree.map(lambda a, b: jnp.where(snap, a, b), previous, node)
     no = jnp.asarray(False)
@@ -118,7 +118,7 @@ def _placeholder(node: Node) -> Node:
 
 
 def events(problem: Problem, path: Path) -> Events:
-    """The public events among the nodes: those after the drive has reached the first position of the control."""
+    """The events among the nodes from where the drive has reached the first position of the control."""
     nodes = path.nodes
     room, n = nodes.phase.shape
     index = jnp.arange(room)
@@ -136,7 +136,7 @@ def events(problem: Problem, path: Path) -> Events:
         for back in (0, 1)
     )
     sides = jax.vmap(partial(_before_and_after, problem))(node, previous)
-    # Both sides in one batch: the rods are compiled once.
+    # With both sides in one batch, the rods are compiled only once.
     both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides)
     states, _ = jax.vmap(lambda point, mode: signals(problem, point.z, point.u, mode))(*both)
     before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)

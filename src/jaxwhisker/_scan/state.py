@@ -11,21 +11,21 @@ from jaxwhisker._rod import rod
 
 
 class State(eqx.Module):
-    """Whiskers in equilibrium; every field has shape (whiskers,) and is in the scene's units.
+    """Whiskers in equilibrium, in the scene's units; every field has shape (whiskers,), in a Result (steps, whiskers).
 
     The reactions and all contact fields of a free whisker are zero.
     """
 
     base_x: Float[Array, "*steps whiskers"]  # position of the base, a length
     base_y: Float[Array, "*steps whiskers"]
-    base_angle: Float[Array, "*steps whiskers"]  # at the base, to the upright, rad, counter-clockwise
-    fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along x
-    fy: Float[Array, "*steps whiskers"]  # force along y
+    base_angle: Float[Array, "*steps whiskers"]  # angle of the base to the upright, rad, counter-clockwise positive
+    fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along +x
+    fy: Float[Array, "*steps whiskers"]  # force along +y
     mz: Float[Array, "*steps whiskers"]  # moment, counter-clockwise positive
-    contact_force: Float[Array, "*steps whiskers"]  # f >= 0
-    contact_slope: Float[Array, "*steps whiskers"]  # alpha of the object at the contact, rad
+    contact_force: Float[Array, "*steps whiskers"]  # f >= 0, a force
+    contact_slope: Float[Array, "*steps whiskers"]  # slope angle alpha of the object, rad, positive: rises towards +x
     contact_arc: Float[Array, "*steps whiskers"]  # arc length from base to contact
-    contact_x: Float[Array, "*steps whiskers"]
+    contact_x: Float[Array, "*steps whiskers"]  # contact point, a length
     contact_y: Float[Array, "*steps whiskers"]
     phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
 
@@ -39,7 +39,7 @@ def outwards(
     whisker: Whisker, base: Pose, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, *, count: int
 ) -> tuple[rod.Along, rod.Along, rod.Along, rod.Along]:
     """States of the rod at `count` equidistant points from the base up to `arc`, under the reaction at the base."""
-    # The rod is integrated towards the base, so outwards means a negative arc. The load balances the reaction.
+    # A negative arc integrates away from the base. The load balances the reaction.
     load = rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
     start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
     return rod.points(start, -arc, load, material(whisker), count=count, from_base=jnp.zeros_like(arc))

@@ -20,9 +20,9 @@ from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.state import State
 
 BATCH = 32  # steps solved for at once
-RESIDUAL = 1e-8  # of a step marked ok: directions and, relative to the drive's, positions at the base
+RESIDUAL = 1e-8  # largest residual of a step marked ok; along x, relative to 1 + |u|
 JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
-TRAVEL_NOISE = 1e-12
+TRAVEL_NOISE = 1e-12  # relative to the length of the path: travels that differ by less are taken as equal
 
 
 def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
@@ -65,7 +65,7 @@ class SolvedStep(NamedTuple):
 
 
 def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Bool[Array, ""]) -> SolvedStep:
-    """Solve for the equilibrium at a control behind a node, where the path is known."""
+    """Solve for the equilibrium at a control after node `index`; reject it if the path is not `known` there."""
     mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
     guess = interpolate(path, index, u)
     solution = solve_point(problem, mode, at_control(u, guess.z), guess)
@@ -74,7 +74,7 @@ def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known
     exact = solution.converged & near
     stable = is_stable(problem, mode, solution.newton.condensed)
     accepted = known & exact & stable
-    # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see lanes.py).
+    # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see `safe_placeholder`).
     mode = mode._replace(phase=jnp.where(accepted, mode.phase, Phase.free))
     return SolvedStep(jnp.where(accepted, z, 0.0), mode, exact, stable)
 
@@ -94,7 +94,7 @@ def _checked_state(problem: Problem, point: Point, step: SolvedStep) -> tuple[St
 def solve_steps(
     problem: Problem, path: Path, control: Float[Array, " steps"], travel: Float[Array, " steps"]
 ) -> tuple[State, Int[Array, " steps"]]:
-    """States and status at control positions, in the scene's units, that the drive passes after `travel`."""
+    """States and status at control positions that the drive passes after travelling `travel`, in the scene's units."""
     path, unit = jax.lax.stop_gradient(path), problem.unit
     u, travel = control / unit.control, travel / unit.control
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
@@ -108,7 +108,7 @@ def solve_steps(
     fixed, at = jax.lax.stop_gradient((problem, (index, u, known)))
     batch = min(BATCH, control.shape[0])
     steps = jax.lax.map(lambda one: _solve(fixed, path, *one), at, batch_size=batch)
-    # Outside the loop: differentiated backwards, a loop drops the rules by which derivatives are differentiated again.
+    # This is outside the loop because a loop that is differentiated backwards drops the rules for second derivatives.
     points = jax.vmap(partial(_point, problem))(jnp.where(jnp.isfinite(u), u, 0.0), steps)
     state, status = jax.lax.map(lambda one: _checked_state(problem, *one), (points, steps), batch_size=batch)
     status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
