@@ -73,7 +73,8 @@ class Fit:
         Args:
             name: name of the parameter.
             points: number of values; an odd number includes the estimate.
-            width: range on either side in standard errors (in factors of e for a parameter in log that has none).
+            width: range on either side, in standard errors. Without a standard error: in factors of e for a parameter
+                in log, else in its scale.
 
         Returns:
             A LikelihoodProfile: the least misfit at each value, and the 95 % interval.
