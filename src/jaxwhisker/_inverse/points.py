@@ -29,8 +29,8 @@ class PointStatus(IntEnum):
 class Step(eqx.Module):
     """Contacts of the whiskers; every field (steps, whiskers), in the sensor's units.
 
-    Fields are NaN, and `phase` is Phase.free, where the status is not ok; the pose of the base is NaN only where
-    signals are missing.
+    Fields are NaN, and `phase` is Phase.free, where the status is not ok; the pose of the base and the significance are
+    also known for whiskers whose signals are not missing.
     """
 
     x: Float[Array, "*steps whiskers"]  # contact: a point of the object

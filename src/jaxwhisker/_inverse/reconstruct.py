@@ -56,7 +56,8 @@ def reconstruct(
             reactions is NaN. Within jit and vmap: a mapping of arrays.
         sensor: the sensor; or a Scene, whose object is ignored; or a function of named parameters that returns either.
         sigma: standard deviation of the noise: a number for all channels, or a mapping from channels to numbers or
-            arrays. None for signals without noise: phases are then decided up to rounding, and errors are NaN.
+            arrays. None for signals without noise: phases are then decided up to rounding, and errors follow from
+            `covariance` only.
         parameters: arguments of the function, by name.
         covariance: covariance of the parameters in their order, (p, p); it widens the bands.
         base: measured poses of the bases, which replace those that follow from drive, mounts and springs: x, y
