@@ -10,10 +10,10 @@ from jaxwhisker._inverse.observations import Observations
 JUMPS = 16  # largest number of jumps
 ABOVE_NOISE = 5.0  # standard deviations from which a signal counts as contact
 LEAST_CONTACT = 2e-3  # of the peak: smallest signal that counts as contact, even if noise is unknown or smaller
-STEEPER = 4.0  # a jump is at least so many times as steep as the signal on either side
+STEEPER = 4.0  # least ratio of the slope of a jump to that of the signal on either side
 LEAST_JUMP = 0.02  # of the peak
-BEFORE = 5  # widths of a jump, over which the signal before it may seem to jump, too
-LARGER = 2.0  # a jump hides those before it if it is so many times as large
+BEFORE = 5  # widths of a jump over which the steep signal before it may look like another jump
+LARGER = 2.0  # least ratio of such a jump to one before it that is discarded
 EARLY = 0.2  # of the peak, up to which a signal after a touch is treated as a parabola
 ONSETS = 60  # positions of the touch that are tried
 FEWEST = 6  # least number of samples from which a touch is estimated

@@ -37,7 +37,7 @@ class Frames(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """Contour of a convex object from left to right, or all around in the same sense."""
+    """Contour of a convex object from left to right, or all around it in the same direction."""
 
     x: Float[np.ndarray, " points"]
     y: Float[np.ndarray, " points"]

@@ -171,7 +171,7 @@ def _between(profile: AbstractProfile, slopes: Float[jax.Array, " 2"]) -> Contac
 
 
 def _in_order_of_time(axes: Iterable[Axes], control: np.ndarray) -> None:
-    """Reverse the horizontal axis where the control falls, so that time runs to the right."""
+    """Reverse the horizontal axis if the control falls: time then runs to the right."""
     if control[-1] < control[0]:
         for ax in axes:
             ax.set_xlim(float(np.max(control)), float(np.min(control)))
