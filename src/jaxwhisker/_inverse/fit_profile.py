@@ -57,10 +57,7 @@ class ProfileFit(eqx.Module):
     status: FitStatus = eqx.field(static=True)
 
     def band(self, slopes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """x and y of the profile at slope angles (rad), and the standard error across it; each (slopes,), a length.
-
-        Errors are of first order in the errors of the estimates; NaN where these are unknown.
-        """
+        """x and y at slope angles (rad), and the first-order standard error across the profile; lengths (slopes,)."""
         x, y, by = points_and_rates(self.profile, slopes)
         error = np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", by, self.covariance, by), 0.0))
         return x, y, np.where(np.isfinite(self.covariance).all(), error, np.nan)
@@ -94,8 +91,7 @@ def fit_profile(
         points: a Reconstruction, of which all significant points are used; or a mapping with x, y, optionally slope,
             and optionally their covariance (points, 2 or 3, 2 or 3) or sigma, a standard deviation of x and y.
         family: Parabola, Circle, Ellipse or Contour.
-        knots: for a Contour: the number of its knots, which are spread evenly over the slopes of the points, or the
-            slope angles of the knots, rad.
+        knots: for a Contour: the number of knots, spread evenly over the points' slopes, or their slope angles, rad.
         guess: a profile of the family to start from. Default: one fitted by linear least squares.
         significance: signals of fewer standard deviations of their noise are weak. Weak points of a Reconstruction are
             left out: their weights depend on the noise of the same signals, which biases a fit.
@@ -175,13 +171,13 @@ def _profile(start: AbstractProfile, values: Float[Array, " p"]) -> AbstractProf
 
 
 class _Points(eqx.Module):
-    """Points of an object, padded."""
+    """Padded points of an object; `weight` is 0 for padding."""
 
     x: Float[Array, " points"]
     y: Float[Array, " points"]
     slope: Float[Array, " points"]  # 0.0 if unknown
     covariance: Float[Array, "points 3 3"] | None  # of x, y, slope
-    weight: Float[Array, " points"]  # 0.0 for padding
+    weight: Float[Array, " points"]
     has_slope: bool = eqx.field(static=True)
 
 
