@@ -10,7 +10,7 @@ __all__ = ["explore"]
 
 
 def explore(build: Callable[..., Scene], /, **ranges: Any) -> Any:
-    """Drag the parameters of a scene and its drive; shapes, signals and events follow.
+    """Change the parameters of a scene and move its drive with sliders; shapes, signals and events follow.
 
         def build(stiffness, distance):
             return jw.Scene(jw.Whisker(), jw.Parabola(distance), jw.Support.fbfbr(stiffness), rod=jw.ClosedForm())
@@ -23,9 +23,9 @@ def explore(build: Callable[..., Scene], /, **ranges: Any) -> Any:
 
     Args:
         build: makes a Scene from numbers given by name. It is called again for every picture and may branch on their
-            values. Whatever changes the structure of the scene is compiled again: other kinds of objects, more
-            springs, and plain functions that depend on a slider (an `equinox.Module` with numeric fields does not).
-        ranges: (low, high) or (low, high, start) by name of a parameter, in the unit of the parameter. By default a
+            values. A change of the scene's structure needs another compilation: another kind of object, more springs,
+            or a plain function that depends on a slider (an `equinox.Module` with numeric fields does not).
+        ranges: (low, high) or (low, high, start) for each parameter by name, in the unit of the parameter. By default a
             slider starts in the middle. It is logarithmic if high/low > 20 and low > 0. Parameters of `build` without
             a range keep their defaults.
 

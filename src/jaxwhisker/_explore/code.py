@@ -18,7 +18,7 @@ from jaxwhisker._model.whisker import LinearTaper, RoundSection, Whisker
 _HEAD = ["import jax", "import numpy as np", "", "import jaxwhisker as jw"]
 _FLOAT64 = 'jax.config.update("jax_enable_x64", True)'
 
-_signature = lru_cache(inspect.signature)  # twenty pictures a second
+_signature = lru_cache(inspect.signature)  # cached for twenty pictures a second
 
 _PRINT = """
 for k in range(result.fx.shape[1]):
@@ -42,7 +42,7 @@ def code_of(scene: Scene, comment: str = "") -> str:
 
 
 def code_of_scan(scene_code: str, control: Float[np.ndarray, " steps"]) -> list[str]:
-    """Code that constructs a scene, scans it and prints one step: the text before and after the number of the step."""
+    """Code that constructs a scene, scans it and prints one step, as the texts before and after the step's number."""
     positions = f"np.linspace({float(control[0])!r}, {float(control[-1])!r}, {control.size})"
     return [f"{scene_code}\nresult = jw.scan(scene, {positions})\nprint(result)\n\nstep = ", _PRINT]
 
@@ -83,7 +83,7 @@ class _Writer:
             return self._name(value, name)
 
     def _shorter(self, value: Any) -> str | None:
-        """A class method that constructs the same; None if there is none."""
+        """A shorter expression that calls a class method; None if there is none."""
         if isinstance(value, Support):
             return self._named_support(value)
         if isinstance(value, Whisker) and isinstance(value.bending_stiffness, RoundSection):
@@ -96,7 +96,7 @@ class _Writer:
             return None
         stiffness: Any = tuple(float(spring.stiffness) for spring in springs if spring.stiffness is not None)
         rest_length: Any = tuple(float(spring.rest_length) for spring in springs)
-        if len(stiffness) < len(springs):  # a compliance instead
+        if len(stiffness) < len(springs):  # a spring has a compliance instead
             return None
         # One number for all springs if that gives the same support.
         if len(set(stiffness)) == 1:

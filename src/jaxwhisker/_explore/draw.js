@@ -12,7 +12,7 @@ function extremes(values, low = Infinity, high = -Infinity) {
   return [low, high];
 }
 
-/** A function of the step: the ranges of x and y to draw, rounded to tenths of a length. */
+/** Returns a function from the step to the ranges of x and y to draw, rounded to tenths of a whisker length. */
 function viewOf(picture) {
   const { length, steps } = picture;
   const tenth = 0.1 * length;
@@ -223,7 +223,7 @@ function zigzag(here, there, { axis, offset, short, rigid }, unit, level) {
   return along === 0 ? points : points.map(([a, b]) => [b, a]);
 }
 
-/** The inner end turns with the base, the outer end with the other end of the spring. */
+/** Points of a spiral: its inner end turns with the base, its outer end with the other end of the spring. */
 function spiral(here, there, { offset, rigid }, unit) {
   const outer = here[2] - Math.PI / 4;
   const wound = rigid ? 0 : there[2] - here[2] - offset[2] - 4.5 * Math.PI;
@@ -258,7 +258,7 @@ function drawSignals(canvas, picture, step) {
   });
 }
 
-/** A slightly larger range with round ends, which stay the same for small changes. */
+/** A slightly larger range with round ends, which small changes of the values do not move. */
 function rounded([low, high]) {
   if (!(high - low > 1e-9 * Math.abs(high))) return Number.isFinite(low) ? [low - 0.5, low + 0.5] : [-0.5, 0.5];
   const unit = 10 ** Math.floor(Math.log10(high - low)) / 2;

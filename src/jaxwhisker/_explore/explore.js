@@ -1,15 +1,16 @@
-// Sliders for a scene. With draw.js in front this is a single module, for Jupyter (anywidget) and for the local page.
+// Sliders for a scene. Together with draw.js, this is a single module for Jupyter (anywidget) and for the local page.
 //
-// A host gives `ask(values)`, which promises a picture (see picture.py): a whole scan. Moving the drive asks for nothing.
+// A host provides `ask(values)`, which returns a promise of a picture (see picture.py). A picture is a whole scan, so
+// moving the drive needs no request.
 
 const POSITIONS = 1000; // of a slider
-const MOST_REQUESTS = 2; // at a time: one travels while the other is computed
+const MOST_REQUESTS = 2; // at a time: one is on its way while the other is computed
 const COMPILING = "Compiling. The first picture of such a scene takes 10 to 30 seconds.";
 const ARRAYS = { f8: Float64Array, f4: Float32Array, i1: Int8Array };
 
-/** Header and arrays of a picture, and what drawing derives from them for all steps. */
+/** Header and arrays of a picture, and values for drawing that are the same at all steps. */
 function unpacked(packed) {
-  // Jupyter's buffer is a part of a longer one.
+  // Jupyter's buffer is part of a longer one.
   const bytes = packed.buffer ? packed.buffer.slice(packed.byteOffset, packed.byteOffset + packed.byteLength) : packed;
   const length = new DataView(bytes).getUint32(0, true);
   const picture = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
@@ -43,7 +44,7 @@ function slider(name, note, onInput) {
   return { input, setText, element: make("label", { className: "slider" }, label, readout, input) };
 }
 
-/** The value at a position of a slider, with four digits; the ends exactly as given. */
+/** The value at a position of a slider, rounded to four digits except at the ends. */
 function valueAt({ low, high, logarithmic }, position) {
   const share = position / POSITIONS;
   const digits = Math.max(0, 3 - Math.floor(Math.log10(high - low)));
@@ -57,7 +58,7 @@ function positionOf({ low, high, logarithmic }, value) {
   return Math.round(share * POSITIONS);
 }
 
-/** A number with at least six digits, and zero without a sign. */
+/** A number as text with at least six digits; zero has no sign. */
 function format(value, dimensionless) {
   if (dimensionless) return value.toFixed(6).replace(/^-(0\.0+)$/, "$1");
   return value && Math.abs(value) < 1e-3 ? value.toExponential(6) : value.toPrecision(7);
@@ -67,7 +68,7 @@ function format(value, dimensionless) {
 export function explore(el, { sliders, phases, statuses }, ask) {
   const values = Object.fromEntries(sliders.map(({ name, start }) => [name, start]));
   let picture, step, wishedControl, outdated, nextFrame;
-  let [sent, latest, waiting, drawn] = [0, 0, 0, 0]; // numbers of requests; the request that is shown is `latest`
+  let [sent, latest, waiting, drawn] = [0, 0, 0, 0]; // numbers of requests; the answer to `latest` is shown
 
   const title = make("p", { className: "title" });
   const summary = make("p", { className: "summary" });
@@ -100,7 +101,7 @@ export function explore(el, { sliders, phases, statuses }, ask) {
     controls.append(element);
   }
 
-  /** The slider of the drive runs along u in either direction of the scan: from its position to a step, and back. */
+  /** Convert the position of the drive's slider to a step, or back: the slider runs along u, the scan either way. */
   function reversed(position) {
     return picture && picture.control[0] > picture.control[picture.steps - 1] ? picture.steps - 1 - position : position;
   }
@@ -136,7 +137,7 @@ export function explore(el, { sliders, phases, statuses }, ask) {
     clearTimeout(slow);
     waiting--;
     if (number > latest) {
-      // Answers may overtake each other; the latest values win.
+      // Answers may arrive out of order; only the latest values count.
       latest = number;
       if (next) take(next);
       say(error ?? next.note, Boolean(error));
@@ -233,11 +234,11 @@ export function explore(el, { sliders, phases, statuses }, ask) {
   };
 }
 
-/** Jupyter: anywidget calls this. Answers of the kernel carry the number of their request. */
+/** Entry point in Jupyter, which anywidget calls. Answers of the kernel carry the id of their request. */
 function render({ model, el }) {
   const waiting = new Map();
   const onAnswer = ({ id, error }, buffers) => {
-    const promise = waiting.get(id); // undefined if another view of the widget has asked
+    const promise = waiting.get(id); // undefined if another view of the widget sent the request
     waiting.delete(id);
     if (error) promise?.reject(new Error(error));
     else promise?.resolve(buffers[0]);
@@ -258,7 +259,7 @@ function render({ model, el }) {
 
 export default { render };
 
-/** The local page. */
+/** Entry point of the local page. */
 async function open() {
   const fetched = async (...request) => {
     const response = await fetch(...request).catch(() => {

@@ -57,7 +57,7 @@ class Explorer(anywidget.AnyWidget):
 # The page
 
 LONGEST_REQUEST = 2**16  # bytes
-LONGEST_READ = 2**24  # bytes; a longer request closes the connection, since an answer needs the whole request
+LONGEST_READ = 2**24  # bytes; a longer request closes the connection, because only a complete one can be answered
 _FILES = {
     "/": (PAGE, "text/html; charset=utf-8"),
     "/explore.js": (SCRIPT, "text/javascript; charset=utf-8"),
@@ -77,8 +77,8 @@ def serve(session: Session, *, port: int = 0, browser: bool = True) -> None:
 
     Args:
         session: the sliders and their pictures.
-        port: 0 for any free port.
-        browser: open the page in the browser.
+        port: port of the page; 0 for any free port.
+        browser: whether to open the page in the browser.
 
     Raises:
         OSError: if the port is taken.
@@ -96,7 +96,7 @@ def serve(session: Session, *, port: int = 0, browser: bool = True) -> None:
 
 @contextmanager
 def served(session: Session, port: int = 0) -> Iterator[str]:
-    """Serve the sliders at 127.0.0.1 from other threads; yields the address of the page.
+    """Serve the sliders at 127.0.0.1 from other threads, and yield the address of the page.
 
     Raises:
         OSError: if the port is taken.
@@ -107,7 +107,7 @@ def served(session: Session, port: int = 0) -> Iterator[str]:
     worker = ThreadPoolExecutor(1)  # one picture at a time
     application = Application(
         default_handler_class=_Handler,
-        log_function=lambda handler: None,  # twenty requests a second
+        log_function=lambda handler: None,  # no log of twenty requests a second
         session=session,
         worker=worker,
         hosts=names,
@@ -128,11 +128,11 @@ def served(session: Session, port: int = 0) -> Iterator[str]:
     finally:
         stopped.set()
         thread.join()
-        worker.shutdown()  # waits: a process that ends within the compiler crashes
+        worker.shutdown()  # wait for the picture: a process that exits while compiling crashes
 
 
 class _Handler(RequestHandler):
-    """Answers the page, and refuses other sites."""
+    """Answer requests of the page, and refuse those of other sites."""
 
     def set_default_headers(self) -> None:
         for name, value in _HEADERS.items():
@@ -140,7 +140,7 @@ class _Handler(RequestHandler):
 
     def prepare(self) -> None:
         hosts, headers = self.settings["hosts"], self.request.headers
-        if headers.get("Host") not in hosts:  # a foreign name that points to this machine (DNS rebinding)
+        if headers.get("Host") not in hosts:  # a foreign host name that points to this machine (DNS rebinding)
             self.send_error(403, message=f"This page is at http://{hosts[0]}/ only.")
             return
         origin = headers.get("Origin", None if self.request.method == "GET" else "")
@@ -166,7 +166,7 @@ class _Handler(RequestHandler):
             return
         try:
             values = json.loads(self.request.body)
-        except (ValueError, RecursionError):  # RecursionError: deeply nested
+        except (ValueError, RecursionError):  # deeply nested JSON raises a RecursionError
             self.send_error(400, message="A request must be JSON.")
             return
         loop = asyncio.get_running_loop()

@@ -1,7 +1,7 @@
 """Pictures: a scan of a scene with all shapes, as bytes that a page can draw.
 
-The bytes are the length of the header (four bytes, little-endian), the header in JSON, padded so that the arrays begin
-at a multiple of eight, and the arrays one after the other, those with the largest items first.
+The bytes are the length of the header (four bytes, little-endian), the header in JSON, padded to a total multiple of
+eight bytes, and the arrays one after the other, those with the largest items first.
 """
 
 import json
@@ -53,16 +53,16 @@ def picture_of(scene: Scene) -> Picture:
 
 
 def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") -> bytes:
-    """Pack a picture, its labels and its code; all numbers in the units in which the scene is shown.
+    """Pack a picture, its labels and its code, with all numbers in the units in which the scene is shown.
 
     Args:
-        picture: with numpy arrays.
-        scene: its scene, with the numbers that the user gave.
+        picture: a picture with numpy arrays.
+        scene: the scene of the picture, with the numbers that the user gave.
         code: Python code that constructs the scene.
         note: a message for the user.
 
     Raises:
-        ValueError: if the scene has no scan.
+        ValueError: if the scene has no default control to scan.
     """
     result = picture.result
     failed, summary = status_line(result)
@@ -102,7 +102,7 @@ def _arrays(picture: Picture, units: UnitSystem) -> dict[str, Any]:
 
 
 def packed_error(error: Exception) -> bytes:
-    """Pack the message of an error; that of a ValueError stands for itself."""
+    """Pack the message of an error; that of a ValueError needs no type in front."""
     message = textwrap.shorten(str(error), LONGEST_MESSAGE, placeholder=" ...")
     return _packed({"error": message if isinstance(error, ValueError) else f"{type(error).__name__}: {message}"}, {})
 
@@ -166,7 +166,7 @@ def _event(event: Event, unit: Unit) -> dict[str, Any]:
 
 
 def _springs(scene: Scene, length: float) -> list[dict[str, Any]]:
-    """How to draw the springs; lengths divided by `length`."""
+    """Data for drawing the springs; lengths are divided by `length`."""
     whisker_length = float(scene.whiskers[0].length)
     mounts = ((float(m.x) / length, float(m.y) / length, float(m.angle)) for m in scene.support.mounts)
     poses = [(0.0, 0.0, 0.0), *mounts]

@@ -1,6 +1,6 @@
-"""A session: sliders over the parameters of a scene, and a picture for each of their values.
+"""A session: sliders for the parameters of a scene, and a picture for any of their values.
 
-Every picture is a whole scan with all shapes, so that moving the drive asks for nothing.
+Every picture is a whole scan with all shapes, so moving the drive needs no further request.
 """
 
 import inspect
@@ -22,7 +22,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 
 LOGARITHMIC = 20.0  # a range from a positive number to more than this many times that number is logarithmic
-DIGITS = 4  # of the value in the middle of a range, as of the values that a slider can be dragged to
+DIGITS = 4  # of the value in the middle of a range, like those of values to which a slider is dragged
 
 RECOMPILED = (
     "A function of the scene depends on the sliders, so every picture is compiled (10 to 30 seconds). "
@@ -77,7 +77,7 @@ class Session:
             reused, new = self._functions.reused(scene)
             picture = jax.tree.map(np.asarray, picture_of(jax.tree.map(checks.as_float, reused)))
             return packed_picture(picture, scene, code_of(scene, comment), RECOMPILED if new else "")
-        except Exception as error:  # whatever `build` raises, the sliders stay usable
+        except Exception as error:  # the sliders must stay usable, whatever `build` raises
             return packed_error(error)
 
     def _scene(self, values: Mapping[str, float]) -> Scene:
@@ -98,16 +98,16 @@ class Session:
 
 
 class _Functions:
-    """Plain functions of the scenes. `build` often makes new ones; the first one that does the same replaces them.
+    """Plain functions of the scenes. `build` often makes new ones; each is replaced by the first equal one.
 
-    JAX would compile a scene with a new function again.
+    Otherwise JAX would compile every scene that has a new function.
     """
 
     def __init__(self):
         self._known: dict[Any, PlainFunction] = {}  # by code and by the values that it uses
 
     def reused(self, scene: Scene) -> tuple[Scene, bool]:
-        """The scene with known functions in place of equal new ones, and whether it needs another version of one."""
+        """The scene with known functions in place of equal new ones, and whether it adds another function to them."""
         known = len(self._known)
         scene = jax.tree.map(self._first, scene, is_leaf=lambda leaf: isinstance(leaf, PlainFunction))
         return scene, 0 < known < len(self._known)

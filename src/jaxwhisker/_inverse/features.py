@@ -9,27 +9,27 @@ from jaxwhisker._inverse.observations import Observations
 
 JUMPS = 16  # largest number of jumps
 ABOVE_NOISE = 5.0  # standard deviations from which a signal counts as contact
-LEAST_CONTACT = 2e-3  # of the peak, from which it does where noise is unknown or small
-STEEPER = 4.0  # times as steep as the signal on either side: a jump
+LEAST_CONTACT = 2e-3  # of the peak: smallest signal that counts as contact, even if noise is unknown or smaller
+STEEPER = 4.0  # least ratio of the slope of a jump to that of the signal on either side
 LEAST_JUMP = 0.02  # of the peak
-BEFORE = 5  # samples before a jump that is
-LARGER = 2.0  # times as large, in which there is no other one
-EARLY = 0.2  # of the peak, up to which a signal is a parabola after a touch
+BEFORE = 5  # widths of a jump over which the steep signal before it may look like another jump
+LARGER = 2.0  # least ratio of such a jump to one before it that is discarded
+EARLY = 0.2  # of the peak, up to which a signal after a touch is treated as a parabola
 ONSETS = 60  # positions of the touch that are tried
-FEWEST = 6  # samples from which a touch is estimated
+FEWEST = 6  # least number of samples from which a touch is estimated
 
 ROUNDING = 1e-14  # of the peak: smaller differences are zero
-MAD_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+MAD_TO_SIGMA = 1.4826  # ratio of a normal distribution's standard deviation to its median absolute deviation
 
 
 class Features(NamedTuple):
-    """Where signals begin, end and jump; travel is the way of the drive since the first sample, a length."""
+    """Where signals begin, end and jump; travel is the distance that the drive has moved since the first sample."""
 
     travel: Float[np.ndarray, " steps"]
-    low: Float[np.ndarray, " jumps"]  # travel before and behind each jump; NaN beyond their number
-    high: Float[np.ndarray, " jumps"]
+    low: Float[np.ndarray, " jumps"]  # travel before each jump; NaN beyond their number
+    high: Float[np.ndarray, " jumps"]  # travel after each jump
     touch: Float[np.ndarray, " whiskers"]  # travel at the first touch; NaN if it is not visible
-    touch_error: Float[np.ndarray, " whiskers"]  # its standard error
+    touch_error: Float[np.ndarray, " whiskers"]  # standard error of `touch`
     release: Float[np.ndarray, " whiskers"]  # travel at the end of the last contact; NaN if it is not visible
 
 
@@ -60,15 +60,15 @@ def in_contact(observations: Observations) -> Bool[np.ndarray, "steps whiskers 3
 def neighbour_scatter(observations: Observations) -> Scatter:
     """Estimate the noise of each reaction from third differences of neighbouring samples.
 
-    Smooth signals hardly have any. Divided differences allow for gaps and unequal steps; each is scaled by the standard
-    deviation that noise of size one gives it. Their median is not moved by jumps and corners. Signals that are still
-    curved on the scale of four samples make the estimate too large, never too small. Noise that is correlated between
-    samples (by a low-pass filter) makes it too small.
+    For smooth signals these differences nearly vanish. Divided differences allow for gaps and unequal steps; each is
+    divided by the standard deviation that noise of size one gives it. Jumps and corners hardly affect their median.
+    Signals that are still curved on the scale of four samples make the estimate too large, never too small. Noise that
+    is correlated between samples (by a low-pass filter) makes it too small.
     """
     sigma, counts = np.zeros(observations.values.shape[2]), []
     for r in range(sigma.size):
         rough = np.concatenate([_third_differences(observations.control, v) for v in observations.values[:, :, r].T])
-        rough = rough[np.abs(rough) > ROUNDING * observations.peaks[r]]  # not where a whisker is free
+        rough = rough[np.abs(rough) > ROUNDING * observations.peaks[r]]  # omits exact zeros of free whiskers
         if rough.size:
             sigma[r] = MAD_TO_SIGMA * np.median(np.abs(rough))
             counts.append(rough.size)
@@ -76,7 +76,7 @@ def neighbour_scatter(observations: Observations) -> Scatter:
 
 
 def _third_differences(control: np.ndarray, signal: np.ndarray) -> np.ndarray:
-    """Third divided differences of a signal, over their standard deviation for noise of size one."""
+    """Third divided differences of a signal, divided by their standard deviation for noise of size one."""
     known = np.isfinite(signal)
     signal = signal[known]
     if signal.size < 4:
@@ -87,7 +87,7 @@ def _third_differences(control: np.ndarray, signal: np.ndarray) -> np.ndarray:
     apart = (at[:, :, None] - at[:, None, :]) / size[:, :, None]
     apart[:, range(4), range(4)] = 1.0
     product = np.prod(apart, axis=2)
-    apart_everywhere = np.all(product != 0, axis=1)  # not where the drive stood still
+    apart_everywhere = np.all(product != 0, axis=1)  # False where the drive stood still
     weight = 1 / product[apart_everywhere]
     return np.sum(weight * window(signal, 4)[apart_everywhere], axis=1) / np.linalg.norm(weight, axis=1)
 
@@ -95,7 +95,7 @@ def _third_differences(control: np.ndarray, signal: np.ndarray) -> np.ndarray:
 def _jumps(
     travel: Float[np.ndarray, " steps"], values: np.ndarray, noise: np.ndarray
 ) -> tuple[Float[np.ndarray, " jumps"], Float[np.ndarray, " jumps"]]:
-    """Travel before and behind the largest jumps, in order."""
+    """Travel before and after the largest jumps, in order of travel."""
     jumps: list[tuple[float, float, float]] = []
     for signal, deviation in zip(values.reshape(travel.size, -1).T, noise.reshape(travel.size, -1).T, strict=True):
         jumps += _jumps_of(travel, signal, deviation)
@@ -120,7 +120,7 @@ def _leads_to(jump: tuple[float, float, float], snap: tuple[float, float, float]
 
 
 def _jumps_of(travel: np.ndarray, signal: np.ndarray, noise: np.ndarray) -> list[tuple[float, float, float]]:
-    """Travel before and behind the jumps of one signal, and their sizes."""
+    """Travel before and after the jumps of one signal, and their sizes."""
     known = np.flatnonzero(np.isfinite(signal))
     if known.size < 3:
         return []
@@ -141,7 +141,7 @@ def _contact(travel: np.ndarray, values: np.ndarray, contact: np.ndarray) -> tup
     release = float("nan") if last == travel.size - 1 else float(travel[last + 1])
     if first == 0:
         return np.nan, np.nan, release
-    # Noise hides the touch itself: extrapolate the parabola that follows. Some channels are one for longer than others.
+    # Noise hides the touch itself: extrapolate the parabola that follows, in the channel that shows it best.
     onsets = [_onset(travel, signal, clear) for signal, clear in zip(values.T, contact.T, strict=True)]
     error, touch = min((error, touch) for touch, error in onsets)
     return (touch, error, release) if np.isfinite(error) else (float(travel[max(first - 1, 0)]), 0.0, release)

@@ -18,7 +18,7 @@ from jaxwhisker._scan.report import table
 
 
 class LikelihoodProfile(NamedTuple):
-    """The least misfit at each value of one parameter, with all others fitted again."""
+    """The least misfit at each value of one parameter, with all other parameters fitted again."""
 
     name: str
     values: np.ndarray  # (points,)
@@ -27,7 +27,7 @@ class LikelihoodProfile(NamedTuple):
 
 
 class FitInternals(NamedTuple):
-    """What a fit keeps to be fitted again."""
+    """What a Fit keeps for further fits."""
 
     build: Callable[..., Scene]
     unknowns: Unknowns
@@ -39,7 +39,7 @@ class FitInternals(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit:
-    """Parameters identified from observed signals.
+    """Parameters of a scene estimated from observed signals, in the units of the scene.
 
     Standard errors and covariance are those of least squares: the inverse of the information matrix at the estimates,
     with the noise that was given, or estimated from the residuals. They are NaN for a parameter that is not
@@ -68,12 +68,16 @@ class Fit:
     _internals: FitInternals
 
     def profile(self, name: str, points: int = 21, width: float = 3.0) -> LikelihoodProfile:
-        """Compute the likelihood profile of one parameter, which does not take the misfit for a parabola.
+        """Compute the likelihood profile of one parameter, which does not assume that the misfit is quadratic.
 
         Args:
-            name: of the parameter.
+            name: name of the parameter.
             points: number of values; an odd number includes the estimate.
-            width: range on either side in standard errors (in factors of e for a parameter that is not identified).
+            width: range on either side, in standard errors. Without a standard error: in factors of e for a parameter
+                in log, else in its scale.
+
+        Returns:
+            A LikelihoodProfile: the least misfit at each value, and the 95 % interval.
 
         Raises:
             ValueError: if the fit has no such parameter, or there are fewer than three points.
@@ -90,7 +94,7 @@ class Fit:
         offsets = np.linspace(-reach, reach, points)
         free = np.arange(len(self.names)) != at
         misfit = np.full(points, np.nan)
-        # Outwards from the middle, each from its neighbour's solution.
+        # Proceed outwards from the middle; each fit starts from its neighbour's solution.
         for side in (range(points // 2, points), range(points // 2, -1, -1)):
             y = np.array(solution.y)
             for k in side:
@@ -106,7 +110,7 @@ class Fit:
         """Logarithm of the likelihood up to an additive constant, for samplers; traceable and differentiable.
 
         Args:
-            y: the fit's variables (parameters,): see `parameters`. With a prior that is flat in them, this is the log
+            y: the fit's variables, (parameters,), see `variables`. With a prior that is flat in them, this is the log
                 density of the posterior; add the logarithm of any other prior.
         """
         build, unknowns, _, _, data, _ = self._internals
@@ -119,7 +123,7 @@ class Fit:
         return np.array(self._internals.solution.y)
 
     def parameters(self, y: Any) -> dict[str, Any]:
-        """Parameters from the fit's variables; traceable."""
+        """Parameters by name from the fit's variables, (parameters,); traceable."""
         transforms = jax.tree.map(jnp.asarray, self._internals.transforms)
         return dict(zip(self.names, transforms.natural(jnp.asarray(y)), strict=True))
 

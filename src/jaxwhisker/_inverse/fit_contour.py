@@ -1,8 +1,8 @@
 """Joint fit: a contour of any strictly convex shape, and unknown parameters of the sensor, from all signals at once.
 
-Points that are reconstructed one by one are as noisy as their signals, and weak contacts say next to nothing. A whole
-scan says more, because it has to be the scan of one contour. This is identification (identify.py) with the contour's
-radii of curvature as parameters, and it starts from reconstructed points (reconstruct.py).
+Points that are reconstructed one by one are as noisy as their signals, and weak contacts carry almost no information. A
+whole scan carries more, because all its signals come from one contour. This is identification (identify.py) with the
+contour's radii of curvature as parameters, and it starts from reconstructed points (reconstruct.py).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,12 +30,12 @@ from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._scan.quantities import REACTIONS
 
 GRID = 0.05  # rad, to which outermost knots are rounded: similar contours share compiled code
-SURE = 0.05  # rad: standard error of the slopes between which knots are placed
-FINE = 401  # slopes between which points are integrated for a start
-SMOOTH = 0.3  # of the mean radius: standard deviation of second differences of the radii, for a start
-SHARP = 0.4  # outermost radii relative to their neighbours, for another start
-LEAST_RADIUS = 0.1  # of the median radius, for a start
-LEAST_DISTANCE = 0.1  # of the lowest point, for a start
+SURE = 0.05  # rad: largest standard error of slopes over which the first knots are spread
+FINE = 401  # slope angles at which a first contour is integrated
+SMOOTH = 0.3  # of the mean radius: standard deviation of second differences of the radii of a first contour
+SHARP = 0.4  # outermost radii relative to their neighbours in the second contour to start from
+LEAST_RADIUS = 0.1  # of the median radius of a first contour
+LEAST_DISTANCE = 0.1  # of the lowest point's height, for a first contour
 LEAST_NOISE = 1e-9  # of the peaks
 RADIUS = "radius_"  # prefix of the contour's parameters in the fit
 
@@ -43,8 +43,8 @@ RADIUS = "radius_"  # prefix of the contour's parameters in the fit
 class Band(NamedTuple):
     """Points of a contour, and its uncertainty along the normal."""
 
-    slope: Float[np.ndarray, " slopes"]
-    x: Float[np.ndarray, " slopes"]
+    slope: Float[np.ndarray, " slopes"]  # angle, rad
+    x: Float[np.ndarray, " slopes"]  # a length
     y: Float[np.ndarray, " slopes"]
     error: Float[np.ndarray, " slopes"]  # standard error along the normal, a length; NaN where it is unknown
 
@@ -58,7 +58,7 @@ class ContourFit:
     sensor: Sensor  # with the fitted parameters
 
     def band(self, slopes: Any = None) -> Band:
-        """The contour at slope angles (default: 101 between its outermost knots), with its standard error.
+        """The contour at slope angles, rad (default: 101 between its outermost knots), with its standard error.
 
         Errors follow from the noise and from all fitted parameters; NaN where the signals do not determine the contour.
         """
@@ -71,7 +71,7 @@ class ContourFit:
         ]
         values, covariance = np.array(list(self.fit.estimates.values()))[pick], self.fit.covariance[np.ix_(pick, pick)]
         error = np.sqrt(np.einsum("si,ij,sj->s", by, np.nan_to_num(covariance), by))
-        # Beyond the last contacts a radius is not identifiable: that matters where it moves the contour.
+        # Beyond the last contacts a radius is not identifiable, which only matters where the radius moves the contour.
         lost = np.max(np.abs(by * values) * np.isnan(np.diag(covariance)), axis=1)
         return Band(at, x, y, np.where(lost > error, np.nan, error))
 
@@ -82,7 +82,7 @@ class ContourFit:
 
 
 class _ConstantSensor(NamedTuple):
-    """A function without parameters that returns a sensor; hashable, because compiled fits are kept by it."""
+    """A function without parameters that returns a sensor; hashable, because it is a key of the compiled programs."""
 
     leaves: tuple
     structure: Any
@@ -97,7 +97,7 @@ class _ConstantSensor(NamedTuple):
 
 
 class _ContourScene(NamedTuple):
-    """Builds the scene of a sensor and a contour; equal ones share compiled code."""
+    """Build the scene of a sensor and a contour; equal instances share compiled code."""
 
     sensor: Callable[..., Sensor | Scene]
     known: tuple[tuple[str, float], ...]
@@ -119,16 +119,16 @@ def fit_contour(
     knots: int | Sequence[float] = 11,
     guess: AbstractProfile | None = None,
 ) -> ContourFit:
-    """Find the contour whose scan the signals are, together with unknown parameters of the sensor.
+    """Fit a convex contour to all signals of a scan, together with unknown parameters of the sensor.
 
     Args:
         measured: signals of one scan, as in `identify`.
-        sensor: as in `reconstruct`: a Sensor, or a function of named parameters.
+        sensor: as in `reconstruct`: a Sensor, a Scene, whose object is ignored, or a function of named parameters.
         sigma: standard deviation of the noise, as in `identify`.
-        parameters: arguments of the function by name; first guesses of the unknown ones.
+        parameters: arguments of the function by name; initial guesses of the unknown ones.
         unknown: names of the parameters that are fitted.
-        knots: number of slope angles at which there is a radius of curvature; more follow finer shapes, and more noise.
-            Or these angles, rad: fits with equal ones share compiled code.
+        knots: number of knots, the slope angles at which a radius of curvature is fitted, or the angles themselves,
+            rad. More knots follow finer shapes, but also more of the noise. Fits with equal angles share compiled code.
         guess: a profile to start from. Default: one fitted to the reconstructed points.
 
     Returns:
@@ -185,8 +185,8 @@ def _starts(
 ) -> list[tuple[float, float, np.ndarray]]:
     """Vertex and radii of the contours to start from.
 
-    Flanks without a strong contact decide whether a scan ends with a snap; a fit without the snap is stuck. Sharper
-    flanks give a scan with one.
+    Flanks without a strong contact decide whether a scan ends with a snap, and a fit that starts without the snap gets
+    stuck. Sharper flanks give a scan with a snap.
     """
     if guess is not None:
         start = guess if isinstance(guess, Contour) and guess.slopes == slopes else Contour.like(guess, slopes)
@@ -197,7 +197,7 @@ def _starts(
 
 
 def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, float, np.ndarray]:
-    """Vertex and radii of a contour near points, by linear least squares: radii linear between knots, slopes exact."""
+    """Fit vertex and radii of a contour to points by linear least squares: radii linear between knots, slopes exact."""
     x, y, slope, error = (np.asarray(v)[points.clear] for v in (points.x, points.y, points.slope, points.normal_error))
     weight = 1 / error if (error > 0).all() else np.ones_like(x)
     fine = np.linspace(min(slopes[0], slope.min(), 0.0), max(slopes[-1], slope.max(), 0.0), FINE)
@@ -210,7 +210,7 @@ def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, 
         return np.array([np.interp(slope, fine, w) - np.interp(0.0, fine, w) for w in way]).T
 
     one, zero = np.ones_like(x), np.zeros_like(x)
-    # Where points say little, radii continue those beside.
+    # Where points say little, radii follow their neighbours.
     mean = np.hypot(np.ptp(x), np.ptp(y)) / (slopes[-1] - slopes[0])
     bends = np.diff(np.eye(len(slopes)), n=2, axis=0) / (SMOOTH * mean)
     rows = np.concatenate([
@@ -239,7 +239,7 @@ def _check_contacts(least: int, count: int) -> None:
 def _spread_knots(points: Reconstruction, count: int) -> tuple[float, ...]:
     """Knots spread evenly over the slopes that were touched.
 
-    The slopes of single points are noisy; those of a first contour where it is closest to the points are not.
+    The slopes of single points are noisy. Those of a first contour, where it is closest to the points, are not.
     """
     slope, error = np.asarray(points.slope), np.asarray(points.standard_error)[..., 2]
     rough = _knots_over(slope[points.clear & ~(error > SURE)], count)
@@ -253,7 +253,7 @@ def _spread_knots(points: Reconstruction, count: int) -> tuple[float, ...]:
 def _knots_over(slopes: Float[np.ndarray, " points"], count: int) -> tuple[float, ...]:
     _check_contacts(count, slopes.size)
     low, high = np.quantile(slopes, [0.005, 0.995])
-    low, high = GRID * np.ceil(low / GRID), GRID * np.floor(high / GRID)  # inwards: beyond, nothing was touched
+    low, high = GRID * np.ceil(low / GRID), GRID * np.floor(high / GRID)  # inwards, because nothing was touched beyond
     if not high > low:
         raise ValueError(f"`measured` must show contacts of different slopes, got {low:.3g} to {high:.3g} rad.")
     return tuple(np.linspace(low, high, count).round(12).tolist())

@@ -20,18 +20,18 @@ from jaxwhisker._model.profile import STEEPEST, AbstractProfile
 from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
 
 KNOTS = 8  # of a Contour
-REWEIGHTINGS = 5  # weights depend on the profile: those of the previous fit are used
+REWEIGHTINGS = 5  # fits in a row; weights depend on the profile, so each fit uses those of the previous one
 MAX_STEPS = 128
 RTOL = 1e-7
-SETTLED = 0.1  # a further Gauss-Newton step is at most this share of the standard errors,
-EXACTLY = 1e-8  # or this, of logs of lengths
-HALVINGS, NEWTON_STEPS = 14, 3  # to a point's foot on the profile
-LEAST = 1e-12  # share of a slope's variance that is independent of the position
+SETTLED = 0.1  # of the standard errors: largest remaining Gauss-Newton step of a converged fit
+EXACTLY = 1e-8  # the same in absolute terms, for logs of lengths
+HALVINGS, NEWTON_STEPS = 14, 3  # to a point's foot, the point of the profile nearest to it
+LEAST = 1e-12  # least share of a slope's variance that is independent of the position
 SURE = 0.1  # rad: knots of a Contour are spread over slopes known better than this
-SIGNIFICANCE = 40.0  # standard deviations
+SIGNIFICANCE = 40.0  # standard deviations: points with weaker signals are left out
 OUTLIER = 3.0  # standard deviations from which a point is weighted less (Huber): a few contacts have the wrong phase
 WORST_CONDITION = 1e13  # of the scaled normal matrix: beyond, the points do not determine all parameters
-BLOCK = 256  # points are padded to multiples: one compilation serves most numbers of points
+BLOCK = 256  # points are padded to a multiple of it, so similar numbers of points share a compilation
 
 FAMILIES: dict[type, tuple[str, ...]] = {
     Parabola: ("distance", "a", "position"),
@@ -57,7 +57,7 @@ class ProfileFit(eqx.Module):
     status: FitStatus = eqx.field(static=True)
 
     def band(self, slopes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """x and y of the profile at slope angles, and the standard error across it, to first order; each (slopes,)."""
+        """x and y at slope angles (rad), and the first-order standard error across the profile; lengths (slopes,)."""
         x, y, by = points_and_rates(self.profile, slopes)
         error = np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", by, self.covariance, by), 0.0))
         return x, y, np.where(np.isfinite(self.covariance).all(), error, np.nan)
@@ -81,26 +81,26 @@ def fit_profile(
     guess: AbstractProfile | None = None,
     significance: float = SIGNIFICANCE,
 ) -> ProfileFit:
-    """Find the profile of a family nearest to points, weighted with their errors in position and slope.
+    """Fit a profile of one family to points, weighted with their errors in position and slope.
 
-    The residuals of a point are its distance from the profile and, if it has a slope, the difference to the slope of
-    the nearest point of the profile. Both are linear in the measured values, because errors of the slopes of weak
-    contacts are not small.
+    The residuals of a point are its distance from the profile and, if it has a slope, the difference from the slope at
+    the nearest point of the profile. Both residuals are linear in the measured values, because the slopes of weak
+    contacts have large errors.
 
     Args:
         points: a Reconstruction, of which all significant points are used; or a mapping with x, y, optionally slope,
             and optionally their covariance (points, 2 or 3, 2 or 3) or sigma, a standard deviation of x and y.
         family: Parabola, Circle, Ellipse or Contour.
-        knots: of a Contour: their number, spread evenly over the slopes of the points, or the knots themselves, rad.
-        guess: a profile of the family to start from.
-        significance: points of a Reconstruction whose signals are fewer standard deviations of noise are left out:
-            their weights follow their noise, which biases a fit.
+        knots: for a Contour: the number of knots, spread evenly over the points' slopes, or their slope angles, rad.
+        guess: a profile of the family to start from. Default: one fitted by linear least squares.
+        significance: signals of fewer standard deviations of their noise are weak. Weak points of a Reconstruction are
+            left out: their weights depend on the noise of the same signals, which biases a fit.
 
     Returns:
-        A ProfileFit.
+        A ProfileFit, whose status says how the fit ended.
 
     Raises:
-        ValueError: if an argument is wrong, or there are fewer points than parameters.
+        ValueError: if an argument is wrong, or there are fewer residuals than parameters.
     """
     checks.float64_mode()
     if family not in (*FAMILIES, Contour):
@@ -137,10 +137,10 @@ def fit_profile(
 
 
 def points_and_rates(profile: AbstractProfile, slopes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x and y of a profile at slope angles, (slopes,), and how it moves along its normal with its parameters.
+    """x and y of a profile at slope angles (rad), (slopes,), and the derivatives of its position along its normal.
 
     The derivatives, (slopes, p), are with respect to the fields in FAMILIES, or distance, position and log_radius of a
-    Contour.
+    Contour. The normal points outwards.
     """
     like = _Family.of(profile)
     slopes = np.atleast_1d(np.asarray(slopes, dtype=float))
@@ -149,7 +149,7 @@ def points_and_rates(profile: AbstractProfile, slopes: Any) -> tuple[np.ndarray,
 
 
 def _judge(residual: np.ndarray, gradient: np.ndarray) -> tuple[FitStatus, np.ndarray]:
-    """The status by the residuals and their derivatives, and the covariance of the fitted values; NaN if not ok."""
+    """Status from residuals and their derivatives, and covariance of the fitted values, which is NaN if not ok."""
     unknown = np.full((gradient.shape[1],) * 2, np.nan)
     size = np.linalg.norm(gradient, axis=0)
     if not (np.isfinite(residual).all() and np.isfinite(size).all()):
@@ -171,13 +171,13 @@ def _profile(start: AbstractProfile, values: Float[Array, " p"]) -> AbstractProf
 
 
 class _Points(eqx.Module):
-    """Points of an object, padded."""
+    """Padded points of an object; `weight` is 0 for padding."""
 
     x: Float[Array, " points"]
     y: Float[Array, " points"]
     slope: Float[Array, " points"]  # 0.0 if unknown
     covariance: Float[Array, "points 3 3"] | None  # of x, y, slope
-    weight: Float[Array, " points"]  # 0.0 for padding
+    weight: Float[Array, " points"]
     has_slope: bool = eqx.field(static=True)
 
 
@@ -228,7 +228,7 @@ def _noise_of(table: Mapping[str, Any], size: int) -> np.ndarray | None:
 
 
 def _guess(observed: _Points, family: type, knots: int | Sequence[float]) -> AbstractProfile:
-    """A profile by linear least squares: a parabola, or the circle for which x^2 + y^2 is nearest to linear."""
+    """Fit a parabola by linear least squares, or a circle, on which x^2 + y^2 is linear in x and y."""
     own = np.asarray(observed.weight) > 0
     x, y = np.asarray(observed.x)[own], np.asarray(observed.y)[own]
     middle, width, lowest = np.mean(x), max(np.ptp(x), 1e-9 * (1 + np.max(np.abs(x)))), float(np.min(y))
@@ -249,7 +249,7 @@ def _guess(observed: _Points, family: type, knots: int | Sequence[float]) -> Abs
 
 
 def _spread_knots(observed: _Points, near: Parabola, count: int) -> np.ndarray:
-    """Slope angles spread evenly over those of the points; of a parabola near them if they have none."""
+    """Slope angles spread evenly over those of the points, or over those of a parabola if the points have none."""
     own = np.asarray(observed.weight) > 0
     slopes = np.asarray(observed.slope)[own]
     if not observed.has_slope:
@@ -263,11 +263,11 @@ def _spread_knots(observed: _Points, near: Parabola, count: int) -> np.ndarray:
 
 
 class _Family(eqx.Module):
-    """Profiles with values to fit: position, the logs of positive fields, and log_radius of a Contour."""
+    """Profiles as functions of the values to fit: position, logs of positive fields, and log_radius of a Contour."""
 
     kind: type = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
-    spline: Spline | None  # an array: one compilation serves all knots
+    spline: Spline | None  # arrays, not static: one compilation serves all knots of a number
 
     @classmethod
     def of(cls, profile: AbstractProfile) -> "_Family":
@@ -303,7 +303,7 @@ def _parameter(profile: AbstractProfile, slope: Scalar) -> Scalar:
 
 
 def _residuals(like: _Family, values, observed: _Points, weights) -> Array:
-    """Residuals of every point, whitened by `weights`: its distance, and its slope minus that of its foot."""
+    """Residuals of every point, whitened by `weights`: its distance from its foot, and the difference of slopes."""
     profile = like.profile(values)
     constant = jax.lax.stop_gradient(profile)
 
@@ -319,7 +319,7 @@ def _residuals(like: _Family, values, observed: _Points, weights) -> Array:
 
 
 def _foot(profile, constant, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Slope at the profile's point nearest to (x, y), and the radius of curvature there."""
+    """Slope at the foot of (x, y), and the distance of (x, y) from the centre of curvature there."""
 
     def ahead(profile, slope):
         at = profile.point(_parameter(profile, slope))

@@ -28,17 +28,17 @@ from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.route import route_of
 
-LEAST_NOISE = 1e-4  # of the peak, until the residuals show how much there is
+LEAST_NOISE = 1e-4  # of the peak: least noise assumed before the residuals give an estimate
 EXACT = 1e-6  # of the peak: residuals below it are numerical
 SCATTER_ERROR = 6.0  # relative error that the scatter between n neighbours may have, times sqrt(n): 3.4 standard errors
-SPREAD = np.log(4.0)  # half the range of the fit's variables in which other starts lie
+SPREAD = np.log(4.0)  # largest distance of other starts from the guess in each of the fit's variables
 REWEIGHTINGS = 4  # at most, where the noise is estimated from the residuals
 SETTLED = 0.5  # share of the degrees of freedom above which chi-squared of reweighted residuals has settled
 BASELINE = 5  # first samples, from which constant offsets are guessed
-ENOUGH = 3  # starts that end in the same plausible minimum: no more are tried
+ENOUGH = 3  # starts that must end in the same plausible minimum before the search stops
 SAME = 1e-3  # difference of the fit's variables up to which two minima are the same
-NEGLIGIBLE = 1e-2  # possible decrease of chi-squared, a tenth of a standard error: a minimum, although steps ran out
-AT_BOUND = 1e-3  # share of the way between bounds
+NEGLIGIBLE = 1e-2  # possible decrease of chi-squared (a tenth of a standard error) that a converged fit may leave
+AT_BOUND = 1e-3  # dv/dy, relative to that in the middle if it is larger than 1, below which a parameter is at its bound
 
 
 def identify(
@@ -56,18 +56,18 @@ def identify(
 ) -> Fit:
     """Estimate the parameters of a scene from measured signals.
 
-    Levenberg-Marquardt on whitened residuals, with exact derivatives. Snaps contribute by their positions (see
-    residuals.py). A first stage overlays the scans; therefore guesses may be off by a factor of three and more. If the
-    residuals are then not plausible, fits from other starts follow.
+    The method is Levenberg-Marquardt on whitened residuals, with exact derivatives. Snaps contribute by their positions
+    (see residuals.py). A first stage overlays the scans; therefore guesses may be off by a factor of three or more. If
+    the residuals are not plausible, fits from other starts follow.
 
     Args:
         build: makes a Scene from named numbers: parameters of springs, object and whiskers. JAX must be able to trace
             it.
-        guess: a first value of each unknown parameter.
+        guess: an initial value of each unknown parameter.
         measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers): a mapping of arrays, a Result,
-            a Dataset with one scan, a DataFrame or the path of a CSV file. In the units of the scene, with the signs of
-            `scene.py` (forces and moments of the support on the whisker), and in the order in which the drive moved.
-            NaN is skipped.
+            a Dataset with one scan, a DataFrame or the path of a CSV file. Arrays are (steps,) or (steps, whiskers), in
+            the units of the scene, with the signs of `scene.py` (forces and moments of the support on the whisker), and
+            in the order in which the drive moved. NaN is skipped.
         sigma: standard deviation of the noise: a number, or a mapping from channels to numbers or arrays. Default: one
             number per channel, estimated from the residuals; the fit is then plausible if the residuals are not larger
             than the scatter between neighbouring samples. Noise that is correlated between samples needs `sigma`.
@@ -75,8 +75,8 @@ def identify(
         shift: whether the control is off by an unknown constant: the scene's is the measured one plus `shift`.
         bounds: pairs (low, high) by name, None for no bound.
         transform: "log" or "linear" by name. Default: log for parameters that `build` rejects if they are negative.
-        starts: largest number of other starts if the first fit is not plausible; 0 for none.
-        near: whether the guess is close: skips the first stage.
+        starts: largest number of further fits if the first one is not plausible; 0 for none.
+        near: whether the guess is close to the solution; the first stage is then skipped.
 
     Returns:
         A Fit. Unless its status is `ok`, `reason` says why and there are no standard errors: `implausible` (noise does
@@ -182,7 +182,7 @@ class _Problem(NamedTuple):
 
     @property
     def can_be_overlaid(self) -> bool:
-        """Whether the drive sets out as in a default scan and a touch is visible: both scans then have a beginning."""
+        """Whether the drive starts in the direction of a default scan and a touch is visible."""
         sets_out = _heading(self.observations.control) == self.scene.motion.onwards
         return sets_out and bool(np.isfinite(self.landmarks_until_turn.touch).any())
 
@@ -214,7 +214,7 @@ class _Problem(NamedTuple):
         return int(self.compared(solution).sum()) - solution.y.size
 
     def largest_noise(self) -> np.ndarray:
-        """Noise that the observations may have, (..., 3): as given, or by the scatter between neighbours."""
+        """Largest noise that the observations may have, (..., 3): as given, or from the scatter between neighbours."""
         if self.scatter is None:
             return self.observations.sigma
         uncertainty = 1 + SCATTER_ERROR / np.sqrt(max(1, self.scatter.count))
@@ -223,8 +223,8 @@ class _Problem(NamedTuple):
     def is_plausible(self, solution: Solution) -> bool:
         """Whether noise explains the residuals.
 
-        Noise that was estimated from the residuals explains them by construction, unless samples are left out. So they
-        are compared with the scatter between neighbouring samples as well.
+        Noise that was estimated from the residuals explains them by construction, unless samples are left out.
+        Therefore the residuals are also compared with the scatter between neighbouring samples.
         """
         off, degrees = self.off(solution), max(1, self.degrees(solution))
         if not (np.isfinite(off[self.compared(solution)]).all() and np.isfinite(solution.misfit)):
@@ -254,12 +254,12 @@ class _Search(NamedTuple):
 
 
 def _search(problem: _Problem, start: np.ndarray, starts: int, near: bool) -> _Search:
-    """Fit from the guess, and from other starts until the fit is plausible."""
+    """Fit from the guess, and then from other starts until enough of them agree on a plausible fit."""
     best, steps = problem.fit(start, near)
     if not starts or problem.is_plausible(best):
         return _Search(best, steps, 1, 1)
     solutions, agreeing = [best], 1
-    # Overlaid scans mislead from every start if a feature of the data is not what it seems: skip them every other time.
+    # If a feature of the data is misread, overlaid scans mislead from every start: skip them every other time.
     for k, y in enumerate([start, *_other_starts(start, starts - 1)]):
         solutions.append(problem.fit(y, near=k % 2 == 0)[0])
         best = min(solutions, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
@@ -285,7 +285,7 @@ def _reweighted(problem: _Problem, search: _Search) -> tuple[_Problem, _Search]:
         problem = problem.with_noise_of(search.solution)
         solution = problem.solve(search.solution.y, problem.samples(search.solution.y))
         search = search._replace(solution=solution, steps=search.steps + int(solution.steps))
-        if solution.misfit > SETTLED * problem.degrees(solution):  # else there is less noise than it seemed
+        if solution.misfit > SETTLED * problem.degrees(solution):  # otherwise the noise was overestimated
             break
     return problem, search
 

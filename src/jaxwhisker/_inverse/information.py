@@ -36,16 +36,16 @@ class EventInformation(NamedTuple):
     whiskers: tuple[int, ...]  # numbered from 1
     control: float
     by_parameter: np.ndarray  # (parameters,) d control / d parameter
-    sigma: float  # standard error of the position by the jump of the signals there; infinite without a jump
+    sigma: float  # standard error of the control, from the jump of the signals there; infinite without a jump
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Information:
-    """Fisher information of signals with Gaussian noise: J^T J, where J holds the derivatives over the noise.
+    """Fisher information of signals with Gaussian noise: J^T J, where J holds the derivatives divided by the noise.
 
-    Signals jump at a snap, which therefore lies anywhere between two steps, h apart: its position counts as a value
-    with standard error h / sqrt(12). Parameters are in their own units. The inverse bounds the covariance of every
-    unbiased estimate (Cramer and Rao); a parameter that is not identifiable has no standard error.
+    Signals jump at a snap, which therefore lies anywhere between two steps at a distance h: its position counts as a
+    value with standard error h / sqrt(12). Parameters are in their own units. The inverse bounds the covariance of
+    every unbiased estimate (Cramer and Rao); a parameter that is not identifiable has no standard error.
     """
 
     names: tuple[str, ...]
@@ -57,7 +57,7 @@ class Information:
     log: np.ndarray  # (parameters,) whether `combinations` describes changes of a parameter as relative ones
 
     def of(self, *channels: str) -> "Information":
-        """The information of some of the channels: `of("mz_1", "mz_2")`, or `of("mz")` for all whiskers.
+        """The information in some of the channels: `of("mz_1", "mz_2")`, or `of("mz")` for all whiskers.
 
         Raises:
             ValueError: if there is no such channel.
@@ -110,11 +110,13 @@ class Information:
         return np.sum(self.rates**2, axis=1)
 
     def with_events(self, sigma: float) -> "Information":
-        """The information if the positions of all events are measured as well, each with this standard error (a
-        length).
+        """The information if the positions of all events are measured as well.
+
+        Args:
+            sigma: standard error of each position, in the unit of the control; positive.
 
         Raises:
-            ValueError: if it is not a positive number.
+            ValueError: if `sigma` is not a positive number.
         """
         checks.number("sigma", sigma, positive=True)
         return replace(self, events=tuple(e._replace(sigma=min(float(sigma), e.sigma)) for e in self.events))
@@ -192,9 +194,12 @@ def information(
         at: the unknown parameters with their values.
         sigma: standard deviation of the signals' noise, independent from step to step: a number, or a mapping from
             channels to numbers.
-        control: drive positions, (steps,). Default: that of a scan. Information is proportional to the density of
+        control: drive positions, (steps,). Default: those of `scan`. Information is proportional to the density of
             steps.
-        channels: the measured ones.
+        channels: measured channels, such as "mz" (of all whiskers) or "mz_1".
+
+    Returns:
+        An Information.
 
     Raises:
         ValueError: if an argument is wrong, or JAX cannot trace `build`.
@@ -227,8 +232,8 @@ def design(
         build: makes a Scene from named numbers: unknown parameters and design choices. JAX must be able to trace it.
         at: the unknown parameters, estimated together, with their expected values.
         sigma: standard deviation of the signals' noise, as in `information`.
-        control: drive positions, the same for all choices. Default: 512 over the contact of all.
-        channels: the measured ones.
+        control: drive positions, (steps,), the same for all choices. Default: 512 over the range of contact of all.
+        channels: measured channels, as in `information`.
         **axes: values of each design choice, one-dimensional.
 
     Returns:
@@ -334,7 +339,7 @@ class Rates(NamedTuple):
     whiskers: Any  # (events, whiskers)
     control: Any  # (events,)
     control_by_parameter: Any  # (events, parameters)
-    gap: Any  # (events,) between the steps before and behind an event
+    gap: Any  # (events,) travel between the steps before and after a snap; 0 for other events
 
 
 def _rates(rates: Program, values: Mapping[str, float], chosen: Mapping[str, Any], control: np.ndarray) -> Rates:
@@ -350,7 +355,7 @@ def _rates_of(build: Callable[..., Scene], names: tuple[str, ...], x, chosen, co
 
     (signals, where), push, (ok, events) = jax.linearize(value, x, has_aux=True)
     by, where_by = jax.vmap(push, out_axes=-1)(jnp.eye(x.size))
-    # The last step before a snap is left out, as in a fit: signals change without bound there.
+    # The last step before a snap is left out, as in a fit: slopes grow without bound there.
     snaps = jnp.where(events.kind >= EventKind.snap_through, events.travel, jnp.nan)
     before = (travel[:-1, None] <= snaps) & (travel[1:, None] > snaps)
     gap = jnp.sum(jnp.where(before, (travel[1:] - travel[:-1])[:, None], 0.0), axis=0)
@@ -362,7 +367,7 @@ def _rates_of(build: Callable[..., Scene], names: tuple[str, ...], x, chosen, co
 def _information_of(
     rates: Rates, at: Mapping[str, float], control: np.ndarray, noise: Sequence[_Noise], log: np.ndarray
 ) -> Information:
-    """Information from derivatives."""
+    """Information from derivatives and noise."""
     whitened = [rates.by_parameter[:, c.whisker, c.reaction] / sigma[:, None] for c, sigma in noise]
     events = []
     for k in np.flatnonzero(rates.kind >= 0):

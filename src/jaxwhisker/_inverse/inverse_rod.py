@@ -1,9 +1,9 @@
-"""One whisker, from its support reaction back to its contact.
+"""Inverse problem of one whisker: compute its contact from its support reaction.
 
 The states of a whisker on a base are a family with two parameters, z = (force, beyond). `beyond` is the angle between
-whisker and object in tip contact, or the arc beyond the contact in tangential contact; it is >= 0 in both. For each
-phase the state nearest to the three measured reactions, weighted with their noise, is solved for; the nearer of the two
-decides the phase. For a uniform straight upright whisker in tangential contact this means mz^2 = 2 EI fy.
+whisker and object in tip contact, or the arc beyond the contact in tangential contact; it is >= 0 in both. In each
+phase, Gauss-Newton finds the state nearest to the three measured reactions, weighted with their noise. The nearer of
+the two states decides the phase. For a uniform straight upright whisker, tangential contact requires mz^2 = 2 EI fy.
 """
 
 import dataclasses
@@ -21,13 +21,13 @@ from jaxwhisker._rod import rod
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Section
 
-UNEVEN_STEPS = 12  # Shooting takes twice as many for rods that are not uniform: 1e-8 of a cone
+UNEVEN_STEPS = 12  # Shooting doubles it for rods that are not uniform: an error of 1e-8 for a cone
 ITERATIONS = 7  # of Gauss-Newton; 3 without noise
-GUESSES = 16  # pieces of the rod in which the zero of the moment is searched
-SETTLED = 1e-5  # largest last step, relative for the force, absolute for angle or arc
+GUESSES = 16  # pieces of the rod that are searched for the zero of the moment
+SETTLED = 1e-5  # largest last step of a converged iteration, relative for the force, absolute for angle or arc
 LARGEST_ANGLE = 3.0  # rad, between whisker and object at the tip
 LARGEST_STEP = 0.3  # rad or lengths
-START = 0.02  # of the length: least arc beyond the contact to start from, because pointed tips overflow
+START = 0.02  # of the length: least initial arc beyond the contact, because pointed tips overflow
 POINTED = 1e-4  # of the length: least distance of a contact from a tip without stiffness
 
 
@@ -37,22 +37,22 @@ class Observation(NamedTuple):
     reaction: Float[Array, "3"]
     weight: Float[Array, "3"]  # 1 / standard deviation
     angle: Scalar  # of the base, without the effect of the whisker's own moment
-    twist: Scalar  # rotation of the base per moment
-    side: Scalar  # 1.0 if the whisker bends to the right of the object, -1.0 to the left
+    twist: Scalar  # rotation of the base per moment on it
+    side: Scalar  # 1.0 if the object bends the whisker towards +x (mz >= 0), -1.0 towards -x
     length: Scalar
     stiffness: Scalar
     section: Section | None
 
 
 class ContactState(NamedTuple):
-    """A state of a whisker in the frame of its base."""
+    """A state of a whisker, with the contact relative to its base; dimensionless."""
 
     x: Scalar
     y: Scalar
-    slope: Scalar
-    arc: Scalar
+    slope: Scalar  # alpha of the object, rad
+    arc: Scalar  # arc length from base to contact
     reaction: Float[Array, "3"]
-    angle: Scalar  # of the base
+    angle: Scalar  # of the base to the upright, rad, counter-clockwise
 
 
 class Estimate(NamedTuple):
@@ -60,7 +60,7 @@ class Estimate(NamedTuple):
 
     z: Float[Array, "2"]
     tip: Bool[Array, ""]
-    ok: Bool[Array, ""]  # whether a state was found
+    ok: Bool[Array, ""]  # whether the iteration converged in at least one phase
     chi2: Scalar
     gradient: Float[Array, "3 2"]  # of the whitened residuals
     other: Float[Array, "2"]  # the nearest state in the other phase
@@ -80,7 +80,7 @@ def state(z: Float[Array, "2"], tip: Bool[Array, ""], observed: Observation) -> 
     x, y, cos, sin = observed.side * end[0], end[1], observed.side * end[2], end[3]
     base_angle = observed.angle + observed.twist * force * x
     up, left = jnp.cos(base_angle), jnp.sin(base_angle)
-    # The rod is computed in the frame of the object; the direction of its base gives the angle between both.
+    # The rod is computed in the frame of the contact; the direction of its base gives the slope.
     slope_cos, slope_sin = up * sin - left * cos, up * cos + left * sin
     return ContactState(
         x=y * slope_sin - x * slope_cos,
@@ -131,7 +131,7 @@ def locate(section: Section | None, *fields) -> LocatedContact:
     values, by_z_angle = value_and_jacobian(at, jnp.append(near.z, observed.angle))
     apart = jnp.where(near.doubt > 0, at(jnp.append(near.other, observed.angle), ~near.tip) - values, 0.0)[:4]
     ambiguous = near.doubt * apart[:, None] * apart
-    # Gauss-Newton: first order in the noise.
+    # The Gauss-Newton approximation is exact to first order in the noise.
     by_observed = jnp.concatenate([-jnp.diag(observed.weight), by_z_angle[4:7, 2:] * observed.weight[:, None]], axis=1)
     by_observed = jnp.sum(near.gradient[:, :, None] * by_observed[:, None, :], axis=0)
     follows = -solve2(normal_matrix(near.gradient), by_observed)
@@ -147,7 +147,7 @@ def of_each(section: Any, function: Callable, *args):
 
 
 def value_and_jacobian(function: Callable, z):
-    """The value of a function and its forward derivative."""
+    """The value of a function and its derivative, in forward mode."""
 
     def twice(z):
         value = function(z)

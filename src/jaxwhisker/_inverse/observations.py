@@ -18,7 +18,7 @@ _IGNORED = re.compile(rf"(?:{'|'.join(QUANTITIES)}|spring|time|event_.*|n_events
 
 
 class Observations(eqx.Module):
-    """Support reactions over the control; NaN where nothing was measured."""
+    """Support reactions over the control, in the units of the scene; NaN where nothing was measured."""
 
     control: Float[np.ndarray, " steps"]  # drive positions in the order in which they were visited
     values: Float[np.ndarray, "steps whiskers 3"]  # fx, fy, mz of the support on the whisker
@@ -50,11 +50,11 @@ class Observations(eqx.Module):
         return np.where(peak > 0, peak, 1.0)
 
     def at(self, steps: Any) -> "Observations":
-        """The observations at some steps, given by a slice or by indices."""
+        """The observations at some steps, which a slice or indices select."""
         return Observations(self.control[steps], self.values[steps], self.sigma[steps])
 
     def with_sigma(self, sigma: Any) -> "Observations":
-        """The same observations with noise of another standard deviation."""
+        """The same observations with another standard deviation of the noise, broadcast to (steps, whiskers, 3)."""
         return Observations(self.control, self.values, np.array(np.broadcast_to(sigma, self.values.shape), dtype=float))
 
 
@@ -86,7 +86,8 @@ def read_observations(data: Any, sigma: Any = None, *, whiskers: int | None = No
         whiskers: number of whiskers; the data may omit whiskers that were not measured.
 
     Raises:
-        ValueError: if a channel is unknown, too short or too long, or if sigma is not positive.
+        ValueError: if the data have another type, lack `control` or all reactions, or have an unknown or a wrongly
+            shaped column, or if sigma is not positive or is missing for a channel.
     """
     table = _table_of(data)
     if "control" not in table:

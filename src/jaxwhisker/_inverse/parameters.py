@@ -35,17 +35,17 @@ class Unknowns(NamedTuple):
 
 
 class Transforms(eqx.Module):
-    """Invertible maps from the fit's variables y, unbounded and of size one, to parameters x.
+    """Invertible maps from the fit's variables y, unbounded and of order one, to parameters x.
 
     x = scale * v, or x = exp(v) in log, where v = y without bounds. With two bounds, v is a logistic curve from one to
-    the other; with one bound, v leaves it like an exponential and goes on like a straight line.
+    the other; with one bound, v is exponential near it and linear far away (softplus).
     """
 
     table: Any  # (parameters, 4): whether in log, the scale, the lower and the upper bound of v
 
     @classmethod
     def of(cls, log: Sequence[bool], scale: Sequence[float], bounds: Sequence[tuple[float, float]]) -> "Transforms":
-        """Transforms with bounds of x; a lower bound of 0 of a parameter in log is no bound."""
+        """Transforms with bounds of x; for a parameter in log, a lower bound of 0 means no bound."""
 
         def inner(x: float, is_log: bool, size: float) -> float:
             return (math.log(x) if x > 0 else -math.inf) if is_log else x / size
@@ -67,7 +67,7 @@ class Transforms(eqx.Module):
 
     @property
     def scale(self) -> Float[np.ndarray, " parameters"]:
-        """Sizes of the other parameters."""
+        """Scales of the parameters that are not fitted in log; 1 for the others."""
         return np.asarray(self.table[:, 1])
 
     @property
@@ -92,14 +92,14 @@ class Transforms(eqx.Module):
         return xp.where(log > 0, xp.exp(xp.where(log > 0, inner, 0.0)), inner * scale)
 
     def variables(self, x: Iterable[float]) -> Float[np.ndarray, " parameters"]:
-        """The fit's variables y from parameters within their bounds."""
+        """The fit's variables y from parameters x within their bounds."""
         rows = zip(x, self.table.tolist(), strict=True)
         return np.array(
             [_unbounded(math.log(v) if log else v / scale, low, high) for v, (log, scale, low, high) in rows]
         )
 
     def stretch(self, y: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
-        """dv/dy: a change of y as a relative change of x, or in units of the scale."""
+        """dv/dy, from a change of y to a relative change of x in log, or to a change of x in units of its scale."""
         _, _, low, high = self.table.T
         above, below = np.isfinite(low), np.isfinite(high)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -191,7 +191,7 @@ def read_parameters(argument: str, given: Any) -> dict[str, float]:
     """Values of parameters as floats.
 
     Raises:
-        ValueError: if they are not a mapping to finite numbers; names the argument.
+        ValueError: if they are not a mapping to finite numbers; the message names `argument`.
     """
     if not isinstance(given, Mapping) or not given:
         raise ValueError(f"`{argument}` must be a mapping of parameters to numbers, got {given!r}.")
@@ -207,7 +207,7 @@ def check_arguments(argument: str, function: Any, names: Sequence[str], called: 
     """Check that a user's function takes arguments of these names.
 
     Raises:
-        ValueError: if not; names the argument of ours that the names come from, and the function.
+        ValueError: if not; the message names `argument`, from which the names come, and the function.
     """
     if not callable(function):
         raise ValueError(f"`{called}` must be a function that returns a Scene, got {function!r}.")
@@ -228,7 +228,7 @@ def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Scene
     """The scene that `build` makes of values.
 
     Raises:
-        ValueError: if `build` does not take these names, or returns something else than a Scene.
+        ValueError: if `build` does not take these names, or does not return a Scene.
     """
     check_arguments(argument, build, list(values))
     scene = build(**values)
@@ -243,10 +243,10 @@ def numbers_of(scene: Scene | Sensor) -> list[Array]:
 
 
 def check_traceable(build: Callable[..., Any], values: Mapping[str, float], called: str = "build") -> None:
-    """Check that JAX can trace a user's function, which every compiled program does.
+    """Check that JAX can trace a user's function, as every compiled program must.
 
     Raises:
-        ValueError: if not; names the function and the remedy.
+        ValueError: if not; the message names the function and the remedy.
     """
     try:
         jax.eval_shape(lambda values: numbers_of(build(**values)), {k: jnp.asarray(v) for k, v in values.items()})
@@ -262,7 +262,7 @@ def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
     """Check that the scene depends on every parameter.
 
     Raises:
-        ValueError: if not; names the parameter.
+        ValueError: if not; the message names the parameter.
     """
     changes = jax.jacfwd(lambda values: numbers_of(build(**values)))(dict(guess))
     for name in guess:

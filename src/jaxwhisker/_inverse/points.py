@@ -12,7 +12,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._inverse.statistics import NORMAL_95
 
 NEAR_VERTEX = 0.2  # largest |tan(slope)| of points from which the vertex is estimated
-FEWEST = 8  # points for a polynomial
+FEWEST = 8  # least number of points for a polynomial
 SIGNIFICANT = 20.0  # standard deviations: below, errors are not linear in the noise
 LARGEST_CONDITION = 1e12  # of a polynomial's normal matrix
 
@@ -29,7 +29,8 @@ class PointStatus(IntEnum):
 class Step(eqx.Module):
     """Contacts of the whiskers; every field (steps, whiskers), in the sensor's units.
 
-    NaN, and Phase.free, where the status is not ok; the pose of the base is also known for free whiskers.
+    Fields are NaN, and `phase` is Phase.free, where the status is not ok; the pose of the base and the significance are
+    also known for whiskers whose signals are not missing.
     """
 
     x: Float[Array, "*steps whiskers"]  # contact: a point of the object
@@ -41,21 +42,21 @@ class Step(eqx.Module):
     base_x: Float[Array, "*steps whiskers"]
     base_y: Float[Array, "*steps whiskers"]
     base_angle: Float[Array, "*steps whiskers"]  # of the whisker there to the upright, rad, counter-clockwise
-    chi2: Float[Array, "*steps whiskers"]  # distance of the signals from a possible state: one degree of freedom
+    chi2: Float[Array, "*steps whiskers"]  # chi-squared of the nearest state, with one degree of freedom
     significance: Float[Array, "*steps whiskers"]  # of the signals, in standard deviations of their noise
     status: Int[Array, "*steps whiskers"]  # PointStatus
     covariance: Float[Array, "*steps whiskers 4 4"]  # of x, y, slope and arc
 
 
 class Vertex(NamedTuple):
-    """The object's lowest point as estimated by every whisker, (whiskers,); NaN for one that never passed it."""
+    """Estimates of the object's lowest point, one per whisker, (whiskers,); NaN for a whisker that never passed it."""
 
     x: Float[np.ndarray, " whiskers"]
     x_error: Float[np.ndarray, " whiskers"]  # standard errors
     y: Float[np.ndarray, " whiskers"]
     y_error: Float[np.ndarray, " whiskers"]
-    radius: Float[np.ndarray, " whiskers"]  # of curvature there
-    base_x: Float[np.ndarray, " whiskers"]  # of the base there, where fx crosses zero
+    radius: Float[np.ndarray, " whiskers"]  # radius of curvature there, a length
+    base_x: Float[np.ndarray, " whiskers"]  # x of the base when the whisker is there, where fx crosses zero
 
 
 class Consistency(NamedTuple):
@@ -74,8 +75,9 @@ class Consistency(NamedTuple):
 class Reconstruction(Step):
     """Points of the object at every step and for every whisker, with their uncertainty.
 
-    Errors are first order in the noise of a step's reactions of all whiskers, and in the parameters of the sensor if
-    their covariance was given; where both phases are possible, their difference is added. NaN if neither is known.
+    Errors are of first order in the noise of all reactions at a step, and in the errors of the sensor's parameters if
+    their covariance was given. Where both phases are possible, the difference between them is added. Errors are NaN if
+    neither the noise nor that covariance is known.
     """
 
     control: Float[Array, " steps"]
@@ -100,7 +102,7 @@ class Reconstruction(Step):
 
     @property
     def band(self) -> tuple[Float[Array, "2 steps whiskers"], Float[Array, "2 steps whiskers"]]:
-        """x and y of the two borders of the 95 % band: outside, towards the whiskers, and inside of the object."""
+        """x and y of the two borders of the 95 % band: outside the object, towards the whiskers, and inside it."""
         reach = NORMAL_95 * self.normal_error * jnp.array([1.0, -1.0])[:, None, None]
         return self.x + reach * jnp.sin(self.slope), self.y - reach * jnp.cos(self.slope)
 
@@ -108,7 +110,7 @@ class Reconstruction(Step):
         """Estimate the object's lowest point from the points near it, where the force is vertical.
 
         There x = x0 + radius t + O(t^2) and y = y0 + radius t^2 / 2 + O(t^3), with t = tan(slope). Two more powers are
-        fitted, weighted with the covariances; errors are NaN if these are unknown.
+        fitted. Points are weighted with their covariances; errors are NaN if these are unknown.
         """
         each = [self._vertex(k) for k in range(self.x.shape[1])]
         return Vertex(*(np.array(values) for values in zip(*each, strict=True)))
@@ -132,8 +134,9 @@ class Reconstruction(Step):
     def consistency(self) -> Consistency:
         """Compare the points of every other whisker with the contour of whisker 1.
 
-        That is a cubic through its nearest points, weighted with their errors. The noise of two whiskers at one place
-        is independent, because they pass it at different times.
+        Near each point, that contour is a cubic fitted to the nearest points of whisker 1, weighted with their errors.
+        The noise of two whiskers at the same point of the object is independent, because they pass it at different
+        times.
         """
         others = [self._against_first(k) for k in range(1, self.x.shape[1])]
         if not others:
@@ -195,8 +198,8 @@ class Reconstruction(Step):
 def _polynomial(values, direction, by_slope, columns, spread) -> tuple[np.ndarray, float]:
     """Coefficients of a weighted fit to values along a direction, and the standard error of the first coefficient.
 
-    An error of the slope acts like one of the values: `by_slope` is the derivative of the polynomial with respect to
-    it.
+    An error of the slope acts like an error of the values: `by_slope` is the polynomial's derivative with respect to
+    the slope.
     """
     noisy = bool(np.isfinite(spread).all() and (spread[:, [0, 1, 2], [0, 1, 2]] > 0).all())
     by = np.column_stack([np.tile(direction, (values.size, 1)), -by_slope])

@@ -20,14 +20,14 @@ from jaxwhisker._model.scene import Scene
 
 MAX_STEPS = 60  # of Levenberg-Marquardt
 FINE = 1e-6  # decrease of the sum of squares below which a fit ends: within 1e-3 standard errors of the minimum
-COARSE = 1e-4  # the same of the first stages
-SMALL = 1e-7  # change of variables of size one, and of residuals, at which a fit ends as well
-ROUNDING = 1e-14  # of a scaled normal matrix: an unknown that is held has no row of its own
+COARSE = 1e-4  # the same for the first stages
+SMALL = 1e-7  # change of variables of order one, and of residuals, below which a fit ends as well
+ROUNDING = 1e-14  # added to the diagonal of a scaled normal matrix, which is zero for an unknown that stays fixed
 KEPT = 32  # functions whose programs are kept
 
 
 class Program:
-    """A function that is compiled once for each shape of its arguments; arrays in and out are numpy's."""
+    """A function that is compiled once for each shape of its arguments; it takes and returns numpy arrays."""
 
     def __init__(self, function: Callable):
         self._function = function
@@ -52,10 +52,10 @@ class Program:
 
 
 def program(function: Callable, build: Callable, *static: Any) -> Program:
-    """The program of `function(build, *static, ...)`; kept, because compiling takes longer than running."""
+    """The program of `function(build, *static, ...)`; it is kept, because compiling takes longer than running."""
     try:
         hash(build)
-    except TypeError:  # a module with arrays
+    except TypeError:  # a module with arrays has no hash
         return Program(partial(function, build, *static))
     return _kept(function, build, *static)
 
@@ -68,8 +68,8 @@ def _kept(function: Callable, build: Callable, *static: Any) -> Program:
 class LevenbergMarquardt(optx.LevenbergMarquardt):
     """Levenberg-Marquardt that ends when another step would not lower the sum of squares by more than `least`.
 
-    Unknowns that are hardly determined would move on for long, and at the minimum rounding decides which steps are
-    accepted.
+    Otherwise unknowns that are hardly determined would keep moving for many steps, and near the minimum rounding would
+    decide which steps are accepted.
     """
 
     least: Any = 0.0
@@ -97,7 +97,7 @@ def possible_decrease(
 
 
 class Solution(NamedTuple):
-    """Where a fit ended."""
+    """The solution of a least-squares fit."""
 
     y: Any  # (unknowns,)
     residual: Any  # (residuals,)
@@ -108,12 +108,12 @@ class Solution(NamedTuple):
 
     @property
     def misfit(self) -> float:
-        """Sum of squares of all residuals, that of the prior included."""
+        """Sum of squares of all residuals, including those of the prior."""
         return chi_squared(self.residual)
 
     @property
     def observed(self) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and derivatives without those of the prior."""
+        """Residuals and their derivatives, without those of the prior."""
         rows = self.residual.size - self.y.size
         return self.residual[:rows], self.jacobian[:rows]
 
@@ -126,7 +126,7 @@ class LeastSquares:
         self._program = program(_solve, build, unknowns)
 
     def __call__(self, y: np.ndarray, data: Samples, free: np.ndarray | None = None, least: float = FINE) -> Solution:
-        """Fit from y on; unknowns that are not free are held."""
+        """Fit, starting from y; unknowns that are not free stay fixed."""
         return self._program(y, data, np.ones(self._count, bool) if free is None else free, least)
 
     def compile_all(self, *several: Samples) -> None:
@@ -143,7 +143,7 @@ def _solve(
     free: Any,
     least: Any,
 ) -> Solution:
-    # Traced and compiled once, although the solver asks for values in one place and for derivatives in another.
+    # jit traces and compiles this once, although the solver asks for values and for derivatives in different places.
     @jax.jit
     def both(y, data):
         value, push, compared = jax.linearize(lambda y: residuals(build, unknowns, y, data), y, has_aux=True)

@@ -1,8 +1,8 @@
-"""Reconstruction: from measured support reactions back to where every whisker touches the object.
+"""Reconstruction: compute the contact point of every whisker from measured support reactions.
 
-The base of a whisker is where drive, mount and springs put it under the measured load. From there the rod is known up
-to where its moment vanishes. That is the contact, and the force there is normal to the object. Three reactions are one
-more than needed, which decides the phase and separates noise from signal: see inverse_rod.py.
+Drive, mount and springs determine the pose of a base under the measured load. From there the rod is known up to the
+point at which its moment vanishes. That is the contact, and the force there is normal to the object. Three reactions
+are one more than needed, which decides the phase and separates noise from signal: see inverse_rod.py.
 
 Source: Will, Behn, Steigenberger (2017), ZAMM, "Object contour scanning using elastically supported technical
 vibrissae" (for exact signals).
@@ -31,11 +31,11 @@ from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._scan.quantities import REACTIONS
 
-BLOCK = 512  # steps are padded to multiples: one compilation serves recordings of every length
-FREE = 16.266  # chi-squared of three reactions, 99.9 %: below it they may be noise only
-EXACTLY_FREE = 1e-18  # the same relative to the peaks, where the noise is unknown
+BLOCK = 512  # steps are padded to a multiple of it, so recordings of similar length share a compilation
+FREE = 16.266  # 99.9 % quantile of chi-squared of three reactions: below it they may be only noise
+EXACTLY_FREE = 1e-18  # the same with the peaks in place of the noise, if the noise is unknown
 
-# A bent whisker in place of those without a contact: every derivative has to be finite.
+# Reactions of a bent whisker replace those of whiskers without a contact, because every derivative must be finite.
 PLACEHOLDER = np.array([-0.8795, 0.4758, 0.9755])
 
 
@@ -56,11 +56,13 @@ def reconstruct(
             reactions is NaN. Within jit and vmap: a mapping of arrays.
         sensor: the sensor; or a Scene, whose object is ignored; or a function of named parameters that returns either.
         sigma: standard deviation of the noise: a number for all channels, or a mapping from channels to numbers or
-            arrays. None for signals without noise, whose phases are decided to rounding.
+            arrays. None for signals without noise: phases are then decided up to rounding, and errors follow from
+            `covariance` only.
         parameters: arguments of the function, by name.
-        covariance: of the parameters in their order, (p, p): their uncertainty widens the bands.
-        base: measured poses (x, y, angle) of the bases, each (steps,) or (steps, whiskers), which replace those that
-            drive, mounts and springs give.
+        covariance: covariance of the parameters in their order, (p, p); it widens the bands.
+        base: measured poses of the bases, which replace those that follow from drive, mounts and springs: x, y
+            (lengths) and the angle of the whisker there to the upright (rad, positive counter-clockwise), each (steps,)
+            or (steps, whiskers).
 
     Returns:
         A Reconstruction; NaN where a whisker is `free`, where signals are `missing`, or where no state fits (`failed`).
@@ -202,7 +204,7 @@ class Instrument(NamedTuple):
 
 
 def instrument(sensor: Sensor) -> Instrument:
-    """The sensor in units of the first whisker."""
+    """The sensor, dimensionless in the units of the first whisker."""
     whiskers, support = sensor.whiskers, sensor.support
     unit = units_of(whiskers[0], sensor.motion)
     n = len(whiskers)
@@ -224,7 +226,7 @@ def instrument(sensor: Sensor) -> Instrument:
 
 
 def _steps(sensor: Sensor, control, signals, noise, poses) -> Step:
-    """All steps, in the sensor's units."""
+    """Contacts at all steps, in the sensor's units."""
     known = instrument(sensor)
     unit = known.unit
     sizes = jnp.stack([jnp.asarray(size, dtype=float) for size in (unit.force, unit.force, unit.moment)])
@@ -271,7 +273,7 @@ class _Signals(NamedTuple):
 
 
 def _step(known: Instrument, threshold: float, drive, reaction, deviation, pose) -> Step:
-    """All whiskers at one step; dimensionless."""
+    """Contacts of all whiskers at one step; dimensionless."""
     flexibility = known.flexibility if pose is None else jnp.zeros_like(known.flexibility)
     signals = _sorted_signals(flexibility, threshold, reaction, deviation, pose)
     observed = _observations(known, flexibility, drive, signals, deviation)
@@ -308,14 +310,14 @@ def _step(known: Instrument, threshold: float, drive, reaction, deviation, pose)
 def _sorted_signals(flexibility, threshold: float, reaction, deviation, pose) -> _Signals:
     missing = jnp.any(jnp.isnan(reaction), axis=-1)
     if pose is None:
-        # The position of a base depends on the loads of the whiskers it is coupled with.
+        # The position of a base depends on the loads on all whiskers that it is coupled to.
         coupled = jnp.any(flexibility != 0, axis=(1, 3))
         missing = missing | jnp.any(coupled & missing, axis=-1)
     else:
         missing = missing | jnp.any(jnp.isnan(pose), axis=-1)
         pose = jnp.where(missing[:, None], 0.0, pose)
     present = jnp.where(missing[:, None], PLACEHOLDER, reaction)
-    # Contacts below the noise still move the bases of others.
+    # Contacts below the noise still move the bases of other whiskers.
     measured = jnp.where(missing[:, None], 0.0, reaction)
     significance = jnp.sum((present / jnp.where(missing[:, None], 1.0, deviation)) ** 2, axis=-1)
     free = ~missing & (significance < threshold)
@@ -325,7 +327,7 @@ def _sorted_signals(flexibility, threshold: float, reaction, deviation, pose) ->
 
 
 def _observations(known: Instrument, flexibility, drive, signals: _Signals, deviation) -> tuple:
-    """The fields of an Observation, but for the section, of every whisker."""
+    """The fields of an Observation of every whisker, except the section."""
     loads = _rotate(-signals.measured, -drive[2])  # in the drive's frame
     rotation = flexibility[:, 2]  # (whiskers, whiskers, 3): of every base by all loads
     own = jnp.eye(known.length.size, dtype=bool)
@@ -341,7 +343,7 @@ def _observations(known: Instrument, flexibility, drive, signals: _Signals, devi
 
 
 def _base_poses(known: Instrument, flexibility, drive, reactions) -> Float[Array, "whiskers 3"]:
-    """Where drive, mounts and springs put the bases under these reactions."""
+    """Poses of the bases that follow from drive, mounts and springs under these reactions."""
     loads = _rotate(-reactions, -drive[2])
     moved = known.mount + known.offset + jnp.sum(flexibility * loads, axis=(2, 3))
     return drive + _rotate(moved, drive[2])
@@ -355,7 +357,7 @@ def _rotate(vectors: Float[Array, "*batch 3"], angle: Scalar) -> Float[Array, "*
 
 
 def _covariance(located: LocatedContact, flexibility, drive_angle: Scalar, deviation) -> Float[Array, "whiskers 4 4"]:
-    """Covariance of x, y, slope and arc from the noise of all whiskers; none from whiskers whose deviation is zero."""
+    """Covariance of x, y, slope and arc from the noise of all whiskers; a whisker with zero deviation adds nothing."""
     others = ~jnp.eye(deviation.shape[0], dtype=bool)[:, :, None]
     # Derivatives with respect to the reactions of all whiskers: of base angles, (j, k, 1, 3), and of z and angle.
     angle = jnp.where(others, -_rotate(flexibility[:, 2], drive_angle), 0.0)[:, :, None, :]
@@ -366,7 +368,7 @@ def _covariance(located: LocatedContact, flexibility, drive_angle: Scalar, devia
     def rotate_rows(matrices, angle):
         return jnp.swapaxes(_rotate(jnp.swapaxes(matrices, 2, 3), angle), 2, 3)
 
-    # All loads, which are minus the reactions, move the bases.
+    # The bases move under all loads, which are the negative reactions.
     loads = jnp.swapaxes(rotate_rows(-out[:, :, 4:7], -drive_angle), 0, 1)  # (k, j, 3, 3)
     moved = jnp.sum(flexibility[:, None, :, :, :, None] * loads[None, :, None], axis=(3, 4))
     out = out[:, :, :4].at[:, :, :2].add(rotate_rows(moved, drive_angle)[:, :, :2]) * deviation[None, :, None, :]

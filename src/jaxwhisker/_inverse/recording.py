@@ -9,15 +9,15 @@ from jaxwhisker._model.scene import Scene, Sensor, units_of
 from jaxwhisker._scan.quantities import REACTIONS
 
 LEAST_POSITIONS = 5  # drive positions from which a scan is recognised
-ENOUGH_DIFFERENCES = 30  # from which the scatter between neighbours distinguishes contact from noise
+ENOUGH_DIFFERENCES = 30  # between neighbours, whose scatter then distinguishes contact from noise
 CONTROL_RATIO = 1e-2, 1e3  # plausible ranges, in the units of the scene
 REACTION_RATIO = 1e-3, 1e4
-NEGATIVE_WORK = 0.1  # of all work done along the way, from which on it is significant; reversed scans reach 0.4 to 0.8
+NEGATIVE_WORK = 0.1  # of the sum of |work|: negative work beyond it is significant; reversed scans reach 0.4 to 0.8
 ROUNDING = 1e-12  # relative change of a constant signal
 
 
 def check_recording(observations: Observations, sensor: Scene | Sensor, unknowns: int) -> None:
-    """Check that observations can be a scan with this sensor from which so many unknowns can be estimated.
+    """Check that observations can be a scan with this sensor, and that they suffice for this number of unknowns.
 
     Raises:
         ValueError: if there are too few values or drive positions, no contact, values in another unit, or values in
@@ -73,10 +73,10 @@ def _check_units(observations: Observations, sensor: Scene | Sensor) -> None:
 
 
 def _check_direction(observations: Observations) -> None:
-    """Check that the drive does work on whiskers that start free; they can only store or dissipate it.
+    """Check that the total work of the drive is never negative: whiskers that start free cannot give energy to it.
 
-    The work is the integral of the sum of all fx over the control. In reversed order, the energy that a snap dissipates
-    seems to come from nowhere.
+    The work is the integral of the sum of all fx over the control. If the order is reversed, a snap seems to create the
+    energy that it dissipates.
     """
     fx = observations.values[:, :, 0]
     complete = np.asarray(np.isfinite(fx).all(axis=1))
@@ -84,7 +84,7 @@ def _check_direction(observations: Observations) -> None:
     if control.size < LEAST_POSITIONS or in_contact(observations)[0].any() or not complete[0]:
         return
     steps, middle = np.diff(control), (force[1:] + force[:-1]) / 2
-    # Between two samples the force is anywhere between their values, as far as a monotonic signal goes.
+    # An upper bound: between two samples, a monotonic force lies between their values.
     most = np.cumsum(middle * steps + np.abs(np.diff(force) * steps) / 2)
     noise = (observations.sigma[complete, :, 0] ** 2).sum(axis=1)
     deviation = np.sqrt(np.cumsum(noise[1:] * steps**2))

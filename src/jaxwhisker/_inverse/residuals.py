@@ -1,12 +1,14 @@
 """Whitened residuals of a scan against observed signals, and their derivatives with respect to the unknowns.
 
-Signals jump at snaps. A sample between the model's snap and the observed one says nothing by its size and misleads by
-its slope. It is left out at a fixed price, and so is the last sample before an observed snap, at no price. The position
-of the snap takes their place: it lies anywhere between the two samples between which the signals jump.
+Signals jump at snaps. Between the model's snap and the observed one, residuals carry no information, and their slopes
+mislead the fit. These samples are left out at a fixed price. The last sample before an observed snap is left out, too,
+at no price. Instead, the position of the snap is compared, which lies anywhere between the two samples between which
+the signals jump.
 
-First guesses may be far off. Therefore a first stage overlays the scans: the model's way from first touch to last
-release is stretched to the observed one, signals are compared at equal shares of it, and the positions of touches and
-releases are compared separately. That misfit is smooth and wide; the misfit at equal controls starts from its minimum.
+Initial guesses may be far off. Therefore a first stage overlays the scans: the model's travel from first touch to last
+release is stretched to the observed one, signals are compared at equal fractions of it, and the positions of touches
+and releases are compared separately. That misfit is smooth and has a wide minimum, from which the fit at equal controls
+starts.
 """
 
 from collections.abc import Callable
@@ -27,20 +29,20 @@ from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.route import Route
 from jaxwhisker._scan.scan import TracedScan
 
-BLOCK = 512  # samples are padded to a multiple of it: one compilation serves measurements of every length
+BLOCK = 512  # samples are padded to a multiple of it, so recordings of similar length share a compilation
 OVERLAID_SIGMA = 0.1  # of the peak: standard deviation of overlaid signals
 OVERLAID_EVENT = 0.03  # lengths: standard deviation of touches, releases and jumps of overlaid scans
-OVERLAID_PRIOR = 50.0  # of a parameter in log or in its scale, in units of the mean signal's standard deviation
-PRIOR = 1e4  # of the same later: what changes no signal stays where it is
+OVERLAID_PRIOR = 50.0  # standard deviation of the fit's variables; all signals together weigh as much as their mean
+PRIOR = 1e4  # the same in later stages: unknowns that change no signal keep their values
 UNIFORM = 12**-0.5  # of the gap between two samples: standard deviation of a snap that may be anywhere in it
-OUTSIDE = 8.0  # by so many times the weight of a snap grows far outside its gap,
-WIDTH = 2.0  # from so many gaps on; smoothly, because a least-squares step cannot foresee a wall
-PRICE = 3.0  # standard deviations for every value between the model's snap and the observed one
-NO_EVENT = 1.0  # lengths by which an event that the model does not have is off
+OUTSIDE = 8.0  # multiple of its weight that is added to a snap far outside its gap
+WIDTH = 2.0  # gaps over which that grows; smoothly, because a least-squares step cannot foresee a wall
+PRICE = 3.0  # standard deviations: residual of every value between the model's snap and the observed one
+NO_EVENT = 1.0  # a length: residual of an observed event that the model does not have
 
 
 class Samples(NamedTuple):
-    """Observations as the compiled residuals take them, padded."""
+    """Padded observations, as the compiled residuals take them."""
 
     control: Any  # (samples,)
     travel: Any  # (samples,)
@@ -48,26 +50,26 @@ class Samples(NamedTuple):
     weight: Any  # (samples, whiskers, 3) 1 / sigma; 0 where nothing was measured
     stops: Any  # (stops,) of the drive
     last: Any  # index of the last stop
-    low: Any  # (jumps,) travel before and behind each jump
-    high: Any
+    low: Any  # (jumps,) travel before each jump
+    high: Any  # (jumps,) travel after each jump
     touch: Any  # (whiskers,) travel; NaN if it is not visible
     release: Any
     touch_weight: Any  # (whiskers,)
     release_weight: Any
-    jump_weight: Any  # (jumps,) of a snap's distance from the middle between two samples
-    jump_width: Any
+    jump_weight: Any  # (jumps,) of the distance between a snap and the middle of its gap
+    jump_width: Any  # (jumps,) distance over which that weight grows
     transforms: Transforms
     prior: Any  # (unknowns,)
     prior_weight: Any
     overlaid: Any  # whether scans are overlaid
-    direction: Any  # sign of the way from the first sample to the last
+    direction: Any  # sign of the change of the control from the first sample to the last
 
 
 class Comparison(NamedTuple):
-    """How the residuals came about."""
+    """What the residuals compare with the observations."""
 
     signals: Any  # (samples, whiskers, 3) of the model, offsets included; NaN where a step failed
-    left_out: Any  # (samples,) at a snap
+    left_out: Any  # (samples,) whether a sample is left out at a snap
     status: Any  # of the path
 
 
@@ -81,7 +83,7 @@ def samples_of(
     overlaid: bool,
     length: float,
 ) -> Samples:
-    """Pad observations, and weight them for one of the two stages."""
+    """Pad observations, and weight them for the overlaid stage or the others."""
     padding = -observations.control.size % BLOCK
 
     def pad(values, fill=None):
@@ -126,7 +128,7 @@ def residuals(
     scan = TracedScan(
         build(**dict(zip(unknowns.names, x, strict=False))), stops, jnp.where(data.overlaid, 1, data.last)
     )
-    start = jax.lax.stop_gradient(scan.start)  # the overlaid way begins where the model's does
+    start = jax.lax.stop_gradient(scan.start)  # the overlaid scan begins where the model's does
     happened = jnp.arange(scan.events.kind.size) < scan.events.count
     at = _travel_of(scan.events, happened, data)
     ends = _contact_ends(scan.events, at, happened)
@@ -140,7 +142,7 @@ def residuals(
     snaps = _pair_snaps(scan.events, at, happened, overlay, data)
     left_out, wrong_side = _at_snaps(snaps, along)
     of_signals = jnp.where(left_out[:, None, None], 0.0, (signals - data.values) * data.weight)
-    # Otherwise a fit could gain by a snap that leaves bad samples out.
+    # Without a price, a fit could improve by moving a snap to leave out bad samples.
     priced = (wrong_side & ~data.overlaid)[:, None, None] & (data.weight > 0)
     of_signals = jnp.where(priced, PRICE, of_signals)
 
@@ -169,7 +171,7 @@ def _offset(unknowns: Unknowns, x: Float[Array, " unknowns"], data: Samples) -> 
 
 
 def _travel_of(events: Events, happened: Bool[Array, " events"], data: Samples) -> Float[Array, " events"]:
-    """Travel at every event, with its derivative: that of the control, in the direction in which the drive passes."""
+    """Travel at every event; its derivative is that of the control times the direction in which the drive moves."""
     moved = jnp.where(happened, events.control - jax.lax.stop_gradient(events.control), 0.0)
     at = jnp.where(happened, events.travel, 0.0)
     step = jnp.clip(jnp.searchsorted(data.travel, at) - 1, 0, data.travel.size - 2)
@@ -197,7 +199,7 @@ def _contact_ends(events: Events, at: Float[Array, " events"], happened: Bool[Ar
 
 
 def _overlay(data: Samples, ends: _ContactEnds) -> Callable[[Any], Any]:
-    """The map from observed travel to the model's; an end of contact that is not visible is not moved."""
+    """The map from observed travel to the model's; it does not move an end of contact that is not visible."""
     visible_first, visible_last = jnp.any(jnp.isfinite(data.touch)), jnp.any(jnp.isfinite(data.release))
     first = jnp.where(visible_first, jnp.nanmin(data.touch), 0.0)
     last = jnp.where(visible_last, jnp.nanmax(data.release), data.travel[-1])
@@ -215,7 +217,7 @@ def _overlay(data: Samples, ends: _ContactEnds) -> Callable[[Any], Any]:
 
 
 class _Snaps(NamedTuple):
-    """Observed jumps and the model's nearest snap of each, by travel, (jumps,); 0 where a jump has no snap."""
+    """Travel at observed jumps and at the model's snap nearest to each, (jumps,); 0 where a jump has no snap."""
 
     low: Any
     high: Any
@@ -249,5 +251,5 @@ def _at_snaps(
     """Which samples are left out at snaps, and which of them lie between the model's snap and the observed one."""
     low, high, snap, here = jax.lax.stop_gradient((snaps.low, snaps.high, snaps.snap, along[:, None]))
     between = jnp.any((((here <= low) & (here > snap)) | ((here >= high) & (here < snap))) & snaps.paired, axis=1)
-    # Before a fold signals change without bound: the last sample there is worth little, and bends the misfit.
+    # Slopes grow without bound towards a fold: the last sample before it says little and distorts the misfit.
     return between | jnp.any((here == low) & snaps.paired, axis=1), between

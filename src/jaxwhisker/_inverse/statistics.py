@@ -11,10 +11,10 @@ NORMAL_95 = 1.959963984540054  # standard deviations on either side of the mean 
 CHI2_95 = NORMAL_95**2  # rise of chi-squared at the ends of a 95 % interval of one parameter
 DEVIATIONS = 6.0  # standard deviations of chi-squared above its mean from which a misfit is implausible
 
-RELATIVE_ZERO = 1e-7  # of the largest singular value: below it a direction changes no signal; derivatives hold to 1e-9
+RELATIVE_ZERO = 1e-7  # of the largest singular value: below it a direction changes no signal; derivatives err by 1e-9
 LARGEST_LOG_ERROR = 1.0  # standard error of a logarithm above which a parameter is not identified: a factor of e
-NAMED = 0.05  # share of a direction's largest component from which on a parameter is named with it
-INVOLVED = 1e-4  # component in a direction that changes no signal from which on a parameter is not identified
+NAMED = 0.05  # of a direction's largest component: parameters with smaller components are not named
+INVOLVED = 1e-4  # a parameter with a larger component in a direction that changes no signal is not identified
 
 
 class FitStatus(IntEnum):
@@ -34,7 +34,7 @@ def chi_squared(whitened: np.ndarray) -> float:
 
 
 def is_plausible(chi2: float, degrees: int) -> bool:
-    """Whether noise explains a sum of squares with so many degrees of freedom."""
+    """Whether noise explains a sum of squares with this number of degrees of freedom."""
     return bool(chi2 < degrees + DEVIATIONS * math.sqrt(2 * max(degrees, 1)))
 
 
@@ -45,7 +45,7 @@ def correlation(covariance: np.ndarray) -> np.ndarray:
 
 
 class Identifiability(NamedTuple):
-    """What signals determine, in relative changes of parameters fitted in log, and in units of `scale` of others."""
+    """What signals determine: relative changes of parameters in log, and changes of others in units of `scale`."""
 
     covariance: np.ndarray  # (parameters, parameters); NaN for parameters that are not identified
     identified: np.ndarray  # (parameters,) bool
@@ -61,8 +61,8 @@ def identifiability(jacobian: np.ndarray, names: Sequence[str], log: np.ndarray,
         jacobian: derivatives of whitened residuals, (residuals, parameters): with respect to log x of parameters in
             log, and to x / scale of the others.
         names: of the parameters.
-        log: which parameters are in log, (parameters,).
-        scale: of the others, (parameters,).
+        log: which parameters are in log, (parameters,) bool.
+        scale: units in which changes of the others are measured, (parameters,).
     """
     # Thousands of residuals and a handful of parameters: QR first.
     _, singular, directions = np.linalg.svd(np.linalg.qr(jacobian, mode="r"))

@@ -23,8 +23,8 @@ class Contour(AbstractProfile):
 
         x = position + int_0^alpha rho cos(a) da,  y = distance + int_0^alpha rho sin(a) da.
 
-    log rho is a cubic spline in alpha, constant beyond the outermost knots, and therefore the contour is smooth and
-    strictly convex for any values. Its parameter is the slope angle.
+    log rho is a cubic spline in alpha, constant beyond the outermost knots. Therefore the contour is smooth and
+    strictly convex for any values at the knots. Its parameter is the slope angle.
 
     Args:
         distance: q, height of the lowest point above the bases, a length; positive.
@@ -33,7 +33,8 @@ class Contour(AbstractProfile):
         position: x of the lowest point, a length.
 
     Raises:
-        ValueError: if an argument is not a finite number or array, or not in its domain.
+        ValueError: if an argument is not a finite number or array, is outside its domain, or there is not one
+            `log_radius` per knot.
 
     Examples:
         >>> contour = jw.Contour(0.2, log_radius=jnp.log(jnp.array([0.4, 0.5, 0.8])), slopes=(-1.0, 0.0, 1.0))
@@ -67,11 +68,14 @@ class Contour(AbstractProfile):
 
     @classmethod
     def like(cls, profile: AbstractProfile, slopes) -> "Contour":
-        """A contour with the vertex of another profile, and its radii of curvature at the knots.
+        """A contour with the vertex of another profile, and with its radii of curvature at the knots.
 
         Args:
-            profile: a profile that has a smooth point of each of these slopes.
-            slopes: slope angles of the knots, as for a Contour.
+            profile: a profile with a smooth point at each of these slopes.
+            slopes: slope angles of the knots, rad, as for a Contour.
+
+        Raises:
+            ValueError: as for a Contour.
         """
         x, y = profile.vertex()
         radius = jax.vmap(lambda slope: _radius(profile, slope))(jnp.asarray(slopes, dtype=float))
@@ -83,7 +87,7 @@ class Contour(AbstractProfile):
         return x_rate * jnp.cos(slope) + y_rate * jnp.sin(slope)
 
     def tabulated(self) -> "Tabulated":
-        """The same contour as a table of polynomials, from which points are evaluated."""
+        """The same contour as a table of polynomials, which yields points without integration."""
         return tabulate(spline(self.slopes), self.distance, self.position, self.log_radius)
 
     def point(self, parameter):
@@ -107,7 +111,7 @@ class Contour(AbstractProfile):
 
 
 class Tabulated(AbstractProfile):
-    """A contour as polynomials of degree 5 between nodes, with CELLS of them from knot to knot."""
+    """A contour as polynomials of degree 5, CELLS of them between two knots."""
 
     distance: Scalar
     position: Scalar
@@ -153,7 +157,7 @@ class Tabulated(AbstractProfile):
 
 
 def _as_array(values):
-    # Transformations of JAX replace leaves by objects that are no arrays; these pass unchanged.
+    # Transformations of JAX replace leaves by objects that are not arrays; these pass unchanged.
     try:
         return jnp.asarray(values, dtype=float)
     except (TypeError, ValueError):
@@ -181,7 +185,7 @@ def _radius(profile: AbstractProfile, slope: Scalar) -> Float[Array, ""]:
 
 
 class Spline(NamedTuple):
-    """Linear maps from values at the knots to values and derivatives at nodes, and to values at Gauss points."""
+    """Linear maps from values at the knots to values and derivatives at the nodes, and to values at Gauss points."""
 
     knots: np.ndarray
     node: np.ndarray
@@ -213,7 +217,7 @@ _HERMITE = np.linalg.inv(np.array([[1.0, 1.0, 1.0], [3.0, 4.0, 5.0], [6.0, 12.0,
 
 
 class _Radii(NamedTuple):
-    """Radius of curvature at the nodes, its derivative by the slope angle, and the radius at the Gauss points."""
+    """Radius of curvature at the nodes, its derivative with respect to the slope, and the radius at Gauss points."""
 
     value: Float[Array, " nodes"]
     rate: Float[Array, " nodes"]
@@ -262,7 +266,7 @@ def _integral(
 def _between_knots(
     cells: Float[Array, "cells 12"], knots: Float[Array, " knots"], slope: Scalar
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """x and y of the polynomials at a slope, which is clipped to the outermost knots."""
+    """x and y of the polynomials at a slope angle, which is clipped to the outermost knots."""
     inside = jnp.clip(slope, knots[0], knots[-1])
     still = jax.lax.stop_gradient(inside)
     interval = jnp.sum(still >= knots[1:-1])

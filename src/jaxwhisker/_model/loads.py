@@ -12,10 +12,11 @@ class PointForce(eqx.Module):
     """A force at one point of the whisker.
 
     Args:
-        force: magnitude, a force (EI/L^2 with the default whisker).
+        force: magnitude, a force (in EI/L^2 with the default whisker).
         position: arc length from the base to the point, a length; positive. Default: the tip.
         follower: whether the force turns with the whisker; otherwise it keeps its direction (a dead load).
-        direction: angle to +x at rest, rad. Default: pi, towards -x, across the upright whisker.
+        direction: angle between the force and +x before the whisker bends, rad, positive counter-clockwise. Default:
+            pi, towards -x, across the upright whisker.
 
     Raises:
         ValueError: if a value is not a finite number, or the position is not positive.
@@ -42,7 +43,7 @@ class PointMoment(eqx.Module):
     """A moment at one point of the whisker.
 
     Args:
-        moment: magnitude, force times length (EI/L with the default whisker), positive counter-clockwise.
+        moment: magnitude, force times length (in EI/L with the default whisker), positive counter-clockwise.
         position: arc length from the base to the point, a length; positive. Default: the tip.
 
     Raises:

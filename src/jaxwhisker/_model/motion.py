@@ -24,7 +24,7 @@ class Pose(NamedTuple):
 
 
 class AbstractMotion(eqx.Module):
-    """A motion: a curve of poses of the drive, along which a scan runs from where all whiskers are free."""
+    """A curve of poses of the drive; a scan follows it from a pose in which all whiskers are free."""
 
     @abc.abstractmethod
     def pose(self, control: Scalar) -> Pose:
@@ -42,7 +42,7 @@ class AbstractMotion(eqx.Module):
 
     @abc.abstractmethod
     def unit(self, length: Scalar) -> Scalar:
-        """Control increment that corresponds to a given length."""
+        """Unit of control of the dimensionless problem: `length`, 1 rad, or the range of a user-defined motion."""
 
     @abc.abstractmethod
     def valid(self) -> Any:
@@ -97,8 +97,8 @@ class Rotation(AbstractMotion):
 
     Args:
         pivot: (x, y) of the pivot, lengths.
-        radius: distance of the drive in front of the pivot, a length. With a pivot far below the drive, the motion
-            becomes a translation.
+        radius: distance from the pivot to the drive along the y axis of the drive's frame, a length. With a pivot far
+            below the drive, the motion becomes a translation.
         direction: +1 turns counter-clockwise, from the right of the object to the left; -1 clockwise.
 
     Raises:
@@ -153,7 +153,8 @@ class Motion(AbstractMotion):
         stop: the last control of the default scan.
 
     Raises:
-        ValueError: if `function` is not such a function, or `start` and `stop` are not two different finite numbers.
+        ValueError: if JAX cannot trace `function` or it does not return three numbers, or `start` and `stop` are not
+            two different finite numbers.
 
     Examples:
         >>> bob = jw.Motion(lambda u: (1.2 - u, 0.03 * jnp.sin(2 * u), 0.0), start=0.0, stop=2.6)
@@ -224,7 +225,7 @@ def mounted(pose: Pose, mount: Pose) -> Frame:
 
 
 def frame_and_rate(drive: Callable[[Scalar], Pose], mounts: Pose, control: Scalar) -> tuple[Frame, Frame]:
-    """Frames of all mounts at a control, and their derivative by the control."""
+    """Frames of all mounts at a control, and their derivatives with respect to the control."""
 
     def at(control):
         return jax.vmap(lambda mount: mounted(drive(control), mount))(mounts)

@@ -1,4 +1,4 @@
-"""The network: flexibility of bases that springs along one axis connect to the drive."""
+"""Flexibility of a network: bases that springs along one axis connect to the drive."""
 
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ class Flexibility(NamedTuple):
         return Flexibility(self.matrix * stiffness, root, self.offset / length, self.consistent)
 
     def in_frames(self, angle: Float[Array, " whiskers"], length: Scalar, force: Scalar) -> "Flexibility":
-        """The dimensionless flexibility along all axes, each base in a frame at its angle to the drive's frame."""
+        """The dimensionless flexibility along all axes, each base in a frame at this angle (rad) to the drive's."""
         n = angle.size
         matrix, root, offset = self.matrix, self.root, self.offset
         if offset.size == n:
@@ -60,10 +60,10 @@ def connected(springs: tuple[Spring, ...]) -> set[int]:
 
 
 def flexibility(springs: tuple[Spring, ...], whiskers: int) -> Flexibility:
-    """Flexibility of a connected network; bases without a spring are rigid.
+    """Flexibility of a connected network; bases without a spring are rigidly connected to the drive.
 
-    A spring acts like a measurement of the distance of its ends with variance 1/stiffness. The variances of the springs
-    in a spanning tree add up along their paths; every other spring is a rank-one update. Nothing is divided by a
+    A spring acts like a measurement of the distance between its ends with variance 1/stiffness. The variances of the
+    springs in a spanning tree add up along their paths; every other spring is a rank-one update. No step divides by a
     difference of stiffnesses, and rigid springs (variance 0) need no special treatment.
     """
     paths, loops = _spanning_tree(springs, whiskers)
@@ -73,7 +73,7 @@ def flexibility(springs: tuple[Spring, ...], whiskers: int) -> Flexibility:
     signs = jnp.array([[paths[base].get(k, 0.0) for k in tree] for base in range(1, whiskers + 1)])
     soft = jnp.stack([softness[k] for k in tree])
     matrix = jnp.sum(signs[:, None, :] * signs[None, :, :] * soft, axis=-1)
-    # The root serves decisions only; it has no derivative, because its slope at 0 is infinite.
+    # The root is only used for decisions; it has no derivative, because its slope at 0 is infinite.
     root = signs * jnp.sqrt(jax.lax.stop_gradient(soft))
     root = jnp.pad(root, ((0, 0), (0, whiskers - len(tree))))
     offset = jnp.sum(signs * jnp.stack([rest[k] for k in tree]), axis=-1)
@@ -86,7 +86,7 @@ def flexibility(springs: tuple[Spring, ...], whiskers: int) -> Flexibility:
 def _spanning_tree(springs: tuple[Spring, ...], whiskers: int) -> tuple[dict[int, dict[int, float]], list[int]]:
     """The path from the drive to each base as {spring: sign}, and the springs that are on no path."""
     sprung = {end for spring in springs for end in spring.between}
-    # Bases without a spring stay where the drive is.
+    # Bases without a spring move with the drive.
     paths: dict[int, dict[int, float]] = {end: {} for end in range(whiskers + 1) if end == 0 or end not in sprung}
     loops = list(range(len(springs)))
     while len(paths) <= whiskers:

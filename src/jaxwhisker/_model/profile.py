@@ -99,18 +99,18 @@ class AbstractProfile(eqx.Module):
 
 
 def bisect_angle(angle: Callable, slope: Scalar, low: Scalar, high: Scalar) -> Float[Array, ""]:
-    """The parameter at which `angle`, which increases with it, reaches `slope`."""
+    """The parameter at which `angle`, an increasing function, reaches `slope`; without a derivative."""
 
     def flatter(parameter):
         here = angle(parameter)
-        # Outside its domain (NaN) the object ends like a vertical wall.
+        # Outside the domain (NaN) treat the object as ending in a vertical wall.
         return jnp.where(jnp.isfinite(here), here < slope, parameter < (low + high) / 2)
 
     return bisect(flatter, low, high)
 
 
 def bisect(inside: Callable, low: Scalar, high: Scalar) -> Float[Array, ""]:
-    """The last value from `low` on for which `inside` holds, to rounding; callers attach derivatives themselves."""
+    """The end of the range, starting at `low`, in which `inside` holds, to rounding; without a derivative."""
 
     def halve(_, bracket):
         low, high = bracket

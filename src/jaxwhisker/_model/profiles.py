@@ -1,4 +1,4 @@
-"""The profiles that have formulas: parabola, circle, ellipse, the graph of a function, and any of them tilted."""
+"""Profiles given by formulas: parabola, circle, ellipse, the graph of a function, and any of them tilted."""
 
 import abc
 from collections.abc import Callable
@@ -193,16 +193,16 @@ def _mirror(touch: FirstTouch, side: Scalar, position: Scalar) -> FirstTouch:
 class Graph(AbstractProfile):
     """Graph y = g(x - position) of a strictly convex, twice differentiable function.
 
-    Its parameter is the abscissa x - position. Where a whisker touches and g is not strictly convex, the scan ends with
+    Its parameter is the abscissa x - position. If a whisker touches where g is not strictly convex, the scan ends with
     status `not_convex`.
 
     Args:
         g: height of the profile above the bases, a length, as a function of the abscissa, a length; positive. JAX must
             be able to trace it. The parameters of an `equinox.Module` are differentiable; a plain function is constant.
-            Where g is NaN or infinite, the object ends. It must end above the tips, or vertically like a semicircle: a
-            scan whose whisker meets an edge first is `lost`.
+            Where g is NaN or infinite, the object ends. It must end above the tips, or vertically like a semicircle: if
+            a whisker meets an edge first, the status of the scan is `lost`.
         position: shift along x, a length.
-        extent: half the width within which the vertex and the first touch are searched, a length; positive.
+        extent: half the width of the range that is searched for the vertex and the first touch, a length; positive.
 
     Raises:
         ValueError: if `g` is not a function of one number that JAX can trace, or another value is not allowed.
@@ -243,7 +243,7 @@ class Graph(AbstractProfile):
 
     def at_slope(self, slope):
         def angle(x):
-            # Not from the unit tangent: far out, the square of g' may overflow.
+            # The unit tangent would not do: far out, the square of g' may overflow.
             y, rise = jax.value_and_grad(self._height)(x)
             return jnp.where(jnp.isfinite(y) & jnp.isfinite(rise), jnp.arctan(rise), jnp.nan)
 
@@ -284,7 +284,7 @@ class Tilted(AbstractProfile):
 
     Args:
         profile: the object before it is turned.
-        angle: angle of the turn, rad; less than a right angle.
+        angle: angle of the turn, rad, positive counter-clockwise; less than a right angle.
         about: (x, y) of the fixed point, lengths.
 
     Raises:
@@ -331,7 +331,7 @@ class Tilted(AbstractProfile):
         end = jnp.where(side > 0, high, low)
 
         def below(p):
-            # Up to where the object is widest; False outside its domain.
+            # True up to where the object is widest; False outside its domain.
             at = self.point(p)
             return (at.cos > 0) & (at.y < height)
 

@@ -122,7 +122,7 @@ class Sensor(eqx.Module):
         return cls(scene.whisker, scene.support, scene.motion)
 
     def before(self, profile: AbstractProfile) -> Scene:
-        """The scene of this sensor and an object."""
+        """The scene in which this sensor scans an object, with rods computed by `Shooting()`."""
         return Scene(self.whisker, profile, self.support, motion=self.motion)
 
     @property
@@ -161,7 +161,7 @@ def units(scene: Scene) -> Units:
 
 
 def units_of(first: Whisker, motion: AbstractMotion) -> Units:
-    """L, EI/L^2 and EI/L of the first whisker's base, and the motion's unit of control."""
+    """L, EI/L^2, EI/L and the unit of control, with EI at the base of the first whisker."""
     length, stiffness = first.length, first.base_stiffness
     return Units(length, stiffness / length**2, stiffness / length, motion.unit(length))
 

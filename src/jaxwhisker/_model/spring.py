@@ -22,8 +22,8 @@ class Spring(eqx.Module):
             `first` at rest; may be negative.
         axis: "x" or "y", across or along the upright whisker in the frame of the drive, or "phi" for a torsion spring.
             Lengths and angles are positive along +x, +y and counter-clockwise.
-        compliance: 1/c, an alternative to `stiffness`; 0 for a rigid link, whose derivative by the compliance does not
-            vanish.
+        compliance: 1/c, not negative, an alternative to `stiffness`; 0 for a rigid link. Unlike derivatives with
+            respect to an infinite stiffness, those with respect to a compliance of 0 do not vanish.
 
     Raises:
         ValueError: if a value is out of its domain, or if not exactly one of stiffness and compliance is given.

@@ -12,9 +12,9 @@ from jaxwhisker._model.spring import AXES, Spring
 
 
 class Mount(eqx.Module):
-    """Mount of a whisker on its base: its position in the drive's frame when all rest lengths are 0, and its angle.
+    """Mount of a whisker: where its base is in the drive's frame when all rest lengths are 0, and at which angle.
 
-    The whisker is turned about its root.
+    The angle turns the whisker about its root.
 
     Args:
         x: offset along x, a length.
@@ -148,22 +148,25 @@ class Support(eqx.Module):
 
     @classmethod
     def fb(cls, stiffness: Scalar, rest_length: Scalar = 0.2) -> "Support":
-        """One whisker: drive -c1- base 1."""
+        """One whisker: drive -c1- base 1. Arguments and errors are those of `named`."""
         return cls.named("FB", stiffness, rest_length)
 
     @classmethod
     def fbfb(cls, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
-        """Two whiskers in a row: drive -c1- base 1 -c2- base 2."""
+        """Two whiskers in a row: drive -c1- base 1 -c2- base 2. Arguments and errors are those of `named`."""
         return cls.named("FBFB", stiffness, rest_length)
 
     @classmethod
     def fbfbr(cls, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
-        """FBFB with feedback: c3 between drive and base 2."""
+        """FBFB with feedback: c3 between drive and base 2. Arguments and errors are those of `named`."""
         return cls.named("FBFBR", stiffness, rest_length)
 
     @classmethod
     def fbfbfbr(cls, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
-        """Three whiskers in a row (c1, c2, c3), with feedback c4 to base 2 and c5 to base 3."""
+        """Three whiskers in a row (c1, c2, c3), with feedback c4 to base 2 and c5 to base 3.
+
+        Arguments and errors are those of `named`.
+        """
         return cls.named("FBFBFBR", stiffness, rest_length)
 
     @classmethod
@@ -178,10 +181,13 @@ class Support(eqx.Module):
         """One whisker whose base can move in up to three directions; at rest it is on the drive.
 
         Args:
-            x: stiffness across the whisker, force per length; None for rigid.
-            y: stiffness along the whisker, force per length; None for rigid.
-            phi: torsional stiffness, moment per rad; None for rigid.
-            mount: the mount of the whisker.
+            x: stiffness across the whisker, force per length; positive, or None for rigid.
+            y: stiffness along the whisker, force per length; positive, or None for rigid.
+            phi: torsional stiffness, moment per rad; positive, or None for rigid.
+            mount: the mount of the whisker. Default: upright at height 0.
+
+        Raises:
+            ValueError: if a stiffness is not a positive number, or `mount` is not a Mount.
         """
         stiffness = {"x": x, "y": y, "phi": phi}
         springs = (Spring((0, 1), value, axis=axis) for axis, value in stiffness.items() if value is not None)
@@ -193,13 +199,14 @@ class Support(eqx.Module):
 
         Args:
             model: name of the model.
-            stiffness: one number for all springs or one per spring, in the order c1, c2, ...; force per length.
+            stiffness: one number for all springs or one per spring, in the order c1, c2, ...; force per length,
+                positive.
             rest_length: one length per spring, or one length for each spring in the row. In the second case the rest
-                length of a feedback spring is the sum over the springs that it spans, and nothing is strained before
+                length of a feedback spring is the sum over the springs that it spans, and no spring is strained before
                 contact.
 
         Raises:
-            ValueError: if the model is unknown, or the number of values is wrong.
+            ValueError: if the model is unknown, the number of values is wrong, or a value is invalid for a Spring.
         """
         if model == "clamped":
             return cls()
@@ -231,7 +238,7 @@ class Support(eqx.Module):
         return Flexibility(matrix.reshape(n * k, n * k), root.reshape(n * k, n * k), offset.reshape(-1), consistent)
 
     def spring_length(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
-        """Length of every spring, or angle of a torsion spring, for the bases' positions relative to the drive.
+        """Length of every spring, or angle of a torsion spring, from the bases' positions relative to the drive.
 
         Positions have one axis (x) or three, as in `flexibility`.
         """

@@ -28,13 +28,13 @@ class Whisker(eqx.Module):
             [0, L] from the base that is positive and may vanish only at the tip. The function is called with one traced
             number. The parameters of an `equinox.Module` are differentiable; a plain function is constant.
         intrinsic_curvature: kappa0 = d phi / ds of the unloaded whisker, 1/length, positive counter-clockwise (towards
-            -x, the direction of a scan): a number or such a function. Default: a straight whisker, which is faster
-            than a curvature of 0.
+            -x, the default direction of a scan): a number, or a function like that of the bending stiffness. Default: a
+            straight whisker, which is faster to compute than one with a curvature of 0.
 
     Raises:
-        ValueError: if the length is not a positive finite number, the bending stiffness is not positive and finite, a
-            function is not one of a single number that JAX can trace, or the unloaded whisker turns by a right angle
-            or more.
+        ValueError: if the length is not a positive finite number, the bending stiffness is not positive and finite, JAX
+            cannot trace a function with one number as its argument, or the unloaded whisker turns by a right angle or
+            more.
 
     Examples:
         >>> jw.Whisker().uniform
@@ -74,12 +74,12 @@ class Whisker(eqx.Module):
         return not callable(self.bending_stiffness) and self.intrinsic_curvature is None
 
     def stiffness_at(self, s: Scalar) -> Float[Array, ""]:
-        """EI at the arc length s from the base."""
+        """EI at the arc length s from the base, force times length squared."""
         return at_arc(self.bending_stiffness, s)
 
     @property
     def base_stiffness(self) -> Scalar:
-        """EI at the base, which makes a scene dimensionless."""
+        """EI at the base; that of the first whisker is the unit in which scenes are dimensionless."""
         return self.stiffness_at(jnp.zeros(())) if callable(self.bending_stiffness) else self.bending_stiffness
 
     def valid(self):
@@ -89,7 +89,7 @@ class Whisker(eqx.Module):
         return jnp.isfinite(length) & (length > 0) & inside & (self._largest_turn() < jnp.pi / 2)
 
     def curvature_at(self, s: Scalar) -> Float[Array, ""]:
-        """kappa0 at the arc length s from the base."""
+        """kappa0 at the arc length s from the base, 1/length, positive counter-clockwise."""
         return at_arc(0.0 if self.intrinsic_curvature is None else self.intrinsic_curvature, s)
 
     def section(self, length_unit: Scalar, stiffness_unit: Scalar) -> Section:
@@ -168,21 +168,22 @@ class Whisker(eqx.Module):
         youngs_modulus: AlongWhisker = 3e9,
         intrinsic_curvature: AlongWhisker | None = None,
     ) -> "Whisker":
-        """The average vibrissa of a rat at a place of its array, in SI units: a cone.
+        """The average vibrissa of a rat at one position in the array, in SI units: a cone.
 
         With r = 1 to 5 for the rows A to E, c for the column, and lengths in millimetres: the arc length is
         S = 43 + 1.8 r - 7.6 c, the diameter at the base is 0.041 + 0.002 S + 0.011 r - 0.0039 c, and the radius
-        decreases by 0.0012 + 0.00017 r - 0.000066 c + 0.00011 c^2 per length, down to at least 1.5 micrometres.
+        decreases by 0.0012 + 0.00017 r - 0.000066 c + 0.00011 c^2 per unit of arc length, to no less than 1.5
+        micrometres.
 
         Args:
             row: "A" (uppermost) to "E".
             column: 0 (the Greek arc, at the back) to 5; to 4 in rows A and B.
-            length: S, m; default: the average.
+            length: S, m; positive. Default: the average.
             youngs_modulus: E, Pa. 3 GPa is a common round value; measured values scatter by more than half of it.
             intrinsic_curvature: 1/m, a number or a function, as for any whisker.
 
         Raises:
-            ValueError: if the array has no such place, or as for a Whisker.
+            ValueError: if the array has no such position, or as for a Whisker.
 
         Examples:
             >>> whisker = jw.Whisker.rat("C", 2)
@@ -191,7 +192,7 @@ class Whisker(eqx.Module):
 
         Source: Belli, Yang, Bresee and Hartmann (2017), J. Neurophysiol. 117, 1807, regressions over seven studies;
         with the coefficients and the smallest tip radius of the simulator WHISKiT Physics (Zweifel et al. 2021, PNAS
-        118, e2011905118), which takes its whiskers from there.
+        118, e2011905118), which uses these regressions.
         """
         if not isinstance(row, str) or row not in COLUMNS:
             checks.fail("row", f"one of {', '.join(COLUMNS)}", repr(row))
@@ -236,7 +237,7 @@ class LinearTaper(eqx.Module):
 
 
 class RoundSection(eqx.Module):
-    """Bending stiffness of a circular cross-section, E pi d^4 / 64; both may be functions of the arc length."""
+    """Bending stiffness of a circular cross-section, E pi d^4 / 64; E and d may be functions of the arc length."""
 
     youngs_modulus: AlongWhisker = eqx.field(converter=number_or_function("youngs_modulus"))
     diameter: AlongWhisker = eqx.field(converter=number_or_function("diameter"))

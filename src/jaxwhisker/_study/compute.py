@@ -30,7 +30,7 @@ from jaxwhisker._study.summary import summarise
 Arrays = dict[str, np.ndarray]
 Write = Callable[[Index, Arrays], None]  # stores the variables of a block
 
-MAX_STEPS = 100_000  # of the default control
+MAX_STEPS = 100_000  # largest number of positions of the default control
 LANES = 64  # points whose range of contact is computed at once
 AHEAD = 2  # blocks submitted for each thread of a cluster: one is computed, one waits
 RETRIES = 3  # of a block whose computation fails; blocks of a worker that dies are submitted again anyway
@@ -38,7 +38,7 @@ RETRIES = 3  # of a block whose computation fails; blocks of a worker that dies 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What a study computes at each of its points; sent to the workers of a cluster."""
+    """What a study computes at each of its points; it is sent to the workers of a cluster."""
 
     build: Callable[..., Scene]
     names: tuple[str, ...]  # of the parameters
@@ -53,7 +53,7 @@ class Job:
 
 
 def _point(job: Job) -> Callable[[dict], dict]:
-    """The function of one point's parameters."""
+    """A function that computes the outputs at one point from its parameters."""
     route = route_of(job.control)
     names = tuple(dict.fromkeys((*job.outputs, "status")))
     smooth = [name for name in names if VARIABLES[name].dtype == "float64"]
@@ -95,7 +95,7 @@ class Kernel:
 
     @property
     def events(self) -> int:
-        """How many events of a scan are stored; 0 if no variable of events is computed."""
+        """Number of events that are stored per scan; 0 if no variable of events is computed."""
         shapes = {name: leaf.shape for name, leaf in self._lowered.out_info.items() if name in VARIABLES}
         return next((shape[1] for name, shape in shapes.items() if VARIABLES[name].axes[:1] == ("event",)), 0)
 
@@ -107,7 +107,7 @@ class Kernel:
         return self._compiled
 
     def __call__(self, values: Arrays) -> Arrays:
-        """The variables of at most `lanes` points."""
+        """Compute the variables of at most `lanes` points; their first axis runs over the points."""
         job, points = self.job, next(iter(values.values())).size
         found = jax.tree.map(lambda leaf: np.asarray(leaf)[:points], self.compiled()(padded(values, job.lanes)))
         found[POINT_STATUS] = first_failure(found["status"])
@@ -117,7 +117,7 @@ class Kernel:
 
 
 def threads() -> int:
-    """Processors that this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -146,7 +146,7 @@ def compute_here(
 def compute_on_cluster(
     client: Any, job: Job, parameters: Parameters, blocks: Blocks, todo: Sequence[Index], write: Write
 ) -> Generator[Index, None, None]:
-    """Have blocks computed by the workers of a dask cluster, and store them here."""
+    """Compute blocks on the workers of a dask cluster, and store them in this process."""
     from distributed import as_completed
 
     ahead = AHEAD * max(1, sum(client.nthreads().values()))
@@ -214,7 +214,7 @@ def common_control(build: Callable[..., Scene], parameters: Parameters, onwards:
     """
     start, stop, step = _ranges(build, parameters)
     known = np.flatnonzero(np.isfinite(start) & np.isfinite(stop) & np.isfinite(step))
-    if known.size == 0:  # all points are bad; their steps will say so
+    if known.size == 0:  # every point is invalid, which its status will show
         return onwards * np.array([-MARGIN, MARGIN])
     first, last = (onwards * start)[known].min(), (onwards * stop)[known].max()
     step = step[known].max()
@@ -230,7 +230,7 @@ def common_control(build: Callable[..., Scene], parameters: Parameters, onwards:
 
 
 def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.ndarray, "3 points"]:
-    """First and last position of the default control of every point, and its step; NaN for bad points."""
+    """First and last position of the default control of every point, and its step; NaN for invalid points."""
 
     def point(values):
         scene = build(**values)

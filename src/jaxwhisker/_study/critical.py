@@ -1,11 +1,10 @@
 """The critical stiffness: below it a scan snaps through the vertex and skips the maximum.
 
-A base on a spring is stable while the spring is stiffer than the object's force is steep, c > dF_x/dx0 of the clamped
-whisker, where F_x = -fx is the force on the whisker. The steepest slope near the vertex is therefore the critical
-stiffness of one whisker. (Towards the snap-off the slope grows without bound. Every spring gives way there, and no
-maximum is skipped.) For coupled whiskers the critical stiffness is larger by the factor by which the softest base
-yields more than a single spring, if the forces on the other whiskers stay the same. They do not, so this is an
-estimate.
+A base on a spring is stable while the stiffness exceeds the slope of the force, c > dF_x/dx0 of the clamped whisker,
+where F_x = -fx is the force on the whisker. The steepest slope near the vertex is therefore the critical stiffness of
+one whisker. (Towards the snap-off the slope grows without bound. Every spring gives way there, and no maximum is
+skipped.) For coupled whiskers, the critical stiffness is larger by the ratio of the softest base's flexibility to that
+of a single spring, if the forces on the other whiskers stay the same. They do not, so this is an estimate.
 """
 
 from __future__ import annotations
@@ -43,9 +42,10 @@ class Steepest(NamedTuple):
 
 
 def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
-    """The largest slope of the clamped whisker's force between its first touch and its snap-off, to a relative 1e-9.
+    """The largest slope of the clamped whisker's force between first touch and snap-off, with relative accuracy 1e-9.
 
-    It is NaN if there is none: the object is out of reach, or so far away that the slope grows up to the snap-off.
+    It is NaN if there is no maximum: the object is out of reach, or so far away that the slope grows up to the
+    snap-off.
 
     Args:
         whisker: the whisker.
@@ -97,8 +97,8 @@ def softest(support: Support) -> float:
 def steepness(build: Callable[..., Scene], data: xr.Dataset) -> xr.DataArray:
     """Steepest slope of the clamped whisker's force times the softest base's flexibility, over the range of a study.
 
-    Where it is above 1 a scan snaps through the vertex: the springs are softer than the critical stiffness (an estimate
-    for coupled whiskers). It is NaN where a scene is invalid or there is no steepest slope.
+    Where the product is above 1, a scan snaps through the vertex: the springs are softer than the critical stiffness
+    (an estimate for coupled whiskers). It is NaN where a scene is invalid or there is no steepest slope.
 
     Args:
         build: makes a scene from named parameters, as in `study`.

@@ -25,12 +25,16 @@ GROUPS = {
 }
 DEFAULT = ("reactions", "status", "events")
 POINT_STATUS = "point_status"
-NOT_COMPUTED = -1  # status of such a point
+NOT_COMPUTED = -1  # status of a point that has not been computed yet
 DEFAULT_CONTROL = "default: from the earliest start to the latest end of the default controls of all points"
 
 
 def chosen(outputs: Sequence[str] | str) -> tuple[str, ...]:
-    """Names of the variables that `outputs`, names of variables and groups, stands for."""
+    """Names of the variables that `outputs` selects by their names or by those of groups.
+
+    Raises:
+        ValueError: if there is no such variable or group.
+    """
     wanted: set[str] = set()
     for name in (outputs,) if isinstance(outputs, str) else outputs:
         if name not in GROUPS and name not in VARIABLES:
@@ -59,7 +63,7 @@ def derivative_name(name: str, parameter: str) -> str:
 
 
 def kind_of_axis(name: str) -> str:
-    """The kind of quantity that a parameter's name suggests; a number if it suggests none."""
+    """The kind of quantity that a parameter's name suggests; "number" if it suggests none."""
     name = name.rstrip("_0123456789")
     for kind, endings in {
         "bending stiffness": ("bending_stiffness",),
@@ -80,11 +84,11 @@ class Layout(NamedTuple):
     control: Float[np.ndarray, " steps"]
     default_control: bool
     variables: dict[str, Quantity]
-    events: int = 0  # how many of a scan are stored
+    events: int = 0  # number of events that are stored per scan
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Size of every dimension after those of the points."""
+        """Sizes of the dimensions that follow those of the points."""
         scene = self.scene
         sizes = {"control": self.control.size, "whisker": scene.whiskers, "spring": len(scene.springs)}
         return sizes | {"event": self.events}
@@ -121,7 +125,7 @@ class Layout(NamedTuple):
         return xr.Dataset(coords=coordinates, attrs=self.scene.dataset_attributes() | {"build": self.build})
 
     def difference(self, stored: "xr.Dataset") -> str | None:
-        """The first thing in which a stored study differs from this one, in words; None if they agree."""
+        """The first difference between a stored study and this one, in words; None if they agree."""
         frame, own = self.frame(), list(self.parameters.values)
         other = [str(name) for name in stored.coords if name not in RESERVED]
         if set(own) != set(other) or ("point" in stored.dims) != self.parameters.paired:

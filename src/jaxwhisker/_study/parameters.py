@@ -13,17 +13,17 @@ from jaxwhisker._scan.quantities import Quantity
 Region = tuple[slice, ...]  # along the dimensions of the points
 Index = tuple[int, ...]  # of a block along these dimensions
 
-LANES = 128  # most points of a block: more are not faster, and an interrupted study would lose more
-PARTS, FEW = 16, 8  # a smaller study has PARTS blocks, to keep all processors busy, or fewer of at least FEW points
-BASE = 1.2e9  # bytes of a process that has compiled a study and holds no block
-COPIES = 3  # of the results of a block: as computed, as variables, and while being stored
-PATH, STEP = 160e3, 60.0  # bytes per whisker and point: for its path, and for each of its steps
+LANES = 128  # largest number of points per block: more are not faster, and an interrupted study would lose more
+PARTS, FEW = 16, 8  # a smaller study has PARTS blocks, to keep all processors busy, or fewer of FEW points each
+BASE = 1.2e9  # bytes that a process uses that has compiled a study and holds no block
+COPIES = 3  # of the results of a block in memory: as computed, as variables, and while they are stored
+PATH, STEP = 160e3, 60.0  # bytes per whisker and point: for the path, and for each step
 
 
 class Parameters(NamedTuple):
     """Named parameters and the points at which scenes are built from them.
 
-    Points are numbered with the last dimension running fastest.
+    Points are numbered in C order: the last dimension runs fastest.
     """
 
     values: dict[str, Float[np.ndarray, " values"]]
@@ -75,18 +75,18 @@ def padded(values: dict[str, np.ndarray], lanes: int) -> dict[str, np.ndarray]:
 
 
 class Blocks(NamedTuple):
-    """Rectangular parts of the points, equal in shape except for the last along each dimension."""
+    """Rectangular blocks of points, equal in shape except for the last ones along each dimension."""
 
     shape: tuple[int, ...]
     block: tuple[int, ...]
 
     @property
     def lanes(self) -> int:
-        """Points of a whole block."""
+        """Number of points in a whole block."""
         return int(np.prod(self.block))
 
     def indices(self) -> list[Index]:
-        """All blocks, in order."""
+        """Indices of all blocks, in order."""
         counts = [-(-n // b) for n, b in zip(self.shape, self.block, strict=True)]
         return list(product(*map(range, counts)))
 
@@ -96,7 +96,7 @@ class Blocks(NamedTuple):
 
 
 def split(shape: tuple[int, ...], most: int) -> Blocks:
-    """Split points evenly into blocks of at most `most`, whole along the last dimensions if possible."""
+    """Split points evenly into blocks of at most `most` points, undivided along the last dimensions if possible."""
     block: list[int] = []
     for n in reversed(shape):
         room = max(1, most // int(np.prod(block, initial=1)))
@@ -128,7 +128,7 @@ def parameters_of(build: Any, points: Any, axes: Mapping[str, Any], options: tup
         build: makes a scene from named parameters.
         points: a table with one row per point, or None.
         axes: values of each parameter if there is no table.
-        options: names that are arguments of `study` and cannot be axes.
+        options: names of the arguments of `study`, which cannot be axes.
 
     Raises:
         ValueError: if the parameters do not match the arguments of `build`, or are not columns of numbers.

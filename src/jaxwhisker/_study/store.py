@@ -1,6 +1,6 @@
-"""Where the results of a study are kept while it is computed: in memory, or in a zarr store that can be resumed.
+"""Storage for the results of a study while it is computed: memory, or a zarr store from which it can be resumed.
 
-A store is a Dataset that xarray can read at any time; variables that are not computed yet are NaN, -1 or False. The
+A store is a Dataset that xarray can read at any time; values that are not computed yet are NaN, -1 or False. The
 chunk of `point_status` that belongs to a block is written last, in one operation: a block whose chunk is missing is
 computed again. The empty Dataset is written to study.zarr.new and renamed when it is complete, and study.zarr.lock is
 locked while a process computes.
@@ -59,10 +59,11 @@ class Store:
     """A study on disk, used by one process at a time.
 
     Args:
-        path: folder of the zarr store, which may exist.
+        path: folder of the zarr store; it may exist already.
 
     Raises:
-        ValueError: if the folder is not that of a study, or another process is using it.
+        ValueError: if `path` is not a path in an existing folder, something else than a study is there, or another
+            process is using it.
     """
 
     def __init__(self, path: str | os.PathLike[str]):
@@ -88,13 +89,13 @@ class Store:
                 ) from None
             if os.fstat(lock).st_nlink:
                 return lock
-            os.close(lock)  # the last user has just removed it
+            os.close(lock)  # its last user has just removed the file: try again
 
     def _beside(self, suffix: str) -> Path:
         return self.path.with_name(f"{self.path.name}.{suffix}")
 
     def close(self) -> None:
-        """Release the store. The system does so, too, when a process dies."""
+        """Release the store. The operating system also does so when a process dies."""
         self._beside("lock").unlink(missing_ok=True)
         os.close(self._lock)
 
@@ -109,10 +110,10 @@ class Store:
         return zarr.open_group(self.path, mode="r+", use_consolidated=False)
 
     def check(self, layout: Layout) -> None:
-        """Check that the stored study, if there is one, is the one with this layout.
+        """Check that the stored study, if there is one, has this layout.
 
         Raises:
-            ValueError: if it is another one.
+            ValueError: if it differs.
         """
         different = None if self.stored is None else layout.difference(self.stored)
         if different:
@@ -135,7 +136,7 @@ class Store:
 
         new = self._beside("new")
         if new.exists():
-            shutil.rmtree(new)  # of a process that was killed here
+            shutil.rmtree(new)  # left by a process that was killed while writing it
         layout.frame().to_zarr(new, zarr_format=3, consolidated=False)
         group = zarr.open_group(new, mode="r+", use_consolidated=False)
         for name, quantity in layout.variables.items():
@@ -156,7 +157,7 @@ class Store:
         _sync(self.path.parent)
 
     def write(self, index: Index, arrays: Arrays) -> None:
-        """Store the variables of a block; their first axis runs over its points. `point_status` is the last one."""
+        """Store the variables of a block, `point_status` last; their first axis runs over its points."""
         region = self._blocks.region(index)
         for name in sorted(self._arrays, key=lambda name: name == POINT_STATUS):
             target = self._arrays[name]
@@ -166,7 +167,7 @@ class Store:
             _sync(self.path / name / target.metadata.encode_chunk_key(chunk))
 
     def dataset(self, attributes: dict[str, str] | None = None) -> "xr.Dataset":
-        """The study, with additional attributes, which are stored; values are read when they are needed."""
+        """The study with additional attributes, which are also stored; values are read when they are needed."""
         if attributes:
             self._group().attrs.update(attributes)
             _consolidate(self.path)
@@ -195,12 +196,12 @@ def _consolidate(path: Path) -> None:
     from zarr.errors import ZarrUserWarning
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ZarrUserWarning)  # that other libraries may not read consolidated metadata
+        warnings.simplefilter("ignore", ZarrUserWarning)  # it says that other libraries may not read this
         zarr.consolidate_metadata(path)
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file or folder is on disk; chunks that contain nothing but fill values do not exist."""
+    """Wait until a file or folder is on disk; zarr does not write chunks that only contain fill values."""
     if path.exists():
         handle = os.open(path, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""The structure that all scenes of a study share: only their numbers differ."""
+"""Check that all scenes of a study have the same structure, and compute hashes of scenes."""
 
 import hashlib
 import types
@@ -68,7 +68,7 @@ def _samples(build: Callable, parameters: Parameters) -> list[Scene]:
 
 
 def _traced(build: Callable, parameters: Parameters, built: bool) -> Scene:
-    """The scene of abstract parameters; `built` says whether `build` succeeds for some concrete ones."""
+    """The scene of traced parameters; `built` says whether `build` succeeded at a concrete point."""
     try:
         return _trace(build, tuple(parameters.values), {})
     except _NoSceneError:
@@ -128,7 +128,7 @@ def _difference(one: Any, other: Any, path: str) -> str | None:
 
 def _differs(one: Any, other: Any, path: str) -> str | None:
     if isinstance(one, types.FunctionType) and isinstance(other, types.FunctionType):
-        # Each call of `build` may define a function again; it is the same one if its code is.
+        # Each call of `build` may define a function anew; equal code means that it is the same function.
         return None if one.__code__ is other.__code__ else path
     return None if type(one) is type(other) and one == other else path
 
@@ -142,14 +142,14 @@ def _first(found: Iterator[str | None]) -> str | None:
 
 
 def sampled(parameters: Parameters) -> list[dict[str, float]]:
-    """Points at which the scenes of two functions `build` are compared."""
+    """Points at which the scenes of two `build` functions are compared."""
     return [parameters.one(int(number)) for number in parameters.spread(SAMPLES)]
 
 
 def fingerprint(build: Callable, points: list[dict[str, float]]) -> str:
     """A hash of the scenes at some points: their structure, their numbers, and values of the functions in them.
 
-    Two functions `build` have the same hash if they make the same scenes there, however they are written.
+    Two different `build` functions have the same hash if they make the same scenes at these points.
     """
     digest = hashlib.sha256()
     for point in points:

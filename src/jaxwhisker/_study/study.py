@@ -57,11 +57,11 @@ def study(
         points: a table with one column per parameter (a mapping or a DataFrame) and one row per point, instead of axes.
         outputs: variables, or groups of them: `reactions` (fx fy mz), `status`, `events`, `contact`, `springs`
             (base_x base_y base_angle spring_length), `event_states`, `all`.
-        derivatives: parameters with respect to which every real variable is differentiated, at fixed control.
+        derivatives: parameters with respect to which every real-valued variable is differentiated, at fixed control.
         summary: keep peaks, positions of events, widths and work (see `summary`) instead of variables along the
             control. The signals of a block are dropped as soon as they are summarised, to save memory.
         store: path of a zarr store for the results. The same call on an unfinished store computes what is missing.
-            Default: memory.
+            Default: the results stay in memory.
         client: a `dask.distributed.Client` whose workers compute the blocks. Default: this machine.
         memory: bytes that this process may use; it limits the number of points per block. JAX and its compiler need
             about 1.2e9 of them.
@@ -76,7 +76,7 @@ def study(
         has more events than are stored.
 
     Raises:
-        ValueError: if an argument is wrong, or the store contains another study. Nothing has been computed then.
+        ValueError: if an argument is wrong, or the store contains another study; raised before any scan.
         ImportError: if a package is missing: `pip install jaxwhisker[study]`.
     """
     checks.float64_mode()
@@ -113,7 +113,7 @@ def study(
 def _layout(
     build: Callable[..., Scene], parameters: Parameters, control: Any, variables: dict[str, Quantity]
 ) -> Layout:
-    """The layout of the Dataset; an empty control stands for the default one, which is not known yet."""
+    """The layout of the Dataset; its control is empty until the default one has been computed."""
     for name in parameters.values:
         if name in RESERVED or name in VARIABLES or name in variables:
             raise ValueError(

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 NOISE = 1e-12  # relative to the largest value: smaller values are zero
-REACH = 3  # steps on each side through which the polynomial of a peak goes, unless there is a corner
-NEWTON_STEPS = 5  # to its extremum, from at most half a step away
+REACH = 3  # steps on each side of a peak through which a polynomial is drawn, unless there is a corner
+NEWTON_STEPS = 5  # to the extremum of that polynomial, which is at most half a step away
 BLOCK = 64e6  # bytes of a Dataset that are read at a time
 WIDTHS = ("contact_width", "half_width_mz")
 _EVENTS = ("event_kind", "event_control", "event_whisker", "event_count")
@@ -49,15 +49,15 @@ def summary(data: xr.Dataset) -> xr.Dataset:
     """Summarise every scene of a study: peaks, contact, snaps.
 
     Args:
-        data: what `study` returned, with at least one of the outputs "reactions", "status" and "events". It is read in
-            blocks of scenes, so a store may be larger than the memory.
+        data: the Dataset that `study` returns, with at least one of the outputs "reactions", "status" and "events". It
+            is read in blocks of scenes, so a store may be larger than the memory.
 
     Returns:
         A Dataset over the study's axes (and `whisker`): max_fx, min_fx, ..., max_mz, min_mz, each with its
-        control_of_...; first_touch, last_contact, contact_width; half_width_mz; snap_work, snaps, steps_failed. The
-        control may rise or fall; widths are positive. They are NaN, with a `comment`, if the control changes direction.
-        Values are NaN where steps failed or contact begins or ends outside the control; so is the position of a peak
-        that is zero.
+        control_of_...; first_touch, last_contact, contact_width; half_width_mz; snap_work, snaps, steps_failed; in the
+        units of the study. The control may rise or fall; widths are positive. They are NaN, with a `comment`, if the
+        control changes direction. Values are NaN where steps failed or contact begins or ends outside the control; so
+        is the position of a peak that is zero.
 
     Raises:
         ValueError: if `data` is not the Dataset of a study with its steps.
@@ -156,7 +156,7 @@ def summarise(arrays: Mapping[str, np.ndarray], control: np.ndarray, whiskers: i
 
 
 class _Scans:
-    """Scans with one leading axis; arrays are (scans, ...)."""
+    """Scans along one leading axis: arrays have shape (scans, ...)."""
 
     def __init__(self, arrays: Mapping[str, np.ndarray], control: np.ndarray, whiskers: int):
         self.arrays, self.control, self.turns = arrays, control, turns(control)
@@ -218,7 +218,7 @@ class _Scans:
         """Largest value of the steps and its position, refined by polynomials where the signal is smooth."""
         steps = self.control.size
         step = np.argmax(np.where(np.isnan(values), -np.inf, values), axis=1)
-        # A peak that the drive passes within a few steps is smooth as a function of the position of the base.
+        # A peak that the drive passes within a few steps is smoother over the position of the base than over the drive.
         over = self.lanes("base_x", 2) if "base_x" in self.arrays else None
 
         def near(k: int, of: np.ndarray = values) -> np.ndarray:
@@ -254,7 +254,7 @@ class _Scans:
         first = np.argmax(touching, axis=1)
         last = steps - 1 - np.argmax(touching[:, ::-1], axis=1)
         snap, release = self.snap[:, :, None], (self.kind == EventKind.release)[:, :, None]
-        # In a snap, whiskers other than those it names may come into contact or lose it.
+        # A snap names the whiskers that slipped off their branch, but others may also come into contact or lose it.
         begins = (self.kind == EventKind.touch)[:, :, None] & self.named
         ends = (release | snap) & self.named
         begun = self._index(begins, snap & ever[:, None], np.maximum(first - 1, 0), first, 1)
@@ -267,7 +267,7 @@ class _Scans:
         return np.where(lost | unseen_start, np.nan, start), np.where(lost | unseen_end, np.nan, end)
 
     def _index(self, named: np.ndarray, snaps: np.ndarray, low: np.ndarray, high: np.ndarray, way: int) -> np.ndarray:
-        """Index of the first (way 1) or last (-1) event of `named`, or of a snap in these steps that precedes it."""
+        """Index of the first (way 1) or last (-1) event of `named`, or of a snap in these steps before (after) it."""
         inside = self._inside(low, high)
         none = named.shape[1]
 
@@ -282,7 +282,7 @@ class _Scans:
         return np.where((own == none) | (before & (other < none) & ~own_inside), other, own)
 
     def half_width(self, name: str, peak: np.ndarray) -> np.ndarray:
-        """Distance of the drive between the first and the last time that the magnitude passes half its peak."""
+        """Distance of the drive between the first and the last position at which the magnitude is half its peak."""
         size, half = np.abs(self.lanes(name, 2)), peak[:, None, :] / 2
         above = size >= np.where(half > 0, half, np.inf)
         steps = self.control.size

@@ -15,7 +15,7 @@ __all__ = ["INTERRUPTED", "NOT_ALL_OK", "NO_CONTACT", "OK", "USAGE", "main"]
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str):
-        # The usage would hide this line.
+        # argparse would print the usage as well, which hides this line.
         self.exit(USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
 
 

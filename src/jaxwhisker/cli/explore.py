@@ -34,7 +34,7 @@ examples:
 
 Range = tuple[float, ...]  # (start,), (low, high) or (low, high, start)
 
-# Default ranges, used if at most a start is given; other parameters have no slider then.
+# Default ranges of parameters for which no range is given; other parameters without a range have no slider.
 RANGES = {
     "stiffness": (10.0, 500.0),
     "rest_length": (0.0, 0.5),
@@ -47,7 +47,7 @@ STARTS = {"stiffness": 70.0, "rest_length": 0.2}
 
 
 def one(text: str) -> Range:
-    """A parameter: START, LOW:HIGH or LOW:HIGH:START."""
+    """The value or range of a parameter: START, LOW:HIGH or LOW:HIGH:START."""
     parts = tuple(number(part) for part in text.split(":"))
     if len(parts) > 3:
         raise argparse.ArgumentTypeError(f"must be START, LOW:HIGH or LOW:HIGH:START, got {text!r}")
@@ -55,7 +55,7 @@ def one(text: str) -> Range:
 
 
 def each(text: str) -> tuple[Range, ...]:
-    """A parameter of all springs, or one per spring."""
+    """A value or range for all springs, or one per spring."""
     return tuple(one(part) for part in text.split(","))
 
 

@@ -119,7 +119,7 @@ def _sigma(text: str) -> float | dict[str, float]:
 
 
 def _parameters(args: argparse.Namespace) -> tuple[dict[str, float], Callable[..., Scene]]:
-    """All parameters of the scene by name, those of springs numbered, and the function that builds the scene."""
+    """All parameters of the scene by name (numbered for springs), and the function that builds the scene from them."""
     springs = options.support_of(args).springs
     values: dict[str, float] = {f"c{k}": float(spring.softness**-1) for k, spring in enumerate(springs, 1)}
     values |= {f"l{k}": float(spring.rest_length) for k, spring in enumerate(springs, 1)}

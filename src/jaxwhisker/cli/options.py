@@ -90,11 +90,11 @@ def add_sensor(
     """Add the options of whiskers and springs.
 
     Args:
-        command: to which the options are added.
+        command: the parser to which the options are added.
         kind: converts the value of an option of the whiskers.
         springs: converts the value of an option of the springs.
         several: whether each spring may have its own value.
-        defaults: of stiffness and rest length, as the help shows them.
+        defaults: defaults of stiffness and rest length, as the help shows them.
     """
     stiffness, rest_length = "stiffness of all springs", "rest length of each spring in the row"
     feedback = "a feedback spring gets the sum of those that it spans"
@@ -155,7 +155,11 @@ def add_units(add: Callable) -> None:
 
 
 def shape_of(args: argparse.Namespace) -> dict:
-    """Options of the chosen profile, with defaults; those of another profile are rejected."""
+    """Options of the chosen profile, with defaults.
+
+    Raises:
+        ValueError: if an option of another profile is given.
+    """
     _, defaults = PROFILES[args.profile]
     for option in ("a", "b", "radius"):
         if getattr(args, option) is not None and option not in defaults:
@@ -205,7 +209,7 @@ def scene_of(args: argparse.Namespace) -> Scene:
 
 
 def check_drive(args: argparse.Namespace) -> None:
-    """Reject invalid drive positions, before the ends that are not given are computed."""
+    """Reject invalid drive positions before the missing ends are computed."""
     for option in ("start", "stop", "step"):
         value = getattr(args, option)
         if value is not None and not math.isfinite(value):
@@ -226,7 +230,7 @@ def positions(start: float, stop: float, step: float) -> np.ndarray:
     steps = abs(stop - start) / step
     if steps > MOST_STEPS:
         raise ValueError(f"--step must leave at most {MOST_STEPS:,} positions, got {step:g}, which leaves {steps:.3g}.")
-    # The tolerance keeps a last position that only rounding puts beyond --stop.
+    # The tolerance keeps a last position that lies beyond --stop only by rounding.
     return start + np.sign(stop - start) * step * np.arange(int(steps + 1e-9) + 1)
 
 
@@ -245,7 +249,7 @@ def control_of(args: argparse.Namespace, scene: Scene) -> np.ndarray | None:
 
 
 def check_writable(*paths: Path | None) -> None:
-    """Check that files can be written, before anything is computed."""
+    """Check that files can be written before anything is computed."""
     for path in paths:
         if path is None:
             continue

@@ -68,7 +68,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def scan_code(result: Result) -> int:
-    """The exit code for a scan; says so if no whisker touches the object."""
+    """The exit code for a scan; print a line if no whisker touches the object."""
     failed, _ = status_line(result)
     if failed:
         return options.NOT_ALL_OK

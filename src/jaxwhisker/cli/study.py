@@ -124,7 +124,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _code(peaks: "xr.Dataset") -> int:
-    """The exit code; says how many scans have no contact."""
+    """The exit code; print the number of scans without contact if there are any."""
     if bool((peaks.steps_failed > 0).all()):
         return options.NOT_ALL_OK
     without = int((peaks.max_fy == 0).all("whisker").sum())  # the object only pushes, so fy > 0 in every contact

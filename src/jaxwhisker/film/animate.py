@@ -16,7 +16,7 @@ LEAST_WIDTH, MOST_WIDTH = 64, 4096  # pixels
 
 
 class Film:
-    """Film in memory; notebooks display it.
+    """A film in memory, which notebooks display.
 
     Args:
         kind: media type, such as "video/mp4".
@@ -48,30 +48,31 @@ def animate(
 ) -> Path | Film:
     """Make a film of a scan: the scene on the left, the reactions on the right, events as they happen.
 
-    A snap takes no time in a scan. The film shows it in a few additional frames, marked as not to scale in time: the
-    overdamped flow of the bases from the state before to the state after it, which also decides the result of the snap.
-    Where a whisker swings free or to the far side while its base stands still, no equilibrium lies between the two
-    states. Its centre line is then turned from one to the other, past the object and without changing its length.
+    A snap takes no time in a scan. The film shows it in a few additional frames, marked as not to scale in time. They
+    show the overdamped flow of the bases from the state before the snap to the state after it, which also determines
+    the result of the snap in a scan. Where a whisker swings free or to the far side while its base stands still, no
+    equilibrium lies between the two states. Its centre line is then turned from one to the other, past the object and
+    without changing its length.
 
-    Where steps failed, whiskers are missing and the film shows the status.
+    Whiskers are missing at failed steps, where the film shows the status.
 
     Args:
-        result: of one `scan`.
-        path: of the file: .gif or, with ffmpeg, .mp4 or .webm. By default the film is returned, for notebooks.
+        result: result of one `scan`.
+        path: path of the file: .gif or, with ffmpeg, .mp4 or .webm. By default the film is returned, for notebooks.
         seconds: duration of the scan in the film, at most 300. Every snap adds half a second, and the last frame stays
             for one second.
         fps: frames per second, 1 to 60. Frames of a GIF last a whole number of hundredths of a second.
-        width: of the film in pixels, 64 to 4096, rounded down to an even number. The height follows from the scene: 0.4
-            to 0.7 times the width.
+        width: width of the film in pixels, 64 to 4096, rounded down to an even number. The height follows from the
+            scene: 0.4 to 0.7 times the width.
         units: "auto", "SI" (with prefixes: mm, mN) or "dimensionless" (in L and EI of the first whisker). "auto" is
             "dimensionless" for a first whisker with L = EI = 1, else "SI".
         progress: whether to show a progress bar; by default, on a terminal.
 
     Returns:
-        The path, or the Film: an MP4 if there is ffmpeg, else a GIF.
+        The path, or the Film: an MP4 if ffmpeg is installed, else a GIF.
 
     Raises:
-        ValueError: if an argument is invalid, the result is a batch, or there is no ffmpeg for a video.
+        ValueError: if an argument is invalid, the result is not that of one scan, or ffmpeg is missing for a video.
         OSError: if the file cannot be written.
     """
     check_one_scan(result)
@@ -92,7 +93,7 @@ def check(path: Any, seconds: Any, fps: Any, width: Any, units: Any = "auto") ->
     """Check the arguments of `animate` before anything is computed; return the path.
 
     Raises:
-        ValueError: as described there.
+        ValueError: as for `animate`.
     """
     checks.number("seconds", seconds, positive=True)
     if seconds > LONGEST:

@@ -1,4 +1,4 @@
-"""Drawing of the frames of a film: the background once, moving artists again for every frame."""
+"""Draw the frames of a film: the background once, and the moving artists again for every frame."""
 
 from typing import Any, NamedTuple
 
@@ -31,8 +31,8 @@ STAGE, CURVES = (0.67, 4.7), (6.35, 3.1)  # position from the left, and width
 STAGE_ROOM = 0.03  # around moving parts, as a share of the window
 WORDS_ROOM = 0.1  # above them
 CURVE_ROOM = 0.08  # above and below curves, as a share of their height
-FLASH = 0.5  # seconds; a snap flashes that long after it is over
-MOST_LABELS = 3  # events that flash at once; only the latest are shown
+FLASH = 0.5  # seconds for which an event flashes; a snap flashes for so long after it is over
+MOST_LABELS = 3  # largest number of events that flash at once; only the latest are shown
 WARNING = "#B00000"
 _WORDS = {
     EventKind.touch: "touch of {}",
@@ -154,7 +154,7 @@ class Window(NamedTuple):
 
 
 def _window(system: UnitSystem, drawn: list[Drawing]) -> Window:
-    """One window for all frames, which holds all moving parts, and the object down to its vertex."""
+    """The window of all frames, which holds all moving parts, and the object down to its vertex."""
     x, y = (np.concatenate(coordinate) for coordinate in zip(*(one.extent() for one in drawn), strict=True))
     vertex_x, vertex_y = (float(system.shown("contact_x", v)) for v in system.scene.profile.vertex())
     x, y = np.append(x, vertex_x), np.append(y, [vertex_y, 0.0])
@@ -255,7 +255,7 @@ def _limits(values: np.ndarray, share: float, least: float) -> tuple[float, floa
 
 def in_words(event: Event) -> str:
     """Event and its whiskers, such as "touch of whisker 1"."""
-    # A snap of a network as a whole names no whisker, because all of them move.
+    # A snap of the whole network names no whisker, because all of them move.
     *others, last = event.whiskers or range(1, event.before.phase.size + 1)
     who = f"whiskers {', '.join(map(str, others))} and {last}" if others else f"whisker {last}"
     return _WORDS[event.kind].format(who)

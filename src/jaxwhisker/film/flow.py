@@ -1,7 +1,7 @@
 """Intermediate states of a snap.
 
-The march only stores the states before and after a snap. Here the overdamped flow of the bases (snap_flow.py) runs once
-more, from the node of the path at which stability was lost, and all states in which no whisker slips are stored.
+The march only stores the states before and after a snap. Here the overdamped flow of the bases (snap_flow.py) is
+computed again, from the node of the path at which stability was lost. All states in which no whisker slips are stored.
 """
 
 import dataclasses
@@ -52,9 +52,9 @@ class _Going(NamedTuple):
 
 
 def flows(result: Result, numbers: Sequence[int]) -> list[State]:
-    """States (states, whiskers) of the flow of each of these events of a scan, without the first and the last.
+    """States (states, whiskers) of the flow of each of these events of a scan, without the first and the last ones.
 
-    A whisker that swings free or to the far side while its base stands still does so between two of the states.
+    If a whisker swings free or to the far side while its base stands still, it does so between two of these states.
     """
     if not numbers:
         return []

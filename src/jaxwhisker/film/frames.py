@@ -17,10 +17,10 @@ from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.state import State
 from jaxwhisker.film.flow import flows
 
-SNAP_FRAMES = 13  # of a snap, including the states before and after it
+SNAP_FRAMES = 13  # frames of a snap, including the states before and after it
 POINTS = 64  # per centre line
 ROUNDING = 1e-9  # of the travel: a step exactly at an event shows the state after it
-SWINGS = 0.1  # of the whisker's length; in one step of the flow, bases and tips only move farther if the whisker swings
+SWINGS = 0.1  # of the whisker's length: only a whisker that swings moves farther than this in one step of the flow
 BLOCK = 64  # states are padded to a multiple of this, because films of similar length then share a compiled program
 DEEPEST = 3e-3  # of the whisker's length: contacts and outlines are drawn with about this accuracy
 CURLS = np.concatenate([[0.0], *([curl, -curl] for curl in np.linspace(0.1, 6.0, 60))])
@@ -29,7 +29,7 @@ CURLS = np.concatenate([[0.0], *([curl, -curl] for curl in np.linspace(0.1, 6.0,
 class Frames(NamedTuple):
     """Content of a film; arrays have one row per frame, in the scene's units."""
 
-    step: Int[np.ndarray, " frames"]  # of the scan; during a snap, the last one before it, or -1
+    step: Int[np.ndarray, " frames"]  # of the scan; during a snap, the last step before it, or -1 if there is none
     control: Float[np.ndarray, " frames"]
     state: State  # (frames, whiskers)
     lines: Shapes  # (frames, whiskers, points)
@@ -37,7 +37,7 @@ class Frames(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """Contour of a convex object from left to right, or all around in the same sense."""
+    """Contour of a convex object from left to right, or all around it in the same direction."""
 
     x: Float[np.ndarray, " points"]
     y: Float[np.ndarray, " points"]
@@ -54,12 +54,13 @@ def frames(result: Result, count: int) -> tuple[Frames, list[tuple[int, Event]]]
     """Frames for evenly spaced steps of a scan and for its snaps; events, each with the frame at which it happens.
 
     A snap takes no time in a scan. Its frames show the overdamped flow of the bases from the state before to the state
-    after it. The farthest motion of any base or tip is the same between any two of these frames. Where a whisker swings
-    free or to the far side, no equilibrium lies between, so its centre line is turned from one state to the other.
+    after it. Between successive frames, the base or tip that moves farthest always moves by the same distance. Where a
+    whisker swings free or to the far side, there is no equilibrium in between, so its centre line is turned from one
+    state to the other.
 
     Args:
-        result: of `scan`.
-        count: frames for the steps; every snap adds `SNAP_FRAMES`.
+        result: result of `scan`.
+        count: number of frames for the steps; every snap adds `SNAP_FRAMES`.
     """
     events, control = list(result.events), np.asarray(result.control)
     shown = np.round(np.linspace(0, control.size - 1, count)).astype(int)

@@ -27,16 +27,16 @@ def has_ffmpeg() -> bool:
 
 
 def write(path: Path, canvas: Canvas, frames: Iterable[int], *, fps: int) -> None:
-    """Write a film in the format of the path's suffix.
+    """Write a film in the format that the path's suffix selects.
 
     Args:
-        path: of the file.
-        canvas: draws the frames.
-        frames: 0 to canvas.count - 1.
+        path: path of the file.
+        canvas: the canvas that draws the frames.
+        frames: numbers of the frames, 0 to canvas.count - 1.
         fps: frames per second.
 
     Raises:
-        OSError: if the file cannot be written; with the message of ffmpeg.
+        OSError: if the file cannot be written; its message contains that of ffmpeg.
     """
     suffix = path.suffix.lower()
     writer: AbstractMovieWriter = (

@@ -14,7 +14,7 @@ from jaxwhisker._scan.quantities import DRAWN, UnitSystem, dimensionless_label
 from jaxwhisker._scan.quantities import QUANTITIES as TABLE
 from jaxwhisker._scan.result import Result
 
-# Colours of Okabe and Ito, which remain distinct with every kind of colour blindness; black comes last.
+# The palette of Okabe and Ito, whose colours remain distinct for colour-blind readers; black comes last.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", "--", ":", "-.")
 GREY = "#777777"
@@ -34,7 +34,7 @@ def axis_label(quantity: str, scene: Scene | None = None, *, units: str = "auto"
 
     Args:
         quantity: one of `QUANTITIES`.
-        scene: whose units to use; by default the label is dimensionless.
+        scene: scene whose units are shown; by default the label is dimensionless.
         units: "auto", "SI" or "dimensionless".
 
     Raises:
@@ -50,7 +50,7 @@ def control_axis(scene: Scene, *, units: str = "auto") -> str:
     """Symbol and unit of the control of a scene, for an axis.
 
     Args:
-        scene: whose control is drawn.
+        scene: scene whose control is drawn.
         units: "auto", "SI" or "dimensionless".
 
     Raises:
@@ -71,20 +71,20 @@ def check_type(name: str, value: Any, allowed: type | tuple[type, ...], words: s
     """Check the type of an argument.
 
     Raises:
-        ValueError: if it is another one.
+        ValueError: if it has another type.
     """
     if not isinstance(value, allowed):
         raise ValueError(f"`{name}` must be {words}, got {value!r}.")
 
 
 def check_scene(scene: Any) -> Scene:
-    """The scene, if it is one."""
+    """Return a scene after checking its type."""
     check_type("scene", scene, Scene, "a Scene")
     return scene
 
 
 def check_quantity(quantity: Any) -> None:
-    """Check that a quantity can be drawn."""
+    """Check that `quantity` is one of `QUANTITIES`."""
     if quantity not in QUANTITIES:
         raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, got {quantity!r}.")
 
@@ -151,8 +151,8 @@ def save(drawn: Figure | Axes | Iterable[Axes], path: str | Path, **options: Any
 
     Args:
         drawn: a Figure, or any of its Axes.
-        path: of the file; its suffix selects the format.
-        options: of matplotlib's `savefig`, such as `dpi`.
+        path: path of the file; its suffix selects the format.
+        options: options of matplotlib's `savefig`, such as `dpi`.
 
     Raises:
         ValueError: if `drawn` is neither a Figure nor Axes.

@@ -32,7 +32,7 @@ DEPTH = 0.08  # vertical distance between springs that pass below other bases
 COIL = 0.085  # radius of a torsion spring
 THIN, THICK = 0.9, 2.5  # line widths, points
 NEAR = 1.5  # a window holds the pivot of a rotation up to this distance from the drive
-AHEAD = 0.05  # distance of the drive to the first touch in the figure of a scene
+AHEAD = 0.05  # distance between the drive and its position at the first touch in the figure of a scene
 SAMPLES = 241  # controls of a motion that are searched for the first touch
 _TURNS = 2.25  # of a torsion spring at rest: it ends below to the right, clear of springs along x and y
 _LEAST_ARROW, _LONGEST_ARROW = 0.1, 0.35
@@ -100,9 +100,9 @@ def drawing(scene: Scene, control: float, state: State, *, largest: float | None
     """Geometry of a state of a scene; NaN where the state is NaN.
 
     Args:
-        scene: to which the state belongs.
-        control: of the drive, in the scene's units.
-        state: fields (whiskers,) in the scene's units, for example of an event or of `state_at`.
+        scene: scene of the state.
+        control: control of the drive, in the scene's units.
+        state: a state with fields (whiskers,) in the scene's units, for example of an event or from `state_at`.
         largest: contact force with the longest arrow; by default the largest one of the state.
     """
     size = float(units(scene).length)
@@ -134,7 +134,7 @@ def drawing_at(result: Result, step: int) -> Drawing:
 def start_of(scene: Scene) -> float:
     """Control just before the first unloaded whisker touches the object, in the scene's units.
 
-    If no whisker touches: the vertex of the object, or the start of a motion that has ends.
+    If no whisker touches, it is x of the object's vertex, or the start of a motion that has ends.
     """
     equations = problem_of(jax.tree.map(checks.as_float, scene))
     motion, unit = equations.motion, float(equations.unit.control)
@@ -230,7 +230,7 @@ def spring_lines(scene: Scene, drive: Pose, bases: Line, angle: Float[np.ndarray
 
 
 def _depths(springs: Sequence[Spring]) -> list[int]:
-    """Level of each spring below the bases: 0, or 1, 2, ... along x where it passes a base or overlaps a spring."""
+    """Level of each spring below the bases: 0, or 1, 2, ... for springs along x that pass a base or overlap another."""
     depths, drawn = [], set()
     for spring in springs:
         first, second = spring.between

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jaxwhisker._inverse.information import Information
     from jaxwhisker._inverse.points import Reconstruction
 
-POINTS = 241  # of a known profile
+POINTS = 241  # of a profile that is drawn for comparison
 _UNIT = "(scan's unit)"
 
 
@@ -31,7 +31,7 @@ def fit(result: "Fit", *, units: str = "auto", axs: Iterable[Axes] | None = None
     """Draw measured signals (dots) and those of the fit (lines), one Axes for each measured channel.
 
     Args:
-        result: of `identify`.
+        result: result of `identify`.
         units: "auto", "SI" (with prefixes: mm, mN) or "dimensionless" (in L and EI of the first whisker). "auto" is
             "dimensionless" for a first whisker with L = EI = 1, else "SI".
         axs: where to draw, one Axes for each measured channel; a new figure by default.
@@ -64,12 +64,12 @@ def fit(result: "Fit", *, units: str = "auto", axs: Iterable[Axes] | None = None
 
 
 def information(result: "Information", *, ax: Axes | None = None) -> Axes:
-    """Draw the share of the information on each parameter that has been collected up to each step of a scan.
+    """Draw the share of the information about each parameter that has been collected up to each step of a scan.
 
     The signals are most informative where a line is steep; grey lines are events.
 
     Args:
-        result: of `jw.information`.
+        result: result of `jw.information`.
         ax: where to draw; a new figure by default.
 
     Returns:
@@ -103,8 +103,8 @@ def contour(
     axes have the same scale, in the unit of the signals.
 
     Args:
-        result: of `reconstruct` or `fit_contour`.
-        profile: drawn as a black line for comparison: the true object, or one that was fitted to points.
+        result: result of `reconstruct` or `fit_contour`.
+        profile: a profile to draw as a black line for comparison: the true object, or one that was fitted to points.
         ax: where to draw; a new figure by default.
 
     Returns:
@@ -171,7 +171,7 @@ def _between(profile: AbstractProfile, slopes: Float[jax.Array, " 2"]) -> Contac
 
 
 def _in_order_of_time(axes: Iterable[Axes], control: np.ndarray) -> None:
-    """Reverse the horizontal axis where the control falls, so that time runs to the right."""
+    """Reverse the horizontal axis if the control falls: time then runs to the right."""
     if control[-1] < control[0]:
         for ax in axes:
             ax.set_xlim(float(np.max(control)), float(np.min(control)))

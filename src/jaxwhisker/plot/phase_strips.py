@@ -1,4 +1,4 @@
-"""Strips over the control: when each whisker is free, in tip contact or in tangential contact, and its events."""
+"""Strips over the control: where each whisker is free, in tip contact or in tangential contact, and its events."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -26,9 +26,9 @@ _MARKERS = {
 
 
 def phases(result: Result, *, units: str = "auto", ax: Axes | None = None) -> Axes:
-    """Draw when each whisker is free, in tip contact (hatched) or in tangential contact (solid), and its events.
+    """Draw where each whisker is free, in tip contact (hatched) or in tangential contact (solid), and its events.
 
-    Where the drive reverses, each part of its path has its own strip, from top to bottom. Failed steps leave gaps.
+    If the drive reverses, each part of its path has its own strip, from top to bottom. Failed steps leave gaps.
 
     Args:
         result: of `scan`.
@@ -54,7 +54,7 @@ def phases(result: Result, *, units: str = "auto", ax: Axes | None = None) -> Ax
     height, whiskers = _HEIGHT / (len(turns) - 1), phase.shape[1]
     tall = height if len(turns) == 2 else 0.85 * height
     for k in range(whiskers):
-        # A snap of a network as a whole names no whisker, because all of them move.
+        # A snap of the whole network names no whisker, because all of them move.
         own = [n for n, event in enumerate(events) if k + 1 in (event.whiskers or range(1, whiskers + 1))]
         for strip, (first, last) in enumerate(pairwise(turns)):
             top = k + 1 - _HEIGHT / 2 + strip * height
@@ -83,7 +83,7 @@ def _turns(control: np.ndarray) -> list[int]:
 def _runs(
     travel: np.ndarray, phase: np.ndarray, known: np.ndarray, changes: np.ndarray
 ) -> Iterator[tuple[Phase, float, float]]:
-    """Phases with the travel at which they begin and end: at an event, or midway between two steps without one."""
+    """Phases with the travel at which they begin and end: at an event, or else midway between two steps."""
     starts = np.flatnonzero(np.r_[True, (phase[1:] != phase[:-1]) | (known[1:] != known[:-1])])
     ends = np.r_[starts[1:], phase.size] - 1
     for first, last in zip(starts.tolist(), ends.tolist(), strict=True):
@@ -94,7 +94,7 @@ def _runs(
 
 
 def _change(travel: np.ndarray, step: int, known: np.ndarray, changes: np.ndarray) -> float:
-    """Travel between a step and the next at which a phase ends."""
+    """Travel at which a phase ends, between a step and the next one."""
     here, there = travel[step], travel[step + 1]
     within = changes[(changes >= here) & (changes <= there)]
     if within.size:

@@ -88,7 +88,8 @@ def reactions(result: Result, *, units: str = "auto", axs: Iterable[Axes] | None
 def spring_lengths(result: Result, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     """Draw the lengths of all springs (the angles of torsion springs) over the control, with thin lines at events.
 
-    A spring has the colour of the whisker at its second end. If there are several to one base, the others are dashed.
+    A spring has the colour of the whisker at its second end. If several springs end at one base, the first one is solid
+    and the others are dashed.
 
     Args:
         result: of `scan`.
@@ -145,7 +146,7 @@ def compare(
     """Draw one quantity of several scans over the control.
 
     Args:
-        results: label -> result of `scan`.
+        results: results of `scan` by label.
         quantity: one of `QUANTITIES`: "fx", "fy", "mz", "spring_length", "base_x", ...
         index: number of the whisker, or of the spring, from 1.
         units: "auto", "SI" or "dimensionless", see `overview`. SI units are those of the first scan; if any scan is
@@ -178,15 +179,15 @@ def compare(
 
 
 def contact_range(results: Sequence[Result], margin: float = 0.04, *, units: str = "auto") -> tuple[float, float]:
-    """Range of the control in which any whisker of any scan is in contact, with a margin, in the units of figures.
+    """Range of the control in which any whisker of any scan is in contact, with a margin.
 
     Args:
-        results: of `scan`.
-        margin: share of the range that is added at both ends.
+        results: results of `scan`.
+        margin: fraction of the range that is added at both ends.
         units: "auto", "SI" or "dimensionless", see `compare`.
 
     Returns:
-        Smallest and largest control.
+        Smallest and largest control, in the units of figures.
 
     Raises:
         ValueError: if `results` are not Results of one scan each or `units` is invalid.
@@ -220,7 +221,7 @@ def _event_controls(result: Result, system: UnitSystem) -> list[float]:
 
 
 def _styles(result: Result, quantity: str, count: int) -> list[dict[str, Any]]:
-    """Styles of the curves of whiskers, or of springs: the colour of the second base, the first spring to it solid."""
+    """Styles of the curves of whiskers or springs; a spring has the colour of its second base, the first is solid."""
     if quantity != "spring_length":
         return [{"color": colour(k), "label": f"whisker {k + 1}"} for k in range(count)]
     styles, bases = [], []
@@ -245,7 +246,7 @@ def _finish(ax: Axes, systems: Sequence[UnitSystem], quantity: str) -> Axes:
 
 
 def _label(systems: Sequence[UnitSystem], quantity: str) -> str:
-    """Label of a quantity; of springs lengths, angles, or both."""
+    """Label of a quantity; for springs, that of lengths, of angles, or both."""
     axes = {spring.axis for system in systems for spring in system.scene.support.springs}
     label = systems[0].label(quantity)
     if quantity != "spring_length" or "phi" not in axes:

@@ -71,12 +71,13 @@ def shapes(result: Result, at: Any = None, *, whole: bool = True, units: str = "
     """Draw whiskers, springs, drive, object and contact forces at one or several positions of the drive.
 
     If there are several, earlier whiskers are paler; springs, drive and forces belong to the last position. Arrows
-    point in the direction in which the object pushes the whisker; their length grows with the share of the scan's
-    largest contact force. Failed steps are left out.
+    point in the direction in which the object pushes the whisker; their length grows with the force, relative to the
+    scan's largest contact force. Failed steps are left out.
 
     Args:
-        result: of `scan`.
-        at: drive positions in the scene's unit; the nearest steps are drawn. By default five across the contact.
+        result: result of `scan`.
+        at: drive position or positions, in the scene's unit; the nearest steps are drawn. Default: five across the
+            contact.
         whole: draw the upper half of a circle or ellipse too, which no whisker touches.
         units: "auto", "SI" or "dimensionless", see `scene`.
         ax: where to draw; a new figure by default.
@@ -98,7 +99,7 @@ def shapes(result: Result, at: Any = None, *, whole: bool = True, units: str = "
 
 
 def _listed(result: Result, steps: Sequence[int], system: UnitSystem) -> str:
-    """Drive positions of steps: to a thousandth of L if there is one, else to a hundredth."""
+    """Drive positions of steps as text: to a thousandth of L for one step, to a hundredth for several."""
     controls = system.shown("control", result.control)[list(steps)]
     digits = decimals(system) - (len(steps) > 1)
     return ", ".join(f"{control:.{max(digits, 0)}f}" for control in controls).replace("-", "\N{MINUS SIGN}")
@@ -138,7 +139,7 @@ def deflection(
     """Draw whiskers bent by given loads.
 
     Args:
-        results: label -> result of `deflect`.
+        results: results of `deflect` by label.
         length: the length L that is drawn as 1 if units are dimensionless; by default that of the longest whisker.
         units: "auto", "SI" or "dimensionless". "auto" is "SI" unless `length` is given or L = 1.
         ax: where to draw; a new figure by default.
@@ -180,7 +181,7 @@ def _deflection_unit(lengths: Sequence[float], length: float | None, units: str)
 
 
 def same_window(axs: Iterable[Axes]) -> None:
-    """Give Axes the same limits, which hold all that is drawn in any of them.
+    """Give several Axes the same limits, which hold everything that any of them shows.
 
     Raises:
         ValueError: if `axs` are not Axes.
@@ -194,6 +195,10 @@ def same_window(axs: Iterable[Axes]) -> None:
 
 def in_words(result: Result, at: float) -> str:
     """Phases of all whiskers at a position of the drive, such as "1: tip, 2: free".
+
+    Args:
+        result: result of `scan`.
+        at: drive position in the scene's unit; the nearest step is described.
 
     Raises:
         ValueError: if `result` is not the Result of one scan or `at` is not a finite number.
@@ -220,7 +225,7 @@ def _steps_across(result: Result) -> list[int]:
 
 
 def draw_object(system: UnitSystem, ax: Axes, *, whole: bool = True) -> None:
-    """Draw the object of a scene and, if all bases stay on it, the line along which they move."""
+    """Draw the object of a scene and, if all bases move along x only, the line on which they move."""
     lengths = system.unit("base_x").size
     _draw_object(system.scene.profile, lengths * system.scale("length"), lengths, whole, ax)
     if moves_along_x(system.scene):

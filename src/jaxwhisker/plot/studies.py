@@ -27,14 +27,14 @@ def study(
     Over one axis, there is one Axes with a line for every whisker; over two, a map for each whisker.
 
     Args:
-        data: of `summary`, or of `study` with `summary=True`.
-        name: variable with one value per whisker.
-        critical: of `study.steepness.steepness`: slope of the clamped whisker's force times the flexibility of the
-            support. It is 1 at the critical stiffness, below which scans snap through the vertex; this is marked.
-        axs: where to draw; a new figure by default.
+        data: result of `summary`, or of `study` with `summary=True`.
+        name: a variable with one value per whisker.
+        critical: steepest slope of the clamped whisker's force times the flexibility of the softest base, over the same
+            axes. It is 1 at the critical stiffness, below which scans snap through the vertex; this is marked.
+        axs: where to draw: one Axes, or one per whisker for two axes of the study; a new figure by default.
 
     Returns:
-        The Axes.
+        The Axes, in an array.
 
     Raises:
         ValueError: if `data` is not a Dataset with such a variable over one or two axes, or the number of `axs` is

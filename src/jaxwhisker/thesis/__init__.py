@@ -1,1 +1,1 @@
-"""Tables, figures and claims of the thesis, computed again."""
+"""Tables, figures and claims of the thesis, computed with jaxwhisker."""

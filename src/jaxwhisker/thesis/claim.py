@@ -23,7 +23,7 @@ class Claim:
     """A statement of the thesis and what the scans show."""
 
     statement: str
-    figures: str  # that show it; empty if the thesis does not make the statement
+    figures: str  # figures that show it; empty if the thesis does not make the statement
     holds: str  # "yes", "in part", "no", or "new" for what the thesis does not state
     result: str
     explanation: str
@@ -66,7 +66,7 @@ def maxima(scans: Scans, case: Case, whisker: int) -> list[float]:
 
 
 def deviation_from_clamped(scans: Scans, values: Sequence[float]) -> float:
-    """Largest relative deviation of these maxima from those of the clamped whisker."""
+    """Largest relative deviation of `values`, in the order of MAXIMA, from the maxima of the clamped whisker."""
     expected = maxima(scans, CLAMPED, 1)
     return max(abs(value / reference - 1) for value, reference in zip(values, expected, strict=True))
 
@@ -97,7 +97,7 @@ def measure_all(
 
 
 def jump(result: Result, whisker: int, other: int) -> tuple[float, float]:
-    """fy of whisker `other` before and after the last detachment of `whisker`; NaN without either of them."""
+    """fy of whisker `other` before and after the last detachment of `whisker`; NaN if either is missing."""
     detached = [e for kind in (EventKind.snap_off, EventKind.release) for e in result.events.of(kind, whisker)]
     if not detached or other > result.scene.support.whiskers:
         return math.nan, math.nan

@@ -42,9 +42,9 @@ from jaxwhisker.thesis.scans import (
     vary,
 )
 
-EXACT = 1e-6  # in u
-NO_JUMP = 1e-6  # of fy
-# Three whiskers are scanned at one distance only.
+EXACT = 1e-6  # largest difference in u of positions that count as equal
+NO_JUMP = 1e-6  # largest change of fy that does not count as a jump
+# The model with three whiskers is scanned at one distance only.
 CRITICAL = [(model, q) for q in DISTANCES for model in WHISKERS if model in MODELS or q == Case().distance]
 
 
@@ -67,7 +67,7 @@ def _clamped() -> list[Case]:
 
 
 def critical_stiffness(scans: Scans) -> Claim:
-    """The limit of the other claims."""
+    """Critical stiffness, which limits the other claims."""
     brackets = {key: critical_bracket(scans, critical_cases(*key)) for key in CRITICAL}
     rows = [["q", "max dFx/dx0", "at x0", *(f"c of {model}" for model in WHISKERS)]]
     for q in DISTANCES:

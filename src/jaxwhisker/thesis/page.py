@@ -47,13 +47,13 @@ def paragraph(text: str) -> str:
 
 
 def markdown_table(rows: Sequence[Sequence[str]], align: str = "---:") -> str:
-    """A table with a header and rows of words; numbers are aligned to the right by default."""
+    """A Markdown table of a header and rows of words; columns are aligned to the right by default."""
     cells = [[cell.replace("|", r"\|") for cell in row] for row in [rows[0], [align] * len(rows[0]), *rows[1:]]]
     return "\n".join("| " + " | ".join(row) + " |" for row in cells)
 
 
 def folded(title: str, text: str) -> str:
-    """A text that the reader unfolds."""
+    """A text that is hidden until the reader unfolds it."""
     return f"<details markdown><summary>{title}</summary>\n\n{text}\n\n</details>"
 
 
@@ -63,7 +63,7 @@ def figure(file: str, caption: str, data: str = "") -> str:
 
 
 def claims_table(claims: Sequence[Claim]) -> str:
-    """All claims at a glance, with links to their sections."""
+    """A table of all claims, with links to their sections."""
     rows = [["", "claim", "figures", "holds", "result"]]
     for number, claim in enumerate(claims, 1):
         words = re.sub(r"[^\w\s-]", "", f"{number}. {claim.statement}").strip().lower()

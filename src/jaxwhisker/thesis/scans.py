@@ -40,7 +40,7 @@ SEARCHED = 1.0, 1.25
 
 @dataclass(frozen=True)
 class Case:
-    """One scan of the thesis. The defaults are the base values, which stay while another parameter is varied."""
+    """One scan of the thesis. The defaults are the base values, which are kept while another parameter is varied."""
 
     model: str = "FB"
     stiffness: float = 70.0
@@ -79,7 +79,7 @@ def label(field: str, value) -> str:
 class Scans:
     """Scans by case, from studies that run in the background.
 
-    As a context manager, it cancels the studies that have not started when the context ends.
+    At the end of a `with` block, studies that have not started are cancelled.
     """
 
     def __init__(self, cases: Iterable[Case]):
@@ -96,7 +96,7 @@ class Scans:
         self._pool.shutdown(cancel_futures=True)
 
     def data(self, case: Case) -> "xr.Dataset":
-        """The point of the study that belongs to a case, with its summary."""
+        """The point of a study that belongs to a case, with its summary."""
         key = _structure(case)
         return self._studies[key].result().isel(point=self._cases[key].index(case))
 
@@ -137,12 +137,12 @@ def _result(data: "xr.Dataset", scene: Scene) -> Result:
 
 
 def first_event(result: Result, kind: str, whisker: int) -> Event | None:
-    """The first event of this kind and whisker."""
+    """The first event of this kind and whisker; None if there is none."""
     return next(iter(result.events.of(EventKind[kind], whisker)), None)
 
 
 def snap_through(result: Result) -> Event | None:
-    """The first snap of a whisker before it has passed the vertex; such a snap skips a part of the signal."""
+    """The first snap in which a whisker has not passed the vertex yet, which skips part of the signal; else None."""
     for event in result.events:
         if event.kind in SNAPS:
             moved = np.abs(np.asarray(event.after.base_x) - np.asarray(event.before.base_x))
@@ -160,7 +160,8 @@ def steepest_slope(distance: float) -> Steepest:
 def critical_cases(model: str, distance: float) -> list[Case]:
     """Cases of rising stiffness on both sides of the critical stiffness.
 
-    If the forces on the other whiskers were constant, it would be the steepest slope times `softest`.
+    If the forces on the other whiskers were constant, the critical stiffness would be the steepest slope times
+    `softest` of the support with unit stiffness.
     """
     guess = steepest_slope(distance).slope * softest(Support.named(model, 1.0))
     low, high = (1 - BRACKET / 2, 1 + BRACKET / 2) if WHISKERS[model] == 1 else SEARCHED
@@ -171,7 +172,7 @@ def critical_cases(model: str, distance: float) -> list[Case]:
 def critical_bracket(scans: Scans, cases: list[Case]) -> tuple[float, float]:
     """The largest stiffness at which a whisker snaps through the vertex, and the next stiffness of the cases.
 
-    NaN replaces the first one if no case snaps, and the second one if all cases do.
+    The first one is NaN if no case snaps through, and the second one if the stiffest case does.
     """
     snaps = [snap_through(scans(case)) is not None for case in cases]
     last = max((k for k, snap in enumerate(snaps) if snap), default=-1)

@@ -1,4 +1,4 @@
-"""Tables A.1 to A.4: support reactions of a clamped whisker under a given force, beside the printed ones.
+"""Tables A.1 to A.4: support reactions of a clamped whisker under a given force, beside the printed values.
 
 The force points towards -x on the unloaded whisker. The thesis lists fx, fy and the bending moment at the base, which
 is -mz. Its tables also contain the values of a multi-body model (ALASKA), which are repeated here.
