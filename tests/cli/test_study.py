@@ -15,7 +15,7 @@ from scenes import model
 
 SAME = 1e-9  # difference between a scan in a batch and a single one, relative to the peak
 CRITICAL = 28.791640199192  # largest dF_x/dx0 of the clamped whisker at q = 0.2, by the closed form
-READ = 1e-4  # relative: the critical stiffness is interpolated between the values of a range
+READ = 1e-4  # relative: the critical stiffness is interpolated between 33 values of a range
 
 BAD = {
     "nothing varies": (["--stiffness", "70"], ["needs a range", "jaxwhisker scan"]),
