@@ -147,8 +147,8 @@ ax = jw.plot.shapes(soft)
 
 # %% [markdown]
 # The whisker rotates counter-clockwise about its base, from the right. It touches a
-# post 10 mm thick and 20 mm away, bends, and slips past it. Lengths are in L = 33 mm;
-# the zigzag and the coil are the two springs.
+# post 10 mm thick and 20 mm away, bends, and slips past it. Lengths are in mm; the
+# zigzag and the coil are the two springs.
 
 # %%
 ax = jw.plot.compare({"firm follicle": firm, "soft follicle": soft}, "mz")

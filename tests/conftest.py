@@ -30,7 +30,7 @@ if "XLA_FLAGS" not in os.environ:
     tried = subprocess.run(command, env=os.environ | {"XLA_FLAGS": PLAIN}, capture_output=True, check=False)
     os.environ["XLA_FLAGS"] = "" if tried.returncode else PLAIN
 
-# Not by JAX_ENABLE_X64, because command-line tests start processes that must switch it on themselves.
+# Not through JAX_ENABLE_X64: tests of the command line start processes that must enable float64 themselves.
 jax.config.update("jax_enable_x64", True)
 
 os.environ.setdefault("MPLBACKEND", "Agg")

@@ -1,4 +1,4 @@
-"""Operations of a traced computation; their number depends on neither machine nor compiler."""
+"""Count the operations of a traced computation. Their number depends on neither machine nor compiler."""
 
 import jax
 from jax.interpreters import partial_eval

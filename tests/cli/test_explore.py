@@ -1,4 +1,4 @@
-"""The command `explore`: options, sliders and the end of the page."""
+"""The command `explore`: options, sliders, error messages, Ctrl-C."""
 
 import re
 import signal
@@ -24,7 +24,7 @@ def arguments(*argv):
     return _parser().parse_args(["explore", *argv])
 
 
-def test_every_parameter_has_a_slider():
+def test_sliders_and_their_ranges_follow_the_options():
     _, ranges = command._builder(arguments("--model", "FBFBR"))
     assert ranges == {
         "stiffness": (10.0, 500.0, 70.0),
@@ -41,7 +41,7 @@ def test_every_parameter_has_a_slider():
     assert set(ranges) == {"distance", "a", "b"}
 
 
-def test_the_scenes_are_those_of_the_options():
+def test_scenes_are_those_of_the_options():
     build, _ = command._builder(arguments("--model", "FBFB", "--stiffness", "70,inf", "--profile", "circle"))
     scene = build(c1=60.0, rest_length=0.1, distance=0.3, radius=2.0)
     expected = jw.Scene(jw.Whisker(), jw.Circle(0.3, 2.0), jw.Support.fbfb((60.0, jnp.inf), 0.1), jw.ClosedForm())
@@ -72,7 +72,7 @@ def test_wrong_options_end_with_one_line_and_exit_code_2(argv, words, capsys):
     assert all(word in err for word in words)
 
 
-def test_a_taken_port_is_one_line(capsys):
+def test_a_port_in_use_is_reported_on_one_line(capsys):
     def build(stiffness):
         return jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(stiffness))
 
@@ -84,7 +84,7 @@ def test_a_taken_port_is_one_line(capsys):
 
 
 @pytest.mark.parametrize("package", ["tornado.web", "anywidget"])
-def test_a_missing_package_is_one_line_that_names_the_extra(package, monkeypatch, capsys):
+def test_a_missing_package_is_reported_on_one_line_with_its_extra(package, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.delitem(sys.modules, "jaxwhisker._explore.hosts")
     assert cli.main(["explore", "--no-browser"]) == cli.USAGE
@@ -92,7 +92,7 @@ def test_a_missing_package_is_one_line_that_names_the_extra(package, monkeypatch
     assert err.count("\n") == 1 and "pip install 'jaxwhisker[explore]'" in err
 
 
-# As `python -m jaxwhisker`, which ignores Ctrl-C if a shell runs the tests in the background.
+# Like `python -m jaxwhisker`, which would ignore Ctrl-C if a shell ran the tests in the background.
 COMMAND = """\
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)

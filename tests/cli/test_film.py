@@ -1,4 +1,4 @@
-"""The command `film`: checks before the scan, exit codes. The films themselves: tests/film."""
+"""The command `film`: checks before the scan, and exit codes. Films are tested in tests/film."""
 
 import pytest
 
@@ -34,7 +34,7 @@ def test_wrong_options_end_with_one_line_before_the_scan(argv, words, tmp_path, 
     ("made", "code"),
     [({}, cli.OK), ({"failed": 1}, cli.NOT_ALL_OK), ({"touching": False}, cli.NO_CONTACT)],
 )
-def test_the_film_is_written_whatever_the_exit_code(made, code, tmp_path, monkeypatch, capsys):
+def test_the_film_is_written_for_every_exit_code(made, code, tmp_path, monkeypatch, capsys):
     written = {}
     monkeypatch.setattr(command, "scan", lambda scene, control: handmade_scan(**made))
     monkeypatch.setattr(command, "animate", lambda result, path, **settings: written.update(settings, path=path))

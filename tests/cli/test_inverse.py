@@ -1,4 +1,4 @@
-"""The commands `identify` and `reconstruct`, on the example's data: tables, files, exit codes, messages."""
+"""The commands `identify` and `reconstruct` with the data of the example: tables, files, exit codes, messages."""
 
 import sys
 from pathlib import Path
@@ -22,13 +22,13 @@ WRITTEN = 1e-5  # relative: six digits
 NOISE = ",".join(f"{name}={value}" for name, value in make_measured.NOISE.items())
 
 
-def test_the_example_is_what_its_script_makes(tmp_path):
+def test_the_script_of_the_example_writes_the_stored_file(tmp_path):
     make_measured.write(tmp_path / "measured.csv")
     made, stored = (np.loadtxt(p, delimiter=",", skiprows=2) for p in (tmp_path / "measured.csv", DATA))
     np.testing.assert_allclose(made, stored, rtol=WRITTEN, atol=WRITTEN)
 
 
-def test_identify(tmp_path, capsys):
+def test_identify_prints_and_writes_estimates_close_to_the_truth(tmp_path, capsys):
     csv, plot = tmp_path / "fit.csv", tmp_path / "fit.png"
     argv = ["--model", "FBFBR", "--guess", "stiffness=100,distance=0.25", "--free", "stiffness,distance"]
     assert cli.main(["identify", DATA, *argv, "--csv", str(csv), "--plot", str(plot)]) == cli.OK
@@ -44,7 +44,7 @@ def test_identify(tmp_path, capsys):
     assert imread(plot).std() > 0
 
 
-def test_reconstruct(tmp_path, capsys):
+def test_reconstruct_writes_points_close_to_the_object(tmp_path, capsys):
     csv, plot = tmp_path / "points.csv", tmp_path / "points.pdf"
     stiffness = ",".join(map(str, make_measured.STIFFNESS))
     argv = ["--model", "FBFBR", "--stiffness", stiffness, "--sigma", NOISE, "--family", "parabola"]
@@ -82,7 +82,7 @@ def test_parameters_build_the_scene_of_the_options(argv, names):
         assert float(spring.rest_length) == pytest.approx(float(other.rest_length))
 
 
-def test_names_of_springs_stand_for_all_of_them():
+def test_stiffness_and_rest_length_stand_for_all_springs():
     values, _ = inverse._parameters(arguments("--model", "FBFB"))
     assert inverse._expanded("stiffness", values) == ["c1", "c2"]
     assert inverse._expanded("rest_length", values) == ["l1", "l2"]

@@ -1,4 +1,4 @@
-"""The command line as a whole: help, exit codes, one line for every error, the module as a command."""
+"""The command line: help, version, exit codes, errors on one line, and `python -m jaxwhisker`."""
 
 import os
 import subprocess

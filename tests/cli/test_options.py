@@ -1,4 +1,4 @@
-"""Options that commands share: scenes, drive positions, checks of output files before anything is computed."""
+"""Options that commands share: scenes, drive positions, and checks of output files before the computation."""
 
 import argparse
 from pathlib import Path
@@ -47,7 +47,7 @@ def test_positions_include_both_ends():
         options.positions(1.0, 0.0, 1e-9)
 
 
-def test_missing_ends_of_the_drive_are_those_of_the_default(monkeypatch):
+def test_ends_of_the_drive_default_to_those_of_the_default_control(monkeypatch):
     monkeypatch.setattr(options, "default_control", lambda scene: np.array([1.0, 0.5, -1.0]))
 
     def control(*argv) -> Any:

@@ -1,4 +1,4 @@
-"""The command `reproduce`: messages; the results themselves: tests/thesis."""
+"""The command `reproduce`: messages. Its results are tested in tests/thesis."""
 
 import sys
 
@@ -25,7 +25,7 @@ def test_a_folder_that_cannot_be_written_ends_with_one_line(out, tmp_path, monke
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_missing_package_is_named(tmp_path, monkeypatch, capsys):
+def test_a_missing_package_is_reported_with_its_extra(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "xarray", None)
     assert cli.main(["reproduce", "--out", str(tmp_path), "--only", "6.2"]) == cli.USAGE
     assert "pip install jaxwhisker[study]" in capsys.readouterr().err

@@ -65,7 +65,7 @@ def test_help_shows_every_default(capsys):
 
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory):
-    """One scan by command line: exit code, output, and the folder with its files."""
+    """A scan from the command line: the finished process, and the folder with its files."""
     folder = tmp_path_factory.mktemp("scan")
     argv = ["scan", "--stiffness", "50", "--distance", "0.3", "--rest-length", "0.1"]
     files = ["--plot", str(folder / "scan.png"), "--csv", str(folder / "scan.csv")]
@@ -82,7 +82,7 @@ def read(path):
     return dict(zip(lines[1].split(","), rows.T, strict=True))
 
 
-def test_csv_contains_the_scan(scanned):
+def test_the_csv_contains_the_scan(scanned):
     done, folder = scanned
     assert (done.returncode, done.stderr) == (cli.OK, "")
     columns = read(folder / "scan.csv")
@@ -95,7 +95,7 @@ def test_csv_contains_the_scan(scanned):
     assert np.all(columns["status"] == jw.Status.ok)
 
 
-def test_screen_shows_events_and_peaks(scanned):
+def test_the_output_shows_events_and_peaks(scanned):
     done, _ = scanned
     lines = done.stdout.splitlines()
     assert lines[0] == "FB: 1 whisker, 1 spring, parabola q = 0.3"
@@ -135,7 +135,7 @@ def test_control_is_that_of_the_options(tmp_path, capsys):
         ({"touching": False}, cli.NO_CONTACT, "No whisker touches the object: all reactions are zero."),
     ],
 )
-def test_exit_code_and_last_line_tell_how_the_scan_ended(made, code, line, monkeypatch, capsys):
+def test_exit_code_and_last_line_report_how_the_scan_ended(made, code, line, monkeypatch, capsys):
     monkeypatch.setattr(command, "scan", lambda scene, control: handmade_scan(**made))
     assert cli.main(["scan"]) == code
     out = capsys.readouterr().out
@@ -143,7 +143,7 @@ def test_exit_code_and_last_line_tell_how_the_scan_ended(made, code, line, monke
     assert ("minimum" in out) == made.get("touching", True)  # no tables of zeros
 
 
-def test_units_of_the_tables_are_chosen(monkeypatch, capsys):
+def test_units_of_the_tables_follow_the_option(monkeypatch, capsys):
     monkeypatch.setattr(command, "scan", lambda scene, control: handmade_scan(*SI))
     for units, words in (("auto", "fx (mN)"), ("SI", "mz (mN mm)"), ("dimensionless", "fx (EI/L^2)")):
         assert cli.main(["scan", "--units", units]) == cli.OK

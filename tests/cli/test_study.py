@@ -13,9 +13,9 @@ from jaxwhisker.cli.study import axis
 from jaxwhisker.plot import studies
 from scenes import model
 
-SAME = 1e-9  # a scan in a batch and alone, relative to the peak
+SAME = 1e-9  # difference between a scan in a batch and a single one, relative to the peak
 CRITICAL = 28.791640199192  # largest dF_x/dx0 of the clamped whisker at q = 0.2, by the closed form
-READ = 1e-4  # relative: the critical stiffness read between 33 values of a range
+READ = 1e-4  # relative: the critical stiffness is interpolated between 33 values of a range
 
 BAD = {
     "nothing varies": (["--stiffness", "70"], ["needs a range", "jaxwhisker scan"]),
@@ -51,7 +51,7 @@ def test_wrong_options_end_with_one_line_and_exit_code_2(name, capsys, tmp_path,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ranges_lists_and_numbers():
+def test_axes_are_ranges_lists_or_numbers():
     np.testing.assert_array_equal(axis("30:200:64"), np.linspace(30, 200, 64))
     assert axis("30,50,inf") == (30.0, 50.0, np.inf)
     assert axis("0.2") == (0.2,)
@@ -82,7 +82,7 @@ def peaks(failed, max_fy):
         ),
     ],
 )
-def test_exit_code_and_last_line_tell_how_the_study_ended(failed, max_fy, code, last, monkeypatch, capsys):
+def test_exit_code_and_last_line_report_how_the_study_ended(failed, max_fy, code, last, monkeypatch, capsys):
     def study(*_, **settings):
         # The first line is printed at once, before anything is computed.
         assert capsys.readouterr().out == "FB, parabola: 3 scans; stiffness 30 to 50 (3 values)\n"
@@ -135,7 +135,7 @@ def test_the_same_line_resumes_and_prints_the_results(stored, capsys, monkeypatc
     )
 
 
-def test_another_line_on_the_store_is_rejected(stored, capsys):
+def test_a_different_command_line_for_the_store_is_rejected(stored, capsys):
     _, line, folder = stored
     assert cli.main([word.replace("50,80", "50,81") for word in line]) == cli.USAGE
     assert "`store`" in capsys.readouterr().err

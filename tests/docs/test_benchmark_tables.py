@@ -1,4 +1,4 @@
-"""Stored benchmark results: what is written is read back, rounded."""
+"""Benchmark results are stored with rounded numbers and read back."""
 
 import json
 import sys

@@ -9,7 +9,7 @@ import pytest
 
 import jaxwhisker as jw
 
-# These are how users begin: each must have an example.
+# Users start with these names; each must have an example.
 ILLUSTRATED = [
     *("Circle", "ClosedForm", "Contour", "Deflection", "Ellipse", "Graph", "Motion", "Mount", "Parabola", "PointForce"),
     *("PointMoment", "Rotation", "Scene", "Sensor", "Shooting", "Spring", "Support", "Tilted", "Translation"),
@@ -18,7 +18,7 @@ ILLUSTRATED = [
 
 
 def examples():
-    """All examples by the name of their function or class."""
+    """Examples by name of function or class."""
     finder, found = doctest.DocTestFinder(exclude_empty=True), {}
     for name in jw.__all__:
         own = inspect.unwrap(getattr(jw, name))
@@ -32,12 +32,12 @@ EXAMPLES = examples()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_prints_what_it_shows(name):
+def test_an_example_prints_the_output_below_it(name):
     output = []
     doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(EXAMPLES[name], out=output.append)
     assert not output, "".join(output)
 
 
 @pytest.mark.parametrize("name", ILLUSTRATED)
-def test_what_users_begin_with_has_an_example(name):
+def test_names_that_users_start_with_have_an_example(name):
     assert name in EXAMPLES

@@ -1,4 +1,4 @@
-"""The floor plan: packages on levels, imports that only point down, and docs/developing.md in step with the tree."""
+"""Layout: every package has a level, imports only point down, and docs/developing.md agrees with the files."""
 
 import ast
 import re
@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "jaxwhisker"
 DEVELOPING = (ROOT / "docs" / "developing.md").read_text("utf-8")
 LONGEST = 410  # lines of a file: about 400
-API = {"__init__", "__main__"}  # the package root, which only gathers names
+API = {"__init__", "__main__"}  # the package root, which only collects names
 
 
 def levels() -> dict[str, int]:
@@ -66,7 +66,7 @@ def test_imports_point_down(file):
         assert package == own or floor[package] < floor[own], module
 
 
-def test_there_are_no_cycles():
+def test_imports_have_no_cycles():
     graph = {name_of(file): {module for module in imports(file) if module != name_of(file)} for file in files()}
     done: set[str] = set()
 
@@ -101,8 +101,8 @@ def test_files_of_the_repository_that_a_page_names_exist(page):
         assert (ROOT / name).exists(), name
 
 
-def test_every_test_file_names_a_module_or_a_folder_of_its_own():
-    """tests/<package>/test_<module>.py: the name says where to look."""
+def test_every_test_file_is_in_the_folder_of_a_package():
+    """Test files are tests/<package>/test_<module>.py."""
     packages = {name.lstrip("_"): name for name in levels()}
     for file in sorted((ROOT / "tests").rglob("test_*.py")):
         assert file.parent.name in {*packages, "physics", "docs"}, file

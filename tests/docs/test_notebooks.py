@@ -1,4 +1,4 @@
-"""Notebooks: those that compile little run here, from top to bottom; what the others call exists. `make notebooks`."""
+"""Notebooks: two run here, `make notebooks` runs all. The names that they use exist."""
 
 import ast
 import importlib
@@ -14,7 +14,7 @@ import jaxwhisker as jw
 
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
-RUN_HERE = ("01_first_scan", "05_stiffness")  # all others compile for a minute and more
+RUN_HERE = ("01_first_scan", "05_stiffness")  # all others compile for at least a minute
 HEADER = "# ---\n# jupyter:\n#   jupytext:\n#     formats: py:percent\n# ---\n\n# %% [markdown]\n# # "
 CELL = re.compile(r"^# %%(.*)\n", re.MULTILINE)
 
@@ -28,15 +28,15 @@ def tree(notebook):
 
 
 def calls(notebook):
-    """What a notebook calls by `jw.`, with the names of the arguments."""
+    """Functions of `jw` that a notebook calls, with the names of their keyword arguments."""
     for node in ast.walk(tree(notebook)):
         if isinstance(node, ast.Call) and (path := ast.unparse(node.func)).startswith("jw."):
             yield path, [keyword.arg for keyword in node.keywords if keyword.arg]
 
 
 @pytest.mark.parametrize("name", RUN_HERE)
-def test_notebook_runs(name, tmp_path, monkeypatch):
-    # Beside what it reads, where nothing that it writes is left behind.
+def test_a_notebook_runs(name, tmp_path, monkeypatch):
+    # In a temporary folder with links to the files that it reads.
     for folder in ("examples", "benchmarks"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     (tmp_path / "notebooks").mkdir()
@@ -48,7 +48,7 @@ def test_notebook_runs(name, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=name_of)
-def test_what_a_notebook_calls_exists(notebook):
+def test_functions_that_a_notebook_calls_exist(notebook):
     for path, arguments in calls(notebook):
         called: Any = jw
         for part in path.split(".")[1:]:
@@ -59,7 +59,7 @@ def test_what_a_notebook_calls_exists(notebook):
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=name_of)
-def test_what_a_notebook_imports_exists(notebook):
+def test_names_that_a_notebook_imports_exist(notebook):
     for node in ast.walk(tree(notebook)):
         if isinstance(node, ast.ImportFrom) and (name := node.module or "").startswith("jaxwhisker"):
             module = importlib.import_module(name)

@@ -1,6 +1,6 @@
-"""The Python code of README and docs runs, each page from top to bottom, and prints what the page shows below it.
+"""The Python code of README and docs runs, page by page, and prints the output that the page shows below it.
 
-Their tables are those of the stored results.
+The tables of these pages agree with the stored results.
 """
 
 import re
@@ -22,12 +22,12 @@ import report  # noqa: E402
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BY_HAND = re.compile(r"^<!-- run by hand: (.+) -->\n(?=```python\n)", re.MULTILINE)
 SKIPPED = Skipper("run by hand")
-OUTPUT = re.compile(r"\n*```text\n(.*?)^```", re.MULTILINE | re.DOTALL)  # right below a code block: what it prints
+OUTPUT = re.compile(r"\n*```text\n(.*?)^```", re.MULTILINE | re.DOTALL)  # the output of the code block right above it
 NUMBER = re.compile(r"[+-]?\d+\.\d*(?:e[+-]?\d+)?")
 
 
 def by_hand(document):
-    """A comment `run by hand: reason` right before a block: it is not run."""
+    """Regions of comments `run by hand: reason`; the block right below such a comment is not run."""
     for match in BY_HAND.finditer(document.text):
         yield Region(match.start(), match.end(), ("next", repr(match[1])), SKIPPED)
 
@@ -68,18 +68,18 @@ def test_every_block_is_found():
         assert len(blocks) == len(re.findall(r"^```python", page.read_text("utf-8"), re.MULTILINE)), page
 
 
-def test_a_block_is_run_by_hand_for_a_reason():
+def test_every_block_run_by_hand_has_a_reason():
     for page in PAGES:
         comments = re.findall(r"^<!-- run by hand", page.read_text("utf-8"), re.MULTILINE)
         assert len(comments) == len(BY_HAND.findall(page.read_text("utf-8"))), page
 
 
 @pytest.mark.parametrize("page", report.PAGES, ids=name_of)
-def test_tables_are_those_of_the_stored_results(page):
+def test_tables_agree_with_the_stored_results(page):
     text = page.read_text("utf-8")
     assert report.written(text) == text, "run `python benchmarks/report.py`"
 
 
-def test_every_table_stands_on_a_page():
+def test_every_table_is_on_a_page():
     pages = "".join(page.read_text("utf-8") for page in report.PAGES)
     assert all(f"<!-- table: {name} -->" in pages for name in report.TABLES)

@@ -1,4 +1,4 @@
-"""The documentation's site: every public name has its place, every name and file that a page speaks of exists."""
+"""The site: the reference describes every public name once, and all names and files that pages mention exist."""
 
 import importlib
 import re
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 DESCRIBED = re.compile(r"^::: (\S+)$", re.MULTILINE)
-SPOKEN_OF = re.compile(r"\bjw((?:\.[A-Za-z]\w*)+)")
+MENTIONED = re.compile(r"\bjw((?:\.[A-Za-z]\w*)+)")
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
@@ -26,7 +26,7 @@ def name_of(page):
 
 
 def described():
-    """What the reference describes, one path each time."""
+    """Paths of the objects that the reference describes, with repetitions."""
     return [
         path
         for page in sorted((DOCS / "reference").glob("*.md"))
@@ -39,7 +39,7 @@ def test_every_public_name_is_described_once():
     assert counts == dict.fromkeys(jw.__all__, 1)
 
 
-def test_what_is_described_is_what_the_package_gives():
+def test_the_reference_describes_the_objects_of_the_package():
     read = griffe.load("jaxwhisker", search_paths=[ROOT / "src"])
     for path in described():
         found = read[path.removeprefix("jaxwhisker.")]
@@ -51,8 +51,8 @@ def test_what_is_described_is_what_the_package_gives():
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_names_on_pages_exist(page):
-    for name in sorted(set(SPOKEN_OF.findall(page.read_text("utf-8")))):
-        # An attribute of an instance is none of its class.
+    for name in sorted(set(MENTIONED.findall(page.read_text("utf-8")))):
+        # An attribute of an instance is not always one of its class.
         first, *further = name.removeprefix(".").split(".")
         found = getattr(jw, first)
         if further and (first == "plot" or first[0].isupper()):
@@ -67,7 +67,7 @@ def test_linked_files_exist(page):
 
 def test_the_navigation_has_every_page():
     class Loader(yaml.SafeLoader):
-        """Of what the site's file holds beyond plain YAML."""
+        """Accept the tags of mkdocs.yml that plain YAML does not have."""
 
     Loader.add_constructor("!ENV", lambda *_: None)
     settings = yaml.load((ROOT / "mkdocs.yml").read_text("utf-8"), Loader)

@@ -25,13 +25,13 @@ from pictured import (
 
 BASELINE = Path(__file__).parent / "baseline"
 WRITE = os.environ.get("JAXWHISKER_BASELINE") == "write"  # after an intended change; look at the new files
-TOLERANCE = 1.0  # rms of grey levels up to 255: matplotlib 3.9 to 3.11 agree exactly, the least mistake differs by 3
+TOLERANCE = 1.0  # rms of grey levels up to 255: matplotlib 3.9 to 3.11 agree exactly, the smallest mistake is 3
 SIZE, DPI = (3.35, 2.4), 80  # inches: a column of a journal
 SEVERAL = (0.4, -0.2, -0.8)
 
 
 def drawn(name, result, turned):
-    """A small figure without text, because fonts differ between machines."""
+    """Draw a small figure without text, because fonts differ between machines."""
     figure = Figure(figsize=SIZE, dpi=DPI)
     rows = {"reactions": 3, "fit": 3}.get(name, 1)
     figure.subplots_adjust(left=0.02, right=0.98, bottom=0.03, top=0.97)
@@ -74,7 +74,7 @@ study_line study_map information fit contour deflection
 
 
 def difference(figure, name, folder):
-    """Description of the differences from the stored figure; None if there are none."""
+    """Differences from the stored figure in words; None if there are none."""
     actual = folder / f"{name}.png"
     figure.savefig(actual)
     return compare_images(str(BASELINE / f"{name}.png"), str(actual), TOLERANCE)

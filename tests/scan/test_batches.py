@@ -1,4 +1,4 @@
-"""Batches: vmap is a loop, jit is eager, and lanes do not know of each other."""
+"""Batches: vmap equals a loop, jit equals eager execution, and lanes do not affect each other."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ import pytest
 import jaxwhisker as jw
 from scenes import event_list, model
 
-LOOP = 1e-11  # a batch is compiled differently from one scene: rounding, beside a fold enlarged
+LOOP = 1e-11  # a batch is compiled differently from a single scene: rounding errors, amplified near a fold
 CONTROL = jnp.linspace(0.8, -1.6, 160)
 SIGNALS = ("fx", "fy", "mz", "base_x", "contact_arc")
 
@@ -38,7 +38,7 @@ def batch(good):
     return scanned(batch_of(*good))
 
 
-def test_vmap_is_a_loop(good, batch):
+def test_vmap_equals_a_loop(good, batch):
     for k in range(8):
         one = jw.scan(build(float(good[0][k]), float(good[1][k])), CONTROL)
         for name in SIGNALS:
@@ -47,11 +47,11 @@ def test_vmap_is_a_loop(good, batch):
         assert [e[:2] for e in event_list(lane)] == [e[:2] for e in event_list(one)]
         np.testing.assert_allclose([e[2] for e in event_list(lane)], [e[2] for e in event_list(one)], atol=1e-10)
     kinds = {e[0] for k in range(8) for e in event_list(jax.tree.map(lambda leaf, k=k: leaf[k], batch))}
-    assert {"snap_off", "snap_through"} <= kinds  # lanes that do different things
+    assert {"snap_off", "snap_through"} <= kinds  # the lanes have different events
 
 
-def test_bad_lanes_leave_their_neighbours_bit_identical(good, batch):
-    # In place of two good lanes: a parameter that is NaN, one that is out of its domain.
+def test_invalid_lanes_leave_their_neighbours_bit_identical(good, batch):
+    # Two lanes are replaced: one parameter is NaN, another is outside its domain.
     stiffness, distance = np.array(good[0]), np.array(good[1])
     stiffness[2], distance[5] = np.nan, -0.3
     mixed = scanned(batch_of(stiffness, distance))
@@ -67,7 +67,7 @@ def test_bad_lanes_leave_their_neighbours_bit_identical(good, batch):
 
 
 def test_a_hopeless_lane_leaves_its_neighbours_bit_identical(good, batch):
-    # An object 1e-12 above the bases needs forces of 1e24: the path is lost there, or followed; nobody else notices.
+    # An object 1e-12 above the bases needs forces of 1e24. The path may be lost there; other lanes are not affected.
     stiffness, distance = np.array(good[0]), np.array(good[1])
     distance[0], stiffness[7] = 1e-12, 1e-9
     mixed = scanned(batch_of(stiffness, distance))
@@ -78,7 +78,7 @@ def test_a_hopeless_lane_leaves_its_neighbours_bit_identical(good, batch):
     assert np.array_equal(np.isfinite(mixed.fx[:, :, 0]), ok)
 
 
-def test_jit_is_eager():
+def test_jit_equals_eager_execution():
     scene = model("FBFBR")
     eager = jw.scan(scene, CONTROL)
     jitted = jax.jit(jw.scan)(scene, CONTROL)
@@ -88,7 +88,7 @@ def test_jit_is_eager():
     np.testing.assert_allclose([e[2] for e in event_list(jitted)], [e[2] for e in event_list(eager)], atol=1e-10)
 
 
-def test_a_batch_of_one_is_a_batch_of_sixty_four(good):
+def test_results_do_not_depend_on_the_size_of_the_batch(good):
     many = scanned(batch_of(np.repeat(good[0], 8), np.repeat(good[1], 8)))
     one = scanned(batch_of(good[0][:1], good[1][:1]))
     for name in SIGNALS:
@@ -96,7 +96,7 @@ def test_a_batch_of_one_is_a_batch_of_sixty_four(good):
         assert np.array_equal(getattr(many, name)[0], getattr(many, name)[7])
 
 
-def test_default_control_and_traced_control_go_through_vmap():
+def test_vmap_accepts_the_default_control_and_a_traced_one():
     scenes = batch_of([40.0, 70.0], [0.2, 0.3])
     default = jax.vmap(jw.scan)(scenes)
     assert np.all(np.asarray(default.status) == jw.Status.ok)
@@ -110,7 +110,7 @@ def test_default_control_and_traced_control_go_through_vmap():
     np.testing.assert_allclose(traced.fx[1], jw.scan(build(70.0, 0.3), there_and_back).fx, atol=LOOP * 100)
 
 
-def test_a_traced_control_with_too_many_turns_says_so():
+def test_a_traced_control_with_too_many_turns_is_too_long():
     zigzag = jnp.asarray(np.tile([0.5, 0.4], 20))
     result = jax.jit(jw.scan)(build(70.0, 0.2), zigzag)
     assert np.all(np.asarray(result.status) == jw.Status.too_long)
@@ -118,12 +118,12 @@ def test_a_traced_control_with_too_many_turns_says_so():
     assert np.all(np.asarray(eager.status) == jw.Status.ok)
 
 
-def test_events_of_a_batch_ask_for_a_lane(batch):
-    with pytest.raises(TypeError, match="pick one lane"):
+def test_iterating_over_the_events_of_a_batch_is_rejected(batch):
+    with pytest.raises(TypeError, match=r"events are those of a batch of shape \(8,\)"):
         next(iter(batch.events))
 
 
-def test_events_have_a_fixed_size(batch):
+def test_events_are_ordered_and_unused_entries_are_marked(batch):
     counts = np.asarray(batch.events.count)
     for k, count in enumerate(counts):
         assert np.all(np.asarray(batch.events.kind[k][:count]) >= 0)

@@ -1,4 +1,4 @@
-"""A scene pays for what it has: operations in what is traced, counted; they do not depend on the machine."""
+"""Absent parts of a scene cost nothing: traced operations are counted, which do not depend on the machine."""
 
 import subprocess
 import sys
@@ -19,7 +19,7 @@ CONTROL = np.linspace(0.8, -1.6, 64)
 
 
 def newton_operations(scene):
-    """Operations of one Newton step, and of what the step's network adds."""
+    """Number of operations of one Newton step, including its network."""
     dimensionless = problem_of(scene)
     n = scene.support.whiskers
     z = jnp.ones((n, 3))
@@ -28,24 +28,24 @@ def newton_operations(scene):
     return operations(traced(lambda p, z: newton_step(p, mode, at_control(z.u, z.z), z), dimensionless, point))
 
 
-def test_each_rung_costs_more_than_the_last():
+def test_springs_and_whiskers_add_operations_to_a_clamped_whisker():
     clamped, fb, fbfb = (newton_operations(model(name)) for name in ("clamped", "FB", "FBFB"))
     assert clamped < fb < fbfb
 
 
 def test_a_clamped_whisker_has_no_network():
     assert problem_of(model("clamped")).flexibility is None
-    # A network brings flexibility @ force, and its slope, into the step.
+    # A network adds flexibility @ force and its slope to the step.
     assert newton_operations(model("FB")) - newton_operations(model("clamped")) >= 6
 
 
-def test_springs_cost_the_newton_step_nothing():
-    # FBFBR has a spring more than FBFB: that changes numbers in the flexibility matrix, not the step.
+def test_a_further_spring_adds_no_operations():
+    # FBFBR has one spring more than FBFB, which changes numbers in the flexibility matrix, but not the step.
     assert newton_operations(model("FBFB")) == newton_operations(model("FBFBR"))
 
 
-def test_whiskers_cost_the_rod_nothing():
-    # Whiskers are lanes of one rod: what grows with their number is the small coupling system only.
+def test_a_further_whisker_adds_few_operations():
+    # Whiskers are lanes of one rod. Only the small system that couples them grows with their number.
     two, three = newton_operations(model("FBFB")), newton_operations(model("FBFBFBR"))
     assert three - two < 0.2 * two
 
@@ -70,33 +70,33 @@ def of_scan(function, name="FB"):
 
 
 @pytest.mark.parametrize(("name", "most"), [("clamped", 6900), ("FB", 7250), ("FBFB", 7600)])
-def test_a_scan_takes_so_many_operations(name, most):
-    # Of an FB scan, half are decisions of the march; a change that adds many is asked for its reason here. Versions of
-    # jax differ in what they trace a function to: 0.12 takes a tenth less than 0.10.
+def test_a_scan_has_a_limited_number_of_operations(name, most):
+    # Half of the operations of an FB scan are decisions of the march. A change that adds many needs a reason.
+    # jax 0.12 traces a scan to a tenth fewer operations than jax 0.10.
     assert 0.8 * most < operations(of_scan(signals, name)) < most
 
 
 def test_a_scan_integrates_rods_in_three_places():
-    # Of the march's Newton step, of the steps' and for the signals: values with Newton's own tangents, nothing more.
+    # In the Newton step of the march, in that of the steps, and for the signals: only values and Newton's own tangents.
     assert rods(of_scan(signals)) == 3
 
 
-def test_events_that_nobody_takes_are_not_computed():
-    # Corners of the path are found in any case: without them there is no path. The states there are another matter.
+def test_states_at_events_are_computed_only_if_used():
+    # The corners of the path are always located, because the path needs them. The states there are optional.
     without, located = of_scan(signals), of_scan(signals_and_events)
     assert rods(located) > rods(without)
     assert operations(located) > operations(without) + 500
 
 
-def test_derivatives_that_nobody_takes_are_not_computed():
+def test_derivatives_are_computed_only_if_used():
     assert rods(of_scan(slope)) > rods(of_scan(signals)) + 3
 
 
 ALLOWED = {"jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy", "jaxtyping"}
 
 
-def test_import_is_light():
-    # Nothing but what these bring along themselves: neither matplotlib nor xarray nor tqdm before they are used.
+def test_import_loads_only_the_numerical_packages():
+    # Only these packages and their dependencies. matplotlib, xarray and tqdm are imported on first use.
     code = (
         "import sys\n"
         f"for name in {sorted(ALLOWED)}: __import__(name)\n"
@@ -115,9 +115,9 @@ def test_import_is_light():
 PROGRAMS = ["_spring_length", "follow_path", "problem_of", "solve_steps"]  # of one scan
 
 
-def test_the_first_scan_compiles_each_of_its_parts_once(caplog):
-    # March and steps are compiled ahead, at once, for a path that is not known yet: if its type were another than the
-    # march's, by a weak integer even, they would be compiled once more, unnoticed.
+def test_the_first_scan_compiles_each_program_once(caplog):
+    # The march and the steps are compiled side by side, before the path between them is known. If the assumed type
+    # differed from that of the march's path, even by a weak integer, they would be compiled again without notice.
     scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), rod=jw.Shooting(steps=3))
     with jax.log_compiles(), caplog.at_level("WARNING"):
         jw.scan(scene, CONTROL)

@@ -1,4 +1,4 @@
-"""Derivatives of scans: against closed forms, differences of the engine, and one mode against the other."""
+"""Derivatives of scans, compared with closed forms, with finite differences, and between forward and reverse mode."""
 
 from functools import cache
 
@@ -13,24 +13,24 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.implicit import without_rule
 
-EXACT = 1e-9  # against closed forms, of the largest derivative: the rod's own error times the power in which it enters
-MODES = 1e-10  # forward against reverse: the same sums in another order
-SYMMETRIC = 1e-9  # second derivatives in both orders: forward over reverse, of rods as exact as EXACT says
-DIFFERENCES = 1e-6  # central differences lose half the digits
-SNAP_STATE = 1e-5  # ... and half of those that tell where along the path a fold lies
+EXACT = 1e-9  # closed forms, relative to the largest derivative: the rod's error times the power in which it enters
+MODES = 1e-10  # forward and reverse mode: the same sums in a different order
+SYMMETRIC = 1e-9  # second derivatives in both orders, forward over reverse, with rods that are exact to EXACT
+DIFFERENCES = 1e-6  # central differences lose half of the digits
+SNAP_STATE = 1e-5  # ... and half of the digits of the place of a fold along the path
 DIFFERENCE = 1e-5  # step of central differences, relative to parameters of order one
-NEAR_A_FOLD = 1e-6  # ... where third derivatives are large: a step of the control is 1e-3 from a snap-off
+NEAR_A_FOLD = 1e-6  # the same where third derivatives are large: a step of the control is 1e-3 from a snap-off
 
 STATE = ("base_x", "fx", "fy", "mz", "contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y")
 AT = {"stiffness": 80.0, "rest_length": 0.2, "distance": 0.25, "a": 1.1, "length": 1.2, "bending_stiffness": 0.9}
 P = jnp.array(list(AT.values()))
 SPRINGS = {"FB": 1, "FBFBR": 3, "FBFBFBR": 5}  # FBFB: with the rigid spring
-# Free, tip, tangential before and after the vertex, tip, close to the snap-off, free.
+# The phases are: free, tip, tangential before and after the vertex, tip, close to the snap-off, free.
 CONTROL = jnp.array([0.95, 0.5, 0.1, -0.5, -0.8, -1.2, -1.45, -1.52, -1.7, -1.95])
 
 
 def observed(name, p, control):
-    """All numbers of a scan: per step, and per event (positions, states before and after)."""
+    """All outputs of a scan: signals of every step, and position and states before and after every event."""
     stiffness, rest_length, distance, a, length, bending_stiffness = p
     springs = [stiffness * (1 + 0.2 * k) for k in range(SPRINGS[name])]
     support = jw.Support.named(name, springs[0] if len(springs) == 1 else springs, rest_length)
@@ -43,7 +43,7 @@ def observed(name, p, control):
 
 @cache
 def compiled(name):
-    """Values, forward Jacobians by parameters and control, and the reverse pass with weights: one compilation."""
+    """Values, forward Jacobians by parameters and by control, and a weighted reverse pass, in one compilation."""
 
     def all_of(p, control, weights):
         value, along = jax.linearize(lambda p, control: observed(name, p, control), p, control)
@@ -79,7 +79,7 @@ def closed(phase, near):
 
 
 @pytest.mark.parametrize("step", [1, 2, 4, 6])
-def test_closed_forms_in_both_phases(fb, step):
+def test_derivatives_agree_with_closed_forms_in_both_phases(fb, step):
     (steps, *_), ((by_p, by_control), *_), _ = fb()
     phase = jw.Phase.tip if step in (1, 6) else jw.Phase.tangential
     state = closed(phase, steps[step, 0])
@@ -93,11 +93,11 @@ def test_closed_forms_in_both_phases(fb, step):
     ours = np.concatenate([np.asarray(by_control)[step, 0, :, step, None], np.asarray(by_p)[step, 0]], axis=1)
     for field, row in enumerate(np.array(exact).T):
         np.testing.assert_allclose(ours[field], row, atol=EXACT * np.max(np.abs(row)), rtol=EXACT, err_msg=STATE[field])
-    # A step's signal knows of its own position only.
+    # The signals of a step depend on its own drive position only.
     assert np.all(np.delete(np.asarray(by_control)[step], step, axis=-1) == 0)
 
 
-def test_the_snap_off_moves_as_the_closed_form_says(fb):
+def test_derivatives_of_the_snap_off_agree_with_the_closed_form(fb):
     at = (80.0, 0.2, 0.25, 1.1)
     (_, _, positions, before, _), (_, _, (by_p, _), *_), _ = fb(jnp.array([*at, 1.0, 1.0]))
     last = int(np.sum(np.isfinite(positions))) - 1
@@ -110,10 +110,11 @@ def test_the_snap_off_moves_as_the_closed_form_says(fb):
         ahead, behind = (
             closed_form.snap_off(guess, *[v + sign * h * (i == k) for i, v in enumerate(at)]) for sign in (1, -1)
         )
-        assert abs(ours - float((ahead - behind) / (2 * h))) < 10 * EXACT  # u is flat there, the whisker is not
+        # u is stationary along the path there, the state is not.
+        assert abs(ours - float((ahead - behind) / (2 * h))) < 10 * EXACT
 
 
-def test_differences_of_the_engine(fb):
+def test_derivatives_agree_with_finite_differences(fb):
     jacobian = [by_p for by_p, _ in fb()[1]]
     tolerances = (DIFFERENCES, DIFFERENCES, DIFFERENCES, SNAP_STATE, DIFFERENCES)
     for k in range(P.size):
@@ -129,7 +130,7 @@ def test_differences_of_the_engine(fb):
         assert max(largest) > 1e-3  # not a comparison of zeros
 
 
-def test_reverse_is_forward(fb):
+def test_reverse_mode_agrees_with_forward_mode(fb):
     _, weights = compiled("FB")
     _, forward, reverse = fb()
     for along in (0, 1):
@@ -140,8 +141,8 @@ def test_reverse_is_forward(fb):
 
 
 @pytest.mark.parametrize("name", ["FBFBFBR"])
-def test_networks_in_both_modes(name):
-    # Steps and the positions of all events, along two directions in the space of parameters.
+def test_derivatives_of_networks_agree_with_differences_in_both_modes(name):
+    # Signals and positions of all events, along two directions in parameter space.
     def signals(p):
         steps, spring_length, positions, _, _ = observed(name, p, CONTROL)
         return steps[:-3], spring_length, positions
@@ -166,44 +167,43 @@ def test_networks_in_both_modes(name):
         np.testing.assert_allclose(np.sum(reverse * direction), expected, rtol=MODES)
 
 
-def test_beside_a_fold_signals_grow_and_the_event_does_not(fb):
-    # d(fx)/d(stiffness) goes with the inverse square root of the distance to the fold; where that is, is smooth.
+def test_near_a_fold_derivatives_of_signals_grow_and_that_of_the_event_does_not(fb):
+    # d(fx)/d(stiffness) grows as the inverse square root of the distance to the fold. The fold itself moves smoothly.
     positions = fb()[0][2]
     last = int(np.sum(np.isfinite(positions))) - 1
     near = positions[last] + np.array([1e-6, 1e-8])
     _, ((by_p, _), _, (event_by_p, _), *_), _ = fb(P, np.concatenate([CONTROL[:7], near, CONTROL[-1:]]))
     by_stiffness = by_p[7:9, 0, STATE.index("fx"), 0]
     assert abs(by_stiffness[1]) > 1.0
-    assert abs(by_stiffness[1] / by_stiffness[0] - 10.0) < 0.1  # sqrt(1e-6 / 1e-8), to the next order
+    assert abs(by_stiffness[1] / by_stiffness[0] - 10.0) < 0.1  # sqrt(1e-6 / 1e-8), up to the next order
     assert abs(event_by_p[last, 0]) < 0.01
 
 
-def test_at_the_corners_of_the_path(fb):
-    # Exactly at an event the derivative is that of the phase that begins, and nothing is special about it.
-    # With the ends of the control the path is the same, so that its events lie where they lay.
+def test_derivatives_at_an_event_are_those_of_the_phase_that_begins(fb):
+    # The control keeps its ends. The path and its events are therefore the same.
     corners = np.asarray(fb()[0][2])[:4]
     control = np.sort(np.concatenate([corners, corners - 1e-7, CONTROL[:1], CONTROL[-1:]]))[::-1]
     _, ((by_p, _), *_), _ = fb(P, control)
     at, behind = by_p[1:-1:2, 0], by_p[2:-1:2, 0]
     assert np.all(np.isfinite(by_p))
     np.testing.assert_allclose(at, behind, atol=1e-5 * np.max(np.abs(by_p)))
-    assert abs(at[0, STATE.index("fx"), 0]) < 1e-12  # at the touch there is no force yet, on any spring
-    assert at[0, STATE.index("fx"), 2] > 0.1  # but a lower object would have been touched before
+    assert abs(at[0, STATE.index("fx"), 0]) < 1e-12  # the force at first touch is zero for every stiffness
+    assert at[0, STATE.index("fx"), 2] > 0.1  # a lower object is touched earlier
 
 
 @pytest.mark.parametrize("distance", [1.1, 1.5])
-def test_free_whiskers_and_objects_out_of_reach(fb, distance):
-    # Not touched yet, and too high to be: no force, and none to come.
+def test_without_contact_only_the_base_position_has_derivatives(fb, distance):
+    # The object at 1.1 is not touched yet, the one at 1.5 is out of reach.
     value, forward, (by_p, by_control) = fb(P.at[2].set(distance), np.full(CONTROL.size, 0.9))
     assert np.all(value[0][..., 1:] == 0) and np.all(np.isnan(value[2]))
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(forward))
     assert np.all(forward[0][0][..., 1:, :] == 0) and np.all(forward[2][0] == 0)
-    np.testing.assert_allclose(np.delete(by_p, 1), 0, atol=1e-12)  # all but the rest length, units but for rounding
+    np.testing.assert_allclose(np.delete(by_p, 1), 0, atol=1e-12)  # all but the rest length; rounding of the units
     assert np.all(by_control != 0)  # the base moves with the drive
 
 
 def total(stiffness, distance, bending_stiffness):
-    """A sum over lanes that share the whiskers' material, failed lanes left out; and every lane's steps that are ok."""
+    """Sum over the lanes without a failed step, which share a bending stiffness; number of ok steps of each lane."""
 
     def one(c, q):
         result = jw.scan(jw.Scene(jw.Whisker(1.0, bending_stiffness), jw.Parabola(q), jw.Support.fb(c)), CONTROL)
@@ -213,12 +213,12 @@ def total(stiffness, distance, bending_stiffness):
     return jnp.sum(jnp.where(ok == CONTROL.size, values, 0.0)), ok
 
 
-def test_failed_lanes_have_zero_weight_and_leak_nothing():
+def test_failed_lanes_have_zero_derivatives_and_do_not_affect_other_lanes():
     gradient = jax.jit(jax.value_and_grad(total, argnums=(0, 1, 2), has_aux=True))
     stiffness, distance = jnp.array([70.0, 50.0, 90.0, 60.0]), jnp.array([0.2, 0.3, 0.25, 0.35])
     (_, ok), (by_c, by_q, shared) = gradient(stiffness, distance, 1.0)
     assert np.all(ok == CONTROL.size) and np.all(by_c != 0) and np.all(by_q != 0)
-    # A NaN, and a value outside its domain; 1e-9 above the bases the path is lost or the scan goes on, finite anyway.
+    # A NaN, and a value outside its domain. At a distance of 1e-9 the path may be lost, but gradients are finite.
     bad_c, bad_q = stiffness.at[1].set(jnp.nan), distance.at[2].set(-0.3).at[3].set(1e-9)
     (value, ok), (bad_by_c, bad_by_q, by_bending) = gradient(bad_c, bad_q, 1.0)
     assert np.isfinite(value) and np.isfinite(by_bending)
@@ -226,7 +226,7 @@ def test_failed_lanes_have_zero_weight_and_leak_nothing():
     assert np.all(np.isfinite(bad_by_c)) and np.all(np.isfinite(bad_by_q))
     assert np.all(bad_by_c[1:3] == 0) and np.all(bad_by_q[1:3] == 0)
     assert bad_by_c[0] == by_c[0] and bad_by_q[0] == by_q[0]
-    # What all lanes share gets exactly what the good ones contribute.
+    # The derivative by a shared parameter is the sum over the good lanes.
     first = jnp.arange(4) == 0
     (_, ok), (_, _, alone) = gradient(stiffness, jnp.where(first, distance, -1.0), 1.0)
     (_, others), (_, _, rest) = gradient(jnp.where(first, jnp.nan, stiffness), distance, 1.0)
@@ -235,7 +235,7 @@ def test_failed_lanes_have_zero_weight_and_leak_nothing():
     np.testing.assert_allclose(alone + rest, shared, rtol=MODES)
 
 
-def test_a_rigid_spring_is_differentiated_by_its_compliance():
+def test_a_rigid_spring_has_a_derivative_by_its_compliance():
     def signals(compliances, distance):
         pair = ((0, 1), (1, 2))
         springs = [jw.Spring(e, compliance=s, rest_length=0.2) for e, s in zip(pair, compliances, strict=True)]
@@ -255,7 +255,7 @@ def test_a_rigid_spring_is_differentiated_by_its_compliance():
     ahead, behind = value(rigid + jnp.array([0.0, 2e-6]), 0.25), value(rigid + jnp.array([0.0, 1e-6]), 0.25)
     at = value(rigid, 0.25)
     for field, (by_compliance, by_distance) in enumerate(derived(rigid, 0.25)[0]):
-        # A compliance is not negative: one-sided differences of second order.
+        # A compliance cannot be negative; hence one-sided differences of second order.
         difference = (4 * behind[field] - ahead[field] - 3 * at[field]) / 2e-6
         assert np.max(np.abs(by_compliance[..., 1])) > 0.1
         np.testing.assert_allclose(by_compliance[..., 1], difference, rtol=1e-4, atol=1e-3)
@@ -269,7 +269,7 @@ def test_a_rigid_spring_is_differentiated_by_its_compliance():
 
 
 class Bowl(eqx.Module):
-    """y = height + depth x^2 that ends at a wall."""
+    """y = height + depth x^2, which ends at a wall."""
 
     height: float | jax.Array
     depth: float | jax.Array
@@ -306,7 +306,7 @@ def curved(p, weights):
     return gradient, hessian
 
 
-def test_second_derivatives(fb):
+def test_second_derivatives_are_symmetric_and_agree_with_differences(fb):
     _, weights = compiled("FB")
     count = int(np.sum(np.isfinite(fb()[0][2])))
     weights = weights[0], jnp.where(jnp.arange(weights[2].size) < count, weights[2], 0.0)
@@ -328,7 +328,7 @@ def _(primals, tangents):
     return here, tangents[1] / (3 * here**2)
 
 
-def test_in_a_loop_second_derivatives_are_right_or_none():
+def test_second_derivatives_in_a_loop_are_right_or_nan():
     def total(loop, scale):
         return jnp.sum(
             loop(lambda x: root(jax.lax.stop_gradient(scale * x) ** (1 / 3), scale * x), jnp.arange(1.0, 4.0))
@@ -337,14 +337,14 @@ def test_in_a_loop_second_derivatives_are_right_or_none():
     batch, loop = (lambda scale, map=map: total(map, scale) for map in (lambda f, x: jax.vmap(f)(x), jax.lax.map))
     expected = -2 / 9 * jnp.sum(jnp.arange(1.0, 4.0) ** (1 / 3)) * 2.0 ** (-5 / 3)
     np.testing.assert_allclose([jax.hessian(batch)(2.0), jax.jacfwd(jax.jacfwd(loop))(2.0)], expected, rtol=MODES)
-    within = jax.hessian(loop)(2.0)  # jax 0.10 drops the rule by which a derivative has a derivative, 0.12 does not
+    within = jax.hessian(loop)(2.0)  # jax 0.10 loses the rule for second derivatives, 0.12 does not
     assert np.isnan(within) or abs(within - expected) < MODES
     assert np.isfinite(jax.grad(lambda scale: total(jax.lax.map, scale))(2.0))
 
 
 @pytest.mark.parametrize("wall", [10.0, 0.95])
-def test_a_profile_of_ones_own(fb, wall):
-    # The nearer wall stands just outside of where the tip first touches.
+def test_a_user_defined_profile_has_the_derivatives_of_the_parabola(fb, wall):
+    # The nearer wall is just outside the point of first touch.
     _, weights = compiled("FB")
     inner = jnp.zeros_like(weights[0]).at[2:7, :, STATE.index("fy")].set(1.0)
     value, _, (expected, _) = fb(weights=(inner, *jax.tree.map(jnp.zeros_like, weights[1:])))

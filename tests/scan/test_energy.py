@@ -1,4 +1,4 @@
-"""Stored energy: exact values, and what mechanics says of its derivatives, of snaps and of reciprocity."""
+"""Stored energy: exact values, its derivatives as forces, reciprocity, and the energy lost in snaps."""
 
 from functools import cache
 
@@ -11,8 +11,8 @@ from scipy.special import ellipeinc, ellipkinc
 import jaxwhisker as jw
 from scenes import all_ok, model
 
-EXACT = 1e-9  # relative to the largest: that of the states
-SLOPES = 1e-7  # relative to the largest: the rod's constant steps are no exact potential, and its error is amplified
+EXACT = 1e-9  # relative to the largest energy: the accuracy of the states
+SLOPES = 1e-7  # relative to the largest: a rod in constant steps has no exact potential, and its error is amplified
 QUADRATURE = 1e-7  # relative to the largest: Gauss points between two events
 COMPLIANCE = 1e-8  # relative: points along the deflected rod
 NODES = 48  # between two events
@@ -23,7 +23,7 @@ CONTROL = np.linspace(0.9, -2.2, 140)
 
 
 def scene(name, distance=0.2, position=0.0, stiffness=80.0, bending_stiffness=1.0):
-    """A model whose whiskers all differ; those of bending stiffness 1 stand first."""
+    """A model whose whiskers all differ; `bending_stiffness` is that of the first one."""
     support = jw.Support.named(name, stiffness, 0.2)
     lengths = (1.0, 0.9, 1.1)[: support.whiskers]
     whiskers = tuple(jw.Whisker(length, bending_stiffness * (1 + 0.2 * k)) for k, length in enumerate(lengths))
@@ -57,7 +57,7 @@ def strained(result):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_energy_is_that_of_whiskers_and_springs(name):
+def test_energy_is_the_sum_over_whiskers_and_springs(name):
     result = scanned(name)
     assert all_ok(result)
     expected = bent(result).sum(axis=1) + strained(result).sum(axis=1)
@@ -66,7 +66,7 @@ def test_energy_is_that_of_whiskers_and_springs(name):
     np.testing.assert_allclose(jw.stored_energy(result.scene, result), expected, atol=EXACT * expected.max())
 
 
-def test_free_whiskers_store_nothing_and_failed_steps_are_nan():
+def test_energy_is_zero_for_free_whiskers_and_nan_for_unused_events():
     result = scanned("FB")
     energy = np.asarray(jw.stored_energy(result.scene, result))
     free = np.asarray(result.phase)[:, 0] == jw.Phase.free
@@ -77,7 +77,7 @@ def test_free_whiskers_store_nothing_and_failed_steps_are_nan():
     np.testing.assert_array_equal(np.isnan(at_events), np.arange(states.fx.shape[0]) >= len(result.events))
 
 
-def test_energy_has_the_scenes_unit():
+def test_energy_is_in_the_units_of_the_scene():
     length, bending = 37.5, 4.2e4
     unit = bending / length**3
     large = jw.Scene(
@@ -90,7 +90,7 @@ def test_energy_has_the_scenes_unit():
 
 @cache
 def slopes(name):
-    """Values, and derivatives by drive, distance, position, stiffness and bending stiffness: energy, sum fx, sum fy."""
+    """Energy, sum of fx, sum of fy; their derivatives by drive, distance, position, stiffness and bending stiffness."""
 
     def observed(parameters):
         drive, *rest = parameters
@@ -108,20 +108,20 @@ def same(actual, expected, size, tolerance=SLOPES):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_what_moves_does_the_work(name):
+def test_derivatives_of_the_energy_are_forces_and_strains(name):
     (_, fx, fy), (energy, _, _) = slopes(name)
     by_drive, by_distance, by_position, by_stiffness, by_bending_stiffness = energy.T
     same(by_drive, fx, np.max(np.abs(fx)))
     same(by_distance, -fy, np.max(np.abs(fy)))
     same(by_position, -fx, np.max(np.abs(fx)))
-    # In equilibrium energy is stationary in all that is free: only what a parameter does by itself is left.
+    # In equilibrium the energy is stationary. Only the direct effect of a parameter remains.
     springs, whiskers = strained(scanned(name)).sum(axis=1) / 80.0, bent(scanned(name)).sum(axis=1)
     same(by_stiffness, springs, springs.max())
     same(by_bending_stiffness, whiskers, whiskers.max())
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_reciprocity(name):
+def test_derivatives_of_forces_are_reciprocal(name):
     _, (_, fx, fy) = slopes(name)
     size = np.max(np.abs(fx[:, :3]))
     same(fx[:, 1], -fy[:, 0], size)  # drive and distance
@@ -130,17 +130,17 @@ def test_reciprocity(name):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_drive_does_the_work_between_events(name):
+def test_the_work_of_the_drive_between_events_is_the_gain_of_energy(name):
     events = scanned(name).events
     here = scanned(name).scene
     at = np.array([e.control for e in events])
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     t = (nodes + 1) / 2
-    # Quadratic at both ends, which takes the root out of reactions next to a fold.
+    # Quadratic at both ends, which removes the square root from reactions near a fold.
     share, rate = t**2 * (3 - 2 * t), 6 * t * (1 - t)
     stretch = np.diff(at)
     control = (at[:-1, None] + stretch[:, None] * share).ravel()
-    result = jw.scan(here, np.append(control, at[-1] - 0.1))  # the last snap lies within the scan
+    result = jw.scan(here, np.append(control, at[-1] - 0.1))  # the last snap is within the scan
     assert all_ok(result)
     drive = np.asarray(result.fx)[:-1].sum(axis=1).reshape(-1, NODES)
     work = np.sum(weights / 2 * rate * drive, axis=1) * stretch
@@ -149,7 +149,7 @@ def test_drive_does_the_work_between_events(name):
     same(work, before[1 : at.size] - after[: at.size - 1], size, QUADRATURE)
     snaps = [k for k, e in enumerate(events) if e.kind in SNAPS]
     assert len(snaps) >= here.support.whiskers
-    # Elsewhere the state is the same on both sides.
+    # At other events the state is the same before and after.
     others = np.setdiff1d(np.arange(at.size), snaps)
     np.testing.assert_allclose(before[others], after[others], atol=EXACT * size)
     assert np.all(before[snaps] - after[snaps] > 1e-3 * size)
@@ -157,7 +157,7 @@ def test_drive_does_the_work_between_events(name):
 
 @pytest.mark.parametrize(("stiffness", "distance"), [(10.0, 0.2), (30.0, 0.1)])
 def test_a_snap_loses_energy(stiffness, distance):
-    # Below the critical stiffness: through the vertex; the softest to the far side of the object.
+    # Below the critical stiffness whiskers snap through the vertex, the softest one to the far side of the object.
     result = jw.scan(model("FB", stiffness, distance=distance), CONTROL)
     snaps = [e for e in result.events if e.kind in SNAPS]
     assert jw.EventKind.snap_through in [e.kind for e in snaps]

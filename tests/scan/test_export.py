@@ -1,4 +1,4 @@
-"""Tables of scans: names, values, and that they can be read back."""
+"""Tables of scans: column names, values, and reading them back."""
 
 import re
 
@@ -15,7 +15,7 @@ from jaxwhisker._scan.quantities import REACTIONS
 from scenes import model
 
 CONTROL = np.linspace(0.72, -1.62, 118)
-PARSED = 1e-15  # relative: the usual parser of pandas 2 is off by a last digit here and there
+PARSED = 1e-15  # relative: the default parser of pandas 2 is sometimes off by one in the last digit
 
 
 def scene(stiffness):
@@ -29,7 +29,7 @@ def result():
 
 @pytest.fixture(scope="module")
 def failed(result):
-    """The same with three steps that failed."""
+    """The same scan with three failed steps."""
     lost = slice(40, 43)
 
     def fail(leaf):
@@ -48,7 +48,7 @@ def assert_same(measured, result):
         np.testing.assert_array_equal(measured.values[:, :, c], getattr(result, name))
 
 
-def test_table_holds_a_row_a_step(result):
+def test_a_table_has_one_row_per_step(result):
     table = jw.to_dataframe(result)
     assert len(table) == CONTROL.size and list(table)[:5] == ["control", "fx_1", "fy_1", "mz_1", "base_x_1"]
     assert {"base_angle_2", "contact_y_2", "spring_3", "phase_2", "status"} <= set(table) and "fx_3" not in table
@@ -58,13 +58,13 @@ def test_table_holds_a_row_a_step(result):
 
 
 @pytest.mark.parametrize("kind", ["result", "failed"])
-def test_table_is_read_back(kind, request):
+def test_a_table_is_read_back_exactly(kind, request):
     scanned = request.getfixturevalue(kind)
     assert_same(read_observations(jw.to_dataframe(scanned)), scanned)
 
 
 @pytest.mark.parametrize("kind", ["result", "failed"])
-def test_file_is_read_back_to_the_last_digit(kind, request, tmp_path):
+def test_a_file_is_read_back_to_the_last_digit(kind, request, tmp_path):
     scanned, path = request.getfixturevalue(kind), tmp_path / "scan.csv"
     jw.to_csv(scanned, path)
     assert_same(read_observations(path), scanned)
@@ -74,7 +74,7 @@ def test_file_is_read_back_to_the_last_digit(kind, request, tmp_path):
     assert not re.search(r",-0\.0(?!\d)", path.read_text())
 
 
-def test_table_of_a_clamped_whisker_has_no_springs(result):
+def test_the_table_of_a_clamped_whisker_has_no_springs(result):
     fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
     clamped = model("clamped")
     table = jw.to_dataframe(jw.Result(**fields | {"spring_length": jnp.zeros((CONTROL.size, 0)), "scene": clamped}))
@@ -83,10 +83,10 @@ def test_table_of_a_clamped_whisker_has_no_springs(result):
 
 @pytest.mark.unchecked
 @pytest.mark.parametrize("export", [jw.to_dataframe, lambda r: jw.to_csv(r, "never.csv"), jw.Result.to_xarray])
-def test_a_batch_is_refused(export, result, tmp_path, monkeypatch):
+def test_a_batch_is_rejected(export, result, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     batch = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 3), result)
-    with pytest.raises(ValueError, match=r"`result` must be of one scan, but is a batch of shape \(3,\): pick a lane"):
+    with pytest.raises(ValueError, match=r"`result` must be the result of a single scan, got a batch of shape \(3,\)"):
         export(batch)
     assert not list(tmp_path.iterdir())
     first = jax.tree.map(lambda leaf: leaf[0], batch)
@@ -95,6 +95,6 @@ def test_a_batch_is_refused(export, result, tmp_path, monkeypatch):
 
 @pytest.mark.unchecked
 @pytest.mark.parametrize("export", [jw.to_dataframe, lambda r: jw.to_csv(r, "never.csv")])
-def test_what_is_no_scan_is_refused(export):
-    with pytest.raises(ValueError, match="`result` must be the Result of a scan, but is 3"):
+def test_an_argument_that_is_not_a_result_is_rejected(export):
+    with pytest.raises(ValueError, match="`result` must be the Result of a scan, got 3"):
         export(3)

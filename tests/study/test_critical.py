@@ -17,14 +17,14 @@ MARGIN = 1e-3  # relative, on both sides of the critical stiffness
 
 
 @pytest.mark.parametrize("distance", EXACT)
-def test_steepest_slope_is_that_of_the_closed_form(distance):
+def test_steepest_slope_agrees_with_the_closed_form(distance):
     found = steepest(jw.Whisker(), jw.Parabola(distance))
     slope, base_x = EXACT[distance]
     assert abs(found.slope / slope - 1) < SLOPE
     assert abs(found.base_x - base_x) < PLACE
 
 
-def test_steepest_slope_has_the_scenes_unit():
+def test_steepest_slope_is_in_the_units_of_the_scene():
     length, bending = 37.5, 4.2e4
     found = steepest(jw.Whisker(length, bending), jw.Parabola(0.1 * length, 1 / length, position=5.0))
     slope, base_x = EXACT[0.1]
@@ -32,11 +32,11 @@ def test_steepest_slope_has_the_scenes_unit():
     assert abs((found.base_x - 5.0) / length - base_x) < PLACE
 
 
-def test_there_is_none_out_of_reach():
+def test_an_object_out_of_reach_has_no_steepest_slope():
     assert np.all(np.isnan(steepest(jw.Whisker(), jw.Parabola(1.2))))
 
 
-def test_a_scan_snaps_through_below_the_steepest_slope_only():
+def test_a_scan_snaps_through_only_below_the_steepest_slope():
     slope, _ = EXACT[0.1]
     for stiffness, snaps in ((slope * (1 - MARGIN), 1), (slope * (1 + MARGIN), 0)):
         result = jw.scan(model("FB", stiffness, distance=0.1), np.array([0.9, -0.8]))
@@ -44,8 +44,8 @@ def test_a_scan_snaps_through_below_the_steepest_slope_only():
 
 
 @pytest.mark.parametrize("below", [1e-4, 1e-5, 1e-6, 1e-7])
-def test_just_below_the_bases_creep_away_in_one_snap(below):
-    # The two folds are at most 1e-3 apart, and a millionth of that in u: the flow between them has almost no force.
+def test_a_scan_just_below_the_critical_stiffness_has_one_small_snap(below):
+    # The two folds are at most 1e-3 apart, and in u a millionth of that, which leaves the flow almost no force.
     result = jw.scan(model("FB", EXACT[0.1][0] * (1 - below), distance=0.1), np.linspace(0.9, -0.8, 64))
     assert all_ok(result)
     (snap,) = result.events.of(jw.EventKind.snap_through)
@@ -54,7 +54,7 @@ def test_just_below_the_bases_creep_away_in_one_snap(below):
     assert 0.03 * np.sqrt(below) < moved < 3 * np.sqrt(below)
 
 
-def test_softest_base_of_the_models():
+def test_compliance_of_the_softest_base():
     softness = {"FB": 1.0, "FBFB": 2.0, "FBFBR": 2 / 3, "FBFBFBR": 5 / 8}
     for name, value in softness.items():
         assert abs(softest(jw.Support.named(name, 10.0)) - value / 10) < 1e-15
@@ -62,6 +62,6 @@ def test_softest_base_of_the_models():
 
 
 @pytest.mark.unchecked
-def test_a_traced_object_is_refused():
+def test_a_traced_object_is_rejected():
     with pytest.raises(ValueError, match="must be concrete, got traced ones"):
         jax.jit(lambda q: steepest(jw.Whisker(), jw.Parabola(q)).slope)(0.2)
