@@ -204,7 +204,7 @@ def _check_direction(value: Any) -> None:
 
 
 class Frame(NamedTuple):
-    """Frame of a base when no base is loaded: its origin, and the direction of its x axis."""
+    """Frame of a mount: its origin, and the direction of its x axis."""
 
     x: Float[Array, "*batch"]
     y: Float[Array, "*batch"]

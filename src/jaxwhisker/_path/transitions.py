@@ -330,7 +330,7 @@ def after_arrive(
     tangent = Point(sign * trial.tangent.z, sign * trial.tangent.u)
     node = state.pending._replace(point=point, leaving=tangent)
     state = state._replace(direction=direction)
-    after_flow = (state.pending.kind == EventKind.snap_off) | (state.pending.kind == EventKind.snap_through)
+    after_snap = (state.pending.kind == EventKind.snap_off) | (state.pending.kind == EventKind.snap_through)
     # After a snap, and only then, the contact may be on the other side of the vertex.
     behind = jnp.where(slope_sines(problem, point.z) < 0, -1.0, 1.0)
     onwards = state._replace(
@@ -342,7 +342,7 @@ def after_arrive(
         bend=jax.tree.map(jnp.zeros_like, tangent),
         step=jnp.asarray(FIRST_STEP),
         unstable_at=jnp.asarray(jnp.inf),
-        before_vertex=jnp.where(after_flow, behind, state.before_vertex),
+        before_vertex=jnp.where(after_snap, behind, state.before_vertex),
     )
     falls = (state.turn(tangent) <= 0) | ~trial.stable
     moved = Point(point.z - state.point.z, point.u - state.point.u)
@@ -350,7 +350,7 @@ def after_arrive(
     # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
     there = trial.there
     wrong = jnp.any(jnp.stack([there.touch, there.release, there.phase]) < -MARGIN_NOISE)
-    early = after_flow & (wrong | falls | ~near)
+    early = after_snap & (wrong | falls | ~near)
     flowing = state._replace(
         task=jnp.asarray(int(Task.flow)),
         flow=state.flow._replace(near=state.flow.near / 4),

@@ -11,6 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.jit import jit
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.implicit import without_rule
@@ -284,7 +285,7 @@ def deflect(
     return _deflect(whisker, loads, support, points)
 
 
-@eqx.filter_jit
+@jit
 def _deflect(
     whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support, points: int
 ) -> Deflection:

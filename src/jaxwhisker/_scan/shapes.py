@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.jit import jit
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker._scan.state import State, base_of, material, outwards
 
 
@@ -43,10 +44,10 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
         Shapes, with arrays of shape (positions, whiskers, points).
 
     Raises:
-        ValueError: if `result` is not a Result, `at` is not a non-empty one-dimensional array of finite numbers, or
+        ValueError: if `result` is not the result of a single scan, `at` is not a non-empty one-dimensional array of finite numbers, or
             `points` is less than 3.
     """
-    checks.instance("result", result, Result, "the Result of a scan")
+    check_one_scan(result)
     checks.count("points", points, least=3)
     index = np.arange(result.control.shape[0])
     if at is not None:
@@ -57,7 +58,7 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
     return shapes_of(State(**fields), jax.tree.map(checks.as_float, whiskers), points=points)
 
 
-@eqx.filter_jit
+@jit
 def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Shapes:
     """Centre lines of whiskers in one or more states."""
     fields = base_of(state), state.fx, state.fy, state.mz, state.contact_arc, state.phase == Phase.free

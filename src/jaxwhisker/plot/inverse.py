@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from types import NoneType
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.jit import jit
 from jaxwhisker._inverse.fit_contour import ContourFit
 from jaxwhisker._inverse.points import NORMAL_95
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
@@ -163,7 +163,7 @@ def _across(x: np.ndarray, y: np.ndarray, slope: np.ndarray, error: np.ndarray) 
     return x + reach * np.sin(slope), y - reach * np.cos(slope)
 
 
-@eqx.filter_jit
+@jit
 def _between(profile: AbstractProfile, slopes: Float[jax.Array, " 2"]) -> ContactPoint:
     """Points of a profile between two slope angles."""
     ends = jnp.asarray(jax.vmap(profile.at_slope)(slopes))
