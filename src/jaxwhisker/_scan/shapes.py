@@ -44,8 +44,8 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
         Shapes, with arrays of shape (positions, whiskers, points).
 
     Raises:
-        ValueError: if `result` is not the result of a single scan, `at` is not a non-empty one-dimensional array of finite numbers, or
-            `points` is less than 3.
+        ValueError: if `result` is not the result of a single scan, `at` is not a non-empty one-dimensional array of
+            finite numbers, or `points` is less than 3.
     """
     check_one_scan(result)
     checks.count("points", points, least=3)
