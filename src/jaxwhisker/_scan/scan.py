@@ -77,13 +77,13 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     _check_valid(scene, problem)
     stops, last = across() if route is None else (route.stops, route.last)
     _compile(problem, stops.size)
-    path = follow_path_now(problem, jnp.asarray(stops), jnp.asarray(last))
+    path = follow_path_now(problem, np.asarray(stops), np.asarray(last))
     if route is None:
         route = route_of(_default_control(scene, path))
     # All blocks have one size, which lets one program serve scans of every length.
     count, room = route.control.size, -route.control.size % BLOCK
     padded = (np.pad(values, (0, room), mode="edge").reshape(-1, BLOCK) for values in (route.control, route.travel))
-    blocks = [solve_steps_now(problem, path.path, jnp.asarray(u), jnp.asarray(s)) for u, s in zip(*padded, strict=True)]
+    blocks = [solve_steps_now(problem, path.path, u, s) for u, s in zip(*padded, strict=True)]
     state, status = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:count]), *blocks)
     control = jnp.asarray(route.control)
     return _result(scene, path, control, state, _spring_length_now(scene, state, control), status)
@@ -259,10 +259,10 @@ def _compile(problem: Problem, stops: int) -> None:
     if shape in _COMPILED:
         return
     with ThreadPoolExecutor(1) as aside:
-        marching = follow_path_now.compile_aside(aside, problem, jnp.asarray(np.ones(stops)), jnp.asarray(1))
+        marching = follow_path_now.compile_aside(aside, problem, np.ones(stops), np.asarray(1))
         path = jax.eval_shape(lambda: no_path(problem, _capacity(problem, stops)))
         path = jax.tree.map(lambda leaf: jnp.asarray(np.zeros(leaf.shape, leaf.dtype)), path)
-        block = jnp.asarray(np.zeros(BLOCK))
+        block = np.zeros(BLOCK)
         solve_steps_now.compile(problem, path, block, block)
         marching.result()
     _COMPILED.add(shape)
