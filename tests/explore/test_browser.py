@@ -244,10 +244,10 @@ def test_the_code_prints_the_numbers_of_the_page(shown):
     printed = []
     exec(code.text, {"__name__": "fresh", "print": lambda *words: printed.append(words[0])})
     words = printed[-1].replace(",", "").split()
-    printed = {name: float(words[words.index(name) + 2]) for name in ("u", "fx", "fy", "mz")}
-    assert printed["u"] == pytest.approx(value(shown, "drive"), abs=SHOWN)
+    numbers_of_code = {name: float(words[words.index(name) + 2]) for name in ("u", "fx", "fy", "mz")}
+    assert numbers_of_code["u"] == pytest.approx(value(shown, "drive"), abs=SHOWN)
     for text, name in zip(numbers(shown)[1:4], ("fx", "fy", "mz"), strict=True):
-        assert float(text) == pytest.approx(printed[name], abs=2 * SHOWN)
+        assert float(text) == pytest.approx(numbers_of_code[name], abs=2 * SHOWN)
 
 
 def test_controls_and_canvases_have_accessible_names(shown):
