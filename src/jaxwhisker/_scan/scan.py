@@ -124,10 +124,12 @@ def _check_valid(scene: Scene, problem: Problem) -> None:
             "`profile` must be strictly convex with its lowest point above the bases, but the lowest point of "
             f"{scene.profile} is at height {float(height):.4g}."
         )
-    raise ValueError(
-        "`intrinsic_curvature` must let each unloaded whisker touch the object in one place only, but a whisker would "
-        "touch it in two."
-    )
+    if any(whisker.intrinsic_curvature is not None and bool(whisker.valid()) for whisker in scene.whiskers):
+        raise ValueError(
+            "`intrinsic_curvature` must let each unloaded whisker touch the object in one place only, but a whisker "
+            "would touch it in two."
+        )
+    raise ValueError(f"`scene` must have parameters that its constructors accept, got {scene}.")
 
 
 class ScanPath(NamedTuple):
