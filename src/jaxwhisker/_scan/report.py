@@ -122,7 +122,8 @@ def peak_table(result: Result, units: str = "auto") -> str:
                     continue
                 step = pick(column)
                 # Every free whisker has the value zero, so the position of a zero has no meaning.
-                at = printed.cell("control", float(control[step])) if column[step] != 0 else "-"
+                is_zero = abs(column[step]) <= NOISE * np.nanmax(np.abs(column))
+                at = "-" if is_zero else printed.cell("control", float(control[step]))
                 row += [printed.cell(name, float(column[step])), at]
             rows.append(row)
     return table(rows[0], rows[1:])
