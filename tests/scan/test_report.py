@@ -1,5 +1,8 @@
 """Printed tables of scans: numbers, units of scenes in SI units, events that do not fit, CSV files."""
 
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -31,6 +34,12 @@ def test_peaks_have_units_and_no_position_where_they_are_zero():
     assert fx == ["1", "fx", "(mN)", "-19.20000", "25.00000", "0.00000", "-"]
     assert fy == ["1", "fy", "(mN)", "0.00000", "-", "0.00000", "-"]
     assert mz == ["1", "mz", "(mN", "mm)", "240.000", "50.00000", "240.000", "50.00000"]
+
+
+def test_a_peak_of_rounding_errors_has_no_position():
+    result = handmade_scan(*SI)
+    noisy = dataclasses.replace(result, fx=result.fx + 1e-15 * jnp.max(jnp.abs(result.fx)))
+    assert report.peak_table(noisy) == report.peak_table(result)
 
 
 def test_events_that_do_not_fit_are_counted():
