@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._model.silhouette import FAR, POINTS, silhouette_of
+from jaxwhisker._model.silhouette import CONTOUR_POINTS, CUT_OFF, silhouette_of
 
 ROUNDING = 1e-9  # of lengths: ends come from bisection
 SEMICIRCLE = jw.Graph(lambda x: 0.9 - jnp.sqrt(0.49 - x**2))
@@ -17,15 +17,15 @@ SEMICIRCLE = jw.Graph(lambda x: 0.9 - jnp.sqrt(0.49 - x**2))
 )
 def test_an_open_object_is_cut_off(profile, length):
     x, y = silhouette_of(profile, length)
-    assert x.size == POINTS and (np.diff(x) > 0).all()
-    np.testing.assert_allclose(x[[0, -1]], 0.4 + FAR * length * np.array([-1.0, 1.0]), rtol=ROUNDING)
+    assert x.size == CONTOUR_POINTS and (np.diff(x) > 0).all()
+    np.testing.assert_allclose(x[[0, -1]], 0.4 + CUT_OFF * length * np.array([-1.0, 1.0]), rtol=ROUNDING)
     if not isinstance(profile, jw.Graph):
         np.testing.assert_allclose(y, 0.2 + 2 * (x - 0.4) ** 2, rtol=ROUNDING)
 
 
 def test_a_graph_is_drawn_up_to_where_it_ends():
     x, y = silhouette_of(SEMICIRCLE, 1.0)
-    assert x.size >= POINTS - 2  # rounding may exclude its very ends
+    assert x.size >= CONTOUR_POINTS - 2  # rounding may exclude its very ends
     np.testing.assert_allclose(x[[0, -1]], (-0.7, 0.7), atol=0.01)
     np.testing.assert_allclose(np.hypot(x, y - 0.9), 0.7, atol=ROUNDING)
 

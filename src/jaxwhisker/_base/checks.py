@@ -28,6 +28,12 @@ def is_numeric(leaf: Any) -> bool:
     return isinstance(leaf, (int, float, np.ndarray, np.generic, jax.Array))
 
 
+def all_finite(tree: Any) -> jax.Array:
+    """Whether all numbers of a tree are finite, also while they are traced."""
+    leaves = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree) if is_numeric(leaf)]
+    return jnp.all(jnp.array(leaves, dtype=bool))
+
+
 def as_float(leaf: Any) -> Any:
     """Convert a numeric leaf to a float64 array, which jit treats as data; return other leaves unchanged."""
     return jnp.asarray(leaf, dtype=float) if is_numeric(leaf) else leaf
@@ -44,25 +50,26 @@ def instance(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str
         fail(name, allowed, repr(value))
 
 
+def _numbers(value: Any) -> Any:
+    """The value as an array of real numbers, or None if it is none; a traced value stays as it is."""
+    try:
+        array = value if isinstance(value, Tracer) else np.asarray(value)
+    except (TypeError, ValueError):
+        return None
+    return array if array.dtype.kind in "iuf" else None
+
+
 def number(name: str, value: Any, *, positive: bool = False, non_negative: bool = False, finite: bool = True) -> None:
     """Check that `value` is a real number and, on request, positive, non-negative or finite.
 
     Only the shape and type of a traced value are checked.
     """
-    allowed = " ".join(
-        ["a", *["positive"] * positive, *["non-negative"] * non_negative, *["finite"] * finite, "number"]
-    )
-    if isinstance(value, Tracer):
-        shape, kind = value.shape, value.dtype.kind
-    else:
-        try:
-            array = np.asarray(value)
-        except (TypeError, ValueError):
-            array = np.asarray(None)
-        shape, kind = array.shape, array.dtype.kind
-    if shape != () or kind not in "iuf":
-        fail(name, allowed, repr(value) if shape == () else f"an array of shape {shape}")
-    if isinstance(value, Tracer):
+    words = {"positive": positive, "non-negative": non_negative, "finite": finite}
+    allowed = " ".join(["a", *(word for word, wanted in words.items() if wanted), "number"])
+    array = _numbers(value)
+    if array is None or array.shape != ():
+        fail(name, allowed, repr(value) if array is None else f"an array of shape {array.shape}")
+    if isinstance(array, Tracer):
         return
     v = float(array)
     outside = (positive and not v > 0) or (non_negative and v < 0)
@@ -85,25 +92,18 @@ def acute_angle(name: str, value: Any) -> None:
         fail(name, "less than a right angle", f"{float(value):g} rad")
 
 
-def vector(name: str, value: Any) -> None:
-    """Check that `value` is a non-empty, one-dimensional array of finite real numbers.
+def vector(name: str, value: Any, *, finite: bool = True) -> None:
+    """Check that `value` is a non-empty, one-dimensional array of real numbers, finite unless that is not required.
 
     Only the shape and type of a traced value are checked.
     """
-    allowed = "a non-empty one-dimensional array of finite numbers"
-    if not isinstance(value, Tracer):
-        try:
-            value = np.asarray(value)
-        except (TypeError, ValueError):
-            fail(name, allowed, repr(value))
-    if value.ndim != 1 or value.size == 0:
-        fail(name, allowed, f"an array of shape {value.shape}")
-    if value.dtype.kind not in "iuf":
-        fail(name, allowed, f"an array of type {value.dtype}")
-    if not isinstance(value, Tracer):
-        bad = ~np.isfinite(value)
-        if bad.any():
-            fail(name, allowed, f"{value[bad][0]} at index {int(np.argmax(bad))}")
+    allowed = f"a non-empty one-dimensional array of {'finite ' * finite}numbers"
+    array = _numbers(value)
+    if array is None or array.ndim != 1 or array.size == 0:
+        fail(name, allowed, repr(value) if array is None else f"an array of shape {array.shape}")
+    if finite and not isinstance(array, Tracer) and not np.isfinite(array).all():
+        k = int(np.argmin(np.isfinite(array)))
+        fail(name, allowed, f"{array[k]} at index {k}")
 
 
 def count(name: str, value: Any, least: int = 1) -> None:
@@ -154,25 +154,20 @@ def _takes_one_argument(value: Callable) -> bool:
 
 def _wrong_result(result: Any, names: tuple[str, ...]) -> str | None:
     """Description of a wrong result; None if it is one number or, where names are given, one number per name."""
-    if not names:
-        results = (result,)
-    elif isinstance(result, (tuple, list)) or getattr(result, "ndim", 0) == 1:
-        results = tuple(result)
-        if len(results) != len(names):
-            return f"{len(results)} values"
-    else:
-        return _described(result)
-    return next((_described(part) for part in results if not _is_number(part)), None)
+    sequence = isinstance(result, tuple | list) or getattr(result, "ndim", 0) == 1
+    if not (names and sequence):
+        return _not_a_number(result) or ("an array of shape ()" if names else None)
+    if len(result) != len(names):
+        return f"{len(result)} values"
+    return next(filter(None, map(_not_a_number, result)), None)
 
 
-def _is_number(value: Any) -> bool:
-    return is_numeric(value) and np.shape(value) == () and jnp.result_type(value).kind in "iuf"
-
-
-def _described(value: Any) -> str:
+def _not_a_number(value: Any) -> str | None:
+    """Description of a value that is not one real number."""
     if not is_numeric(value):
         return f"a value of type {type(value).__name__}"
-    return f"an array of shape {np.shape(value)} and type {jnp.result_type(value)}"
+    shape, kind = np.shape(value), jnp.result_type(value)
+    return None if shape == () and kind.kind in "iuf" else f"an array of shape {shape} and type {kind}"
 
 
 def float64_mode() -> None:

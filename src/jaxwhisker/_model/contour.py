@@ -1,7 +1,7 @@
 """A contour of any strictly convex shape: its radius of curvature as a function of the slope angle."""
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,7 +18,19 @@ CELLS = 32  # between two knots; x and y are accurate to 1e-11 of the radius eve
 GAUSS = 4  # quadrature points per cell
 
 
-class Contour(AbstractProfile):
+class _AbstractContour(AbstractProfile):
+    """A contour by its lowest point and anything that tells its shape."""
+
+    # Its subclasses declare `distance` and `position`, because the order of the fields is that of their arguments.
+
+    def vertex(self: Any):
+        return self.position, self.distance
+
+    def _positive(self: Any):
+        return [self.distance]
+
+
+class Contour(_AbstractContour):
     """A strictly convex contour, given by its radius of curvature rho as a function of the slope angle alpha.
 
         x = position + int_0^alpha rho cos(a) da,  y = distance + int_0^alpha rho sin(a) da.
@@ -55,16 +67,14 @@ class Contour(AbstractProfile):
         knots = np.asarray(self.slopes)
         checks.vector("slopes", knots)
         if knots.size < 2 or not (np.diff(knots) > 0).all() or np.abs(knots).max() > STEEPEST:
-            checks.fail(
-                "slopes", "at least two strictly increasing slope angles, each less than a right angle", self.slopes
-            )
+            allowed = "at least two strictly increasing slope angles, each less than a right angle"
+            checks.fail("slopes", allowed, self.slopes)
         if isinstance(self.log_radius, (np.ndarray, jax.Array)) and jnp.shape(self.log_radius) == ():
             return  # transformations rebuild one of several contours
         checks.vector("log_radius", self.log_radius)
         if self.log_radius.shape != knots.shape:
-            checks.fail(
-                "log_radius", f"one value per knot ({knots.size})", f"an array of shape {self.log_radius.shape}"
-            )
+            got = f"an array of shape {self.log_radius.shape}"
+            checks.fail("log_radius", f"one value per knot ({knots.size})", got)
 
     @classmethod
     def like(cls, profile: AbstractProfile, slopes) -> "Contour":
@@ -96,27 +106,21 @@ class Contour(AbstractProfile):
     def first_touch(self, height, side):
         return self.tabulated().first_touch(height, side)
 
-    def vertex(self):
-        return self.position, self.distance
-
     def in_unit(self, length):
         return self.tabulated().in_unit(length)
-
-    def _positive(self):
-        return [self.distance]
 
     def __str__(self):
         position = text_unless(0.0, ", x = ", self.position)
         return f"contour q = {as_text(self.distance)}, {len(self.slopes)} knots{position}"
 
 
-class Tabulated(AbstractProfile):
+class Tabulated(_AbstractContour):
     """A contour as polynomials of degree 5, CELLS of them between two knots."""
 
     distance: Scalar
     position: Scalar
     knots: Float[Array, " knots"]
-    cells: Float[Array, "cells 12"]  # coefficients of x, then of y, in powers of the fraction of the cell
+    cells: Float[Array, "cells 2 6"]  # coefficients of x and of y in powers of the fraction of the cell
     ends_at: Float[Array, "2 3"]  # x, y, radius at the first and at the last knot
 
     def point(self, parameter):
@@ -142,15 +146,9 @@ class Tabulated(AbstractProfile):
         at = self.point(a)
         return FirstTouch(a, at.x, at.y)
 
-    def vertex(self):
-        return self.position, self.distance
-
     def in_unit(self, length):
         sizes = self.distance / length, self.position / length
         return Tabulated(*sizes, self.knots, self.cells / length, self.ends_at / length)
-
-    def _positive(self):
-        return [self.distance]
 
     def __str__(self):
         return f"contour q = {as_text(self.distance)}"
@@ -216,55 +214,34 @@ def spline(slopes: tuple[float, ...]) -> Spline:
 _HERMITE = np.linalg.inv(np.array([[1.0, 1.0, 1.0], [3.0, 4.0, 5.0], [6.0, 12.0, 20.0]]))
 
 
-class _Radii(NamedTuple):
-    """Radius of curvature at the nodes, its derivative with respect to the slope, and the radius at Gauss points."""
-
-    value: Float[Array, " nodes"]
-    rate: Float[Array, " nodes"]
-    at_gauss: Float[Array, "cells gauss"]
-
-
 def tabulate(spline: Spline, distance: Scalar, position: Scalar, log_radius: Float[Array, " knots"]) -> Tabulated:
     """The contour with this vertex and these radii of curvature."""
-    values = jnp.asarray(log_radius, dtype=float)
+    values, width = jnp.asarray(log_radius, dtype=float), spline.width
     radius = jnp.exp(jnp.sum(spline.value * values, axis=-1))
     radius_rate = radius * jnp.sum(spline.rate * values, axis=-1)
-    radii = _Radii(radius, radius_rate, jnp.exp(jnp.sum(spline.at_gauss * values, axis=-1)))
+    radius_at_gauss = jnp.exp(jnp.sum(spline.at_gauss * values, axis=-1))
+    # x and y, along the first axis, are the integrals of radius times cosine and radius times sine.
     cos, sin = jnp.cos(spline.node), jnp.sin(spline.node)
-    x, x_end = _integral(spline, radii, cos, -sin, jnp.cos(spline.gauss))
-    y, y_end = _integral(spline, radii, sin, cos, jnp.sin(spline.gauss))
-    distance, position = jnp.asarray(distance, dtype=float), jnp.asarray(position, dtype=float)
-    cells, knots = jnp.concatenate([x, y], axis=-1), jnp.asarray(spline.knots)
-    ends = jnp.stack([jnp.stack([0.0, 0.0, radius[0]]), jnp.stack([x_end, y_end, radius[-1]])])
+    direction, direction_rate = jnp.stack([cos, sin]), jnp.stack([-sin, cos])
+    at_gauss = jnp.stack([jnp.cos(spline.gauss), jnp.sin(spline.gauss)])
+    rises = width * jnp.sum(spline.weight * radius_at_gauss * at_gauss, axis=-1)
+    start = jnp.cumsum(jnp.pad(rises, ((0, 0), (1, 0))), axis=-1)
+    rate, bend = radius * direction, radius_rate * direction + radius * direction_rate
+    a0, a1, a2 = start[:, :-1], rate[:, :-1] * width, bend[:, :-1] * width**2 / 2
+    misses = jnp.stack([rises - a1 - a2, rate[:, 1:] * width - a1 - 2 * a2, bend[:, 1:] * width**2 - 2 * a2])
+    higher = (jnp.sum(row[:, None, None] * misses, axis=0) for row in _HERMITE)
+    cells = jnp.swapaxes(jnp.stack([a0, a1, a2, *higher], axis=-1), 0, 1)
+    ends = jnp.stack([jnp.append(start[:, k], radius[k]) for k in (0, -1)])
     # The integrals start at the first knot; shift the curve to its vertex.
-    lowest = Tabulated(distance, position, knots, cells, ends).point(jnp.zeros(()))
-    dx, dy = position - lowest.x, distance - lowest.y
-    cells = cells.at[:, 0].add(dx).at[:, 6].add(dy)
-    return Tabulated(distance, position, knots, cells, ends + jnp.stack([dx, dy, 0.0]))
-
-
-def _integral(
-    spline: Spline,
-    radii: _Radii,
-    direction: Float[Array, " nodes"],
-    direction_rate: Float[Array, " nodes"],
-    at_gauss: Float[Array, "cells gauss"],
-) -> tuple[Float[Array, "cells 6"], Float[Array, ""]]:
-    """Coefficients of the integral of radius times direction (cosine or sine) in each cell, and its last value."""
-    rises = spline.width * jnp.sum(spline.weight * radii.at_gauss * at_gauss, axis=-1)
-    start = jnp.concatenate([jnp.zeros(1), jnp.cumsum(rises)])
-    rate, bend = radii.value * direction, radii.rate * direction + radii.value * direction_rate
-    a0, a1, a2 = start[:-1], rate[:-1] * spline.width, bend[:-1] * spline.width**2 / 2
-    ends = jnp.stack([
-        rises - a1 - a2,
-        rate[1:] * spline.width - a1 - 2 * a2,
-        bend[1:] * spline.width**2 - 2 * a2,
-    ])  # fmt: skip
-    return jnp.stack([a0, a1, a2, *(jnp.sum(row[:, None] * ends, axis=0) for row in _HERMITE)], axis=-1), start[-1]
+    distance, position = jnp.asarray(distance, dtype=float), jnp.asarray(position, dtype=float)
+    table = Tabulated(distance, position, jnp.asarray(spline.knots), cells, ends)
+    lowest = table.point(jnp.zeros(()))
+    shift = jnp.stack([position - lowest.x, distance - lowest.y])
+    return Tabulated(distance, position, table.knots, cells.at[:, :, 0].add(shift), ends + jnp.append(shift, 0.0))
 
 
 def _between_knots(
-    cells: Float[Array, "cells 12"], knots: Float[Array, " knots"], slope: Scalar
+    cells: Float[Array, "cells 2 6"], knots: Float[Array, " knots"], slope: Scalar
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """x and y of the polynomials at a slope angle, which is clipped to the outermost knots."""
     inside = jnp.clip(slope, knots[0], knots[-1])
@@ -272,9 +249,6 @@ def _between_knots(
     interval = jnp.sum(still >= knots[1:-1])
     way = (inside - knots[interval]) / (knots[interval + 1] - knots[interval]) * CELLS
     cell = jnp.clip(jnp.floor(jax.lax.stop_gradient(way)).astype(int), 0, CELLS - 1)
-    t, row = way - cell, cells[interval * CELLS + cell]
-
-    def horner(c):
-        return c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5]))))
-
-    return horner(row[:6]), horner(row[6:])
+    t, c = way - cell, cells[interval * CELLS + cell].T
+    x, y = c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5]))))
+    return x, y

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_field, name_of
@@ -44,12 +44,26 @@ class AbstractMotion(eqx.Module):
     def unit(self, length: Scalar) -> Scalar:
         """Unit of control of the dimensionless problem: `length`, 1 rad, or the range of a user-defined motion."""
 
-    @abc.abstractmethod
-    def valid(self) -> Any:
-        """Whether traced parameters are in the domain that the constructor checks."""
+    def valid(self) -> Bool[Array, ""]:
+        """Whether traced parameters are in the domain that the constructor checks; by default, all finite numbers."""
+        return checks.all_finite(self)
 
 
-class Translation(AbstractMotion):
+class _AbstractDirected(AbstractMotion):
+    """A motion in one of two directions."""
+
+    # Its subclasses declare `direction`, because the order of the fields is that of their arguments.
+
+    def __check_init__(self: Any):
+        if isinstance(self.direction, bool) or self.direction not in (-1, 1):
+            checks.fail("direction", "-1 or 1", repr(self.direction))
+
+    @property
+    def onwards(self: Any):
+        return self.direction
+
+
+class Translation(_AbstractDirected):
     """Translation of the drive along x; the control is its position, a length.
 
     Args:
@@ -65,9 +79,6 @@ class Translation(AbstractMotion):
 
     direction: int = eqx.field(static=True, default=-1)
 
-    def __check_init__(self):
-        _check_direction(self.direction)
-
     def pose(self, control):
         control = jnp.asarray(control, dtype=float)
         return Pose(control, jnp.zeros_like(control), jnp.zeros_like(control))
@@ -76,21 +87,14 @@ class Translation(AbstractMotion):
     def ends(self):
         return None
 
-    @property
-    def onwards(self):
-        return self.direction
-
     def unit(self, length):
         return length
-
-    def valid(self):
-        return jnp.asarray(True)
 
     def __str__(self):
         return "translation" if self.direction < 0 else "translation towards +x"
 
 
-class Rotation(AbstractMotion):
+class Rotation(_AbstractDirected):
     """Rotation of the drive about a pivot; the control is its angle to the upright, rad, positive counter-clockwise.
 
     A scan runs from a right angle on one side to a right angle on the other.
@@ -117,7 +121,6 @@ class Rotation(AbstractMotion):
     def __check_init__(self):
         checks.pair("pivot", self.pivot)
         checks.number("radius", self.radius)
-        _check_direction(self.direction)
 
     def pose(self, control):
         x, y = self.pivot
@@ -127,22 +130,15 @@ class Rotation(AbstractMotion):
     def ends(self):
         return -self.direction * np.pi / 2, self.direction * np.pi / 2
 
-    @property
-    def onwards(self):
-        return self.direction
-
     def unit(self, length):
         del length
         return 1.0
-
-    def valid(self):
-        return jnp.all(jnp.isfinite(jnp.stack([jnp.asarray(v, dtype=float) for v in (*self.pivot, self.radius)])))
 
     def __str__(self):
         return "rotation" if self.direction > 0 else "clockwise rotation"
 
 
-class Motion(AbstractMotion):
+class Motion(_AbstractDirected):
     """User-defined motion of the drive.
 
     Args:
@@ -183,10 +179,6 @@ class Motion(AbstractMotion):
     def ends(self):
         return self.start, self.stop
 
-    @property
-    def onwards(self):
-        return self.direction
-
     def unit(self, length):
         del length
         return jnp.abs(self.stop - self.start)
@@ -196,11 +188,6 @@ class Motion(AbstractMotion):
 
     def __str__(self):
         return f"motion {name_of(self.function)}(u)"
-
-
-def _check_direction(value: Any) -> None:
-    if isinstance(value, bool) or value not in (-1, 1):
-        checks.fail("direction", "-1 or 1", repr(value))
 
 
 class Frame(NamedTuple):
@@ -216,12 +203,8 @@ def mounted(pose: Pose, mount: Pose) -> Frame:
     """The frame of a mount on the drive."""
     cos, sin = jnp.cos(pose.angle), jnp.sin(pose.angle)
     angle = pose.angle + mount.angle
-    return Frame(
-        pose.x + cos * mount.x - sin * mount.y,
-        pose.y + sin * mount.x + cos * mount.y,
-        jnp.cos(angle),
-        jnp.sin(angle),
-    )
+    x, y = pose.x + cos * mount.x - sin * mount.y, pose.y + sin * mount.x + cos * mount.y
+    return Frame(x, y, jnp.cos(angle), jnp.sin(angle))
 
 
 def frame_and_rate(drive: Callable[[Scalar], Pose], mounts: Pose, control: Scalar) -> tuple[Frame, Frame]:

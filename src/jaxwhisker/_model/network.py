@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.spring import Spring
+from jaxwhisker._model.spring import AXES, Spring
 
 
 class Flexibility(NamedTuple):
@@ -30,12 +30,9 @@ class Flexibility(NamedTuple):
     def in_frames(self, angle: Float[Array, " whiskers"], length: Scalar, force: Scalar) -> "Flexibility":
         """The dimensionless flexibility along all axes, each base in a frame at this angle (rad) to the drive's."""
         n = angle.size
-        matrix, root, offset = self.matrix, self.root, self.offset
-        if offset.size == n:
-            matrix, root = (jnp.zeros((n, 3, n, 3)).at[:, 0, :, 0].set(m).reshape(3 * n, 3 * n) for m in (matrix, root))
-            offset = jnp.zeros((n, 3)).at[:, 0].set(offset).reshape(-1)
-        lengths = jnp.stack([jnp.asarray(v, dtype=float) for v in (length, length, 1.0)])
-        loads = jnp.stack([jnp.asarray(v, dtype=float) for v in (force, force, force * length)])
+        matrix, root, offset, consistent = along_all_axes({"x": self}) if self.offset.size == n else self
+        lengths = jnp.array([length, length, 1.0], dtype=float)
+        loads = jnp.array([force, force, force * length], dtype=float)
         cos, sin, none = jnp.cos(angle), jnp.sin(angle), jnp.zeros(n)
         turn = jnp.stack([cos, sin, none, -sin, cos, none, none, none, none + 1.0], axis=-1).reshape(n, 3, 3)
 
@@ -47,8 +44,20 @@ class Flexibility(NamedTuple):
             rows(rows(matrix, turn / lengths).T, turn * loads).T,
             rows(root, still * size),
             jnp.sum(turn / lengths * offset.reshape(n, 1, 3), axis=-1).reshape(-1),
-            self.consistent,
+            consistent,
         )
+
+
+def along_all_axes(parts: dict[str, Flexibility]) -> Flexibility:
+    """The flexibility for x, y and angle of every base, from those along each axis that has springs."""
+    n, k = next(iter(parts.values())).offset.size, len(AXES)
+    matrix, root, offset = jnp.zeros((n, k, n, k)), jnp.zeros((n, k, n, k)), jnp.zeros((n, k))
+    for axis, part in parts.items():
+        a = AXES.index(axis)
+        matrix, root = matrix.at[:, a, :, a].set(part.matrix), root.at[:, a, :, a].set(part.root)
+        offset = offset.at[:, a].set(part.offset)
+    consistent = jnp.all(jnp.stack([part.consistent for part in parts.values()]))
+    return Flexibility(matrix.reshape(n * k, n * k), root.reshape(n * k, n * k), offset.reshape(-1), consistent)
 
 
 def connected(springs: tuple[Spring, ...]) -> set[int]:
@@ -79,7 +88,8 @@ def flexibility(springs: tuple[Spring, ...], whiskers: int) -> Flexibility:
     offset = jnp.sum(signs * jnp.stack([rest[k] for k in tree]), axis=-1)
     network = Flexibility(matrix, root, offset, jnp.asarray(True))
     for k in loops:
-        network = _with_spring(network, _incidence(springs[k].between, whiskers), softness[k], rest[k])
+        first, second = (jnp.arange(1, whiskers + 1) == end for end in springs[k].between)
+        network = _with_spring(network, second.astype(float) - first, softness[k], rest[k])
     return network
 
 
@@ -120,8 +130,3 @@ def _with_spring(
     scale = jnp.where(rigid, 1.0, total + jnp.sqrt(noise * total))
     root = root - jnp.sum(root * row, axis=-1)[:, None] * row[None, :] / scale
     return Flexibility(matrix, root, offset, consistent)
-
-
-def _incidence(between: tuple[int, int], whiskers: int) -> Float[Array, " whiskers"]:
-    first, second = between
-    return jnp.array([float(base == second) - float(base == first) for base in range(1, whiskers + 1)])

@@ -81,9 +81,7 @@ class AbstractProfile(eqx.Module):
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructor checks."""
-        leaves = [jnp.asarray(x) for x in jax.tree.leaves(self) if checks.is_numeric(x)]
-        finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
-        return finite & jnp.all(jnp.stack([jnp.asarray(x) > 0 for x in self._positive()]))
+        return checks.all_finite(self) & jnp.all(jnp.asarray(self._positive()) > 0)
 
     def convex(self, parameter: Scalar) -> Bool[Array, ""]:
         """Whether the profile curves away from the whisker at this parameter."""

@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,7 +14,23 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch, bisect, bisect_angle
 
 
-class Parabola(AbstractProfile):
+class _AbstractFormula(AbstractProfile):
+    """A profile that is given by the position of its vertex and by positive numbers."""
+
+    # Its subclasses declare `distance` and `position`, because the order of the fields is that of their arguments.
+
+    def __check_init__(self):
+        for name in self.__dataclass_fields__:
+            checks.number(name, getattr(self, name), positive=name != "position")
+
+    def vertex(self: Any):
+        return self.position, self.distance
+
+    def _positive(self):
+        return [getattr(self, name) for name in self.__dataclass_fields__ if name != "position"]
+
+
+class Parabola(_AbstractFormula):
     """Parabola y = distance + a (x - position)^2.
 
     Its parameter is the slope angle alpha: x - position = tan(alpha) / (2 a).
@@ -37,36 +54,24 @@ class Parabola(AbstractProfile):
     a: Scalar = 1.0
     position: Scalar = 0.0
 
-    def __check_init__(self):
-        checks.number("distance", self.distance, positive=True)
-        checks.number("a", self.a, positive=True)
-        checks.number("position", self.position)
-
     def point(self, parameter):
         cos, sin = jnp.cos(parameter), jnp.sin(parameter)
         x = sin / (2 * self.a * cos)
         return ContactPoint(self.position + x, self.distance + self.a * x**2, cos, sin)
 
     def first_touch(self, height, side):
-        rise = jnp.asarray((height - self.distance) / self.a, dtype=float)
-        x = jnp.sqrt(jnp.where(rise > 0, rise, 1.0))  # out of reach, any finite value will do
+        x = jnp.sqrt(_rise((height - self.distance) / self.a))
         return _mirror(FirstTouch(jnp.arctan(2 * self.a * x), x, jnp.asarray(height, dtype=float)), side, self.position)
-
-    def vertex(self):
-        return self.position, self.distance
 
     def in_unit(self, length):
         return Parabola(self.distance / length, self.a * length, self.position / length)
-
-    def _positive(self):
-        return [self.distance, self.a]
 
     def __str__(self):
         a, position = text_unless(1.0, ", a = ", self.a), text_unless(0.0, ", x = ", self.position)
         return f"parabola q = {as_text(self.distance)}{a}{position}"
 
 
-class _AbstractEllipse(AbstractProfile):
+class _AbstractEllipse(_AbstractFormula):
     @abc.abstractmethod
     def _axes(self) -> tuple[Scalar, Scalar]:
         """Half axes along x and y."""
@@ -86,8 +91,7 @@ class _AbstractEllipse(AbstractProfile):
     def first_touch(self, height, side):
         # The shaft of a whisker that ends above the widest point meets that point; otherwise the tip meets the flank.
         (a, b), (position, distance) = self._axes(), self.vertex()
-        rise = jnp.asarray((height - distance) / b, dtype=float)
-        rise = jnp.minimum(jnp.where(rise > 0, rise, 1.0), 1.0)  # out of reach, any finite value will do
+        rise = jnp.minimum(_rise((height - distance) / b), 1.0)
         cos_t, sin_t = 1 - rise, jnp.sqrt(rise * (2 - rise))
         parameter = jnp.arctan2(jnp.sqrt(b) * sin_t, jnp.sqrt(a) * cos_t)
         return _mirror(FirstTouch(parameter, a * sin_t, distance + b * rise), side, position)
@@ -118,23 +122,11 @@ class Ellipse(_AbstractEllipse):
     b: Scalar
     position: Scalar = 0.0
 
-    def __check_init__(self):
-        checks.number("distance", self.distance, positive=True)
-        checks.number("a", self.a, positive=True)
-        checks.number("b", self.b, positive=True)
-        checks.number("position", self.position)
-
     def _axes(self):
         return self.a, self.b
 
-    def vertex(self):
-        return self.position, self.distance
-
     def in_unit(self, length):
         return Ellipse(self.distance / length, self.a / length, self.b / length, self.position / length)
-
-    def _positive(self):
-        return [self.distance, self.a, self.b]
 
     def __str__(self):
         axes = f"a = {as_text(self.a)}, b = {as_text(self.b)}"
@@ -163,26 +155,21 @@ class Circle(_AbstractEllipse):
     radius: Scalar
     position: Scalar = 0.0
 
-    def __check_init__(self):
-        checks.number("distance", self.distance, positive=True)
-        checks.number("radius", self.radius, positive=True)
-        checks.number("position", self.position)
-
     def _axes(self):
         return self.radius, self.radius
-
-    def vertex(self):
-        return self.position, self.distance
 
     def in_unit(self, length):
         return Circle(self.distance / length, self.radius / length, self.position / length)
 
-    def _positive(self):
-        return [self.distance, self.radius]
-
     def __str__(self):
         position = text_unless(0.0, ", x = ", self.position)
         return f"circle q = {as_text(self.distance)}, r = {as_text(self.radius)}{position}"
+
+
+def _rise(value: Scalar) -> Scalar:
+    # Out of reach, any finite value will do.
+    value = jnp.asarray(value, dtype=float)
+    return jnp.where(value > 0, value, 1.0)
 
 
 def _mirror(touch: FirstTouch, side: Scalar, position: Scalar) -> FirstTouch:
@@ -235,8 +222,7 @@ class Graph(AbstractProfile):
         return ContactPoint(self.position + x, y, 1 / norm, slope / norm)
 
     def convex(self, parameter):
-        bend = jax.grad(jax.grad(self._height))(jnp.asarray(parameter, dtype=float))
-        return bend > 0
+        return jax.grad(jax.grad(self._height))(jnp.asarray(parameter, dtype=float)) > 0
 
     def ends(self):
         return -self.extent / self._unit, self.extent / self._unit
@@ -310,12 +296,8 @@ class Tilted(AbstractProfile):
         at, (x, y) = self.profile.point(parameter), self.about
         cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
         right, up = at.x - x, at.y - y
-        return ContactPoint(
-            x + right * cos - up * sin,
-            y + right * sin + up * cos,
-            at.cos * cos - at.sin * sin,
-            at.sin * cos + at.cos * sin,
-        )
+        turned_x, turned_y = x + right * cos - up * sin, y + right * sin + up * cos
+        return ContactPoint(turned_x, turned_y, at.cos * cos - at.sin * sin, at.sin * cos + at.cos * sin)
 
     def convex(self, parameter):
         return self.profile.convex(parameter)

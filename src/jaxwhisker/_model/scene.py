@@ -74,12 +74,13 @@ class Scene(eqx.Module):
         counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
         rods = "" if self.rod == Shooting() else f", {self.rod}"
         motion = "" if isinstance(self.motion, Translation) and self.motion.onwards < 0 else f", {self.motion}"
-        return f"{self.support.name}: {', '.join(counted)}, {self.profile}{_described(self.whiskers[0])}{rods}{motion}"
+        details = f"{self.profile}{_whisker_text(self.whiskers[0])}{rods}{motion}"
+        return f"{self.support.name}: {', '.join(counted)}, {details}"
 
     __repr__ = __str__
 
 
-def _described(whisker: Whisker) -> str:
+def _whisker_text(whisker: Whisker) -> str:
     text = text_unless(1.0, ", L = ", whisker.length)
     if callable(whisker.bending_stiffness):
         text += f", EI = {name_of(whisker.bending_stiffness)}(s)"

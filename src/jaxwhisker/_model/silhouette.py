@@ -10,12 +10,12 @@ from jaxwhisker._base.jit import jit
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile, bisect
 
-FAR = 3.0  # whisker lengths to either side of the lowest point at which an open object is cut off
-POINTS = 481
+CUT_OFF = 3.0  # whisker lengths to either side of the lowest point at which an open object is cut off
+CONTOUR_POINTS = 481
 
 
 def silhouette(
-    profile: AbstractProfile, length: Scalar, *, whole: bool = True, points: int = POINTS
+    profile: AbstractProfile, length: Scalar, *, whole: bool = True, points: int = CONTOUR_POINTS
 ) -> Float[jax.Array, "points 2"]:
     """Points of an object's contour, from left to right along its lower side; NaN beyond its ends.
 
@@ -26,7 +26,7 @@ def silhouette(
         points: number of points.
     """
     around = profile.around() if whole else None
-    low, high = _near(profile, FAR * length) if around is None else around
+    low, high = _near(profile, CUT_OFF * length) if around is None else around
     # A closed curve starts beside the top: at the very top, heights above the lowest point are 0/0.
     beside = 0.0 if around is None else 0.5 / (points - 1)
     at = jax.vmap(profile.point)(low + (high - low) * (jnp.linspace(0.0, 1.0, points) + beside))

@@ -1,13 +1,16 @@
 """The support: springs between the drive (0) and the bases (1 to N), and the mounts of the whiskers."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import PerSpring, Scalar
-from jaxwhisker._model.network import Flexibility, connected, flexibility
+from jaxwhisker._model.network import Flexibility, along_all_axes, connected, flexibility
 from jaxwhisker._model.spring import AXES, Spring
 
 
@@ -42,8 +45,7 @@ class Mount(eqx.Module):
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructor checks."""
-        x, y, angle = (jnp.asarray(value, dtype=float) for value in (self.x, self.y, self.angle))
-        return jnp.isfinite(x) & jnp.isfinite(y) & (jnp.abs(angle) < checks.RIGHT_ANGLE)
+        return checks.all_finite(self) & (jnp.abs(jnp.asarray(self.angle)) < checks.RIGHT_ANGLE)
 
 
 _NAMED = {
@@ -171,12 +173,7 @@ class Support(eqx.Module):
 
     @classmethod
     def follicle(
-        cls,
-        x: Scalar | None = None,
-        y: Scalar | None = None,
-        phi: Scalar | None = None,
-        *,
-        mount: Mount | None = None,
+        cls, x: Scalar | None = None, y: Scalar | None = None, phi: Scalar | None = None, *, mount: Mount | None = None
     ) -> "Support":
         """One whisker whose base can move in up to three directions; at rest it is on the drive.
 
@@ -213,10 +210,9 @@ class Support(eqx.Module):
         if model not in _NAMED:
             checks.fail("model", f"one of clamped, {', '.join(_NAMED)}", repr(model))
         ends = _NAMED[model]
-        spans = [second - first for first, second in ends]
         stiffnesses = _per_spring("stiffness", stiffness, [1] * len(ends))
-        rest_lengths = _per_spring("rest_length", rest_length, spans)
-        return cls(tuple(Spring(e, c, r) for e, c, r in zip(ends, stiffnesses, rest_lengths, strict=True)))
+        rest_lengths = _per_spring("rest_length", rest_length, [second - first for first, second in ends])
+        return cls(tuple(map(Spring, ends, stiffnesses, rest_lengths)))
 
     def flexibility(self) -> Flexibility | None:
         """Flexibility of the bases in the drive's frame; None without springs.
@@ -225,17 +221,8 @@ class Support(eqx.Module):
         """
         if not self.springs:
             return None
-        if self.axes == ("x",):
-            return flexibility(self.springs, self.whiskers)
-        n, k = self.whiskers, len(AXES)
-        matrix, root, offset = jnp.zeros((n, k, n, k)), jnp.zeros((n, k, n, k)), jnp.zeros((n, k))
-        consistent = jnp.asarray(True)
-        for axis in self.axes:
-            a, one = AXES.index(axis), flexibility(self.along(axis), n)
-            matrix, root = matrix.at[:, a, :, a].set(one.matrix), root.at[:, a, :, a].set(one.root)
-            offset = offset.at[:, a].set(one.offset)
-            consistent &= one.consistent
-        return Flexibility(matrix.reshape(n * k, n * k), root.reshape(n * k, n * k), offset.reshape(-1), consistent)
+        parts = {axis: flexibility(self.along(axis), self.whiskers) for axis in self.axes}
+        return parts["x"] if self.axes == ("x",) else along_all_axes(parts)
 
     def spring_length(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
         """Length of every spring, or angle of a torsion spring, from the bases' positions relative to the drive.
@@ -244,22 +231,21 @@ class Support(eqx.Module):
         """
         still = jnp.zeros_like(displacement[..., :1, :])
         nodes = jnp.concatenate([still, displacement], axis=-2)
-        lengths = [
-            nodes[..., s.between[1], AXES.index(s.axis)] - nodes[..., s.between[0], AXES.index(s.axis)]
-            for s in self.springs
-        ]
-        return jnp.stack(lengths, axis=-1) if lengths else jnp.zeros((*displacement.shape[:-2], 0))
+        first, second = np.reshape([spring.between for spring in self.springs], (-1, 2)).astype(int).T
+        axis = np.array([AXES.index(spring.axis) for spring in self.springs], dtype=int)
+        return nodes[..., second, axis] - nodes[..., first, axis]
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructors check."""
-        ok = [part.valid() for part in (*self.springs, *([] if self.mount is None else self.mounts))]
-        return jnp.all(jnp.stack(ok)) if ok else jnp.asarray(True)
+        parts = (*self.springs, *(() if self.mount is None else self.mounts))
+        return jnp.all(jnp.array([part.valid() for part in parts], dtype=bool))
 
 
-def _per_spring(name: str, value, shares: list[int]) -> list:
+def _per_spring(name: str, value: Any, shares: list[int]) -> list:
     """One value per spring; a single number is multiplied by the share of each spring."""
-    if not isinstance(value, (list, tuple)) and jnp.ndim(value) == 0:
+    listed = isinstance(value, (list, tuple))
+    if not listed and jnp.ndim(value) == 0:
         return [value if share == 1 else share * value for share in shares]
-    if jnp.ndim(value if not isinstance(value, (list, tuple)) else 0) > 1 or len(value) != len(shares):
+    if (not listed and jnp.ndim(value) > 1) or len(value) != len(shares):
         checks.fail(name, f"one number or one per spring ({len(shares)})", repr(value))
     return list(value)

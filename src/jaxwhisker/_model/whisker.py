@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import number_or_function
@@ -14,7 +14,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._rod.rod import AlongRod, Section, at_arc
 
 AlongWhisker: TypeAlias = AlongRod  # a number, or a function of the arc length from the base
-SAMPLES = 65  # points at which a function of arc length is checked
+CHECKED_POINTS = 65  # points at which a function of arc length is checked
 
 
 class Whisker(eqx.Module):
@@ -59,9 +59,12 @@ class Whisker(eqx.Module):
         if checks.is_traced(self):
             return
         with jax.ensure_compile_time_eval():
-            if callable(self.bending_stiffness):
-                _check_positive(np.asarray(self._stiffness_samples()))
+            stiffness, stiff = map(np.asarray, self._stiffness_samples())
             turn = float(self._largest_turn())
+        if not stiff.all():
+            k = int(np.argmin(stiff))
+            allowed = "positive and finite along the whisker (zero only at the tip)"
+            checks.fail("bending_stiffness", allowed, f"{stiffness[k]} at {k / (CHECKED_POINTS - 1):.3g} of its length")
         if not turn < np.pi / 2:
             raise ValueError(
                 "`intrinsic_curvature` must turn the unloaded whisker by less than a right angle, got a turn of "
@@ -84,9 +87,8 @@ class Whisker(eqx.Module):
 
     def valid(self):
         """Whether traced parameters are in the domain that the constructor checks."""
-        length, values = jnp.asarray(self.length), self._stiffness_samples()
-        inside = jnp.all((values[:-1] > 0) & jnp.isfinite(values[:-1])) & (values[-1] >= 0) & jnp.isfinite(values[-1])
-        return jnp.isfinite(length) & (length > 0) & inside & (self._largest_turn() < jnp.pi / 2)
+        length, (_, stiff) = jnp.asarray(self.length), self._stiffness_samples()
+        return jnp.isfinite(length) & (length > 0) & jnp.all(stiff) & (self._largest_turn() < jnp.pi / 2)
 
     def curvature_at(self, s: Scalar) -> Float[Array, ""]:
         """kappa0 at the arc length s from the base, 1/length, positive counter-clockwise."""
@@ -101,14 +103,16 @@ class Whisker(eqx.Module):
         """Largest angle between the unloaded whisker and the upright."""
         if self.intrinsic_curvature is None:
             return jnp.zeros(())
-        step = jnp.asarray(self.length, dtype=float) / (SAMPLES - 1)
-        curvature = jax.vmap(self.curvature_at)(step * jnp.arange(SAMPLES))
+        step = jnp.asarray(self.length, dtype=float) / (CHECKED_POINTS - 1)
+        curvature = jax.vmap(self.curvature_at)(step * jnp.arange(CHECKED_POINTS))
         return jnp.max(jnp.abs(jnp.cumsum((curvature[1:] + curvature[:-1]) / 2) * step))
 
-    def _stiffness_samples(self) -> Float[Array, " points"]:
-        if not callable(self.bending_stiffness):
-            return jnp.broadcast_to(jnp.asarray(self.bending_stiffness, dtype=float), 2)
-        return jax.vmap(self.stiffness_at)(jnp.linspace(0.0, 1.0, SAMPLES) * self.length)
+    def _stiffness_samples(self) -> tuple[Float[Array, " points"], Bool[Array, " points"]]:
+        """EI at points along the whisker, and whether it is positive, or zero at the tip, and finite."""
+        s = jnp.linspace(0.0, 1.0, CHECKED_POINTS if callable(self.bending_stiffness) else 2) * self.length
+        values = jax.vmap(self.stiffness_at)(s)
+        positive = (values > 0).at[-1].set(values[-1] >= 0)
+        return values, positive & jnp.isfinite(values)
 
     @classmethod
     def from_material(cls, length: Scalar, youngs_modulus: AlongWhisker, diameter: AlongWhisker) -> "Whisker":
@@ -194,13 +198,13 @@ class Whisker(eqx.Module):
         with the coefficients and the smallest tip radius of the simulator WHISKiT Physics (Zweifel et al. 2021, PNAS
         118, e2011905118), which uses these regressions.
         """
-        if not isinstance(row, str) or row not in COLUMNS:
-            checks.fail("row", f"one of {', '.join(COLUMNS)}", repr(row))
-        if not isinstance(column, int) or isinstance(column, bool) or not 0 <= column <= COLUMNS[row]:
-            checks.fail("column", f"an int from 0 to {COLUMNS[row]} in row {row}", repr(column))
+        if not isinstance(row, str) or row not in LAST_COLUMN:
+            checks.fail("row", f"one of {', '.join(LAST_COLUMN)}", repr(row))
+        if not isinstance(column, int) or isinstance(column, bool) or not 0 <= column <= LAST_COLUMN[row]:
+            checks.fail("column", f"an int from 0 to {LAST_COLUMN[row]} in row {row}", repr(column))
         if length is not None:
             checks.number("length", length, positive=True)
-        r, c = list(COLUMNS).index(row) + 1, column
+        r, c = list(LAST_COLUMN).index(row) + 1, column
         arc = 43 + 1.8 * r - 7.6 * c if length is None else length * 1e3
         base = 0.041 + 0.002 * arc + 0.011 * r - 0.0039 * c
         slope = 0.0012 + 0.00017 * r - 0.000066 * c + 0.00011 * c**2
@@ -209,20 +213,14 @@ class Whisker(eqx.Module):
         return cls(cone.length, cone.bending_stiffness, intrinsic_curvature)
 
 
-COLUMNS = {"A": 4, "B": 4, "C": 5, "D": 5, "E": 5}  # last column of each row for which the regression gives a length
+LAST_COLUMN = {
+    "A": 4,
+    "B": 4,
+    "C": 5,
+    "D": 5,
+    "E": 5,
+}  # last column of each row for which the regression gives a length
 LEAST_TIP_RADIUS = 0.0015  # mm
-
-
-def _check_positive(stiffness: np.ndarray) -> None:
-    bad = ~(np.isfinite(stiffness) & (stiffness > 0))
-    bad[-1] &= stiffness[-1] != 0
-    if bad.any():
-        k = int(np.argmax(bad))
-        checks.fail(
-            "bending_stiffness",
-            "positive and finite along the whisker (zero only at the tip)",
-            f"{stiffness[k]} at {k / (SAMPLES - 1):.3g} of its length",
-        )
 
 
 class LinearTaper(eqx.Module):
