@@ -58,7 +58,7 @@ def test_a_scan_touches_if_any_whisker_has_contact():
     [(1.25, 1, "1.2"), (-1e-9, 5, "0.00000"), (-0.4, 0, "0"), (np.nan, 3, "nan"), (1234.5678, 2, "1234.57")],
 )
 def test_numbers_have_fixed_decimals_and_no_negative_zero(value, digits, text):
-    assert report.number(value, digits) == text
+    assert report.fixed(value, digits) == text
 
 
 @pytest.mark.parametrize("factor", [1e-30, 1e30])
@@ -69,6 +69,6 @@ def test_extreme_scenes_are_printed_in_powers_of_ten(factor):
 
 def test_columns_and_rows_become_csv(tmp_path):
     report.write_columns({"a": np.array([1, 2]), "b": np.array([-0.0, 0.25])}, tmp_path / "a.csv", "two columns")
-    assert (tmp_path / "a.csv").read_text() == "# two columns\na,b\n1,0\n2,0.25\n"
+    assert (tmp_path / "a.csv").read_text() == "# two columns\na,b\n1,0.0\n2,0.25\n"
     report.write_rows([["x", "y"], ["1", "-"]], tmp_path / "b.csv")
     assert (tmp_path / "b.csv").read_text() == "x,y\n1,\n"

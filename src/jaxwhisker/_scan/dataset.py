@@ -1,7 +1,6 @@
 """The Dataset of a scan: variables, coordinates, attributes and flags. A study adds its own axes."""
 
 import platform
-from collections import Counter
 from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from enum import IntEnum
@@ -54,10 +53,8 @@ class SceneLayout(NamedTuple):
     def attributes(self, name: str, quantity: Quantity) -> dict[str, Any]:
         """Attributes of a variable: long name, units, and the meaning of a positive sign and of flags."""
         kind = self.control_kind if quantity.kind == CONTROL else quantity.kind
-        found: dict[str, Any] = {
-            "long_name": quantity.description,
-            "units": unit_in_words(kind, self.dimensionless, quantity.per),
-        }
+        units = unit_in_words(kind, self.dimensionless, quantity.per)
+        found: dict[str, Any] = {"long_name": quantity.description, "units": units}
         if quantity.sign:
             found["positive_means"] = quantity.sign
         if name == "spring_length" and any(" phi" in spring for spring in self.springs):
@@ -99,15 +96,8 @@ class SceneLayout(NamedTuple):
 def layout_of(scene: Scene) -> SceneLayout:
     """The layout of a scene, traced or not."""
     springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in scene.support.springs)
-    return SceneLayout(
-        str(scene),
-        scene.support.whiskers,
-        springs,
-        control_name(scene),
-        control_kind(scene),
-        scene.motion.onwards,
-        is_dimensionless(scene),
-    )
+    control = control_name(scene), control_kind(scene), scene.motion.onwards
+    return SceneLayout(str(scene), scene.support.whiskers, springs, *control, is_dimensionless(scene))
 
 
 def scan_dataset(scene: Scene, arrays: Mapping[str, Any]) -> "xr.Dataset":
@@ -124,17 +114,15 @@ def scan_dataset(scene: Scene, arrays: Mapping[str, Any]) -> "xr.Dataset":
         import xarray as xr
     except ImportError as error:
         raise ImportError("`to_xarray` needs xarray: pip install jaxwhisker[study]") from error
-    layout = layout_of(scene)
+    layout, arrays = layout_of(scene), {name: np.asarray(array) for name, array in arrays.items()}
     variables = {
-        name: (quantity.axes, np.asarray(arrays[name]).astype(quantity.dtype), layout.attributes(name, quantity))
+        name: (quantity.axes, arrays[name].astype(quantity.dtype), layout.attributes(name, quantity))
         for name, quantity in VARIABLES.items()
     }
-    dims = {dim for quantity in VARIABLES.values() for dim in quantity.axes}
-    coordinates = layout.coordinates(np.asarray(arrays["control"]), dims)
-    status = np.asarray(arrays["status"])
-    room = np.shape(arrays["event_kind"])[0]
-    attributes = layout.dataset_attributes() | {"points": points_in_words(first_failure(status))}
-    return xr.Dataset(variables, coordinates, attributes | omitted_events(np.asarray(arrays["event_count"]), room))
+    coordinates = layout.coordinates(arrays["control"], ("whisker", "spring"))
+    attributes = layout.dataset_attributes() | {"points": points_in_words(first_failure(arrays["status"]))}
+    attributes |= omitted_events(arrays["event_count"], arrays["event_kind"].size)
+    return xr.Dataset(variables, coordinates, attributes)
 
 
 def first_failure(status: np.ndarray) -> np.ndarray:
@@ -143,11 +131,18 @@ def first_failure(status: np.ndarray) -> np.ndarray:
     return np.take_along_axis(status, first[..., None], axis=-1)[..., 0]
 
 
+def counted(status: Any) -> dict[str, int]:
+    """How often each status occurs, by name."""
+    kinds, counts = np.unique(np.asarray(status), return_counts=True)
+    return {Status(int(kind)).name: int(count) for kind, count in zip(kinds, counts, strict=True)}
+
+
 def points_in_words(status: np.ndarray) -> str:
     """Text that says how many points are ok, and how many failed with which status."""
-    failed = Counter(int(s) for s in status.ravel() if s != Status.ok)
-    counts = [f"{count:,} {Status(s).name}" for s, count in sorted(failed.items(), key=lambda item: (-item[1], item))]
-    return "; ".join([f"{status.size - failed.total():,} of {status.size:,} ok", *counts])
+    failed = counted(status)
+    ok = failed.pop("ok", 0)
+    counts = [f"{failed[name]:,} {name}" for name in sorted(failed, key=lambda name: -failed[name])]
+    return "; ".join([f"{ok:,} of {status.size:,} ok", *counts])
 
 
 def omitted_events(count: np.ndarray, room: int) -> dict[str, str]:

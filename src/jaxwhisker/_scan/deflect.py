@@ -4,6 +4,8 @@ The rod is integrated from the outermost load towards the base. The direction of
 unknown, and the angle of the base is the only equation (Steigenberger 2013).
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,9 +25,9 @@ from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
 LOAD_STEPS = 32  # from no load to the full load, to follow the branch of solutions that begins at rest
-STEPS = 32  # of the rod between two loads
-RESIDUAL = 1e-8  # largest accepted error of the base's angle and position, by comparison with twice as many steps
-CLAMPED = Support.clamped()
+ROD_STEPS = 32  # of the rod between two loads
+ACCURACY = 1e-8  # largest accepted error of the base's angle and position, by comparison with twice as many steps
+CLAMP = Support.clamped()
 
 
 class Deflection(eqx.Module):
@@ -63,42 +65,24 @@ class _Loads(eqx.Module):
     position: Float[Array, " loads"]
 
 
-class _Base(eqx.Module):
-    """Pose (x, y, angle) of the unloaded base, and its compliance to forces and moment; dimensionless."""
-
-    rest: Float[Array, "3"]
-    compliance: Float[Array, "3"] | None  # None for a clamp
-
-    def angle(self, moment: Scalar) -> Scalar:
-        """Angle to the upright under the moment of the whisker on the base."""
-        return self.rest[2] if self.compliance is None else self.rest[2] + self.compliance[2] * moment
-
-    def residual(self, cos: Scalar, sin: Scalar, moment: Scalar) -> Scalar:
-        """Difference between the angle of the base and the whisker's angle for this direction at its base."""
-        if self.compliance is None:
-            # The sine of the difference is cheaper. It also vanishes at a half turn, which the final check detects.
-            return cos * jnp.cos(self.rest[2]) + sin * jnp.sin(self.rest[2])
-        return self.angle(moment) - jnp.arctan2(-cos, sin)
-
-    def position(self, force_x: Scalar, force_y: Scalar) -> tuple[Scalar, Scalar]:
-        """x and y under the forces of the whisker on the base."""
-        x, y, _ = self.rest
-        if self.compliance is None:
-            return x, y
-        return x + self.compliance[0] * force_x, y + self.compliance[1] * force_y
-
-
-class _Problem(eqx.Module):
+class _Equations(eqx.Module):
     """The dimensionless equations of one whisker and its loads."""
 
     loads: _Loads
     section: Section | None  # None for a uniform whisker
-    base: _Base
+    rest: Float[Array, "3"]  # pose (x, y, angle to the upright) of the unloaded base
+    compliance: Float[Array, "3"]  # of the base to forces and moment; zero for a clamp
 
 
-def _problem_of(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support) -> _Problem:
-    section = None if whisker.uniform else whisker.section(whisker.length, whisker.base_stiffness)
-    return _Problem(_sorted_loads(whisker, loads), section, _base_of(whisker, support))
+def _equations_of(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support) -> _Equations:
+    length, stiffness = whisker.length, whisker.base_stiffness
+    section = None if whisker.uniform else whisker.section(length, stiffness)
+    mount, flexibility = support.mounts[0], support.flexibility()
+    rest, compliance = jnp.array([mount.x / length, mount.y / length, mount.angle], dtype=float), jnp.zeros(3)
+    if flexibility is not None:
+        framed = flexibility.in_frames(jnp.zeros(1), length, stiffness / length**2)
+        rest, compliance = rest + framed.offset, jnp.diagonal(framed.matrix)
+    return _Equations(_sorted_loads(whisker, loads), section, rest, compliance)
 
 
 def _sorted_loads(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> _Loads:
@@ -111,19 +95,8 @@ def _sorted_loads(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...])
             rows.append((size, load.direction, float(load.follower), 0.0, position))
         else:
             rows.append((0.0, 0.0, 0.0, load.moment * length / stiffness, position))
-    columns = [jnp.stack([jnp.asarray(value, dtype=float) for value in column]) for column in zip(*rows, strict=True)]
-    order = jnp.argsort(-columns[-1])
-    return _Loads(*(column[order] for column in columns))
-
-
-def _base_of(whisker: Whisker, support: Support) -> _Base:
-    length, stiffness = whisker.length, whisker.base_stiffness
-    mount, flexibility = support.mounts[0], support.flexibility()
-    rest = jnp.stack([jnp.asarray(v, dtype=float) for v in (mount.x / length, mount.y / length, mount.angle)])
-    if flexibility is None:
-        return _Base(rest, None)
-    framed = flexibility.in_frames(jnp.zeros(1), length, stiffness / length**2)
-    return _Base(rest + framed.offset, jnp.diagonal(framed.matrix))
+    columns = jnp.array(rows, dtype=float).T
+    return _Loads(*columns[:, jnp.argsort(-columns[-1])])
 
 
 class _Stretch(eqx.Module):
@@ -135,110 +108,98 @@ class _Stretch(eqx.Module):
     position: Scalar  # of the outer end
 
 
-def _stretches(problem: _Problem, tip_angle: Scalar, factor: Scalar, steps: int) -> tuple[list[_Stretch], rod.RodState]:
-    """All stretches from the outermost load (the origin) to the base, and the state at the base."""
-    loads, zero = problem.loads, jnp.zeros(())
-    state = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle))
-    total = rod.Load(zero, zero, zero)
+class _Bent(NamedTuple):
+    """A whisker under its loads, for some direction of its tip."""
+
+    stretches: list[_Stretch]  # from the outermost load, the origin, to the base
+    x: Scalar  # position of the base
+    y: Scalar
+    load: Float[Array, "3"]  # forces and moment on the base
+    pose: Float[Array, "3"]  # of the base under this load, in the scene
+    misfit: Scalar  # angle of the base minus that of the whisker there
+
+
+def _bend(equations: _Equations, tip_angle: Scalar, factor: Scalar = 1.0, steps: int = ROD_STEPS) -> _Bent:
+    """Integrate from the outermost load to the base, under `factor` times the loads."""
+    loads, zero = equations.loads, jnp.zeros(())
+    state, total = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle)), rod.Load(zero, zero, zero)
     stretches = []
     ends = jnp.append(loads.position[1:], 0.0)
     for k in range(loads.force.shape[0]):
         total = _with_load(total, loads, k, state, factor)
         stretch = _Stretch(state, total, loads.position[k] - ends[k], loads.position[k])
         stretches.append(stretch)
-        state = rod.integrate(state, stretch.arc, total, problem.section, steps=steps, from_base=loads.position[k])
-    return stretches, state
+        state = rod.integrate(state, stretch.arc, total, equations.section, steps=steps, from_base=stretch.position)
+    x, y, cos, sin = state
+    load = jnp.stack([total.force_x, total.force_y, rod.moment(x, y, total)])  # pyright: ignore[reportArgumentType]
+    pose = equations.rest + equations.compliance * load
+    return _Bent(stretches, x, y, load, pose, pose[2] - jnp.arctan2(-cos, sin))
 
 
 def _with_load(total: rod.Load, loads: _Loads, k: int, state: rod.RodState, factor: Scalar) -> rod.Load:
     """The load on the rod between load k, which acts at this state, and the base."""
     x, y, cos, sin = state
-    angle = loads.direction[k]
-    turned_cos = jnp.sin(angle) * cos + jnp.cos(angle) * sin  # of angle + (phi - pi/2)
-    turned_sin = jnp.sin(angle) * sin - jnp.cos(angle) * cos
+    dead_x, dead_y = jnp.cos(loads.direction[k]), jnp.sin(loads.direction[k])
     follower = loads.follower[k] > 0
     force = factor * loads.force[k]
-    fx = force * jnp.where(follower, turned_cos, jnp.cos(angle))
-    fy = force * jnp.where(follower, turned_sin, jnp.sin(angle))
+    # A follower is turned by phi - pi/2, like the whisker.
+    fx = force * jnp.where(follower, dead_y * cos + dead_x * sin, dead_x)
+    fy = force * jnp.where(follower, dead_y * sin - dead_x * cos, dead_y)
     moment = total.moment + x * fy - y * fx + factor * loads.moment[k]  # pyright: ignore[reportOptionalOperand]
     return rod.Load(total.force_x + fx, total.force_y + fy, moment)  # pyright: ignore[reportOptionalOperand]
 
 
-def _residual(tip_angle: Scalar, args: tuple[_Problem, Scalar]) -> Scalar:
-    problem, factor = args
-    stretches, (x, y, cos, sin) = _stretches(problem, tip_angle, factor, STEPS)
-    return problem.base.residual(cos, sin, rod.moment(x, y, stretches[-1].load))
-
-
 @eqx.filter_custom_jvp
-def _differentiable(tip_angle: Scalar, problem: _Problem) -> Scalar:
+def _differentiable(tip_angle: Scalar, equations: _Equations) -> Scalar:
     """The solved tip angle with its derivatives by the implicit function theorem (see implicit.py)."""
-    return without_rule(tip_angle, problem)
+    return without_rule(tip_angle, equations)
 
 
 @_differentiable.def_jvp
 def _(primals, tangents):
-    tip_angle, problem = primals
-    _, problem_dot = tangents
-    here, one = _differentiable(tip_angle, problem), jnp.asarray(1.0)
-    slope = jax.jacfwd(_residual)(here, (problem, one))
-    _, change = eqx.filter_jvp(lambda problem: _residual(here, (problem, one)), (problem,), (problem_dot,))
+    tip_angle, equations = primals
+    _, equations_dot = tangents
+    here = _differentiable(tip_angle, equations)
+    slope = jax.jacfwd(lambda angle: _bend(equations, angle).misfit)(here)
+    _, change = eqx.filter_jvp(lambda equations: _bend(equations, here).misfit, (equations,), (equations_dot,))
     return here, -change / slope
 
 
-def _unloaded_angle(problem: _Problem) -> Scalar:
-    """Direction of the unloaded whisker at the outermost load, which is not upright if the whisker is curved."""
-    upright = jnp.asarray(jnp.pi / 2)
-    if problem.section is None:
-        return upright + problem.base.rest[2]
-    _, (_, _, cos, sin) = _stretches(problem, upright, jnp.asarray(0.0), STEPS)
-    return jnp.pi - jnp.arctan2(sin, cos) + problem.base.rest[2]
-
-
-def _tip_angle(problem: _Problem) -> Scalar:
+def _tip_angle(equations: _Equations) -> Scalar:
     """Direction of the whisker beyond the outermost load, on the branch of solutions that begins at rest."""
     newton = optx.Newton(rtol=1e-10, atol=1e-10)
 
-    def solve(guess, factor):
-        return optx.root_find(_residual, newton, guess, args=(problem, factor), max_steps=20, throw=False).value
-
     def increase(carry, factor):
         angle, change = carry
-        solution = solve(angle + change, factor)
+        solution = optx.root_find(
+            lambda angle, _: _bend(equations, angle, factor).misfit, newton, angle + change, max_steps=20, throw=False
+        ).value
         return (solution, solution - angle), None
 
+    upright = jnp.asarray(jnp.pi / 2)
+    unloaded = upright + _bend(equations, upright, 0.0).misfit  # not upright if the whisker is curved or mounted so
     factors = jnp.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:]
-    (angle, _), _ = jax.lax.scan(increase, (_unloaded_angle(problem), jnp.asarray(0.0)), factors)
+    (angle, _), _ = jax.lax.scan(increase, (unloaded, jnp.asarray(0.0)), factors)
     return angle
 
 
-def _solve(
+def _solution(
     whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support
 ) -> tuple[Scalar, Int[Array, ""]]:
     """Direction of the tip, and the status."""
-    problem = _problem_of(whisker, loads, support)
-    position = problem.loads.position
+    equations = _equations_of(whisker, loads, support)
+    position = equations.loads.position
     valid = whisker.valid() & support.valid() & jnp.all((position > 0) & (position <= 1))
-    valid &= jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(problem.loads)]))
-    tip_angle = _tip_angle(problem)
-    error = _error(problem, tip_angle)
-    return tip_angle, jnp.where(valid, jnp.where(error < RESIDUAL, Status.ok, Status.inexact), Status.invalid)
-
-
-def _error(problem: _Problem, tip_angle: Scalar) -> Float[Array, ""]:
-    """Largest error of the base's angle and position, by comparison with twice as many steps."""
-
-    def at_base(steps):
-        stretches, (x, y, cos, sin) = _stretches(problem, tip_angle, jnp.asarray(1.0), steps)
-        turn = jnp.arctan2(-cos, sin)
-        return turn - problem.base.angle(rod.moment(x, y, stretches[-1].load)), x, y
-
-    (misfit, x, y), (fine_misfit, fine_x, fine_y) = at_base(STEPS), at_base(2 * STEPS)
-    return jnp.max(jnp.abs(jnp.stack([misfit, fine_misfit, fine_x - x, fine_y - y])))
+    valid &= checks.all_finite(equations.loads)
+    tip_angle = _tip_angle(equations)
+    coarse, fine = (_bend(equations, tip_angle, steps=steps) for steps in (ROD_STEPS, 2 * ROD_STEPS))
+    errors = jnp.stack([coarse.misfit, fine.misfit, fine.x - coarse.x, fine.y - coarse.y])
+    exact = jnp.max(jnp.abs(errors)) < ACCURACY
+    return tip_angle, jnp.where(valid, jnp.where(exact, Status.ok, Status.inexact), Status.invalid)
 
 
 def deflect(
-    whisker: Whisker, *loads: PointForce | PointMoment, support: Support = CLAMPED, points: int = 101
+    whisker: Whisker, *loads: PointForce | PointMoment, support: Support = CLAMP, points: int = 101
 ) -> Deflection:
     """Reaction and shape of a whisker under given loads, clamped at (0, 0) along +y or on a support.
 
@@ -289,30 +250,28 @@ def deflect(
 def _deflect(
     whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support, points: int
 ) -> Deflection:
-    tip_angle, status = _solve(*jax.lax.stop_gradient((whisker, loads, support)))
+    tip_angle, status = _solution(*jax.lax.stop_gradient((whisker, loads, support)))
     ok = status == Status.ok
     whisker, loads, support = safe_placeholder((whisker, loads, support), ok)
-    problem = _problem_of(whisker, loads, support)
-    tip_angle = _differentiable(jnp.where(ok, tip_angle, jnp.pi / 2), problem)
-    stretches, (x, y, _, _) = _stretches(problem, tip_angle, jnp.asarray(1.0), STEPS)
-    load, shape = stretches[-1].load, _shape(problem, tip_angle, stretches, points)
-    assert load.force_x is not None
-    moment, (base_x, base_y) = rod.moment(x, y, load), problem.base.position(load.force_x, load.force_y)
+    equations = _equations_of(whisker, loads, support)
+    tip_angle = _differentiable(jnp.where(ok, tip_angle, jnp.pi / 2), equations)
+    bent = _bend(equations, tip_angle)
+    shape, (fx, fy, mz), (base_x, base_y, base_angle) = _shape(equations, bent, points), -bent.load, bent.pose
     length, stiffness = whisker.length, whisker.base_stiffness
 
     def where_ok(value):
         return jnp.where(ok, value, jnp.nan)
 
     return Deflection(
-        fx=where_ok(-load.force_x * stiffness / length**2),
-        fy=where_ok(-load.force_y * stiffness / length**2),
-        mz=where_ok(-moment * stiffness / length),
+        fx=where_ok(fx * stiffness / length**2),
+        fy=where_ok(fy * stiffness / length**2),
+        mz=where_ok(mz * stiffness / length),
         base_x=where_ok(base_x * length),
         base_y=where_ok(base_y * length),
-        base_angle=where_ok(problem.base.angle(moment)),
+        base_angle=where_ok(base_angle),
         s=where_ok(shape.s * length),
-        x=where_ok((shape.x - x + base_x) * length),
-        y=where_ok((shape.y - y + base_y) * length),
+        x=where_ok((shape.x - bent.x + base_x) * length),
+        y=where_ok((shape.y - bent.y + base_y) * length),
         angle=where_ok(jnp.unwrap(jnp.arctan2(shape.sin, shape.cos))),
         curvature=where_ok(shape.curvature / length),
         status=status,
@@ -330,31 +289,27 @@ class _Shape(eqx.Module):
     curvature: Scalar | rod.Along
 
 
-def _shape(problem: _Problem, tip_angle: Scalar, stretches: list[_Stretch], points: int) -> _Shape:
-    parts = [_loaded_shape(problem, stretch, points) for stretch in reversed(stretches)]
+def _shape(equations: _Equations, bent: _Bent, points: int) -> _Shape:
+    outermost = bent.stretches[0]
     # Beyond the outermost load the whisker is unloaded; a straight line needs two points.
-    tip = _unloaded_shape(problem, tip_angle, 2 if problem.section is None else points)
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts, tip)
+    nothing = rod.Load(None, jnp.zeros(()), jnp.zeros(()))
+    tip = _Stretch(outermost.start, nothing, outermost.position - 1.0, outermost.position)
+    beyond = _line(equations, tip, 2 if equations.section is None else points)
+    lines = [_line(equations, stretch, points) for stretch in reversed(bent.stretches)]
+    parts = [
+        *(jax.tree.map(lambda leaf: leaf[::-1], line) for line in lines),
+        jax.tree.map(lambda leaf: leaf[1:], beyond),
+    ]
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
-def _loaded_shape(problem: _Problem, stretch: _Stretch, points: int) -> _Shape:
-    line = rod.points(
-        stretch.start, stretch.arc, stretch.load, problem.section, count=points, from_base=stretch.position
+def _line(equations: _Equations, stretch: _Stretch, points: int) -> _Shape:
+    """Points of a stretch, from its outer end on."""
+    x, y, cos, sin = rod.points(
+        stretch.start, stretch.arc, stretch.load, equations.section, count=points, from_base=stretch.position
     )
-    x, y, cos, sin = (values[::-1] for values in line)
-    s = stretch.position - stretch.arc * jnp.linspace(1.0, 0.0, points)
-    return _Shape(s, x, y, cos, sin, _curvature(problem, rod.moment(x, y, stretch.load), s))
-
-
-def _unloaded_shape(problem: _Problem, tip_angle: Scalar, points: int) -> _Shape:
-    """The shape beyond the outermost load, without the point of that load."""
-    position, zero = problem.loads.position[0], jnp.zeros(())
-    start, nothing = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle)), rod.Load(None, zero, None)
-    line = rod.points(start, position - 1.0, nothing, problem.section, count=points, from_base=position)
-    x, y, cos, sin = (values[1:] for values in line)
-    s = jnp.linspace(position, 1.0, points)[1:]
-    return _Shape(s, x, y, cos, sin, _curvature(problem, jnp.zeros(points - 1), s))
-
-
-def _curvature(problem: _Problem, moment: Scalar | rod.Along, s: rod.Along) -> Scalar | rod.Along:
-    return moment if problem.section is None else jax.vmap(problem.section.total_curvature)(moment, s)
+    s = stretch.position - stretch.arc * jnp.linspace(0.0, 1.0, points)
+    bent = rod.moment(x, y, stretch.load)
+    return _Shape(
+        s, x, y, cos, sin, bent if equations.section is None else jax.vmap(equations.section.total_curvature)(bent, s)
+    )

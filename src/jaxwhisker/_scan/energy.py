@@ -50,12 +50,9 @@ def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
     checks.instance("scene", scene, Scene, "a Scene")
     checks.instance("state", state, State, "a Result or a State")
     fields = {name: jnp.asarray(getattr(state, name)) for name in State.__dataclass_fields__}
-    state, whiskers = State(**fields), scene.whiskers
-    each = [
-        _whisker_energy(whisker, jax.tree.map(lambda leaf, k=k: leaf[..., k], state))
-        for k, whisker in enumerate(whiskers)
-    ]
-    energy = sum(each[1:], each[0])
+    state, energy = State(**fields), jnp.zeros(())
+    for k, whisker in enumerate(scene.whiskers):
+        energy += _whisker_energy(whisker, jax.tree.map(lambda leaf, k=k: leaf[..., k], state))
     flexibility = scene.support.flexibility()
     if flexibility is None:
         return energy
@@ -70,7 +67,7 @@ def _loads(scene: Scene, state: State, flexibility: Flexibility) -> Float[Array,
     turned, n = jnp.asarray(0.0), scene.support.whiskers
     if not isinstance(scene.motion, Translation):
         # The angle of the drive is that of the base minus those of its mount and of its torsion springs.
-        turned = state.base_angle - jnp.stack([jnp.asarray(m.angle, dtype=float) for m in scene.support.mounts])
+        turned = state.base_angle - jnp.array([mount.angle for mount in scene.support.mounts], dtype=float)
         if flexibility.offset.size > n:
             yields, rest = jnp.reshape(flexibility.matrix, (n, 3, n, 3))[:, 2, :, 2], flexibility.offset[2::3]
             turned += jnp.sum(yields * state.mz[..., None, :], axis=-1) - rest

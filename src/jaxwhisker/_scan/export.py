@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxwhisker._scan.quantities import STATE
+from jaxwhisker._scan.report import write_columns
 from jaxwhisker._scan.result import Result, check_one_scan
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ def columns(result: Result) -> dict[str, np.ndarray]:
     """Every signal of a scan by name: control, fx_1, fy_1, mz_1, base_x_1, ..., spring_1, ..., phase_1, status."""
     check_one_scan(result)
     found = {"control": np.asarray(result.control)}
-    for k in range(np.asarray(result.fx).shape[1]):
+    for k in range(result.fx.shape[1]):
         found |= {f"{name}_{k + 1}": np.asarray(getattr(result, name))[:, k] for name in STATE if name != "phase"}
     for name, values in (("spring", result.spring_length), ("phase", result.phase)):
         found |= {f"{name}_{k + 1}": column for k, column in enumerate(np.asarray(values).T)}
@@ -59,10 +60,7 @@ def to_csv(result: Result, path: str | Path) -> None:
     """
     table = columns(result)
     comment = (
-        f"# {result.scene}; lengths in the unit of L, forces in EI/L^2, moments in EI/L, angles and slopes in rad; "
+        f"{result.scene}; lengths in the unit of L, forces in EI/L^2, moments in EI/L, angles and slopes in rad; "
         "phase 0 free, 1 tip, 2 tangential; status 0 ok"
     )
-    # The fewest digits that identify each float; adding 0 removes the sign of -0.0.
-    rows = zip(*((column + 0).tolist() for column in table.values()), strict=True)
-    lines = [comment, ",".join(table), *(",".join(map(repr, row)) for row in rows)]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_columns(table, Path(path), comment)

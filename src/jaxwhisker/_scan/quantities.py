@@ -11,7 +11,7 @@ import numpy as np
 from jaxwhisker._base.checks import is_traced
 from jaxwhisker._model.motion import Rotation, Translation
 from jaxwhisker._model.scene import Scene, Units
-from jaxwhisker._model.scene import units as units_of_scene
+from jaxwhisker._model.scene import units as natural_units
 
 # Kinds of quantities, as powers of force and length.
 KINDS = {
@@ -151,8 +151,8 @@ class UnitSystem:
         check_units(units)
         self.scene = scene
         self.dimensionless = is_dimensionless(scene) if units == "auto" else units == "dimensionless"
-        self._own = units_of_scene(scene)
-        self._prefixed = self._own if prefixes_of is None else units_of_scene(prefixes_of)
+        self.natural = natural_units(scene)
+        self._prefixed = self.natural if prefixes_of is None else natural_units(prefixes_of)
 
     def unit(self, name: str) -> Unit:
         """The unit of the quantity with this name."""
@@ -165,13 +165,10 @@ class UnitSystem:
         if kind == "number":
             return Unit("", 1.0)
         if self.dimensionless:
-            return Unit("", _natural(self._own, kind))
-        powers, sizes = KINDS[kind], self._prefixed
-        parts = [with_prefix(base, float(size)) for base, size in (("N", sizes.force), ("m", sizes.length))]
-        above = [_power(unit.name, power) for unit, power in zip(parts, powers, strict=True) if power > 0]
-        below = [_power(unit.name, -power) for unit, power in zip(parts, powers, strict=True) if power < 0]
-        size = math.prod(unit.size**power for unit, power in zip(parts, powers, strict=True))
-        return Unit("/".join([" ".join(above) or "1", *below]), size)
+            return Unit("", _natural(self.natural, kind))
+        force, length = KINDS[kind]
+        newton, metre = with_prefix("N", float(self._prefixed.force)), with_prefix("m", float(self._prefixed.length))
+        return Unit(_product({newton.name: force, metre.name: length}), newton.size**force * metre.size**length)
 
     def shown(self, name: str, values: Any) -> np.ndarray:
         """Values of a quantity in the unit in which it is shown."""
@@ -183,7 +180,7 @@ class UnitSystem:
 
     def scale(self, kind: str) -> float:
         """The number that is shown for L, EI/L^2, EI/L and the like of the scene: 1 if dimensionless."""
-        return 1.0 if kind in ("angle", "number") else _natural(self._own, kind) / self.of_kind(kind).size
+        return 1.0 if kind in ("angle", "number") else _natural(self.natural, kind) / self.of_kind(kind).size
 
     def label(self, name: str) -> str:
         """Symbol and unit of a quantity, for an axis."""
@@ -202,24 +199,15 @@ class UnitSystem:
 
 def dimensionless_label(symbol: str, kind: str) -> str:
     """A symbol made dimensionless with L and EI, for an axis."""
-    return f"${symbol}{_SCALED.get(kind, '')}$" + " (rad)" * (kind == "angle")
+    force, length = KINDS[kind]
+    times = rf"\,{_power('L', 2 * force - length)}" if 2 * force > length else ""
+    return f"${symbol}{times}{'/EI' if force else '/L' if length else ''}$" + " (rad)" * (kind == "angle")
 
 
 def _natural(sizes: Units, kind: str) -> float:
     """The natural unit of a kind of quantity, formed from L and EI of the first whisker, in the scene's units."""
     force, length = KINDS[kind]
     return float(sizes.force) ** force * float(sizes.length) ** length
-
-
-# Factors that make a symbol dimensionless.
-_SCALED = {
-    "length": "/L",
-    "force": r"\,L^2/EI",
-    "moment": r"\,L/EI",
-    "energy": r"\,L/EI",
-    "stiffness": r"\,L^3/EI",
-    "bending stiffness": "/EI",
-}
 
 
 def with_prefix(base: str, size: float) -> Unit:
@@ -235,9 +223,13 @@ def unit_in_words(kind: str, dimensionless: bool, per: str = "number") -> str:
     """
     force, length = (a - b for a, b in zip(KINDS[kind], KINDS[per], strict=True))
     powers = {"EI": force, "L": length - 2 * force} if dimensionless else {"force": force, "length": length}
-    powers = {"rad": (kind == "angle") - (per == "angle")} | powers
-    above, below = ([_power(n, sign * p) for n, p in powers.items() if sign * p > 0] for sign in (1, -1))
-    return "/".join([" ".join(above) or "1", *[" ".join(below)] * bool(below)])
+    return _product({"rad": (kind == "angle") - (per == "angle")} | powers)
+
+
+def _product(powers: dict[str, int]) -> str:
+    """A product of powers of units in words, such as `N/m`; 1 without units."""
+    above, below = (" ".join(_power(n, sign * p) for n, p in powers.items() if sign * p > 0) for sign in (1, -1))
+    return (above or "1") + f"/{below}" * bool(below)
 
 
 def _power(name: str, power: int) -> str:

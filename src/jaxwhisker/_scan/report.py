@@ -2,18 +2,17 @@
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.scene import Scene
-from jaxwhisker._model.scene import units as natural_units
-from jaxwhisker._path.path import Status
+from jaxwhisker._scan.dataset import counted
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, kind_of, unit_in_words
 from jaxwhisker._scan.result import Result
 
-NOISE = 1e-9  # relative to the unit; smaller numbers are printed as zero
+ROUNDED = 1e-9  # relative to the unit; smaller numbers are printed as zero
 LEAST_DECIMALS, MOST_DECIMALS = -1, 9  # decimals of six significant digits; outside, numbers get powers of ten
 
 
@@ -21,7 +20,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Text in aligned columns: words are aligned on the left, numbers on the right."""
     columns = list(zip(header, *rows, strict=True))
     widths = [max(map(len, column)) for column in columns]
-    numeric = [all(_is_number(cell) for cell in column[1:]) for column in columns]
+    numeric = [all(map(_reads_as_number, column[1:])) for column in columns]
 
     def line(cells):
         aligned = [c.rjust(w) if n else c.ljust(w) for c, w, n in zip(cells, widths, numeric, strict=True)]
@@ -30,7 +29,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([line(header), line(["-" * w for w in widths]), *map(line, rows)])
 
 
-def _is_number(cell: str) -> bool:
+def _reads_as_number(cell: str) -> bool:
     try:
         float(cell)
     except ValueError:
@@ -38,35 +37,31 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def number(value: float, digits: int = 5) -> str:
+def fixed(value: float, digits: int = 5) -> str:
     """Format a number with this many decimals and without a minus sign before zero."""
     rounds_to_zero = abs(value) < 0.5 * 10.0**-digits
     return f"{0.0 if rounds_to_zero else value:.{digits}f}"
 
 
-class _Printed:
+class _Printed(UnitSystem):
     """Units and numbers of a scene's quantities in printed tables."""
-
-    def __init__(self, scene: Scene, units: str):
-        self._scene, self._system = scene, UnitSystem(scene, units)
 
     def heading(self, name: str) -> str:
         """Name and unit of a quantity."""
-        unit = self._system.unit(name).name
-        if self._system.dimensionless and not unit:
-            unit = unit_in_words(kind_of(name, self._scene), dimensionless=True)
+        unit = self.unit(name).name
+        if self.dimensionless and not unit:
+            unit = unit_in_words(kind_of(name, self.scene), dimensionless=True)
         return f"{name} ({unit})" if unit not in ("", "1") else name
 
     def cell(self, name: str, value: float) -> str:
         """Six significant digits relative to L, EI/L^2 or EI/L; one more for the control, which is more accurate."""
-        kind, own, shown = kind_of(name, self._scene), natural_units(self._scene), self._system.unit(name)
-        size = own.control if name == "control" else getattr(own, kind)
-        ratio = float(size) / shown.size
+        size = self.unit(name).size
+        ratio = float(self.natural.control) / size if name == "control" else self.scale(kind_of(name, self.scene))
         decimals = (6 if name == "control" else 5) - math.floor(math.log10(ratio))
-        value /= shown.size
+        value /= size
         if LEAST_DECIMALS <= decimals <= MOST_DECIMALS:
-            return number(value, max(0, decimals))
-        return f"{value:.5e}" if abs(value) > NOISE * ratio else "0"
+            return fixed(value, max(0, decimals))
+        return f"{value:.5e}" if abs(value) > ROUNDED * ratio else "0"
 
 
 def event_table(result: Result, units: str = "auto") -> str:
@@ -83,20 +78,18 @@ def event_table(result: Result, units: str = "auto") -> str:
     """
     printed = _Printed(result.scene, units)
     names = ("base_x", *REACTIONS)
-    rows = [[printed.heading("control"), "event", "whisker", "", *map(printed.heading, names)]]
+    header, rows = [printed.heading("control"), "event", "whisker", "", *map(printed.heading, names)], []
     for event in result.events:
         # A snap of the whole network names no whisker because all of them move.
-        whiskers = event.whiskers or tuple(range(1, np.asarray(event.before.fx).shape[0] + 1))
-        snap = event.kind.name.startswith("snap")
-        for when in ("before", "after") if snap else ("before",):
-            state = getattr(event, when)
-            for whisker in whiskers:
-                values = [printed.cell(name, float(np.asarray(getattr(state, name))[whisker - 1])) for name in names]
-                control = printed.cell("control", event.control)
-                rows.append([control, event.kind.name, str(whisker), when if snap else "", *values])
+        whiskers = event.whiskers or range(1, event.before.fx.size + 1)
+        control, kind = printed.cell("control", event.control), event.kind.name
+        sides = {"before": event.before, "after": event.after} if kind.startswith("snap") else {"": event.before}
+        for (when, state), whisker in product(sides.items(), whiskers):
+            values = [printed.cell(name, float(getattr(state, name)[whisker - 1])) for name in names]
+            rows.append([control, kind, str(whisker), when, *values])
     count, shown = int(result.events.count), len(result.events)
     missing = f"\nOnly the first {shown:,} of {count:,} events fit into the result." if count > shown else ""
-    return (table(rows[0], rows[1:]) if len(rows) > 1 else "No events.") + missing
+    return (table(header, rows) if rows else "No events.") + missing
 
 
 def peak_table(result: Result, units: str = "auto") -> str:
@@ -110,23 +103,20 @@ def peak_table(result: Result, units: str = "auto") -> str:
         ValueError: if `units` is none of these.
     """
     printed = _Printed(result.scene, units)
-    control, place = np.asarray(result.control), f"at {printed.heading('control')}"
-    rows = [["whisker", "reaction", "minimum", place, "maximum", place]]
-    for whisker in range(np.asarray(result.fx).shape[1]):
-        for name in REACTIONS:
-            column = np.asarray(getattr(result, name))[:, whisker]
-            row = [str(whisker + 1), printed.heading(name)]
-            for pick in (np.nanargmin, np.nanargmax):
-                if not np.isfinite(column).any():
-                    row += ["-", "-"]
-                    continue
-                step = pick(column)
-                # Every free whisker has the value zero, so the position of a zero has no meaning.
-                is_zero = abs(column[step]) <= NOISE * np.nanmax(np.abs(column))
-                at = "-" if is_zero else printed.cell("control", float(control[step]))
-                row += [printed.cell(name, float(column[step])), at]
-            rows.append(row)
-    return table(rows[0], rows[1:])
+    place, rows = f"at {printed.heading('control')}", []
+    for whisker, name in product(range(result.fx.shape[1]), REACTIONS):
+        column = np.asarray(getattr(result, name))[:, whisker]
+        rows.append([str(whisker + 1), printed.heading(name)])
+        for pick in (np.nanargmin, np.nanargmax):
+            if not np.isfinite(column).any():
+                rows[-1] += ["-", "-"]
+                continue
+            step = pick(column)
+            # Every free whisker has the value zero, so the position of a zero has no meaning.
+            is_zero = abs(column[step]) <= ROUNDED * np.nanmax(np.abs(column))
+            at = "-" if is_zero else printed.cell("control", float(result.control[step]))
+            rows[-1] += [printed.cell(name, float(column[step])), at]
+    return table(["whisker", "reaction", "minimum", place, "maximum", place], rows)
 
 
 def touches_object(result: Result) -> bool:
@@ -136,22 +126,20 @@ def touches_object(result: Result) -> bool:
 
 def status_line(result: Result) -> tuple[int, str]:
     """Number of failed steps, and a line that counts the steps by status."""
-    status = np.asarray(result.status)
-    kinds, counts = np.unique(status, return_counts=True)
-    failed = int(np.sum(status != Status.ok))
-    parts = [f"{count} {Status(int(kind)).name}" for kind, count in zip(kinds, counts, strict=True)]
-    return failed, f"{status.size} steps: {', '.join(parts)}"
+    counts, steps = counted(result.status), np.size(result.status)
+    words = ", ".join(f"{count} {name}" for name, count in counts.items())
+    return steps - counts.get("ok", 0), f"{steps} steps: {words}"
 
 
 def write_columns(columns: dict[str, np.ndarray], path: Path, comment: str) -> None:
-    """Write columns of equal length as CSV below a comment line."""
-    kinds = ["%d" if np.asarray(c).dtype.kind in "iu" else "%.9g" for c in columns.values()]
-    header = f"# {comment}\n{','.join(columns)}"
-    values = np.column_stack(list(columns.values())) + 0.0  # no minus sign before a zero
-    np.savetxt(path, values, kinds, delimiter=",", header=header, comments="")
+    """Write columns of equal length as CSV below a comment line, in full precision."""
+    # The fewest digits that identify each float; adding 0 removes the sign of -0.0.
+    rows = zip(*((column + 0).tolist() for column in columns.values()), strict=True)
+    write_rows([list(columns), *(list(map(repr, row)) for row in rows)], path, comment)
 
 
-def write_rows(rows: Sequence[Sequence[str]], path: Path) -> None:
-    """Write a table of words as CSV; cells without a value are empty."""
-    lines = [",".join("" if cell == "-" else cell for cell in row) for row in rows]
+def write_rows(rows: Sequence[Sequence[str]], path: Path, comment: str | None = None) -> None:
+    """Write a table of words as CSV, below a comment line if there is one; cells without a value are empty."""
+    lines = [] if comment is None else [f"# {comment}"]
+    lines += [",".join("" if cell == "-" else cell for cell in row) for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._path.path import EventKind, Status
-from jaxwhisker._scan.dataset import scan_dataset
+from jaxwhisker._path.path import EventKind
+from jaxwhisker._scan.dataset import counted, scan_dataset
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.quantities import STATE
 from jaxwhisker._scan.state import State
@@ -121,13 +121,11 @@ class Result(State):
         return scan_dataset(self.scene, arrays_of(self))
 
     def __str__(self) -> str:
-        statuses, counts = np.unique(np.asarray(self.status), return_counts=True)
-        bad = {Status(int(s)).name: int(n) for s, n in zip(statuses, counts, strict=True)}
-        ok = bad.pop("ok", 0)
-        lines = [
-            f"{self.scene}",
-            f"{ok} of {np.size(self.status)} steps ok" + "".join(f"; {n}: {s}" for s, n in bad.items()),
-        ]
+        bad = counted(self.status)
+        steps = f"{bad.pop('ok', 0)} of {np.size(self.status)} steps ok" + "".join(
+            f"; {n}: {s}" for s, n in bad.items()
+        )
+        lines = [str(self.scene), steps]
         if self.events.truncated:
             lines += [f"the first {len(self.events)} of {int(self.events.count)} events"]
         return "\n".join([*lines, *map(str, self.events)])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.report import number
+from jaxwhisker._scan.report import fixed
 from jaxwhisker._scan.result import Result
 from jaxwhisker.thesis.scans import WHISKERS, Case, Scans, vary
 
@@ -47,7 +47,7 @@ def varied_value(value: float) -> str:
 
 def cell(value: float, digits: int = 4) -> str:
     """A number in a table."""
-    return "-" if math.isnan(value) else number(value, digits)
+    return "-" if math.isnan(value) else fixed(value, digits)
 
 
 def varied(field: str, values: Sequence[float]) -> dict[str, list[Case]]:

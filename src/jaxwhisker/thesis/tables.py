@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from jaxwhisker._model.loads import PointForce
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.deflect import Deflection, deflect
-from jaxwhisker._scan.report import number
+from jaxwhisker._scan.report import fixed
 
 LISTED = ("Fx", "Fy", "Mz")
 MISPRINT = (
@@ -120,7 +120,7 @@ def table_rows(table: Table) -> list[list[str]]:
     rows = [["load", "reaction", "jaxwhisker", "thesis", "difference", "multi-body"]]
     for load, deflection in zip(table.loads, bend(table).values(), strict=True):
         for name, ours, theirs, body in zip(LISTED, listed(deflection), load.thesis, load.multibody, strict=True):
-            rows.append([load.label, name, number(ours, 6), _cell(theirs), _cell(ours - theirs, "+.6f"), _cell(body)])
+            rows.append([load.label, name, fixed(ours, 6), _cell(theirs), _cell(ours - theirs, "+.6f"), _cell(body)])
     return rows
 
 
