@@ -217,12 +217,15 @@ class TestErrors:
         ("call", "words"),
         [
             (dict(build=3), "`build` must be a function"),
-            (dict(radius=[1.0]), r"must be a parameter of `build` \(stiffness, distance\), got `radius`"),
-            (dict(distance=None), "`distance` must be an array of real numbers"),
-            (dict(distance=["a"]), "`distance` must be an array of real numbers"),
-            (dict(distance=0.2), r"`distance` must be one-dimensional, got shape \(\)"),
-            (dict(distance=[[0.2]]), r"`distance` must be one-dimensional, got shape \(1, 1\)"),
-            (dict(distance=[]), "`distance` must have at least one value"),
+            (
+                dict(radius=[1.0]),
+                r"parameters of `build\(stiffness, distance\)`, got .*: got an unexpected keyword argument 'radius'",
+            ),
+            (dict(distance=None), "`distance` must be a non-empty one-dimensional array of numbers, got None"),
+            (dict(distance=["a"]), r"`distance` must be .* array of numbers, got \['a'\]"),
+            (dict(distance=0.2), r"`distance` must be .* one-dimensional .*, got an array of shape \(\)"),
+            (dict(distance=[[0.2]]), r"`distance` must be .* one-dimensional .*, got an array of shape \(1, 1\)"),
+            (dict(distance=[]), r"`distance` must be a non-empty .*, got an array of shape \(0,\)"),
             (dict(points={"stiffness": [1.0]}), "`points` must be left out .*stiffness, distance"),
             (dict(outputs=("fx", "force")), "`outputs` must be names among reactions.* got 'force'"),
             (dict(derivatives="radius"), "`derivatives` must be among stiffness, distance, got 'radius'"),
@@ -243,7 +246,7 @@ class TestErrors:
             (dict(build=_bad_constant), "`stiffness` must be"),
             (dict(build=_other_object), "`scene.profile` differs"),
             (dict(build=_other_ends), r"`scene.support.springs\[0\].between` differs"),
-            (dict(build=_positional), "positional-only `stiffness`"),
+            (dict(build=_positional), "positional.only"),
         ],
         ids=lambda value: None if isinstance(value, str) else "-".join(value),
     )
@@ -254,7 +257,10 @@ class TestErrors:
             jw.study(**arguments)
 
     def test_a_missing_axis(self):
-        with pytest.raises(ValueError, match="`distance` must be an axis, because"):
+        with pytest.raises(
+            ValueError,
+            match=r"parameters of `build\(stiffness, distance\)`, got stiffness: missing a required .*'distance'",
+        ):
             jw.study(build, stiffness=[70.0])
         with pytest.raises(ValueError, match="`axes` must contain the values of at least one"):
             jw.study(build)
@@ -272,7 +278,7 @@ class TestErrors:
         ("points", "words"),
         [
             ({"stiffness": [1.0, 2.0], "distance": [0.2]}, "columns of equal length.*'stiffness': 2, 'distance': 1"),
-            ({"stiffness": [1.0]}, "`distance` must be an axis"),
+            ({"stiffness": [1.0]}, "missing a required .*'distance'"),
             ([1.0, 2.0], "`points` must be a table"),
         ],
     )
@@ -281,7 +287,7 @@ class TestErrors:
             jw.study(build, points=points)
 
     def test_a_control_too_long(self, monkeypatch):
-        monkeypatch.setattr(importlib.import_module("jaxwhisker._study.compute"), "MAX_STEPS", 100)
+        monkeypatch.setattr(importlib.import_module("jaxwhisker._study.compute"), "MOST_POSITIONS", 100)
         with pytest.raises(
             ValueError, match=r"`control` must be given .* 100 positions.* stiffness = 50, distance = 0.1"
         ):

@@ -55,7 +55,7 @@ def data(arrays):
 
 
 def test_peaks_are_the_exact_ones(arrays):
-    found = summarise(arrays, CONTROL, 2)
+    found = summarise(arrays, CONTROL)
     for name, peak in (("min_fx", -7.40235), ("max_fy", 20.89341), ("max_mz", 6.46427)):
         np.testing.assert_allclose(found[name][1], peak, rtol=PEAK, atol=PRINTED)
         steps = getattr(np.asarray(arrays[name[4:]][1]), name[:3])(axis=0)
@@ -69,7 +69,7 @@ def test_a_peak_a_few_steps_wide_is_read_to_rounding_of_the_printed_digits():
     at, width = 0.30047, 0.02
     mz = 1 / (1 + ((control - at) / width) ** 2)
     none = {"event_kind": -np.ones(1, int), "event_control": np.full(1, np.nan), "event_count": np.array(0)}
-    found = summarise({"mz": mz[:, None], "event_whisker": np.zeros((1, 1), bool)} | none, control, 1)
+    found = summarise({"mz": mz[:, None], "event_whisker": np.zeros((1, 1), bool)} | none, control)
     assert abs(found["max_mz"][0] - 1) < NARROW < 1 - mz.max()
     assert abs(found["control_of_max_mz"][0] - at) < NARROW * width
 
@@ -79,22 +79,22 @@ def test_a_peak_that_the_drive_passes_at_once_is_read_over_the_base():
     base_x, at = np.cbrt(control), 0.03  # near a critical stiffness
     arrays = {"mz": (1 - (base_x - at) ** 2)[:, None], "event_whisker": np.zeros((1, 1), bool)}
     arrays |= {"event_kind": -np.ones(1, int), "event_control": np.full(1, np.nan), "event_count": np.array(0)}
-    found = summarise(arrays | {"base_x": base_x[:, None]}, control, 1)
+    found = summarise(arrays | {"base_x": base_x[:, None]}, control)
     np.testing.assert_allclose(found["max_mz"], 1.0, rtol=ROUNDING)
     np.testing.assert_allclose(found["control_of_max_mz"], at**3, atol=ROUNDING)
-    assert abs(summarise(arrays, control, 1)["max_mz"][0] - 1) > 1e-5
+    assert abs(summarise(arrays, control)["max_mz"][0] - 1) > 1e-5
 
 
 def test_no_peak_is_read_across_a_turn_of_the_drive():
     control = np.concatenate([np.arange(1.0, 0.0, -0.1), np.arange(0.0647, 1.0, 0.1)])
     mz = 1 / (1 + ((np.arange(control.size) - 8.8) / 3) ** 2)  # smooth over time, largest before the drive turns
     none = {"event_kind": -np.ones(1, int), "event_control": np.full(1, np.nan), "event_count": np.array(0)}
-    found = summarise({"mz": mz[:, None], "event_whisker": np.zeros((1, 1), bool)} | none, control, 1)
+    found = summarise({"mz": mz[:, None], "event_whisker": np.zeros((1, 1), bool)} | none, control)
     assert 0.0 <= found["max_mz"][0] - mz.max() < COARSE
 
 
 def test_peaks_lie_where_finer_steps_have_them(arrays, scans):
-    found = summarise(arrays, CONTROL, 2)
+    found = summarise(arrays, CONTROL)
     for name, sign in (("min_fx", -1), ("max_mz", 1)):
         for whisker in (0, 1):
             at = found[f"control_of_{name}"][1, whisker]
@@ -105,22 +105,22 @@ def test_peaks_lie_where_finer_steps_have_them(arrays, scans):
 
 def test_a_peak_that_a_snap_cuts_off_is_the_state_there(arrays, scans):
     at = scans[0].events.of(jw.EventKind.snap_through)[0]
-    found = summarise(arrays, CONTROL, 2)
+    found = summarise(arrays, CONTROL)
     assert found["max_fy"][0, 1] == at.before.fy[1]
     assert found["control_of_max_fy"][0, 1] == at.control
     # Without the states the nearest step is used: no polynomial reaches across the event.
-    without = summarise({k: v for k, v in arrays.items() if not k.startswith(("before", "after"))}, CONTROL, 2)
+    without = summarise({k: v for k, v in arrays.items() if not k.startswith(("before", "after"))}, CONTROL)
     assert without["max_fy"][0, 1] == arrays["fy"][0, :, 1].max() < at.before.fy[1]
     np.testing.assert_array_equal(without["max_fy"][1], found["max_fy"][1])
 
 
 def test_a_peak_of_zero_is_nowhere(arrays):
-    found = summarise(arrays, CONTROL, 2)
+    found = summarise(arrays, CONTROL)
     assert np.all(found["min_fy"] == 0) and np.all(np.isnan(found["control_of_min_fy"]))
 
 
 def test_contact_and_snaps_are_those_of_the_events(arrays, scans):
-    found = summarise(arrays, CONTROL, 2)
+    found = summarise(arrays, CONTROL)
     for k, result in enumerate(scans):
         snaps = [e for e in result.events if e.kind in SNAPS]
         lost = sum(
@@ -139,7 +139,7 @@ def test_contact_and_snaps_are_those_of_the_events(arrays, scans):
 
 
 def test_half_width_is_that_of_the_signal(arrays):
-    found = summarise(arrays, CONTROL, 2)
+    found = summarise(arrays, CONTROL)
     for whisker in (0, 1):
         moment, half = arrays["mz"][1, :, whisker], found["max_mz"][1, whisker] / 2
         top = int(np.argmax(moment))
@@ -151,10 +151,10 @@ def test_half_width_is_that_of_the_signal(arrays):
 def test_what_the_control_does_not_show_is_unknown(arrays):
     steps = slice(700, 1600)  # from within contact to within contact
     part = {k: v[:, steps] if k in ("fx", "fy", "mz", "base_x", "status") else v for k, v in arrays.items()}
-    found = summarise(part, CONTROL[steps], 2)
+    found = summarise(part, CONTROL[steps])
     for name in ("first_touch", "last_contact", "contact_width"):
         assert np.all(np.isnan(found[name][1]))
-    whole = summarise(arrays, CONTROL, 2)
+    whole = summarise(arrays, CONTROL)
     np.testing.assert_array_equal(found["max_mz"][1], whole["max_mz"][1])
 
 
@@ -163,24 +163,24 @@ def test_a_failed_scan_has_no_peaks_and_one_not_computed_no_counts(arrays):
     broken["status"][0, 1500:1503] = jw.Status.lost
     for name in ("fx", "fy", "mz"):
         broken[name][0, 1500:1503] = np.nan
-    found = summarise(broken, CONTROL, 2)
+    found = summarise(broken, CONTROL)
     assert list(found["steps_failed"]) == [3, 0]
     numbers = [name for name in SUMMARY if SUMMARY[name].dtype == "float64"]
     assert set(numbers) < set(found)
     assert all(np.all(np.isnan(found[name][0])) for name in numbers)
-    intact = summarise(arrays, CONTROL, 2)
+    intact = summarise(arrays, CONTROL)
     assert all(np.array_equal(found[name][1], intact[name][1], equal_nan=True) for name in found)
 
     broken["status"][0], broken["event_kind"][0], broken["event_count"][0] = -1, -1, -1
-    found = summarise(broken, CONTROL, 2)
+    found = summarise(broken, CONTROL)
     assert list(found["steps_failed"]) == [-1, 0] and found["snaps"][0] == -1
 
 
 def test_what_is_missing_is_left_out(arrays):
     only = lambda *prefixes: {k: v for k, v in arrays.items() if k.startswith(prefixes)}  # noqa: E731
-    assert set(summarise(only("status"), CONTROL, 2)) == {"steps_failed"}
-    assert set(summarise(only("event_"), CONTROL, 2)) == {"snaps", "snap_work"}
-    reactions = summarise(only("fx", "mz"), CONTROL, 2)
+    assert set(summarise(only("status"), CONTROL)) == {"steps_failed"}
+    assert set(summarise(only("event_"), CONTROL)) == {"snaps", "snap_work"}
+    reactions = summarise(only("fx", "mz"), CONTROL)
     assert set(reactions) == {k for k in SUMMARY if k.endswith(("fx", "mz"))}
     assert reactions["max_mz"][1, 0] == arrays["mz"][1, :, 0].max()  # smooth or not: nothing tells
 
@@ -243,16 +243,16 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_contact_begins_and_ends(name):
     touching, events, expected = CASES[name]
-    found = summarise(by_hand(touching, events), DOWN, 2)
+    found = summarise(by_hand(touching, events), DOWN)
     np.testing.assert_array_equal(np.stack([found["first_touch"], found["last_contact"]], axis=1), expected)
 
 
 def test_a_peak_is_refined_where_it_is_smooth_only():
     control = np.array([3.0, 2.0, 1.0, 0.5, -1.0])  # steps of any size
     bump = np.stack([5 - (control - 0.9) ** 2, np.zeros(5)])
-    smooth = summarise(by_hand(bump, [("vertex", (1,), 0.9)]), control, 2)
+    smooth = summarise(by_hand(bump, [("vertex", (1,), 0.9)]), control)
     np.testing.assert_allclose([smooth["max_fy"][0], smooth["control_of_max_fy"][0]], [5.0, 0.9])
-    corner = summarise(by_hand(bump, [("tip_to_tangential", (2,), 0.9)]), control, 2)
+    corner = summarise(by_hand(bump, [("tip_to_tangential", (2,), 0.9)]), control)
     np.testing.assert_array_equal([corner["max_fy"][0], corner["control_of_max_fy"][0]], [bump[0, 2], 1.0])
 
 
@@ -263,7 +263,7 @@ def mirrored(arrays):
 
 
 def test_a_rising_control_gives_the_mirrored_summary(arrays):
-    falling, rising = summarise(arrays, CONTROL, 2), summarise(mirrored(arrays), -CONTROL, 2)
+    falling, rising = summarise(arrays, CONTROL), summarise(mirrored(arrays), -CONTROL)
     assert np.all(falling["contact_width"] > 0)
     for name in ("contact_width", "half_width_mz", "snap_work", "snaps", "steps_failed", "max_fy"):
         np.testing.assert_allclose(rising[name], falling[name], rtol=ROUNDING, err_msg=name)
@@ -278,7 +278,7 @@ def test_a_rising_control_gives_the_mirrored_summary(arrays):
 
 def test_a_peak_of_rounding_errors_is_zero_and_nowhere():
     touching = np.array([[0, 1e-15, -1.0, -6.0, -2.0, 0, 0, 0], [0] * 8])
-    found = summarise(by_hand(touching, [("touch", (1,), 0.9), ("release", (1,), 4.5)]), np.arange(8.0), 2)
+    found = summarise(by_hand(touching, [("touch", (1,), 0.9), ("release", (1,), 4.5)]), np.arange(8.0))
     assert found["max_fy"][0] == 0 and np.isnan(found["control_of_max_fy"][0])
     assert found["min_fy"][0] <= -6.0 and np.isfinite(found["control_of_min_fy"][0])
 
@@ -291,7 +291,7 @@ def dataset_of(arrays, control):
 def test_widths_of_a_turning_control_are_nan_and_say_why():
     control = np.array([3.0, 2.0, 1.0, 2.0, 3.0])
     arrays = by_hand([[0, 1.0, 2.0, 1.0, 0], [0] * 5], [("touch", (1,), 2.5), ("release", (1,), 2.5)])
-    found = summarise(arrays | {"mz": arrays["fy"]}, control, 2)
+    found = summarise(arrays | {"mz": arrays["fy"]}, control)
     assert np.isnan(found["contact_width"]).all() and np.isnan(found["half_width_mz"]).all()
     assert found["first_touch"][0] == found["last_contact"][0] == 2.5 and found["max_mz"][0] == 2.0
     assert "changes direction" in summary(dataset_of(arrays, control)).contact_width.attrs["comment"]
@@ -300,12 +300,12 @@ def test_widths_of_a_turning_control_are_nan_and_say_why():
 
 def test_more_events_than_room_is_no_sum(arrays):
     full = arrays | {"event_count": np.array([arrays["event_kind"].shape[1] + 1, arrays["event_count"][1]])}
-    assert np.isnan(summarise(full, CONTROL, 2)["snap_work"][0])
+    assert np.isnan(summarise(full, CONTROL)["snap_work"][0])
 
 
 def test_summary_of_a_dataset(data, arrays):
     found = summary(data)
-    expected = summarise(arrays, CONTROL, 2)
+    expected = summarise(arrays, CONTROL)
     assert set(found.data_vars) == set(expected) == set(SUMMARY)
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name].values, values)
@@ -328,7 +328,7 @@ def test_summary_does_not_depend_on_blocks_or_the_order_of_dimensions(data, tmp_
     xr.testing.assert_equal(summary(stored).isel(distance=0, drop=True), expected)
     assert read == [(2, 1), (2, 1)]  # whole chunks
     read.clear()
-    monkeypatch.setattr(module, "BLOCK", 1.0)
+    monkeypatch.setattr(module, "BLOCK_BYTES", 1.0)
     xr.testing.assert_equal(summary(grid.transpose()).isel(distance=0, drop=True), expected)
     assert len(read) == 4
 

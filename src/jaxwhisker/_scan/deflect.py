@@ -294,8 +294,8 @@ def _shape(equations: _Equations, bent: _Bent, points: int) -> _Shape:
     # Beyond the outermost load the whisker is unloaded; a straight line needs two points.
     nothing = rod.Load(None, jnp.zeros(()), jnp.zeros(()))
     tip = _Stretch(outermost.start, nothing, outermost.position - 1.0, outermost.position)
-    beyond = _line(equations, tip, 2 if equations.section is None else points)
-    lines = [_line(equations, stretch, points) for stretch in reversed(bent.stretches)]
+    beyond = _stretch_shape(equations, tip, 2 if equations.section is None else points)
+    lines = [_stretch_shape(equations, stretch, points) for stretch in reversed(bent.stretches)]
     parts = [
         *(jax.tree.map(lambda leaf: leaf[::-1], line) for line in lines),
         jax.tree.map(lambda leaf: leaf[1:], beyond),
@@ -303,7 +303,7 @@ def _shape(equations: _Equations, bent: _Bent, points: int) -> _Shape:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
-def _line(equations: _Equations, stretch: _Stretch, points: int) -> _Shape:
+def _stretch_shape(equations: _Equations, stretch: _Stretch, points: int) -> _Shape:
     """Points of a stretch, from its outer end on."""
     x, y, cos, sin = rod.points(
         stretch.start, stretch.arc, stretch.load, equations.section, count=points, from_base=stretch.position

@@ -4,9 +4,10 @@ import hashlib
 import os
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import product
 from typing import Any
 
 import jax
@@ -23,16 +24,16 @@ from jaxwhisker._scan.result import arrays_of
 from jaxwhisker._scan.route import route_of
 from jaxwhisker._scan.scan import STEP, contact_range, scan_route
 from jaxwhisker._study.layout import POINT_STATUS, derivative_name
-from jaxwhisker._study.parameters import Blocks, Index, Parameters, padded
+from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, padded
 from jaxwhisker._study.structure import fingerprint, sampled
 from jaxwhisker._study.summary import summarise
 
 Arrays = dict[str, np.ndarray]
-Write = Callable[[Index, Arrays], None]  # stores the variables of a block
+Write = Callable[[BlockIndex, Arrays], None]  # stores the variables of a block
 
-MAX_STEPS = 100_000  # largest number of positions of the default control
-LANES = 64  # points whose range of contact is computed at once
-AHEAD = 2  # blocks submitted for each thread of a cluster: one is computed, one waits
+MOST_POSITIONS = 100_000  # largest number of positions of the default control
+RANGE_LANES = 64  # points whose range of contact is computed at once
+BLOCKS_AHEAD = 2  # blocks submitted for each thread of a cluster: one is computed, one waits
 RETRIES = 3  # of a block whose computation fails; blocks of a worker that dies are submitted again anyway
 
 
@@ -47,63 +48,54 @@ class Job:
     derivatives: tuple[str, ...]  # parameters
     summary: bool  # summarise the signals
     kept: tuple[str, ...]  # variables of the study
-    whiskers: int
     lanes: int  # points of a block
     key: str = ""  # identifies the job in a worker
 
 
-def _point(job: Job) -> Callable[[dict], dict]:
+def _outputs_at(job: Job) -> Callable[[dict], dict]:
     """A function that computes the outputs at one point from its parameters."""
     route = route_of(job.control)
     names = tuple(dict.fromkeys((*job.outputs, "status")))
     smooth = [name for name in names if VARIABLES[name].dtype == "float64"]
 
-    def split(values):
-        arrays = arrays_of(scan_route(job.build(**values), route))
+    def outputs(varied, values):
+        arrays = arrays_of(scan_route(job.build(**values | varied), route))
         found = {name: arrays[name].astype(VARIABLES[name].dtype) for name in names}
-        return {name: found.pop(name) for name in smooth}, found
+        return {name: found[name] for name in smooth}, found
 
     def point(values):
         if not job.derivatives:
-            found, rest = split(values)
-            return found | rest
-        directions = {n: jnp.array([float(n == p) for p in job.derivatives]) for n in values}
-
-        def towards(direction):
-            return jax.jvp(split, (values,), (direction,), has_aux=True)
-
-        # The primal does not depend on the direction and is computed once.
-        found, slopes, rest = jax.vmap(towards, out_axes=(None, 0, None))(directions)
-        for name, value in found.items():
-            for k, parameter in enumerate(job.derivatives):
-                rest[derivative_name(name, parameter)] = jnp.where(jnp.isnan(value), jnp.nan, slopes[name][k])
-        kept = {*names, *job.kept}
-        return {name: value for name, value in (found | rest).items() if name in kept}
+            return outputs({}, values)[1]
+        # `jacfwd` computes the outputs themselves only once, for all derivatives.
+        varied = {name: values[name] for name in job.derivatives}
+        slopes, found = jax.jacfwd(outputs, has_aux=True)(varied, values)
+        for name, parameter in product(smooth, job.derivatives):
+            slope = jnp.where(jnp.isnan(found[name]), jnp.nan, slopes[name][parameter])
+            found[derivative_name(name, parameter)] = slope
+        return {name: value for name, value in found.items() if name in {*names, *job.kept}}
 
     return point
 
 
 class Kernel:
-    """A job that is traced, and compiled when it is first needed. Several threads may call it at once."""
+    """A job that is traced, and compiled when it is first needed. Then several threads may call it at once."""
 
     def __init__(self, job: Job):
         shapes = {name: jax.ShapeDtypeStruct((job.lanes,), float) for name in job.names}
-        self._lowered = jax.jit(jax.vmap(_point(job))).lower(shapes)
+        self._lowered = jax.jit(jax.vmap(_outputs_at(job))).lower(shapes)
         self._compiled = None
-        self._lock = threading.Lock()
         self.job = job
 
     @property
     def events(self) -> int:
         """Number of events that are stored per scan; 0 if no variable of events is computed."""
-        shapes = {name: leaf.shape for name, leaf in self._lowered.out_info.items() if name in VARIABLES}
-        return next((shape[1] for name, shape in shapes.items() if VARIABLES[name].axes[:1] == ("event",)), 0)
+        infos = ((VARIABLES[name].axes, leaf) for name, leaf in self._lowered.out_info.items() if name in VARIABLES)
+        return next((leaf.shape[1] for axes, leaf in infos if axes[:1] == ("event",)), 0)
 
     def compiled(self):
         """The compiled function; the first call waits for the compiler."""
-        with self._lock:
-            if self._compiled is None:
-                self._compiled = self._lowered.compile(COMPILER_OPTIONS)
+        if self._compiled is None:
+            self._compiled = self._lowered.compile(COMPILER_OPTIONS)
         return self._compiled
 
     def __call__(self, values: Arrays) -> Arrays:
@@ -112,7 +104,7 @@ class Kernel:
         found = jax.tree.map(lambda leaf: np.asarray(leaf)[:points], self.compiled()(padded(values, job.lanes)))
         found[POINT_STATUS] = first_failure(found["status"])
         if job.summary:
-            found |= summarise(found, job.control, job.whiskers)
+            found |= summarise(found, job.control)
         return {name: found[name] for name in job.kept}
 
 
@@ -122,38 +114,35 @@ def threads() -> int:
 
 
 def compute_here(
-    kernel: Kernel, parameters: Parameters, blocks: Blocks, todo: Sequence[Index], write: Write
-) -> Generator[Index, None, None]:
+    kernel: Kernel, parameters: Parameters, blocks: Blocks, todo: Sequence[BlockIndex], write: Write
+) -> Generator[BlockIndex, None, None]:
     """Compute and store blocks, one per processor at a time: XLA alone keeps only one processor busy."""
 
-    def compute(index: Index) -> Index:
+    def compute(index: BlockIndex) -> BlockIndex:
         write(index, kernel(parameters.at(blocks.region(index))))
         return index
 
     kernel.compiled()
     pool = ThreadPoolExecutor(threads(), thread_name_prefix="study")
     try:
-        waiting = {pool.submit(compute, index) for index in todo}
-        while waiting:
-            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in finished:
-                yield future.result()
+        for future in as_completed([pool.submit(compute, index) for index in todo]):
+            yield future.result()
     finally:
         # After an error or an interrupt, running blocks are finished and waiting ones are dropped.
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def compute_on_cluster(
-    client: Any, job: Job, parameters: Parameters, blocks: Blocks, todo: Sequence[Index], write: Write
-) -> Generator[Index, None, None]:
+    client: Any, job: Job, parameters: Parameters, blocks: Blocks, todo: Sequence[BlockIndex], write: Write
+) -> Generator[BlockIndex, None, None]:
     """Compute blocks on the workers of a dask cluster, and store them in this process."""
-    from distributed import as_completed
+    from distributed import as_completed as completed_there
 
-    ahead = AHEAD * max(1, sum(client.nthreads().values()))
+    ahead = BLOCKS_AHEAD * max(1, sum(client.nthreads().values()))
     samples = sampled(parameters)
     job = replace(job, key=key_of(job, samples))
     rest = iter(todo)
-    index_of: dict[Any, Index] = {}
+    index_of: dict[Any, BlockIndex] = {}
 
     def submit_next(count: int) -> Iterator[Any]:
         for _, index in zip(range(count), rest, strict=False):
@@ -162,7 +151,7 @@ def compute_on_cluster(
             index_of[future] = index
             yield future
 
-    queue = as_completed(list(submit_next(ahead)))
+    queue = completed_there(list(submit_next(ahead)))
     try:
         for future in queue:
             arrays = future.result()
@@ -190,7 +179,9 @@ def compute_in_worker(job: Job, samples: list[dict[str, float]], values: Arrays)
         if job.key not in _KERNELS:
             if job.key != key_of(job, samples):
                 raise RuntimeError("The versions of jax, jaxwhisker or what `build` uses differ between the processes.")
-            _KERNELS[job.key] = Kernel(job)
+            kernel = Kernel(job)
+            kernel.compiled()
+            _KERNELS[job.key] = kernel
     return _KERNELS[job.key](values)
 
 
@@ -210,20 +201,20 @@ def common_control(build: Callable[..., Scene], parameters: Parameters, onwards:
         onwards: +1 if the control grows during a scan, else -1.
 
     Raises:
-        ValueError: if it would have more than `MAX_STEPS` positions.
+        ValueError: if it would have more than `MOST_POSITIONS` positions.
     """
-    start, stop, step = _ranges(build, parameters)
-    known = np.flatnonzero(np.isfinite(start) & np.isfinite(stop) & np.isfinite(step))
+    ranges = _ranges(build, parameters)
+    known = np.flatnonzero(np.isfinite(ranges).all(axis=0))
     if known.size == 0:  # every point is invalid, which its status will show
         return onwards * np.array([-MARGIN, MARGIN])
-    first, last = (onwards * start)[known].min(), (onwards * stop)[known].max()
-    step = step[known].max()
+    start, stop, step = ranges[:, known]
+    first, last, step = (onwards * start).min(), (onwards * stop).max(), step.max()
     steps = int(np.ceil((last - first) / step)) + 1
-    if steps > MAX_STEPS:
-        longest = parameters.one(int(known[np.argmax((onwards * (stop - start))[known])]))
+    if steps > MOST_POSITIONS:
+        longest = parameters.one(int(known[np.argmax(onwards * (stop - start))]))
         raise ValueError(
-            f"`control` must be given if the default would have more than {MAX_STEPS:,} positions, got {steps:,}, from "
-            f"{onwards * first:.6g} to {onwards * last:.6g} in steps of {step:.6g}. The longest scan is that of "
+            f"`control` must be given if the default would have more than {MOST_POSITIONS:,} positions, got {steps:,}, "
+            f"from {onwards * first:.6g} to {onwards * last:.6g} in steps of {step:.6g}. The longest scan is that of "
             f"{', '.join(f'{name} = {value:g}' for name, value in longest.items())}."
         )
     return onwards * (first + step * np.arange(max(2, steps)))
@@ -237,7 +228,7 @@ def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.nda
         step = STEP * jnp.asarray(units(scene).control, dtype=float)
         return tuple(jnp.where(problem_of(scene).valid, x, jnp.nan) for x in (*contact_range(scene), step))
 
-    total, lanes = parameters.total, min(parameters.total, LANES)
+    total, lanes = parameters.total, min(parameters.total, RANGE_LANES)
     shapes = {name: jax.ShapeDtypeStruct((lanes,), float) for name in parameters.values}
     compiled = jax.jit(jax.vmap(point)).lower(shapes).compile(COMPILER_OPTIONS)
 

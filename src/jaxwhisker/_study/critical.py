@@ -25,13 +25,14 @@ from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.scan import scan
+from jaxwhisker._study.parameters import Parameters
 
 if TYPE_CHECKING:
     import xarray as xr
 
-STEPS = 257  # per search; each further search covers the neighbours of the best step of the previous one
+SEARCH_STEPS = 257  # per search; each further search covers the neighbours of the best step of the previous one
 SEARCHES = 4  # the steps of the last one are 1e-8 of the range of the first one
-FINE = 33  # values of each parameter between which the critical stiffness is interpolated
+CURVE_POINTS = 33  # values of each parameter between which the critical stiffness is interpolated
 
 
 class Steepest(NamedTuple):
@@ -64,7 +65,7 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
     first, last = float(touch.touch_right.x[0]) * length, float(touch.touch_left.x[0]) * length
     best = Steepest(np.nan, np.nan)
     for _ in range(SEARCHES):
-        x = np.linspace(first, last, STEPS)
+        x = np.linspace(first, last, SEARCH_STEPS)
         slope, force = (np.asarray(leaf) for leaf in _slope(scene, jnp.asarray(x)))
         known = np.isfinite(slope) & (force > 0) & (slope > 0)
         # A value that is largest only because contact ends next to it is not a maximum.
@@ -105,20 +106,16 @@ def steepness(build: Callable[..., Scene], data: xr.Dataset) -> xr.DataArray:
         data: the Dataset of the study or its summary, over one or more axes.
 
     Returns:
-        An array over the same axes, with `FINE` values each.
+        An array over the same axes, with `CURVE_POINTS` values each.
     """
     import xarray as xr
 
     axes = [str(dim) for dim in data.sizes if dim not in ("control", "whisker", "spring", "event")]
-    ranges = [data[axis].values[np.isfinite(data[axis].values)] for axis in axes]
-    values = [np.linspace(known.min(), known.max(), FINE) for known in ranges]
-    grid = np.meshgrid(*values, indexing="ij")
-    slopes: dict[str, float] = {}
-    found = [
-        _steepness_at(build, dict(zip(axes, map(float, point), strict=True)), slopes)
-        for point in zip(*[g.ravel() for g in grid], strict=True)
-    ]
-    return xr.DataArray(np.reshape(found, grid[0].shape), dict(zip(axes, values, strict=True)), axes)
+    ranges = {axis: data[axis].values[np.isfinite(data[axis].values)] for axis in axes}
+    values = {axis: np.linspace(known.min(), known.max(), CURVE_POINTS) for axis, known in ranges.items()}
+    grid, slopes = Parameters(values, False), {}
+    found = [_steepness_at(build, grid.one(k), slopes) for k in range(grid.total)]
+    return xr.DataArray(np.reshape(found, grid.shape), values, axes)
 
 
 def _steepness_at(build: Callable[..., Scene], point: dict[str, float], slopes: dict[str, float]) -> float:

@@ -65,14 +65,9 @@ def derivative_name(name: str, parameter: str) -> str:
 def kind_of_axis(name: str) -> str:
     """The kind of quantity that a parameter's name suggests; "number" if it suggests none."""
     name = name.rstrip("_0123456789")
-    for kind, endings in {
-        "bending stiffness": ("bending_stiffness",),
-        "stiffness": ("stiffness",),
-        "length": ("length", "distance", "radius", "position"),
-    }.items():
-        if name.endswith(endings):
-            return kind
-    return "number"
+    if name.endswith("stiffness"):
+        return "bending stiffness" if name.endswith("bending_stiffness") else "stiffness"
+    return "length" if name.endswith(("length", "distance", "radius", "position")) else "number"
 
 
 class Layout(NamedTuple):
@@ -89,9 +84,8 @@ class Layout(NamedTuple):
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes of the dimensions that follow those of the points."""
-        scene = self.scene
-        sizes = {"control": self.control.size, "whisker": scene.whiskers, "spring": len(scene.springs)}
-        return sizes | {"event": self.events}
+        own = {"control": self.control.size, "event": self.events}
+        return own | {"whisker": self.scene.whiskers, "spring": len(self.scene.springs)}
 
     def dims(self, name: str) -> tuple[str, ...]:
         """Dimensions of a variable."""
@@ -142,11 +136,8 @@ class Layout(NamedTuple):
         if names != here:
             parts = (("lack", here - names), ("also contain", names - here))
             return "its variables " + " and ".join(f"{verb} {', '.join(sorted(some))}" for verb, some in parts if some)
-        for name, attribute in (
-            ("jaxwhisker", "jaxwhisker_version"),
-            ("jax", "jax_version"),
-            ("backend", "jax_backend"),
-        ):
+        versions = {"jaxwhisker": "jaxwhisker_version", "jax": "jax_version", "backend": "jax_backend"}
+        for name, attribute in versions.items():
             if stored.attrs[attribute] != frame.attrs[attribute]:
                 return f"its {name} is {stored.attrs[attribute]}, here {frame.attrs[attribute]}"
         return None if stored.attrs["build"] == self.build else "its `build` makes other scenes"

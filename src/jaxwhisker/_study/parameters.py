@@ -1,23 +1,25 @@
 """The points of a study: every combination of its axes, or the rows of a table."""
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._scan.quantities import Quantity
 
-Region = tuple[slice, ...]  # along the dimensions of the points
-Index = tuple[int, ...]  # of a block along these dimensions
+PointRegion = tuple[slice, ...]  # along the dimensions of the points
+BlockIndex = tuple[int, ...]  # of a block along these dimensions
 
 LANES = 128  # largest number of points per block: more are not faster, and an interrupted study would lose more
 PARTS, FEW = 16, 8  # a smaller study has PARTS blocks, to keep all processors busy, or fewer of FEW points each
 BASE = 1.2e9  # bytes that a process uses that has compiled a study and holds no block
 COPIES = 3  # of the results of a block in memory: as computed, as variables, and while they are stored
-PATH, STEP = 160e3, 60.0  # bytes per whisker and point: for the path, and for each step
+PATH_BYTES, STEP_BYTES = 160e3, 60.0  # bytes per whisker and point: for the path, and for each step
 
 
 class Parameters(NamedTuple):
@@ -40,17 +42,17 @@ class Parameters(NamedTuple):
         sizes = tuple(v.size for v in self.values.values())
         return sizes[:1] if self.paired else sizes
 
-    def at(self, region: Region) -> dict[str, Float[np.ndarray, " points"]]:
+    def at(self, region: PointRegion) -> dict[str, Float[np.ndarray, " points"]]:
         """The parameters of all points of a region."""
-        if self.paired:
-            return {name: column[region[0]] for name, column in self.values.items()}
-        picked = [values[part] for values, part in zip(self.values.values(), region, strict=True)]
-        return {n: v.ravel() for n, v in zip(self.values, np.meshgrid(*picked, indexing="ij"), strict=True)}
+        return self._where(np.mgrid[region].reshape(len(region), -1))
 
     def numbered(self, numbers: np.ndarray) -> dict[str, Float[np.ndarray, " points"]]:
         """The parameters of the points with these numbers."""
-        where = np.unravel_index(numbers, self.shape)
-        rows = where * len(self.values) if self.paired else where
+        return self._where(np.unravel_index(numbers, self.shape))
+
+    def _where(self, where: Sequence[np.ndarray] | np.ndarray) -> dict[str, Float[np.ndarray, " points"]]:
+        """The parameters of the points with these indices along each dimension."""
+        rows = [*where] * len(self.values) if self.paired else where
         return {name: v[k] for (name, v), k in zip(self.values.items(), rows, strict=True)}
 
     def one(self, number: int) -> dict[str, float]:
@@ -60,7 +62,7 @@ class Parameters(NamedTuple):
     @property
     def total(self) -> int:
         """Number of points."""
-        return int(np.prod(self.shape))
+        return math.prod(self.shape)
 
     def spread(self, most: int) -> np.ndarray:
         """Numbers of at most `most` points spread over all, the first few of them far apart."""
@@ -83,14 +85,14 @@ class Blocks(NamedTuple):
     @property
     def lanes(self) -> int:
         """Number of points in a whole block."""
-        return int(np.prod(self.block))
+        return math.prod(self.block)
 
-    def indices(self) -> list[Index]:
+    def indices(self) -> list[BlockIndex]:
         """Indices of all blocks, in order."""
         counts = [-(-n // b) for n, b in zip(self.shape, self.block, strict=True)]
         return list(product(*map(range, counts)))
 
-    def region(self, index: Index) -> Region:
+    def region(self, index: BlockIndex) -> PointRegion:
         """The points of a block."""
         return tuple(slice(k * b, min((k + 1) * b, n)) for k, b, n in zip(index, self.block, self.shape, strict=True))
 
@@ -99,7 +101,7 @@ def split(shape: tuple[int, ...], most: int) -> Blocks:
     """Split points evenly into blocks of at most `most` points, undivided along the last dimensions if possible."""
     block: list[int] = []
     for n in reversed(shape):
-        room = max(1, most // int(np.prod(block, initial=1)))
+        room = max(1, most // math.prod(block))
         block.insert(0, -(-n // -(-n // room)))
     return Blocks(shape, tuple(block))
 
@@ -111,12 +113,10 @@ def blocks_of(
 
     Unless memory is short, the blocks do not depend on the machine.
     """
-    bytes_each = sum(
-        COPIES * np.dtype(q.dtype).itemsize * int(np.prod([sizes[dim] for dim in q.axes], initial=1))
-        for q in quantities
-    ) + sizes["whisker"] * (PATH + STEP * sizes["control"])
+    results = sum(np.dtype(q.dtype).itemsize * math.prod(sizes[dim] for dim in q.axes) for q in quantities)
+    bytes_each = COPIES * results + sizes["whisker"] * (PATH_BYTES + STEP_BYTES * sizes["control"])
     room = int(max(0.0, memory - BASE) / (workers * bytes_each))
-    total = int(np.prod(shape))
+    total = math.prod(shape)
     wanted = LANES if total >= PARTS * LANES else max(FEW, -(-total // PARTS))
     return split(shape, max(1, min(room, wanted, total)))
 
@@ -139,17 +139,18 @@ def parameters_of(build: Any, points: Any, axes: Mapping[str, Any], options: tup
         raise ValueError(f"`points` must be left out if axes are given, got axes {', '.join(axes)}.")
     if points is None and not axes:
         raise ValueError("`axes` must contain the values of at least one parameter of `build`, got none.")
-    given = axes if points is None else _columns(points)
-    _check_names(build, given, options if points is None else ())
-    values = {str(name): _values(name, given[name]) for name in given}
-    if points is not None:
-        sizes = {name: column.size for name, column in values.items()}
-        if len(set(sizes.values())) > 1:
-            raise ValueError(f"`points` must have columns of equal length, got lengths {sizes}.")
+    given = axes if points is None else _table_columns(points)
+    _check_arguments(build, given, options if points is None else ())
+    for name, column in given.items():
+        checks.vector(name, column, finite=False)
+    values = {str(name): np.array(column, dtype=float) for name, column in given.items()}
+    sizes = {name: column.size for name, column in values.items()}
+    if points is not None and len(set(sizes.values())) > 1:
+        raise ValueError(f"`points` must have columns of equal length, got lengths {sizes}.")
     return Parameters(values, points is not None)
 
 
-def _columns(points: Any) -> Mapping[str, Any]:
+def _table_columns(points: Any) -> Mapping[str, Any]:
     # A DataFrame is not a Mapping, but its columns are indexed in the same way.
     names = list(points.columns) if hasattr(points, "columns") else list(points) if isinstance(points, Mapping) else []
     if not names or not all(isinstance(name, str) for name in names):
@@ -157,42 +158,21 @@ def _columns(points: Any) -> Mapping[str, Any]:
     return {name: points[name] for name in names}
 
 
-def _check_names(build: Callable, given: Mapping[str, Any], options: tuple[str, ...]) -> None:
+def _check_arguments(build: Callable, given: Mapping[str, Any], options: tuple[str, ...]) -> None:
+    """Check that `build` can be called with these parameters by name."""
     try:
-        parameters = inspect.signature(build).parameters.values()
+        signature = inspect.signature(build)
     except (TypeError, ValueError):  # some callables have no signature
         return
-    named = {p.name: p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
-    anything = any(p.kind is p.VAR_KEYWORD for p in parameters)
-    for p in parameters:
-        if p.kind is p.POSITIONAL_ONLY and p.default is p.empty:
-            raise ValueError(f"`build` must accept its parameters by name, got positional-only `{p.name}`.")
-    for name, p in named.items():
-        if name in options and p.default is p.empty:
+    for name in options:
+        if name in signature.parameters and signature.parameters[name].default is inspect.Parameter.empty:
             raise ValueError(
                 "`build` must not have a parameter with the name of an option of `study`, "
                 f"got `{name}`: rename it, or use `points`."
             )
-    unknown = [name for name in given if name not in named]
-    if unknown and not anything:
-        allowed = ", ".join(named) or "none"
-        raise ValueError(f"Each axis must be a parameter of `build` ({allowed}), got `{unknown[0]}`.")
-    for name, p in named.items():
-        if p.default is p.empty and name not in given:
-            raise ValueError(
-                f"`{name}` must be an axis, because `build` requires it and it has no default, got {', '.join(given)}."
-            )
-
-
-def _values(name: str, values: Any) -> Float[np.ndarray, " values"]:
     try:
-        array = np.asarray(values)
-    except (TypeError, ValueError):
-        array = np.asarray(None)
-    if array.dtype.kind not in "iuf":
-        raise ValueError(f"`{name}` must be an array of real numbers, got {values!r}.")
-    if array.ndim != 1:
-        raise ValueError(f"`{name}` must be one-dimensional, got shape {array.shape}.")
-    if array.size == 0:
-        raise ValueError(f"`{name}` must have at least one value, got none.")
-    return np.array(array, dtype=float)
+        signature.bind(**given)
+    except TypeError as error:
+        raise ValueError(
+            f"The axes must be parameters of `build{signature}`, got {', '.join(given)}: {error}."
+        ) from None

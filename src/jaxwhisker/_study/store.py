@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxwhisker._study.compute import Arrays
 from jaxwhisker._study.layout import NOT_COMPUTED, POINT_STATUS, Layout
-from jaxwhisker._study.parameters import Blocks, Index
+from jaxwhisker._study.parameters import BlockIndex, Blocks
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,20 +26,16 @@ if TYPE_CHECKING:
 class Memory:
     """A study in memory."""
 
-    stored: "xr.Dataset | None" = None
-    blocks: tuple[int, ...] = ()
+    def resumed(self, layout: Layout) -> None:
+        """Resume nothing: there is no earlier study."""
 
-    def check(self, layout: Layout) -> None:
-        """Check nothing: there is no earlier study."""
-        del layout
-
-    def begin(self, layout: Layout, blocks: Blocks) -> set[Index]:
+    def begin(self, layout: Layout, blocks: Blocks) -> set[BlockIndex]:
         """Allocate all variables; no block is complete."""
         self._layout, self._blocks = layout, blocks
         self._arrays = {n: np.full(layout.shape(n), q.fill, q.dtype) for n, q in layout.variables.items()}
         return set()
 
-    def write(self, index: Index, arrays: Arrays) -> None:
+    def write(self, index: BlockIndex, arrays: Arrays) -> None:
         """Keep the variables of a block; their first axis runs over its points."""
         region = self._blocks.region(index)
         for name, target in self._arrays.items():
@@ -75,7 +71,7 @@ class Store:
         if self.path.exists():
             _open(self.path)
         self._lock = self._locked()
-        self.stored = _open(self.path) if self.path.exists() else None
+        self._stored = _open(self.path) if self.path.exists() else None
 
     def _locked(self) -> int:
         while True:
@@ -99,31 +95,29 @@ class Store:
         self._beside("lock").unlink(missing_ok=True)
         os.close(self._lock)
 
-    @property
-    def blocks(self) -> tuple[int, ...]:
-        """Shape of the blocks of the stored study."""
-        return self._group()[POINT_STATUS].chunks
-
     def _group(self) -> Any:
         import zarr
 
         return zarr.open_group(self.path, mode="r+", use_consolidated=False)
 
-    def check(self, layout: Layout) -> None:
-        """Check that the stored study, if there is one, has this layout.
+    def resumed(self, layout: Layout) -> tuple[Layout, Blocks] | None:
+        """The layout and blocks of the stored study, if there is one.
 
         Raises:
-            ValueError: if it differs.
+            ValueError: if it is another study.
         """
-        different = None if self.stored is None else layout.difference(self.stored)
-        if different:
+        if self._stored is None:
+            return None
+        if different := layout.difference(self._stored):
             raise ValueError(
                 f"`store` must be that of the same study or not exist, got {self.path}, which differs: {different}."
             )
+        blocks = Blocks(layout.parameters.shape, self._group()[POINT_STATUS].chunks)
+        return layout._replace(control=self._stored["control"].values), blocks
 
-    def begin(self, layout: Layout, blocks: Blocks) -> set[Index]:
+    def begin(self, layout: Layout, blocks: Blocks) -> set[BlockIndex]:
         """Create the store if it does not exist, and return the blocks that are complete."""
-        if self.stored is None:
+        if self._stored is None:
             self._create(layout, blocks)
         self._blocks, group = blocks, self._group()
         self._arrays = {name: group[name] for name in layout.variables}
@@ -135,34 +129,28 @@ class Store:
         import zarr
 
         new = self._beside("new")
-        if new.exists():
-            shutil.rmtree(new)  # left by a process that was killed while writing it
+        shutil.rmtree(new, ignore_errors=True)  # left by a process that was killed while writing it
         layout.frame().to_zarr(new, zarr_format=3, consolidated=False)
         group = zarr.open_group(new, mode="r+", use_consolidated=False)
         for name, quantity in layout.variables.items():
-            shape, attributes = layout.shape(name), layout.attributes(name)
-            group.create_array(
-                name,
-                shape=shape,
-                dtype=quantity.dtype,
-                chunks=(*blocks.block, *(max(1, n) for n in shape[len(blocks.block) :])),
-                fill_value=quantity.fill,
-                dimension_names=layout.dims(name),
-                attributes={k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attributes.items()},
-            )
+            shape, dims, attributes = layout.shape(name), layout.dims(name), layout.attributes(name)
+            chunks = (*blocks.block, *(max(1, n) for n in shape[len(blocks.block) :]))
+            attributes = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attributes.items()}
+            kind = {"dtype": quantity.dtype, "fill_value": quantity.fill, "attributes": attributes}
+            group.create_array(name, shape=shape, chunks=chunks, dimension_names=dims, **kind)
         _consolidate(new)
         for path in [*new.rglob("*"), new]:
             _sync(path)
         os.rename(new, self.path)
         _sync(self.path.parent)
 
-    def write(self, index: Index, arrays: Arrays) -> None:
+    def write(self, index: BlockIndex, arrays: Arrays) -> None:
         """Store the variables of a block, `point_status` last; their first axis runs over its points."""
         region = self._blocks.region(index)
+        points = tuple(part.stop - part.start for part in region)
         for name in sorted(self._arrays, key=lambda name: name == POINT_STATUS):
             target = self._arrays[name]
-            shape = tuple(part.stop - part.start for part in region) + target.shape[len(region) :]
-            target[region] = arrays[name].reshape(shape)
+            target[region] = arrays[name].reshape(points + target.shape[len(region) :])
             chunk = (*index, *[0] * (target.ndim - len(index)))
             _sync(self.path / name / target.metadata.encode_chunk_key(chunk))
 

@@ -3,7 +3,9 @@
 import hashlib
 import types
 from collections.abc import Callable, Iterator
-from typing import Any, TypeGuard
+from contextlib import suppress
+from itertools import pairwise
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,9 +16,9 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._scan.dataset import SceneLayout, layout_of
 from jaxwhisker._study.parameters import Parameters
 
-SAMPLES = 64  # most points at which scenes are built to be compared and hashed
+SCENES = 64  # most points at which scenes are built to be compared and hashed
 COMPARED = 5  # scenes whose structure is compared
-ARGUMENTS = np.geomspace(1e-3, 1e3, 19)  # functions in a scene are hashed by their values at these, both signs and 0
+PROBES = np.geomspace(1e-3, 1e3, 19)  # functions in a scene are hashed by their values at these, both signs and 0
 REMEDY = (
     "all points of a study are computed by one compiled function (use jnp.where instead of `if`, jnp.interp instead of "
     "np.interp, jnp.exp instead of math.exp, and no float())"
@@ -32,12 +34,10 @@ def layout_of_scenes(build: Callable, parameters: Parameters) -> SceneLayout:
     """
     samples = _samples(build, parameters)
     traced = _traced(build, parameters, bool(samples))
-    for scene in [*samples[1:], traced]:
-        different = _difference(samples[0], scene, "scene") if samples else None
-        if different:
+    for one, other in pairwise([*samples, traced]):
+        for path in _differences(one, other, "scene"):
             raise ValueError(
-                "`build` must return scenes of the same structure at all points, got scenes whose "
-                f"`{different}` differs."
+                f"`build` must return scenes of the same structure at all points, got scenes whose `{path}` differs."
             )
     return layout_of(traced)
 
@@ -55,16 +55,12 @@ class _NoSceneError(ValueError):
 def _samples(build: Callable, parameters: Parameters) -> list[Scene]:
     """Scenes at a few points spread over all; points that `build` rejects are left out."""
     found: list[Scene] = []
-    for number in parameters.spread(SAMPLES):
+    for point in sampled(parameters):
+        with suppress(Exception):  # a bad point: it gets a status and NaN
+            found.append(build(**point))
         if len(found) == COMPARED:
             break
-        try:
-            found.append(_checked(build(**parameters.one(int(number)))))
-        except _NoSceneError:
-            raise
-        except Exception:  # a bad point: it gets a status and NaN
-            continue
-    return found
+    return [_checked(scene) for scene in found]
 
 
 def _traced(build: Callable, parameters: Parameters, built: bool) -> Scene:
@@ -106,44 +102,39 @@ def _blamed(build: Callable, parameters: Parameters) -> str:
         try:
             _trace(build, (name,), {n: v for n, v in point.items() if n != name})
         except jax.errors.JAXTypeError:
-            found.append(f"`{name}`")
+            found.append(name)
         except Exception:  # the other parameters' values are bad at this point
             continue
-    return ", ".join(found or [f"`{name}`" for name in point])
+    return ", ".join(f"`{name}`" for name in found or point)
 
 
-def _difference(one: Any, other: Any, path: str) -> str | None:
-    """Where two trees differ by more than numbers, or None."""
+def _differences(one: Any, other: Any, path: str) -> Iterator[str]:
+    """Where two trees differ by more than numbers."""
     if isinstance(one, eqx.Module) and type(one) is type(other):
-        fields = one.__dataclass_fields__.items()
-        parts = [(getattr(one, n), getattr(other, n), f"{path}.{n}", f.metadata.get("static")) for n, f in fields]
-        return _first(_differs(*part[:3]) if part[3] else _difference(*part[:3]) for part in parts)
-    if isinstance(one, tuple | list) and type(one) is type(other) and len(one) == len(other):
-        parts = ((a, b, f"{path}[{k}]") for k, (a, b) in enumerate(zip(one, other, strict=True)))
-        return _first(_difference(*part) for part in parts)
-    if _is_number(one) and _is_number(other):
-        return None if np.shape(one) == np.shape(other) else path
-    return _differs(one, other, path)
+        for name, field in one.__dataclass_fields__.items():
+            differences = _other_statics if field.metadata.get("static") else _differences
+            yield from differences(getattr(one, name), getattr(other, name), f"{path}.{name}")
+    elif isinstance(one, tuple | list) and type(one) is type(other) and len(one) == len(other):
+        for k, (a, b) in enumerate(zip(one, other, strict=True)):
+            yield from _differences(a, b, f"{path}[{k}]")
+    elif all(checks.is_numeric(value) and not isinstance(value, bool) for value in (one, other)):
+        if np.shape(one) != np.shape(other):  # pyright: ignore[reportArgumentType, reportCallIssue]
+            yield path
+    else:
+        yield from _other_statics(one, other, path)
 
 
-def _differs(one: Any, other: Any, path: str) -> str | None:
+def _other_statics(one: Any, other: Any, path: str) -> Iterator[str]:
     if isinstance(one, types.FunctionType) and isinstance(other, types.FunctionType):
         # Each call of `build` may define a function anew; equal code means that it is the same function.
-        return None if one.__code__ is other.__code__ else path
-    return None if type(one) is type(other) and one == other else path
-
-
-def _is_number(value: Any) -> TypeGuard[Any]:
-    return checks.is_numeric(value) and not isinstance(value, bool)
-
-
-def _first(found: Iterator[str | None]) -> str | None:
-    return next((path for path in found if path), None)
+        one, other = one.__code__, other.__code__
+    if type(one) is not type(other) or one != other:
+        yield path
 
 
 def sampled(parameters: Parameters) -> list[dict[str, float]]:
     """Points at which the scenes of two `build` functions are compared."""
-    return [parameters.one(int(number)) for number in parameters.spread(SAMPLES)]
+    return [parameters.one(int(number)) for number in parameters.spread(SCENES)]
 
 
 def fingerprint(build: Callable, points: list[dict[str, float]]) -> str:
@@ -169,7 +160,7 @@ def _bytes_of(leaf: Any) -> bytes:
     if not callable(leaf):
         return repr(leaf).encode()
     parameters = [leaf for leaf in jax.tree.leaves(leaf) if checks.is_numeric(leaf)]
-    values = [_value_of(leaf, argument) for argument in (*-ARGUMENTS, 0.0, *ARGUMENTS)]
+    values = [_value_of(leaf, argument) for argument in (*-PROBES, 0.0, *PROBES)]
     return b"".join([*map(_bytes_of, parameters), *values])
 
 

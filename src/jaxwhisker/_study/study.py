@@ -1,6 +1,7 @@
 """Studies: scans at many points of named parameters, in blocks that share one compiled function."""
 
 import importlib
+import math
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -16,7 +17,7 @@ from jaxwhisker._scan.dataset import VARIABLES, omitted_events, points_in_words
 from jaxwhisker._scan.quantities import Quantity
 from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster, threads
 from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, chosen, variables_of
-from jaxwhisker._study.parameters import Blocks, Index, Parameters, blocks_of, parameters_of
+from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, blocks_of, parameters_of
 from jaxwhisker._study.store import Memory, Store
 from jaxwhisker._study.structure import fingerprint, layout_of_scenes, sampled
 
@@ -88,25 +89,14 @@ def study(
     computed = tuple(n for n in VARIABLES if n in layout.variables or (summary and n in chosen(SUMMARISED)))
     visible = sys.stderr.isatty() if progress is None else progress
     with closing(Memory() if store is None else Store(store)) as target:
-        resumed = _resumed(target, layout)
+        resumed = target.resumed(layout)
         if visible:
             print(f"study: compiling, then {parameters.total:,} scans", file=sys.stderr)
         layout, blocks = resumed or _planned(layout, build, computed, memory, client)
-        job = Job(
-            build=build,
-            names=tuple(parameters.values),
-            control=layout.control,
-            outputs=computed,
-            derivatives=derivatives,
-            summary=summary,
-            kept=tuple(layout.variables),
-            whiskers=layout.scene.whiskers,
-            lanes=blocks.lanes,
-        )
-        kernel = Kernel(job)
+        names, kept = tuple(parameters.values), tuple(layout.variables)
+        kernel = Kernel(Job(build, names, layout.control, computed, derivatives, summary, kept, blocks.lanes))
         layout = layout._replace(events=kernel.events)
-        done = target.begin(layout, blocks)
-        _compute(kernel, target, layout, blocks, done, client, visible)
+        _compute(kernel, target, layout, blocks, client, visible)
         return _finished(target, build, layout, visible)
 
 
@@ -145,14 +135,6 @@ def _checked_derivatives(derivatives: Sequence[str] | str, parameters: Parameter
     return names
 
 
-def _resumed(target: Memory | Store, layout: Layout) -> tuple[Layout, Blocks] | None:
-    """The layout and blocks of the stored study, if there is one."""
-    if target.stored is None:
-        return None
-    target.check(layout)
-    return layout._replace(control=target.stored["control"].values), Blocks(layout.parameters.shape, target.blocks)
-
-
 def _planned(
     layout: Layout, build: Callable[..., Scene], computed: Sequence[str], memory: float, client: Any
 ) -> tuple[Layout, Blocks]:
@@ -165,37 +147,23 @@ def _planned(
 
 
 def _compute(
-    kernel: Kernel,
-    target: Memory | Store,
-    layout: Layout,
-    blocks: Blocks,
-    done: set[Index],
-    client: Any,
-    visible: bool,
+    kernel: Kernel, target: Memory | Store, layout: Layout, blocks: Blocks, client: Any, visible: bool
 ) -> None:
-    """Compute and store all blocks that are not done, and show the progress."""
+    """Compute and store all blocks that are not complete, and show the progress."""
     from tqdm import tqdm
 
-    def points(index: Index) -> int:
-        return int(np.prod([part.stop - part.start for part in blocks.region(index)]))
+    def points(index: BlockIndex) -> int:
+        return math.prod(part.stop - part.start for part in blocks.region(index))
 
+    done, steps = target.begin(layout, blocks), layout.control.size
     todo = [index for index in blocks.indices() if index not in done]
     if client is None:
         results = compute_here(kernel, layout.parameters, blocks, todo, target.write)
     else:
         results = compute_on_cluster(client, kernel.job, layout.parameters, blocks, todo, target.write)
-    steps = layout.control.size
-    with (
-        closing(results),
-        tqdm(
-            total=layout.parameters.total * steps,
-            initial=sum(map(points, done)) * steps,
-            desc="study",
-            unit=" equilibria",
-            unit_scale=True,
-            disable=not visible,
-        ) as bar,
-    ):
+    total, initial = layout.parameters.total * steps, sum(map(points, done)) * steps
+    bar = tqdm(total=total, initial=initial, desc="study", unit=" equilibria", unit_scale=True, disable=not visible)
+    with closing(results), bar:
         for index in results:
             bar.update(points(index) * steps)
 

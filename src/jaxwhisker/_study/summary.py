@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Iterator, Mapping
 from itertools import product
 from typing import TYPE_CHECKING
@@ -11,14 +12,15 @@ import numpy as np
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.dataset import VARIABLES
 from jaxwhisker._scan.quantities import CONTROL, REACTIONS, Quantity
+from jaxwhisker._scan.route import route_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-NOISE = 1e-12  # relative to the largest value: smaller values are zero
+ROUNDING_NOISE = 1e-12  # relative to the largest value: smaller values are zero
 REACH = 3  # steps on each side of a peak through which a polynomial is drawn, unless there is a corner
-NEWTON_STEPS = 5  # to the extremum of that polynomial, which is at most half a step away
-BLOCK = 64e6  # bytes of a Dataset that are read at a time
+EXTREMUM_STEPS = 5  # to the extremum of that polynomial, which is at most half a step away
+BLOCK_BYTES = 64e6  # bytes of a Dataset that are read at a time
 WIDTHS = ("contact_width", "half_width_mz")
 _EVENTS = ("event_kind", "event_control", "event_whisker", "event_count")
 _ENERGIES = ("event_energy_before", "event_energy_after")
@@ -84,15 +86,9 @@ def summary(data: xr.Dataset) -> xr.Dataset:
     return xr.Dataset(variables, kept, data.attrs)
 
 
-def turns(control: np.ndarray) -> bool:
-    """Whether the control changes direction."""
-    moves = np.sign(np.diff(control))
-    return bool(np.any(moves > 0) and np.any(moves < 0))
-
-
 def comment_on(name: str, control: np.ndarray) -> dict[str, str]:
     """An attribute that says why a variable of the summary is NaN everywhere."""
-    if name not in WIDTHS or not turns(control):
+    if name not in WIDTHS or not _changes_direction(control):
         return {}
     return {"comment": "NaN because the control changes direction: two positions do not determine the distance between"}
 
@@ -103,17 +99,17 @@ def _in_blocks(data: xr.Dataset, known: list[str], axes: list[Hashable], control
     found: dict[str, np.ndarray] = {}
     for block in _blocks(data, axes):
         arrays = {name: field.isel(block).values for name, field in fields.items()}
-        for name, values in summarise(arrays, control, data.sizes["whisker"]).items():
+        for name, values in summarise(arrays, control).items():
             whole = tuple(data.sizes[dim] for dim in (*axes, *SUMMARY[name].axes))
             found.setdefault(name, np.empty(whole, SUMMARY[name].dtype))[tuple(block.values())] = values
     return found
 
 
 def _blocks(data: xr.Dataset, axes: list[Hashable]) -> Iterator[dict[Hashable, slice]]:
-    """Slices along the axes: whole chunks of a store, or at most BLOCK bytes."""
+    """Slices along the axes: whole chunks of a store, or at most BLOCK_BYTES."""
     sizes = {dim: data.sizes[dim] for dim in axes}
     stored = max((v.encoding.get("preferred_chunks", {}) for v in data.data_vars.values()), key=len, default={})
-    lanes = max(1, int(BLOCK / max(1, data.nbytes / max(1, int(np.prod(list(sizes.values())))))))
+    lanes = max(1, int(BLOCK_BYTES / max(1, data.nbytes / max(1, math.prod(sizes.values())))))
     length = {}
     for dim in reversed(axes):
         length[dim] = stored.get(dim, max(1, min(sizes[dim], lanes)))
@@ -123,19 +119,18 @@ def _blocks(data: xr.Dataset, axes: list[Hashable]) -> Iterator[dict[Hashable, s
         yield {dim: slice(k, k + length[dim]) for dim, k in zip(axes, corner, strict=True)}
 
 
-def summarise(arrays: Mapping[str, np.ndarray], control: np.ndarray, whiskers: int) -> dict[str, np.ndarray]:
+def summarise(arrays: Mapping[str, np.ndarray], control: np.ndarray) -> dict[str, np.ndarray]:
     """Summarise scans along one control; variables that need a missing array are left out.
 
     Args:
         arrays: variables of a study by name, (..., control, whisker), (..., control), (..., event, whisker) or
             (..., event): fx, fy, mz, base_x, status, event_*, and the states at events, before_* and after_*, if known.
         control: drive positions.
-        whiskers: number of whiskers.
 
     Returns:
         The variables of `SUMMARY`, (..., whisker) or (...). Peaks, widths and work of a scan with failed steps are NaN.
     """
-    scans = _Scans(arrays, np.asarray(control, dtype=float), whiskers)
+    scans = _Scans(arrays, np.asarray(control, dtype=float))
     found: dict[str, np.ndarray] = {}
     for name in scans.reactions:
         for which, sign in (("max", 1.0), ("min", -1.0)):
@@ -143,71 +138,57 @@ def summarise(arrays: Mapping[str, np.ndarray], control: np.ndarray, whiskers: i
     if "mz" in scans.reactions:
         found["half_width_mz"] = scans.half_width("mz", np.maximum(np.abs(found["max_mz"]), np.abs(found["min_mz"])))
     if scans.reactions and scans.has_events:
-        found["first_touch"], found["last_contact"] = scans.contact()
+        found["first_touch"], found["last_contact"] = scans.contact(1), scans.contact(-1)
         found["contact_width"] = scans.distance(found["first_touch"], found["last_contact"])
     if scans.has_events:
         found["snaps"] = np.where(scans.count < 0, -1, scans.snap.sum(axis=1))
         if set(_ENERGIES) <= set(arrays):
-            found["snap_work"] = scans.snap_work()
+            lost = np.where(scans.snap, np.subtract(*(scans.arrays[name] for name in _ENERGIES)), 0.0)
+            found["snap_work"] = np.where(scans.failed, np.nan, lost.sum(axis=1))
     if "status" in arrays:
-        status = scans.lanes("status", 1)
+        status = scans.arrays["status"]
         found["steps_failed"] = np.where(np.any(status < 0, axis=1), -1, np.sum(status > 0, axis=1))
     return {name: found[name].reshape((*scans.lead, *found[name].shape[1:])) for name in SUMMARY if name in found}
+
+
+def _changes_direction(control: np.ndarray) -> bool:
+    """Whether the control changes direction."""
+    return bool(route_of(control).last > 1)
 
 
 class _Scans:
     """Scans along one leading axis: arrays have shape (scans, ...)."""
 
-    def __init__(self, arrays: Mapping[str, np.ndarray], control: np.ndarray, whiskers: int):
-        self.arrays, self.control, self.turns = arrays, control, turns(control)
+    def __init__(self, arrays: Mapping[str, np.ndarray], control: np.ndarray):
+        self.control, self.turns, self.lead = control, _changes_direction(control), ()
+        self.arrays: dict[str, np.ndarray] = {}
+        for name in (name for name in arrays if name in VARIABLES):
+            array, own = np.asarray(arrays[name]), len(VARIABLES[name].axes)
+            self.lead, shape = array.shape[: array.ndim - own], array.shape[array.ndim - own :]
+            self.arrays[name] = array.reshape((math.prod(self.lead), *shape))
         self.reactions = [name for name in REACTIONS if name in arrays]
         self.has_events = set(_EVENTS) <= set(arrays)
-        trailing = {"status": 1, "event_kind": 1} | dict.fromkeys(self.reactions, 2)
-        shapes = [np.shape(arrays[name])[:-count] for name, count in trailing.items() if name in arrays]
-        self.lead = shapes[0] if shapes else ()
-        scans = int(np.prod(self.lead))
-        self.failed = np.zeros(scans, bool)
+        failures = [np.isnan(self.arrays[name]).any(axis=(1, 2)) for name in self.reactions]
         if "status" in arrays:
-            self.failed |= np.any(self.lanes("status", 1) != 0, axis=1)
-        for name in self.reactions:
-            self.failed |= np.isnan(self.lanes(name, 2)).any(axis=(1, 2))
-        self.kind, self.at = np.full((scans, 0), -1), np.zeros((scans, 0))
-        self.named = np.zeros((scans, 0, whiskers), bool)
+            failures.append(np.any(self.arrays["status"] != 0, axis=1))
         if self.has_events:
-            self.kind, self.at = self.lanes("event_kind", 1), self.lanes("event_control", 1)
-            self.named = self.lanes("event_whisker", 2)
-            self.count = np.asarray(arrays["event_count"]).reshape(scans)
-            self.failed |= self.count > self.kind.shape[1]  # events that are not stored cannot be summed
-        self.snap = self.kind >= EventKind.snap_through
-
-    def lanes(self, name: str, trailing: int) -> np.ndarray:
-        """An array with one axis for all scans before its trailing axes."""
-        array = np.asarray(self.arrays[name])
-        return array.reshape(int(np.prod(self.lead)), *array.shape[array.ndim - trailing :])
+            self.kind, self.at, self.named, self.count = (self.arrays[name] for name in _EVENTS)
+            self.snap = self.kind >= EventKind.snap_through
+            failures.append(self.count > self.kind.shape[1])  # events that are not stored cannot be summed
+        self.failed = np.any(failures, axis=0)
 
     def distance(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Distance of the drive between two positions."""
         return np.full_like(start, np.nan) if self.turns else np.abs(end - start)
 
-    def snap_work(self) -> np.ndarray:
-        """Energy lost in all snaps."""
-        before, after = (self.lanes(name, 1) for name in _ENERGIES)
-        return np.where(self.failed, np.nan, np.sum(np.where(self.snap, before - after, 0.0), axis=1))
-
-    def _inside(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Which events, (scans, events, whiskers), lie in the steps from first to last, (scans, whiskers)."""
-        ends = self.control[first][:, None, :], self.control[last][:, None, :]
-        at = self.at[:, :, None]
-        return (at >= np.minimum(*ends)) & (at <= np.maximum(*ends))
-
     def peak(self, name: str, sign: float) -> tuple[np.ndarray, np.ndarray]:
         """Largest (sign 1) or smallest (-1) value of every whisker, and its position, NaN if the peak is zero."""
-        values = sign * self.lanes(name, 2)
-        noise = NOISE * np.max(np.abs(values), axis=1)
+        values = sign * self.arrays[name]
+        noise = ROUNDING_NOISE * np.max(np.abs(values), axis=1)
         best, where = self._peak_of_steps(values)
         for side in ("before", "after") if self.has_events else ():
             if f"{side}_{name}" in self.arrays:
-                top, at = self._peak_of_events(sign * self.lanes(f"{side}_{name}", 2))
+                top, at = self._peak_of_events(sign * self.arrays[f"{side}_{name}"])
                 better = top > best + noise
                 best, where = np.where(better, top, best), np.where(better, at, where)
         best = np.where(np.abs(best) <= noise, 0.0, best)
@@ -218,23 +199,20 @@ class _Scans:
         """Largest value of the steps and its position, refined by polynomials where the signal is smooth."""
         steps = self.control.size
         step = np.argmax(np.where(np.isnan(values), -np.inf, values), axis=1)
-        # A peak that the drive passes within a few steps is smoother over the position of the base than over the drive.
-        over = self.lanes("base_x", 2) if "base_x" in self.arrays else None
-
-        def near(k: int, of: np.ndarray = values) -> np.ndarray:
-            return np.take_along_axis(of, np.clip(step + k, 0, steps - 1)[:, None, :], axis=1)[:, 0]
-
-        highest = near(0)
+        highest = _values_at(values, step)
         best, where = highest, self.control[step]
+        if not self.has_events:  # which distinguish corners from smooth peaks
+            return best, where
         corner = (self.kind >= 0) & (self.kind != EventKind.vertex)
-        # Only events distinguish corners from smooth peaks.
-        for reach in range(1, REACH + 1 if self.has_events else 1):
+        # A peak that the drive passes within a few steps is smoother over the position of the base than over the drive.
+        over = self.arrays.get("base_x", np.broadcast_to(self.control[:, None], values.shape))
+        for reach in range(1, REACH + 1):
             first, last = np.maximum(step - reach, 0), np.minimum(step + reach, steps - 1)
-            smooth = (last - first == 2 * reach) & ~np.any(self._inside(first, last) & corner[:, :, None], axis=1)
-            around = range(-reach, reach + 1)
-            drive = [self.control[(step + k) % steps] for k in around]
-            x = drive if over is None else [near(k, over) for k in around]
-            top, at = _extremum(x, [near(k) for k in around], drive)
+            events = _events_between(self.at, self.control[first], self.control[last]) & corner[:, :, None]
+            smooth = (last - first == 2 * reach) & ~np.any(events, axis=1)
+            around = [np.clip(step + k, 0, steps - 1) for k in range(-reach, reach + 1)]
+            x, y = ([_values_at(of, k) for k in around] for of in (over, values))
+            top, at = _extremum(x, y, [self.control[k] for k in around])
             better = smooth & (top > highest)  # False for NaN, where the drive stands still
             best, where = np.where(better, top, best), np.where(better, at, where)
         return best, where
@@ -243,62 +221,56 @@ class _Scans:
         """Largest value of the states at events, (scans, events, whiskers), and its position."""
         states = np.where(np.isnan(states), -np.inf, states)
         event = np.argmax(states, axis=1)
-        top = np.take_along_axis(states, event[:, None, :], axis=1)[:, 0]
-        return top, np.take_along_axis(self.at, event, axis=1)
+        return _values_at(states, event), np.take_along_axis(self.at, event, axis=1)
 
-    def contact(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where every whisker first touches and where it loses contact for good; NaN if outside the control."""
-        touching = np.any([self.lanes(name, 2) != 0 for name in self.reactions], axis=0)
-        steps = self.control.size
-        ever = touching.any(axis=1)
-        first = np.argmax(touching, axis=1)
-        last = steps - 1 - np.argmax(touching[:, ::-1], axis=1)
-        snap, release = self.snap[:, :, None], (self.kind == EventKind.release)[:, :, None]
+    def contact(self, way: int) -> np.ndarray:
+        """Where every whisker first touches (way 1) or loses contact for good (-1); NaN if outside the control."""
+        # Seen backwards, the end of contact is its beginning.
+        ordered = slice(None, None, way)
+        control, at = self.control[ordered], self.at[:, ordered]
+        touching = np.any([self.arrays[name] != 0 for name in self.reactions], axis=0)[:, ordered]
+        first, ever = np.argmax(touching, axis=1), touching.any(axis=1)
+        begins = self.kind == EventKind.touch if way > 0 else (self.kind == EventKind.release) | self.snap
+        named = (begins[:, :, None] & self.named)[:, ordered]
+        inside = _events_between(at, control[np.maximum(first - 1, 0)], control[first])
         # A snap names the whiskers that slipped off their branch, but others may also come into contact or lose it.
-        begins = (self.kind == EventKind.touch)[:, :, None] & self.named
-        ends = (release | snap) & self.named
-        begun = self._index(begins, snap & ever[:, None], np.maximum(first - 1, 0), first, 1)
-        ended = self._index(ends, snap & ever[:, None], last, np.minimum(last + 1, steps - 1), -1)
-        unseen_start = ever & (first == 0)
-        unseen_end = ever & (last == steps - 1)
-        padded = np.concatenate([self.at, np.full((self.at.shape[0], 1), np.nan)], axis=1)
-        lost = self.failed[:, None]
-        start, end = (np.take_along_axis(padded, index, axis=1) for index in (begun, ended))
-        return np.where(lost | unseen_start, np.nan, start), np.where(lost | unseen_end, np.nan, end)
-
-    def _index(self, named: np.ndarray, snaps: np.ndarray, low: np.ndarray, high: np.ndarray, way: int) -> np.ndarray:
-        """Index of the first (way 1) or last (-1) event of `named`, or of a snap in these steps before (after) it."""
-        inside = self._inside(low, high)
-        none = named.shape[1]
-
-        def pick(which: np.ndarray) -> np.ndarray:
-            index = np.argmax(which[:, ::way], axis=1)
-            return np.where(which.any(axis=1), index if way > 0 else none - 1 - index, none)
-
-        if none == 0:
-            return np.zeros(low.shape, int)
-        own, other, own_inside = pick(named), pick(snaps & inside), np.any(named & inside, axis=1)
-        before = (other < own) if way > 0 else (other > own)
-        return np.where((own == none) | (before & (other < none) & ~own_inside), other, own)
+        snaps = self.snap[:, ordered, None] & ever[:, None] & inside
+        # The index of the first one; of the NaN behind all events if there is none.
+        own, other = (np.pad(w, ((0, 0), (0, 1), (0, 0)), constant_values=True).argmax(axis=1) for w in (named, snaps))
+        earlier = (other < own) & ~np.any(named & inside, axis=1)
+        event = np.where((own == at.shape[1]) | earlier, other, own)
+        where = np.take_along_axis(np.pad(at, ((0, 0), (0, 1)), constant_values=np.nan), event, axis=1)
+        return np.where(self.failed[:, None] | (ever & (first == 0)), np.nan, where)
 
     def half_width(self, name: str, peak: np.ndarray) -> np.ndarray:
         """Distance of the drive between the first and the last position at which the magnitude is half its peak."""
-        size, half = np.abs(self.lanes(name, 2)), peak[:, None, :] / 2
-        above = size >= np.where(half > 0, half, np.inf)
-        steps = self.control.size
-        first, last = np.argmax(above, axis=1), steps - 1 - np.argmax(above[:, ::-1], axis=1)
+        size, half = np.abs(self.arrays[name]), peak / 2
+        above = size >= np.where(half > 0, half, np.inf)[:, None]
+        end = self.control.size - 1
+        first, last = np.argmax(above, axis=1), end - np.argmax(above[:, ::-1], axis=1)
 
         def crossing(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
-            a, b = (np.take_along_axis(size, k[:, None, :], axis=1)[:, 0] for k in (inner, outer))
-            share = (a - half[:, 0]) / np.where(a == b, 1.0, a - b)
+            a, b = _values_at(size, inner), _values_at(size, outer)
+            share = (a - half) / np.where(a == b, 1.0, a - b)
             return self.control[inner] + share * (self.control[outer] - self.control[inner])
 
-        start, end = crossing(first, np.maximum(first - 1, 0)), crossing(last, np.minimum(last + 1, steps - 1))
-        known = above.any(axis=1) & (first > 0) & (last < steps - 1) & ~self.failed[:, None]
-        return np.where(known, self.distance(start, end), np.nan)
+        width = self.distance(crossing(first, np.maximum(first - 1, 0)), crossing(last, np.minimum(last + 1, end)))
+        known = above.any(axis=1) & (first > 0) & (last < end) & ~self.failed[:, None]
+        return np.where(known, width, np.nan)
 
 
-def _differences(x: list[np.ndarray], y: list[np.ndarray]) -> list[np.ndarray]:
+def _values_at(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Values, (scans, steps, whiskers), at one index for each scan and whisker."""
+    return np.take_along_axis(values, index[:, None], axis=1)[:, 0]
+
+
+def _events_between(at: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Which positions, (scans, events), lie between start and end, (scans, whiskers): (scans, events, whiskers)."""
+    low, high = np.minimum(start, end)[:, None], np.maximum(start, end)[:, None]
+    return (at[:, :, None] >= low) & (at[:, :, None] <= high)
+
+
+def _divided_differences(x: list[np.ndarray], y: list[np.ndarray]) -> list[np.ndarray]:
     """Divided differences: coefficients of Newton's polynomial through the points."""
     factor = list(y)
     for order in range(1, len(x)):
@@ -307,7 +279,7 @@ def _differences(x: list[np.ndarray], y: list[np.ndarray]) -> list[np.ndarray]:
     return factor
 
 
-def _polynomial(x: list[np.ndarray], factor: list[np.ndarray], at: np.ndarray) -> tuple[np.ndarray, ...]:
+def _newton_polynomial(x: list[np.ndarray], factor: list[np.ndarray], at: np.ndarray) -> tuple[np.ndarray, ...]:
     """Newton's polynomial, its slope and second derivative."""
     value, slope, bend = factor[-1], np.zeros_like(at), np.zeros_like(at)
     for k in range(len(x) - 2, -1, -1):
@@ -321,14 +293,13 @@ def _extremum(x: list[np.ndarray], y: list[np.ndarray], control: list[np.ndarray
     """Extremum of the polynomial through an odd number of points, and the control there; NaN unless in the middle."""
     middle = len(x) // 2
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        factor, at = _differences(x, y), x[middle]
-        for _ in range(NEWTON_STEPS):
-            _, slope, bend = _polynomial(x, factor, at)
+        factor, at = _divided_differences(x, y), x[middle]
+        for _ in range(EXTREMUM_STEPS):
+            _, slope, bend = _newton_polynomial(x, factor, at)
             at = at - slope / bend
         beside = (at - x[middle - 1]) * (at - x[middle + 1]) <= 0
-        where, *_ = _polynomial(x, _differences(x, control), at)
-        steps = np.diff(np.stack(x), axis=0)
-        monotonic = np.all(steps > 0, axis=0) | np.all(
-            steps < 0, axis=0
-        )  # a polynomial needs a drive that does not turn
-        return np.where(beside & monotonic, _polynomial(x, factor, at)[0], np.nan), where
+        where, *_ = _newton_polynomial(x, _divided_differences(x, control), at)
+        # A polynomial needs a drive that does not turn.
+        ways = np.sign(np.diff(np.stack(x), axis=0))
+        monotonic = np.abs(ways.sum(axis=0)) == len(ways)
+        return np.where(beside & monotonic, _newton_polynomial(x, factor, at)[0], np.nan), where
