@@ -16,6 +16,7 @@ from jaxwhisker._scan.export import columns
 from jaxwhisker._scan.report import write_columns
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.shapes import shapes
+from jaxwhisker.plot.states import draw_arrow
 from jaxwhisker.thesis.scans import Case, Scans, first_event
 from jaxwhisker.thesis.tables import TABLES, bend
 
@@ -50,8 +51,7 @@ class Deflections:
             # Before bending, the force points towards -x, 90 degrees ahead of the whisker; a follower force turns.
             direction, size = angle + np.pi / 2 if table.follower else np.pi, 0.06 + 0.022 * load.force
             tip = x + size * np.cos(direction), y + size * np.sin(direction)
-            arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
-            ax.annotate("", xy=tip, xytext=(x, y), arrowprops=arrow, zorder=5)
+            draw_arrow((x, y), tip, colour, ax)
             ax.update_datalim([(x, y), tip])
         ax.autoscale_view()
         ax.plot([0, 0], [0, 1], color="0.5", linewidth=1, linestyle="--", zorder=1, label="unloaded")
