@@ -10,7 +10,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 from jaxwhisker.thesis.catalogue import FIGURES
-from jaxwhisker.thesis.claims import all_claims, needed
+from jaxwhisker.thesis.claims import CLAIMS, needed
 from jaxwhisker.thesis.figures import draw
 from jaxwhisker.thesis.page import claim_sections, claims_table, figure, folded, markdown_table, paragraph
 from jaxwhisker.thesis.reproduce import PARAMETERS, TABLES_ABOUT
@@ -27,7 +27,7 @@ whiskers (FBFBFBR). On this page you can compare the tables, figures and claims 
 computes. `python figures/thesis.py` writes it. `make demo` or `jaxwhisker reproduce` writes all results with pictures
 and data to `out/`.
 """
-CLAIMS = """
+CLAIMS_ABOUT = """
 These are the claims of chapter 6 in the order of the thesis, after the limit that bounds them. A claim that holds "in
 part" has limits, which the [last section](#claims-in-full) states with numbers.
 """
@@ -64,9 +64,9 @@ def figures_section(scans: Scans) -> str:
 
 def main() -> None:
     with Scans([*needed(), *(case for name in SHOWN for case in FIGURES[name].cases)]) as scans:
-        claims = list(all_claims(scans))
+        claims = [claim(scans) for claim in CLAIMS]
         figures = figures_section(scans)
-    parts = ["# The thesis", paragraph(INTRODUCTION), "## Claims", paragraph(CLAIMS), claims_table(claims)]
+    parts = ["# The thesis", paragraph(INTRODUCTION), "## Claims", paragraph(CLAIMS_ABOUT), claims_table(claims)]
     parts += [tables_section(), figures, "## Claims in full", claim_sections(claims, fold=True)]
     (DOCS / "thesis.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 

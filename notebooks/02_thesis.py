@@ -27,10 +27,9 @@ from IPython.display import Image, Markdown
 
 from jaxwhisker.thesis import claims
 from jaxwhisker.thesis.catalogue import FIGURES
-from jaxwhisker.thesis.claim import varied
 from jaxwhisker.thesis.figures import draw
 from jaxwhisker.thesis.page import markdown_table
-from jaxwhisker.thesis.scans import STIFFNESSES, Scans
+from jaxwhisker.thesis.scans import Scans
 from jaxwhisker.thesis.tables import TABLES, table_rows
 
 # %% [markdown]
@@ -41,7 +40,7 @@ from jaxwhisker.thesis.tables import TABLES, table_rows
 shown = ("6.1", "6.2", "6.3", "6.10", "6.18", "7.4")
 cases = [case for name in shown for case in FIGURES[name].cases]
 cases += [
-    case for family in varied("stiffness", STIFFNESSES).values() for case in family
+    case for family in claims.families("stiffness").values() for case in family.values()
 ]
 scans, folder = Scans(cases), Path(tempfile.mkdtemp())
 

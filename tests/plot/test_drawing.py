@@ -65,10 +65,10 @@ def test_forces_point_the_way_the_object_pushes(result):
 
 def test_a_scene_starts_just_before_the_touch(result, turned):
     touch = result.events[0].control
-    assert drawing.start_of(result.scene) == pytest.approx(touch + drawing.AHEAD, abs=ROUNDING)
+    assert drawing.start_of(result.scene) == pytest.approx(touch + drawing.BEFORE_TOUCH, abs=ROUNDING)
     drive = drawing.drive_pose(result.scene, touch)
     assert (drive.x, drive.y, drive.angle) == (touch, 0.0, 0.0)
-    start, step = drawing.start_of(turned.scene), np.pi / (drawing.SAMPLES - 1)
+    start, step = drawing.start_of(turned.scene), np.pi / (drawing.CONTROLS - 1)
     assert start < turned.events[0].control < start + 1.01 * step
 
 

@@ -16,7 +16,7 @@ SCANS = 1e-7  # relative difference of scans in different units
 
 
 def whiskers_of(ax):
-    return [line for line in ax.get_lines() if np.size(line.get_xdata()) == drawing.POINTS]
+    return [line for line in ax.get_lines() if np.size(line.get_xdata()) == drawing.LINE_POINTS]
 
 
 def test_shapes_are_at_the_nearest_steps(result):

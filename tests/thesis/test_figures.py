@@ -1,15 +1,11 @@
 """Figures: labels, colours; drawing itself: test_reproduce."""
 
-from typing import Any
-
 import numpy as np
-import pytest
 from matplotlib.image import imread
 
 from jaxwhisker import plot
-from jaxwhisker.thesis.catalogue import Figure
-from jaxwhisker.thesis.figures import _colours, draw, draw_table, plain
-from jaxwhisker.thesis.scans import Case, Scans, vary
+from jaxwhisker.thesis.figures import _colours, draw_table, plain
+from jaxwhisker.thesis.scans import Case, vary
 
 
 def test_labels_of_data_have_no_latex():
@@ -17,15 +13,8 @@ def test_labels_of_data_have_no_latex():
 
 
 def test_the_clamped_whisker_is_black_in_comparisons():
-    assert _colours(vary("stiffness", (30.0, np.inf)))[-1] == plot.COLOURS[-1]
-    assert _colours({"clamped": Case(stiffness=np.inf)}) == plot.COLOURS[:1]
-
-
-@pytest.mark.unchecked
-def test_unknown_entries_are_rejected(tmp_path):
-    wrong: Any = 3
-    with pytest.raises(TypeError, match="`shows` must be an entry of the catalogue, got 3"):
-        draw(Figure("6.1", "title", wrong), Scans([]), tmp_path)
+    assert _colours(vary("stiffness", values=(30.0, np.inf)))[-1] == plot.COLOURS[-1]
+    assert _colours({"clamped": Case(stiffness=np.inf)}) == [plot.COLOURS[0]]
 
 
 def test_tables_are_drawn(tmp_path):

@@ -1,6 +1,6 @@
 """Markdown of results: paragraphs, tables, figures, claims with links to their sections."""
 
-from jaxwhisker.thesis.claim import Claim
+from jaxwhisker.thesis.claims import Claim
 from jaxwhisker.thesis.page import (
     claim_sections,
     claims_table,

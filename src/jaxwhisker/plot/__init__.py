@@ -5,7 +5,8 @@ first whisker; other scenes in SI units with prefixes (mm, mN, mN mm). `units` o
 increases to the right, as x does in figures of states. A whisker has the same colour in all figures.
 """
 
-from jaxwhisker.plot.axes import COLOURS, CONTROL_AXIS, QUANTITIES, axis_label, control_axis, save
+from jaxwhisker._scan.quantities import DRAWN as QUANTITIES
+from jaxwhisker.plot.axes import COLOURS, CONTROL_AXIS, axis_label, control_axis, save
 from jaxwhisker.plot.inverse import contour, fit, information
 from jaxwhisker.plot.phase_strips import phases
 from jaxwhisker.plot.signals import compare, contact_range, overview, reactions, signal, spring_lengths

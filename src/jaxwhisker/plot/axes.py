@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 
+from jaxwhisker._base import checks
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._scan.quantities import DRAWN, UnitSystem, dimensionless_label
-from jaxwhisker._scan.quantities import QUANTITIES as TABLE
+from jaxwhisker._scan.quantities import DRAWN, QUANTITIES, UnitSystem, dimensionless_label
 from jaxwhisker._scan.result import Result
 
 # The palette of Okabe and Ito, whose colours remain distinct for colour-blind readers; black comes last.
@@ -20,8 +20,7 @@ DASHES = ("-", "--", ":", "-.")
 GREY = "#777777"
 OBJECT, SUPPORT = "#DDDDDD", "#555555"
 
-QUANTITIES = DRAWN
-CONTROL_AXIS = dimensionless_label(TABLE["control"].symbol, "length")
+CONTROL_AXIS = dimensionless_label(QUANTITIES["control"].symbol, "length")
 
 
 def colour(index: int) -> str:
@@ -42,8 +41,9 @@ def axis_label(quantity: str, scene: Scene | None = None, *, units: str = "auto"
     """
     check_quantity(quantity)
     if scene is None:
-        return dimensionless_label(TABLE[quantity].symbol, TABLE[quantity].kind)
-    return UnitSystem(check_scene(scene), units).label(quantity)
+        return dimensionless_label(QUANTITIES[quantity].symbol, QUANTITIES[quantity].kind)
+    checks.instance("scene", scene, Scene, "a Scene")
+    return UnitSystem(scene, units).label(quantity)
 
 
 def control_axis(scene: Scene, *, units: str = "auto") -> str:
@@ -56,7 +56,8 @@ def control_axis(scene: Scene, *, units: str = "auto") -> str:
     Raises:
         ValueError: if `scene` is not a Scene or `units` is invalid.
     """
-    return UnitSystem(check_scene(scene), units).label("control")
+    checks.instance("scene", scene, Scene, "a Scene")
+    return UnitSystem(scene, units).label("control")
 
 
 def unit_systems(results: Sequence[Result], units: str) -> list[UnitSystem]:
@@ -67,45 +68,27 @@ def unit_systems(results: Sequence[Result], units: str) -> list[UnitSystem]:
     return [UnitSystem(one.scene, "SI", prefixes_of=own[0].scene) for one in own]
 
 
-def check_type(name: str, value: Any, allowed: type | tuple[type, ...], words: str) -> None:
-    """Check the type of an argument.
-
-    Raises:
-        ValueError: if it has another type.
-    """
-    if not isinstance(value, allowed):
-        raise ValueError(f"`{name}` must be {words}, got {value!r}.")
-
-
-def check_scene(scene: Any) -> Scene:
-    """Return a scene after checking its type."""
-    check_type("scene", scene, Scene, "a Scene")
-    return scene
-
-
 def check_quantity(quantity: Any) -> None:
-    """Check that `quantity` is one of `QUANTITIES`."""
-    if quantity not in QUANTITIES:
-        raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, got {quantity!r}.")
+    """Check that a quantity can be drawn over the control."""
+    if quantity not in DRAWN:
+        checks.fail("quantity", f"one of {', '.join(DRAWN)}", repr(quantity))
 
 
 def one_axes(ax: Axes | None) -> Axes:
     """Axes to draw into: in a new figure by default."""
-    if ax is not None:
-        check_type("ax", ax, Axes, "matplotlib Axes")
-        return ax
-    from matplotlib import pyplot
-
-    return pyplot.subplots(layout="constrained")[1]
+    if ax is None:
+        return grid_of_axes(None)[0]
+    checks.instance("ax", ax, Axes, "matplotlib Axes")
+    return ax
 
 
-def column(axs: Iterable[Axes] | None, count: int) -> np.ndarray:
-    """Axes below each other with one horizontal axis: in a new figure by default."""
+def grid_of_axes(axs: Iterable[Axes] | None, rows: int = 1, columns: int = 1, **options: Any) -> np.ndarray:
+    """Axes row by row, as a one-dimensional array: in a new figure by default."""
     if axs is not None:
-        return several_axes(axs, count)
+        return several_axes(axs, rows * columns)
     from matplotlib import pyplot
 
-    return pyplot.subplots(count, 1, sharex=True, squeeze=False, layout="constrained")[1][:, 0]
+    return pyplot.subplots(rows, columns, squeeze=False, layout="constrained", **options)[1].ravel()
 
 
 def several_axes(axs: Any, count: int | None = None) -> np.ndarray:
@@ -115,11 +98,9 @@ def several_axes(axs: Any, count: int | None = None) -> np.ndarray:
         ValueError: if they are not Axes, or if their number is not `count`.
     """
     axes = np.ravel(np.asarray(list(axs) if isinstance(axs, Iterable) else axs, dtype=object))
-    words = "Axes" if count is None else f"{count} Axes"
-    if not axes.size or not all(isinstance(ax, Axes) for ax in axes):
-        raise ValueError(f"`axs` must be {words}, got {axs!r}.")
-    if count not in (None, axes.size):
-        raise ValueError(f"`axs` must be {words}, got {axes.size}.")
+    known = axes.size > 0 and all(isinstance(ax, Axes) for ax in axes)
+    if not known or count not in (None, axes.size):
+        checks.fail("axs", "Axes" if count is None else f"{count} Axes", axes.size if known else repr(axs))
     return axes
 
 
@@ -129,8 +110,9 @@ def mark_events(ax: Axes, controls: Iterable[float]) -> None:
         ax.axvline(control, color=GREY, linewidth=0.5, zorder=0)
 
 
-def legend_above(ax: Axes, handles: Sequence[Any], *, least: int = 2, columns: int = 3) -> None:
+def legend_above(ax: Axes, handles: Sequence[Any] | None = None, *, least: int = 2, columns: int = 3) -> None:
     """Put a legend above the Axes, where it hides nothing, if there are at least that many entries."""
+    handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     if len(handles) >= least:
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False, "borderaxespad": 0.2}
         style = {"fontsize": "small", "handlelength": 1.5, "columnspacing": 1.0}
@@ -160,7 +142,7 @@ def save(drawn: Figure | Axes | Iterable[Axes], path: str | Path, **options: Any
     import matplotlib
 
     first: Any = drawn if isinstance(drawn, Figure) else next(iter(np.ravel(np.asarray(drawn, dtype=object))), drawn)
-    check_type("drawn", first, (Figure, Axes), "a matplotlib Figure or Axes")
+    checks.instance("drawn", first, (Figure, Axes), "a matplotlib Figure or Axes")
     figure = first if isinstance(first, Figure) else first.figure
     with matplotlib.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42, "ps.fonttype": 42}):
         figure.savefig(path, **options)

@@ -24,16 +24,16 @@ from jaxwhisker._scan.shapes import shapes_of
 from jaxwhisker._scan.state import State
 
 # Lengths are in L of the first whisker.
-POINTS = 64  # per centre line
+LINE_POINTS = 64  # per centre line
 AMPLITUDE = 0.018  # of a spring's zigzag
-SHORT = 1e-3  # a spring with a smaller rest length has no length to draw ...
+NO_LENGTH = 1e-3  # a spring with a smaller rest length has no length to draw ...
 STAND = 0.16  # ... and starts this far behind, at a wall that moves with the drive
 DEPTH = 0.08  # vertical distance between springs that pass below other bases
 COIL = 0.085  # radius of a torsion spring
 THIN, THICK = 0.9, 2.5  # line widths, points
-NEAR = 1.5  # a window holds the pivot of a rotation up to this distance from the drive
-AHEAD = 0.05  # distance between the drive and its position at the first touch in the figure of a scene
-SAMPLES = 241  # controls of a motion that are searched for the first touch
+PIVOT_NEAR = 1.5  # a window holds the pivot of a rotation up to this distance from the drive
+BEFORE_TOUCH = 0.05  # distance between the drive and its position at the first touch in the figure of a scene
+CONTROLS = 241  # of a motion that are searched for the first touch
 _TURNS = 2.25  # of a torsion spring at rest: it ends below to the right, clear of springs along x and y
 _LEAST_ARROW, _LONGEST_ARROW = 0.1, 0.35
 
@@ -73,25 +73,23 @@ class Drawing(NamedTuple):
 
     def scaled(self, factor: float) -> "Drawing":
         """The drawing in another unit of length."""
+
+        def scale(part):
+            return part.scaled(factor) if isinstance(part, Line | Arrow) else part
+
         x, y, angle = self.drive
-        return Drawing(
-            Pose(factor * x, factor * y, angle),
-            None if self.arm is None else self.arm.scaled(factor),
-            tuple(line.scaled(factor) for line in self.whiskers),
-            self.bases.scaled(factor),
-            tuple(line.scaled(factor) for line in self.springs),
-            tuple(None if arrow is None else arrow.scaled(factor) for arrow in self.arrows),
-        )
+        scaled = jax.tree.map(scale, self, is_leaf=lambda part: isinstance(part, Line | Arrow))
+        return scaled._replace(drive=Pose(factor * x, factor * y, angle))
 
     def extent(self, *, springs: bool = True) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
         """x and y of all points that a window should hold; without springs, those of whiskers and drive."""
-        lines = [*self.whiskers, Line(np.array([self.drive.x]), np.array([self.drive.y]))]
+        points = [np.array(self.drive[:2])[:, None], *(line[:2] for line in self.whiskers)]
         if springs:
-            lines += self.springs
-            lines += [Line(*np.array(arrow.tail)[:, None]) for arrow in self.arrows if arrow is not None]
-            if self.arm is not None and np.hypot(np.ptp(self.arm.x), np.ptp(self.arm.y)) < NEAR:
-                lines += [self.arm]
-        x, y = (np.concatenate([line[k] for line in lines]) for k in (0, 1))
+            points += [line[:2] for line in self.springs]
+            points += [np.array(arrow.tail)[:, None] for arrow in self.arrows if arrow is not None]
+            if self.arm is not None and np.hypot(np.ptp(self.arm.x), np.ptp(self.arm.y)) < PIVOT_NEAR:
+                points.append(self.arm[:2])
+        x, y = np.concatenate(points, axis=1)
         known = np.isfinite(x)
         return x[known], y[known]
 
@@ -107,18 +105,18 @@ def drawing(scene: Scene, control: float, state: State, *, largest: float | None
     """
     size = float(units(scene).length)
     whiskers = jax.tree.map(checks.as_float, scene.whiskers)
-    lines = shapes_of(jax.tree.map(np.asarray, state), whiskers, points=POINTS)
-    x, y = np.asarray(lines.x) / size, np.asarray(lines.y) / size
+    lines = shapes_of(jax.tree.map(np.asarray, state), whiskers, points=LINE_POINTS)
     bases = Line(np.asarray(state.base_x) / size, np.asarray(state.base_y) / size)
-    drive = drive_pose(scene, control)
+    drive, arm = drive_pose(scene, control), None
     forces = np.nan_to_num(np.asarray(state.contact_force))
     most = forces.max() if largest is None else largest
-    pivot = scene.motion.pivot if isinstance(scene.motion, Rotation) else None
-    ends = None if pivot is None else [(float(p) / size, here) for p, here in zip(pivot, drive, strict=False)]
+    if isinstance(scene.motion, Rotation):
+        x, y = (float(value) / size for value in scene.motion.pivot)
+        arm = Line(np.array([x, drive.x]), np.array([y, drive.y]))
     return Drawing(
         drive,
-        None if ends is None else Line(*np.array(ends)),
-        tuple(Line(*line) for line in zip(x, y, strict=True)),
+        arm,
+        tuple(Line(*line) for line in zip(np.asarray(lines.x) / size, np.asarray(lines.y) / size, strict=True)),
         bases,
         spring_lines(scene, drive, bases, np.asarray(state.base_angle)),
         tuple(force_arrow(state, k, most, size) for k in range(forces.size)),
@@ -139,14 +137,14 @@ def start_of(scene: Scene) -> float:
     equations = problem_of(jax.tree.map(checks.as_float, scene))
     motion, unit = equations.motion, float(equations.unit.control)
     if motion.ends is None:
-        first = float(FromAfar(equations).first_touch()) - AHEAD * motion.onwards
+        first = float(FromAfar(equations).first_touch()) - BEFORE_TOUCH * motion.onwards
         return unit * (first if np.isfinite(first) else float(equations.profile.vertex()[0]))
 
     def clears(u):
         return jnp.all(equations.stance(u, equations.rest(u)).clear)
 
     start, end = (float(end) / unit for end in motion.ends)
-    controls = np.linspace(start, end, SAMPLES)
+    controls = np.linspace(start, end, CONTROLS)
     meets = np.flatnonzero(~np.asarray(jax.vmap(clears)(jnp.asarray(controls))))
     return unit * (float(controls[max(meets[0] - 1, 0)]) if meets.size else start)
 
@@ -156,19 +154,14 @@ def rest_state(scene: Scene, control: float) -> State:
     equations = problem_of(jax.tree.map(checks.as_float, scene))
     u = jnp.asarray(control, dtype=float) / equations.unit.control
     at = equations.in_scene(u, equations.rest(u))
-    size, none = float(units(scene).length), np.zeros(scene.support.whiskers)
-    fields = dict.fromkeys(State.__dataclass_fields__, none)
-    fields |= {"base_x": np.asarray(at.x) * size, "base_y": np.asarray(at.y) * size, "base_angle": np.asarray(at.angle)}
-    return _state(fields | {"phase": none.astype(int)})
+    size, none = units(scene).length, jnp.zeros(scene.support.whiskers)
+    fields = dict.fromkeys(State.__dataclass_fields__, none) | {"phase": none.astype(int)}
+    return State(**fields | {"base_x": at.x * size, "base_y": at.y * size, "base_angle": at.angle})
 
 
 def state_at(result: Result, step: int) -> State:
     """State at a step of a scan."""
-    return _state({name: np.asarray(getattr(result, name))[step] for name in State.__dataclass_fields__})
-
-
-def _state(fields: dict[str, np.ndarray]) -> State:
-    return State(**{name: jnp.asarray(field) for name, field in fields.items()})
+    return State(**{name: jnp.asarray(getattr(result, name))[step] for name in State.__dataclass_fields__})
 
 
 def largest_force(result: Result) -> float:
@@ -196,36 +189,31 @@ def force_arrow(state: State, whisker: int, largest: float, size: float = 1.0) -
 def spring_lines(scene: Scene, drive: Pose, bases: Line, angle: Float[np.ndarray, " whiskers"]) -> tuple[Line, ...]:
     """Springs of the support for given poses of the drive and of the bases; angles are measured from the upright.
 
-    Springs along x and y have their true length. Springs with a rest length near zero (below SHORT) start at a wall
+    Springs along x and y have their true length. Springs with a rest length near zero (below NO_LENGTH) start at a wall
     instead. Torsion springs wind and unwind with their angle.
     """
-    size = float(units(scene).length)
+    size, ends = float(units(scene).length), np.stack(bases[:2], axis=1)
     cos, sin = np.cos(drive.angle), np.sin(drive.angle)
-    right, up = bases.x - drive.x, bases.y - drive.y
-    # Poses in the frame of the drive; the first one is the drive itself.
-    poses = np.stack([right * cos + up * sin, up * cos - right * sin, angle - drive.angle], axis=1)
-    poses = np.concatenate([np.zeros((1, 3)), poses])
-    mounts = np.array(
-        [(0.0, 0.0, 0.0), *((m.x / size, m.y / size, m.angle) for m in scene.support.mounts)], dtype=float
-    )
-    lowest = mounts[:, 1].min()
+    turn, origin = np.array([[cos, -sin], [sin, cos]]), np.array([drive.x, drive.y])
     springs, lines = scene.support.springs, []
+    if not springs:
+        return tuple(Line(*np.stack([origin, end], axis=1), width=THICK) for end in ends)
+    # Poses in the frame of the drive; the first one is the drive itself.
+    poses = np.column_stack([(ends - origin) @ turn, angle - drive.angle])
+    poses = np.concatenate([np.zeros((1, 3)), poses])
+    mounts = np.array([(0.0, 0.0, 0.0), *((m.x / size, m.y / size, m.angle) for m in scene.support.mounts)])
     for spring, depth in zip(springs, _depths(springs), strict=True):
         first, second = spring.between
         here, there, offset = poses[first], poses[second], mounts[second] - mounts[first]
         rigid = float(spring.softness) == 0
         if spring.axis == "phi":
-            x, y = _coil(there, there[2] - here[2] - offset[2], here[2], rigid)
+            own = _coil(there, there[2] - here[2] - offset[2], here[2], rigid)
         else:
             along = AXES.index(spring.axis)
-            level = lowest - DEPTH * depth if depth else there[1 - along]
-            short = abs(float(spring.rest_length)) / size < SHORT
-            x, y = _straight(here, there, along, level, offset[along], short, rigid)
-        turned = drive.x + cos * x - sin * y, drive.y + sin * x + cos * y
-        lines.append(Line(np.asarray(turned[0]), np.asarray(turned[1]), THICK if rigid else THIN))
-    if not springs:
-        ends = zip(bases.x, bases.y, strict=True)
-        lines = [Line(np.array([drive.x, x]), np.array([drive.y, y]), THICK) for x, y in ends]
+            level = mounts[:, 1].min() - DEPTH * depth if depth else there[1 - along]
+            short = abs(float(spring.rest_length)) / size < NO_LENGTH
+            own = _straight(here, there, along, level, offset[along], short, rigid)
+        lines.append(Line(*(origin[:, None] + turn @ own), width=THICK if rigid else THIN))
     return tuple(lines)
 
 
@@ -242,32 +230,24 @@ def _depths(springs: Sequence[Spring]) -> list[int]:
 
 def _straight(
     here: np.ndarray, there: np.ndarray, along: int, level: float, offset: float, short: bool, rigid: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Zigzag along one axis of the drive's frame, at a level of the other axis."""
-    across = 1 - along
+) -> np.ndarray:
+    """Zigzag along one axis of the drive's frame, at a level of the other axis; x and y in rows."""
     start, end = here[along] + offset - STAND * short, there[along]
-    swing = 0.0 if rigid else AMPLITUDE
     # The number of turns is fixed, so a stretched spring looks stretched.
     turns = np.r_[0.0, 0.2, 0.2 + 0.6 * (np.arange(12) + 0.5) / 12, 0.8, 1.0]
-    zigzag = swing * np.r_[0.0, 0.0, np.tile([1.0, -1.0], 6), 0.0, 0.0]
-    wall = 2 * AMPLITUDE * np.array([-1.0, 1.0, 0.0])
-    head = (
-        (np.full(3, start), level + wall)
-        if short
-        else ([here[along], here[along], start], [here[across], level, level])
-    )
-    line = (
-        np.concatenate([head[0], start + turns * (end - start), [end]]),
-        np.concatenate([head[1], level + zigzag, [there[across]]]),
-    )
-    return line if along == 0 else (line[1], line[0])
+    swing = (0.0 if rigid else AMPLITUDE) * np.r_[0.0, 0.0, np.tile([1.0, -1.0], 6), 0.0, 0.0]
+    if short:  # a wall
+        head = np.stack([np.full(3, start), level + 2 * AMPLITUDE * np.array([-1.0, 1.0, 0.0])])
+    else:
+        head = np.array([[here[along], here[along], start], [here[1 - along], level, level]])
+    zigzag, tail = np.stack([start + turns * (end - start), level + swing]), np.array([[end], [there[1 - along]]])
+    line = np.concatenate([head, zigzag, tail], axis=1)
+    return line if along == 0 else line[::-1]
 
 
-def _coil(there: np.ndarray, angle: float, holder: float, rigid: bool) -> tuple[np.ndarray, np.ndarray]:
+def _coil(there: np.ndarray, angle: float, holder: float, rigid: bool) -> np.ndarray:
     """Spiral around a base: the inner end turns with the base, the outer end with the body that holds it."""
     share = np.linspace(0.0, 1.0, 97)
     outer = holder - np.pi / 4
-    turned = outer + (1 - share) * (0.0 if rigid else angle - 2 * np.pi * _TURNS)
-    radius = COIL * np.append(share, 1.4)
-    turned = np.append(turned, outer)
-    return there[0] + radius * np.cos(turned), there[1] + radius * np.sin(turned)
+    turned = np.append(outer + (1 - share) * (0.0 if rigid else angle - 2 * np.pi * _TURNS), outer)
+    return there[:2, None] + COIL * np.append(share, 1.4) * np.stack([np.cos(turned), np.sin(turned)])

@@ -16,7 +16,7 @@ from jaxwhisker._inverse.fit_contour import ContourFit
 from jaxwhisker._inverse.points import NORMAL_95
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem
-from jaxwhisker.plot.axes import COLOURS, check_type, colour, column, legend_above, mark_events, one_axes, title
+from jaxwhisker.plot.axes import COLOURS, colour, grid_of_axes, legend_above, mark_events, one_axes, title
 
 if TYPE_CHECKING:
     from jaxwhisker._inverse.fit import Fit
@@ -44,10 +44,10 @@ def fit(result: "Fit", *, units: str = "auto", axs: Iterable[Axes] | None = None
     """
     from jaxwhisker._inverse.fit import Fit
 
-    check_type("result", result, Fit, "the Fit of jw.identify")
+    checks.instance("result", result, Fit, "the Fit of jw.identify")
     measured, system = result.measured, UnitSystem(result.scene, units)
     channels = [c for c in range(len(REACTIONS)) if measured.known[:, :, c].any()]
-    axes = column(axs, len(channels))
+    axes = grid_of_axes(axs, rows=len(channels), sharex=True)
     control = system.shown("control", measured.control)
     for ax, c in zip(axes, channels, strict=True):
         dots, lines = (system.shown(REACTIONS[c], values[..., c]) for values in (measured.values, result.signals))
@@ -57,7 +57,7 @@ def fit(result: "Fit", *, units: str = "auto", axs: Iterable[Axes] | None = None
         ax.set_ylabel(system.label(REACTIONS[c]))
     axes[-1].set_xlabel(system.label("control"))
     if measured.values.shape[1] > 1:
-        legend_above(axes[0], axes[0].get_legend_handles_labels()[0])
+        legend_above(axes[0])
     title(axes[0], "measured (dots) and fitted" + ("" if result.status == 0 else f": {result.status.name}"))
     _in_order_of_time(axes, control)
     return axes
@@ -80,7 +80,7 @@ def information(result: "Information", *, ax: Axes | None = None) -> Axes:
     """
     from jaxwhisker._inverse.information import Information
 
-    check_type("result", result, Information, "the Information of jw.information")
+    checks.instance("result", result, Information, "the Information of jw.information")
     axes = one_axes(ax)
     for k, name in enumerate(result.names):
         collected = np.cumsum(result.density[:, k])
@@ -89,7 +89,7 @@ def information(result: "Information", *, ax: Axes | None = None) -> Axes:
     mark_events(axes, [event.control for event in result.events])
     axes.set_xlabel(f"$u$ {_UNIT}")
     axes.set_ylabel("share of information")
-    legend_above(axes, axes.get_legend_handles_labels()[0], least=1)
+    legend_above(axes, least=1)
     _in_order_of_time([axes], result.control)
     return axes
 
@@ -115,8 +115,8 @@ def contour(
     """
     from jaxwhisker._inverse.points import Reconstruction
 
-    check_type("result", result, (Reconstruction, ContourFit), "the result of jw.reconstruct or jw.fit_contour")
-    check_type("profile", profile, (AbstractProfile, NoneType), "a profile such as jw.Parabola(0.2)")
+    checks.instance("result", result, (Reconstruction, ContourFit), "the result of jw.reconstruct or jw.fit_contour")
+    checks.instance("profile", profile, (AbstractProfile, NoneType), "a profile such as jw.Parabola(0.2)")
     axes = one_axes(ax)
     fitted = isinstance(result, ContourFit)
     slopes, left, right = _draw_fitted(result, axes) if fitted else _draw_points(result, axes)
@@ -128,7 +128,7 @@ def contour(
     axes.set_aspect("equal")
     axes.set_xlabel(f"$x$ {_UNIT}")
     axes.set_ylabel(f"$y$ {_UNIT}")
-    legend_above(axes, axes.get_legend_handles_labels()[0], least=1)
+    legend_above(axes, least=1)
     return axes
 
 

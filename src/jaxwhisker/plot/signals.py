@@ -7,15 +7,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, kind_of
+from jaxwhisker._base import checks
+from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, check_units, kind_of
 from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker.plot.axes import (
     COLOURS,
     DASHES,
     check_quantity,
-    check_type,
     colour,
-    column,
+    grid_of_axes,
     legend_above,
     mark_events,
     one_axes,
@@ -74,14 +74,14 @@ def reactions(result: Result, *, units: str = "auto", axs: Iterable[Axes] | None
     Raises:
         ValueError: if `result` is not the Result of one scan, there are not three Axes, or `units` is invalid.
     """
-    system = UnitSystem(check_one_scan(result).scene, units)
-    axes = column(axs, len(REACTIONS))
+    check_one_scan(result)
+    check_units(units)
+    axes = grid_of_axes(axs, rows=len(REACTIONS), sharex=True)
     for ax, quantity in zip(axes, REACTIONS, strict=True):
-        signal(result, quantity, units=units, ax=ax)
-        mark_events(ax, _event_controls(result, system))
+        _with_events(result, quantity, units, ax)
     for ax in axes[:-1]:
         ax.set_xlabel("")
-    legend_above(axes[0], axes[0].get_legend_handles_labels()[0])
+    legend_above(axes[0])
     return axes
 
 
@@ -104,9 +104,15 @@ def spring_lengths(result: Result, *, units: str = "auto", ax: Axes | None = Non
     """
     if not check_one_scan(result).scene.support.springs:
         raise ValueError(f"`result` must have whiskers on springs, got a scan of {result.scene}.")
-    ax = signal(result, "spring_length", units=units, ax=ax)
-    mark_events(ax, _event_controls(result, UnitSystem(result.scene, units)))
-    legend_above(ax, ax.get_legend_handles_labels()[0])
+    ax = _with_events(result, "spring_length", units, ax)
+    legend_above(ax)
+    return ax
+
+
+def _with_events(result: Result, quantity: str, units: str, ax: Axes | None) -> Axes:
+    ax = signal(result, quantity, units=units, ax=ax)
+    controls = [event.control for event in result.events]
+    mark_events(ax, UnitSystem(result.scene, units).shown("control", controls).tolist())
     return ax
 
 
@@ -161,7 +167,7 @@ def compare(
         ValueError: if `results` is not a mapping to Results of one scan each, or `quantity`, `index` or `units` is
             invalid.
     """
-    check_type("results", results, Mapping, "a mapping from labels to Results")
+    checks.instance("results", results, Mapping, "a mapping from labels to Results")
     check_quantity(quantity)
     systems = unit_systems(_all_scans(list(results.values())), units)
     curves = []
@@ -206,18 +212,12 @@ def _all_scans(results: Any) -> Sequence[Result]:
     """The results, if there is at least one and each is of one scan."""
     if not isinstance(results, Sequence) or not results:
         raise ValueError(f"`results` must hold at least one Result, got {results!r}.")
-    for result in results:
-        check_one_scan(result)
-    return results
+    return [check_one_scan(result) for result in results]
 
 
 def _over_control(result: Result, quantity: str, system: UnitSystem) -> tuple[np.ndarray, np.ndarray]:
     """Controls (steps,) and values (steps, whiskers or springs) in the units shown."""
     return system.shown("control", result.control), system.shown(quantity, getattr(result, quantity))
-
-
-def _event_controls(result: Result, system: UnitSystem) -> list[float]:
-    return system.shown("control", [event.control for event in result.events]).tolist()
 
 
 def _styles(result: Result, quantity: str, count: int) -> list[dict[str, Any]]:
@@ -236,19 +236,13 @@ def _styles(result: Result, quantity: str, count: int) -> list[dict[str, Any]]:
 
 def _finish(ax: Axes, systems: Sequence[UnitSystem], quantity: str) -> Axes:
     ax.set_xlabel(systems[-1].label("control"))
-    ax.set_ylabel(_label(systems, quantity))
+    # Torsion springs have angles.
+    axes = {s.axis for system in systems for s in system.scene.support.springs} if quantity == "spring_length" else ""
+    label = systems[0].label(quantity)
+    ax.set_ylabel(label if "phi" not in axes else _ANGLES if axes == {"phi"} else f"{label}, {_ANGLES}")
     ax.grid(alpha=0.3)
     low, high = ax.get_ylim()
     least = LEAST_HEIGHT * systems[0].scale(kind_of(quantity, systems[0].scene))
     if high - low < least:
         ax.set_ylim((low + high) / 2 - least, (low + high) / 2 + least)
     return ax
-
-
-def _label(systems: Sequence[UnitSystem], quantity: str) -> str:
-    """Label of a quantity; for springs, that of lengths, of angles, or both."""
-    axes = {spring.axis for system in systems for spring in system.scene.support.springs}
-    label = systems[0].label(quantity)
-    if quantity != "spring_length" or "phi" not in axes:
-        return label
-    return _ANGLES if axes == {"phi"} else f"{label}, {_ANGLES}"

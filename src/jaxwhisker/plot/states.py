@@ -15,25 +15,17 @@ from jaxwhisker._model.silhouette import silhouette_of
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.quantities import Unit, UnitSystem, check_units, control_kind, dimensionless_label, with_prefix
 from jaxwhisker._scan.result import Result, check_one_scan
-from jaxwhisker.plot.axes import (
-    OBJECT,
-    SUPPORT,
-    check_type,
-    colour,
-    legend_above,
-    one_axes,
-    several_axes,
-    title,
-)
+from jaxwhisker.plot.axes import OBJECT, SUPPORT, colour, legend_above, one_axes, several_axes, title
 from jaxwhisker.plot.drawing import Drawing, drawing, drawing_at, rest_state, start_of
 
+MINUS = "\N{MINUS SIGN}"
 STATES = 5  # drawn by default
 MOST_LISTED = 6  # positions of the drive that fit into a title
 PALEST = 0.25  # opacity of the earliest of several states
 # Lengths are in L of the first whisker.
 NARROWEST = 1.3  # least width of a window
 WIDE = 3.0  # a narrower window has ticks about half an L apart
-ROOM = 0.1  # around what is drawn
+WINDOW_MARGIN = 0.1  # around what is drawn
 BESIDE = 0.5  # least distance between the vertex and the sides of the window of a scene
 
 
@@ -55,11 +47,11 @@ def scene(setup: Scene, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     Raises:
         ValueError: if `setup` is not a Scene or `units` is invalid.
     """
-    check_type("setup", setup, Scene, "a Scene")
+    checks.instance("setup", setup, Scene, "a Scene")
     system = UnitSystem(setup, units)
     ax = one_axes(ax)
     control = start_of(setup)
-    _draw([drawing(setup, control, rest_state(setup, control))], system, True, ax)
+    _draw_states([drawing(setup, control, rest_state(setup, control))], system, True, ax)
     # Show the object on both sides of its vertex, not only where it is touched first.
     vertex, beside = float(system.shown("contact_x", setup.profile.vertex()[0])), BESIDE * system.scale("length")
     left, right = ax.get_xlim()
@@ -92,17 +84,13 @@ def shapes(result: Result, at: Any = None, *, whole: bool = True, units: str = "
     system = UnitSystem(result.scene, units)
     steps = _steps_across(result) if at is None else _steps_at(result, at)
     ax = one_axes(ax)
-    _draw([drawing_at(result, step) for step in steps], system, whole, ax)
+    _draw_states([drawing_at(result, step) for step in steps], system, whole, ax)
     if len(steps) <= MOST_LISTED:
-        title(ax, f"{system.label('control')}: {_listed(result, steps, system)}")
+        # To a thousandth of L for one step, to a hundredth for several.
+        digits = max(decimals(system) - (len(steps) > 1), 0)
+        listed = ", ".join(f"{control:.{digits}f}" for control in system.shown("control", result.control)[steps])
+        title(ax, f"{system.label('control')}: {listed.replace('-', MINUS)}")
     return ax
-
-
-def _listed(result: Result, steps: Sequence[int], system: UnitSystem) -> str:
-    """Drive positions of steps as text: to a thousandth of L for one step, to a hundredth for several."""
-    controls = system.shown("control", result.control)[list(steps)]
-    digits = decimals(system) - (len(steps) > 1)
-    return ", ".join(f"{control:.{max(digits, 0)}f}" for control in controls).replace("-", "\N{MINUS SIGN}")
 
 
 def decimals(system: UnitSystem) -> int:
@@ -126,7 +114,7 @@ def profile(shape: AbstractProfile, *, length: float = 1.0, whole: bool = True, 
     Raises:
         ValueError: if `shape` is not a profile or `length` is not positive.
     """
-    check_type("shape", shape, AbstractProfile, "a profile such as jw.Parabola(0.2)")
+    checks.instance("shape", shape, AbstractProfile, "a profile such as jw.Parabola(0.2)")
     checks.number("length", length, positive=True)
     ax = one_axes(ax)
     _draw_object(shape, length, length, whole, ax)
@@ -152,9 +140,9 @@ def deflection(
             invalid.
     """
     words = "a non-empty mapping from labels to results of jw.deflect"
-    check_type("results", results, Mapping, words)
+    checks.instance("results", results, Mapping, words)
     for one in list(results.values()) or [None]:
-        check_type("results", one, Deflection, words)
+        checks.instance("results", one, Deflection, words)
     if length is not None:
         checks.number("length", length, positive=True)
     check_units(units)
@@ -166,8 +154,8 @@ def deflection(
     ax.plot(0, 0, marker="s", markersize=8, color=SUPPORT, zorder=4)
     ax.grid(alpha=0.3)
     ax.set_aspect("equal")
-    for name, symbol in (("xlabel", "x"), ("ylabel", "y")):
-        ax.set(**{name: f"${symbol}$ ({unit.name})" if unit.name else dimensionless_label(symbol, "length")})
+    x, y = (f"${s}$ ({unit.name})" if unit.name else dimensionless_label(s, "length") for s in "xy")
+    ax.set(xlabel=x, ylabel=y)
     return ax
 
 
@@ -187,10 +175,9 @@ def same_window(axs: Iterable[Axes]) -> None:
         ValueError: if `axs` are not Axes.
     """
     axes = several_axes(axs)
-    (left, right), (bottom, top) = (np.array([get(ax) for ax in axes]).T for get in (Axes.get_xlim, Axes.get_ylim))
+    left, right, bottom, top = np.array([(*ax.get_xlim(), *ax.get_ylim()) for ax in axes]).T
     for ax in axes:
-        ax.set_xlim(left.min(), right.max())
-        ax.set_ylim(bottom.min(), top.max())
+        ax.set(xlim=(left.min(), right.max()), ylim=(bottom.min(), top.max()))
 
 
 def in_words(result: Result, at: float) -> str:
@@ -208,10 +195,7 @@ def in_words(result: Result, at: float) -> str:
 
 
 def _steps_at(result: Result, at: Any) -> list[int]:
-    if np.ndim(at) == 0:
-        checks.number("at", at)
-    else:
-        checks.vector("at", at)
+    (checks.vector if np.ndim(at) else checks.number)("at", at)
     return [int(np.argmin(np.abs(np.asarray(result.control) - u))) for u in np.atleast_1d(np.asarray(at, dtype=float))]
 
 
@@ -239,7 +223,7 @@ def _draw_object(shape: AbstractProfile, whisker: float, unit: float, whole: boo
     ax.plot(x, y, color=SUPPORT, linewidth=1, zorder=0.5)
 
 
-def _draw(drawn: Sequence[Drawing], system: UnitSystem, whole: bool, ax: Axes) -> None:
+def _draw_states(drawn: Sequence[Drawing], system: UnitSystem, whole: bool, ax: Axes) -> None:
     """Draw the object, the last state, and, paler, the whiskers of the states before."""
     draw_object(system, ax, whole=whole)
     scaled = [one.scaled(system.scale("length")) for one in drawn]
@@ -253,11 +237,16 @@ def _draw(drawn: Sequence[Drawing], system: UnitSystem, whole: bool, ax: Axes) -
     _draw_support(scaled[-1], ax)
     for k, arrow in enumerate(scaled[-1].arrows):
         if arrow is not None:
-            style = {"arrowstyle": "-|>", "color": colour(k), "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
-            ax.annotate("", xy=arrow.head, xytext=arrow.tail, arrowprops=style, zorder=5)
+            draw_arrow(arrow.tail, arrow.head, colour(k), ax)
     ax.set_aspect("equal")
     _set_window(drawn, system, ax)
     legend_above(ax, [line for line in ax.get_lines() if str(line.get_label()).startswith("whisker")])
+
+
+def draw_arrow(tail: tuple[float, float], head: tuple[float, float], own: str, ax: Axes) -> None:
+    """Draw a force."""
+    style = {"arrowstyle": "-|>", "color": own, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
+    ax.annotate("", xy=head, xytext=tail, arrowprops=style, zorder=5)
 
 
 def _draw_support(state: Drawing, ax: Axes) -> None:
@@ -278,9 +267,9 @@ def _set_window(drawn: Sequence[Drawing], system: UnitSystem, ax: Axes) -> None:
     scale = system.scale("length")
     vertex = float(system.shown("contact_y", system.scene.profile.vertex()[1])) / scale
     if x.size:
-        middle, reach = (x.min() + x.max()) / 2, max(np.ptp(x) / 2 + ROOM, NARROWEST / 2)
+        middle, reach = (x.min() + x.max()) / 2, max(np.ptp(x) / 2 + WINDOW_MARGIN, NARROWEST / 2)
         ax.set_xlim(scale * (middle - reach), scale * (middle + reach))
-    ax.set_ylim(scale * (y.min(initial=0.0) - ROOM), scale * (max(y.max(initial=1.0), vertex) + ROOM))
+    ax.set_ylim(scale * (y.min(initial=0.0) - WINDOW_MARGIN), scale * (max(y.max(initial=1.0), vertex) + WINDOW_MARGIN))
     if x.size and np.ptp(x) < WIDE:  # by default the ticks of a narrow window overlap
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(MultipleLocator(_round(0.5 * scale)))

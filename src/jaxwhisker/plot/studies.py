@@ -7,7 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from jaxwhisker.plot.axes import COLOURS, colour, legend_above, one_axes, several_axes, title
+from jaxwhisker._base import checks
+from jaxwhisker.plot.axes import COLOURS, colour, grid_of_axes, legend_above, title
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,57 +43,41 @@ def study(
     """
     _check_dataset(data, name)
     if not (critical is None or hasattr(critical, "dims")):
-        raise ValueError(f"`critical` must be a DataArray, got {critical!r}.")
+        checks.fail("critical", "a DataArray", repr(critical))
     dims = [str(dim) for dim in data[name].dims if dim != "whisker"]
-    data = _finite(data)
+    for dim in dims:  # no axis can show infinite parameters, such as the stiffness of a clamp
+        data = data.isel({dim: np.isfinite(data[dim].values)}).sortby(dim)
     word = "critical" if data.sizes["whisker"] == 1 else "critical, estimated"
-    axes = _panels(axs, 1 if len(dims) == 1 else data.sizes["whisker"])
+    count = 1 if len(dims) == 1 else data.sizes["whisker"]
+    size: dict[str, Any] = {"figsize": (2.0 + 3.6 * count, 4.0)} if count > 1 else {}
+    axes = grid_of_axes(axs, columns=count, sharex=True, sharey=True, **size)
     if len(dims) == 1:
         _lines(data[name], critical, dims[0], word, axes[0])
         return axes
-    low, high = float(data[name].min()), float(data[name].max())
+    limits = float(data[name].min()), float(data[name].max())
     for whisker, ax in zip(data.whisker.values, axes, strict=True):
-        mesh = _map(data[name].sel(whisker=whisker), critical, word, ax, low, high)
+        mesh = _map(data[name].sel(whisker=whisker), critical, word, ax, limits)
         if axes.size > 1:
             title(ax, f"whisker {whisker}")
         if axs is None:
             ax.label_outer()
-    axes[0].figure.colorbar(mesh, ax=list(axes), label=_label(data[name]))
+    axes[0].figure.colorbar(mesh, ax=list(axes), label=_name_and_unit(data[name]))
     return axes
 
 
 def _check_dataset(data: Any, name: str) -> None:
     # xarray is optional, so it must not be imported for a check.
     if not hasattr(data, "data_vars"):
-        raise ValueError(f"`data` must be a Dataset of jw.summary, got {data!r}.")
+        checks.fail("data", "a Dataset of jw.summary", repr(data))
     known = [str(n) for n, variable in data.data_vars.items() if "whisker" in variable.dims]
     if name not in known:
-        raise ValueError(f"`name` must be one of {', '.join(known)}, got {name!r}.")
+        checks.fail("name", f"one of {', '.join(known)}", repr(name))
     dims = [str(dim) for dim in data[name].dims if dim != "whisker"]
     if len(dims) not in (1, 2) or {"control", "event"} & set(dims):
         raise ValueError(f"`data` must have {name} over one or two axes, got {', '.join(dims) or 'none'}.")
 
 
-def _panels(axs: Iterable[Axes] | None, count: int) -> np.ndarray:
-    if axs is not None:
-        return several_axes(axs, count)
-    if count == 1:
-        return np.array([one_axes(None)], dtype=object)
-    from matplotlib import pyplot
-
-    size = {"figsize": (2.0 + 3.6 * count, 4.0), "layout": "constrained"}
-    return pyplot.subplots(1, count, sharex=True, sharey=True, squeeze=False, **size)[1][0]
-
-
-def _finite(data: "xr.Dataset") -> "xr.Dataset":
-    """Drop infinite parameters, such as the stiffness of a clamp, which no axis can show."""
-    for dim in data.dims:
-        if dim != "whisker":
-            data = data.isel({dim: np.isfinite(data[dim].values)}).sortby(dim)
-    return data
-
-
-def _label(variable: "xr.DataArray") -> str:
+def _name_and_unit(variable: "xr.DataArray") -> str:
     name, unit = variable.attrs.get("long_name", str(variable.name)), variable.attrs.get("units", "1")
     return name if unit == "1" else f"{name} [{unit}]"
 
@@ -103,10 +88,10 @@ def _lines(values: "xr.DataArray", critical: "xr.DataArray | None", axis: str, w
         ax.plot(values[axis].values, y, marker=".", color=colour(k), label=f"whisker {whisker}")
     for k, at in enumerate([] if critical is None else _crossings(critical[axis].values, critical.values)):
         ax.axvline(at, color="black", linestyle="--", label=None if k else f"{word}: {at:.4g}")
-    ax.set_xlabel(_label(values[axis]))
-    ax.set_ylabel(_label(values))
+    ax.set_xlabel(_name_and_unit(values[axis]))
+    ax.set_ylabel(_name_and_unit(values))
     ax.grid(alpha=0.3)
-    legend_above(ax, ax.get_legend_handles_labels()[0], columns=2)
+    legend_above(ax, columns=2)
 
 
 def _crossings(x: np.ndarray, steepness: np.ndarray) -> list[float]:
@@ -119,16 +104,16 @@ def _crossings(x: np.ndarray, steepness: np.ndarray) -> list[float]:
     return np.exp(at[below] + share * (at[below + 1] - at[below])).tolist()
 
 
-def _map(values: "xr.DataArray", critical: "xr.DataArray | None", word: str, ax: Axes, low: float, high: float):
+def _map(values: "xr.DataArray", critical: "xr.DataArray | None", word: str, ax: Axes, limits: tuple[float, float]):
     first, second = (str(dim) for dim in values.dims)
     x, y = values[first].values, values[second].values
-    mesh = ax.pcolormesh(x, y, values.values.T, shading="nearest", cmap="viridis", vmin=low, vmax=high)
+    mesh = ax.pcolormesh(x, y, values.values.T, shading="nearest", cmap="viridis", clim=limits)
     if critical is not None:
         x, y = critical[first].values, critical[second].values
         height = np.ma.log(np.ma.masked_invalid(critical.transpose(first, second).values.T))
         if np.ma.min(height) < 0 < np.ma.max(height):
             ax.contour(x, y, height, levels=[0.0], colors=_CRITICAL, linewidths=2)
             legend_above(ax, [Line2D([], [], color=_CRITICAL, linewidth=2, label=word)], least=1)
-    ax.set_xlabel(_label(values[first]))
-    ax.set_ylabel(_label(values[second]))
+    ax.set_xlabel(_name_and_unit(values[first]))
+    ax.set_ylabel(_name_and_unit(values[second]))
     return mesh

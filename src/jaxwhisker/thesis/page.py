@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from jaxwhisker.thesis.claims import Claim
 
-WIDTH = 120
+LINE = 120  # characters
 HTML = """\
 <!DOCTYPE html>
 <html lang="en">
@@ -43,7 +43,7 @@ def html_page(text: str) -> str:
 
 def paragraph(text: str) -> str:
     """Wrap a text to lines of at most 120 characters."""
-    return textwrap.fill(" ".join(text.split()), WIDTH, break_on_hyphens=False)
+    return textwrap.fill(" ".join(text.split()), LINE, break_on_hyphens=False)
 
 
 def markdown_table(rows: Sequence[Sequence[str]], align: str = "---:") -> str:
@@ -73,18 +73,11 @@ def claims_table(claims: Sequence[Claim]) -> str:
     return markdown_table(rows, align="---")
 
 
-def claim_section(number: int, claim: Claim, fold: bool = False) -> str:
-    """One claim: statement, result, explanation and numbers."""
-    numbers = markdown_table(claim.rows)
-    parts = [
-        f"### {number}. {claim.statement}",
-        paragraph(f"**Result:** {claim.result}"),
-        paragraph(claim.explanation),
-        folded("Numbers", numbers) if fold else numbers,
-    ]
-    return "\n\n".join(parts)
-
-
 def claim_sections(claims: Sequence[Claim], fold: bool = False) -> str:
-    """All claims in full."""
-    return "\n\n".join(claim_section(number, claim, fold) for number, claim in enumerate(claims, 1))
+    """All claims in full: statement, result, explanation and numbers."""
+    parts = []
+    for count, claim in enumerate(claims, 1):
+        numbers = markdown_table(claim.rows)
+        parts += [f"### {count}. {claim.statement}", paragraph(f"**Result:** {claim.result}")]
+        parts += [paragraph(claim.explanation), folded("Numbers", numbers) if fold else numbers]
+    return "\n\n".join(parts)

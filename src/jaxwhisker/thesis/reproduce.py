@@ -1,24 +1,25 @@
 """Write the results of the thesis: tables, figures and claims with their data, and a page that shows all of them."""
 
+import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from tqdm import tqdm
 
 from jaxwhisker._scan.report import write_rows
 from jaxwhisker.thesis.catalogue import FIGURES
-from jaxwhisker.thesis.claims import all_claims, needed
+from jaxwhisker.thesis.claims import CLAIMS, needed
 from jaxwhisker.thesis.figures import draw, draw_table
 from jaxwhisker.thesis.page import claim_sections, claims_table, figure, html_page, markdown_table, paragraph
-from jaxwhisker.thesis.scans import Case, Scans
+from jaxwhisker.thesis.scans import Scans
 from jaxwhisker.thesis.tables import TABLES, table_rows
 
-CLAIMS = "claims"
+CLAIMS_NAME = "claims"
 ALL_NAMES = "A.1 to A.4, 5.10 to 5.16, 6.1 to 6.24, 7.4 and claims"
 
 TITLE = "# Elastically coupled tactile whiskers: results of the thesis"
-ABOUT = """
+INTRODUCTION = """
 Whiskers whose bases sit on springs scan a rigid convex object quasi-statically. This page shows the tables, figures and
 claims of the thesis as jaxwhisker computes them. All quantities are dimensionless: lengths in L, forces in EI/L^2,
 moments in EI/L, spring stiffnesses in EI/L^3. u is the position of the drive, which moves towards -x, so curves over u
@@ -42,7 +43,7 @@ Fy are fx and fy; Mz is the bending moment at the base, -mz. The last column rep
 
 def available() -> list[str]:
     """Names of all results."""
-    return [*TABLES, *FIGURES, CLAIMS]
+    return [*TABLES, *FIGURES, CLAIMS_NAME]
 
 
 def parse_names(text: str) -> list[str]:
@@ -51,12 +52,11 @@ def parse_names(text: str) -> list[str]:
     Raises:
         ValueError: for a name that is not available.
     """
+    names = {name.lower(): name for name in available()}
     wanted = []
     for word in (part.strip() for part in text.split(",")):
-        chapter, _, number = word.partition(".")
-        name = f"{chapter}.{int(number)}" if number.isdigit() else word
-        name = name.upper() if name.upper() in TABLES else name.lower() if name.lower() == CLAIMS else name
-        if name not in available():
+        name = names.get(re.sub(r"\.0+", ".", word.lower()))
+        if name is None:
             raise ValueError(f"--only must name some of {ALL_NAMES}, got {word!r}.")
         wanted.append(name)
     return wanted
@@ -77,15 +77,17 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     wanted = available() if only is None else list(only)
     out.mkdir(parents=True, exist_ok=True)
     html_page(TITLE)  # reports a missing package before anything is computed
-    parts = [TITLE, paragraph(ABOUT), paragraph(PARAMETERS)]
+    parts = [TITLE, paragraph(INTRODUCTION), paragraph(PARAMETERS)]
     interactive = sys.stderr.isatty()
-    with Scans(_cases(wanted)) as scans, tqdm(total=len(wanted), unit="result", disable=not interactive) as bar:
-        for heading, group, make in _groups(out, scans):
+    cases = [case for name in wanted if name in FIGURES for case in FIGURES[name].cases]
+    cases += needed() if CLAIMS_NAME in wanted else []
+    with Scans(cases) as scans, tqdm(total=len(wanted), unit="result", disable=not interactive) as bar:
+        for heading, write, group in SECTIONS:
             chosen = [name for name in group if name in wanted]
             parts += [f"## {heading}"] * bool(chosen)
             for name in chosen:
                 bar.set_description(name)
-                parts.append(make(name))
+                parts.append(write(name, scans, out))
                 bar.update()
             if chosen and not interactive:
                 print(f"done: {heading}", flush=True)
@@ -95,38 +97,7 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     print(f"wrote {len(wanted)} results to {out}; see {out / 'index.html'}")
 
 
-def _cases(wanted: Sequence[str]) -> list[Case]:
-    """The cases that these results need."""
-    cases = [case for name in wanted if name in FIGURES for case in FIGURES[name].cases]
-    return cases + (needed() if CLAIMS in wanted else [])
-
-
-def _groups(out: Path, scans: Scans) -> list[tuple[str, list[str], Callable[[str], str]]]:
-    """Heading, names and writer of every section of the page."""
-
-    def chapter(prefix: str) -> list[str]:
-        return [number for number in FIGURES if number.startswith(prefix)]
-
-    def table(name: str) -> str:
-        return _table(name, out)
-
-    def picture(name: str) -> str:
-        file, data = draw(FIGURES[name], scans, out)
-        return figure(file.name, f"Figure {name}: {FIGURES[name].title}", data.name)
-
-    def claims(_: str) -> str:
-        return _claims(scans, out)
-
-    return [
-        ("Tables A.1 to A.4: reactions under given forces", list(TABLES), table),
-        ("Chapter 5: one clamped whisker", chapter("5."), picture),
-        ("Chapter 6: one and two whiskers on springs", chapter("6."), picture),
-        ("Chapter 7: three whiskers", chapter("7."), picture),
-        ("Claims", [CLAIMS], claims),
-    ]
-
-
-def _table(name: str, out: Path) -> str:
+def _table(name: str, _: Scans, out: Path) -> str:
     table, rows = TABLES[name], table_rows(TABLES[name])
     title = f"Table {name}: {table.title}"
     files = [f"table_{name}.png", f"table_{name}.csv"]
@@ -137,9 +108,24 @@ def _table(name: str, out: Path) -> str:
     return "\n\n".join([*about, f"### {title}", markdown_table(rows), links, *table.notes])
 
 
-def _claims(scans: Scans, out: Path) -> str:
-    claims = list(all_claims(scans))
+def _picture(name: str, scans: Scans, out: Path) -> str:
+    file, data = draw(FIGURES[name], scans, out)
+    return figure(file.name, f"Figure {name}: {FIGURES[name].title}", data.name)
+
+
+def _claims(_: str, scans: Scans, out: Path) -> str:
+    claims = [claim(scans) for claim in CLAIMS]
     text = f"{claims_table(claims)}\n\n{claim_sections(claims)}"
     title = "# Claims of chapter 6 with numbers"
-    (out / "claims.md").write_text(f"{title}\n\n{paragraph(ABOUT)}\n\n{text}\n", encoding="utf-8")
+    (out / "claims.md").write_text(f"{title}\n\n{paragraph(INTRODUCTION)}\n\n{text}\n", encoding="utf-8")
     return text
+
+
+# Heading, writer and names of every section of the page.
+SECTIONS = [
+    ("Tables A.1 to A.4: reactions under given forces", _table, list(TABLES)),
+    ("Chapter 5: one clamped whisker", _picture, [name for name in FIGURES if name.startswith("5.")]),
+    ("Chapter 6: one and two whiskers on springs", _picture, [name for name in FIGURES if name.startswith("6.")]),
+    ("Chapter 7: three whiskers", _picture, [name for name in FIGURES if name.startswith("7.")]),
+    ("Claims", _claims, [CLAIMS_NAME]),
+]

@@ -25,11 +25,13 @@ from jaxwhisker._study.summary import summary
 if TYPE_CHECKING:
     import xarray as xr
 
-STIFFNESSES = (30.0, 50.0, 70.0, 100.0, 200.0, math.inf)
-DISTANCES = (0.1, 0.2, 0.3, 0.4)
-REST_LENGTHS = (0.1, 0.2, 0.3, 0.4)
-RADIUS = 1.0  # of the semicircle
-STEP = 0.001
+# Values of the parameters that are varied, and their symbols.
+VALUES = {
+    "stiffness": (30.0, 50.0, 70.0, 100.0, 200.0, math.inf),
+    "distance": (0.1, 0.2, 0.3, 0.4),
+    "rest_length": (0.1, 0.2, 0.3, 0.4),
+}
+SYMBOLS = {"stiffness": r"$c$ = ", "distance": r"$q$ = ", "rest_length": r"$\lambda$ = "}
 CORES = 2  # studies computed at the same time
 SNAPS = (EventKind.snap_through, EventKind.snap_off)
 WHISKERS = {"FB": 1, "FBFB": 2, "FBFBR": 2, "FBFBFBR": 3}
@@ -49,31 +51,32 @@ class Case:
     semicircle: bool = False
 
     @property
-    def numbers(self) -> dict[str, float]:
-        """Parameters that may differ between the cases of a study."""
-        return {"stiffness": self.stiffness, "distance": self.distance, "rest_length": self.rest_length}
+    def structure(self) -> tuple[str, bool]:
+        """What the cases of a study have in common."""
+        return self.model, self.semicircle
+
+    @property
+    def whiskers(self) -> range:
+        """Numbers of the whiskers."""
+        return range(1, WHISKERS[self.model] + 1)
 
     def control(self) -> np.ndarray:
         """Drive positions that cover every scan of this model, for all parameters."""
-        trailing = WHISKERS[self.model] * max(REST_LENGTHS)
-        return STEP * np.arange(round(1.0 / STEP), -round((1.4 + trailing) / STEP) - 1, -1)
+        trailing = WHISKERS[self.model] * max(VALUES["rest_length"])
+        return 0.001 * np.arange(1000, -round(1000 * (1.4 + trailing)) - 1, -1)
 
 
-def build(*, model: str, semicircle: bool, stiffness, distance, rest_length) -> Scene:
+def build(model: str, semicircle: bool, stiffness, distance, rest_length) -> Scene:
     """Build the scene of a case; infinite stiffness turns FB into the clamped whisker."""
-    profile = Circle(distance, RADIUS) if semicircle else Parabola(distance)
+    profile = Circle(distance, radius=1.0) if semicircle else Parabola(distance)
     return Scene(Whisker(), profile, Support.named(model, stiffness, rest_length))
 
 
-def vary(field: str, values: Sequence, base: Case = Case()) -> dict[str, Case]:
-    """Cases with one field of `base` replaced by each value, by label."""
-    return {label(field, value): dataclasses.replace(base, **{field: value}) for value in values}
-
-
-def label(field: str, value) -> str:
-    """Label of a varied value in a legend."""
-    symbol = {"stiffness": r"$c$ = ", "distance": r"$q$ = ", "rest_length": r"$\lambda$ = ", "model": ""}[field]
-    return symbol + (r"$\infty$" if value == math.inf else value if field == "model" else f"{value:g}")
+def vary(field: str, base: Case = Case(), values: Sequence[float] | None = None) -> dict[str, Case]:
+    """Cases with one field of `base` replaced by each value, by label; by default by those of `VALUES`."""
+    values = VALUES[field] if values is None else values
+    labels = [SYMBOLS[field] + (r"$\infty$" if value == math.inf else f"{value:g}") for value in values]
+    return {name: dataclasses.replace(base, **{field: v}) for name, v in zip(labels, values, strict=True)}
 
 
 class Scans:
@@ -86,7 +89,7 @@ class Scans:
         self._pool = ThreadPoolExecutor(CORES)
         self._cases: dict[tuple, list[Case]] = {}
         for case in dict.fromkeys(cases):
-            self._cases.setdefault(_structure(case), []).append(case)
+            self._cases.setdefault(case.structure, []).append(case)
         self._studies = {key: self._pool.submit(_study, cases) for key, cases in self._cases.items()}
 
     def __enter__(self):
@@ -95,45 +98,35 @@ class Scans:
     def __exit__(self, *_):
         self._pool.shutdown(cancel_futures=True)
 
-    def data(self, case: Case) -> "xr.Dataset":
+    def _data(self, case: Case) -> "xr.Dataset":
         """The point of a study that belongs to a case, with its summary."""
-        key = _structure(case)
-        return self._studies[key].result().isel(point=self._cases[key].index(case))
+        return self._studies[case.structure].result().isel(point=self._cases[case.structure].index(case))
 
     def __call__(self, case: Case) -> Result:
         """The scan of a case."""
-        return _result(self.data(case), build(model=case.model, semicircle=case.semicircle, **case.numbers))
+        data = self._data(case)
 
-    def summary(self, case: Case, name: str, whisker: int) -> float:
-        """A variable of the summary of a case, such as `max_mz`, `control_of_max_mz` or `last_contact`."""
-        return float(self.data(case)[name].sel(whisker=whisker))
+        def arrays(names: Iterable[str], prefix: str = "") -> dict:
+            return {name: jnp.asarray(data[prefix + name].values) for name in names}
 
+        before, after = (State(**arrays(State.__dataclass_fields__, side)) for side in ("before_", "after_"))
+        fields = arrays(("kind", "control", "count"), "event_") | {"whiskers": jnp.asarray(data.event_whisker.values)}
+        signals = arrays([*State.__dataclass_fields__, "control", "spring_length", "status"])
+        travel = jnp.abs(fields["control"] - signals["control"][0])
+        events = Events(**fields, travel=travel, before=before, after=after)
+        return Result(**signals, events=events, scene=build(**dataclasses.asdict(case)))
 
-def _structure(case: Case) -> tuple[str, bool]:
-    return case.model, case.semicircle
+    def summary(self, case: Case, whisker: int, *names: str) -> list[float]:
+        """Variables of the summary of a case, such as `max_mz`, `control_of_max_mz` or `last_contact`."""
+        data = self._data(case).sel(whisker=whisker)
+        return [float(data[name]) for name in names]
 
 
 def _study(cases: list[Case]) -> "xr.Dataset":
-    first = cases[0]
-    points = {name: [case.numbers[name] for case in cases] for name in first.numbers}
-    of_structure = partial(build, model=first.model, semicircle=first.semicircle)
-    data = study(of_structure, points=points, control=first.control(), outputs="all", progress=False)
+    of_structure = partial(build, *cases[0].structure)
+    points = {name: [getattr(case, name) for case in cases] for name in VALUES}
+    data = study(of_structure, points=points, control=cases[0].control(), outputs="all", progress=False)
     return data.merge(summary(data))
-
-
-def _result(data: "xr.Dataset", scene: Scene) -> Result:
-    """Convert one point of a study with all outputs into the result of `scan`."""
-
-    def arrays(names: Iterable[str], prefix: str = "") -> dict:
-        return {name: jnp.asarray(data[prefix + name].values) for name in names}
-
-    before, after = (State(**arrays(State.__dataclass_fields__, side)) for side in ("before_", "after_"))
-    whiskers = jnp.asarray(data.event_whisker.values)
-    fields = arrays(("kind", "control", "count"), "event_")
-    travel = jnp.abs(fields["control"] - jnp.asarray(data.control.values)[0])
-    events = Events(**fields, travel=travel, whiskers=whiskers, before=before, after=after)
-    signals = arrays([*State.__dataclass_fields__, "control", "spring_length", "status"])
-    return Result(**signals, events=events, scene=scene)
 
 
 def first_event(result: Result, kind: str, whisker: int) -> Event | None:
@@ -166,7 +159,7 @@ def critical_cases(model: str, distance: float) -> list[Case]:
     guess = steepest_slope(distance).slope * softest(Support.named(model, 1.0))
     low, high = (1 - BRACKET / 2, 1 + BRACKET / 2) if WHISKERS[model] == 1 else SEARCHED
     stiffness = guess * np.geomspace(low, high, round(math.log(high / low) / BRACKET) + 1)
-    return list(vary("stiffness", stiffness.tolist(), Case(model, distance=distance)).values())
+    return list(vary("stiffness", Case(model, distance=distance), stiffness.tolist()).values())
 
 
 def critical_bracket(scans: Scans, cases: list[Case]) -> tuple[float, float]:

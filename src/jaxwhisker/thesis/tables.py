@@ -1,11 +1,13 @@
 """Tables A.1 to A.4: support reactions of a clamped whisker under a given force, beside the printed values.
 
 The force points towards -x on the unloaded whisker. The thesis lists fx, fy and the bending moment at the base, which
-is -mz. Its tables also contain the values of a multi-body model (ALASKA), which are repeated here.
+is -mz. Its tables also contain the values of a multi-body model (ALASKA), which are repeated here. `tables.csv` holds
+the printed values; those without a value are not recorded.
 """
 
-import math
-from dataclasses import dataclass, field
+import csv
+from dataclasses import dataclass
+from pathlib import Path
 
 from jaxwhisker._model.loads import PointForce
 from jaxwhisker._model.whisker import Whisker
@@ -19,13 +21,13 @@ MISPRINT = (
 
 
 @dataclass(frozen=True)
-class Load:
-    """A force and the printed values; NaN where no printed value is recorded."""
+class PrintedLoad:
+    """A force and the printed values of LISTED; NaN where no printed value is recorded."""
 
     force: float
     position: float  # arc length from the base, in L
-    thesis: tuple[float, float, float]
-    multibody: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    thesis: tuple[float, ...]
+    multibody: tuple[float, ...]
 
     @property
     def label(self) -> str:
@@ -37,92 +39,40 @@ class Load:
 class Table:
     """A table of the appendix."""
 
-    number: str
     title: str
     follower: bool
-    loads: tuple[Load, ...]
-    notes: tuple[str, ...] = field(default=())
+    loads: tuple[PrintedLoad, ...]
+    notes: tuple[str, ...] = ()
 
 
-def _moment(value: float) -> tuple[float, float, float]:
-    return (math.nan, math.nan, value)
+def _printed(table: str) -> tuple[PrintedLoad, ...]:
+    text = Path(__file__).with_name("tables.csv").read_text("utf-8")
+    rows = [[float(cell or "nan") for cell in row[1:]] for row in csv.reader(text.splitlines()) if row[0] == table]
+    return tuple(PrintedLoad(row[0], row[1], tuple(row[2:5]), tuple(row[5:8])) for row in rows)
 
 
 TABLES = {
-    table.number: table
-    for table in (
-        Table(
-            "A.1",
-            "Reactions under a follower force at the tip",
-            True,
-            (
-                Load(1, 1.0, (0.8795, 0.4758, 0.9755), (0.9311, 0.5075, 1.0279)),
-                Load(3, 1.0, (0.5139, 2.9557, 2.4313), (0.5295, 3.0606, 2.5185)),
-                Load(5, 1.0, (-2.5163, 4.3207, 2.9396), (-2.6064, 4.4662, 3.0413)),
-                Load(7, 1.0, (-5.9366, 3.7091, 2.7236), (-6.0587, 3.8178, 2.8300)),
-                Load(10, 1.0, (-9.8894, 1.4833, 1.7224), (-9.9876, 1.4674, 1.8232)),
-            ),
-        ),
-        Table(
-            "A.2",
-            "Reactions under a follower force along the whisker",
-            True,
-            (
-                Load(1, 0.3, (0.9990, 0.0450, 0.2999), (1.0384, 0.0477, 0.3134)),
-                Load(1, 0.5, (0.9922, 0.1246, 0.4992), (1.0367, 0.1320, 0.5238)),
-                Load(1, 0.7, (0.9703, 0.2421, 0.6958), (1.0194, 0.2593, 0.7321)),
-            ),
-        ),
-        Table(
-            "A.3",
-            "Reactions under a force of fixed direction at the tip",
-            False,
-            (
-                Load(1, 1.0, _moment(0.9437), _moment(0.9851)),
-                Load(3, 1.0, _moment(2.2367), _moment(2.3183)),
-                Load(5, 1.0, _moment(3.0619), _moment(3.2040)),
-                Load(7, 1.0, _moment(3.6895), _moment(3.8007)),
-                Load(10, 1.0, _moment(4.4500), _moment(4.6039)),
-            ),
-            (MISPRINT,),
-        ),
-        Table(
-            "A.4",
-            "Reactions under a force of fixed direction along the whisker",
-            False,
-            (
-                Load(1, 0.3, _moment(0.2998), _moment(0.3133)),
-                Load(1, 0.5, _moment(0.4979), _moment(0.5223)),
-                Load(1, 0.7, _moment(0.6893), _moment(0.7239)),
-                Load(1, 1.0, _moment(0.9436)),
-            ),
-        ),
-    )
+    "A.1": Table("Reactions under a follower force at the tip", True, _printed("A.1")),
+    "A.2": Table("Reactions under a follower force along the whisker", True, _printed("A.2")),
+    "A.3": Table("Reactions under a force of fixed direction at the tip", False, _printed("A.3"), (MISPRINT,)),
+    "A.4": Table("Reactions under a force of fixed direction along the whisker", False, _printed("A.4")),
 }
 
 
 def bend(table: Table) -> dict[str, Deflection]:
     """Deflections under every load of the table, by label."""
-    whisker = Whisker()
     return {
-        load.label: deflect(whisker, PointForce(load.force, position=load.position, follower=table.follower))
+        load.label: deflect(Whisker(), PointForce(load.force, position=load.position, follower=table.follower))
         for load in table.loads
     }
-
-
-def listed(deflection) -> tuple[float, float, float]:
-    """The values that the tables list: fx, fy and the bending moment at the base."""
-    return float(deflection.fx), float(deflection.fy), -float(deflection.mz)
 
 
 def table_rows(table: Table) -> list[list[str]]:
     """Header and one row per load and reaction: jaxwhisker, thesis, their difference, multi-body model."""
     rows = [["load", "reaction", "jaxwhisker", "thesis", "difference", "multi-body"]]
     for load, deflection in zip(table.loads, bend(table).values(), strict=True):
-        for name, ours, theirs, body in zip(LISTED, listed(deflection), load.thesis, load.multibody, strict=True):
-            rows.append([load.label, name, fixed(ours, 6), _cell(theirs), _cell(ours - theirs, "+.6f"), _cell(body)])
+        values = (float(value) for value in (deflection.fx, deflection.fy, -deflection.mz))
+        for name, ours, theirs, body in zip(LISTED, values, load.thesis, load.multibody, strict=True):
+            printed = [f"{theirs:.4f}", f"{ours - theirs:+.6f}", f"{body:.4f}"]
+            rows.append([load.label, name, fixed(ours, 6), *("-" if "nan" in cell else cell for cell in printed)])
     return rows
-
-
-def _cell(value: float, form: str = ".4f") -> str:
-    return "-" if math.isnan(value) else format(value, form)
