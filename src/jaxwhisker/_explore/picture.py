@@ -76,7 +76,7 @@ def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") ->
         "dimensionless": units.dimensionless,
         "unit": _after_number(along),
         "labels": _labels(units),
-        "columns": _columns(units),
+        "columns": [[name, heading + _in_brackets(units.unit(name))] for name, heading in TABLE_COLUMNS.items()],
         "failed": failed,
         "summary": summary,
         "events": [_event(event, along) for event in result.events],
@@ -124,25 +124,20 @@ def _after_number(unit: Unit) -> str:
     return f" {unit.name}" * bool(unit.name)
 
 
+def _in_brackets(unit: Unit) -> str:
+    return f" ({unit.name})" * bool(unit.name)
+
+
 def _labels(units: UnitSystem) -> dict[str, str]:
     """Labels of axes: symbols with units."""
 
     def label(symbol: str, kind: str) -> str:
-        if units.dimensionless:
-            return symbol + _DIMENSIONLESS[kind]
-        return f"{symbol} ({units.of_kind(kind).name})"
+        return symbol + (_DIMENSIONLESS[kind] if units.dimensionless else _in_brackets(units.of_kind(kind)))
 
     along_x = control_kind(units.scene) == "length"
     labels = {"x": label("x", "length"), "y": label("y", "length")}
     labels |= {name: label(name, QUANTITIES[name].kind) for name in REACTIONS}
     return labels | {"u": label("u", "length") if along_x else units.label("control")}
-
-
-def _columns(units: UnitSystem) -> list[list[str]]:
-    """Names and headings of the columns of the table."""
-    if units.dimensionless:
-        return [[name, heading] for name, heading in TABLE_COLUMNS.items()]
-    return [[name, f"{heading} ({units.unit(name).name})"] for name, heading in TABLE_COLUMNS.items()]
 
 
 def _event(event: Event, unit: Unit) -> dict[str, Any]:
