@@ -25,9 +25,9 @@ from jaxwhisker._scan.scan import scan_across
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 
 SCAN_STEPS = 400  # of a scan, evenly over the range of the default control
-LINE_POINTS = 32  # of a whisker's centre line
+PAGE_LINE_POINTS = 32  # of a whisker's centre line
 OUTLINE_POINTS = 241  # of the object
-SHORT = 0.1  # lengths: springs with a shorter rest length are drawn longer, from a wall that moves with the drive
+SHORTEST_DRAWN = 0.1  # lengths: springs with a shorter rest length begin at a wall that moves with the drive
 LONGEST_MESSAGE = 500  # characters
 DTYPES = {"f8": np.float64, "f4": np.float32, "i1": np.int8}  # by their names in a header
 TABLE_COLUMNS = {"fx": "fx", "fy": "fy", "mz": "mz", "base_x": "base x", "contact_arc": "contact arc"}
@@ -46,7 +46,7 @@ class Picture(NamedTuple):
 def picture_of(scene: Scene) -> Picture:
     """Scan a scene; compiled once for all scenes with the same structure."""
     result = scan_across(scene, SCAN_STEPS)
-    lines = shapes_of(result, scene.whiskers, points=LINE_POINTS)
+    lines = shapes_of(result, scene.whiskers, points=PAGE_LINE_POINTS)
     drive = jax.vmap(scene.motion.pose)(result.control)
     outline = silhouette(scene.profile, scene.whiskers[0].length, points=OUTLINE_POINTS)
     return Picture(result, lines, drive, outline)
@@ -160,7 +160,7 @@ def _springs(scene: Scene, length: float) -> list[dict[str, Any]]:
             "between": spring.between,
             "axis": spring.axis,
             "rigid": float(spring.softness) == 0,
-            "short": abs(float(spring.rest_length)) < SHORT * whisker_length,
+            "short": abs(float(spring.rest_length)) < SHORTEST_DRAWN * whisker_length,
             "offset": np.subtract(poses[spring.between[1]], poses[spring.between[0]]).tolist(),
         }
         for spring in scene.support.springs

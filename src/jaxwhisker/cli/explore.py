@@ -23,7 +23,7 @@ RANGES = {
 
 def one(text: str) -> Range:
     """The value or range of a parameter: START, LOW:HIGH or LOW:HIGH:START."""
-    parts = tuple(options.number(part) for part in text.split(":"))
+    parts = tuple(options.parse_number(part) for part in text.split(":"))
     if len(parts) > 3:
         raise argparse.ArgumentTypeError(f"must be START, LOW:HIGH or LOW:HIGH:START, got {text!r}")
     return parts
@@ -84,7 +84,7 @@ def run_explore(args: argparse.Namespace) -> int:
 def _sliders(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, Range]]:
     """The function that builds scenes from the sliders' values, and the sliders' ranges."""
     given: dict[str, Range] = {}
-    for name, value in options.parameters_of(args).items():
+    for name, value in options.values_of_parameters(args).items():
         if isinstance(value, list):  # each spring has its own
             given |= {f"{options.LETTERS[name]}{k}": own for k, own in enumerate(value, 1)}
         else:

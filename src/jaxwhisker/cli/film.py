@@ -17,7 +17,7 @@ def add_film(commands) -> None:
     options.add_object(command)
     options.add_drive(command)
     add = command.add_argument_group("film").add_argument
-    number = options.number
+    number = options.parse_number
     add("--seconds", type=number, default="12", metavar="T", help="duration of the scan (default: %(default)s)")
     add("--fps", type=int, default=FPS, metavar="N", help="frames per second (default: %(default)s)")
     add("--width", type=int, default=960, metavar="PIXELS", help="width of the film (default: %(default)s)")

@@ -74,7 +74,7 @@ def _named(text: str) -> dict[str, float]:
         name, equals, value = part.partition("=")
         if not equals:
             raise argparse.ArgumentTypeError(f"must be NAME=VALUE, got {part!r}")
-        values[_name(name)] = options.number(value)
+        values[_name(name)] = options.parse_number(value)
     return values
 
 
@@ -83,7 +83,7 @@ def _name(text: str) -> str:
 
 
 def _sigma(text: str) -> float | dict[str, float]:
-    return _named(text) if "=" in text else options.number(text)
+    return _named(text) if "=" in text else options.parse_number(text)
 
 
 def run_identify(args: argparse.Namespace) -> int:
@@ -117,7 +117,8 @@ def run_identify(args: argparse.Namespace) -> int:
     print(f"\n{fit}")
     if args.csv is not None:
         rows = [
-            [n, repr(fit.estimates[n]), _cell(fit.standard_error[n]), *map(_cell, fit.interval[n])] for n in fit.names
+            [n, repr(fit.estimates[n]), _csv_cell(fit.standard_error[n]), *map(_csv_cell, fit.interval[n])]
+            for n in fit.names
         ]
         write_rows([["parameter", "estimate", "standard_error", "low", "high"], *rows], args.csv)
         print(f"wrote {args.csv}")
@@ -127,7 +128,7 @@ def run_identify(args: argparse.Namespace) -> int:
 
 def _parameters(args: argparse.Namespace) -> dict[str, float]:
     """All parameters of the scene by name, with those of each spring."""
-    values = options.parameters_of(args)
+    values = options.values_of_parameters(args)
     springs = options.support_of(args, values).springs
     own = {f"c{k}": float(spring.softness**-1) for k, spring in enumerate(springs, 1)}
     own |= {f"l{k}": float(spring.rest_length) for k, spring in enumerate(springs, 1)}
@@ -143,7 +144,7 @@ def _expanded(name: str, values: dict[str, float]) -> list[str]:
     return names
 
 
-def _cell(value: float) -> str:
+def _csv_cell(value: float) -> str:
     return repr(float(value)) if np.isfinite(value) else "-"
 
 

@@ -48,7 +48,7 @@ def usage_errors() -> Iterator[None]:
 # Types of option values
 
 
-def number(text: str) -> float:
+def parse_number(text: str) -> float:
     """A number."""
     try:
         return float(text)
@@ -56,9 +56,9 @@ def number(text: str) -> float:
         raise argparse.ArgumentTypeError(f"must be a number, got {text!r}") from None
 
 
-def numbers(text: str) -> float | tuple[float, ...]:
+def parse_numbers(text: str) -> float | tuple[float, ...]:
     """One number, or several separated by commas."""
-    parts = tuple(number(part) for part in text.split(","))
+    parts = tuple(parse_number(part) for part in text.split(","))
     return parts[0] if len(parts) == 1 else parts
 
 
@@ -88,8 +88,8 @@ def add_command(commands, run: Callable[[argparse.Namespace], int], short: str) 
 
 def add_sensor(
     command: argparse.ArgumentParser,
-    kind: Callable = number,
-    springs: Callable = numbers,
+    kind: Callable = parse_number,
+    springs: Callable = parse_numbers,
     *,
     several: bool = True,
     defaults: Sequence[str] = tuple(f"{value:g}" for value in SPRINGS.values()),
@@ -120,7 +120,7 @@ def add_sensor(
     add("--bending-stiffness", type=kind, default="1.0", metavar="EI", help=text)
 
 
-def add_object(command: argparse.ArgumentParser, kind: Callable = number) -> None:
+def add_object(command: argparse.ArgumentParser, kind: Callable = parse_number) -> None:
     """Add the options of the object, whose values `kind` converts."""
     add = command.add_argument_group("object").add_argument
     add("--profile", choices=tuple(PROFILES), default="parabola", help="shape of the object (default: %(default)s)")
@@ -139,9 +139,10 @@ def add_object(command: argparse.ArgumentParser, kind: Callable = number) -> Non
 def add_drive(command: argparse.ArgumentParser) -> None:
     """Add the options of the drive positions."""
     add = command.add_argument_group("drive").add_argument
-    add("--start", type=number, metavar="U", help="first position (default: just before the first touch)")
-    add("--stop", type=number, metavar="U", help="last position (default: just after the last whisker is free)")
-    add("--step", type=number, metavar="DU", help=f"distance between positions (default: {STEP:g} whisker lengths)")
+    add("--start", type=parse_number, metavar="U", help="first position (default: just before the first touch)")
+    add("--stop", type=parse_number, metavar="U", help="last position (default: just after the last whisker is free)")
+    text = f"distance between positions (default: {STEP:g} whisker lengths)"
+    add("--step", type=parse_number, metavar="DU", help=text)
 
 
 def add_output(command: argparse.ArgumentParser, csv: str) -> Callable:
@@ -180,7 +181,7 @@ def springs_of(args: argparse.Namespace) -> dict[str, Any]:
     return _chosen(args, SPRINGS, defaults, "--model clamped: it has no springs")
 
 
-def parameters_of(args: argparse.Namespace) -> dict[str, Any]:
+def values_of_parameters(args: argparse.Namespace) -> dict[str, Any]:
     """Values of all parameters of the scene by name.
 
     Raises:
@@ -214,7 +215,7 @@ def make_scene(args: argparse.Namespace, rod: AbstractRod | None = None, /, **va
 
 def scene_of(args: argparse.Namespace) -> Scene:
     """The scene that the options describe."""
-    return make_scene(args, **parameters_of(args))
+    return make_scene(args, **values_of_parameters(args))
 
 
 def check_drive(args: argparse.Namespace) -> None:

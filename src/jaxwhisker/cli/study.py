@@ -25,11 +25,11 @@ PRINTED = ("min_fx", "max_fx", "max_fy", "max_mz", "contact_width")
 def axis(text: str) -> tuple[float, ...]:
     """Values of a parameter: start:stop:count, or numbers separated by commas."""
     if ":" not in text:
-        return tuple(options.number(part) for part in text.split(","))
+        return tuple(options.parse_number(part) for part in text.split(","))
     parts = text.split(":")
     if len(parts) != 3 or not parts[2].isdecimal() or int(parts[2]) < 2:
         raise argparse.ArgumentTypeError(f"must be start:stop:count with a count of at least 2, got {text!r}")
-    return tuple(np.linspace(options.number(parts[0]), options.number(parts[1]), int(parts[2])).tolist())
+    return tuple(np.linspace(options.parse_number(parts[0]), options.parse_number(parts[1]), int(parts[2])).tolist())
 
 
 def add_study(commands) -> None:
@@ -95,7 +95,7 @@ def run_study(args: argparse.Namespace) -> int:
 
 def _builder(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, Any]]:
     """The function that builds scenes from the varied parameters, and their values."""
-    given = {name: np.atleast_1d(np.asarray(v, dtype=float)) for name, v in options.parameters_of(args).items()}
+    given = {name: np.atleast_1d(np.asarray(v, dtype=float)) for name, v in options.values_of_parameters(args).items()}
     axes = {name: values for name, values in given.items() if values.size > 1}
     if not axes:
         raise ValueError("a study needs a range, such as --stiffness 30:200:64; `jaxwhisker scan` scans one scene.")
