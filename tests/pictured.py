@@ -1,11 +1,16 @@
 """Scans, and made-up studies, fits and reconstructions, that figures and films of the tests show."""
 
+import json
+import struct
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 import jaxwhisker as jw
+from jaxwhisker._explore.picture import DTYPES
 from jaxwhisker._inverse.information import EventInformation
 from jaxwhisker._inverse.observations import Observations
 
@@ -100,3 +105,13 @@ def some_points():
     state = {"status": jnp.zeros(x.shape, int), "significance": 100 * one.at[-1].set(0.01), "covariance": covariance}
     fields = dict.fromkeys(jw.Reconstruction.__dataclass_fields__, one) | point | state | {"control": x[:, 0]}
     return jw.Reconstruction(**fields)
+
+
+def unpacked(reply: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of the bytes that a page draws."""
+    (length,) = struct.unpack_from("<I", reply)
+    header, start, arrays = json.loads(reply[4 : 4 + length]), 4 + length, {}
+    for name, dtype, shape in header["arrays"]:
+        arrays[name] = np.frombuffer(reply, DTYPES[dtype], int(np.prod(shape)), start).reshape(shape)
+        start += arrays[name].nbytes
+    return header, arrays

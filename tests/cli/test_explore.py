@@ -25,24 +25,24 @@ def arguments(*argv):
 
 
 def test_sliders_and_their_ranges_follow_the_options():
-    _, ranges = command._builder(arguments("--model", "FBFBR"))
+    _, ranges = command._sliders(arguments("--model", "FBFBR"))
     assert ranges == {
         "stiffness": (10.0, 500.0, 70.0),
         "rest_length": (0.0, 0.5, 0.2),
         "distance": (0.05, 0.95, 0.2),
         "a": (0.2, 5.0, 1.0),
     }
-    _, ranges = command._builder(arguments("--stiffness", "900", "--distance", "0.1:0.3", "--length", "1:2:1.5"))
+    _, ranges = command._sliders(arguments("--stiffness", "900", "--distance", "0.1:0.3", "--length", "1:2:1.5"))
     assert ranges["stiffness"] == (10.0, 900.0, 900.0)
     assert (ranges["distance"], ranges["length"]) == ((0.1, 0.3), (1.0, 2.0, 1.5))
-    _, ranges = command._builder(arguments("--model", "FBFB", "--stiffness", "70,inf", "--rest-length", "0.1,0:1:0.3"))
+    _, ranges = command._sliders(arguments("--model", "FBFB", "--stiffness", "70,inf", "--rest-length", "0.1,0:1:0.3"))
     assert {"c1", "l1", "l2"} < set(ranges) and "c2" not in ranges and ranges["l2"] == (0.0, 1.0, 0.3)
-    _, ranges = command._builder(arguments("--model", "clamped", "--profile", "ellipse"))
+    _, ranges = command._sliders(arguments("--model", "clamped", "--profile", "ellipse"))
     assert set(ranges) == {"distance", "a", "b"}
 
 
 def test_scenes_are_those_of_the_options():
-    build, _ = command._builder(arguments("--model", "FBFB", "--stiffness", "70,inf", "--profile", "circle"))
+    build, _ = command._sliders(arguments("--model", "FBFB", "--stiffness", "70,inf", "--profile", "circle"))
     scene = build(c1=60.0, rest_length=0.1, distance=0.3, radius=2.0)
     expected = jw.Scene(jw.Whisker(), jw.Circle(0.3, 2.0), jw.Support.fbfb((60.0, jnp.inf), 0.1), jw.ClosedForm())
     assert str(scene) == str(expected)

@@ -5,6 +5,7 @@ import pytest
 from handmade import handmade_scan
 from jaxwhisker import cli
 from jaxwhisker.cli import film as command
+from jaxwhisker.cli import scan as scan_command
 
 
 @pytest.mark.parametrize(
@@ -23,7 +24,7 @@ from jaxwhisker.cli import film as command
 )
 def test_wrong_options_end_with_one_line_before_the_scan(argv, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "scan", lambda *_: pytest.fail("the scan was started"))
+    monkeypatch.setattr(scan_command, "scan", lambda *_: pytest.fail("the scan was started"))
     assert cli.main(["film", *argv]) == cli.USAGE
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and all(word in err for word in words)
@@ -36,7 +37,7 @@ def test_wrong_options_end_with_one_line_before_the_scan(argv, words, tmp_path, 
 )
 def test_the_film_is_written_for_every_exit_code(made, code, tmp_path, monkeypatch, capsys):
     written = {}
-    monkeypatch.setattr(command, "scan", lambda scene, control: handmade_scan(**made))
+    monkeypatch.setattr(scan_command, "scan", lambda scene, control: handmade_scan(**made))
     monkeypatch.setattr(command, "animate", lambda result, path, **settings: written.update(settings, path=path))
     path = tmp_path / "scan.gif"
     assert cli.main(["film", str(path), "--seconds", "3", "--units", "SI"]) == code

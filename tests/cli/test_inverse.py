@@ -73,8 +73,8 @@ def arguments(*argv):
 )
 def test_parameters_build_the_scene_of_the_options(argv, names):
     args = arguments(*argv)
-    values, build = inverse._parameters(args)
-    built, expected = build(**values), options.scene_of(args)
+    values = inverse._parameters(args)
+    built, expected = options.make_scene(args, **values), options.scene_of(args)
     assert list(values) == names.split()
     assert str(built) == str(expected)
     for spring, other in zip(built.support.springs, expected.support.springs, strict=True):
@@ -83,7 +83,7 @@ def test_parameters_build_the_scene_of_the_options(argv, names):
 
 
 def test_stiffness_and_rest_length_stand_for_all_springs():
-    values, _ = inverse._parameters(arguments("--model", "FBFB"))
+    values = inverse._parameters(arguments("--model", "FBFB"))
     assert inverse._expanded("stiffness", values) == ["c1", "c2"]
     assert inverse._expanded("rest_length", values) == ["l1", "l2"]
     assert inverse._expanded("c2", values) == ["c2"]

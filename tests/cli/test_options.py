@@ -83,15 +83,14 @@ def test_folders_that_cannot_be_written_are_rejected(path, words, tmp_path, monk
     monkeypatch.chdir(tmp_path)
     Path("file").touch()
     with pytest.raises(options.UsageError, match=words):
-        options.check_folder(Path(path))
+        options.check_writable(Path(path), folder=True)
 
 
 def test_checks_of_outputs_leave_nothing_behind(tmp_path):
     kept = tmp_path / "kept.csv"
     kept.write_text("kept")
     options.check_writable(kept, tmp_path / "new.csv")
-    options.check_folder(tmp_path)
-    options.check_folder(tmp_path / "new.zarr")
+    options.check_writable(tmp_path, tmp_path / "new.zarr", folder=True)
     assert [path.name for path in tmp_path.iterdir()] == ["kept.csv"] and kept.read_text() == "kept"
     options.check_writable(Path("/dev/null"))
 

@@ -88,7 +88,7 @@ def test_exit_code_and_last_line_report_how_the_study_ended(failed, max_fy, code
         assert capsys.readouterr().out == "FB, parabola: 3 scans; stiffness 30 to 50 (3 values)\n"
         return peaks(failed, max_fy)
 
-    monkeypatch.setattr("jaxwhisker._study.study.study", study)
+    monkeypatch.setattr("jaxwhisker.cli.study.study", study)
     assert cli.main(["study", "--stiffness", "30:50:3"]) == code
     assert capsys.readouterr().out.splitlines()[-1] == last
 

@@ -12,7 +12,8 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._base import checks
 from jaxwhisker._explore.code import code_of
-from jaxwhisker._explore.picture import STEPS, packed_error, packed_picture, picture_of, unpacked
+from jaxwhisker._explore.picture import SCAN_STEPS, packed_error, packed_picture, picture_of
+from pictured import unpacked
 
 SAME = 1e-9  # of the peak: the path depends slightly on the end of its control, the states do not
 SINGLE = 1e-6  # relative: lines are sent in float32
@@ -46,7 +47,7 @@ def scanned(reply):
 @pytest.mark.parametrize("name", ["fx", "fy", "mz", "base_x", "contact_force", "contact_arc", "contact_x", "contact_y"])
 def test_the_signals_are_those_of_the_scan(name, reply, scanned):
     sent, expected = reply[1][name], np.asarray(getattr(scanned, name))
-    assert sent.dtype == np.float64 and sent.shape == (STEPS, 1)
+    assert sent.dtype == np.float64 and sent.shape == (SCAN_STEPS, 1)
     np.testing.assert_allclose(sent, expected, rtol=0, atol=SAME * np.abs(expected).max())
 
 
@@ -64,7 +65,7 @@ def test_it_spans_the_default_control_and_lists_its_events(reply):
     assert abs(arrays["control"][-1] - default.control[-1]) < 0.002  # the last step of the default control
     assert [event["text"] for event in header["events"]] == [str(event) for event in default.events]
     assert len(header["events"]) == 5 and header["events"][-1]["snap"] and header["events"][0]["whiskers"] == [0]
-    assert (header["failed"], header["summary"]) == (0, f"{STEPS} steps: {STEPS} ok")
+    assert (header["failed"], header["summary"]) == (0, f"{SCAN_STEPS} steps: {SCAN_STEPS} ok")
 
 
 def test_the_outline_is_that_of_the_object(reply):
@@ -101,20 +102,20 @@ def test_other_scenes_are_shown_in_si_units_with_prefixes(reply):
 
 def test_failed_steps_are_counted_and_leave_gaps():
     scene = build()
-    whole, bad = picture(scene), np.arange(STEPS) >= STEPS - 30
+    whole, bad = picture(scene), np.arange(SCAN_STEPS) >= SCAN_STEPS - 30
     gaps = {name: np.where(bad[:, None], np.nan, getattr(whole.result, name)) for name in ("fx", "fy", "mz")}
     result = eqx.tree_at(lambda r: tuple(getattr(r, name) for name in gaps), whole.result, tuple(gaps.values()))
     result = eqx.tree_at(lambda r: r.status, result, np.where(bad, int(jw.Status.lost), 0))
     header, arrays = unpacked(packed_picture(whole._replace(result=result), scene, ""))
-    assert (header["failed"], header["summary"]) == (30, f"{STEPS} steps: {STEPS - 30} ok, 30 lost")
+    assert (header["failed"], header["summary"]) == (30, f"{SCAN_STEPS} steps: {SCAN_STEPS - 30} ok, 30 lost")
     assert jw.Status(int(arrays["status"][-1])) == jw.Status.lost
     assert np.isnan(arrays["fx"][-30:]).all() and np.isfinite(arrays["fx"][:-30]).all()
 
 
 def test_a_scene_without_a_scan_is_an_error():
     whole = picture(build())
-    result = eqx.tree_at(lambda r: r.control, whole.result, np.full(STEPS, np.nan))
-    with pytest.raises(ValueError, match=f"The scene has no scan: {STEPS} steps"):
+    result = eqx.tree_at(lambda r: r.control, whole.result, np.full(SCAN_STEPS, np.nan))
+    with pytest.raises(ValueError, match=f"The scene has no scan: {SCAN_STEPS} steps"):
         packed_picture(whole._replace(result=result), build(), "")
 
 

@@ -10,8 +10,8 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._explore import session
-from jaxwhisker._explore.picture import unpacked
-from jaxwhisker._explore.session import Session, _Functions, sliders_of
+from jaxwhisker._explore.session import Session, _Functions, slider_of
+from pictured import unpacked
 
 
 def build(stiffness, distance=0.2):
@@ -86,8 +86,13 @@ def test_other_values_are_an_error_and_the_session_goes_on(values, message, unso
 @pytest.mark.parametrize(
     ("make", "ranges", "message"),
     [
-        (build, {"stiff": (1, 2)}, "`stiff` must be a parameter of `build`, which has stiffness, distance."),
-        (build, {"distance": (0.1, 0.2)}, "`stiffness` must have a range"),
+        (
+            build,
+            {"stiff": (1, 2)},
+            "which takes (stiffness, distance=0.2), got 'stiff'",
+        ),
+        (lambda x=1.0: fixed(x), {"stiff": (1, 2)}, "unexpected keyword argument 'stiff'"),
+        (build, {"distance": (0.1, 0.2)}, "missing a required argument: 'stiffness'"),
         (build, {"stiffness": (500, 10)}, "`stiffness` must be a range with low < high, got (500, 10)."),
         (build, {"stiffness": (10, 10)}, "low < high"),
         (build, {"stiffness": (10, float("nan"))}, "with finite numbers, got (10, nan)."),
@@ -98,7 +103,7 @@ def test_other_values_are_an_error_and_the_session_goes_on(values, message, unso
         (build, {"stiffness": ("soft", "stiff")}, "(low, high)"),
         (build, {"stiffness": (10, 500, 5)}, "`stiffness` must start from 10 to 500, got 5."),
         (lambda x: None, {"x": (1, 2)}, "`build` must return a Scene, got None."),
-        (lambda x, /: fixed(x), {"x": (1, 2)}, "got the positional-only `x`."),
+        (lambda x, /: fixed(x), {"x": (1, 2)}, "`ranges` must name the parameters of `build`, which takes (x, /)"),
         (70.0, {}, "`build` must be a function that returns a Scene, got 70.0."),
         (fixed, {"x": (-1, 1, -0.5)}, "`distance` must be a positive finite number"),
     ],
@@ -119,7 +124,7 @@ def test_float32_is_rejected():
 
 def test_wide_ranges_are_logarithmic_and_start_in_the_middle():
     ranges = {"a": (10, 500), "b": (10, 200), "c": (0, 500), "d": (-1, 500.0), "e": (np.float64(1), 21, 2)}
-    sliders = sliders_of(lambda **values: fixed(1.0), ranges)
+    sliders = [slider_of(name, given) for name, given in ranges.items()]
     assert [slider.logarithmic for slider in sliders] == [True, False, False, False, True]
     assert [slider.start for slider in sliders] == [70.71, 105.0, 250.0, 249.5, 2.0]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker.film.canvas import Canvas, in_words
+from jaxwhisker.film.canvas import Canvas, event_in_words
 from jaxwhisker.film.frames import SNAP_FRAMES, frames
 from jaxwhisker.plot.drawing import drawing_at
 from pictured import ANGLES, FILM_STEPS, turning
@@ -111,6 +111,6 @@ def test_events_flash_for_half_a_second_and_snaps_while_they_last(soft, film_of_
 
 def test_events_are_described_in_words(stiff):
     event = stiff.events[0]
-    assert in_words(event) == "touch of whisker 1"
+    assert event_in_words(event) == "touch of whisker 1"
     off = event._replace(kind=jw.EventKind.snap_off, whiskers=(1, 2, 3))
-    assert in_words(off) == "snap-off of whiskers 1, 2 and 3"
+    assert event_in_words(off) == "snap-off of whiskers 1, 2 and 3"

@@ -1,5 +1,6 @@
 """Sliders: the parameters of a scene in Jupyter, or on a local page."""
 
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -37,11 +38,10 @@ def explore(build: Callable[..., Scene], /, **ranges: Any) -> Any:
             has no range; if `build` does not return a Scene at the start values; if JAX is in float32 mode.
         ImportError: if tornado or anywidget is missing: `pip install 'jaxwhisker[explore]'`.
     """
+    from jaxwhisker._explore.hosts import Explorer, serve
     from jaxwhisker._explore.session import Session
 
     session = Session(build, ranges)
-    from jaxwhisker._explore.hosts import Explorer, serve
-
     if _in_jupyter():
         return Explorer(session)
     with suppress(KeyboardInterrupt):
@@ -51,8 +51,5 @@ def explore(build: Callable[..., Scene], /, **ranges: Any) -> Any:
 
 def _in_jupyter() -> bool:
     """Whether this process is a Jupyter kernel."""
-    try:
-        from IPython import get_ipython
-    except ImportError:
-        return False
-    return hasattr(get_ipython(), "kernel")
+    shell = sys.modules.get("IPython")
+    return shell is not None and hasattr(shell.get_ipython(), "kernel")

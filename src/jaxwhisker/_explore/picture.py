@@ -24,13 +24,13 @@ from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.scan import scan_across
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 
-STEPS = 400  # of a scan, evenly over the range of the default control
-POINTS = 32  # of a whisker's centre line
+SCAN_STEPS = 400  # of a scan, evenly over the range of the default control
+PAGE_LINE_POINTS = 32  # of a whisker's centre line
 OUTLINE_POINTS = 241  # of the object
-SHORT = 0.1  # lengths: springs with a shorter rest length are drawn longer, from a wall that moves with the drive
+SHORTEST_DRAWN = 0.1  # lengths: springs with a shorter rest length begin at a wall that moves with the drive
 LONGEST_MESSAGE = 500  # characters
 DTYPES = {"f8": np.float64, "f4": np.float32, "i1": np.int8}  # by their names in a header
-COLUMNS = {"fx": "fx", "fy": "fy", "mz": "mz", "base_x": "base x", "contact_arc": "contact arc"}  # of the page's table
+TABLE_COLUMNS = {"fx": "fx", "fy": "fy", "mz": "mz", "base_x": "base x", "contact_arc": "contact arc"}
 
 
 class Picture(NamedTuple):
@@ -45,8 +45,8 @@ class Picture(NamedTuple):
 @jit
 def picture_of(scene: Scene) -> Picture:
     """Scan a scene; compiled once for all scenes with the same structure."""
-    result = scan_across(scene, STEPS)
-    lines = shapes_of(result, scene.whiskers, points=POINTS)
+    result = scan_across(scene, SCAN_STEPS)
+    lines = shapes_of(result, scene.whiskers, points=PAGE_LINE_POINTS)
     drive = jax.vmap(scene.motion.pose)(result.control)
     outline = silhouette(scene.profile, scene.whiskers[0].length, points=OUTLINE_POINTS)
     return Picture(result, lines, drive, outline)
@@ -76,7 +76,7 @@ def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") ->
         "dimensionless": units.dimensionless,
         "unit": _after_number(along),
         "labels": _labels(units),
-        "columns": _columns(units),
+        "columns": [[name, heading + _in_brackets(units.unit(name))] for name, heading in TABLE_COLUMNS.items()],
         "failed": failed,
         "summary": summary,
         "events": [_event(event, along) for event in result.events],
@@ -116,43 +116,28 @@ def _packed(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> bytes:
     return b"".join([struct.pack("<I", len(text)), text, *(array.tobytes() for _, array in ordered)])
 
 
-def unpacked(reply: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The header and the arrays of packed bytes."""
-    (length,) = struct.unpack_from("<I", reply)
-    header, start, arrays = json.loads(reply[4 : 4 + length]), 4 + length, {}
-    for name, dtype, shape in header["arrays"]:
-        arrays[name] = np.frombuffer(reply, DTYPES[dtype], int(np.prod(shape)), start).reshape(shape)
-        start += arrays[name].nbytes
-    return header, arrays
-
-
 # How a symbol is made dimensionless, in plain text.
-_SCALED = {"length": "/L", "force": " L²/EI", "moment": " L/EI"}
+_DIMENSIONLESS = {"length": "/L", "force": " L²/EI", "moment": " L/EI"}
 
 
 def _after_number(unit: Unit) -> str:
     return f" {unit.name}" * bool(unit.name)
 
 
+def _in_brackets(unit: Unit) -> str:
+    return f" ({unit.name})" * bool(unit.name)
+
+
 def _labels(units: UnitSystem) -> dict[str, str]:
     """Labels of axes: symbols with units."""
 
     def label(symbol: str, kind: str) -> str:
-        if units.dimensionless:
-            return symbol + _SCALED[kind]
-        return f"{symbol} ({units.of_kind(kind).name})"
+        return symbol + (_DIMENSIONLESS[kind] if units.dimensionless else _in_brackets(units.of_kind(kind)))
 
     along_x = control_kind(units.scene) == "length"
     labels = {"x": label("x", "length"), "y": label("y", "length")}
     labels |= {name: label(name, QUANTITIES[name].kind) for name in REACTIONS}
     return labels | {"u": label("u", "length") if along_x else units.label("control")}
-
-
-def _columns(units: UnitSystem) -> list[list[str]]:
-    """Names and headings of the columns of the table."""
-    if units.dimensionless:
-        return [[name, heading] for name, heading in COLUMNS.items()]
-    return [[name, f"{heading} ({units.unit(name).name})"] for name, heading in COLUMNS.items()]
 
 
 def _event(event: Event, unit: Unit) -> dict[str, Any]:
@@ -175,7 +160,7 @@ def _springs(scene: Scene, length: float) -> list[dict[str, Any]]:
             "between": spring.between,
             "axis": spring.axis,
             "rigid": float(spring.softness) == 0,
-            "short": abs(float(spring.rest_length)) < SHORT * whisker_length,
+            "short": abs(float(spring.rest_length)) < SHORTEST_DRAWN * whisker_length,
             "offset": np.subtract(poses[spring.between[1]], poses[spring.between[0]]).tolist(),
         }
         for spring in scene.support.springs

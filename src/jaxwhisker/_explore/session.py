@@ -3,7 +3,6 @@
 Every picture is a whole scan with all shapes, so moving the drive needs no further request.
 """
 
-import inspect
 import math
 import reprlib
 import types
@@ -18,6 +17,7 @@ from jaxwhisker._base.leaves import PlainFunction
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._explore.code import code_of
 from jaxwhisker._explore.picture import packed_error, packed_picture, picture_of
+from jaxwhisker._inverse.parameters import build_scene
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 
@@ -55,9 +55,9 @@ class Session:
 
     def __init__(self, build: Callable[..., Scene], ranges: Mapping[str, Any]):
         checks.float64_mode()
-        self.sliders = sliders_of(build, ranges)
+        self.sliders = tuple(slider_of(name, given) for name, given in ranges.items())
         self._build, self._functions = build, _Functions()
-        self._scene({slider.name: slider.start for slider in self.sliders})
+        build_scene("ranges", build, {slider.name: slider.start for slider in self.sliders})
 
     @property
     def description(self) -> dict[str, Any]:
@@ -72,19 +72,13 @@ class Session:
         """The picture for the values of the sliders, or the error that prevents it."""
         try:
             numbers = self._checked(values)
-            scene = self._scene(numbers)
+            scene = build_scene("ranges", self._build, numbers)
             comment = ", ".join(f"{name} = {value!r}" for name, value in numbers.items())
             reused, new = self._functions.reused(scene)
             picture = jax.tree.map(np.asarray, picture_of(jax.tree.map(checks.as_float, reused)))
             return packed_picture(picture, scene, code_of(scene, comment), RECOMPILED if new else "")
         except Exception as error:  # the sliders must stay usable, whatever `build` raises
             return packed_error(error)
-
-    def _scene(self, values: Mapping[str, float]) -> Scene:
-        scene = self._build(**values)
-        if not isinstance(scene, Scene):
-            raise ValueError(f"`build` must return a Scene, got {scene!r}.")
-        return scene
 
     def _checked(self, values: Any) -> dict[str, float]:
         names = [slider.name for slider in self.sliders]
@@ -124,37 +118,12 @@ class _Functions:
             return self._known.setdefault(id(function), leaf)
 
 
-def sliders_of(build: Callable[..., Scene], ranges: Mapping[str, Any]) -> tuple[Slider, ...]:
-    """A slider for each range.
+def slider_of(name: str, given: Any) -> Slider:
+    """The slider of a parameter for (low, high) or (low, high, start).
 
     Raises:
-        ValueError: if a range is not valid or is not that of a parameter of `build`, or if a parameter without a
-            default has no range.
+        ValueError: if the range is not valid.
     """
-    if not callable(build):
-        raise ValueError(f"`build` must be a function that returns a Scene, got {build!r}.")
-    _check_names(build, ranges)
-    return tuple(_slider(name, given) for name, given in ranges.items())
-
-
-def _check_names(build: Callable[..., Scene], ranges: Mapping[str, Any]) -> None:
-    try:
-        parameters = inspect.signature(build).parameters.values()
-    except (TypeError, ValueError):  # a callable without a signature
-        return
-    named = {p.name: p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
-    for p in parameters:
-        if p.kind is p.POSITIONAL_ONLY and p.default is p.empty:
-            raise ValueError(f"`build` must take its parameters by name, got the positional-only `{p.name}`.")
-    unknown = [name for name in ranges if name not in named]
-    if unknown and not any(p.kind is p.VAR_KEYWORD for p in parameters):
-        raise ValueError(f"`{unknown[0]}` must be a parameter of `build`, which has {', '.join(named) or 'none'}.")
-    for name, p in named.items():
-        if p.default is p.empty and name not in ranges:
-            raise ValueError(f"`{name}` must have a range (low, high), because `build` has no default for it.")
-
-
-def _slider(name: str, given: Any) -> Slider:
     try:
         low, high, *rest = numbers = [float(value) for value in given]
     except (TypeError, ValueError):

@@ -7,8 +7,13 @@ from importlib.metadata import version
 
 import jax
 
-from jaxwhisker.cli import explore, film, inverse, reproduce, scan, study
+from jaxwhisker.cli.explore import add_explore
+from jaxwhisker.cli.film import add_film
+from jaxwhisker.cli.inverse import add_identify, add_reconstruct
 from jaxwhisker.cli.options import INTERRUPTED, NO_CONTACT, NOT_ALL_OK, OK, USAGE, UsageError
+from jaxwhisker.cli.reproduce import add_reproduce
+from jaxwhisker.cli.scan import add_scan
+from jaxwhisker.cli.study import add_study
 
 __all__ = ["INTERRUPTED", "NOT_ALL_OK", "NO_CONTACT", "OK", "USAGE", "main"]
 
@@ -23,8 +28,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="jaxwhisker", description="Quasi-static scans with elastically coupled tactile whiskers.")
     parser.add_argument("--version", action="version", version=f"jaxwhisker {version('jaxwhisker')}")
     commands = parser.add_subparsers(dest="command", metavar="command", required=True)
-    for command in (scan, film, explore, study, inverse, reproduce):
-        command.add(commands)
+    for add in (add_scan, add_film, add_explore, add_study, add_identify, add_reconstruct, add_reproduce):
+        add(commands)
     return parser
 
 

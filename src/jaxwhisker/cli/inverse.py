@@ -2,67 +2,34 @@
 
 import argparse
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
+from jaxwhisker._inverse.fit_contour import fit_contour
+from jaxwhisker._inverse.fit_profile import fit_profile
+from jaxwhisker._inverse.identify import identify
+from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus
-from jaxwhisker._model.scene import Scene, Sensor
+from jaxwhisker._model.scene import Sensor
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.report import write_columns, write_rows
 from jaxwhisker.cli import options
 
-LETTERS = dict(zip(options.SPRINGS, "cl", strict=True))  # of the parameters of single springs: c1, l1, ...
-
-DATA = """\
+SIGNALS = """\
 The file has a header with the names control and any of fx, fy, mz (fx_1,
-fx_2, ... for several whiskers), and one row per drive position, in the order in
-which the drive moved. Lines that begin with # are skipped. Signs and units are
-those of `jaxwhisker scan --csv`, whose files can be used as they are.
-"""
-IDENTIFY = f"""\
-Estimate stiffnesses, rest lengths, the distance and shape of the object, ...
-from measured support reactions. The options describe the scene. Parameters
-named by --free are fitted, starting from --guess or from the option's value.
-
-{DATA}"""
-IDENTIFY_DETAILS = """\
-parameters: stiffness (of all springs, each on its own: c1, c2, ...),
-rest_length (l1, l2, ...), c1, l2, ..., distance, position, a, b, radius,
-length, bending_stiffness
-
-exit codes:
-  0  the fit is ok
-  1  the fit failed: the reason is printed, and there are no standard errors
-  2  an option or the data are wrong, or a file cannot be written
-
-example:
-  jaxwhisker identify examples/measured.csv --model FBFBR \\
-      --guess stiffness=100,distance=0.25 --free stiffness,distance
-"""
-RECONSTRUCT = f"""\
-Reconstruct the points at which the whiskers touched the object, from measured
-support reactions and the known sensor; then fit a contour to all signals.
-
-{DATA}"""
-RECONSTRUCT_DETAILS = """\
-exit codes:
-  0  contact points were reconstructed, and the fit, if any, is ok
-  1  there is no contact, or the fit failed
-  2  an option or the data are wrong, or a file cannot be written
-
-example:
-  jaxwhisker reconstruct examples/measured.csv --model FBFBR \\
-      --stiffness 60,80,70 --sigma fx=0.05,fy=0.1,mz=0.045 --plot contour.png
-"""
+fx_2, ... for several whiskers), and one row per drive position, in the order
+in which the drive moved. Lines that begin with # are skipped. Signs and units
+are those of `jaxwhisker scan --csv`, whose files can be used as they are."""
 
 
-def add(commands) -> None:
-    """Add the commands."""
-    short = "fit the parameters of a scene to measured signals"
-    about, details = IDENTIFY, IDENTIFY_DETAILS
-    command = options.add_command(commands, "identify", _identify, short=short, about=about, details=details)
-    _add_data(command)
+def add_identify(commands) -> None:
+    """Add the command `identify`."""
+    command = options.add_command(commands, run_identify, "fit the parameters of a scene to measured signals")
+    _add_signals(command)
     options.add_object(command)
     add = command.add_argument_group("fit").add_argument
     add("--free", required=True, metavar="NAME[,NAME...]", help="parameters to fit")
@@ -72,25 +39,26 @@ def add(commands) -> None:
     add("--shift", action="store_true", help="fit an unknown constant offset of the control")
     options.add_output(command, csv="estimates and standard errors")
 
+
+def add_reconstruct(commands) -> None:
+    """Add the command `reconstruct`."""
     short = "reconstruct the contour of the object from measured signals"
-    about, details = RECONSTRUCT, RECONSTRUCT_DETAILS
-    command = options.add_command(commands, "reconstruct", _reconstruct, short=short, about=about, details=details)
-    _add_data(command)
+    command = options.add_command(commands, run_reconstruct, short)
+    _add_signals(command)
     add = command.add_argument_group("contour").add_argument
     _add_sigma(add, "none")
-    add(
-        "--family",
-        choices=("points", "parabola", "circle", "ellipse", "free"),
-        default="points",
-        help="points only, or a shape fitted to them; free: any convex contour, fitted to all signals "
-        "(default: %(default)s)",
+    families = ("points", "parabola", "circle", "ellipse", "free")
+    text = (
+        "points only, or a shape fitted to them; free: any convex contour, fitted to all signals (default: %(default)s)"
     )
+    add("--family", choices=families, default="points", help=text)
     add("--knots", type=int, default=11, metavar="N", help="knots of a free contour (default: %(default)s)")
     options.add_output(command, csv="points with slope, phase and standard error")
 
 
-def _add_data(command: argparse.ArgumentParser) -> None:
-    command.add_argument("data", type=Path, metavar="DATA.csv", help="measured signals")
+def _add_signals(command: argparse.ArgumentParser) -> None:
+    add = command.add_argument_group("measured signals", SIGNALS).add_argument
+    add("data", type=Path, metavar="DATA.csv", help="table of the signals")
     options.add_sensor(command)
 
 
@@ -106,7 +74,7 @@ def _named(text: str) -> dict[str, float]:
         name, equals, value = part.partition("=")
         if not equals:
             raise argparse.ArgumentTypeError(f"must be NAME=VALUE, got {part!r}")
-        values[_name(name)] = options.number(value)
+        values[_name(name)] = options.parse_number(value)
     return values
 
 
@@ -115,81 +83,89 @@ def _name(text: str) -> str:
 
 
 def _sigma(text: str) -> float | dict[str, float]:
-    return _named(text) if "=" in text else options.number(text)
+    return _named(text) if "=" in text else options.parse_number(text)
 
 
-def _parameters(args: argparse.Namespace) -> tuple[dict[str, float], Callable[..., Scene]]:
-    """All parameters of the scene by name (numbered for springs), and the function that builds the scene from them."""
-    springs = options.support_of(args).springs
-    values: dict[str, float] = {f"c{k}": float(spring.softness**-1) for k, spring in enumerate(springs, 1)}
-    values |= {f"l{k}": float(spring.rest_length) for k, spring in enumerate(springs, 1)}
-    values |= {name: float(v) for name, v in options.parameters_of(args).items() if name not in options.SPRINGS}
+def run_identify(args: argparse.Namespace) -> int:
+    r"""Estimate stiffnesses, rest lengths, the distance and shape of the object, ...
+    from measured support reactions. The options describe the scene. Parameters
+    named by --free are fitted, starting from --guess or from the option's value.
 
-    def build(**parameters) -> Scene:
-        several = {
-            name: [parameters[f"{letter}{k}"] for k in range(1, len(springs) + 1)] for name, letter in LETTERS.items()
-        }
-        return options.make_scene(args, parameters | several if springs else parameters)
+    parameters: stiffness (of all springs, each on its own: c1, c2, ...),
+    rest_length (l1, l2, ...), c1, l2, ..., distance, position, a, b, radius,
+    length, bending_stiffness
 
-    return values, build
+    exit codes:
+      0  the fit is ok
+      1  the fit failed: the reason is printed, and there are no standard errors
+      2  an option or the data are wrong, or a file cannot be written
+
+    example:
+      jaxwhisker identify examples/measured.csv --model FBFBR \
+          --guess stiffness=100,distance=0.25 --free stiffness,distance
+    """
+    options.check_outputs(args.plot, args.csv)
+    with options.usage_errors():
+        values = _parameters(args)
+        free = [n for name in args.free.split(",") for n in _expanded(_name(name), values)]
+        for name, value in args.guess.items():
+            values |= dict.fromkeys(_expanded(name, values), float(value))
+        guess = {name: values.pop(name) for name in dict.fromkeys(free)}
+        print(f"fitting {', '.join(guess)} to {args.data}", flush=True)
+        build = partial(options.make_scene, args, **values)
+        fit = identify(build, guess, args.data, sigma=args.sigma, offsets=args.offsets, shift=args.shift)
+    print(f"\n{fit}")
+    if args.csv is not None:
+        rows = [
+            [n, repr(fit.estimates[n]), _csv_cell(fit.standard_error[n]), *map(_csv_cell, fit.interval[n])]
+            for n in fit.names
+        ]
+        write_rows([["parameter", "estimate", "standard_error", "low", "high"], *rows], args.csv)
+        print(f"wrote {args.csv}")
+    options.save_picture(args.plot, lambda plot: plot.fit(fit)[0])
+    return options.OK if fit.status == FitStatus.ok else options.NOT_ALL_OK
+
+
+def _parameters(args: argparse.Namespace) -> dict[str, float]:
+    """All parameters of the scene by name, with those of each spring."""
+    values = options.values_of_parameters(args)
+    springs = options.support_of(args, values).springs
+    own = {f"c{k}": float(spring.softness**-1) for k, spring in enumerate(springs, 1)}
+    own |= {f"l{k}": float(spring.rest_length) for k, spring in enumerate(springs, 1)}
+    return own | {name: value for name, value in values.items() if name not in options.SPRINGS}
 
 
 def _expanded(name: str, values: dict[str, float]) -> list[str]:
     """The parameters that a name in --free or --guess stands for."""
-    letter = LETTERS.get(name)
-    names = [n for n in values if n == name or (letter is not None and n[0] == letter and n[1:].isdigit())]
+    names = [n for n in values if name in (n, options.option_of(n))]
     if not names:
         known = ", ".join(values)
         raise options.UsageError(f"--free and --guess must name parameters of the scene ({known}), got {name}.")
     return names
 
 
-def _identify(args: argparse.Namespace) -> int:
-    from jaxwhisker._inverse.identify import identify
-
-    options.check_writable(args.plot, args.csv)
-    options.check_picture(args.plot)
-    with options.usage_errors():
-        values, build = _parameters(args)
-        free = [n for name in args.free.split(",") for n in _expanded(_name(name), values)]
-        for name, value in args.guess.items():
-            values.update(dict.fromkeys(_expanded(name, values), float(value)))
-        guess = {name: values[name] for name in dict.fromkeys(free)}
-        fixed = {name: value for name, value in values.items() if name not in guess}
-
-        def build_free(**parameters) -> Scene:
-            return build(**fixed, **parameters)
-
-        print(f"fitting {', '.join(guess)} to {args.data}", flush=True)
-        fit = identify(build_free, guess, args.data, sigma=args.sigma, offsets=args.offsets, shift=args.shift)
-    print(f"\n{fit}")
-    if args.csv is not None:
-        rows = [
-            [n, repr(fit.estimates[n]), _cell(fit.standard_error[n]), *map(_cell, fit.interval[n])] for n in fit.names
-        ]
-        write_rows([["parameter", "estimate", "standard_error", "low", "high"], *rows], args.csv)
-        print(f"wrote {args.csv}")
-    if args.plot is not None:
-        from jaxwhisker import plot
-
-        options.save_picture(plot.fit(fit)[0], args.plot)
-    return options.OK if fit.status == FitStatus.ok else options.NOT_ALL_OK
-
-
-def _cell(value: float) -> str:
+def _csv_cell(value: float) -> str:
     return repr(float(value)) if np.isfinite(value) else "-"
 
 
-def _reconstruct(args: argparse.Namespace) -> int:
-    from jaxwhisker._inverse.fit_contour import fit_contour
-    from jaxwhisker._inverse.fit_profile import fit_profile
-    from jaxwhisker._inverse.reconstruct import reconstruct
+def run_reconstruct(args: argparse.Namespace) -> int:
+    r"""Reconstruct the points at which the whiskers touched the object, from measured
+    support reactions and the known sensor; then fit a contour to all signals.
 
-    options.check_writable(args.plot, args.csv)
-    options.check_picture(args.plot)
+    exit codes:
+      0  contact points were reconstructed, and the fit, if any, is ok
+      1  there is no contact, or the fit failed
+      2  an option or the data are wrong, or a file cannot be written
+
+    example:
+      jaxwhisker reconstruct examples/measured.csv --model FBFBR \
+          --stiffness 60,80,70 --sigma fx=0.05,fy=0.1,mz=0.045 --plot contour.png
+    """
+    options.check_outputs(args.plot, args.csv)
     shape, joint = None, None
     with options.usage_errors():
-        sensor = Sensor(Whisker(args.length, args.bending_stiffness), options.support_of(args))
+        support = options.support_of(args, options.springs_of(args))
+        sensor = Sensor(Whisker(args.length, args.bending_stiffness), support)
         points = reconstruct(args.data, sensor, sigma=args.sigma)
         print(points)
         good = bool(np.isfinite(np.asarray(points.x)).any())
@@ -203,13 +179,12 @@ def _reconstruct(args: argparse.Namespace) -> int:
             good = shape.status == FitStatus.ok
     if args.csv is not None:
         _write_points(points, args.csv)
-    if args.plot is not None:
-        from jaxwhisker import plot
 
+    def draw(plot: ModuleType) -> Any:
         ax = plot.contour(points, profile=None if shape is None else shape.profile)
-        if joint is not None:
-            plot.contour(joint, ax=ax)
-        options.save_picture(ax, args.plot)
+        return ax if joint is None else plot.contour(joint, ax=ax)
+
+    options.save_picture(args.plot, draw)
     return options.OK if good else options.NOT_ALL_OK
 
 

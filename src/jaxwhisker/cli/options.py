@@ -1,11 +1,13 @@
 """Options that commands share, the scenes and controls that they describe, and checks of output files."""
 
 import argparse
+import inspect
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,11 +16,13 @@ from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod.elastica import AbstractRod, Shooting
 from jaxwhisker._scan.quantities import UNITS
 from jaxwhisker._scan.scan import MOST_STEPS, STEP, default_control
 
-MODELS = ("clamped", "FB", "FBFB", "FBFBR", "FBFBFBR")
+MODEL_NAMES = ("clamped", "FB", "FBFB", "FBFBR", "FBFBFBR")
 SPRINGS = {"stiffness": 70.0, "rest_length": 0.2}  # defaults of the options of springs
+LETTERS = {"stiffness": "c", "rest_length": "l"}  # of the parameters of single springs: c1, c2, ..., l1, l2, ...
 # Options of each profile with their defaults; options of another profile are rejected.
 PROFILES = {
     "parabola": (Parabola, {"a": 1.0}),
@@ -44,7 +48,7 @@ def usage_errors() -> Iterator[None]:
 # Types of option values
 
 
-def number(text: str) -> float:
+def parse_number(text: str) -> float:
     """A number."""
     try:
         return float(text)
@@ -52,28 +56,31 @@ def number(text: str) -> float:
         raise argparse.ArgumentTypeError(f"must be a number, got {text!r}") from None
 
 
-def numbers(text: str) -> float | tuple[float, ...]:
+def parse_numbers(text: str) -> float | tuple[float, ...]:
     """One number, or several separated by commas."""
-    parts = tuple(number(part) for part in text.split(","))
+    parts = tuple(parse_number(part) for part in text.split(","))
     return parts[0] if len(parts) == 1 else parts
 
 
 def model(text: str) -> str:
     """The name of a model, in upper or lower case."""
-    for name in MODELS:
+    for name in MODEL_NAMES:
         if text.lower() == name.lower():
             return name
-    raise argparse.ArgumentTypeError(f"must be one of {', '.join(MODELS)}, got {text!r}")
+    raise argparse.ArgumentTypeError(f"must be one of {', '.join(MODEL_NAMES)}, got {text!r}")
 
 
 # Groups of options
 
 
-def add_command(
-    commands, name: str, run: Callable[[argparse.Namespace], int], *, short: str, about: str, details: str = ""
-) -> argparse.ArgumentParser:
-    """Add a command with its line in the list of commands, and the help before and after its options."""
+def add_command(commands, run: Callable[[argparse.Namespace], int], short: str) -> argparse.ArgumentParser:
+    """Add the command that a function runs, with its line in the list of commands.
+
+    The function's docstring is the help: its first paragraph above the options, the others below them.
+    """
+    about, _, details = (inspect.getdoc(run) or "").partition("\n\n")
     style = argparse.RawDescriptionHelpFormatter
+    name = run.__name__.removeprefix("run_")
     command = commands.add_parser(name, help=short, description=about, epilog=details, formatter_class=style)
     command.set_defaults(run=run)
     return command
@@ -81,8 +88,8 @@ def add_command(
 
 def add_sensor(
     command: argparse.ArgumentParser,
-    kind: Callable = number,
-    springs: Callable = numbers,
+    kind: Callable = parse_number,
+    springs: Callable = parse_numbers,
     *,
     several: bool = True,
     defaults: Sequence[str] = tuple(f"{value:g}" for value in SPRINGS.values()),
@@ -103,7 +110,7 @@ def add_sensor(
         feedback += "; or one length per spring, feedback included"
     more = "[,...]" * several
     add = command.add_argument_group("whiskers and springs").add_argument
-    add("--model", type=model, default="FB", metavar="NAME", help=f"{', '.join(MODELS)} (default: %(default)s)")
+    add("--model", type=model, default="FB", metavar="NAME", help=f"{', '.join(MODEL_NAMES)} (default: %(default)s)")
     text = f"{stiffness}; inf is a rigid link (default: {defaults[0]})"
     add("--stiffness", type=springs, metavar=f"C{more}", help=text)
     text = f"{rest_length}; {feedback} (default: {defaults[1]})"
@@ -113,7 +120,7 @@ def add_sensor(
     add("--bending-stiffness", type=kind, default="1.0", metavar="EI", help=text)
 
 
-def add_object(command: argparse.ArgumentParser, kind: Callable = number) -> None:
+def add_object(command: argparse.ArgumentParser, kind: Callable = parse_number) -> None:
     """Add the options of the object, whose values `kind` converts."""
     add = command.add_argument_group("object").add_argument
     add("--profile", choices=tuple(PROFILES), default="parabola", help="shape of the object (default: %(default)s)")
@@ -132,9 +139,10 @@ def add_object(command: argparse.ArgumentParser, kind: Callable = number) -> Non
 def add_drive(command: argparse.ArgumentParser) -> None:
     """Add the options of the drive positions."""
     add = command.add_argument_group("drive").add_argument
-    add("--start", type=number, metavar="U", help="first position (default: just before the first touch)")
-    add("--stop", type=number, metavar="U", help="last position (default: just after the last whisker is free)")
-    add("--step", type=number, metavar="DU", help=f"distance between positions (default: {STEP:g} whisker lengths)")
+    add("--start", type=parse_number, metavar="U", help="first position (default: just before the first touch)")
+    add("--stop", type=parse_number, metavar="U", help="last position (default: just after the last whisker is free)")
+    text = f"distance between positions (default: {STEP:g} whisker lengths)"
+    add("--step", type=parse_number, metavar="DU", help=text)
 
 
 def add_output(command: argparse.ArgumentParser, csv: str) -> Callable:
@@ -154,58 +162,60 @@ def add_units(add: Callable) -> None:
 # Scenes and controls
 
 
-def shape_of(args: argparse.Namespace) -> dict:
-    """Options of the chosen profile, with defaults.
-
-    Raises:
-        ValueError: if an option of another profile is given.
-    """
-    _, defaults = PROFILES[args.profile]
-    for option in ("a", "b", "radius"):
-        if getattr(args, option) is not None and option not in defaults:
-            raise ValueError(f"--{option} does not belong to --profile {args.profile}.")
-    return {k: default if getattr(args, k) is None else getattr(args, k) for k, default in defaults.items()}
-
-
-def check_springs(args: argparse.Namespace) -> None:
-    """Reject options of springs for a model without springs."""
-    if args.model == "clamped":
-        for option in SPRINGS:
-            if getattr(args, option) is not None:
-                raise ValueError(f"--{option.replace('_', '-')} does not belong to --model clamped: it has no springs.")
+def _chosen(args: argparse.Namespace, names: Iterable[str], defaults: dict[str, Any], words: str) -> dict[str, Any]:
+    """Values of options, or their defaults; options without a default are rejected."""
+    given = {name: value for name in names if (value := getattr(args, name)) is not None}
+    for name in given:
+        if name not in defaults:
+            raise ValueError(f"--{name.replace('_', '-')} does not belong to {words}.")
+    return defaults | given
 
 
 def springs_of(args: argparse.Namespace) -> dict[str, Any]:
-    """Options of the springs, with defaults; empty for a model without springs."""
-    check_springs(args)
-    given = {name: getattr(args, name) for name in SPRINGS if getattr(args, name) is not None}
-    return {} if args.model == "clamped" else SPRINGS | given
+    """Options of the springs, with defaults; empty for a model without springs.
+
+    Raises:
+        ValueError: if an option is given for a model without springs.
+    """
+    defaults = {} if args.model == "clamped" else SPRINGS
+    return _chosen(args, SPRINGS, defaults, "--model clamped: it has no springs")
 
 
-def support_of(args: argparse.Namespace) -> Support:
-    """The support that the options describe."""
-    springs = springs_of(args)
-    return Support.named(args.model, *springs.values()) if springs else Support()
+def values_of_parameters(args: argparse.Namespace) -> dict[str, Any]:
+    """Values of all parameters of the scene by name.
 
-
-def parameters_of(args: argparse.Namespace) -> dict[str, Any]:
-    """Values of all parameters of the scene by name."""
+    Raises:
+        ValueError: if an option of another profile, or of springs that the model does not have, is given.
+    """
+    shape = _chosen(args, ("a", "b", "radius"), PROFILES[args.profile][1], f"--profile {args.profile}")
     others = {name: getattr(args, name) for name in ("length", "bending_stiffness", "distance", "position")}
-    return springs_of(args) | others | shape_of(args)
+    return springs_of(args) | others | shape
 
 
-def make_scene(args: argparse.Namespace, values: Mapping[str, Any]) -> Scene:
+def option_of(name: str) -> str:
+    """The option that sets a parameter: `stiffness` for c1, c2, ..., `rest_length` for l1, l2, ..., else its name."""
+    return next((option for option, letter in LETTERS.items() if name[0] == letter and name[1:].isdecimal()), name)
+
+
+def support_of(args: argparse.Namespace, values: Mapping[str, Any]) -> Support:
+    """The support of the chosen model with these stiffnesses and rest lengths, of all springs or of each one."""
+    if args.model == "clamped":
+        return Support()
+    own = {name: [values[n] for n in sorted(values) if name == option_of(n) != n] for name in SPRINGS}
+    return Support.named(args.model, *(own[name] or values[name] for name in SPRINGS))
+
+
+def make_scene(args: argparse.Namespace, rod: AbstractRod | None = None, /, **values: Any) -> Scene:
     """The scene of the chosen model and profile with these values of its parameters."""
-    shape = PROFILES[args.profile][1]
-    profile = PROFILES[args.profile][0](**{name: values[name] for name in ("distance", "position", *shape)})
-    springs = [values[name] for name in SPRINGS if name in values]
-    support = Support.named(args.model, *springs) if springs else Support()
-    return Scene(Whisker(values["length"], values["bending_stiffness"]), profile, support)
+    kind, shape = PROFILES[args.profile]
+    profile = kind(**{name: values[name] for name in ("distance", "position", *shape)})
+    whisker = Whisker(values["length"], values["bending_stiffness"])
+    return Scene(whisker, profile, support_of(args, values), rod or Shooting())
 
 
 def scene_of(args: argparse.Namespace) -> Scene:
     """The scene that the options describe."""
-    return make_scene(args, parameters_of(args))
+    return make_scene(args, **values_of_parameters(args))
 
 
 def check_drive(args: argparse.Namespace) -> None:
@@ -217,11 +227,10 @@ def check_drive(args: argparse.Namespace) -> None:
     if args.step is not None and not args.step > 0:
         raise ValueError(f"--step must be positive, got {args.step}; for a scan towards +x set --stop above --start.")
     if args.start is not None and args.stop is not None:
-        positions(args.start, args.stop, step_of(args))
+        positions(args.start, args.stop, _step_of(args))
 
 
-def step_of(args: argparse.Namespace) -> float:
-    """Distance between drive positions."""
+def _step_of(args: argparse.Namespace) -> float:
     return STEP * float(np.max(args.length)) if args.step is None else args.step
 
 
@@ -234,68 +243,67 @@ def positions(start: float, stop: float, step: float) -> np.ndarray:
     return start + np.sign(stop - start) * step * np.arange(int(steps + 1e-9) + 1)
 
 
-def control_of(args: argparse.Namespace, scene: Scene) -> np.ndarray | None:
-    """Drive positions of a scan; None for the default ones."""
-    if args.start is None and args.stop is None and args.step is None:
+def control_of(args: argparse.Namespace, scene: Scene | None) -> np.ndarray | None:
+    """Drive positions of the scan of a scene, or of all scans of a study; None for the default ones."""
+    given = {option: value for option in ("start", "stop", "step") if (value := getattr(args, option)) is not None}
+    if not given:
         return None
-    start, stop = args.start, args.stop
-    if start is None or stop is None:
-        default = default_control(scene)
-        start, stop = (default[0] if start is None else start), (default[-1] if stop is None else stop)
-    return positions(start, stop, step_of(args))
+    missing = [option for option in ("start", "stop") if option not in given]
+    if missing and scene is None:
+        with_one = next(iter(given))
+        raise ValueError(f"--{missing[0]} must be given with --{with_one}: all scans of a study share their control.")
+    if scene is not None and missing:
+        first, *_, last = default_control(scene)
+        given = {"start": first, "stop": last} | given
+    return positions(given["start"], given["stop"], _step_of(args))
 
 
 # Output files
 
 
-def check_writable(*paths: Path | None) -> None:
-    """Check that files can be written before anything is computed."""
-    for path in paths:
-        if path is None:
-            continue
-        if path.is_dir():
-            raise UsageError(f"cannot write {path}: it is a folder")
-        if not path.absolute().parent.is_dir():
-            raise UsageError(f"cannot write {path}: there is no folder {path.parent}")
-        if path.exists() and not path.is_file():  # a device or a pipe
-            continue
-        new = not path.exists()
-        try:
-            path.open("ab").close()
-            if new:
-                path.unlink()
-        except OSError as error:
-            raise UsageError(f"cannot write {path}: {error.strerror}") from None
-
-
-def check_folder(path: Path | None) -> None:
-    """Check that a folder, which need not exist yet, can be written."""
-    if path is None:
-        return
-    parent = path if path.is_dir() else path.absolute().parent
-    if not parent.is_dir():
-        raise UsageError(f"cannot write {path}: there is no folder {path.parent}")
-    if path.exists() and not path.is_dir():
-        raise UsageError(f"cannot write {path}: it is a file")
-    try:
-        tempfile.TemporaryDirectory(dir=parent).cleanup()
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error.strerror}") from None
-
-
-def check_picture(path: Path | None) -> None:
-    """Check that matplotlib can write the format of a picture."""
-    if path is None:
+def check_outputs(plot: Path | None, csv: Path | None = None) -> None:
+    """Check that a picture and a table can be written before anything is computed."""
+    check_writable(plot, csv)
+    if plot is None:
         return
     from matplotlib.backend_bases import FigureCanvasBase
 
-    if path.suffix.lstrip(".").lower() not in FigureCanvasBase.get_supported_filetypes():
-        raise UsageError(f"--plot must end with .png, .pdf, .svg or another format of matplotlib, got {path}.")
+    if plot.suffix.lstrip(".").lower() not in FigureCanvasBase.get_supported_filetypes():
+        raise UsageError(f"--plot must end with .png, .pdf, .svg or another format of matplotlib, got {plot}.")
 
 
-def save_picture(drawn: Any, path: Path) -> None:
-    """Write a picture and report it."""
-    from jaxwhisker import plot
+def check_writable(*paths: Path | None, folder: bool = False) -> None:
+    """Check that files, or folders that need not exist yet, can be written before anything is computed."""
+    for path in paths:
+        reason = None if path is None else _why_not_writable(path, folder)
+        if reason is not None:
+            raise UsageError(f"cannot write {path}: {reason}")
 
-    plot.save(drawn, path, dpi=130)
-    print(f"wrote {path}")
+
+def _why_not_writable(path: Path, folder: bool) -> str | None:
+    place, new = path if path.is_dir() else path.absolute().parent, not path.exists()
+    if not place.is_dir():
+        return f"there is no folder {path.parent}"
+    if path.is_dir() and not folder:
+        return "it is a folder"
+    if folder and place != path and not new:
+        return "it is a file"
+    try:
+        if folder:
+            tempfile.TemporaryDirectory(dir=place).cleanup()
+        elif new or path.is_file():  # else it is a device or a pipe
+            path.open("ab").close()
+            if new:
+                path.unlink()
+    except OSError as error:
+        return error.strerror
+    return None
+
+
+def save_picture(path: Path | None, draw: Callable[[ModuleType], Any]) -> None:
+    """Write what is drawn with `jaxwhisker.plot`, and report it; without a path, do nothing."""
+    if path is not None:
+        from jaxwhisker import plot
+
+        plot.save(draw(plot), path, dpi=130)
+        print(f"wrote {path}")

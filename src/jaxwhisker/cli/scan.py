@@ -8,37 +8,10 @@ from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import scan
 from jaxwhisker.cli import options
 
-ABOUT = """\
-Scan one object with the whiskers of one model. The command prints the events,
-the peaks and the number of failed steps. It writes the signals to --csv and a
-picture to --plot.
-"""
-DETAILS = """\
-Any consistent system of units is allowed. With the defaults everything is
-dimensionless: lengths in L, forces in EI/L^2, moments in EI/L, stiffnesses in
-EI/L^3. Other numbers are shown as SI units (m, N, N m) with prefixes. The drive
-moves towards -x; reactions are those of the support on the whisker.
 
-The CSV has the units of the options. It begins with a comment line:
-pandas.read_csv(file, comment="#").
-
-exit codes:
-  0  every step is ok
-  1  some steps failed: they contain NaN and a status with the reason
-  2  an option or a parameter is wrong, or a file cannot be written
-  3  no whisker touches the object
-
-examples:
-  jaxwhisker scan --model FBFBR --stiffness 70 --distance 0.2 \\
-      --plot fig.png --csv scan.csv
-  jaxwhisker scan --model FBFB --stiffness 70,inf --rest-length 0.2,0.3
-  jaxwhisker scan --model clamped --profile circle --start 0.5 --stop -1
-"""
-
-
-def add(commands) -> None:
-    """Add the command."""
-    command = options.add_command(commands, "scan", _run, short="scan one scene", about=ABOUT, details=DETAILS)
+def add_scan(commands) -> None:
+    """Add the command `scan`."""
+    command = options.add_command(commands, run_scan, "scan one scene")
     options.add_sensor(command)
     options.add_object(command)
     options.add_drive(command)
@@ -46,28 +19,53 @@ def add(commands) -> None:
     options.add_units(add)
 
 
-def _run(args: argparse.Namespace) -> int:
-    options.check_writable(args.plot, args.csv)
-    options.check_picture(args.plot)
+def run_scan(args: argparse.Namespace) -> int:
+    r"""Scan one object with the whiskers of one model. The command prints the events,
+    the peaks and the number of failed steps. It writes the signals to --csv and a
+    picture to --plot.
+
+    Any consistent system of units is allowed. With the defaults everything is
+    dimensionless: lengths in L, forces in EI/L^2, moments in EI/L, stiffnesses in
+    EI/L^3. Other numbers are shown as SI units (m, N, N m) with prefixes. The drive
+    moves towards -x; reactions are those of the support on the whisker.
+
+    The CSV has the units of the options. It begins with a comment line:
+    pandas.read_csv(file, comment="#").
+
+    exit codes:
+      0  every step is ok
+      1  some steps failed: they contain NaN and a status with the reason
+      2  an option or a parameter is wrong, or a file cannot be written
+      3  no whisker touches the object
+
+    examples:
+      jaxwhisker scan --model FBFBR --stiffness 70 --distance 0.2 \
+          --plot fig.png --csv scan.csv
+      jaxwhisker scan --model FBFB --stiffness 70,inf --rest-length 0.2,0.3
+      jaxwhisker scan --model clamped --profile circle --start 0.5 --stop -1
+    """
+    options.check_outputs(args.plot, args.csv)
     with options.usage_errors():
-        scene = options.scene_of(args)
-        options.check_drive(args)
-        print(scene, flush=True)
-        result = scan(scene, options.control_of(args, scene))
+        result = scan_of(args)
     if touches_object(result):
         print(f"\n{event_table(result, args.units)}\n\n{peak_table(result, args.units)}\n")
     print(status_line(result)[1])
     if args.csv is not None:
         to_csv(result, args.csv)
         print(f"wrote {args.csv}")
-    if args.plot is not None:
-        from jaxwhisker import plot
-
-        options.save_picture(plot.overview(result, units=args.units), args.plot)
-    return scan_code(result)
+    options.save_picture(args.plot, lambda plot: plot.overview(result, units=args.units))
+    return exit_code(result)
 
 
-def scan_code(result: Result) -> int:
+def scan_of(args: argparse.Namespace) -> Result:
+    """Print the scene that the options describe, and scan it."""
+    scene = options.scene_of(args)
+    options.check_drive(args)
+    print(scene, flush=True)
+    return scan(scene, options.control_of(args, scene))
+
+
+def exit_code(result: Result) -> int:
     """The exit code for a scan; print a line if no whisker touches the object."""
     failed, _ = status_line(result)
     if failed:

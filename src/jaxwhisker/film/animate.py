@@ -5,6 +5,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from jaxwhisker._base import checks
 from jaxwhisker._scan.quantities import check_units
 from jaxwhisker._scan.result import Result, check_one_scan
@@ -75,18 +77,22 @@ def animate(
         ValueError: if an argument is invalid, the result is not that of one scan, or ffmpeg is missing for a video.
         OSError: if the file cannot be written.
     """
+    from jaxwhisker.film import canvas, frames, writers
+
     check_one_scan(result)
     path = check(path, seconds, fps, width, units)
-    if path is not None:
-        _write(result, path, seconds, fps, width, units, progress)
-        return path
-    from jaxwhisker.film.writers import has_ffmpeg
-
-    kind = "video/mp4" if has_ffmpeg() else "image/gif"
-    with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / f"film.{kind[-3:]}"
-        _write(result, made, seconds, fps, width, units, progress)
-        return Film(kind, made.read_bytes())
+    if path is None:
+        kind = "video/mp4" if writers.has_ffmpeg() else "image/gif"
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / f"film.{kind[-3:]}"
+            animate(result, made, seconds=seconds, fps=fps, width=width, units=units, progress=progress)
+            return Film(kind, made.read_bytes())
+    shown, events = frames.frames(result, max(2, round(seconds * fps)))
+    drawn = canvas.Canvas(result, shown, events, fps=fps, width=width, units=units)
+    hidden = None if progress is None else not progress
+    with tqdm(range(drawn.count), desc="film", unit=" frames", leave=False, disable=hidden) as counted:
+        writers.write(path, drawn, counted, fps=fps)
+    return path
 
 
 def check(path: Any, seconds: Any, fps: Any, width: Any, units: Any = "auto") -> Path | None:
@@ -125,17 +131,3 @@ def _check_path(path: Any) -> Path:
     if not path.absolute().parent.is_dir():
         raise ValueError(f"`path` must be in an existing folder, got {str(path)!r}.")
     return path
-
-
-def _write(result: Result, path: Path, seconds: float, fps: int, width: int, units: str, progress: bool | None) -> None:
-    from tqdm import tqdm
-
-    from jaxwhisker.film.canvas import Canvas
-    from jaxwhisker.film.frames import frames
-    from jaxwhisker.film.writers import write
-
-    shown, events = frames(result, max(2, round(seconds * fps)))
-    canvas = Canvas(result, shown, events, fps=fps, width=width, units=units)
-    hidden = None if progress is None else not progress
-    with tqdm(range(canvas.count), desc="film", unit=" frames", leave=False, disable=hidden) as counted:
-        write(path, canvas, counted, fps=fps)

@@ -1,6 +1,7 @@
 """Draw the frames of a film: the background once, and the moving artists again for every frame."""
 
-from typing import Any, NamedTuple
+import itertools
+from typing import Any
 
 import jax
 import numpy as np
@@ -34,14 +35,11 @@ CURVE_ROOM = 0.08  # above and below curves, as a share of their height
 FLASH = 0.5  # seconds for which an event flashes; a snap flashes for so long after it is over
 MOST_LABELS = 3  # largest number of events that flash at once; only the latest are shown
 WARNING = "#B00000"
-_WORDS = {
-    EventKind.touch: "touch of {}",
+# Other events are described by their names.
+_EVENT_WORDS = {
     EventKind.tip_to_tangential: "tangential contact of {}",
     EventKind.vertex: "{} at the vertex",
     EventKind.tangential_to_tip: "tip contact of {}",
-    EventKind.release: "release of {}",
-    EventKind.snap_through: "snap-through of {}",
-    EventKind.snap_off: "snap-off of {}",
 }
 
 _Place = tuple[float, float, float, float]  # left, bottom, width and height of axes, as shares of the figure
@@ -63,16 +61,21 @@ class Canvas:
         self.count, largest = shown.step.size, largest_force(result)
         system = UnitSystem(result.scene, units)
         self._drawings = [_drawing(shown, k, largest, system) for k in range(self.count)]
-        seen, wide = _window(system, self._drawings), STAGE[1]
-        height = float(np.clip(seen.shape * wide + BELOW + ABOVE, LOWEST, TALLEST))
+        left, right, bottom, top = _window(system, self._drawings)
+        shape = (top - bottom) / (right - left)
+        height = float(np.clip(shape * STAGE[1] + BELOW + ABOVE, LOWEST, TALLEST))
         inner = height - BELOW - ABOVE
+        # Enlarge the window to the shape of the stage: upwards, where the object is, or to both sides.
+        taller = inner / STAGE[1] / shape
+        beside = max(1 / taller - 1, 0.0) * (right - left) / 2
         self.figure = _figure(width, height)
 
         def place(column: tuple[float, float], bottom: float, tall: float) -> _Place:
             return column[0] / WIDTH, bottom / height, column[1] / WIDTH, tall / height
 
         self.stage = Stage(self.figure, place(STAGE, BELOW, inner), system, self._drawings[0])
-        self.stage.show(seen.shaped(inner / wide))
+        limits = (left - beside, right + beside), (bottom, bottom + max(taller, 1.0) * (top - bottom))
+        self.stage.axes.set(xlim=limits[0], ylim=limits[1])
         each = (inner + GAP) / len(REACTIONS)
         bottoms = [BELOW + row * each for row in reversed(range(len(REACTIONS)))]
         places = [place(CURVES, bottom, each - GAP) for bottom in bottoms]
@@ -133,35 +136,15 @@ def _name_whiskers(figure: Figure, count: int, bottom: float) -> None:
     figure.legend(handles=handles, ncols=count, **place, **style)
 
 
-class Window(NamedTuple):
-    """Limits of the stage."""
-
-    left: float
-    right: float
-    bottom: float
-    top: float
-
-    @property
-    def shape(self) -> float:
-        """Height over width."""
-        return (self.top - self.bottom) / (self.right - self.left)
-
-    def shaped(self, shape: float) -> "Window":
-        """Enlarge to the given shape: upwards, where the object is, or to both sides."""
-        wide, tall = self.right - self.left, self.top - self.bottom
-        wider = max(tall / shape - wide, 0.0) / 2
-        return Window(self.left - wider, self.right + wider, self.bottom, self.bottom + max(tall, shape * wide))
-
-
-def _window(system: UnitSystem, drawn: list[Drawing]) -> Window:
-    """The window of all frames, which holds all moving parts, and the object down to its vertex."""
+def _window(system: UnitSystem, drawn: list[Drawing]) -> tuple[float, float, float, float]:
+    """Left, right, bottom and top of a window that holds all moving parts, and the object down to its vertex."""
     x, y = (np.concatenate(coordinate) for coordinate in zip(*(one.extent() for one in drawn), strict=True))
     vertex_x, vertex_y = (float(system.shown("contact_x", v)) for v in system.scene.profile.vertex())
     x, y = np.append(x, vertex_x), np.append(y, [vertex_y, 0.0])
     left, right, bottom, top = x.min(), x.max(), y.min(), max(y.max(), system.scale("length"))
     beside, around = STAGE_ROOM * (right - left), STAGE_ROOM * (top - bottom)
     top += WORDS_ROOM * (top - bottom)
-    return Window(float(left - beside), float(right + beside), float(bottom - around), float(top + around))
+    return float(left - beside), float(right + beside), float(bottom - around), float(top + around)
 
 
 class Stage:
@@ -180,15 +163,8 @@ class Stage:
         self._arrows = [FancyArrowPatch((0, 0), (0, 0), color=c, **style) for c in own]
         for arrow in self._arrows:
             ax.add_patch(arrow)
-
-    @property
-    def moving(self) -> list[Artist]:
-        """Artists from back to front."""
-        return [self._arm, self._drive, *self._springs, *self._whiskers, *self._bases, *self._arrows]
-
-    def show(self, window: Window) -> None:
-        """Set the limits."""
-        self.axes.set(xlim=(window.left, window.right), ylim=(window.bottom, window.top))
+        lines = [self._arm, self._drive, *self._springs, *self._whiskers, *self._bases]
+        self.moving: list[Artist] = [*lines, *self._arrows]  # from back to front
 
     def move(self, drawn: Drawing) -> None:
         """Move all artists to a state."""
@@ -231,11 +207,7 @@ class Curves:
             self._curves.append([ax.plot([], [], color=c, linewidth=1.4)[0] for c in own])
             self._heads.append([ax.plot([], [], color=c, marker="o", markersize=5, linestyle="none")[0] for c in own])
         self.axes[-1].set_xlabel(system.label("control"))
-
-    @property
-    def moving(self) -> list[Artist]:
-        """Artists from back to front."""
-        return [line for lines in (*self._curves, *self._heads) for line in lines]
+        self.moving = [*itertools.chain(*self._curves, *self._heads)]  # from back to front
 
     def move(self, frame: int) -> None:
         """Draw the curves up to a frame."""
@@ -253,12 +225,12 @@ def _limits(values: np.ndarray, share: float, least: float) -> tuple[float, floa
     return low - room, high + room
 
 
-def in_words(event: Event) -> str:
+def event_in_words(event: Event) -> str:
     """Event and its whiskers, such as "touch of whisker 1"."""
     # A snap of the whole network names no whisker, because all of them move.
     *others, last = event.whiskers or range(1, event.before.phase.size + 1)
     who = f"whiskers {', '.join(map(str, others))} and {last}" if others else f"whisker {last}"
-    return _WORDS[event.kind].format(who)
+    return _EVENT_WORDS.get(event.kind, event.kind.name.replace("_", "-") + " of {}").format(who)
 
 
 class Captions:
@@ -294,16 +266,8 @@ class Captions:
         self._past, self._present = across(0.5), [across(1.6) for _ in range(MOST_LABELS)]
         for line in self._past:
             line.set_color(GREY)
-
-    @property
-    def behind(self) -> list[Artist]:
-        """Artists behind the curves."""
-        return [*self._past, *(line for lines in self._present for line in lines)]
-
-    @property
-    def in_front(self) -> list[Artist]:
-        """Artists in front of the stage."""
-        return [*(ring for rings in self._rings for ring in rings), *self._labels, self._control, self._note]
+        self.behind = [*self._past, *itertools.chain(*self._present)]  # artists behind the curves
+        self.in_front = [*itertools.chain(*self._rings), *self._labels, self._control, self._note]  # of the stage
 
     @property
     def words(self) -> list[str]:
@@ -330,7 +294,7 @@ class Captions:
 
     def _flash(self, slot: int, event: Event, share: float) -> None:
         own = colour(event.whiskers[0] - 1) if len(event.whiskers) == 1 else "black"
-        self._labels[slot].set(text=in_words(event), color=own)
+        self._labels[slot].set(text=event_in_words(event), color=own)
         at = float(self._system.shown("control", event.control))
         for line in self._present[slot]:
             line.set_data([at] * 2, [0.0, 1.0])

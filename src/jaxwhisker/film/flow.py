@@ -29,7 +29,7 @@ from jaxwhisker._scan.scan import follow_path_now, problem_now
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.state import State
 
-ROOM = 1024  # states stored per flow; snaps of the march take a few hundred steps
+MOST_STATES = 1024  # states stored per flow; snaps of the march take a few hundred steps
 
 
 class _Kept(NamedTuple):
@@ -47,7 +47,7 @@ class _Going(NamedTuple):
     z: Contacts
     begun: Bool[Array, ""]
     over: Bool[Array, ""]
-    kept: _Kept  # (ROOM, ...)
+    kept: _Kept  # (MOST_STATES, ...)
     count: Int[Array, ""]
 
 
@@ -65,9 +65,8 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
     passed = np.arange(kind.size) < int(path.count)
     nodes = np.flatnonzero((kind >= 0) & passed & (np.cumsum(passed & (travel >= 0)) > 0))
     found = []
-    for number in numbers:
-        before = jax.tree.map(lambda leaf, k=nodes[number] - 1: leaf[k], path.nodes)
-        states, count = _flow_now(scene, before)
+    for node in nodes[list(numbers)]:
+        states, count = _flow_now(scene, jax.tree.map(lambda leaf, k=node - 1: leaf[k], path.nodes))
         found.append(jax.tree.map(lambda leaf, n=int(count): np.asarray(leaf)[:n], states))
     return found
 
@@ -88,18 +87,18 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
         rested = snap_flow.at_rest(dimensionless, flow, mode, u)
         keep = ~jnp.any(flow.sliding | flow.landing)
         now = _Kept(z, mode.phase, mode.side, flow.pose)
-        index = jnp.where(keep, at.count, ROOM)
+        index = jnp.where(keep, at.count, MOST_STATES)
         kept = jax.tree.map(lambda all, one: all.at[index].set(one, mode="drop"), at.kept, now)
         onwards = _Going(flow, mode, z, jnp.asarray(True), rested | flow.exhausted, kept, at.count + keep)
         shorter = snap_flow.shortened(at.flow)
         return select(solution.converged, onwards, at._replace(flow=shorter, over=shorter.exhausted))
 
     first = _Kept(before.point.z, before.phase, before.side, pose)
-    room = jax.tree.map(lambda leaf: jnp.zeros((ROOM, *leaf.shape), leaf.dtype), first)
+    room = jax.tree.map(lambda leaf: jnp.zeros((MOST_STATES, *leaf.shape), leaf.dtype), first)
     no = jnp.asarray(False)
     start = _Going(snap_flow.start(still, pose), still, before.point.z, no, no, room, jnp.asarray(0))
-    end = jax.lax.while_loop(lambda at: ~at.over & (at.count < ROOM), step, start)
-    return jax.vmap(lambda kept: _state(dimensionless, u, kept))(end.kept), end.count
+    end = jax.lax.while_loop(lambda at: ~at.over & (at.count < MOST_STATES), step, start)
+    return jax.vmap(lambda kept: _state_in_scene(dimensionless, u, kept))(end.kept), end.count
 
 
 def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, Poses]:
@@ -112,7 +111,7 @@ def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, 
     return Point(sign * tangent.z, sign * tangent.u), sign / length * here.tangent_pose, here.pose
 
 
-def _state(problem: Problem, u: Scalar, kept: _Kept) -> State:
+def _state_in_scene(problem: Problem, u: Scalar, kept: _Kept) -> State:
     """State in the scene's units; bases of free whiskers have the pose of the flow."""
     state, _ = signals(problem, kept.z, u, Mode(kept.phase, kept.side, jnp.asarray(False)))
     here, free = problem.in_scene(u, kept.pose), kept.phase == Phase.free

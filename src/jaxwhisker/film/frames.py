@@ -1,12 +1,12 @@
 """Frames of a film: steps of a scan, with additional frames for every snap."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Complex, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
@@ -18,12 +18,14 @@ from jaxwhisker._scan.state import State
 from jaxwhisker.film.flow import flows
 
 SNAP_FRAMES = 13  # frames of a snap, including the states before and after it
-POINTS = 64  # per centre line
-ROUNDING = 1e-9  # of the travel: a step exactly at an event shows the state after it
+LINE_POINTS = 64  # per centre line
+EVENT_ROUNDING = 1e-9  # of the travel: a step exactly at an event shows the state after it
 SWINGS = 0.1  # of the whisker's length: only a whisker that swings moves farther than this in one step of the flow
-BLOCK = 64  # states are padded to a multiple of this, because films of similar length then share a compiled program
+PADDING = 64  # states are padded to a multiple of this, because films of similar length then share a compiled program
 DEEPEST = 3e-3  # of the whisker's length: contacts and outlines are drawn with about this accuracy
 CURLS = np.concatenate([[0.0], *([curl, -curl] for curl in np.linspace(0.1, 6.0, 60))])
+
+Polyline = Complex[np.ndarray, " points"]  # x + iy
 
 
 class Frames(NamedTuple):
@@ -36,7 +38,7 @@ class Frames(NamedTuple):
     snap: Bool[np.ndarray, " frames"]
 
 
-class Outline(NamedTuple):
+class Silhouette(NamedTuple):
     """Contour of a convex object from left to right, or all around it in the same direction."""
 
     x: Float[np.ndarray, " points"]
@@ -78,50 +80,50 @@ def frames(result: Result, count: int) -> tuple[Frames, list[tuple[int, Event]]]
     parts, marks, start = [], [], 0
     for k, event in enumerate(events):
         end = int(np.searchsorted(shown, begin[k]))
-        parts.append(_rows(scan, slice(start, end)))
+        parts.append(_at(scan, slice(start, end)))
         marks.append((sum(part.step.size for part in parts), event))
-        parts += [of_snap[k]] if k in of_snap else []
+        if k in of_snap:
+            parts.append(of_snap[k])
         start = end
-    return _joined([*parts, _rows(scan, slice(start, None))]), marks
+    return _merged(np.concatenate, [*parts, _at(scan, slice(start, None))]), marks
 
 
 def _snap_frames(result: Result, step: int, event: Event, states: State, lines: Shapes) -> Frames:
     lengths = np.array([float(whisker.length) for whisker in result.scene.whiskers])
-    even = _even(states, lines, lengths, outline_of(result))
+    even = _even(states, lines, lengths, silhouette_of_scan(result))
     return Frames(np.full(SNAP_FRAMES, step), np.full(SNAP_FRAMES, event.control), *even, np.ones(SNAP_FRAMES, bool))
 
 
-def outline_of(result: Result) -> Outline:
+def silhouette_of_scan(result: Result) -> Silhouette:
     """Contour of the object of a scan, in the scene's units."""
-    return Outline(*silhouette_of(result.scene.profile, float(result.scene.whiskers[0].length)))
+    return Silhouette(*silhouette_of(result.scene.profile, float(result.scene.whiskers[0].length)))
 
 
 def _first_steps(result: Result) -> Int[np.ndarray, " events"]:
     """First step at or after each event."""
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(np.asarray(result.control))))])
     happens = np.asarray(result.events.travel)[: len(result.events)]
-    return np.searchsorted(travel, happens - ROUNDING * travel[-1])
+    return np.searchsorted(travel, happens - EVENT_ROUNDING * travel[-1])
 
 
 def _with_ends(event: Event, flow: State) -> State:
     """States of a flow with those before and after the snap."""
     before, after = (jax.tree.map(lambda leaf: np.asarray(leaf)[None], end) for end in (event.before, event.after))
-    return _joined([before, flow, after])
+    return _merged(np.concatenate, [before, flow, after])
 
 
 def lines_of(groups: Sequence[State], result: Result) -> list[Shapes]:
     """Centre lines of each group of states."""
     sizes = np.array([group.phase.shape[0] for group in groups])
-    states = _joined(groups)
-    padded = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, [(0, -sizes.sum() % BLOCK), (0, 0)])), states)
-    lines = shapes_of(padded, jax.tree.map(checks.as_float, result.scene.whiskers), points=POINTS)
-    ends = np.cumsum(sizes)
-    rows = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
-    return [jax.tree.map(lambda leaf, own=own: np.asarray(leaf)[own], lines) for own in rows]
+    states = _merged(np.concatenate, groups)
+    padded = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, [(0, -sizes.sum() % PADDING), (0, 0)])), states)
+    lines = shapes_of(padded, jax.tree.map(checks.as_float, result.scene.whiskers), points=LINE_POINTS)
+    lines = jax.tree.map(np.asarray, lines)
+    return [_at(lines, slice(end - size, end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
 
 
 def _even(
-    states: State, lines: Shapes, lengths: Float[np.ndarray, " whiskers"], outline: Outline
+    states: State, lines: Shapes, lengths: Float[np.ndarray, " whiskers"], silhouette: Silhouette
 ) -> tuple[State, Shapes]:
     """`SNAP_FRAMES` states and centre lines at equal distances, including the first and the last ones."""
     x, y = (np.diff(coordinate[..., [0, -1]], axis=0) for coordinate in (lines.x, lines.y))
@@ -133,13 +135,13 @@ def _even(
     even_states, even_lines = [], []
     for place in places:
         row, share = int(place), place - int(place)
-        (state, line), ahead = (_row((states, lines), k) for k in (row, min(row + 1, last)))
+        (state, line), ahead = (_at((states, lines), k) for k in (row, min(row + 1, last)))
         if share > 0:
-            line = between(line, ahead[1], lengths, share, outline)
+            line = between(line, ahead[1], lengths, share, silhouette)
             state = _mixed(state, ahead[0], share, moved[row] > SWINGS * lengths)
         even_states.append(state)
         even_lines.append(line)
-    return _stacked(even_states), _stacked(even_lines)
+    return _merged(np.stack, even_states), _merged(np.stack, even_lines)
 
 
 def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, " whiskers"]) -> State:
@@ -154,63 +156,44 @@ def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, "
 
 
 def between(
-    first: Shapes, second: Shapes, lengths: Float[np.ndarray, " whiskers"], share: float, outline: Outline
+    first: Shapes, second: Shapes, lengths: Float[np.ndarray, " whiskers"], share: float, silhouette: Silhouette
 ) -> Shapes:
     """Centre lines (whiskers, points) at a share of the way from the first to the second ones.
 
     Bases move along straight lines, directions turn uniformly, and lengths are kept. A line that would enter the object
     is curled until it passes outside, or enters as little as possible.
     """
-    lines = []
-    for k, length in enumerate(lengths):
-        here, there = jax.tree.map(lambda leaf, k=k: leaf[k], (first, second))
-        lines.append(_turned(here, there, float(length), share, outline))
-    x, y = (jnp.asarray(np.stack(coordinate)) for coordinate in zip(*lines, strict=True))
-    return Shapes(x, y)
+    ends = [np.asarray(line.x) + 1j * np.asarray(line.y) for line in (first, second)]
+    lines = [_turned(a, b, float(length), share, silhouette) for a, b, length in zip(*ends, lengths, strict=True)]
+    return Shapes(jnp.asarray(np.real(lines)), jnp.asarray(np.imag(lines)))
 
 
-def _turned(first: Shapes, second: Shapes, length: float, share: float, outline: Outline):
-    (x0, y0, angle0), (x1, y1, angle1) = _directions(first), _directions(second)
+def _turned(first: Polyline, second: Polyline, length: float, share: float, silhouette: Silhouette) -> Polyline:
+    (base0, angle0), (base1, angle1) = _directions(first), _directions(second)
     angle1 = angle1 - 2 * np.pi * np.round((angle1[0] - angle0[0]) / (2 * np.pi))  # the root turns the shorter way
     turned = (1 - share) * angle0 + share * angle1
     # A curled line is ahead at its root and lags behind at its tip.
     curl = share * (1 - share) * np.linspace(-1.0, 1.0, turned.size) * (angle0 - angle1)
-
-    def line(curled: float):
-        angle, piece = turned + curled * curl, length / turned.size
-        x = np.concatenate([[0.0], np.cumsum(piece * np.cos(angle))]) + (1 - share) * x0 + share * x1
-        y = np.concatenate([[0.0], np.cumsum(piece * np.sin(angle))]) + (1 - share) * y0 + share * y1
-        return x, y
-
     tried = []
     for curled in CURLS:
-        x, y = line(curled)
-        tried.append((outline.depth(x, y), x, y))
+        pieces = length / turned.size * np.exp(1j * (turned + curled * curl))
+        line = np.cumsum([(1 - share) * base0 + share * base1, *pieces])
+        tried.append((silhouette.depth(np.real(line), np.imag(line)), line))
         if tried[-1][0] < DEEPEST * length:
             break
-    return min(tried, key=lambda one: one[0])[1:]
+    return min(tried, key=lambda one: one[0])[1]
 
 
-def _directions(line: Shapes):
+def _directions(line: Polyline) -> tuple[complex, Float[np.ndarray, " pieces"]]:
     """Base of a line and directions of pieces of equal length."""
-    x, y = np.asarray(line.x), np.asarray(line.y)
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    even = np.linspace(0.0, arc[-1], x.size)
-    x, y = np.interp(even, arc, x), np.interp(even, arc, y)
-    return x[0], y[0], np.unwrap(np.arctan2(np.diff(y), np.diff(x)))
+    arc = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(line)))])
+    even = np.interp(np.linspace(0.0, arc[-1], line.size), arc, line)
+    return complex(line[0]), np.unwrap(np.angle(np.diff(even)))
 
 
-def _rows(tree: Any, rows: slice) -> Any:
-    return jax.tree.map(lambda leaf: leaf[rows], tree)
+def _at(tree: Any, index: int | slice) -> Any:
+    return jax.tree.map(lambda leaf: leaf[index], tree)
 
 
-def _row(tree: Any, row: int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[row], tree)
-
-
-def _joined(trees: Sequence[Any]) -> Any:
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *trees)
-
-
-def _stacked(trees: Sequence[Any]) -> Any:
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
+def _merged(merge: Callable, trees: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: merge(leaves), *trees)

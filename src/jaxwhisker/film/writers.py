@@ -13,11 +13,11 @@ from PIL import Image
 from jaxwhisker.film.canvas import Canvas
 
 WEBM = ("-pix_fmt", "yuv420p", "-b:v", "0", "-crf", "34", "-deadline", "realtime", "-cpu-used", "6")
-ARGUMENTS = {".mp4": ("-movflags", "+faststart"), ".webm": WEBM}  # of ffmpeg
-SUFFIXES = (*ARGUMENTS, ".gif")
+FFMPEG_OPTIONS = {".mp4": ("-movflags", "+faststart"), ".webm": WEBM}
+SUFFIXES = (*FFMPEG_OPTIONS, ".gif")
 HOLD = 1.0  # seconds for which the last frame stays
-COLOURS = 240  # of a GIF; pillow needs some of 256 for itself
-SAMPLES = 12  # frames from which the colours are chosen
+PALETTE_SIZE = 240  # colours of a GIF; pillow needs some of 256 for itself
+PALETTE_FRAMES = 12  # frames from which the colours are chosen
 NEARLY_WHITE = 245  # of 255: paler colours become white, because compression of a pure background is best
 
 
@@ -40,7 +40,9 @@ def write(path: Path, canvas: Canvas, frames: Iterable[int], *, fps: int) -> Non
     """
     suffix = path.suffix.lower()
     writer: AbstractMovieWriter = (
-        _Gif(fps, _palette(canvas)) if suffix == ".gif" else _Video(fps, codec="h264", extra_args=[*ARGUMENTS[suffix]])
+        _Gif(fps, _palette(canvas))
+        if suffix == ".gif"
+        else _Video(fps, codec="h264", extra_args=[*FFMPEG_OPTIONS[suffix]])
     )
     try:
         with writer.saving(canvas.figure, str(path), canvas.figure.dpi):
@@ -77,9 +79,9 @@ def _pixels(figure: Figure) -> UInt8[np.ndarray, "height width 4"]:
 
 
 def _palette(canvas: Canvas) -> Image.Image:
-    samples = np.unique(np.linspace(0, canvas.count - 1, SAMPLES).astype(int))
+    samples = np.unique(np.linspace(0, canvas.count - 1, PALETTE_FRAMES).astype(int))
     pixels = np.concatenate([canvas.image(int(frame)) for frame in samples])
-    image = Image.fromarray(pixels).quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
+    image = Image.fromarray(pixels).quantize(PALETTE_SIZE, method=Image.Quantize.MEDIANCUT)
     colours = np.array(image.getpalette()).reshape(-1, 3)
     colours[colours.min(axis=1) > NEARLY_WHITE] = 255
     image.putpalette(colours.ravel().tolist())
