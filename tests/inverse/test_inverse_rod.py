@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxwhisker._inverse.inverse_rod import Observation, nearest_state, normal_matrix, solve2, state
+from jaxwhisker._inverse.inverse_rod import REACTION, Observation, nearest_state, normal_matrix, solve2, state
 
 STATE = 1e-10
 DIFFERENCE = 1e-6
@@ -31,7 +31,7 @@ def estimate(observed):
 
 @jax.jit
 def reaction_of(z, tip, observed):
-    return state(z, tip, observed).reaction
+    return state(z, tip, observed)[REACTION]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

@@ -13,7 +13,7 @@ from jaxwhisker._inverse.observations import read_observations
 from jaxwhisker._inverse.parameters import transforms_of
 from jaxwhisker._inverse.residuals import (
     BLOCK,
-    NO_EVENT,
+    MISSING_EVENT,
     OVERLAID_SIGMA,
     _at_snaps,
     _ContactEnds,
@@ -67,7 +67,7 @@ def snaps_at(snap):
         return jnp.zeros(JUMPS).at[0].set(value)
 
     one = jnp.arange(JUMPS) == 0
-    return _Snaps(row(1.0), row(1.1), row(1.05), row(snap), one, one)
+    return _Snaps(row(1.0), row(1.1), row(snap), one, one)
 
 
 @pytest.mark.unchecked
@@ -82,7 +82,7 @@ def test_a_snap_within_its_gap_costs_little_and_far_outside_much():
     assert cost(1.1) == pytest.approx(3**0.5, rel=0.05)  # the end of a uniform distribution
     assert cost(1.55) > 8 * 5 * 12**0.5 > 5 * 12**0.5
     lost = snaps_at(1.05)._replace(paired=jnp.zeros(JUMPS, bool))
-    assert float(_residuals_of_snaps(lost, weights)[0]) > NO_EVENT * 12**0.5 / gap
+    assert float(_residuals_of_snaps(lost, weights)[0]) > MISSING_EVENT * 12**0.5 / gap
 
 
 @pytest.mark.parametrize(
@@ -99,22 +99,22 @@ def test_samples_between_both_snaps_are_left_out(snap, wrong, out):
 @pytest.mark.unchecked
 def test_overlay_takes_touch_to_touch_and_release_to_release():
     def ends(touch, release):
-        yes = jnp.array([True])
-        return _ContactEnds(jnp.array([touch]), yes, jnp.array([release]), yes)
+        return _ContactEnds(jnp.array([[touch], [release]]), jnp.array([[True], [True]]))
 
-    observed: Any = SimpleNamespace(
-        touch=jnp.array([0.2]), release=jnp.array([1.2]), travel=jnp.array([0.0, 2.0]), overlaid=jnp.asarray(True)
-    )
+    landmarks = SimpleNamespace(touch=jnp.array([0.2]), release=jnp.array([1.2]), travel=jnp.array([0.0, 2.0]))
+    observed: Any = SimpleNamespace(landmarks=landmarks, overlaid=jnp.asarray(True))
     overlay = _overlay(observed, ends(0.1, 2.1))
     np.testing.assert_allclose(overlay(jnp.array([0.2, 0.7, 1.2])), [0.1, 1.1, 2.1])
-    observed.release = jnp.array([jnp.nan])  # the recording ends in contact: no stretch but that of the touch
+    landmarks.release = jnp.array([jnp.nan])  # the recording ends in contact: no stretch but that of the touch
     np.testing.assert_allclose(_overlay(observed, ends(0.1, 2.1))(jnp.array([0.2, 2.0])), [0.1, 1.9])
     observed.overlaid = jnp.asarray(False)
     np.testing.assert_allclose(_overlay(observed, ends(0.1, 2.1))(jnp.array([0.2])), [0.2])
 
 
 def test_derivatives_are_those_of_differences(data):
-    _, _, _, solve, padded, solution = jw.identify(fb, TRUTH, noisy(data, 0), sigma=NOISE)._internals
+    fit = jw.identify(fb, TRUTH, noisy(data, 0), sigma=NOISE)
+    solve, solution = fit._problem.solve, fit._solution
+    padded = fit._problem.samples(solution.y)
 
     def residual(y):
         return solve(y, padded, free=np.zeros(y.size, bool)).observed[0]  # without the prior, which follows y

@@ -6,7 +6,7 @@ arguments are unknown here: solvers check those and return a status.
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 import jax
@@ -128,7 +128,7 @@ def function(name: str, value: Any, returns: tuple[str, ...] = ()) -> None:
     if not callable(value):
         fail(name, allowed, repr(value))
     called = getattr(value, "__name__", type(value).__name__)
-    if not _takes_one_argument(value):
+    if _mismatch(value, 0.0):
         fail(name, allowed, f"{called}{inspect.signature(value)}")
     wrong = []  # filled during tracing, because results other than arrays cannot leave the trace
     try:
@@ -142,14 +142,37 @@ def function(name: str, value: Any, returns: tuple[str, ...] = ()) -> None:
         fail(name, allowed, f"{called}, which returns {wrong[0]}")
 
 
-def _takes_one_argument(value: Callable) -> bool:
+def arguments(name: str, value: Any, given: Sequence[str], called: str = "build") -> None:
+    """Check that a user's function takes arguments of these names.
+
+    Args:
+        name: name of the argument from which the names come.
+        value: the function.
+        given: the names.
+        called: name of the argument that is the function.
+
+    Raises:
+        ValueError: if `value` is not such a function.
+    """
+    if not callable(value):
+        fail(called, "a function that returns a Scene", repr(value))
+    mismatch = _mismatch(value, **dict.fromkeys(given))
+    if mismatch:
+        raise ValueError(
+            f"`{name}` must name the parameters of `{called}`, which takes {inspect.signature(value)}, got "
+            f"{', '.join(map(repr, given))}: {mismatch}."
+        )
+
+
+def _mismatch(value: Callable, *args: Any, **kwargs: Any) -> str:
+    """Why a function does not take these arguments; empty if it does."""
     try:
-        inspect.signature(value).bind(0.0)
-    except TypeError:
-        return False
+        inspect.signature(value).bind(*args, **kwargs)
+    except TypeError as error:
+        return str(error)
     except ValueError:  # functions written in C may have no signature
         pass
-    return True
+    return ""
 
 
 def _wrong_result(result: Any, names: tuple[str, ...]) -> str | None:

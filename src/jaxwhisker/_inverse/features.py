@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxwhisker._inverse.observations import Observations
+from jaxwhisker._scan.route import route_of
 
 JUMPS = 16  # largest number of jumps
 ABOVE_NOISE = 5.0  # standard deviations from which a signal counts as contact
@@ -16,9 +17,9 @@ BEFORE = 5  # widths of a jump over which the steep signal before it may look li
 LARGER = 2.0  # least ratio of such a jump to one before it that is discarded
 EARLY = 0.2  # of the peak, up to which a signal after a touch is treated as a parabola
 ONSETS = 60  # positions of the touch that are tried
-FEWEST = 6  # least number of samples from which a touch is estimated
+LEAST_SAMPLES = 6  # least number of samples from which a touch is estimated
 
-ROUNDING = 1e-14  # of the peak: smaller differences are zero
+ZERO_DIFFERENCE = 1e-14  # of the peak: smaller differences are zero
 MAD_TO_SIGMA = 1.4826  # ratio of a normal distribution's standard deviation to its median absolute deviation
 
 
@@ -42,7 +43,7 @@ class Scatter(NamedTuple):
 
 def features(observations: Observations) -> Features:
     """Find touches, releases and jumps in the signals alone."""
-    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(observations.control)))])
+    travel = np.asarray(route_of(observations.control).travel)
     noise = np.nan_to_num(observations.sigma)
     low, high = _jumps(travel, observations.values / observations.peaks, noise / observations.peaks)
     contact = in_contact(observations)
@@ -68,7 +69,7 @@ def neighbour_scatter(observations: Observations) -> Scatter:
     sigma, counts = np.zeros(observations.values.shape[2]), []
     for r in range(sigma.size):
         rough = np.concatenate([_third_differences(observations.control, v) for v in observations.values[:, :, r].T])
-        rough = rough[np.abs(rough) > ROUNDING * observations.peaks[r]]  # omits exact zeros of free whiskers
+        rough = rough[np.abs(rough) > ZERO_DIFFERENCE * observations.peaks[r]]  # omits exact zeros of free whiskers
         if rough.size:
             sigma[r] = MAD_TO_SIGMA * np.median(np.abs(rough))
             counts.append(rough.size)
@@ -82,7 +83,7 @@ def _third_differences(control: np.ndarray, signal: np.ndarray) -> np.ndarray:
     if signal.size < 4:
         return np.zeros(0)
     window = np.lib.stride_tricks.sliding_window_view
-    at = window(np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])[known], 4)
+    at = window(route_of(control).travel[known], 4)
     size = np.where(at[:, -1:] > at[:, :1], at[:, -1:] - at[:, :1], 1.0)
     apart = (at[:, :, None] - at[:, None, :]) / size[:, :, None]
     apart[:, range(4), range(4)] = 1.0
@@ -97,8 +98,8 @@ def _jumps(
 ) -> tuple[Float[np.ndarray, " jumps"], Float[np.ndarray, " jumps"]]:
     """Travel before and after the largest jumps, in order of travel."""
     jumps: list[tuple[float, float, float]] = []
-    for signal, deviation in zip(values.reshape(travel.size, -1).T, noise.reshape(travel.size, -1).T, strict=True):
-        jumps += _jumps_of(travel, signal, deviation)
+    for channel in np.ndindex(values.shape[1:]):
+        jumps += _jumps_of(travel, values[:, *channel], noise[:, *channel])
     # Channels have gaps, so a jump is narrowed down to where all of them agree.
     merged: list[tuple[float, float, float]] = []
     for low, high, size in sorted(jumps):
@@ -108,9 +109,7 @@ def _jumps(
         merged.append((low, high, size))
     merged = [jump for jump in merged if not any(_leads_to(jump, snap) for snap in merged)]
     largest = sorted(sorted(merged, key=lambda jump: -jump[2])[:JUMPS])
-    low, high = np.full(JUMPS, np.nan), np.full(JUMPS, np.nan)
-    for k, jump in enumerate(largest):
-        low[k], high[k] = jump[:2]
+    low, high, _ = np.array(largest + [(np.nan,) * 3] * (JUMPS - len(largest))).T
     return low, high
 
 
@@ -151,7 +150,7 @@ def _onset(travel: np.ndarray, signal: np.ndarray, contact: np.ndarray) -> tuple
     """Where a zero signal turns into a parabola, by least squares, and its error; infinite if unknown."""
     size = np.nan_to_num(np.abs(signal))
     part = np.flatnonzero(np.isfinite(signal[: int(np.argmax(contact & (size > EARLY * size.max()))) + 1]))
-    if part.size < FEWEST:
+    if part.size < LEAST_SAMPLES:
         return np.nan, np.inf
     travel, signal = travel[part], signal[part]
 

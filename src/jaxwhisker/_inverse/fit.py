@@ -1,4 +1,4 @@
-"""The result of an identification: estimates, their uncertainty, and whether they can be trusted."""
+"""The problem of an identification, and its result: estimates, their uncertainty, and whether they can be trusted."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,13 +8,75 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxwhisker._base import checks
+from jaxwhisker._inverse.features import Features, Scatter
 from jaxwhisker._inverse.observations import Observations
 from jaxwhisker._inverse.parameters import Transforms, Unknowns
-from jaxwhisker._inverse.program import LeastSquares, Solution
-from jaxwhisker._inverse.residuals import Samples, residuals
-from jaxwhisker._inverse.statistics import CHI2_95, FitStatus
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._inverse.program import LeastSquares, Minimum
+from jaxwhisker._inverse.residuals import Samples, residuals, samples_of
+from jaxwhisker._inverse.statistics import CHI2_95, FitStatus, chi_squared, is_plausible
+from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._scan.report import table
+from jaxwhisker._scan.route import route_of
+from jaxwhisker._scan.scan import BLOCK
+
+NUMERICAL = 1e-6  # of the peak: residuals below it are numerical
+SCATTER_ERROR = 6.0  # relative error that the scatter between n neighbours may have, times sqrt(n): 3.4 standard errors
+
+
+class FitProblem(NamedTuple):
+    """Observations and the program that fits them."""
+
+    build: Callable[..., Scene]
+    solve: LeastSquares
+    unknowns: Unknowns
+    transforms: Transforms
+    observations: Observations
+    landmarks: Features
+    first_leg: slice  # the samples before the drive first turns, which can be overlaid with a scan
+    landmarks_of_leg: Features
+    scatter: Scatter | None  # of neighbouring samples, to judge a fit whose noise was estimated from its residuals
+    scene: Scene  # at the guess
+
+    def samples(self, prior: np.ndarray, *, overlaid: bool = False, thin: bool = False) -> Samples:
+        """The observations for one stage: all of them, or as many as one block holds."""
+        observations, landmarks = self.observations, self.landmarks
+        if overlaid:
+            observations, landmarks = observations.at(self.first_leg), self.landmarks_of_leg
+        if thin and observations.control.size > BLOCK:
+            pick = np.unique(np.linspace(0, observations.control.size - 1, BLOCK).astype(int))
+            observations, landmarks = observations.at(pick), landmarks._replace(travel=landmarks.travel[pick])
+        route, length = route_of(self.observations.control), float(units(self.scene).control)
+        return samples_of(observations, landmarks, self.transforms, prior, route, overlaid=overlaid, length=length)
+
+    def compared(self, solution: Minimum) -> np.ndarray:
+        """Which values are compared with the model, (steps, whiskers, 3): all but those left out at snaps."""
+        steps = self.observations.control.size
+        return self.observations.known & ~solution.compared.left_out[:steps, None, None]
+
+    def off(self, solution: Minimum) -> np.ndarray:
+        """Measured - model, (steps, whiskers, 3); NaN where nothing is compared."""
+        signals = solution.compared.signals[: self.observations.control.size]
+        return np.where(self.compared(solution), self.observations.values - signals, np.nan)
+
+    def degrees(self, solution: Minimum) -> int:
+        """Degrees of freedom."""
+        return int(self.compared(solution).sum()) - solution.y.size
+
+    def is_plausible(self, solution: Minimum) -> bool:
+        """Whether noise explains the residuals.
+
+        Noise that was estimated from the residuals explains them by construction, unless samples are left out.
+        Therefore the residuals are also compared with the scatter between neighbouring samples.
+        """
+        off, degrees = self.off(solution), max(1, self.degrees(solution))
+        if not np.isfinite(off[self.compared(solution)]).all() or not is_plausible(solution.misfit, degrees):
+            return False
+        if self.scatter is None:
+            return True
+        uncertainty = 1 + SCATTER_ERROR / np.sqrt(max(1, self.scatter.count))
+        largest_noise = uncertainty * np.maximum(self.scatter.sigma, NUMERICAL * self.observations.peaks)
+        return is_plausible(chi_squared(np.nan_to_num(off / largest_noise)), degrees)
 
 
 class LikelihoodProfile(NamedTuple):
@@ -24,17 +86,6 @@ class LikelihoodProfile(NamedTuple):
     values: np.ndarray  # (points,)
     misfit: np.ndarray  # (points,) chi-squared above its minimum; NaN where a fit failed
     interval: tuple[float, float]  # 95 %; infinite where the misfit does not rise enough within the values
-
-
-class FitInternals(NamedTuple):
-    """What a Fit keeps for further fits."""
-
-    build: Callable[..., Scene]
-    unknowns: Unknowns
-    transforms: Transforms
-    solve: LeastSquares
-    data: Samples
-    solution: Solution
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,7 +116,8 @@ class Fit:
     starts: int  # number of starts
     agreeing: int  # number of starts that ended in this minimum
     scene: Scene  # at the estimates
-    _internals: FitInternals
+    _problem: FitProblem
+    _solution: Minimum
 
     def profile(self, name: str, points: int = 21, width: float = 3.0) -> LikelihoodProfile:
         """Compute the likelihood profile of one parameter, which does not assume that the misfit is quadratic.
@@ -84,9 +136,9 @@ class Fit:
         """
         if name not in self.names:
             raise ValueError(f"`name` must be one of {', '.join(self.names)}, got {name!r}.")
-        if not isinstance(points, int) or points < 3:
-            raise ValueError(f"`points` must be an int of at least 3, got {points!r}.")
-        _, _, transforms, solve, data, solution = self._internals
+        checks.count("points", points, least=3)
+        problem, solution, transforms = self._problem, self._solution, self._problem.transforms
+        data = problem.samples(solution.y)
         at = self.names.index(name)
         x = np.array(list(self.estimates.values()))
         error = self.standard_error[name] / abs(transforms.per_inner(x)[at])
@@ -99,7 +151,7 @@ class Fit:
             y = np.array(solution.y)
             for k in side:
                 y[at] = solution.y[at] + offsets[k]
-                solved = solve(y, data, free)
+                solved = problem.solve(y, data, free)
                 misfit[k] = solved.misfit
                 y = np.array(solved.y)
         values = np.array([transforms.natural(y, np)[at] for y in solution.y + np.outer(offsets, ~free)])
@@ -113,18 +165,18 @@ class Fit:
             y: the fit's variables, (parameters,), see `variables`. With a prior that is flat in them, this is the log
                 density of the posterior; add the logarithm of any other prior.
         """
-        build, unknowns, _, _, data, _ = self._internals
-        residual, _ = residuals(build, unknowns, y, jax.tree.map(jnp.asarray, data))
+        data = jax.tree.map(jnp.asarray, self._problem.samples(self._solution.y))
+        residual, _ = residuals(self._problem.build, self._problem.unknowns, y, data)
         return -0.5 * jnp.sum(residual**2)
 
     @property
     def variables(self) -> np.ndarray:
         """The fit's variables at the estimates, (parameters,): logarithms of parameters that must be positive."""
-        return np.array(self._internals.solution.y)
+        return np.array(self._solution.y)
 
     def parameters(self, y: Any) -> dict[str, Any]:
         """Parameters by name from the fit's variables, (parameters,); traceable."""
-        transforms = jax.tree.map(jnp.asarray, self._internals.transforms)
+        transforms = jax.tree.map(jnp.asarray, self._problem.transforms)
         return dict(zip(self.names, transforms.natural(jnp.asarray(y)), strict=True))
 
     def __str__(self) -> str:
@@ -150,12 +202,10 @@ class Fit:
 def _crossing(values: np.ndarray, rise: np.ndarray, side: int) -> float:
     """Where the misfit rises above that of a 95 % interval, from its minimum to one side."""
     least = int(np.nanargmin(rise))
-    for k in range(least, values.size - 1) if side > 0 else range(least, 0, -1):
-        here, there = rise[k], rise[k + side]
-        if not np.isfinite(there):
-            break
-        if there >= CHI2_95:
-            # Interpolate chi, which is nearly linear; its square is not.
-            a, b, c = np.sqrt(here), np.sqrt(there), np.sqrt(CHI2_95)
-            return float(values[k] + (values[k + side] - values[k]) * (c - a) / (b - a))
-    return side * np.inf
+    values, rise = values[least::side], rise[least::side]
+    above = np.flatnonzero(~(rise < CHI2_95))
+    if above.size == 0 or not np.isfinite(rise[above[0]]):
+        return side * np.inf
+    around = slice(above[0] - 1, above[0] + 1)
+    # Interpolate chi, which is nearly linear; its square is not.
+    return float(np.interp(np.sqrt(CHI2_95), np.sqrt(rise[around]), values[around]))

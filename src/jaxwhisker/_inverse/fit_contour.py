@@ -14,30 +14,31 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._inverse.features import neighbour_scatter
 from jaxwhisker._inverse.fit import Fit
 from jaxwhisker._inverse.fit_profile import points_and_rates
 from jaxwhisker._inverse.identify import identify
 from jaxwhisker._inverse.observations import Observations, read_observations
-from jaxwhisker._inverse.parameters import check_arguments, check_traceable
+from jaxwhisker._inverse.parameters import check_traceable, read_parameters
 from jaxwhisker._inverse.points import Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct, sensor_of
 from jaxwhisker._inverse.recording import check_recording
 from jaxwhisker._inverse.statistics import FitStatus
-from jaxwhisker._model.contour import Contour
-from jaxwhisker._model.profile import STEEPEST, AbstractProfile
+from jaxwhisker._model.contour import Contour, check_slopes
+from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._scan.quantities import REACTIONS
 
 GRID = 0.05  # rad, to which outermost knots are rounded: similar contours share compiled code
-SURE = 0.05  # rad: largest standard error of slopes over which the first knots are spread
-FINE = 401  # slope angles at which a first contour is integrated
+SURE_SLOPE = 0.05  # rad: largest standard error of slopes over which the first knots are spread
+DENSE = 401  # slope angles at which a first contour is integrated
 SMOOTH = 0.3  # of the mean radius: standard deviation of second differences of the radii of a first contour
 SHARP = 0.4  # outermost radii relative to their neighbours in the second contour to start from
 LEAST_RADIUS = 0.1  # of the median radius of a first contour
 LEAST_DISTANCE = 0.1  # of the lowest point's height, for a first contour
-LEAST_NOISE = 1e-9  # of the peaks
-RADIUS = "radius_"  # prefix of the contour's parameters in the fit
+TINY_NOISE = 1e-9  # of the peaks
+PREFIX = "radius_"  # prefix of the contour's parameters in the fit
 
 
 class Band(NamedTuple):
@@ -66,10 +67,8 @@ class ContourFit:
         at = np.linspace(knots[0], knots[-1], 101) if slopes is None else np.asarray(slopes, dtype=float)
         x, y, by = points_and_rates(self.profile, at)
         by = by / np.exp(np.r_[0.0, 0.0, self.profile.log_radius])  # with respect to radii, not to their logarithms
-        pick = [
-            k for k, name in enumerate(self.fit.names) if name in ("distance", "position") or name.startswith(RADIUS)
-        ]
-        values, covariance = np.array(list(self.fit.estimates.values()))[pick], self.fit.covariance[np.ix_(pick, pick)]
+        own = slice(-by.shape[1], None)  # the sensor's parameters come first
+        values, covariance = np.array(list(self.fit.estimates.values()))[own], self.fit.covariance[own, own]
         error = np.sqrt(np.einsum("si,ij,sj->s", by, np.nan_to_num(covariance), by))
         # Beyond the last contacts a radius is not identifiable, which only matters where the radius moves the contour.
         lost = np.max(np.abs(by * values) * np.isnan(np.diag(covariance)), axis=1)
@@ -84,16 +83,10 @@ class ContourFit:
 class _ConstantSensor(NamedTuple):
     """A function without parameters that returns a sensor; hashable, because it is a key of the compiled programs."""
 
-    leaves: tuple
-    structure: Any
-
-    @classmethod
-    def of(cls, sensor: Sensor) -> "_ConstantSensor":
-        leaves, structure = jax.tree.flatten(sensor)
-        return cls(tuple(float(leaf) for leaf in leaves), structure)
+    sensor: Sensor  # with floats as leaves
 
     def __call__(self) -> Sensor:
-        return jax.tree.unflatten(self.structure, self.leaves)
+        return self.sensor
 
 
 class _ContourScene(NamedTuple):
@@ -101,12 +94,15 @@ class _ContourScene(NamedTuple):
 
     sensor: Callable[..., Sensor | Scene]
     known: tuple[tuple[str, float], ...]
+    unknown: tuple[str, ...]
     slopes: tuple[float, ...]
 
-    def __call__(self, distance, position, **values) -> Scene:
-        radii = [values.pop(f"{RADIUS}{k}") for k in range(len(self.slopes))]
-        contour = _contour(self.slopes, distance, position, radii)
-        return sensor_of(self.sensor(**dict(self.known), **values)).before(contour)
+    def __call__(self, **values) -> Scene:
+        return self.sensor_with(values).before(_contour(self.slopes, values))
+
+    def sensor_with(self, values: Mapping[str, Any]) -> Sensor:
+        """The sensor with these values of its unknown parameters."""
+        return sensor_of(self.sensor(**dict(self.known), **{name: values[name] for name in self.unknown}))
 
 
 def fit_contour(
@@ -137,70 +133,71 @@ def fit_contour(
     Raises:
         ValueError: if an argument is wrong, or `measured` shows too few contacts.
     """
-    values = {str(name): float(value) for name, value in (parameters or {}).items()}
+    values = read_parameters("parameters", parameters) if parameters else {}
     for name in unknown:
         if name not in values:
             raise ValueError(f"`unknown` must name some of `parameters` ({', '.join(values)}), got {name!r}.")
-    if isinstance(knots, bool) or (isinstance(knots, int) and knots < 2):
-        raise ValueError(f"`knots` must be an int of at least 2, or slope angles, got {knots!r}.")
-    make = _ConstantSensor.of(sensor_of(sensor)) if isinstance(sensor, (Sensor, Scene)) else sensor
-    check_arguments("parameters", make, list(values), called="sensor")
-    known = sensor_of(make(**values))
-    check_traceable(make, values, called="sensor")
+    if isinstance(knots, int):
+        checks.count("knots", knots, least=2)
+        slopes, count = None, knots
+    else:
+        slopes, count = check_slopes("knots", knots), len(knots)
+    if isinstance(sensor, (Sensor, Scene)):
+        sensor = _ConstantSensor(jax.tree.map(float, sensor_of(sensor)))
+    checks.arguments("parameters", sensor, list(values), called="sensor")
+    known = sensor_of(sensor(**values))
+    check_traceable(sensor, values, called="sensor")
     observations = read_observations(measured, sigma, whiskers=len(known.whiskers))
-    slopes = None if isinstance(knots, int) else _checked_knots(knots)
-    count = knots if isinstance(knots, int) else len(knots)
     check_recording(observations, known, len(unknown) + 2 + count)
 
-    points = reconstruct(measured, known, sigma=_noise(observations) if sigma is None else sigma)
-    slopes = _spread_knots(points, count) if slopes is None else slopes
+    points = reconstruct(measured, known, sigma=_scatter(observations) if sigma is None else sigma)
+    slopes = _touched_knots(points, count) if slopes is None else slopes
     _check_contacts(count, int(points.clear.sum()))
     fixed = tuple((name, value) for name, value in values.items() if name not in unknown)
-    build = _ContourScene(make, fixed, slopes)
+    build = _ContourScene(sensor, fixed, tuple(unknown), slopes)
     fits: list[Fit] = []
-    for x, y, radii in _starts(points, slopes, guess):
-        first = {name: values[name] for name in unknown} | {"distance": y, "position": x}
-        first |= {f"{RADIUS}{k}": float(radius) for k, radius in enumerate(radii)}
+    for start in _starts(points, slopes, guess):
+        first = {name: values[name] for name in unknown} | start
         fits.append(identify(build, first, measured, sigma=sigma, starts=0, near=True))
         if fits[-1].status == FitStatus.ok:
             break
     fit = min(fits, key=lambda fit: (fit.status != FitStatus.ok, np.nan_to_num(fit.chi2, nan=np.inf)))
-    radii = [fit.estimates[f"{RADIUS}{k}"] for k in range(len(slopes))]
-    profile = _contour(slopes, fit.estimates["distance"], fit.estimates["position"], radii)
-    fitted = make(**{**values, **{name: fit.estimates[name] for name in unknown}})
-    return ContourFit(profile, fit, sensor_of(fitted))
+    return ContourFit(_contour(slopes, fit.estimates), fit, build.sensor_with(fit.estimates))
 
 
-def _contour(slopes: tuple[float, ...], distance, position, radii) -> Contour:
-    return Contour(distance, jnp.log(jnp.stack([jnp.asarray(r, dtype=float) for r in radii])), slopes, position)
+def _contour(slopes: tuple[float, ...], values: Mapping[str, Any]) -> Contour:
+    radii = [jnp.asarray(values[f"{PREFIX}{k}"], dtype=float) for k in range(len(slopes))]
+    return Contour(values["distance"], jnp.log(jnp.stack(radii)), slopes, values["position"])
 
 
-def _noise(observations: Observations) -> dict[str, float]:
-    noise = np.maximum(neighbour_scatter(observations).sigma, LEAST_NOISE * observations.peaks)
+def _values_of(x: float, y: float, radii: np.ndarray) -> dict[str, float]:
+    """The contour's parameters in the fit, from its vertex and its radii at the knots."""
+    return {"distance": y, "position": x} | {f"{PREFIX}{k}": float(radius) for k, radius in enumerate(radii)}
+
+
+def _scatter(observations: Observations) -> dict[str, float]:
+    noise = np.maximum(neighbour_scatter(observations).sigma, TINY_NOISE * observations.peaks)
     return dict(zip(REACTIONS, noise.tolist(), strict=True))
 
 
-def _starts(
-    points: Reconstruction, slopes: tuple[float, ...], guess: AbstractProfile | None
-) -> list[tuple[float, float, np.ndarray]]:
-    """Vertex and radii of the contours to start from.
+def _starts(points: Reconstruction, slopes: tuple[float, ...], guess: AbstractProfile | None) -> list[dict[str, float]]:
+    """Parameters of the contours to start from.
 
     Flanks without a strong contact decide whether a scan ends with a snap, and a fit that starts without the snap gets
     stuck. Sharper flanks give a scan with a snap.
     """
     if guess is not None:
-        start = guess if isinstance(guess, Contour) and guess.slopes == slopes else Contour.like(guess, slopes)
-        x, y = start.vertex()
-        return [(float(x), float(y), np.exp(np.asarray(start.log_radius)))]
+        x, y = map(float, guess.vertex())
+        return [_values_of(x, y, np.exp(Contour.like(guess, slopes).log_radius))]
     x, y, radii = _through(points, slopes)
-    return [(x, y, radii), (x, y, np.r_[SHARP * radii[1], radii[1:-1], SHARP * radii[-2]])]
+    return [_values_of(x, y, r) for r in (radii, np.r_[SHARP * radii[1], radii[1:-1], SHARP * radii[-2]])]
 
 
 def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, float, np.ndarray]:
     """Fit vertex and radii of a contour to points by linear least squares: radii linear between knots, slopes exact."""
     x, y, slope, error = (np.asarray(v)[points.clear] for v in (points.x, points.y, points.slope, points.normal_error))
     weight = 1 / error if (error > 0).all() else np.ones_like(x)
-    fine = np.linspace(min(slopes[0], slope.min(), 0.0), max(slopes[-1], slope.max(), 0.0), FINE)
+    fine = np.linspace(min(slopes[0], slope.min(), 0.0), max(slopes[-1], slope.max(), 0.0), DENSE)
     hats = np.array([np.interp(fine, slopes, row) for row in np.eye(len(slopes))])
 
     def by_radius(direction):
@@ -224,28 +221,20 @@ def _through(points: Reconstruction, slopes: tuple[float, ...]) -> tuple[float, 
     return float(vertex_x), float(max(vertex_y, LEAST_DISTANCE * np.min(y))), np.maximum(radii, least)
 
 
-def _checked_knots(knots: Sequence[float]) -> tuple[float, ...]:
-    slopes = np.asarray(knots, dtype=float)
-    if slopes.ndim != 1 or slopes.size < 2 or not (np.diff(slopes) > 0).all() or np.abs(slopes).max() > STEEPEST:
-        raise ValueError(f"`knots` must be strictly increasing slope angles below a right angle, got {knots!r}.")
-    return tuple(slopes.tolist())
-
-
 def _check_contacts(least: int, count: int) -> None:
     if count < least:
         raise ValueError(f"`measured` must show at least {least} contacts clear of the noise, got {count}.")
 
 
-def _spread_knots(points: Reconstruction, count: int) -> tuple[float, ...]:
+def _touched_knots(points: Reconstruction, count: int) -> tuple[float, ...]:
     """Knots spread evenly over the slopes that were touched.
 
     The slopes of single points are noisy. Those of a first contour, where it is closest to the points, are not.
     """
     slope, error = np.asarray(points.slope), np.asarray(points.standard_error)[..., 2]
-    rough = _knots_over(slope[points.clear & ~(error > SURE)], count)
-    x, y, radii = _through(points, rough)
-    fine = np.linspace(rough[0], rough[-1], FINE)
-    near_x, near_y, _ = points_and_rates(_contour(rough, y, x, radii), fine)
+    rough = _knots_over(slope[points.clear & ~(error > SURE_SLOPE)], count)
+    fine = np.linspace(rough[0], rough[-1], DENSE)
+    near_x, near_y, _ = points_and_rates(_contour(rough, _values_of(*_through(points, rough))), fine)
     apart = np.hypot(points.x[points.clear][:, None] - near_x, points.y[points.clear][:, None] - near_y)
     return _knots_over(fine[np.argmin(apart, axis=1)], count)
 

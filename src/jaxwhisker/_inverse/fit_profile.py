@@ -16,12 +16,12 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.points import Reconstruction
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible
 from jaxwhisker._model.contour import Contour, Spline, spline, tabulate
-from jaxwhisker._model.profile import STEEPEST, AbstractProfile
+from jaxwhisker._model.profile import STEEPEST, AbstractProfile, bisect
 from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
 
 KNOTS = 8  # of a Contour
 REWEIGHTINGS = 5  # fits in a row; weights depend on the profile, so each fit uses those of the previous one
-MAX_STEPS = 128
+LEAST_SQUARES_STEPS = 128
 RTOL = 1e-7
 SETTLED = 0.1  # of the standard errors: largest remaining Gauss-Newton step of a converged fit
 EXACTLY = 1e-8  # the same in absolute terms, for logs of lengths
@@ -31,7 +31,7 @@ SURE = 0.1  # rad: knots of a Contour are spread over slopes known better than t
 SIGNIFICANCE = 40.0  # standard deviations: points with weaker signals are left out
 OUTLIER = 3.0  # standard deviations from which a point is weighted less (Huber): a few contacts have the wrong phase
 WORST_CONDITION = 1e13  # of the scaled normal matrix: beyond, the points do not determine all parameters
-BLOCK = 256  # points are padded to a multiple of it, so similar numbers of points share a compilation
+PADDED = 256  # points are padded to a multiple of it, so similar numbers of points share a compilation
 
 FAMILIES: dict[type, tuple[str, ...]] = {
     Parabola: ("distance", "a", "position"),
@@ -111,11 +111,10 @@ def fit_profile(
     start = guess if guess is not None else _guess(observed, family, knots)
     like = _Family.of(start)
     values = like.values(start)
-    count = int(np.sum(np.asarray(observed.weight) > 0))
-    degrees = count * (2 if observed.has_slope else 1) - values.size
+    degrees = observed.x.size * (2 if observed.has_slope else 1) - values.size
     if degrees < 0:
-        raise ValueError(f"`points` must be enough for {values.size} parameters, got {count} points.")
-    values, residual, gradient = _least_squares(like, values, observed)
+        raise ValueError(f"`points` must be enough for {values.size} parameters, got {observed.x.size} points.")
+    values, residual, gradient = _fitted_values(like, values, observed.padded())
     residual, gradient = np.asarray(residual).ravel(), np.asarray(gradient).reshape(-1, values.size)
     chi2 = chi_squared(residual)
     status, covariance = _judge(residual, gradient)
@@ -171,18 +170,23 @@ def _profile(start: AbstractProfile, values: Float[Array, " p"]) -> AbstractProf
 
 
 class _Points(eqx.Module):
-    """Padded points of an object; `weight` is 0 for padding."""
+    """Points of an object."""
 
-    x: Float[Array, " points"]
-    y: Float[Array, " points"]
-    slope: Float[Array, " points"]  # 0.0 if unknown
-    covariance: Float[Array, "points 3 3"] | None  # of x, y, slope
-    weight: Float[Array, " points"]
+    x: Float[Array, " points"] | Float[np.ndarray, " points"]
+    y: Float[Array, " points"] | Float[np.ndarray, " points"]
+    slope: Float[Array, " points"] | Float[np.ndarray, " points"]  # 0.0 if unknown
+    covariance: Float[Array, "points 3 3"] | Float[np.ndarray, "points 3 3"] | None  # of x, y, slope
+    weight: Float[Array, " points"] | Float[np.ndarray, " points"]  # 0 for padding
     has_slope: bool = eqx.field(static=True)
+
+    def padded(self) -> "_Points":
+        room = [(0, -self.x.size % PADDED)]
+        padded = jax.tree.map(lambda v: np.pad(v, room + [(0, 0)] * (v.ndim - 1), mode="edge"), self)
+        return eqx.tree_at(lambda points: points.weight, padded, np.pad(self.weight, room))
 
 
 def _read_points(points: Any, significance: float) -> _Points:
-    table = _table_of(points, significance)
+    table = _points_table(points, significance)
     x, y, slope = table["x"], table["y"], table.get("slope")
     for name, values in (("x", x), ("y", y), ("slope", slope)):
         if values is not None and (values.ndim != 1 or values.shape != x.shape):
@@ -192,13 +196,12 @@ def _read_points(points: Any, significance: float) -> _Points:
     known &= noise is None or np.isfinite(noise).all(axis=(1, 2))
     if not known.any():
         raise ValueError("`points` must hold finite values, got none.")
-    at = np.concatenate([np.flatnonzero(known), np.full(-known.sum() % BLOCK, np.flatnonzero(known)[0])])
-    weight = jnp.asarray((np.arange(at.size) < known.sum()).astype(float))
-    x, y, angle = (jnp.asarray(v[at]) for v in (x, y, np.zeros_like(x) if slope is None else slope))
-    return _Points(x, y, angle, None if noise is None else jnp.asarray(noise[at]), weight, slope is not None)
+    angle = np.zeros_like(x) if slope is None else slope
+    columns = jax.tree.map(lambda values: values[known], (x, y, angle, noise, np.ones_like(x)))
+    return _Points(*columns, has_slope=slope is not None)
 
 
-def _table_of(points: Any, significance: float) -> dict[str, Any]:
+def _points_table(points: Any, significance: float) -> dict[str, Any]:
     if isinstance(points, Reconstruction):
         noise = np.asarray(points.covariance)[..., :3, :3].reshape(-1, 3, 3)
         weak = np.asarray(points.significance) < significance
@@ -229,8 +232,7 @@ def _noise_of(table: Mapping[str, Any], size: int) -> np.ndarray | None:
 
 def _guess(observed: _Points, family: type, knots: int | Sequence[float]) -> AbstractProfile:
     """Fit a parabola by linear least squares, or a circle, on which x^2 + y^2 is linear in x and y."""
-    own = np.asarray(observed.weight) > 0
-    x, y = np.asarray(observed.x)[own], np.asarray(observed.y)[own]
+    x, y = np.asarray(observed.x), np.asarray(observed.y)
     middle, width, lowest = np.mean(x), max(np.ptp(x), 1e-9 * (1 + np.max(np.abs(x)))), float(np.min(y))
     if family in (Parabola, Contour):
         powers = np.stack([((x - middle) / width) ** k for k in (2, 1, 0)], axis=1)
@@ -250,14 +252,11 @@ def _guess(observed: _Points, family: type, knots: int | Sequence[float]) -> Abs
 
 def _spread_knots(observed: _Points, near: Parabola, count: int) -> np.ndarray:
     """Slope angles spread evenly over those of the points, or over those of a parabola if the points have none."""
-    own = np.asarray(observed.weight) > 0
-    slopes = np.asarray(observed.slope)[own]
-    if not observed.has_slope:
-        slopes = np.arctan(2 * near.a * (np.asarray(observed.x)[own] - near.position))
+    slopes = observed.slope if observed.has_slope else np.arctan(2 * near.a * (observed.x - near.position))
     sure = np.ones(slopes.size, bool)
     if observed.covariance is not None:
-        variance = np.asarray(observed.covariance)[:, 2, 2]
-        sure = variance[own] <= max(SURE, np.sqrt(np.median(variance))) ** 2
+        variance = observed.covariance[:, 2, 2]
+        sure = variance <= max(SURE, np.sqrt(np.median(variance))) ** 2
     low, high = np.quantile(slopes[sure], [0.01, 0.99])
     return np.linspace(max(low, -1.5), min(high, 1.5), count)
 
@@ -325,14 +324,7 @@ def _foot(profile, constant, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
         at = profile.point(_parameter(profile, slope))
         return (at.x - x) * at.cos + (at.y - y) * at.sin
 
-    def bisect(_, bracket):
-        low, high = bracket
-        middle = (low + high) / 2
-        before = ahead(constant, middle) < 0
-        return jnp.where(before, middle, low), jnp.where(before, high, middle)
-
-    low, high = jax.lax.fori_loop(0, HALVINGS, bisect, (jnp.asarray(-STEEPEST), jnp.asarray(STEEPEST)))
-    slope = (low + high) / 2
+    slope = bisect(lambda slope: ahead(constant, slope) < 0, -STEEPEST, STEEPEST, steps=HALVINGS)
     for step in range(NEWTON_STEPS):
         last = step == NEWTON_STEPS - 1
         off, rate = jax.jvp(lambda slope: ahead(constant, slope), (slope,), (jnp.ones(()),))
@@ -368,7 +360,7 @@ def _weights(like: _Family, values, observed: _Points) -> Float[Array, "points 2
 
 
 @jit
-def _least_squares(like: _Family, values, observed: _Points):
+def _fitted_values(like: _Family, values, observed: _Points):
     solver = optx.LevenbergMarquardt(rtol=RTOL, atol=1e-2 * RTOL)
 
     def fit(_, values):
@@ -377,7 +369,7 @@ def _least_squares(like: _Family, values, observed: _Points):
             solver,
             values,
             args=_weights(like, values, observed),
-            max_steps=MAX_STEPS,
+            max_steps=LEAST_SQUARES_STEPS,
             throw=False,
         )
         return solution.value

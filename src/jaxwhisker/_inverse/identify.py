@@ -1,5 +1,6 @@
 """Identification: estimate parameters of a scene from observed signals by least squares."""
 
+import dataclasses
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -8,35 +9,25 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base import checks
-from jaxwhisker._inverse.features import Features, Scatter, features, neighbour_scatter
-from jaxwhisker._inverse.fit import Fit, FitInternals
+from jaxwhisker._inverse import parameters
+from jaxwhisker._inverse.features import features, neighbour_scatter
+from jaxwhisker._inverse.fit import Fit, FitProblem
 from jaxwhisker._inverse.observations import Observations, read_observations
-from jaxwhisker._inverse.parameters import (
-    Transforms,
-    Unknowns,
-    build_scene,
-    check_traceable,
-    check_used,
-    read_parameters,
-    transforms_of,
-)
-from jaxwhisker._inverse.program import COARSE, LeastSquares, Solution, possible_decrease
+from jaxwhisker._inverse.parameters import Unknowns
+from jaxwhisker._inverse.program import COARSE, LeastSquares, Minimum, possible_decrease
 from jaxwhisker._inverse.recording import check_recording
-from jaxwhisker._inverse.residuals import BLOCK, Samples, samples_of
-from jaxwhisker._inverse.statistics import FitStatus, chi_squared, correlation, identifiability, is_plausible
+from jaxwhisker._inverse.statistics import FitStatus, chi_squared, correlation, identifiability
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.route import route_of
+from jaxwhisker._scan.route import turns_of
 
 LEAST_NOISE = 1e-4  # of the peak: least noise assumed before the residuals give an estimate
-EXACT = 1e-6  # of the peak: residuals below it are numerical
-SCATTER_ERROR = 6.0  # relative error that the scatter between n neighbours may have, times sqrt(n): 3.4 standard errors
 SPREAD = np.log(4.0)  # largest distance of other starts from the guess in each of the fit's variables
-REWEIGHTINGS = 4  # at most, where the noise is estimated from the residuals
-SETTLED = 0.5  # share of the degrees of freedom above which chi-squared of reweighted residuals has settled
+ESTIMATES = 4  # of the noise from the residuals, at most
+OVERESTIMATED = 0.5  # share of the degrees of freedom; below it, chi-squared shows that the noise was overestimated
 BASELINE = 5  # first samples, from which constant offsets are guessed
 ENOUGH = 3  # starts that must end in the same plausible minimum before the search stops
-SAME = 1e-3  # difference of the fit's variables up to which two minima are the same
+EQUAL = 1e-3  # difference of the fit's variables up to which two minima are the same
 NEGLIGIBLE = 1e-2  # possible decrease of chi-squared (a tenth of a standard error) that a converged fit may leave
 AT_BOUND = 1e-3  # dv/dy, relative to that in the middle if it is larger than 1, below which a parameter is at its bound
 
@@ -89,38 +80,38 @@ def identify(
             recognised for translations that start free, if fx of all whiskers is measured).
     """
     checks.float64_mode()
-    guess = read_parameters("guess", guess)
-    scene = build_scene("guess", build, guess)
-    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
-        raise ValueError(f"`starts` must be an int of at least 0, got {starts!r}.")
-    transforms = transforms_of(build, guess, bounds, transform)
-    check_traceable(build, guess)
-    check_used(build, guess)
+    guess = parameters.read_parameters("guess", guess)
+    scene = parameters.build_scene("guess", build, guess)
+    checks.count("starts", starts, least=0)
+    transforms = parameters.transforms_of(build, guess, bounds, transform)
+    parameters.check_traceable(build, guess)
+    parameters.check_used(build, guess)
     observations = read_observations(measured, sigma, whiskers=len(scene.whiskers))
 
     channels = tuple((c.whisker, c.reaction) for c in observations.channels) if offsets else ()
     unknowns = Unknowns(tuple(guess), channels, shift)
-    baselines = [_baseline(observations, *channel) for channel in channels]
-    centred = _without_offsets(observations, unknowns, baselines)
+    baseline = _baseline(observations) if offsets else np.zeros(observations.values.shape[1:])
+    centred = dataclasses.replace(observations, values=observations.values - baseline)
     check_recording(centred, scene, len(unknowns.all_names))
     sizes = [float(observations.peaks[reaction]) for _, reaction in channels] + [float(units(scene).control)] * shift
-    transforms = transforms.then(Transforms.of([False] * len(sizes), sizes, [(-np.inf, np.inf)] * len(sizes)))
-    start = transforms.variables([*guess.values(), *baselines, *[0.0] * shift])
+    transforms = transforms.with_sizes(sizes)
+    start = transforms.variables([*guess.values(), *(baseline[channel] for channel in channels), *[0.0] * shift])
 
     scatter = None
     if np.isnan(observations.sigma[observations.known]).all():
         scatter = neighbour_scatter(observations)
-        noise = np.maximum(scatter.sigma, LEAST_NOISE * observations.peaks)
-        observations, centred = observations.with_sigma(noise), centred.with_sigma(noise)
-    leg = _until_turn(observations.control)
-    problem = _Problem(
+        observations = observations.with_sigma(np.maximum(scatter.sigma, LEAST_NOISE * observations.peaks))
+        centred = centred.with_sigma(observations.sigma)
+    first_leg = slice(0, min([*turns_of(observations.control), observations.control.size - 1]) + 1)
+    problem = FitProblem(
         build=build,
         solve=LeastSquares(build, unknowns),
         unknowns=unknowns,
         transforms=transforms,
         observations=observations,
         landmarks=features(centred),
-        landmarks_until_turn=features(centred.at(leg)),
+        first_leg=first_leg,
+        landmarks_of_leg=features(centred.at(first_leg)),
         scatter=None,
         scene=scene,
     )
@@ -130,140 +121,56 @@ def identify(
     return _fit_of(problem, search)
 
 
-def _baseline(observations: Observations, whisker: int, reaction: int) -> float:
-    """Median of a channel's first samples."""
-    signal = observations.values[:, whisker, reaction]
-    first = signal[np.isfinite(signal)][:BASELINE]
-    return float(np.median(first)) if first.size else 0.0
+def _baseline(observations: Observations) -> np.ndarray:
+    """Median of each channel's first samples, (whiskers, 3); 0 where nothing was measured."""
+    baseline = np.zeros(observations.values.shape[1:])
+    for whisker, reaction, _ in observations.channels:
+        signal = observations.values[:, whisker, reaction]
+        baseline[whisker, reaction] = np.median(signal[np.isfinite(signal)][:BASELINE])
+    return baseline
 
 
-def _without_offsets(observations: Observations, unknowns: Unknowns, offsets: list[float]) -> Observations:
-    values = observations.values.copy()
-    for (whisker, reaction), offset in zip(unknowns.offsets, offsets, strict=True):
-        values[:, whisker, reaction] -= offset
-    return Observations(observations.control, values, observations.sigma)
+def _can_be_overlaid(problem: FitProblem) -> bool:
+    """Whether the drive starts in the direction of a default scan and a touch is visible."""
+    leg = problem.observations.control[problem.first_leg]
+    onwards = np.sign(leg[-1] - leg[0]) == problem.scene.motion.onwards
+    return bool(onwards and np.isfinite(problem.landmarks_of_leg.touch).any())
 
 
-def _heading(control: np.ndarray) -> float:
-    """Sign of the drive's first move."""
-    moves = np.diff(control)
-    return float(np.sign(moves[moves != 0][:1]).sum())
-
-
-def _until_turn(control: np.ndarray) -> slice:
-    """The steps before the drive first turns back."""
-    back = np.flatnonzero(np.diff(control) * _heading(control) < 0)
-    return slice(0, back[0] + 1 if back.size else control.size)
-
-
-class _Problem(NamedTuple):
-    """Observations and the program that fits them."""
-
-    build: Callable[..., Scene]
-    solve: LeastSquares
-    unknowns: Unknowns
-    transforms: Transforms
-    observations: Observations
-    landmarks: Features
-    landmarks_until_turn: Features  # of the samples before the drive first turns, which can be overlaid with a scan
-    scatter: Scatter | None  # of neighbouring samples, to judge a fit whose noise was estimated from its residuals
-    scene: Scene  # at the guess
-
-    def samples(self, prior: np.ndarray, *, overlaid: bool = False, thin: bool = False) -> Samples:
-        """The observations for one stage: all of them, or as many as one block holds."""
-        observations, landmarks = self.observations, self.landmarks
-        if overlaid:
-            observations, landmarks = observations.at(_until_turn(observations.control)), self.landmarks_until_turn
-        if thin and observations.control.size > BLOCK:
-            pick = np.unique(np.linspace(0, observations.control.size - 1, BLOCK).astype(int))
-            observations, landmarks = observations.at(pick), landmarks._replace(travel=landmarks.travel[pick])
-        route, length = route_of(self.observations.control), float(units(self.scene).control)
-        return samples_of(observations, landmarks, self.transforms, prior, route, overlaid=overlaid, length=length)
-
-    @property
-    def can_be_overlaid(self) -> bool:
-        """Whether the drive starts in the direction of a default scan and a touch is visible."""
-        sets_out = _heading(self.observations.control) == self.scene.motion.onwards
-        return sets_out and bool(np.isfinite(self.landmarks_until_turn.touch).any())
-
-    def fit(self, y: np.ndarray, near: bool = False) -> tuple[Solution, int]:
-        """Fit from a guess, in stages, and count the steps."""
-        whole, part = self.samples(y), self.samples(y, thin=True)
-        thinned = whole.control.size != part.control.size
-        if thinned:
-            self.solve.compile_all(part, whole)
-        steps = 0
-        for overlaid in [True] * (self.can_be_overlaid and not near) + [False] * thinned:
-            solution = self.solve(y, self.samples(y, overlaid=overlaid, thin=True), least=COARSE)
-            y, steps = solution.y if np.isfinite(solution.y).all() else y, steps + int(solution.steps)
-        solution = self.solve(y, self.samples(y))
-        return solution, steps + int(solution.steps)
-
-    def compared(self, solution: Solution) -> np.ndarray:
-        """Which values are compared with the model, (steps, whiskers, 3): all but those left out at snaps."""
-        steps = self.observations.control.size
-        return self.observations.known & ~solution.compared.left_out[:steps, None, None]
-
-    def off(self, solution: Solution) -> np.ndarray:
-        """Measured - model, (steps, whiskers, 3); NaN where nothing is compared."""
-        signals = solution.compared.signals[: self.observations.control.size]
-        return np.where(self.compared(solution), self.observations.values - signals, np.nan)
-
-    def degrees(self, solution: Solution) -> int:
-        """Degrees of freedom."""
-        return int(self.compared(solution).sum()) - solution.y.size
-
-    def largest_noise(self) -> np.ndarray:
-        """Largest noise that the observations may have, (..., 3): as given, or from the scatter between neighbours."""
-        if self.scatter is None:
-            return self.observations.sigma
-        uncertainty = 1 + SCATTER_ERROR / np.sqrt(max(1, self.scatter.count))
-        return uncertainty * np.maximum(self.scatter.sigma, EXACT * self.observations.peaks)
-
-    def is_plausible(self, solution: Solution) -> bool:
-        """Whether noise explains the residuals.
-
-        Noise that was estimated from the residuals explains them by construction, unless samples are left out.
-        Therefore the residuals are also compared with the scatter between neighbouring samples.
-        """
-        off, degrees = self.off(solution), max(1, self.degrees(solution))
-        if not (np.isfinite(off[self.compared(solution)]).all() and np.isfinite(solution.misfit)):
-            return False
-        return is_plausible(solution.misfit, degrees) and (
-            self.scatter is None or is_plausible(chi_squared(np.nan_to_num(off / self.largest_noise())), degrees)
-        )
-
-    def with_noise_of(self, solution: Solution) -> "_Problem":
-        """The same problem with the noise of each reaction estimated from the residuals."""
-        off, compared = self.off(solution), self.compared(solution)
-        correction = compared.sum() / max(1, self.degrees(solution))
-        count = compared.sum(axis=(0, 1))
-        squares = np.sum(np.where(compared, off, 0.0) ** 2, axis=(0, 1))
-        noise = np.sqrt(correction * squares / np.maximum(count, 1))
-        noise = np.where(count > 0, np.maximum(noise, np.finfo(float).eps * self.observations.peaks), 1.0)
-        return self._replace(observations=self.observations.with_sigma(noise))
+def _fit_in_stages(problem: FitProblem, y: np.ndarray, near: bool) -> tuple[Minimum, int]:
+    """Fit from a guess, and count the steps."""
+    whole, part = problem.samples(y), problem.samples(y, thin=True)
+    thinned = whole.control.size != part.control.size
+    if thinned:
+        problem.solve.compile_all(part, whole)
+    steps = 0
+    for overlaid in [True] * (_can_be_overlaid(problem) and not near) + [False] * thinned:
+        solution = problem.solve(y, problem.samples(y, overlaid=overlaid, thin=True), least=COARSE)
+        y, steps = solution.y if np.isfinite(solution.y).all() else y, steps + int(solution.steps)
+    solution = problem.solve(y, problem.samples(y))
+    return solution, steps + int(solution.steps)
 
 
 class _Search(NamedTuple):
     """The best solution from several starts."""
 
-    solution: Solution
+    solution: Minimum
     steps: int
     starts: int
     agreeing: int  # starts that ended in the same minimum
 
 
-def _search(problem: _Problem, start: np.ndarray, starts: int, near: bool) -> _Search:
+def _search(problem: FitProblem, start: np.ndarray, starts: int, near: bool) -> _Search:
     """Fit from the guess, and then from other starts until enough of them agree on a plausible fit."""
-    best, steps = problem.fit(start, near)
+    best, steps = _fit_in_stages(problem, start, near)
     if not starts or problem.is_plausible(best):
         return _Search(best, steps, 1, 1)
     solutions, agreeing = [best], 1
     # If a feature of the data is misread, overlaid scans mislead from every start: skip them every other time.
     for k, y in enumerate([start, *_other_starts(start, starts - 1)]):
-        solutions.append(problem.fit(y, near=k % 2 == 0)[0])
+        solutions.append(_fit_in_stages(problem, y, near=k % 2 == 0)[0])
         best = min(solutions, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
-        agreeing = sum(bool(np.max(np.abs(s.y - best.y)) < SAME) for s in solutions)
+        agreeing = sum(bool(np.max(np.abs(s.y - best.y)) < EQUAL) for s in solutions)
         if agreeing >= ENOUGH and problem.is_plausible(best):
             break
     return _Search(best, steps, len(solutions), agreeing)
@@ -279,18 +186,29 @@ def _other_starts(y: np.ndarray, count: int) -> list[np.ndarray]:
     return list(y + SPREAD * (2 * unit - 1))
 
 
-def _reweighted(problem: _Problem, search: _Search) -> tuple[_Problem, _Search]:
+def _reweighted(problem: FitProblem, search: _Search) -> tuple[FitProblem, _Search]:
     """Estimate the noise from the residuals and fit again, until both have settled."""
-    for _ in range(REWEIGHTINGS):
-        problem = problem.with_noise_of(search.solution)
+    for _ in range(ESTIMATES):
+        problem = _with_noise_of(problem, search.solution)
         solution = problem.solve(search.solution.y, problem.samples(search.solution.y))
         search = search._replace(solution=solution, steps=search.steps + int(solution.steps))
-        if solution.misfit > SETTLED * problem.degrees(solution):  # otherwise the noise was overestimated
+        if solution.misfit > OVERESTIMATED * problem.degrees(solution):
             break
     return problem, search
 
 
-def _fit_of(problem: _Problem, search: _Search) -> Fit:
+def _with_noise_of(problem: FitProblem, solution: Minimum) -> FitProblem:
+    """The same problem with the noise of each reaction estimated from the residuals."""
+    compared = problem.compared(solution)
+    count = compared.sum(axis=(0, 1))
+    correction = count.sum() / max(1, problem.degrees(solution))
+    squares = np.sum(np.where(compared, problem.off(solution), 0.0) ** 2, axis=(0, 1))
+    noise = np.sqrt(correction * squares / np.maximum(count, 1))
+    noise = np.where(count > 0, np.maximum(noise, np.finfo(float).eps * problem.observations.peaks), 1.0)
+    return problem._replace(observations=problem.observations.with_sigma(noise))
+
+
+def _fit_of(problem: FitProblem, search: _Search) -> Fit:
     solution, transforms, names = search.solution, problem.transforms, problem.unknowns.all_names
     x = transforms.natural(solution.y, np)
     status, reason = _status_of(problem, solution, x)
@@ -325,13 +243,12 @@ def _fit_of(problem: _Problem, search: _Search) -> Fit:
         starts=search.starts,
         agreeing=search.agreeing,
         scene=problem.build(**at_estimates) if np.isfinite(x).all() else problem.scene,
-        _internals=FitInternals(
-            problem.build, problem.unknowns, transforms, problem.solve, problem.samples(solution.y), solution
-        ),
+        _problem=problem,
+        _solution=solution,
     )
 
 
-def _status_of(problem: _Problem, solution: Solution, x: np.ndarray) -> tuple[FitStatus, str]:
+def _status_of(problem: FitProblem, solution: Minimum, x: np.ndarray) -> tuple[FitStatus, str]:
     """How the fit ended, and the reason for failure."""
     path = Status(int(solution.compared.status))
     if not np.isfinite(solution.y).all() or path != Status.ok:
@@ -350,7 +267,7 @@ def _status_of(problem: _Problem, solution: Solution, x: np.ndarray) -> tuple[Fi
     return FitStatus.ok, ""
 
 
-def _why_implausible(problem: _Problem, solution: Solution) -> str:
+def _why_implausible(problem: FitProblem, solution: Minimum) -> str:
     off, given = problem.off(solution), problem.scatter is None
     noise = problem.observations.sigma if problem.scatter is None else problem.scatter.sigma
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Control
-from jaxwhisker._inverse.observations import Channel, channels_of, read_observations
+from jaxwhisker._inverse.observations import CHANNEL, Observations, read_observations
 from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
-from jaxwhisker._inverse.program import Program, program
+from jaxwhisker._inverse.program import program
 from jaxwhisker._inverse.residuals import UNIFORM
 from jaxwhisker._inverse.statistics import Identifiability, correlation, identifiability
 from jaxwhisker._model.scene import Scene
@@ -207,11 +207,10 @@ def information(
     checks.float64_mode()
     values = read_parameters("at", at)
     scene = build_scene("at", build, values)
-    positions = _positions(default_control(scene) if control is None else control)
-    noise = _noise_by_channel(len(scene.whiskers), positions.size, sigma, channels)
+    control = default_control(scene) if control is None else control
+    noise = _noise(control, len(scene.whiskers), sigma, channels)
     check_traceable(build, values)
-    rates = _rates(program(_rates_of, build, tuple(values)), values, {}, positions)
-    return _information_of(rates, values, positions, noise, transforms_of(build, values).log)
+    return _information_at(build, values, {}, noise, transforms_of(build, values).log)
 
 
 def design(
@@ -250,18 +249,11 @@ def design(
     grids = _grids(axes, values)
     points = [dict(zip(grids, chosen, strict=True)) for chosen in itertools.product(*grids.values())]
     scenes = [build_scene("at` and `axes", build, {**values, **point}) for point in points]
-    positions = _positions(_common_control(scenes) if control is None else control)
-    noise = _noise_by_channel(len(scenes[0].whiskers), positions.size, sigma, channels)
+    control = _common_control(scenes) if control is None else control
+    noise = _noise(control, len(scenes[0].whiskers), sigma, channels)
     check_traceable(build, {**values, **points[0]})
     log = transforms_of(build, {**values, **points[0]}).log[: len(values)]
-    rates = program(_rates_of, build, tuple(values))
-    of_points = [_information_of(_rates(rates, values, p, positions), values, positions, noise, log) for p in points]
-    return _dataset(values, grids, points, of_points)
-
-
-def _positions(control: Control) -> np.ndarray:
-    checks.vector("control", control)
-    return np.asarray(control, dtype=float)
+    return _dataset(values, grids, points, [_information_at(build, values, point, noise, log) for point in points])
 
 
 def _grids(axes: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, np.ndarray]:
@@ -305,55 +297,39 @@ def _dataset(values: Mapping[str, float], grids: Mapping[str, np.ndarray], point
     return data
 
 
-class _Noise(NamedTuple):
-    """The noise of one channel."""
-
-    channel: Channel
-    sigma: np.ndarray  # (steps,)
-
-
-def _noise_by_channel(whiskers: int, steps: int, sigma: Any, channels: Sequence[str]) -> list[_Noise]:
-    """The measured channels with their noise."""
+def _noise(control: Control, whiskers: int, sigma: Any, channels: Sequence[str]) -> Observations:
+    """Observations of zero in the measured channels, with their noise."""
+    checks.vector("control", control)
     if not channels:
         raise ValueError(f"`channels` must name at least one of {', '.join(REACTIONS)}, got an empty sequence.")
-    every = channels_of(whiskers)
-    allowed = {*REACTIONS, *(channel.name for channel in every)} | {f"{name}_1" for name in REACTIONS}
     for name in channels:
-        if name not in allowed:
+        matched = CHANNEL.fullmatch(name)
+        if matched is None or not 1 <= int(matched[2] or 1) <= whiskers:
             raise ValueError(f"`channels` must be among {', '.join(REACTIONS)}, got {name!r}.")
-    measured = [
-        c for c in every if {c.name, REACTIONS[c.reaction], f"{REACTIONS[c.reaction]}_{c.whisker + 1}"} & {*channels}
-    ]
-    some = np.zeros(steps)
-    table = {"control": some} | {channel.name: some for channel in measured}
-    deviation = read_observations(table, sigma, whiskers=whiskers).sigma
-    return [_Noise(c, deviation[:, c.whisker, c.reaction]) for c in measured]
+    control = np.asarray(control, dtype=float)
+    zero = np.zeros((control.size, whiskers))
+    table = {name: zero if name in REACTIONS else zero[:, 0] for name in channels}
+    return read_observations({"control": control} | table, sigma, whiskers=whiskers)
 
 
-class Rates(NamedTuple):
-    """Signals and events of a scan with their derivatives with respect to the parameters."""
+class _Rates(NamedTuple):
+    """Derivatives of the signals and events of a scan with respect to the parameters."""
 
-    signals: Any  # (steps, whiskers, 3)
-    by_parameter: Any  # (steps, whiskers, 3, parameters); NaN where a step failed
+    signals: Any  # (steps, whiskers, 3, parameters); NaN where a step failed
     kind: Any  # (events,) -1 beyond their number
     whiskers: Any  # (events, whiskers)
     control: Any  # (events,)
-    control_by_parameter: Any  # (events, parameters)
+    control_rate: Any  # (events, parameters)
     gap: Any  # (events,) travel between the steps before and after a snap; 0 for other events
 
 
-def _rates(rates: Program, values: Mapping[str, float], chosen: Mapping[str, Any], control: np.ndarray) -> Rates:
-    route = route_of(control)
-    return rates(np.array(list(values.values())), dict(chosen), control, route.travel, route.stops, route.last)
-
-
-def _rates_of(build: Callable[..., Scene], names: tuple[str, ...], x, chosen, control, travel, stops, last) -> Rates:
+def _rates_of(build: Callable[..., Scene], names: tuple[str, ...], x, chosen, control, travel, stops, last) -> _Rates:
     def value(x):
         scan = TracedScan(build(**dict(zip(names, x, strict=True)), **chosen), stops, last)
         signals, ok = scan.signals(control, travel)
         return (signals, scan.events.control), (ok, scan.events)
 
-    (signals, where), push, (ok, events) = jax.linearize(value, x, has_aux=True)
+    (_, where), push, (ok, events) = jax.linearize(value, x, has_aux=True)
     by, where_by = jax.vmap(push, out_axes=-1)(jnp.eye(x.size))
     # The last step before a snap is left out, as in a fit: slopes grow without bound there.
     snaps = jnp.where(events.kind >= EventKind.snap_through, events.travel, jnp.nan)
@@ -361,14 +337,19 @@ def _rates_of(build: Callable[..., Scene], names: tuple[str, ...], x, chosen, co
     gap = jnp.sum(jnp.where(before, (travel[1:] - travel[:-1])[:, None], 0.0), axis=0)
     ok &= ~jnp.append(jnp.any(before, axis=1), False)
     by = jnp.where(ok[:, None, None, None], by, jnp.nan)
-    return Rates(signals, by, events.kind, events.whiskers, where, where_by, gap)
+    return _Rates(by, events.kind, events.whiskers, where, where_by, gap)
 
 
-def _information_of(
-    rates: Rates, at: Mapping[str, float], control: np.ndarray, noise: Sequence[_Noise], log: np.ndarray
+def _information_at(
+    build: Callable, at: Mapping[str, float], chosen: Mapping[str, float], noise: Observations, log: np.ndarray
 ) -> Information:
-    """Information from derivatives and noise."""
-    whitened = [rates.by_parameter[:, c.whisker, c.reaction] / sigma[:, None] for c, sigma in noise]
+    """The information about some parameters, for chosen values of the others."""
+    route = route_of(noise.control)
+    rates = program(_rates_of, build, tuple(at))(
+        np.array(list(at.values())), dict(chosen), noise.control, route.travel, route.stops, route.last
+    )
+    rates = jax.tree.map(np.asarray, rates)
+    whitened = np.nan_to_num(rates.signals / noise.sigma[..., None])
     events = []
     for k in np.flatnonzero(rates.kind >= 0):
         jumps = rates.kind[k] >= EventKind.snap_through and rates.gap[k] > 0
@@ -377,11 +358,16 @@ def _information_of(
                 kind=EventKind(int(rates.kind[k])),
                 whiskers=tuple(int(w) + 1 for w in np.flatnonzero(rates.whiskers[k])),
                 control=float(rates.control[k]),
-                by_parameter=np.nan_to_num(rates.control_by_parameter[k]),
+                by_parameter=np.nan_to_num(rates.control_rate[k]),
                 sigma=float(UNIFORM * rates.gap[k]) if jumps else np.inf,
             )
         )
-    names = tuple(c.name for c, _ in noise)
     return Information(
-        tuple(at), dict(at), control, names, np.nan_to_num(np.stack(whitened, axis=1)), tuple(events), log
+        names=tuple(at),
+        at=dict(at),
+        control=noise.control,
+        channels=tuple(noise.names),
+        rates=np.stack([whitened[:, c.whisker, c.reaction] for c in noise.channels], axis=1),
+        events=tuple(events),
+        log=log,
     )

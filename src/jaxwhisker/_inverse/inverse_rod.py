@@ -22,13 +22,16 @@ from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting, rod_end,
 from jaxwhisker._rod.rod import Section
 
 UNEVEN_STEPS = 12  # Shooting doubles it for rods that are not uniform: an error of 1e-8 for a cone
-ITERATIONS = 7  # of Gauss-Newton; 3 without noise
+GAUSS_NEWTON_STEPS = 7  # of Gauss-Newton; 3 without noise
 GUESSES = 16  # pieces of the rod that are searched for the zero of the moment
-SETTLED = 1e-5  # largest last step of a converged iteration, relative for the force, absolute for angle or arc
+LAST_STEP = 1e-5  # largest last step of a converged iteration, relative for the force, absolute for angle or arc
 LARGEST_ANGLE = 3.0  # rad, between whisker and object at the tip
 LARGEST_STEP = 0.3  # rad or lengths
 START = 0.02  # of the length: least initial arc beyond the contact, because pointed tips overflow
 POINTED = 1e-4  # of the length: least distance of a contact from a tip without stiffness
+
+
+REACTION = slice(4, 7)  # among the values of a state
 
 
 class Observation(NamedTuple):
@@ -44,17 +47,6 @@ class Observation(NamedTuple):
     section: Section | None
 
 
-class ContactState(NamedTuple):
-    """A state of a whisker, with the contact relative to its base; dimensionless."""
-
-    x: Scalar
-    y: Scalar
-    slope: Scalar  # alpha of the object, rad
-    arc: Scalar  # arc length from base to contact
-    reaction: Float[Array, "3"]
-    angle: Scalar  # of the base to the upright, rad, counter-clockwise
-
-
 class Estimate(NamedTuple):
     """The state of a whisker nearest to the observation."""
 
@@ -67,8 +59,12 @@ class Estimate(NamedTuple):
     doubt: Scalar  # probability of the other phase
 
 
-def state(z: Float[Array, "2"], tip: Bool[Array, ""], observed: Observation) -> ContactState:
-    """The state with this force and angle (tip contact) or arc beyond the contact (tangential contact)."""
+def state(z: Float[Array, "2"], tip: Bool[Array, ""], observed: Observation) -> Float[Array, "8"]:
+    """The state with this force and angle (tip contact) or arc beyond the contact (tangential contact).
+
+    Contact point relative to the base, slope of the object there (rad), arc length from base to contact, reaction
+    fx, fy, mz, and angle of the base to the upright (rad, counter-clockwise); dimensionless.
+    """
     force, beyond = z
     angle, arc = jnp.where(tip, beyond, 0.0), observed.length - jnp.where(tip, 0.0, beyond)
     method: AbstractRod = ClosedForm() if observed.section is None else Shooting(steps=UNEVEN_STEPS)
@@ -82,14 +78,9 @@ def state(z: Float[Array, "2"], tip: Bool[Array, ""], observed: Observation) -> 
     up, left = jnp.cos(base_angle), jnp.sin(base_angle)
     # The rod is computed in the frame of the contact; the direction of its base gives the slope.
     slope_cos, slope_sin = up * sin - left * cos, up * cos + left * sin
-    return ContactState(
-        x=y * slope_sin - x * slope_cos,
-        y=-x * slope_sin - y * slope_cos,
-        slope=jnp.arctan2(slope_sin, slope_cos),
-        arc=arc,
-        reaction=jnp.stack([-force * slope_sin, force * slope_cos, -force * x]),
-        angle=base_angle,
-    )
+    where = [y * slope_sin - x * slope_cos, -x * slope_sin - y * slope_cos, jnp.arctan2(slope_sin, slope_cos), arc]
+    reaction = [-force * slope_sin, force * slope_cos, -force * x]
+    return jnp.stack([*where, *reaction, base_angle])
 
 
 def nearest_state(observed: Observation) -> Estimate:
@@ -111,7 +102,7 @@ def nearest_state(observed: Observation) -> Estimate:
 class LocatedContact(NamedTuple):
     """The contact of a whisker relative to its base, and its derivatives."""
 
-    values: Float[Array, "*whiskers 8"]  # x, y, slope, arc, fx, fy, mz, angle of the base
+    values: Float[Array, "*whiskers 8"]  # see `state`
     by_z_angle: Float[Array, "*whiskers 8 3"]  # with respect to z and the angle of the base
     follows: Float[Array, "*whiskers 2 4"]  # of z with respect to the reaction and the angle of the base
     ambiguous: Float[Array, "*whiskers 4 4"]  # covariance that the other phase adds
@@ -124,21 +115,21 @@ def locate(section: Section | None, *fields) -> LocatedContact:
     near = nearest_state(observed)
 
     def at(z_angle: Float[Array, "3"], tip: Any = near.tip):
-        there = state(z_angle[:2], tip, observed._replace(angle=z_angle[2]))
-        values = jnp.stack([there.x, there.y, there.slope, there.arc])
-        return jnp.concatenate([values, there.reaction, there.angle[None]])  # pyright: ignore[reportIndexIssue]
+        return state(z_angle[:2], tip, observed._replace(angle=z_angle[2]))
 
     values, by_z_angle = value_and_jacobian(at, jnp.append(near.z, observed.angle))
     apart = jnp.where(near.doubt > 0, at(jnp.append(near.other, observed.angle), ~near.tip) - values, 0.0)[:4]
     ambiguous = near.doubt * apart[:, None] * apart
     # The Gauss-Newton approximation is exact to first order in the noise.
-    by_observed = jnp.concatenate([-jnp.diag(observed.weight), by_z_angle[4:7, 2:] * observed.weight[:, None]], axis=1)
+    by_observed = jnp.concatenate(
+        [-jnp.diag(observed.weight), by_z_angle[REACTION, 2:] * observed.weight[:, None]], axis=1
+    )
     by_observed = jnp.sum(near.gradient[:, :, None] * by_observed[:, None, :], axis=0)
     follows = -solve2(normal_matrix(near.gradient), by_observed)
     return LocatedContact(values, by_z_angle, follows, ambiguous, near)
 
 
-def of_each(section: Any, function: Callable, *args):
+def each_whisker(section: Any, function: Callable, *args):
     """Apply a function of section and arguments to every whisker."""
     if not isinstance(section, tuple):
         return jax.vmap(function, in_axes=(None if section is None else 0, *[0] * len(args)))(section, *args)
@@ -163,7 +154,7 @@ def normal_matrix(gradient: Float[Array, "3 2"]) -> Float[Array, "2 2"]:
 
 
 def solve2(matrix: Float[Array, "2 2"], right: Float[Array, "2 *k"]) -> Float[Array, "2 *k"]:
-    """Solution of two linear equations."""
+    """Solution of two linear equations, in a form that JAX can transpose."""
     (a, b), (c, d) = matrix
     first, second = right
     return jnp.stack([d * first - b * second, a * second - c * first]) / (a * d - b * c)
@@ -171,7 +162,7 @@ def solve2(matrix: Float[Array, "2 2"], right: Float[Array, "2 *k"]) -> Float[Ar
 
 def _whitened(z, tip, observed: Observation) -> Float[Array, "3"]:
     """Residuals of the three reactions over their noise."""
-    return (state(z, tip, observed).reaction - observed.reaction) * observed.weight
+    return (state(z, tip, observed)[REACTION] - observed.reaction) * observed.weight
 
 
 def _stationarity(z, tip, observed: Observation) -> Float[Array, "2"]:
@@ -228,8 +219,8 @@ def _fit(start, tip, observed: Observation):
     least = jnp.where(pointed & ~tip, POINTED * observed.length, 0.0)
 
     def step(_, carry):
-        (force, beyond), *_ = carry
-        residual, gradient = value_and_jacobian(lambda z: _whitened(z, tip, observed), jnp.stack([force, beyond]))
+        force, beyond = carry[0]
+        residual, gradient = value_and_jacobian(lambda z: _whitened(z, tip, observed), carry[0])
         normal, downhill = normal_matrix(gradient), jnp.sum(gradient * residual[:, None], axis=0)
         _, increment = solve2(normal, -downhill)
         bounded = jnp.clip(beyond + jnp.clip(increment, -LARGEST_STEP, LARGEST_STEP), least, largest)
@@ -238,5 +229,5 @@ def _fit(start, tip, observed: Observation):
         size = jnp.maximum(jnp.abs(change) / force, jnp.abs(bounded - beyond))
         return jnp.stack([force + change, bounded]), size
 
-    z, size = jax.lax.fori_loop(0, ITERATIONS, step, (start, jnp.zeros(())))
-    return z, jnp.sum(_whitened(z, tip, observed) ** 2), size < SETTLED
+    z, size = jax.lax.fori_loop(0, GAUSS_NEWTON_STEPS, step, (start, jnp.zeros(())))
+    return z, jnp.sum(_whitened(z, tip, observed) ** 2), size < LAST_STEP

@@ -32,11 +32,7 @@ class Observations(eqx.Module):
     @property
     def channels(self) -> list["Channel"]:
         """The channels that hold a value, in the order of the last two axes."""
-        return [
-            channel
-            for channel in channels_of(self.values.shape[1])
-            if self.known[:, channel.whisker, channel.reaction].any()
-        ]
+        return [c for c in channels_of(self.values.shape[1]) if self.known[:, c.whisker, c.reaction].any()]
 
     @property
     def names(self) -> list[str]:
@@ -89,16 +85,16 @@ def read_observations(data: Any, sigma: Any = None, *, whiskers: int | None = No
         ValueError: if the data have another type, lack `control` or all reactions, or have an unknown or a wrongly
             shaped column, or if sigma is not positive or is missing for a channel.
     """
-    table = _table_of(data)
+    table = _named_values(data)
     if "control" not in table:
         raise ValueError(f"`measured` must hold `control`, got {', '.join(table) or 'nothing'}.")
-    control = _as_numbers("control", table["control"])
+    control = _as_numbers("measured", "control", table["control"])
     if control.ndim != 1 or control.size == 0 or not np.isfinite(control).all():
         raise ValueError(
             "`measured` must hold a non-empty one-dimensional `control` of finite numbers, got shape "
             f"{control.shape} with {int(np.sum(~np.isfinite(control)))} values that are not finite."
         )
-    columns = _columns(table, control.size)
+    columns = _columns_of(table, control.size)
     if not columns:
         raise ValueError(f"`measured` must hold at least one of {', '.join(REACTIONS)}, got {', '.join(table)}.")
     lowest, highest = 1 + min(k for k, _ in columns), 1 + max(k for k, _ in columns)
@@ -114,7 +110,7 @@ def read_observations(data: Any, sigma: Any = None, *, whiskers: int | None = No
     return Observations(control, values, _sigma_of(sigma, values))
 
 
-def _columns(table: Mapping[str, Any], steps: int) -> dict[tuple[int, int], np.ndarray]:
+def _columns_of(table: Mapping[str, Any], steps: int) -> dict[tuple[int, int], np.ndarray]:
     """The measured columns by whisker and reaction."""
     columns: dict[tuple[int, int], np.ndarray] = {}
     for name, values in table.items():
@@ -126,7 +122,7 @@ def _columns(table: Mapping[str, Any], steps: int) -> dict[tuple[int, int], np.n
                 f"`measured` must hold channels among {', '.join(REACTIONS)} (or fx_1, fx_2, ... of several whiskers), "
                 f"got {name!r}."
             )
-        values = _as_numbers(name, values)
+        values = _as_numbers("measured", name, values)
         if values.shape[:1] != (steps,) or values.ndim > 2:
             raise ValueError(
                 f"`measured` must hold a value of {name} for each of the {steps} controls, got shape {values.shape}."
@@ -139,7 +135,7 @@ def _columns(table: Mapping[str, Any], steps: int) -> dict[tuple[int, int], np.n
     return columns
 
 
-def _table_of(data: Any) -> dict[str, Any]:
+def _named_values(data: Any) -> dict[str, Any]:
     if isinstance(data, Observations):
         return {"control": data.control} | {name: data.values[:, :, r] for r, name in enumerate(REACTIONS)}
     if isinstance(data, (str, Path)):
@@ -187,11 +183,11 @@ def _read_csv(path: Path) -> dict[str, Any]:
     return dict(zip(names, np.array(rows).T, strict=True))
 
 
-def _as_numbers(name: str, values: Any) -> np.ndarray:
+def _as_numbers(argument: str, name: str, values: Any) -> np.ndarray:
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(f"`measured` must hold numbers, got {values!r} for {name}.") from None
+        raise ValueError(f"`{argument}` must hold numbers, got {values!r} for {name}.") from None
 
 
 def _sigma_of(sigma: Any, values: np.ndarray) -> np.ndarray:
@@ -216,10 +212,7 @@ def _sigma_of(sigma: Any, values: np.ndarray) -> np.ndarray:
 
 def _fill(part: np.ndarray, name: str, value: Any) -> None:
     """Set the standard deviation of a channel, (steps, whiskers)."""
-    try:
-        value = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"`sigma` must hold numbers, got {value!r} for {name}.") from None
+    value = _as_numbers("sigma", name, value)
     bad = value[~(np.isfinite(value) & (value > 0))]
     if bad.size:
         raise ValueError(f"`sigma` must be positive and finite, got {bad.ravel()[0]} for {name}.")

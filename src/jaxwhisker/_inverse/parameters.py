@@ -1,8 +1,7 @@
 """Parameters of a `build` function: checks, and transforms to the unbounded variables of a fit."""
 
-import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,8 +14,6 @@ from jaxwhisker._base import checks
 from jaxwhisker._inverse.statistics import NORMAL_95
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._scan.quantities import REACTIONS
-
-KINDS = ("log", "linear")
 
 
 class Unknowns(NamedTuple):
@@ -46,19 +43,14 @@ class Transforms(eqx.Module):
     @classmethod
     def of(cls, log: Sequence[bool], scale: Sequence[float], bounds: Sequence[tuple[float, float]]) -> "Transforms":
         """Transforms with bounds of x; for a parameter in log, a lower bound of 0 means no bound."""
+        is_log, size, x = np.array(log), np.array(scale, dtype=float), np.array(bounds, dtype=float).T
+        with np.errstate(divide="ignore"):
+            return cls(np.column_stack([is_log, size, *np.where(is_log, np.log(np.maximum(x, 0.0)), x / size)]))
 
-        def inner(x: float, is_log: bool, size: float) -> float:
-            return (math.log(x) if x > 0 else -math.inf) if is_log else x / size
-
-        rows = [
-            (is_log, size, *(inner(bound, is_log, size) for bound in pair))
-            for is_log, size, pair in zip(log, scale, bounds, strict=True)
-        ]
-        return cls(np.array(rows, dtype=float).reshape(-1, 4))
-
-    def then(self, other: "Transforms") -> "Transforms":
-        """These transforms, followed by those of other parameters."""
-        return Transforms(np.concatenate([self.table, other.table]))
+    def with_sizes(self, sizes: Sequence[float]) -> "Transforms":
+        """These transforms, followed by those of parameters of these sizes, without bounds."""
+        rows = [self.table, *([[0.0, size, -np.inf, np.inf]] for size in sizes)]
+        return Transforms(np.concatenate(rows))
 
     @property
     def log(self) -> Bool[np.ndarray, " parameters"]:
@@ -91,12 +83,16 @@ class Transforms(eqx.Module):
         inner = xp.where(above & below, low + (high - low) / (1 + xp.exp(-y)), one)
         return xp.where(log > 0, xp.exp(xp.where(log > 0, inner, 0.0)), inner * scale)
 
-    def variables(self, x: Iterable[float]) -> Float[np.ndarray, " parameters"]:
+    def variables(self, x: Any) -> Float[np.ndarray, " parameters"]:
         """The fit's variables y from parameters x within their bounds."""
-        rows = zip(x, self.table.tolist(), strict=True)
-        return np.array(
-            [_unbounded(math.log(v) if log else v / scale, low, high) for v, (log, scale, low, high) in rows]
-        )
+        _, scale, low, high = self.table.T
+        above, below = np.isfinite(low), np.isfinite(high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            v = np.where(self.log, np.log(x), np.array(x) / scale)
+            both = np.log((v - low) / (high - v))
+            bent = np.where(above, v - low, high - v)
+            one = bent + np.log(-np.expm1(-bent))
+        return np.where(above & below, both, np.where(above | below, one, v))
 
     def stretch(self, y: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
         """dv/dy, from a change of y to a relative change of x in log, or to a change of x in units of its scale."""
@@ -119,17 +115,6 @@ class Transforms(eqx.Module):
         low, high = np.where(self.log, x / factor, x - reach), np.where(self.log, x * factor, x + reach)
         rows = zip(low.tolist(), high.tolist(), self.bounds, strict=True)
         return [(max(a, bounds[0]), min(b, bounds[1])) for a, b, bounds in rows]
-
-
-def _unbounded(inner: float, low: float, high: float) -> float:
-    """y from v and its bounds."""
-    if math.isfinite(low) and math.isfinite(high):
-        share = (inner - low) / (high - low)
-        return math.log(share / (1 - share))
-    if not (math.isfinite(low) or math.isfinite(high)):
-        return inner
-    bent = inner - low if math.isfinite(low) else high - inner
-    return bent + math.log(-math.expm1(-bent))
 
 
 def transforms_of(
@@ -156,18 +141,15 @@ def transforms_of(
 
 
 def _is_log(build: Callable[..., Scene], guess: Mapping[str, float], name: str, kind: str | None) -> bool:
-    if kind is None:
-        return guess[name] > 0 and _must_be_positive(build, guess, name)
-    if kind not in KINDS:
-        raise ValueError(f"`transform` must be one of {', '.join(KINDS)}, got {kind!r} for {name}.")
-    if kind == "log" and not guess[name] > 0:
+    positive = guess[name] > 0
+    if kind not in (None, "log", "linear"):
+        raise ValueError(f"`transform` must be one of log, linear, got {kind!r} for {name}.")
+    if kind == "log" and not positive:
         raise ValueError(
             f"`transform` must be linear where the guess is not positive, got log for {name} = {guess[name]}."
         )
-    return kind == "log"
-
-
-def _must_be_positive(build: Callable[..., Scene], guess: Mapping[str, float], name: str) -> bool:
+    if kind is not None or not positive:
+        return kind == "log"
     try:
         build(**{**guess, name: -guess[name]})
     except ValueError:
@@ -187,8 +169,8 @@ def _bounds_of(name: str, given: Any, value: float) -> tuple[float, float]:
     return low, high
 
 
-def read_parameters(argument: str, given: Any) -> dict[str, float]:
-    """Values of parameters as floats.
+def read_parameters(argument: str, given: Any) -> dict[str, Any]:
+    """Values of parameters as floats; traced values stay as they are.
 
     Raises:
         ValueError: if they are not a mapping to finite numbers; the message names `argument`.
@@ -200,28 +182,7 @@ def read_parameters(argument: str, given: Any) -> dict[str, float]:
             checks.number(str(name), value)
         except ValueError as error:
             raise ValueError(f"`{argument}` must hold finite numbers: {error}") from None
-    return {str(name): float(value) for name, value in given.items()}
-
-
-def check_arguments(argument: str, function: Any, names: Sequence[str], called: str = "build") -> None:
-    """Check that a user's function takes arguments of these names.
-
-    Raises:
-        ValueError: if not; the message names `argument`, from which the names come, and the function.
-    """
-    if not callable(function):
-        raise ValueError(f"`{called}` must be a function that returns a Scene, got {function!r}.")
-    try:
-        signature = inspect.signature(function)
-    except (TypeError, ValueError):
-        return  # a function without a signature
-    try:
-        signature.bind(**dict.fromkeys(names))
-    except TypeError as error:
-        raise ValueError(
-            f"`{argument}` must name the parameters of `{called}`, which takes {signature}, got "
-            f"{', '.join(map(repr, names))}: {error}."
-        ) from None
+    return {str(name): value if checks.is_traced(value) else float(value) for name, value in given.items()}
 
 
 def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Scene:
@@ -230,7 +191,7 @@ def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Scene
     Raises:
         ValueError: if `build` does not take these names, or does not return a Scene.
     """
-    check_arguments(argument, build, list(values))
+    checks.arguments(argument, build, list(values))
     scene = build(**values)
     if not isinstance(scene, Scene):
         raise ValueError(f"`build` must return a Scene, got {scene!r}.")

@@ -12,7 +12,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._inverse.statistics import NORMAL_95
 
 NEAR_VERTEX = 0.2  # largest |tan(slope)| of points from which the vertex is estimated
-FEWEST = 8  # least number of points for a polynomial
+LEAST_POINTS = 8  # least number of points for a polynomial
 SIGNIFICANT = 20.0  # standard deviations: below, errors are not linear in the noise
 LARGEST_CONDITION = 1e12  # of a polynomial's normal matrix
 
@@ -95,16 +95,13 @@ class Reconstruction(Step):
     @property
     def normal_error(self) -> Float[Array, "steps whiskers"]:
         """Standard error of the position across the contour, a length."""
-        across = jnp.stack([jnp.sin(self.slope), -jnp.cos(self.slope)], axis=-1)
-        return jnp.sqrt(
-            jnp.sum(across[..., :, None] * across[..., None, :] * self.covariance[..., :2, :2], axis=(-2, -1))
-        )
+        normal = jnp.stack([jnp.sin(self.slope), -jnp.cos(self.slope)], axis=-1)
+        return jnp.sqrt(jnp.einsum("...i,...ij,...j", normal, self.covariance[..., :2, :2], normal))
 
     @property
     def band(self) -> tuple[Float[Array, "2 steps whiskers"], Float[Array, "2 steps whiskers"]]:
         """x and y of the two borders of the 95 % band: outside the object, towards the whiskers, and inside it."""
-        reach = NORMAL_95 * self.normal_error * jnp.array([1.0, -1.0])[:, None, None]
-        return self.x + reach * jnp.sin(self.slope), self.y - reach * jnp.cos(self.slope)
+        return bar_ends(self.x, self.y, self.slope, NORMAL_95 * self.normal_error)
 
     def vertex(self) -> Vertex:
         """Estimate the object's lowest point from the points near it, where the force is vertical.
@@ -119,16 +116,16 @@ class Reconstruction(Step):
         x, y, slope, base_x = (np.asarray(v)[:, k] for v in (self.x, self.y, self.slope, self.base_x))
         near = (np.abs(np.tan(slope)) < NEAR_VERTEX) & self.clear[:, k]  # False where it is NaN
         t = np.tan(slope[near])
-        if t.size < FEWEST or not t.min() < 0 < t.max():
+        if t.size < LEAST_POINTS or not t.min() < 0 < t.max():
             return (np.nan,) * len(Vertex._fields)
         spread = np.asarray(self.covariance)[near, k, :3, :3]
         cubic = np.stack([t**0, t, t**2, t**3], axis=1)
-        (_, radius, *_), _ = _polynomial(x[near], (1.0, 0.0), 0 * t, cubic, spread)
+        (_, radius, *_), _ = _weighted_fit(x[near], (1.0, 0.0), 0 * t, cubic, spread)
         by_slope = radius * (1 + t**2)  # dx/dslope
-        (x0, radius, *_), x_error = _polynomial(x[near], (1.0, 0.0), by_slope, cubic, spread)
+        (x0, radius, *_), x_error = _weighted_fit(x[near], (1.0, 0.0), by_slope, cubic, spread)
         quartic = np.stack([t**0, t**2, t**3, t**4], axis=1)
-        (y0, *_), y_error = _polynomial(y[near], (0.0, 1.0), by_slope * t, quartic, spread)
-        (crossing, *_), _ = _polynomial(base_x[near], (1.0, 0.0), by_slope, cubic, spread)
+        (y0, *_), y_error = _weighted_fit(y[near], (0.0, 1.0), by_slope * t, quartic, spread)
+        (crossing, *_), _ = _weighted_fit(base_x[near], (1.0, 0.0), by_slope, cubic, spread)
         return x0, x_error, y0, y_error, radius, crossing
 
     def consistency(self) -> Consistency:
@@ -138,10 +135,9 @@ class Reconstruction(Step):
         The noise of two whiskers at the same point of the object is independent, because they pass it at different
         times.
         """
-        others = [self._against_first(k) for k in range(1, self.x.shape[1])]
-        if not others:
-            return Consistency(np.zeros((self.x.shape[0], 0)), np.zeros((self.x.shape[0], 0)), np.nan)
-        distance, error = (np.stack(values, axis=1) for values in zip(*others, strict=True))
+        distance, error = np.full((2, self.x.shape[0], self.x.shape[1] - 1), np.nan)
+        for k in range(distance.shape[1]):
+            distance[:, k], error[:, k] = self._against_first(k + 1)
         known = np.isfinite(distance) & (error > 0)
         chi2 = float(np.mean((distance[known] / error[known]) ** 2)) if known.any() else np.nan
         return Consistency(distance, error, chi2)
@@ -152,27 +148,24 @@ class Reconstruction(Step):
         covariance = np.asarray(self.covariance)[:, :, :2, :2]
         first, here = (np.flatnonzero(self.clear[:, whisker]) for whisker in (0, k))
         distance, error = np.full((2, x.shape[0]), np.nan)
-        if first.size < FEWEST:
+        if first.size < LEAST_POINTS:
             return distance, error
         from_x, from_y = x[first, 0] - x[here, k, None], y[first, 0] - y[here, k, None]
-        nearest = np.argpartition(from_x**2 + from_y**2, FEWEST - 1, axis=1)[:, :FEWEST]
+        nearest = np.argpartition(from_x**2 + from_y**2, LEAST_POINTS - 1, axis=1)[:, :LEAST_POINTS]
         from_x, from_y = (np.take_along_axis(v, nearest, axis=1) for v in (from_x, from_y))
         cos, sin = np.cos(slope[here, k, None]), np.sin(slope[here, k, None])
-        along, across = from_x * cos + from_y * sin, from_x * sin - from_y * cos
+        along, out = from_x * cos + from_y * sin, from_x * sin - from_y * cos
         normal = np.concatenate([sin, -cos], axis=1)
-        variance = np.sum(
-            normal[:, None, :, None] * covariance[first, 0][nearest] * normal[:, None, None, :], axis=(2, 3)
-        )
-        own_variance = np.sum(normal[:, :, None] * covariance[here, k] * normal[:, None, :], axis=(1, 2))
+        variance = np.einsum("hi,hnij,hj->hn", normal, covariance[first, 0][nearest], normal)
+        own_variance = np.einsum("hi,hij,hj->h", normal, covariance[here, k], normal)
         weight = np.where(variance > 0, 1 / variance, 1.0)
         size = np.maximum(np.abs(along).max(axis=1, keepdims=True), 1e-300)
         columns = (along / size)[:, :, None] ** np.arange(4)
-        normal_matrix = np.sum(weight[:, :, None, None] * columns[..., :, None] * columns[..., None, :], axis=1)
-        between = (
-            (along.min(axis=1) < 0) & (along.max(axis=1) > 0) & (np.linalg.cond(normal_matrix) < LARGEST_CONDITION)
-        )
-        inverse = np.linalg.inv(np.where(between[:, None, None], normal_matrix, np.eye(4)))
-        there = np.sum(inverse[:, 0] * np.sum((weight * across)[:, :, None] * columns, axis=1), axis=1)
+        products = np.sum(weight[:, :, None, None] * columns[..., :, None] * columns[..., None, :], axis=1)
+        between = (along.min(axis=1) < 0) & (along.max(axis=1) > 0)
+        between &= np.linalg.cond(products) < LARGEST_CONDITION
+        inverse = np.linalg.inv(np.where(between[:, None, None], products, np.eye(4)))
+        there = np.sum(inverse[:, 0] * np.sum((weight * out)[:, :, None] * columns, axis=1), axis=1)
         distance[here] = np.where(between, -there, np.nan)
         error[here] = np.where(between, np.sqrt(own_variance + inverse[:, 0, 0]), np.nan)
         return distance, error
@@ -195,7 +188,13 @@ class Reconstruction(Step):
     __repr__ = __str__
 
 
-def _polynomial(values, direction, by_slope, columns, spread) -> tuple[np.ndarray, float]:
+def bar_ends(x, y, slope, reach):
+    """x and y of the ends of bars across a contour, (2, ...): the outer ends first."""
+    x_out, y_out = jnp.sin(slope) * reach, -jnp.cos(slope) * reach
+    return jnp.stack([x + x_out, x - x_out]), jnp.stack([y + y_out, y - y_out])
+
+
+def _weighted_fit(values, direction, by_slope, columns, spread) -> tuple[np.ndarray, float]:
     """Coefficients of a weighted fit to values along a direction, and the standard error of the first coefficient.
 
     An error of the slope acts like an error of the values: `by_slope` is the polynomial's derivative with respect to

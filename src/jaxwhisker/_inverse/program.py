@@ -18,51 +18,35 @@ from jaxwhisker._inverse.residuals import Comparison, Samples, residuals
 from jaxwhisker._inverse.statistics import chi_squared
 from jaxwhisker._model.scene import Scene
 
-MAX_STEPS = 60  # of Levenberg-Marquardt
-FINE = 1e-6  # decrease of the sum of squares below which a fit ends: within 1e-3 standard errors of the minimum
+FIT_STEPS = 60  # of Levenberg-Marquardt
+FINAL = 1e-6  # decrease of the sum of squares below which a fit ends: within 1e-3 standard errors of the minimum
 COARSE = 1e-4  # the same for the first stages
 SMALL = 1e-7  # change of variables of order one, and of residuals, below which a fit ends as well
-ROUNDING = 1e-14  # added to the diagonal of a scaled normal matrix, which is zero for an unknown that stays fixed
+RIDGE = 1e-14  # added to the diagonal of a scaled normal matrix, which is zero for an unknown that stays fixed
 KEPT = 32  # functions whose programs are kept
 
 
-class Program:
-    """A function that is compiled once for each shape of its arguments; it takes and returns numpy arrays."""
+def program(function: Callable, build: Callable, *static: Any) -> Any:
+    """`function(build, *static, ...)`, compiled for each shape of its other arguments.
 
-    def __init__(self, function: Callable):
-        self._function = function
-        self._compiled: dict[Any, Any] = {}
-
-    def __call__(self, *args):
-        return jax.tree.map(np.asarray, self.compile(*args)(*jax.tree.map(jnp.asarray, args)))
-
-    def compile(self, *args) -> Any:
-        """The compiled function for arguments of these shapes."""
-        leaves, structure = jax.tree.flatten(args)
-        shapes = structure, *((np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)
-        if shapes not in self._compiled:
-            lowered = jax.jit(self._function).lower(*jax.tree.map(jnp.asarray, args))
-            self._compiled[shapes] = lowered.compile(COMPILER_OPTIONS)
-        return self._compiled[shapes]
-
-    def compile_all(self, *several: tuple) -> None:
-        """Compile for arguments of several shapes in parallel."""
-        with ThreadPoolExecutor(len(several)) as threads:
-            list(threads.map(lambda args: self.compile(*args), several))
-
-
-def program(function: Callable, build: Callable, *static: Any) -> Program:
-    """The program of `function(build, *static, ...)`; it is kept, because compiling takes longer than running."""
+    Programs are kept, because compiling takes longer than running.
+    """
     try:
-        hash(build)
+        return _kept(function, build, *static)
     except TypeError:  # a module with arrays has no hash
-        return Program(partial(function, build, *static))
-    return _kept(function, build, *static)
+        return _kept.__wrapped__(function, build, *static)
 
 
 @lru_cache(maxsize=KEPT)
-def _kept(function: Callable, build: Callable, *static: Any) -> Program:
-    return Program(partial(function, build, *static))
+def _kept(function: Callable, build: Callable, *static: Any) -> Any:
+    return jax.jit(partial(function, build, *static), compiler_options=COMPILER_OPTIONS)
+
+
+def compile_all(run: Any, *several: tuple) -> None:
+    """Compile a program for arguments of several shapes in parallel; calls then use the compiled code."""
+    lowered = [run.lower(*args) for args in several]
+    with ThreadPoolExecutor(len(several)) as threads:
+        list(threads.map(lambda one: one.compile(), lowered))
 
 
 class LevenbergMarquardt(optx.LevenbergMarquardt):
@@ -92,12 +76,12 @@ def possible_decrease(
     """Decrease of the sum of squares that a Gauss-Newton step predicts."""
     size = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
     scaled = jacobian / jnp.where(size > 0, size, 1.0)
-    slope, bend = scaled.T @ residual, scaled.T @ scaled + ROUNDING * jnp.eye(size.size)
+    slope, bend = scaled.T @ residual, scaled.T @ scaled + RIDGE * jnp.eye(size.size)
     return slope @ jnp.linalg.solve(bend, slope)
 
 
-class Solution(NamedTuple):
-    """The solution of a least-squares fit."""
+class Minimum(NamedTuple):
+    """The end of a least-squares fit: a minimum, if it converged."""
 
     y: Any  # (unknowns,)
     residual: Any  # (residuals,)
@@ -122,27 +106,26 @@ class LeastSquares:
     """Least-squares fits of one `build` to data of any shape; compiled at the first call for each."""
 
     def __init__(self, build: Callable[..., Scene], unknowns: Unknowns):
-        self._count = len(unknowns.all_names)
-        self._program = program(_solve, build, unknowns)
+        self._program = program(_least_squares, build, unknowns)
+        self._all = np.ones(len(unknowns.all_names), bool)
 
-    def __call__(self, y: np.ndarray, data: Samples, free: np.ndarray | None = None, least: float = FINE) -> Solution:
+    def __call__(self, y: np.ndarray, data: Samples, free: np.ndarray | None = None, least: float = FINAL) -> Minimum:
         """Fit, starting from y; unknowns that are not free stay fixed."""
-        return self._program(y, data, np.ones(self._count, bool) if free is None else free, least)
+        return jax.tree.map(np.asarray, self._program(y, data, self._all if free is None else free, least))
 
     def compile_all(self, *several: Samples) -> None:
         """Compile for data of several shapes in parallel."""
-        arguments = np.zeros(self._count), np.ones(self._count, bool)
-        self._program.compile_all(*((arguments[0], data, arguments[1], FINE) for data in several))
+        compile_all(self._program, *((np.zeros(self._all.size), data, self._all, FINAL) for data in several))
 
 
-def _solve(
+def _least_squares(
     build: Callable[..., Scene],
     unknowns: Unknowns,
     start: Float[Array, " unknowns"],
     data: Samples,
     free: Any,
     least: Any,
-) -> Solution:
+) -> Minimum:
     # jit traces and compiles this once, although the solver asks for values and for derivatives in different places.
     @jax.jit
     def both(y, data):
@@ -165,12 +148,12 @@ def _solve(
         LevenbergMarquardt(least),
         start,
         has_aux=True,
-        max_steps=MAX_STEPS,
+        max_steps=FIT_STEPS,
         throw=False,
         adjoint=optx.RecursiveCheckpointAdjoint(),
     )
     info = solution.state.f_info
-    return Solution(
+    return Minimum(
         jnp.where(free, solution.value, start),
         info.residual,
         jax.vmap(info.jac.mv, out_axes=1)(jnp.eye(start.size)),

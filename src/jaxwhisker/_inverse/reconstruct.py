@@ -22,16 +22,15 @@ from jaxwhisker._base.jit import jit
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.problem import sections
-from jaxwhisker._inverse.inverse_rod import LocatedContact, locate, of_each
+from jaxwhisker._inverse.inverse_rod import REACTION, LocatedContact, each_whisker, locate
 from jaxwhisker._inverse.observations import read_observations
-from jaxwhisker._inverse.parameters import check_arguments, check_traceable
+from jaxwhisker._inverse.parameters import check_traceable, read_parameters
 from jaxwhisker._inverse.points import PointStatus, Reconstruction, Step
-from jaxwhisker._model.motion import AbstractMotion
 from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._scan.quantities import REACTIONS
+from jaxwhisker._scan.scan import BLOCK
 
-BLOCK = 512  # steps are padded to a multiple of it, so recordings of similar length share a compilation
 FREE = 16.266  # 99.9 % quantile of chi-squared of three reactions: below it they may be only noise
 EXACTLY_FREE = 1e-18  # the same with the peaks in place of the noise, if the noise is unknown
 
@@ -71,37 +70,35 @@ def reconstruct(
         ValueError: if an argument is wrong, or JAX cannot trace the function.
     """
     checks.float64_mode()
-    if (parameters is None) != (not _is_function(sensor)):
+    is_function = callable(sensor) and not isinstance(sensor, (Sensor, Scene))
+    if (parameters is None) == is_function:
         raise ValueError(f"`parameters` must be given if `sensor` is a function, and only then, got {parameters}.")
-    values = None
     made: Any = sensor
+    names, values = (), jnp.zeros(0)
     if parameters is not None:
-        values = _values_of(parameters)
-        check_arguments("parameters", sensor, list(parameters), called="sensor")
-        made = made(**dict(zip(parameters, values, strict=True)))
-    if covariance is not None:
-        covariance = _covariance_of(covariance, values)
+        parameters = read_parameters("parameters", parameters)
+        names, values = tuple(parameters), jnp.stack([jnp.asarray(v, dtype=float) for v in parameters.values()])
+        checks.arguments("parameters", sensor, names, called="sensor")
+        made = made(**dict(zip(names, values, strict=True)))
+    if covariance is not None and np.shape(covariance) != (values.size,) * 2:
+        allowed = f"of the {values.size} parameters, ({values.size}, {values.size})"
+        checks.fail("covariance", allowed, f"shape {np.shape(covariance)}")
     known = sensor_of(made)
     if covariance is not None and parameters is not None and not checks.is_traced(values):
         check_traceable(sensor, parameters, called="sensor")  # pyright: ignore[reportArgumentType]
-    control, signals, noise = _signals(measured, sigma, len(known.whiskers))
-    poses = None if base is None else _poses(base, (signals.shape[0], signals.shape[1]))
-    steps = control.shape[0]
-    padding = -steps % BLOCK
-
-    def padded(array):
-        return jnp.concatenate([array, jnp.broadcast_to(array[-1], (padding, *array.shape[1:]))])
-
-    control, (signals, noise, poses) = padded(control), jax.tree.map(padded, (signals, noise, poses))
-    if padding:
-        signals = signals.at[steps:].set(jnp.nan)
+    readings = _signals(measured, sigma, len(known.whiskers))
+    control, signals, _ = readings
+    readings = *readings, None if base is None else _poses(base, (signals.shape[0], signals.shape[1]))
+    # Recordings of similar length share a compilation.
+    padding = -control.size % BLOCK
+    readings = jax.tree.map(
+        lambda array: jnp.pad(array, [(0, padding)] + [(0, 0)] * (array.ndim - 1), mode="edge"), readings
+    )
     if parameters is None or covariance is None:
-        points = _of_sensor(jax.tree.map(checks.as_float, known), control, signals, noise, poses)
+        points = _contacts_now(jax.tree.map(checks.as_float, known), *readings)
     else:
-        points = _of_parameters(sensor, tuple(parameters), values, covariance, control, signals, noise, poses)
-    points = jax.tree.map(lambda leaf: leaf[:steps], points)
-    fields = {field.name: getattr(points, field.name) for field in dataclasses.fields(Step)}
-    return Reconstruction(control=control[:steps], **fields)
+        points = _contacts_of_parameters(sensor, names, values, jnp.asarray(covariance, dtype=float), readings)
+    return Reconstruction(**vars(jax.tree.map(lambda leaf: leaf[: control.size], points)), control=control)
 
 
 def sensor_of(sensor: Any) -> Sensor:
@@ -115,28 +112,6 @@ def sensor_of(sensor: Any) -> Sensor:
     if not isinstance(sensor, Sensor):
         raise ValueError(f"`sensor` must be a Sensor, a Scene or a function that returns one, got {sensor!r}.")
     return sensor
-
-
-def _is_function(sensor: Any) -> bool:
-    return callable(sensor) and not isinstance(sensor, (Sensor, Scene))
-
-
-def _values_of(parameters: Mapping[str, Any]) -> Float[Array, " p"]:
-    if not isinstance(parameters, Mapping) or not parameters:
-        raise ValueError(f"`parameters` must be a mapping from names to numbers, got {parameters!r}.")
-    for name, value in parameters.items():
-        checks.number(name, value)
-    return jnp.stack([jnp.asarray(value, dtype=float) for value in parameters.values()])
-
-
-def _covariance_of(covariance: Any, values: Float[Array, " p"] | None) -> Float[Array, "p p"]:
-    size = 0 if values is None else values.size
-    covariance = jnp.asarray(covariance, dtype=float)
-    if covariance.shape != (size, size):
-        raise ValueError(
-            f"`covariance` must be of the {size} parameters, ({size}, {size}), got shape {covariance.shape}."
-        )
-    return covariance
 
 
 def _signals(measured: Any, sigma: Any, whiskers: int):
@@ -170,24 +145,17 @@ def _poses(base: Any, shape: tuple[int, int]) -> Float[Array, "steps whiskers 3"
 
 
 @jit
-def _of_sensor(sensor: Sensor, control, signals, noise, poses) -> Step:
-    return _steps(sensor, control, signals, noise, poses)
-
-
-@jit
-def _of_parameters(build, names, values, covariance, control, signals, noise, poses) -> Step:
+def _contacts_of_parameters(build, names, values, covariance, readings) -> Step:
     """The points, with the uncertainty of the parameters added to their covariance."""
 
     def at(values):
-        sensor = sensor_of(build(**dict(zip(names, values, strict=True))))
-        points = _steps(sensor, control, signals, noise, poses)
+        points = _contacts(sensor_of(build(**dict(zip(names, values, strict=True)))), *readings)
         return jnp.stack([points.x, points.y, points.slope, points.arc], axis=-1), points
 
     by_values, points = jax.jacfwd(at, has_aux=True)(values)
-    by_values = by_values[..., None, :]  # (steps, whiskers, 4, 1, p)
-    moved = jnp.sum(by_values * covariance, axis=-1)  # (steps, whiskers, 4, p)
-    of_values = jnp.sum(moved[..., :, None, :] * by_values[..., None, :, 0, :], axis=-1)
-    return dataclasses.replace(points, covariance=of_values + (0.0 if noise is None else points.covariance))
+    of_values = jnp.einsum("...ip,pq,...jq->...ij", by_values, covariance, by_values)
+    of_noise = jnp.zeros(()) if readings[2] is None else points.covariance
+    return dataclasses.replace(points, covariance=of_values + of_noise)
 
 
 class Instrument(NamedTuple):
@@ -198,89 +166,58 @@ class Instrument(NamedTuple):
     stiffness: Float[Array, " whiskers"]
     section: Section | tuple[Section, ...] | None
     flexibility: Float[Array, "whiskers 3 whiskers 3"]  # in the drive's frame
-    offset: Float[Array, "whiskers 3"]
-    mount: Float[Array, "whiskers 3"]  # x, y, angle
-    motion: AbstractMotion
+    rest: Float[Array, "whiskers 3"]  # x, y, angle of the unloaded bases in the drive's frame
 
 
 def instrument(sensor: Sensor) -> Instrument:
     """The sensor, dimensionless in the units of the first whisker."""
     whiskers, support = sensor.whiskers, sensor.support
-    unit = units_of(whiskers[0], sensor.motion)
-    n = len(whiskers)
-    flexibility, matrix, offset = support.flexibility(), jnp.zeros((n, 3, n, 3)), jnp.zeros((n, 3))
+    unit = jax.tree.map(checks.as_float, units_of(whiskers[0], sensor.motion))
+    bending_unit, n = unit.moment * unit.length, len(whiskers)
+    mounts = [[mount.x / unit.length, mount.y / unit.length, mount.angle] for mount in support.mounts]
+    rest = jnp.stack([jnp.stack([jnp.asarray(v, dtype=float) for v in mount]) for mount in mounts])
+    flexibility, matrix = support.flexibility(), jnp.zeros((n, 3, n, 3))
     if flexibility is not None:
         flexibility = flexibility.in_frames(jnp.zeros(n), unit.length, unit.force)
-        matrix, offset = jnp.reshape(flexibility.matrix, (n, 3, n, 3)), jnp.reshape(flexibility.offset, (n, 3))
-    mounts = [[mount.x / unit.length, mount.y / unit.length, mount.angle] for mount in support.mounts]
+        matrix, rest = flexibility.matrix.reshape(matrix.shape), rest + flexibility.offset.reshape(rest.shape)
     return Instrument(
         unit,
         jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length,
-        jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers]) / (unit.moment * unit.length),
-        sections(whiskers, unit.length, unit.moment * unit.length),
+        jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers]) / bending_unit,
+        sections(whiskers, unit.length, bending_unit),
         matrix,
-        offset,
-        jnp.stack([jnp.stack([jnp.asarray(v, dtype=float) for v in mount]) for mount in mounts]),
-        sensor.motion,
+        rest,
     )
 
 
-def _steps(sensor: Sensor, control, signals, noise, poses) -> Step:
+def _contacts(sensor: Sensor, control, signals, noise, poses) -> Step:
     """Contacts at all steps, in the sensor's units."""
     known = instrument(sensor)
     unit = known.unit
-    sizes = jnp.stack([jnp.asarray(size, dtype=float) for size in (unit.force, unit.force, unit.moment)])
-    lengths = jnp.stack([jnp.asarray(size, dtype=float) for size in (unit.length, unit.length, 1.0)])
+    sizes, lengths = jnp.stack([unit.force, unit.force, unit.moment]), jnp.stack([unit.length, unit.length, 1.0])
     reaction = signals / sizes
     if noise is None:
         peaks = jax.lax.stop_gradient(jnp.max(jnp.nan_to_num(jnp.abs(reaction)), axis=0))
         deviation = jnp.broadcast_to(jnp.where(peaks > 0, peaks, 1.0), reaction.shape)
     else:
         deviation = noise / sizes
-    poses = None if poses is None else poses / lengths
-    drive = jax.vmap(known.motion.pose)(control)
-    drive = jnp.stack([drive.x / unit.length, drive.y / unit.length, drive.angle], axis=-1)
-    threshold = FREE if noise is not None else EXACTLY_FREE
-    points = jax.vmap(lambda *at: _step(known, threshold, *at), in_axes=(0, 0, 0, None if poses is None else 0))(
-        drive, reaction, deviation, poses
-    )
-    scale = jnp.stack([lengths[0], lengths[0], jnp.ones(()), lengths[0]])
-    unknown = jnp.nan if noise is None else 1.0
-    return dataclasses.replace(
-        points,
-        x=points.x * unit.length,
-        y=points.y * unit.length,
-        arc=points.arc * unit.length,
-        force=points.force * unit.force,
-        base_x=points.base_x * unit.length,
-        base_y=points.base_y * unit.length,
-        chi2=points.chi2 * unknown,
-        significance=points.significance * unknown,
-        covariance=points.covariance * scale[:, None] * scale * unknown,
-    )
+    drive = jnp.stack(jax.vmap(sensor.motion.pose)(control), axis=-1) / lengths
+    each = drive, reaction, deviation, None if poses is None else poses / lengths
+    return jax.vmap(lambda *at: _step(known, noise is not None, *at))(*each)
 
 
-class _Signals(NamedTuple):
-    """The signals of one step, sorted by what they show; every field (whiskers, ...)."""
-
-    missing: Bool[Array, " whiskers"]
-    free: Bool[Array, " whiskers"]
-    touching: Bool[Array, " whiskers"]
-    significance: Float[Array, " whiskers"]  # chi-squared of no contact
-    measured: Float[Array, "whiskers 3"]  # 0 where missing
-    reaction: Float[Array, "whiskers 3"]  # the placeholder where there is no contact
-    pose: Float[Array, "whiskers 3"] | None  # 0 where missing
+_contacts_now = jit(_contacts)
 
 
-def _step(known: Instrument, threshold: float, drive, reaction, deviation, pose) -> Step:
-    """Contacts of all whiskers at one step; dimensionless."""
+def _step(known: Instrument, noisy: bool, drive, reaction, deviation, pose) -> Step:
+    """Contacts of all whiskers at one step, computed without dimensions and given in the sensor's units."""
     flexibility = known.flexibility if pose is None else jnp.zeros_like(known.flexibility)
-    signals = _sorted_signals(flexibility, threshold, reaction, deviation, pose)
+    signals = _sorted_signals(flexibility, FREE if noisy else EXACTLY_FREE, reaction, deviation, pose)
     observed = _observations(known, flexibility, drive, signals, deviation)
-    located = of_each(known.section, locate, *observed)
-    ok, failed = signals.touching & located.near.ok, signals.touching & ~located.near.ok
+    located = each_whisker(known.section, locate, *observed)
+    ok = signals.touching & located.near.ok
 
-    reactions = jnp.where(ok[:, None], located.values[:, 4:7], signals.measured)
+    reactions = jnp.where(ok[:, None], located.values[:, REACTION], signals.measured)
     bases = _base_poses(known, flexibility, drive, reactions) if signals.pose is None else signals.pose
     bases = bases.at[:, 2].set(jnp.where(ok, located.values[:, 7], bases[:, 2]))
     covariance = _covariance(located, flexibility, drive[2], jnp.where(ok[:, None], deviation, 0.0))
@@ -288,23 +225,35 @@ def _step(known: Instrument, threshold: float, drive, reaction, deviation, pose)
     def where_ok(values):
         return jnp.where(jnp.reshape(ok, (ok.size, *[1] * (values.ndim - 1))), values, jnp.nan)
 
-    at_base = jnp.where(signals.missing[:, None], jnp.nan, bases)
-    codes = [PointStatus.free, PointStatus.failed, PointStatus.missing]
+    length, if_noisy = known.unit.length, 1.0 if noisy else jnp.nan
+    sizes = jnp.stack([length, length, 1.0, length])
+    at_base = jnp.where(signals.missing[:, None], jnp.nan, bases * sizes[:3])
+    codes = [PointStatus.missing, PointStatus.free, PointStatus.failed]
     return Step(
-        x=where_ok(bases[:, 0] + located.values[:, 0]),
-        y=where_ok(bases[:, 1] + located.values[:, 1]),
+        x=where_ok(bases[:, 0] + located.values[:, 0]) * length,
+        y=where_ok(bases[:, 1] + located.values[:, 1]) * length,
         slope=where_ok(located.values[:, 2]),
-        arc=where_ok(located.values[:, 3]),
-        force=where_ok(located.near.z[:, 0]),
+        arc=where_ok(located.values[:, 3]) * length,
+        force=where_ok(located.near.z[:, 0]) * known.unit.force,
         phase=jnp.where(ok, jnp.where(located.near.tip, Phase.tip, Phase.tangential), Phase.free),
         base_x=at_base[:, 0],
         base_y=at_base[:, 1],
         base_angle=at_base[:, 2],
-        chi2=where_ok(located.near.chi2),
-        significance=jnp.where(signals.missing, jnp.nan, jnp.sqrt(signals.significance)),
-        status=jnp.select([signals.free, failed, signals.missing], codes, PointStatus.ok),
-        covariance=where_ok(covariance + located.ambiguous),
+        chi2=where_ok(located.near.chi2) * if_noisy,
+        significance=jnp.where(signals.missing, jnp.nan, jnp.sqrt(signals.significance)) * if_noisy,
+        status=jnp.select([signals.missing, ~signals.touching, ~ok], codes, PointStatus.ok),
+        covariance=where_ok(covariance + located.ambiguous) * sizes[:, None] * sizes * if_noisy,
     )
+
+
+class _Signals(NamedTuple):
+    """The signals of one step, sorted by what they show; every field (whiskers, ...)."""
+
+    missing: Bool[Array, " whiskers"]
+    touching: Bool[Array, " whiskers"]
+    significance: Float[Array, " whiskers"]  # chi-squared of no contact
+    measured: Float[Array, "whiskers 3"]  # 0 where missing; below the noise, they still move other whiskers' bases
+    pose: Float[Array, "whiskers 3"] | None  # 0 where missing
 
 
 def _sorted_signals(flexibility, threshold: float, reaction, deviation, pose) -> _Signals:
@@ -317,36 +266,29 @@ def _sorted_signals(flexibility, threshold: float, reaction, deviation, pose) ->
         missing = missing | jnp.any(jnp.isnan(pose), axis=-1)
         pose = jnp.where(missing[:, None], 0.0, pose)
     present = jnp.where(missing[:, None], PLACEHOLDER, reaction)
-    # Contacts below the noise still move the bases of other whiskers.
-    measured = jnp.where(missing[:, None], 0.0, reaction)
     significance = jnp.sum((present / jnp.where(missing[:, None], 1.0, deviation)) ** 2, axis=-1)
-    free = ~missing & (significance < threshold)
-    touching = ~missing & ~free
-    present = jnp.where(touching[:, None], present, PLACEHOLDER)
-    return _Signals(missing, free, touching, significance, measured, present, pose)
+    touching = ~missing & ~(significance < threshold)
+    return _Signals(missing, touching, significance, jnp.where(missing[:, None], 0.0, reaction), pose)
 
 
 def _observations(known: Instrument, flexibility, drive, signals: _Signals, deviation) -> tuple:
     """The fields of an Observation of every whisker, except the section."""
+    reaction = jnp.where(signals.touching[:, None], signals.measured, PLACEHOLDER)
     loads = _rotate(-signals.measured, -drive[2])  # in the drive's frame
     rotation = flexibility[:, 2]  # (whiskers, whiskers, 3): of every base by all loads
     own = jnp.eye(known.length.size, dtype=bool)
-    if signals.pose is None:
-        by_others = jnp.sum(jnp.where(own[:, :, None], 0.0, rotation * loads), axis=(1, 2))
-        angle = drive[2] + (known.mount + known.offset)[:, 2] + by_others
-    else:
-        angle = signals.pose[:, 2]
+    by_others = jnp.sum(jnp.where(own[:, :, None], 0.0, rotation * loads), axis=(1, 2))
+    angle = drive[2] + known.rest[:, 2] + by_others if signals.pose is None else signals.pose[:, 2]
     twist = jnp.sum(jnp.where(own, rotation[:, :, 2], 0.0), axis=1)
     weight = 1 / jnp.where(signals.touching[:, None], deviation, 1.0)
-    side = jnp.where(signals.reaction[:, 2] < 0, -1.0, 1.0)
-    return signals.reaction, weight, angle, twist, side, known.length, known.stiffness
+    side = jnp.where(reaction[:, 2] < 0, -1.0, 1.0)
+    return reaction, weight, angle, twist, side, known.length, known.stiffness
 
 
 def _base_poses(known: Instrument, flexibility, drive, reactions) -> Float[Array, "whiskers 3"]:
     """Poses of the bases that follow from drive, mounts and springs under these reactions."""
     loads = _rotate(-reactions, -drive[2])
-    moved = known.mount + known.offset + jnp.sum(flexibility * loads, axis=(2, 3))
-    return drive + _rotate(moved, drive[2])
+    return drive + _rotate(known.rest + jnp.sum(flexibility * loads, axis=(2, 3)), drive[2])
 
 
 def _rotate(vectors: Float[Array, "*batch 3"], angle: Scalar) -> Float[Array, "*batch 3"]:

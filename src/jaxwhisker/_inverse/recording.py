@@ -13,7 +13,7 @@ ENOUGH_DIFFERENCES = 30  # between neighbours, whose scatter then distinguishes 
 CONTROL_RATIO = 1e-2, 1e3  # plausible ranges, in the units of the scene
 REACTION_RATIO = 1e-3, 1e4
 NEGATIVE_WORK = 0.1  # of the sum of |work|: negative work beyond it is significant; reversed scans reach 0.4 to 0.8
-ROUNDING = 1e-12  # relative change of a constant signal
+CONSTANT = 1e-12  # relative change of a constant signal
 
 
 def check_recording(observations: Observations, sensor: Scene | Sensor, unknowns: int) -> None:
@@ -34,7 +34,7 @@ def check_recording(observations: Observations, sensor: Scene | Sensor, unknowns
         )
     _check_units(observations, sensor)
     if isinstance(sensor.motion, Translation):
-        _check_direction(observations)
+        _check_order(observations)
 
 
 def _check_count(observations: Observations, unknowns: int) -> None:
@@ -55,7 +55,7 @@ def _changes(observations: Observations, channel: Channel) -> bool:
     signal = observations.values[:, channel.whisker, channel.reaction]
     noise = observations.sigma[:, channel.whisker, channel.reaction]
     away = np.abs(signal - np.nanmedian(signal)) - ABOVE_NOISE * noise
-    return bool(np.nanmax(away) > ROUNDING * np.nanmax(np.abs(signal)))
+    return bool(np.nanmax(away) > CONSTANT * np.nanmax(np.abs(signal)))
 
 
 def _check_units(observations: Observations, sensor: Scene | Sensor) -> None:
@@ -72,7 +72,7 @@ def _check_units(observations: Observations, sensor: Scene | Sensor) -> None:
             )
 
 
-def _check_direction(observations: Observations) -> None:
+def _check_order(observations: Observations) -> None:
     """Check that the total work of the drive is never negative: whiskers that start free cannot give energy to it.
 
     The work is the integral of the sum of all fx over the control. If the order is reversed, a snap seems to create the

@@ -27,35 +27,29 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.route import Route
-from jaxwhisker._scan.scan import TracedScan
+from jaxwhisker._scan.scan import BLOCK, TracedScan
 
-BLOCK = 512  # samples are padded to a multiple of it, so recordings of similar length share a compilation
 OVERLAID_SIGMA = 0.1  # of the peak: standard deviation of overlaid signals
 OVERLAID_EVENT = 0.03  # lengths: standard deviation of touches, releases and jumps of overlaid scans
 OVERLAID_PRIOR = 50.0  # standard deviation of the fit's variables; all signals together weigh as much as their mean
 PRIOR = 1e4  # the same in later stages: unknowns that change no signal keep their values
 UNIFORM = 12**-0.5  # of the gap between two samples: standard deviation of a snap that may be anywhere in it
 OUTSIDE = 8.0  # multiple of its weight that is added to a snap far outside its gap
-WIDTH = 2.0  # gaps over which that grows; smoothly, because a least-squares step cannot foresee a wall
+WIDER = 2.0  # gaps over which that grows; smoothly, because a least-squares step cannot foresee a wall
 PRICE = 3.0  # standard deviations: residual of every value between the model's snap and the observed one
-NO_EVENT = 1.0  # a length: residual of an observed event that the model does not have
+MISSING_EVENT = 1.0  # a length: residual of an observed event that the model does not have
 
 
 class Samples(NamedTuple):
     """Padded observations, as the compiled residuals take them."""
 
     control: Any  # (samples,)
-    travel: Any  # (samples,)
     values: Any  # (samples, whiskers, 3)
     weight: Any  # (samples, whiskers, 3) 1 / sigma; 0 where nothing was measured
     stops: Any  # (stops,) of the drive
     last: Any  # index of the last stop
-    low: Any  # (jumps,) travel before each jump
-    high: Any  # (jumps,) travel after each jump
-    touch: Any  # (whiskers,) travel; NaN if it is not visible
-    release: Any
-    touch_weight: Any  # (whiskers,)
-    release_weight: Any
+    landmarks: Features
+    end_weight: Any  # (2, whiskers) of the positions of touches and releases
     jump_weight: Any  # (jumps,) of the distance between a snap and the middle of its gap
     jump_width: Any  # (jumps,) distance over which that weight grows
     transforms: Transforms
@@ -84,32 +78,28 @@ def samples_of(
     length: float,
 ) -> Samples:
     """Pad observations, and weight them for the overlaid stage or the others."""
+    # Recordings of similar length share a compilation.
     padding = -observations.control.size % BLOCK
 
-    def pad(values, fill=None):
-        return np.concatenate([values, np.repeat(values[-1:] if fill is None else fill, padding, axis=0)])
+    def pad(values, **options):
+        return np.pad(values, [(0, padding)] + [(0, 0)] * (values.ndim - 1), **options)
 
     known = observations.known
     with np.errstate(divide="ignore", invalid="ignore"):
         each = OVERLAID_SIGMA * observations.peaks * np.sqrt(known.sum())
         weight = np.where(known, 1 / each if overlaid else 1 / observations.sigma, 0.0)
     gap = np.where(np.isfinite(landmarks.low), landmarks.high - landmarks.low, 1.0)
-    control = observations.control
+    control, touch_error = observations.control, np.nan_to_num(landmarks.touch_error)
     return Samples(
-        control=pad(control),
-        travel=pad(landmarks.travel),
+        control=pad(control, mode="edge"),
         values=pad(np.where(known, observations.values, 0.0)),
-        weight=pad(weight, np.zeros((1, *weight.shape[1:]))),
+        weight=pad(weight),
         stops=route.stops,
         last=np.asarray(route.last),
-        low=landmarks.low,
-        high=landmarks.high,
-        touch=landmarks.touch,
-        release=landmarks.release,
-        touch_weight=1 / np.hypot(OVERLAID_EVENT * length, np.nan_to_num(landmarks.touch_error)),
-        release_weight=np.asarray(1 / (OVERLAID_EVENT * length)),
+        landmarks=landmarks._replace(travel=pad(landmarks.travel, mode="edge")),
+        end_weight=1 / np.hypot(OVERLAID_EVENT * length, [touch_error, 0 * touch_error]),
         jump_weight=1 / (np.full(JUMPS, OVERLAID_EVENT * length) if overlaid else UNIFORM * gap),
-        jump_width=np.full(JUMPS, np.inf) if overlaid else WIDTH * gap,
+        jump_width=np.full(JUMPS, np.inf) if overlaid else WIDER * gap,
         transforms=transforms,
         prior=prior,
         prior_weight=np.asarray(1 / (OVERLAID_PRIOR if overlaid else PRIOR)),
@@ -125,16 +115,15 @@ def residuals(
     x = data.transforms.natural(y)
     shift = x[-1] if unknowns.shift else jnp.zeros(())
     stops = jnp.where(data.overlaid, jnp.nan, data.stops + shift)
-    scan = TracedScan(
-        build(**dict(zip(unknowns.names, x, strict=False))), stops, jnp.where(data.overlaid, 1, data.last)
-    )
+    scene = build(**dict(zip(unknowns.names, x, strict=False)))
+    scan = TracedScan(scene, stops, jnp.where(data.overlaid, 1, data.last))
     start = jax.lax.stop_gradient(scan.start)  # the overlaid scan begins where the model's does
     happened = jnp.arange(scan.events.kind.size) < scan.events.count
     at = _travel_of(scan.events, happened, data)
     ends = _contact_ends(scan.events, at, happened)
     overlay = _overlay(data, ends)
 
-    along = overlay(data.travel)
+    along = overlay(data.landmarks.travel)
     control = jnp.where(data.overlaid, start + data.direction * along, data.control + shift)
     signals, ok = scan.signals(control, jax.lax.stop_gradient(along))
     signals = jnp.where(ok[:, None, None], signals, 0.0) + _offset(unknowns, x, data)
@@ -146,16 +135,15 @@ def residuals(
     priced = (wrong_side & ~data.overlaid)[:, None, None] & (data.weight > 0)
     of_signals = jnp.where(priced, PRICE, of_signals)
 
-    def of_ends(travel, exists, observed, weight):
-        wanted = data.control[0] + data.direction * jnp.where(jnp.isfinite(observed), observed, 0.0)
-        off = jnp.where(exists, start + data.direction * travel - wanted, NO_EVENT)
-        return jnp.where(data.overlaid & jnp.isfinite(observed), off, 0.0) * weight
+    observed = jnp.stack([data.landmarks.touch, data.landmarks.release])
+    wanted = data.control[0] + data.direction * jnp.nan_to_num(observed)
+    off = jnp.where(ends.exists, start + data.direction * ends.travel - wanted, MISSING_EVENT)
+    of_ends = jnp.where(data.overlaid & jnp.isfinite(observed), off, 0.0) * data.end_weight
 
     everything = [
         of_signals.ravel(),
         _residuals_of_snaps(snaps, data),
-        of_ends(ends.touch, ends.touches, data.touch, data.touch_weight),
-        of_ends(ends.release, ends.releases, data.release, data.release_weight),
+        of_ends.ravel(),
         (y - data.prior) * data.prior_weight,
     ]
     compared = Comparison(jnp.where(ok[:, None, None], signals, jnp.nan), left_out, scan.status)
@@ -174,37 +162,35 @@ def _travel_of(events: Events, happened: Bool[Array, " events"], data: Samples) 
     """Travel at every event; its derivative is that of the control times the direction in which the drive moves."""
     moved = jnp.where(happened, events.control - jax.lax.stop_gradient(events.control), 0.0)
     at = jnp.where(happened, events.travel, 0.0)
-    step = jnp.clip(jnp.searchsorted(data.travel, at) - 1, 0, data.travel.size - 2)
+    step = jnp.clip(jnp.searchsorted(data.landmarks.travel, at) - 1, 0, data.landmarks.travel.size - 2)
     heading = jnp.sign(data.control[step + 1] - data.control[step])
     return at + jnp.where(data.overlaid | (heading == 0), data.direction, heading) * moved
 
 
 class _ContactEnds(NamedTuple):
-    """Travel at the first touch and the last release of every whisker, (whiskers,), and whether there is one."""
+    """The first touch and the last release of every whisker, (2, whiskers)."""
 
-    touch: Any
-    touches: Any
-    release: Any
-    releases: Any
+    travel: Any
+    exists: Any
 
 
 def _contact_ends(events: Events, at: Float[Array, " events"], happened: Bool[Array, " events"]) -> _ContactEnds:
     touching = happened[:, None] & events.whiskers & (events.kind == EventKind.touch)[:, None]
     lost = (events.before.phase != Phase.free) & (events.after.phase == Phase.free)
     freed = happened[:, None] & lost & (events.kind >= EventKind.release)[:, None]
-    touches, releases = jnp.any(touching, axis=0), jnp.any(freed, axis=0)
-    touch = jnp.where(touches, at[jnp.argmax(touching, axis=0)], 0.0)
-    release = jnp.where(releases, at[at.size - 1 - jnp.argmax(freed[::-1], axis=0)], 0.0)
-    return _ContactEnds(touch, touches, release, releases)
+    event = jnp.stack([jnp.argmax(touching, axis=0), at.size - 1 - jnp.argmax(freed[::-1], axis=0)])
+    exists = jnp.stack([jnp.any(touching, axis=0), jnp.any(freed, axis=0)])
+    return _ContactEnds(jnp.where(exists, at[event], 0.0), exists)
 
 
 def _overlay(data: Samples, ends: _ContactEnds) -> Callable[[Any], Any]:
     """The map from observed travel to the model's; it does not move an end of contact that is not visible."""
-    visible_first, visible_last = jnp.any(jnp.isfinite(data.touch)), jnp.any(jnp.isfinite(data.release))
-    first = jnp.where(visible_first, jnp.nanmin(data.touch), 0.0)
-    last = jnp.where(visible_last, jnp.nanmax(data.release), data.travel[-1])
-    model_first = jnp.min(jnp.where(ends.touches, ends.touch, jnp.inf))
-    model_last = jnp.max(jnp.where(ends.releases, ends.release, -jnp.inf))
+    travel, touch, release = data.landmarks.travel, data.landmarks.touch, data.landmarks.release
+    visible_first, visible_last = jnp.any(jnp.isfinite(touch)), jnp.any(jnp.isfinite(release))
+    first = jnp.where(visible_first, jnp.nanmin(touch), 0.0)
+    last = jnp.where(visible_last, jnp.nanmax(release), travel[-1])
+    model_first = jnp.min(jnp.where(ends.exists[0], ends.travel[0], jnp.inf))
+    model_last = jnp.max(jnp.where(ends.exists[1], ends.travel[1], -jnp.inf))
     both = jnp.isfinite(model_first) & jnp.isfinite(model_last) & (model_last > model_first) & (last > first)
     model_first = jnp.where(both & visible_first, model_first, first)
     model_last = jnp.where(both & visible_last, model_last, model_first + last - first)
@@ -221,7 +207,6 @@ class _Snaps(NamedTuple):
 
     low: Any
     high: Any
-    middle: Any
     snap: Any
     jump: Any  # whether there is a jump
     paired: Any  # whether there is a snap for it
@@ -229,18 +214,18 @@ class _Snaps(NamedTuple):
 
 def _pair_snaps(events: Events, at, happened, overlay: Callable, data: Samples) -> _Snaps:
     is_snap = happened & (events.kind >= EventKind.snap_through)
-    jump = jnp.isfinite(data.low)
-    low, high = (overlay(jnp.where(jump, travel, 0.0)) for travel in (data.low, data.high))
-    middle = (low + high) / 2
-    apart = jnp.where(is_snap, jnp.abs(at - middle[:, None]), jnp.inf)
+    jump = jnp.isfinite(data.landmarks.low)
+    low, high = (overlay(jnp.where(jump, travel, 0.0)) for travel in (data.landmarks.low, data.landmarks.high))
+    apart = jnp.where(is_snap, jnp.abs(at - (low + high)[:, None] / 2), jnp.inf)
     nearest = jnp.argmin(apart, axis=1)
     paired = jump & jnp.isfinite(jnp.min(apart, axis=1))
-    low, high, middle, snap = (jnp.where(paired, v, 0.0) for v in (low, high, middle, at[nearest]))
-    return _Snaps(low, high, middle, snap, jump, paired)
+    low, high, snap = (jnp.where(paired, v, 0.0) for v in (low, high, at[nearest]))
+    return _Snaps(low, high, snap, jump, paired)
 
 
 def _residuals_of_snaps(snaps: _Snaps, data: Samples) -> Float[Array, " jumps"]:
-    off = jnp.where(snaps.paired, snaps.snap - snaps.middle, jnp.where(snaps.jump, NO_EVENT, 0.0))
+    middle = (snaps.low + snaps.high) / 2
+    off = jnp.where(snaps.paired, snaps.snap - middle, jnp.where(snaps.jump, MISSING_EVENT, 0.0))
     outside = (off / data.jump_width) ** 4
     return off * (1 + OUTSIDE * outside / (1 + outside)) * data.jump_weight
 

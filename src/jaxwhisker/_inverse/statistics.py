@@ -66,21 +66,20 @@ def identifiability(jacobian: np.ndarray, names: Sequence[str], log: np.ndarray,
     """
     # Thousands of residuals and a handful of parameters: QR first.
     _, singular, directions = np.linalg.svd(np.linalg.qr(jacobian, mode="r"))
-    largest = float(singular[0]) if singular.size else 0.0
+    largest = float(singular[0])
     null = singular <= RELATIVE_ZERO * largest
     with np.errstate(divide="ignore"):
         error = np.where(null, np.inf, 1 / np.where(singular > 0, singular, 1.0))
     # Only a logarithm has an absolute limit; a parameter of either sign has no natural size.
-    leading = np.argmax(np.abs(directions), axis=1) if singular.size else np.zeros(0, int)
+    leading = np.argmax(np.abs(directions), axis=1)
     weak = ~null & (error > LARGEST_LOG_ERROR) & log[leading]
     covariance = (directions.T * np.where(null, 0.0, error) ** 2) @ directions
-    involved = np.any(np.abs(directions[null]) > INVOLVED, axis=0) if null.any() else np.zeros(len(names), bool)
+    involved = np.any(np.abs(directions[null]) > INVOLVED, axis=0)
     identified = ~involved & (~log | (np.sqrt(np.diag(covariance)) <= LARGEST_LOG_ERROR)) & (largest > 0)
     covariance = np.where(identified[:, None] & identified[None, :], covariance, np.nan)
-    simple = _simplest_basis(directions[null]) if null.any() else directions[:0]
-    words = [_in_words(direction, np.inf, names, log, scale) for direction in simple]
+    words = [_in_words(direction, np.inf, names, log, scale) for direction in _simplest_basis(directions[null])]
     words += [_in_words(d, e, names, log, scale) for d, e in zip(directions[weak], error[weak], strict=True)]
-    condition = np.inf if null.any() else largest / (float(singular[-1]) if singular.size else 0.0)
+    condition = np.inf if null.any() else largest / float(singular[-1])
     return Identifiability(covariance, identified, tuple(words), int(np.sum(~null & ~weak)), condition)
 
 

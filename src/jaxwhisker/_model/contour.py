@@ -64,11 +64,7 @@ class Contour(_AbstractContour):
     def __check_init__(self):
         checks.number("distance", self.distance, positive=True)
         checks.number("position", self.position)
-        knots = np.asarray(self.slopes)
-        checks.vector("slopes", knots)
-        if knots.size < 2 or not (np.diff(knots) > 0).all() or np.abs(knots).max() > STEEPEST:
-            allowed = "at least two strictly increasing slope angles, each less than a right angle"
-            checks.fail("slopes", allowed, self.slopes)
+        knots = np.asarray(check_slopes("slopes", self.slopes))
         if isinstance(self.log_radius, (np.ndarray, jax.Array)) and jnp.shape(self.log_radius) == ():
             return  # transformations rebuild one of several contours
         checks.vector("log_radius", self.log_radius)
@@ -152,6 +148,15 @@ class Tabulated(_AbstractContour):
 
     def __str__(self):
         return f"contour q = {as_text(self.distance)}"
+
+
+def check_slopes(name: str, values) -> tuple[float, ...]:
+    """Slope angles of knots as floats, after a check that the errors of `name` describe."""
+    checks.vector(name, values)
+    knots = np.asarray(values, dtype=float)
+    if knots.size < 2 or not (np.diff(knots) > 0).all() or np.abs(knots).max() > STEEPEST:
+        checks.fail(name, "at least two strictly increasing slope angles, each less than a right angle", values)
+    return tuple(knots.tolist())
 
 
 def _as_array(values):

@@ -107,8 +107,8 @@ def bisect_angle(angle: Callable, slope: Scalar, low: Scalar, high: Scalar) -> F
     return bisect(flatter, low, high)
 
 
-def bisect(inside: Callable, low: Scalar, high: Scalar) -> Float[Array, ""]:
-    """The end of the range, starting at `low`, in which `inside` holds, to rounding; without a derivative."""
+def bisect(inside: Callable, low: Scalar, high: Scalar, *, steps: int = 80) -> Float[Array, ""]:
+    """The end of the range, starting at `low`, in which `inside` holds, by default to rounding; no derivative."""
 
     def halve(_, bracket):
         low, high = bracket
@@ -117,4 +117,4 @@ def bisect(inside: Callable, low: Scalar, high: Scalar) -> Float[Array, ""]:
         return jnp.where(yes, middle, low), jnp.where(yes, high, middle)
 
     low = jnp.asarray(low, dtype=float)
-    return jax.lax.fori_loop(0, 80, halve, (low, jnp.asarray(high, dtype=float)))[0]
+    return jax.lax.fori_loop(0, steps, halve, (low, jnp.asarray(high, dtype=float)))[0]

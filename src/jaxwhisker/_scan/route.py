@@ -23,13 +23,17 @@ class Route(NamedTuple):
 
 def route_of(control: Float[np.ndarray, " steps"]) -> Route:
     """The route through concrete positions."""
-    moves = np.flatnonzero(np.diff(control))
-    signs = np.sign(np.diff(control)[moves])
-    turns = moves[1:][signs[1:] != signs[:-1]]
-    stops = np.concatenate([control[:1], control[turns], control[-1:]])
+    stops = np.concatenate([control[:1], control[turns_of(control)], control[-1:]])
     room = 2 if stops.size == 2 else STOPS * int(np.ceil(stops.size / STOPS))
     padded = np.concatenate([stops, np.full(room - stops.size, stops[-1])])
     return Route(control, np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))]), padded, stops.size - 1)
+
+
+def turns_of(control: Float[np.ndarray, " steps"]) -> Int[np.ndarray, " turns"]:
+    """Indices of the positions at which the drive turns back."""
+    moves = np.flatnonzero(np.diff(control))
+    signs = np.sign(np.diff(control)[moves])
+    return moves[1:][signs[1:] != signs[:-1]]
 
 
 def straight(control: Float[Array, " steps"]) -> Route:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from types import NoneType
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -12,22 +11,20 @@ from matplotlib.axes import Axes
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.jit import jit
+from jaxwhisker._inverse.fit import Fit
 from jaxwhisker._inverse.fit_contour import ContourFit
-from jaxwhisker._inverse.points import NORMAL_95
+from jaxwhisker._inverse.information import Information
+from jaxwhisker._inverse.points import Reconstruction, bar_ends
+from jaxwhisker._inverse.statistics import NORMAL_95
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem
 from jaxwhisker.plot.axes import COLOURS, colour, grid_of_axes, legend_above, mark_events, one_axes, title
 
-if TYPE_CHECKING:
-    from jaxwhisker._inverse.fit import Fit
-    from jaxwhisker._inverse.information import Information
-    from jaxwhisker._inverse.points import Reconstruction
-
-POINTS = 241  # of a profile that is drawn for comparison
+DRAWN_POINTS = 241  # of a profile that is drawn for comparison
 _UNIT = "(scan's unit)"
 
 
-def fit(result: "Fit", *, units: str = "auto", axs: Iterable[Axes] | None = None) -> np.ndarray:
+def fit(result: Fit, *, units: str = "auto", axs: Iterable[Axes] | None = None) -> np.ndarray:
     """Draw measured signals (dots) and those of the fit (lines), one Axes for each measured channel.
 
     Args:
@@ -42,8 +39,6 @@ def fit(result: "Fit", *, units: str = "auto", axs: Iterable[Axes] | None = None
     Raises:
         ValueError: if `result` is not a Fit, the number of `axs` is wrong, or `units` is invalid.
     """
-    from jaxwhisker._inverse.fit import Fit
-
     checks.instance("result", result, Fit, "the Fit of jw.identify")
     measured, system = result.measured, UnitSystem(result.scene, units)
     channels = [c for c in range(len(REACTIONS)) if measured.known[:, :, c].any()]
@@ -63,7 +58,7 @@ def fit(result: "Fit", *, units: str = "auto", axs: Iterable[Axes] | None = None
     return axes
 
 
-def information(result: "Information", *, ax: Axes | None = None) -> Axes:
+def information(result: Information, *, ax: Axes | None = None) -> Axes:
     """Draw the share of the information about each parameter that has been collected up to each step of a scan.
 
     The signals are most informative where a line is steep; grey lines are events.
@@ -78,8 +73,6 @@ def information(result: "Information", *, ax: Axes | None = None) -> Axes:
     Raises:
         ValueError: if `result` is not an Information.
     """
-    from jaxwhisker._inverse.information import Information
-
     checks.instance("result", result, Information, "the Information of jw.information")
     axes = one_axes(ax)
     for k, name in enumerate(result.names):
@@ -95,7 +88,7 @@ def information(result: "Information", *, ax: Axes | None = None) -> Axes:
 
 
 def contour(
-    result: "Reconstruction | ContourFit", *, profile: AbstractProfile | None = None, ax: Axes | None = None
+    result: Reconstruction | ContourFit, *, profile: AbstractProfile | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw reconstructed points with 95 % bars across the contour, or a fitted contour with its 95 % band.
 
@@ -113,8 +106,6 @@ def contour(
     Raises:
         ValueError: if `result` is neither a Reconstruction nor a ContourFit, or `profile` is not a profile.
     """
-    from jaxwhisker._inverse.points import Reconstruction
-
     checks.instance("result", result, (Reconstruction, ContourFit), "the result of jw.reconstruct or jw.fit_contour")
     checks.instance("profile", profile, (AbstractProfile, NoneType), "a profile such as jw.Parabola(0.2)")
     axes = one_axes(ax)
@@ -137,19 +128,19 @@ def _draw_fitted(result: ContourFit, axes: Axes) -> tuple[np.ndarray, float, flo
     band = result.band()
     known = np.isfinite(band.error) if np.isfinite(band.error).any() else np.ones(band.error.shape, bool)
     slope, x, y, error = (values[known] for values in band)
-    (x_out, x_in), (y_out, y_in) = _across(x, y, slope, error)
+    (x_out, x_in), (y_out, y_in) = _bars(x, y, slope, error)
     axes.fill(np.append(x_out, x_in[::-1]), np.append(y_out, y_in[::-1]), color=COLOURS[0], alpha=0.25, linewidth=0)
     axes.plot(x, y, color=COLOURS[0], label="fitted, 95 % band")
     return slope[[0, -1]], x.min(), x.max()
 
 
-def _draw_points(result: "Reconstruction", axes: Axes) -> tuple[np.ndarray, float, float]:
+def _draw_points(result: Reconstruction, axes: Axes) -> tuple[np.ndarray, float, float]:
     """Draw points with bars; return the range of their slopes and of x, both without outliers."""
     x, y, slope, error = (np.asarray(values) for values in (result.x, result.y, result.slope, result.normal_error))
     clear = np.asarray(result.clear)
     for k in range(x.shape[1]):
         own = clear[:, k], k
-        axes.plot(*_across(x[own], y[own], slope[own], error[own]), color=colour(k), linewidth=0.5, alpha=0.3)
+        axes.plot(*_bars(x[own], y[own], slope[own], error[own]), color=colour(k), linewidth=0.5, alpha=0.3)
         axes.plot(x[own], y[own], ".", color=colour(k), markersize=2.5, label=f"whisker {k + 1}")
     if not clear.any():
         return np.array([-1.0, 1.0]), -np.inf, np.inf
@@ -157,17 +148,17 @@ def _draw_points(result: "Reconstruction", axes: Axes) -> tuple[np.ndarray, floa
     return np.quantile(slope[clear], [0.02, 0.98]), left, right
 
 
-def _across(x: np.ndarray, y: np.ndarray, slope: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _bars(x: np.ndarray, y: np.ndarray, slope: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """x and y of both ends of 95 % bars across a contour: the outer ends first."""
-    reach = NORMAL_95 * np.nan_to_num(error) * np.array([[1.0], [-1.0]])
-    return x + reach * np.sin(slope), y - reach * np.cos(slope)
+    ends_x, ends_y = bar_ends(x, y, slope, NORMAL_95 * np.nan_to_num(error))
+    return np.asarray(ends_x), np.asarray(ends_y)
 
 
 @jit
 def _between(profile: AbstractProfile, slopes: Float[jax.Array, " 2"]) -> ContactPoint:
     """Points of a profile between two slope angles."""
     ends = jnp.asarray(jax.vmap(profile.at_slope)(slopes))
-    return jax.vmap(profile.point)(jnp.linspace(ends[0], ends[1], POINTS))
+    return jax.vmap(profile.point)(jnp.linspace(ends[0], ends[1], DRAWN_POINTS))
 
 
 def _in_order_of_time(axes: Iterable[Axes], control: np.ndarray) -> None:
