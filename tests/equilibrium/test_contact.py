@@ -7,7 +7,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import DISTANCE, contacts
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import Body, Phase, of_each
 from jaxwhisker._model.motion import Frame
@@ -36,7 +36,7 @@ def body(rod: AbstractRod = CLOSED, position=0.0):
     return Body(one, one, jw.Parabola(DISTANCE, 1.0, jnp.asarray(position)), rod)
 
 
-@jit
+@Program
 def bases(body, z, phase, side):
     """Bases of many contacts of one whisker."""
     return jax.vmap(lambda *own: contact.base(body, *own))(z, phase, side)
@@ -134,12 +134,12 @@ def test_gradients_are_those_of_central_differences(exactly):
     z, rod = jnp.asarray(exactly.z[1]), CLOSED
     phase = jnp.asarray(exactly.phase[1])
 
-    @jit
+    @Program
     def equations(z, u):
         return contact.equations(body()._replace(frame=frame_at(u)), z, phase, 1.0)
 
     here = body()._replace(frame=frame_at(0.4), frame_rate=rate)
-    value, gradient, by_control = jit(lambda z: contact.linearise(here, z, phase, 1.0, rates=rod))(z)
+    value, gradient, by_control = Program(lambda z: contact.linearise(here, z, phase, 1.0, rates=rod))(z)
     steps = [(STEP * e, 0.0) for e in jnp.eye(3)] + [(jnp.zeros(3), STEP)]
     differences = [
         jax.tree.map(lambda a, b: (a - b) / (2 * STEP), equations(z + dz, 0.4 + du), equations(z - dz, 0.4 - du))
@@ -161,7 +161,7 @@ def test_whiskers_of_different_kinds_are_computed_one_by_one(exactly):
     stacked = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 2), section)
     bodies = Body(jnp.array([1.0, 0.9]), jnp.ones(2), PARABOLA, Shooting(4), stacked)
     args = jnp.asarray(exactly.z[:2]), jnp.asarray(exactly.phase[:2]), jnp.array([1.0, -1.0])
-    batch = jit(lambda bodies, *args: of_each(bodies, contact.base, *args))
+    batch = Program(lambda bodies, *args: of_each(bodies, contact.base, *args))
     together, apart = batch(bodies, *args), batch(bodies._replace(section=(section, section)), *args)
     for name in together._fields:
         np.testing.assert_allclose(getattr(apart, name), getattr(together, name), atol=EXACT, err_msg=name)

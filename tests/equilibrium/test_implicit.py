@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 import jaxwhisker as jw
 from exact_contacts import DISTANCE, branch, contacts, fb_control, fbfb_at
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.implicit import solved, solved_event, without_rule
 from jaxwhisker._equilibrium.newton import newton_step, solve_point
 from jaxwhisker._equilibrium.point import Mode, Point, Row, at_control, at_event
@@ -48,11 +48,11 @@ def test_derivatives_of_a_solved_point(at):
         u = p[-1]
         return solved(Point(z, jax.lax.stop_gradient(u)), problem_of(fbfb(p)), mode, at_control(u, z)).z
 
-    @jit
+    @Program
     def iterated(p):
         return solve_point(problem_of(fbfb(p)), mode, at_control(p[-1], z), Point(z, p[-1])).point.z
 
-    @jit
+    @Program
     def both(p):
         value, along = jax.linearize(contact, p)
         back = jax.linear_transpose(along, p)
@@ -119,7 +119,7 @@ def events():
         row = at_event(jnp.ones(1, bool), z, unloaded=no, phase=kind == 0, vertex=kind == 1, control=no, u0=u)
         return solved_event(point, problem, mode, along, row, kind == 2).u
 
-    @jit
+    @Program
     @jax.vmap
     def both(z, u, phase, kind):
         p = jnp.array([STIFFNESS, 0.2, DISTANCE])

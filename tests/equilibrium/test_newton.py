@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from exact_contacts import contacts, fbfb_at
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium import newton
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import newton_step, solve_point, with_dummy_contacts
@@ -20,14 +20,14 @@ STIFFNESS = (70.0, 40.0)
 # Parameters of both whiskers on the clamped branch: just after touch, every phase, both sides of the vertex.
 PAIRS: list[tuple[float, float]] = [(0.3, 1e-7), (0.6, 0.1), (1.3, 0.9), (2.6, 0.4), (2.5, 1.0)]
 
-problem_now = jit(problem_of)
+problem_now = Program(problem_of)
 
 
 def mode_of(at):
     return Mode(jnp.asarray(at.phase), jnp.ones(2), jnp.asarray(False))
 
 
-solve, step = jit(solve_point), jit(newton_step)
+solve, step = Program(solve_point), Program(newton_step)
 
 
 def strong(tree):
@@ -149,7 +149,7 @@ def test_failure_is_a_flag_and_neighbours_do_not_notice(typical):
     z = jnp.asarray(at.z)
     # Far beyond the fold there is no such equilibrium, and NaN is no control.
     controls = jnp.array([0.0, -6.0, jnp.nan, 1e-3])
-    batch = jit(lambda u: jax.vmap(lambda u: solve_point(problem, mode, at_control(u, z), Point(z, u)))(u))(controls)
+    batch = Program(lambda u: jax.vmap(lambda u: solve_point(problem, mode, at_control(u, z), Point(z, u)))(u))(controls)
     assert batch.converged.tolist() == [True, False, False, True]
     for lane in (0, 3):
         alone = solved_at_control(problem, mode, z, controls[lane])
@@ -165,7 +165,7 @@ def test_dummy_contacts_keep_derivatives_finite(typical):
     assert phase.tolist() == [Phase.tip, at.phase[1]]
     assert np.all(dummies[1] == z[1]) and dummies[0, 0] > 0 and dummies[0, 2] < 0
 
-    @jit
+    @Program
     def gradient(problem):
         def height(profile):
             before = problem.__class__(**{**vars(problem), "profile": profile})

@@ -8,7 +8,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import contacts, scene
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
 from jaxwhisker._equilibrium.problem import AlongX, InPlane, Stance, problem_of
@@ -20,7 +20,7 @@ TOUCHED = 1e-9  # first touches in the plane are searched, and exact to 1e-10 of
 CLOSED_FORM = 1e-10  # the same equilibrium by other coordinates
 
 FOLLICLE = scene(jw.Support.follicle(x=70.0, mount=jw.Mount(0.1, -0.05, 0.2)))
-problem_now = jit(problem_of)
+problem_now = Program(problem_of)
 
 
 def spring(first, second, stiffness=70.0, rest_length=0.2):
@@ -143,7 +143,7 @@ def test_a_base_in_the_plane_that_yields_along_x_only_has_the_equations_of_a_bas
     mode = Mode(jnp.asarray(at.phase), jnp.ones(1), jnp.asarray(False))
     z = jnp.asarray(at.z)
 
-    @jit
+    @Program
     def step(problem):
         newton = newton_step(problem, mode, at_control(u, z), Point(z, jnp.asarray(u)))
         return newton, load_slopes(mode, newton.condensed), problem.in_scene(jnp.asarray(u), newton.pose).x

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import jaxwhisker as jw
 from exact_contacts import branch, contacts, fb_control, scene
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
@@ -22,10 +22,10 @@ SYMMETRIC = 1e-10  # relative to the largest slope
 UNDECIDED = 1e-6  # eigenvalues this near to zero are neither
 
 BETWEEN = ((0, 1), (1, 2), (2, 3), (0, 2), (0, 3))
-problem_now = jit(problem_of)
+problem_now = Program(problem_of)
 
 
-@jit
+@Program
 def linearised(problem, z, phase, side, u):
     """Everything that stability is judged by, at a contact."""
     mode = Mode(phase, side, jnp.asarray(False))
@@ -51,7 +51,7 @@ def test_a_network_is_stable_where_its_stiffness_exceeds_the_slopes(rigid):
     rest_length = [0.2, 0.2, 0.2, 0.4, 0.6]
     problem = problem_now(scene(jw.Support.fbfbfbr(70.0, rest_length)))
 
-    @jit
+    @Program
     @jax.vmap
     def stable(stiffness, slopes):
         flexibility = jw.Support.named("FBFBFBR", stiffness, rest_length).flexibility()

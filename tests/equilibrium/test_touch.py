@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._rod.rod import Section
 
@@ -29,7 +29,7 @@ def arc(length, curvature):
     )
 
 
-@jit
+@Program
 def first_touch(profile, length, own, y, angle, side):
     return touch.first_touch(profile, length, own, y, angle, side)
 
@@ -103,7 +103,7 @@ def test_a_curved_whisker_touches_without_entering_the_object():
 
 def test_only_a_strongly_curved_whisker_touches_in_two_places():
     narrow, y = jw.Parabola(0.2, 20.0), jnp.asarray(0.19)
-    in_two_places = jit(touch.in_two_places)
+    in_two_places = Program(touch.in_two_places)
     # It leans back from a base close to the vertex, and its tip bends towards the object again.
     for side in (1.0, -1.0):
         angle = jnp.asarray(-side * 0.7)
@@ -116,7 +116,7 @@ def test_only_a_strongly_curved_whisker_touches_in_two_places():
 def test_outlines():
     one = jnp.asarray(1.0)
     section = Section(1.0, 0.9, one, one, one)
-    own = jit(touch.outline)(jnp.asarray(0.8), section)
+    own = Program(touch.outline)(jnp.asarray(0.8), section)
     for value, expected in zip(own, arc(0.8, 0.9), strict=True):
         np.testing.assert_allclose(value, expected, atol=TABLE)
     np.testing.assert_allclose(straight(jnp.asarray(0.8)).y, np.linspace(0, 0.8, touch.POINTS), atol=ROUNDING)
@@ -124,7 +124,7 @@ def test_outlines():
 
 def test_both_sides_at_once():
     args = PARABOLA, jnp.asarray(1.0), arc(1.0, 0.8), jnp.asarray(0.0), jnp.asarray(0.1)
-    right, left = jit(touch.first_touches)(*args)
+    right, left = Program(touch.first_touches)(*args)
     for found, side in ((right, 1.0), (left, -1.0)):
         alone = first_touch(*args, jnp.asarray(side))
         np.testing.assert_allclose(jnp.stack(jax.tree.leaves(found)), jnp.stack(jax.tree.leaves(alone)), atol=SEARCHED)

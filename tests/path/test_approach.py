@@ -7,7 +7,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import DISTANCE, scene
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Mode, Point
 from jaxwhisker._equilibrium.problem import problem_of
@@ -18,7 +18,7 @@ ROUNDING = 1e-14
 TOUCH = np.sqrt(1 - DISTANCE)  # of an upright whisker of length 1 before y = x^2 + DISTANCE
 REST = (0.2, 0.15)
 
-problem_now = jit(problem_of)
+problem_now = Program(problem_of)
 
 
 def afar(direction=-1, distance=DISTANCE, stiffness=70.0):

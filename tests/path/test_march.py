@@ -11,7 +11,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import Q, scene
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control, scale_of
@@ -26,8 +26,8 @@ CAPACITY = 192
 STOPS = 24  # of a path, padded
 STIFF, SOFT = 70.0, 10.0
 
-problem_now = jit(problem_of)
-marching = jit(partial(march, capacity=CAPACITY))
+problem_now = Program(problem_of)
+marching = Program(partial(march, capacity=CAPACITY))
 
 
 def followed(problem, *stops):
@@ -88,7 +88,7 @@ def test_nodes_lie_on_the_way_of_the_drive(straight):
 def test_nodes_are_equilibria_with_tangents_of_unit_length(problem, straight):
     nodes, _ = straight
 
-    @jit
+    @Program
     @jax.vmap
     def judged(z, u, phase, side):
         mode = Mode(phase, side, jnp.asarray(False))

@@ -6,7 +6,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import contacts, scene
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import Solution, newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control, scale_of
@@ -26,8 +26,8 @@ from jaxwhisker._path.path import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, Margin
 ROUNDING = 1e-12
 FB = scene(jw.Support.fb(70.0))
 FBFB = scene(jw.Support.fbfb(70.0))
-problem_now = jit(problem_of)
-started = jit(_start)
+problem_now = Program(problem_of)
+started = Program(_start)
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +139,7 @@ def test_a_trial_is_judged_by_its_solution():
     z, u = jnp.asarray(at.z), jnp.asarray(at.base_x[0] - 0.2 - at.force_x[0] / stiffness)
     mode = Mode(jnp.asarray(at.phase), jnp.ones(1), jnp.asarray(False))
 
-    @jit
+    @Program
     def judged(problem, z, u, sign):
         newton = newton_step(problem, mode, at_control(u, z), Point(z, u))
         state = started.__wrapped__(problem, jnp.array([1.0, -1.0]))

@@ -7,7 +7,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import scene
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Mode, Point
 from jaxwhisker._equilibrium.problem import problem_of
@@ -48,14 +48,14 @@ def test_numbers_of_status_and_kinds_are_those_that_files_hold():
 
 @pytest.fixture(scope="module")
 def problem():
-    return jit(problem_of)(scene(jw.Support.fbfbfbr(70.0)))
+    return Program(problem_of)(scene(jw.Support.fbfbfbr(70.0)))
 
 
 @pytest.fixture(scope="module")
 def at(problem):
     """Margins of a mode at a point and pose."""
 
-    @jit
+    @Program
     def at(mode, point, pose):
         ahead = mode.side * jnp.sin(point.z[:, 1])
         return margins(mode, point, problem.stance(point.u, pose), ahead, jnp.asarray(0.05))

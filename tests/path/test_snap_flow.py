@@ -10,7 +10,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import Q, branch, contacts, scene
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import solve_point
 from jaxwhisker._equilibrium.point import Mode, Point, at_control, scale_of
@@ -25,7 +25,7 @@ NEAR = 1e-10  # ... to which these flows are followed; a march stops them earlie
 AHEAD = 1e-4  # along the clamped branch: a direction
 SOFT = 10.0  # below the critical stiffness: snaps through the vertex, slips, lands on the far side
 
-problem_now = jit(problem_of)
+problem_now = Program(problem_of)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_contacts_at_first_touch():
     assert side.tolist() == [1.0, -1.0]
 
 
-@jit
+@Program
 def iterate(problem, flow, mode, point, tangent, tangent_pose, first):
     """One step of a flow as the march takes it: propose, solve, accept."""
     kicked = snap_flow.kick(flow, point, tangent, tangent_pose)

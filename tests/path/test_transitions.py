@@ -6,7 +6,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import scene
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import Solution
 from jaxwhisker._equilibrium.point import Point
@@ -22,13 +22,13 @@ SCENE = scene(jw.Support.fb(70.0))
 
 @pytest.fixture(scope="module")
 def problem():
-    return jit(problem_of)(SCENE)
+    return Program(problem_of)(SCENE)
 
 
 @pytest.fixture(scope="module")
 def state(problem):
     """A state ahead of the object, whose drive moves towards -x."""
-    return jit(_start)(problem, jnp.array([1.0, -1.0]))
+    return Program(_start)(problem, jnp.array([1.0, -1.0]))
 
 
 def trial(end=None, tangent=None, stance=None, stable=True):

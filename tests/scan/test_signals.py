@@ -6,7 +6,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import contacts, fbfb_at
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import problem_of
@@ -17,7 +17,7 @@ PAIR = (1.3, 0.1)  # a tangential contact behind the vertex, a tip contact befor
 LENGTH, BENDING_STIFFNESS = 0.05, 2.4e-5
 FORCE = BENDING_STIFFNESS / LENGTH**2
 
-problem_now, of_contacts = jit(problem_of), jit(signals)
+problem_now, of_contacts = Program(problem_of), Program(signals)
 
 
 def in_si(scene):

@@ -8,7 +8,7 @@ import pytest
 
 import jaxwhisker as jw
 from exact_contacts import contacts, scene
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.point import Point, scale_of
 from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._path.path import NO_EVENT, Node, Path
@@ -20,8 +20,8 @@ STIFFNESS, REST = 70.0, 0.2
 ROOM = 6  # nodes of a path
 FIRST = 0.5  # control at which travel begins
 
-PROBLEM = jit(problem_of)(scene(jw.Support.fb(STIFFNESS, REST)))
-solved_steps, interpolated = jit(solve_steps), jit(interpolate)
+PROBLEM = Program(problem_of)(scene(jw.Support.fb(STIFFNESS, REST)))
+solved_steps, interpolated = Program(solve_steps), Program(interpolate)
 
 
 def controls_of(at, stiffness=STIFFNESS):
@@ -136,7 +136,7 @@ def test_a_solution_far_from_the_interpolation_is_inexact():
 def test_an_equilibrium_between_two_folds_is_unstable():
     # Before the vertex, a soft spring is weaker than the slope of the contact force: there the drive moves back.
     soft = 15.0
-    problem = jit(problem_of)(scene(jw.Support.fb(soft, REST)))
+    problem = Program(problem_of)(scene(jw.Support.fb(soft, REST)))
     path, at = path_through((0.8, 0.83, 0.86, 0.89), stiffness=soft), contacts(0.81, 0.82, 0.84, 0.85, 0.88)
     u, nodes = jnp.asarray(controls_of(at, soft)), jnp.asarray(path.nodes.point.u)
     first = nodes[0]

@@ -1,6 +1,7 @@
 """Leaves of a scene: user-defined functions as fields, text for values, placeholders for invalid values."""
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -69,3 +70,33 @@ def safe_placeholder(tree: Tree, valid: Bool[Array, ""]) -> Tree:
         return jnp.where(valid, leaf, jax.lax.stop_gradient(safe))
 
     return jax.tree.map(placeholder, tree)
+
+
+@jax.tree_util.register_pytree_node_class
+class Deferred:
+    """A tree that is computed when it is first asked for, or when it becomes part of the result of a transformation."""
+
+    def __init__(self, compute: Callable[[], Any]):
+        self._compute = compute
+
+    @cached_property
+    def value(self) -> Any:
+        """The tree."""
+        return self._compute()
+
+    def tree_flatten(self):
+        """Compute the tree."""
+        return (self.value,), None
+
+    @classmethod
+    def tree_unflatten(cls, _, children):
+        """A tree that is known."""
+        return cls(lambda: children[0])
+
+    def __reduce__(self):
+        return deferred, (self.value,)
+
+
+def deferred(tree: Any) -> Deferred:
+    """Converter for a field that holds a tree, or a function of no arguments that computes it."""
+    return tree if isinstance(tree, Deferred) else Deferred(tree if callable(tree) else lambda: tree)

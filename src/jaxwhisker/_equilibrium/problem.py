@@ -140,6 +140,15 @@ class Problem(eqx.Module):
         """All whiskers, stacked, at a control."""
         return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u))
 
+    def numbers(self) -> "Problem":
+        """The numbers that equilibria depend on, and None for everything else."""
+        numbers = eqx.filter(self, eqx.is_inexact_array)
+        return eqx.tree_at(type(self)._decisive, numbers, replace_fn=lambda _: None, is_leaf=lambda leaf: leaf is None)
+
+    def _decisive(self) -> list:
+        """Fields that enter decisions and first guesses only."""
+        return [self.touch_right, self.touch_left, *([] if self.flexibility is None else [self.flexibility.root])]
+
     @property
     def offset(self) -> Poses:
         """Displacement of the unloaded bases due to the rest lengths of the springs."""
@@ -214,6 +223,9 @@ class InPlane(Problem):
 
     axes: ClassVar[int] = 3
     frames_move: ClassVar[bool] = True
+
+    def _decisive(self):
+        return [*super()._decisive(), self.outline]
 
     def drive(self, u: Scalar) -> Pose:
         """The pose of the drive's frame."""

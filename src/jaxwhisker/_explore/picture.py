@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._explore.code import code_of_scan
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
@@ -42,7 +42,7 @@ class Picture(NamedTuple):
     outline: Float[jax.Array, "points 2"]  # of the object; NaN where a graph ends
 
 
-@jit
+@Program
 def picture_of(scene: Scene) -> Picture:
     """Scan a scene; compiled once for all scenes with the same structure."""
     result = scan_across(scene, SCAN_STEPS)

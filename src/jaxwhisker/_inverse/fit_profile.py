@@ -11,7 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.points import Reconstruction
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible
@@ -359,7 +359,7 @@ def _weights(like: _Family, values, observed: _Points) -> Float[Array, "points 2
     return weights * share[:, None, None]
 
 
-@jit
+@Program
 def _fitted_values(like: _Family, values, observed: _Points):
     solver = optx.LevenbergMarquardt(rtol=RTOL, atol=1e-2 * RTOL)
 
@@ -381,7 +381,7 @@ def _fitted_values(like: _Family, values, observed: _Points):
     return values, residual, gradient
 
 
-@jit
+@Program
 def _along(like: _Family, values, slopes: Float[Array, " slopes"]):
     def across(values):
         profile = like.profile(values)

@@ -21,7 +21,7 @@ from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.report import table
 from jaxwhisker._scan.route import route_of
-from jaxwhisker._scan.scan import TracedScan, default_control
+from jaxwhisker._scan.scan import StagedScan, default_control
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -325,7 +325,7 @@ class _Rates(NamedTuple):
 
 def _rates_of(build: Callable[..., Scene], names: tuple[str, ...], x, chosen, control, travel, stops, last) -> _Rates:
     def value(x):
-        scan = TracedScan(build(**dict(zip(names, x, strict=True)), **chosen), stops, last)
+        scan = StagedScan(build(**dict(zip(names, x, strict=True)), **chosen), stops, last)
         signals, ok = scan.signals(control, travel)
         return (signals, scan.events.control), (ok, scan.events)
 

@@ -12,7 +12,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from jaxwhisker._base.jit import COMPILER_OPTIONS
+from jaxwhisker._base.program import COMPILER_OPTIONS
 from jaxwhisker._inverse.parameters import Unknowns
 from jaxwhisker._inverse.residuals import Comparison, Samples, residuals
 from jaxwhisker._inverse.statistics import chi_squared

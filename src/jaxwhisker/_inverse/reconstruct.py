@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.problem import sections
@@ -144,7 +144,7 @@ def _poses(base: Any, shape: tuple[int, int]) -> Float[Array, "steps whiskers 3"
     return jnp.stack(poses, axis=-1)
 
 
-@jit
+@Program
 def _contacts_of_parameters(build, names, values, covariance, readings) -> Step:
     """The points, with the uncertainty of the parameters added to their covariance."""
 
@@ -206,7 +206,7 @@ def _contacts(sensor: Sensor, control, signals, noise, poses) -> Step:
     return jax.vmap(lambda *at: _step(known, noise is not None, *at))(*each)
 
 
-_contacts_now = jit(_contacts)
+_contacts_now = Program(_contacts)
 
 
 def _step(known: Instrument, noisy: bool, drive, reaction, deviation, pose) -> Step:

@@ -27,7 +27,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.route import Route
-from jaxwhisker._scan.scan import BLOCK, TracedScan
+from jaxwhisker._scan.scan import BLOCK, StagedScan
 
 OVERLAID_SIGMA = 0.1  # of the peak: standard deviation of overlaid signals
 OVERLAID_EVENT = 0.03  # lengths: standard deviation of touches, releases and jumps of overlaid scans
@@ -116,7 +116,7 @@ def residuals(
     shift = x[-1] if unknowns.shift else jnp.zeros(())
     stops = jnp.where(data.overlaid, jnp.nan, data.stops + shift)
     scene = build(**dict(zip(unknowns.names, x, strict=False)))
-    scan = TracedScan(scene, stops, jnp.where(data.overlaid, 1, data.last))
+    scan = StagedScan(scene, stops, jnp.where(data.overlaid, 1, data.last))
     start = jax.lax.stop_gradient(scan.start)  # the overlaid scan begins where the model's does
     happened = jnp.arange(scan.events.kind.size) < scan.events.count
     at = _travel_of(scan.events, happened, data)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile, bisect
 
@@ -33,7 +33,7 @@ def silhouette(
     return jnp.stack([at.x, at.y], axis=-1)
 
 
-_silhouette = jit(silhouette)
+_silhouette = Program(silhouette)
 
 
 def silhouette_of(

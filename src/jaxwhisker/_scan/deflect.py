@@ -13,7 +13,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.implicit import without_rule
@@ -246,7 +246,7 @@ def deflect(
     return _deflect(whisker, loads, support, points)
 
 
-@jit
+@Program
 def _deflect(
     whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support, points: int
 ) -> Deflection:

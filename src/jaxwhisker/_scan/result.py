@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.leaves import Deferred, deferred
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.dataset import counted, scan_dataset
@@ -105,8 +106,13 @@ class Result(State):
     control: Float[Array, " steps"]  # drive position u: a length; for a Rotation, an angle in rad
     spring_length: Float[Array, "steps springs"]  # x (y, angle) of the spring's second end minus that of its first
     status: Int[Array, " steps"]  # Status.ok, or the reason for failure
-    events: Events
+    deferred_events: Deferred = eqx.field(converter=deferred)
     scene: Scene
+
+    @property
+    def events(self) -> Events:
+        """The events in order; they are computed when first asked for."""
+        return self.deferred_events.value
 
     def to_xarray(self) -> "xr.Dataset":
         """Return the scan as a Dataset with dimensions `control`, `whisker`, `spring` and `event`, units and names.

@@ -17,18 +17,19 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program, is_staged, threads
 from jaxwhisker._base.types import Control
 from jaxwhisker._equilibrium.problem import Problem, problem_of
 from jaxwhisker._model.scene import Scene, moves_along_x, units
 from jaxwhisker._path.approach import approach_of
-from jaxwhisker._path.march import march, no_path
+from jaxwhisker._path.march import march
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.route import Route, across, route_of, straight, traced_route
 from jaxwhisker._scan.signals import events
 from jaxwhisker._scan.state import State
-from jaxwhisker._scan.steps import solve_steps
+from jaxwhisker._scan.slopes import event_tangents, state_tangents
+from jaxwhisker._scan.steps import solve_steps, states
 
 STEP = 0.001  # of the default control, dimensionless: in lengths of the first whisker if the drive moves along x
 MOST_STEPS = 1_000_000  # of the default control
@@ -70,23 +71,52 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     if control is not None:
         checks.vector("control", control)
     scene = jax.tree.map(checks.as_float, scene)
-    if checks.is_traced((scene, control)):
-        return _scan_traced(scene, control)
-    route = None if control is None else route_of(np.asarray(control, dtype=float))
+    if any(is_staged(leaf) for leaf in jax.tree.leaves((scene, control))):
+        return _scan_staged(scene, control)
+    traced = checks.is_traced((scene, control))
     problem = problem_now(scene)
-    _check_valid(scene, problem)
+    if not traced:
+        _check_valid(scene, problem)
+    route = status = None
+    if control is not None:
+        still = jax.lax.stop_gradient(control)
+        if checks.is_traced(still):
+            route, status = traced_route_now(jnp.asarray(control, dtype=float))
+        else:
+            route = route_of(np.asarray(still, dtype=float))
+            route = route._replace(control=control) if checks.is_traced(control) else route
     stops, last = across() if route is None else (route.stops, route.last)
-    _compile(problem, stops.size)
-    path = follow_path_now(problem, np.asarray(stops), np.asarray(last))
-    if route is None:
-        route = route_of(_default_control(scene, path))
-    # All blocks have one size, which lets one program serve scans of every length.
-    count, room = route.control.size, -route.control.size % BLOCK
-    padded = (np.pad(values, (0, room), mode="edge").reshape(-1, BLOCK) for values in (route.control, route.travel))
-    blocks = [solve_steps_now(problem, path.path, u, s) for u, s in zip(*padded, strict=True)]
-    state, status = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:count]), *blocks)
+    _prepare(problem, stops.shape[0])
+    path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
+    path = _if_ok(path, status)
+    if route is None and traced:
+        route = evenly_now(start, stop, TRACED_STEPS)
+    elif route is None:
+        route = route_of(_default_control(scene, float(start), float(stop)))
+    state, step_status = _in_blocks(problem, path, route)
     control = jnp.asarray(route.control)
-    return _result(scene, path, control, state, _spring_length_now(scene, state, control), status)
+    spring_length = spring_length_now(scene, state, control)
+    return _result(scene, problem, path, control, state, spring_length, step_status)
+
+
+def _in_blocks(problem: Problem, path: Path, route: Route) -> tuple[State, Int[Array, " steps"]]:
+    """States and status of all steps. All blocks have one size, which lets one program serve scans of every length."""
+
+    def block(control, travel):
+        return states_now(problem, control, solve_steps_now(problem, path, control, travel))
+
+    count, xp = route.control.shape[0], np if isinstance(route.control, np.ndarray) else jnp
+    control, travel = (
+        xp.pad(values, (0, -count % BLOCK), mode="edge").reshape(-1, BLOCK) for values in (route.control, route.travel)
+    )
+    if xp is jnp:
+        blocks = jax.vmap(block)(control, travel)
+        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], blocks)
+    blocks = [block(*one) for one in zip(control, travel, strict=True)]
+    if checks.is_traced(blocks[0]):
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *blocks)
+    # NumPy joins them without compiling anything.
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:count]), *blocks)
 
 
 def default_control(scene: Scene) -> np.ndarray:
@@ -99,11 +129,11 @@ def default_control(scene: Scene) -> np.ndarray:
     if checks.is_traced(scene):
         raise ValueError("`scene` must be concrete, got a traced one: the number of positions depends on its values.")
     scene = jax.tree.map(checks.as_float, scene)
-    return _default_control(scene, follow_path_now(problem_now(scene), *map(jnp.asarray, across())))
+    path = follow_path_now(problem_now(scene), *map(np.asarray, across()))
+    return _default_control(scene, float(path.start), float(path.stop))
 
 
-def _default_control(scene: Scene, path: "ScanPath") -> np.ndarray:
-    start, stop = float(path.start), float(path.stop)
+def _default_control(scene: Scene, start: float, stop: float) -> np.ndarray:
     onwards, step = scene.motion.onwards, STEP * float(units(scene).control)
     count = max(2, int(np.ceil(onwards * (stop - start) / step)) + 1)
     if count > MOST_STEPS:
@@ -133,10 +163,9 @@ def _check_valid(scene: Scene, problem: Problem) -> None:
 
 
 class ScanPath(NamedTuple):
-    """A path, its events, and the range of the control in which whiskers touch the object."""
+    """A path, and the range of the control in which whiskers touch the object."""
 
     path: Path
-    events: Events
     start: Float[Array, ""]
     stop: Float[Array, ""]
 
@@ -147,56 +176,73 @@ def _capacity(problem: Problem, stops: int) -> int:
 
 
 def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:
-    """March to all stops, given in the scene's units; right across the object if the first one is NaN."""
+    """March to all stops, given in the scene's units; right across the object if the first one is NaN.
+
+    A path has no derivatives: they are attached to what is computed from it.
+    """
+    problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
     unit, approach = problem.unit, approach_of(problem)
     limits, whole = approach.limits(), jnp.isnan(stops[0])
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
-    path = march(*jax.lax.stop_gradient((problem, stops)), last, capacity=_capacity(problem, stops.shape[0]))
+    path = march(problem, stops, jnp.asarray(last), capacity=_capacity(problem, stops.shape[0]))
     path, start, stop = approach.crop(path, whole, limits)
-    ends = jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control)
-    return ScanPath(path, events(problem, path), *ends)
+    return ScanPath(path, jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control))
 
 
-class TracedScan:
-    """The path of a traced scene: its events, and the signals at any controls. For callers that jit scans themselves.
+class StagedScan:
+    """A scan as part of a caller's jit: its path, its events, and the signals at any controls.
 
     With NaN for the first stop (see `route.across`) the path leads right across the object and begins at `start`.
     """
 
     def __init__(self, scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]):
         self.scene, self.problem = scene, problem_of(scene)
-        self._path = follow_path(self.problem, stops, last)
-        self.events, self.start, self.stop = self._path.events, self._path.start, self._path.stop
-        self.status = self._path.path.status
+        self._path, self.start, self.stop = follow_path(self.problem, stops, last)
+        self.status = self._path.status
+
+    @property
+    def events(self) -> Events:
+        """The events of the path."""
+        return events(self.problem, self._path)
 
     def signals(
         self, control: Float[Array, " steps"], travel: Float[Array, " steps"]
     ) -> tuple[Float[Array, "steps whiskers 3"], Bool[Array, " steps"]]:
         """Reactions fx, fy, mz at controls that the drive passes after travelling `travel`, and whether they are ok."""
-        state, status = solve_steps(self.problem, self._path.path, control, travel)
+        state, status = states(self.problem, control, solve_steps(self.problem, self._path, control, travel))
         return jnp.stack([state.fx, state.fy, state.mz], axis=-1), status == Status.ok
 
     def result(self, route: Route, status: Int[Array, ""] | None = None) -> Result:
         """The result along a route to these stops; a status of the route, if not ok, replaces that of the path."""
-        path, count = self._path.path, self._path.path.count
-        if status is not None:
-            good = status == Status.ok
-            path = path._replace(count=jnp.where(good, count, 0), status=jnp.where(good, path.status, status))
-        control = jnp.asarray(route.control)
-        state, step_status = solve_steps(self.problem, path, control, jnp.asarray(route.travel))
-        return _result(self.scene, self._path, control, state, _spring_length(self.scene, state, control), step_status)
+        path = _if_ok(self._path, status)
+        control, travel = jnp.asarray(route.control), jnp.asarray(route.travel)
+        state, step_status = states(self.problem, control, solve_steps(self.problem, path, control, travel))
+        return _result(self.scene, self.problem, path, control, state, _spring_length(self.scene, state, control), step_status)
+
+
+def _if_ok(path: Path, status: Int[Array, ""] | None) -> Path:
+    """The path, or no path and this status if it is not ok."""
+    if status is None:
+        return path
+    good = status == Status.ok
+    return path._replace(count=jnp.where(good, path.count, 0), status=jnp.where(good, path.status, status))
 
 
 def scan_route(scene: Scene, route: Route) -> Result:
     """Scan a traced scene along a route. For callers that jit scans themselves."""
-    return TracedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route)
+    return StagedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route)
 
 
 def scan_across(scene: Scene, steps: int) -> Result:
     """Scan a traced scene right across the object, at equidistant positions over the range of its default control."""
-    traced = TracedScan(scene, *map(jnp.asarray, across()))
-    start, stop = jax.lax.stop_gradient((traced.start, traced.stop))  # derivatives are taken at fixed positions
-    return traced.result(straight(start + (stop - start) * jnp.linspace(0.0, 1.0, steps)))
+    staged = StagedScan(scene, *map(jnp.asarray, across()))
+    return staged.result(evenly(staged.start, staged.stop, steps))
+
+
+def evenly(start: Float[Array, ""], stop: Float[Array, ""], steps: int) -> Route:
+    """The route through equidistant positions."""
+    start, stop = jax.lax.stop_gradient((start, stop))  # derivatives are taken at fixed positions
+    return straight(start + (stop - start) * jnp.linspace(0.0, 1.0, steps))
 
 
 def contact_range(scene: Scene) -> tuple[Float[Array, ""], Float[Array, ""]]:
@@ -205,13 +251,13 @@ def contact_range(scene: Scene) -> tuple[Float[Array, ""], Float[Array, ""]]:
     return path.start, path.stop
 
 
-def _scan_traced(scene: Scene, control: Control | None) -> Result:
+def _scan_staged(scene: Scene, control: Control | None) -> Result:
     if control is None:
         return scan_across(scene, TRACED_STEPS)
     if not checks.is_traced(control):
         return scan_route(scene, route_of(np.asarray(control, dtype=float)))
     route, status = traced_route(jnp.asarray(control, dtype=float))
-    return TracedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route, status)
+    return StagedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route, status)
 
 
 def _spring_length(scene: Scene, state: State, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
@@ -235,7 +281,8 @@ def _spring_length(scene: Scene, state: State, control: Float[Array, " steps"]) 
 
 def _result(
     scene: Scene,
-    path: ScanPath,
+    problem: Problem,
+    path: Path,
     control: Float[Array, " steps"],
     state: State,
     spring_length: Float[Array, "steps springs"],
@@ -243,28 +290,30 @@ def _result(
 ) -> Result:
     fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
     return Result(
-        **fields, control=control, spring_length=spring_length, status=status, events=path.events, scene=scene
+        **fields,
+        control=control,
+        spring_length=spring_length,
+        status=status,
+        deferred_events=lambda: events_now(problem, path),
+        scene=scene,
     )
 
 
-problem_now, follow_path_now, solve_steps_now = jit(problem_of), jit(follow_path), jit(solve_steps)
-_spring_length_now = jit(_spring_length)
+problem_now, spring_length_now = Program(problem_of), Program(_spring_length)
+follow_path_now = Program(follow_path, frozen=True, quick=True, batched=True)
+solve_steps_now = Program(solve_steps, frozen=True)
+states_now = Program(states, tangent=state_tangents)
+events_now = Program(events, tangent=event_tangents, quick=True)
+traced_route_now, evenly_now = Program(traced_route), Program(evenly, frozen=True)
 
 
-_COMPILED: set[tuple] = set()
-
-
-def _compile(problem: Problem, stops: int) -> None:
-    """Compile the march and the steps for a problem shape at the same time; one compiler alone leaves a core idle."""
-    leaves, structure = jax.tree.flatten(problem)
-    shape = (stops, structure, *((leaf.shape, leaf.dtype) if checks.is_numeric(leaf) else leaf for leaf in leaves))
-    if shape in _COMPILED:
+def _prepare(problem: Problem, stops: int) -> None:
+    """Compile the programs of a scan for a problem shape at the same time; one compiler alone leaves a core idle."""
+    ends = np.zeros(stops), np.asarray(0)
+    if follow_path_now.is_ready(problem, *ends):
         return
-    with ThreadPoolExecutor(1) as aside:
-        marching = follow_path_now.compile_aside(aside, problem, np.ones(stops), np.asarray(1))
-        path = jax.eval_shape(lambda: no_path(problem, _capacity(problem, stops)))
-        path = jax.tree.map(lambda leaf: jnp.asarray(np.zeros(leaf.shape, leaf.dtype)), path)
-        block = np.zeros(BLOCK)
-        solve_steps_now.compile(problem, path, block, block)
-        marching.result()
-    _COMPILED.add(shape)
+    block = np.zeros(BLOCK)
+    with ThreadPoolExecutor(threads()) as pool:
+        path = follow_path_now.prepare(pool, problem, *ends).path
+        solutions = solve_steps_now.prepare(pool, problem, path, block, block)
+        states_now.prepare(pool, problem, block, solutions)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Pose
@@ -58,7 +58,7 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
     return shapes_of(State(**fields), jax.tree.map(checks.as_float, whiskers), points=points)
 
 
-@jit
+@Program
 def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Shapes:
     """Centre lines of whiskers in one or more states."""
     fields = base_of(state), state.fx, state.fy, state.mz, state.contact_arc, state.phase == Phase.free

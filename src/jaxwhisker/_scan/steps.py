@@ -1,6 +1,5 @@
 """The steps of a scan: the equilibrium at every drive position, solved for from the path's interpolation."""
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -55,64 +54,69 @@ def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
     return Point(jnp.where(apart, z, here.point.z), u)
 
 
-class SolvedStep(NamedTuple):
-    """A solution and its checks."""
+class Solutions(NamedTuple):
+    """Equilibria at the steps of a scan. Steps that failed hold free whiskers."""
 
-    z: Contacts
-    mode: Mode
-    exact: Bool[Array, ""]
-    stable: Bool[Array, ""]
+    z: Float[Array, "*steps whiskers 3"]
+    phase: Int[Array, "*steps whiskers"]
+    side: Float[Array, "*steps whiskers"]
+    status: Int[Array, "*steps"]
 
 
-def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Bool[Array, ""]) -> SolvedStep:
-    """Solve for the equilibrium at a control after node `index`; reject it if the path is not `known` there."""
+def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Int[Array, ""]) -> Solutions:
+    """Solve for the equilibrium at a control after node `index`; `known` is the status of the path there."""
     mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
     guess = interpolate(path, index, u)
     solution = solve_point(problem, mode, at_control(u, guess.z), guess)
     z = solution.point.z
     near = jnp.max(jnp.abs(z - guess.z) / scale_of(z)) < JUMP
-    exact = solution.converged & near
     stable = is_stable(problem, mode, solution.newton.condensed)
-    accepted = known & exact & stable
+    status = jnp.where(solution.converged & near, jnp.where(stable, Status.ok, Status.unstable), Status.inexact)
+    status = jnp.where(known == Status.ok, status, known)
+    accepted = status == Status.ok
     # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see `safe_placeholder`).
-    mode = mode._replace(phase=jnp.where(accepted, mode.phase, Phase.free))
-    return SolvedStep(jnp.where(accepted, z, 0.0), mode, exact, stable)
-
-
-def _point(problem: Problem, u: Scalar, step: SolvedStep) -> Point:
-    """The equilibrium with its derivatives."""
-    return solved(Point(step.z, jax.lax.stop_gradient(u)), problem, step.mode, at_control(u, step.z))
-
-
-def _checked_state(problem: Problem, point: Point, step: SolvedStep) -> tuple[State, Int[Array, ""]]:
-    """State and status of a step."""
-    state, residual = signals(problem, point.z, point.u, step.mode)
-    exact = step.exact & (residual < RESIDUAL)
-    return state, jnp.where(exact, jnp.where(step.stable, Status.ok, Status.unstable), Status.inexact)
+    phase = jnp.where(accepted, mode.phase, Phase.free)
+    return Solutions(jnp.where(accepted, z, 0.0), phase, mode.side, status)
 
 
 def solve_steps(
     problem: Problem, path: Path, control: Float[Array, " steps"], travel: Float[Array, " steps"]
-) -> tuple[State, Int[Array, " steps"]]:
-    """States and status at control positions that the drive passes after travelling `travel`, in the scene's units."""
-    path, unit = jax.lax.stop_gradient(path), problem.unit
-    u, travel = control / unit.control, travel / unit.control
+) -> Solutions:
+    """Solve for the equilibria at control positions that the drive passes after travelling `travel`.
+
+    Positions are in the scene's units. The solutions have no derivatives: `states` attaches them.
+    """
+    problem, path, control, travel = jax.lax.stop_gradient((problem, path, control, travel))
+    u, travel = control / problem.unit.control, travel / problem.unit.control
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
     end = node_travel[path.count - 1]
     noise = TRAVEL_NOISE * (1 + end)
     # A step exactly at an event belongs to the phase that begins, whichever side rounding puts it on.
     index = jnp.clip(jnp.searchsorted(node_travel, travel + noise, side="right") - 1, 0, path.count - 1)
     beyond = (travel > end + noise) | (path.count == 0)
-
-    known = problem.valid & ~(beyond & (path.status != Status.ok))
-    fixed, at = jax.lax.stop_gradient((problem, (index, u, known)))
+    known = jnp.where(problem.valid, jnp.where(beyond, path.status, Status.ok), Status.invalid)
     batch = min(BATCH, control.shape[0])
-    steps = jax.lax.map(lambda one: _solve(fixed, path, *one), at, batch_size=batch)
+    return jax.lax.map(lambda one: _solve(problem, path, *one), (index, u, known), batch_size=batch)
+
+
+def states(
+    problem: Problem, control: Float[Array, " steps"], solutions: Solutions
+) -> tuple[State, Int[Array, " steps"]]:
+    """States and status of solved steps, in the scene's units, with derivatives; NaN for steps that failed."""
+    u = control / problem.unit.control
+    modes = Mode(solutions.phase, solutions.side, jnp.zeros(solutions.status.shape, bool))
+
+    def point(u: Scalar, z: Contacts, mode: Mode) -> Point:
+        return solved(Point(z, jax.lax.stop_gradient(u)), problem, mode, at_control(u, z))
+
     # This is outside the loop because a loop that is differentiated backwards drops the rules for second derivatives.
-    points = jax.vmap(partial(_point, problem))(jnp.where(jnp.isfinite(u), u, 0.0), steps)
-    state, status = jax.lax.map(lambda one: _checked_state(problem, *one), (points, steps), batch_size=batch)
-    status = jnp.where(beyond & (path.status != Status.ok), path.status, status)
-    status = jnp.where(problem.valid, status, Status.invalid)
+    points = jax.vmap(point)(jnp.where(jnp.isfinite(u), u, 0.0), solutions.z, modes)
+    batch = min(BATCH, control.shape[0])
+    state, residual = jax.lax.map(
+        lambda one: signals(problem, one[0].z, one[0].u, one[1]), (points, modes), batch_size=batch
+    )
+    ok = solutions.status == Status.ok
+    status = jnp.where(ok & ~(residual < RESIDUAL), Status.inexact, solutions.status)
     ok = (status == Status.ok)[:, None]
     state = jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), state)
     return state, status

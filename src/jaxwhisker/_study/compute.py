@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxwhisker._base.jit import COMPILER_OPTIONS
+from jaxwhisker._base.program import COMPILER_OPTIONS
 from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.approach import MARGIN

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, units
@@ -77,7 +77,7 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
     return best
 
 
-@jit
+@Program
 def _slope(scene: Scene, base_x: Float[Array, " steps"]) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
     """dF_x/dx0 and the contact force at positions of the clamped base."""
 

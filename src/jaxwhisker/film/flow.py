@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import newton_step, solve_point
@@ -123,4 +123,4 @@ def _state_in_scene(problem: Problem, u: Scalar, kept: _Kept) -> State:
     )
 
 
-_flow_now = jit(_flow)
+_flow_now = Program(_flow)

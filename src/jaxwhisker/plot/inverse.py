@@ -10,7 +10,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 from jaxwhisker._inverse.fit import Fit
 from jaxwhisker._inverse.fit_contour import ContourFit
 from jaxwhisker._inverse.information import Information
@@ -154,7 +154,7 @@ def _bars(x: np.ndarray, y: np.ndarray, slope: np.ndarray, error: np.ndarray) ->
     return np.asarray(ends_x), np.asarray(ends_y)
 
 
-@jit
+@Program
 def _between(profile: AbstractProfile, slopes: Float[jax.Array, " 2"]) -> ContactPoint:
     """Points of a profile between two slope angles."""
     ends = jnp.asarray(jax.vmap(profile.at_slope)(slopes))

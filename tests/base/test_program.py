@@ -5,14 +5,14 @@ from concurrent.futures import ThreadPoolExecutor
 import jax
 import jax.numpy as jnp
 
-from jaxwhisker._base.jit import jit
+from jaxwhisker._base.program import Program
 
 
 def counted():
     """A compiled function, and how often it has been traced."""
     traces = []
 
-    @jit
+    @Program
     def scale(x, name):
         """Twice the argument."""
         traces.append(name)

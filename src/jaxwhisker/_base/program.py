@@ -1,0 +1,408 @@
+"""Programs: functions that are compiled once for each shape of their arguments, and kept for later processes.
+
+Where the arguments of a program have values, the program runs on its own: it is compiled without what surrounds it, and
+everything that runs outside a caller's jit shares it. That includes vmap, jvp, grad and any nesting of them, because
+JAX hands such transformations down to values (see `_jvp` and `_batch`). Inside a caller's jit, the function becomes
+part of the caller's program.
+
+A program decides how it is differentiated. `frozen` programs have no derivatives: those of the path and of solved
+points are attached to what is computed from them. A program with a `tangent` rule has its tangents computed by that
+rule, usually by another program. All others are differentiated by JAX.
+"""
+
+import functools
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.experimental import serialize_executable
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+from jaxlib.version import __version_info__ as version
+
+from jaxwhisker._base import store
+
+# Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
+# time, and its kernels run equally fast.
+COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if version < (0, 11) else {}
+
+MOST_SINGLE = 256  # batches up to this size run one by one, which needs no further program
+LANES = 64  # larger batches of a `batched` program run in blocks of this size
+PATIENCE = 2.0  # seconds of compilation after which a line on the terminal says what is going on
+
+
+class Shape(NamedTuple):
+    """What a program is compiled for: everything about its arguments but the numbers in their arrays."""
+
+    structure: Any
+    leaves: tuple  # ... stands for an array
+    arrays: tuple[tuple[tuple[int, ...], np.dtype], ...]  # shapes and types
+
+    def arguments(self, arrays: Any) -> tuple[tuple, dict[str, Any]]:
+        """The positional and named arguments with these arrays."""
+        return _tree(self.structure, self.leaves, arrays)
+
+
+class Results(NamedTuple):
+    """Everything about the results of a program but the numbers in their arrays."""
+
+    structure: Any
+    leaves: tuple  # ... stands for an array
+    arrays: tuple[jax.ShapeDtypeStruct, ...]
+
+    def tree(self, arrays: Any) -> Any:
+        """The results with these arrays."""
+        return _tree(self.structure, self.leaves, arrays)
+
+
+class Program:
+    """A function that runs as one compiled program. Arguments that are not arrays are static.
+
+    Args:
+        function: takes and returns trees of arrays; what else it returns must depend on its static arguments only.
+        frozen: whether the function has no derivatives.
+        tangent: a function of the arguments and their tangents (None where they are zero) that returns the tangents of
+            the results (None where they are zero or do not exist).
+        quick: whether to compile in half the time; programs of many small kernels run no slower.
+        batched: whether the lanes of a large batch run together rather than one by one.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        *,
+        frozen: bool = False,
+        tangent: Callable | None = None,
+        quick: bool = False,
+        batched: bool = False,
+    ):
+        functools.update_wrapper(self, function)
+        self._function, self._frozen, self._tangent = function, frozen, tangent
+        self._options = COMPILER_OPTIONS | ({"xla_backend_optimization_level": 0} if quick else {})
+        self.batched = batched
+        self._lock = threading.Lock()
+        self._results: dict[Shape, Results] = {}
+        self._executables: dict[tuple[Shape, int], Future] = {}
+        _PROGRAMS.append(self)
+
+    def __call__(self, *args, **kwargs):
+        shape, arrays = _split(args, kwargs)
+        if any(is_staged(leaf) for leaf in arrays):
+            return self._function(*args, **kwargs)
+        if any(isinstance(leaf, Tracer) for leaf in arrays):
+            if self._frozen:
+                arrays = [jax.lax.stop_gradient(leaf) if isinstance(leaf, Tracer) else leaf for leaf in arrays]
+            arrays = PRIMITIVE.bind(*arrays, program=self, shape=shape, levels=())
+        else:
+            arrays = self.run(shape, arrays)
+        return self._results[shape].tree(arrays)
+
+    def is_ready(self, *args) -> bool:
+        """Whether the program for arguments of these shapes is compiled, or being compiled."""
+        return (_split(args)[0], 0) in self._executables
+
+    def prepare(self, pool: Executor, *args) -> Any:
+        """Trace for arguments of these shapes and compile in a thread of the pool. Return the shapes of the results."""
+        shape, _ = _split(args)
+        self._executable(shape, 0, pool)
+        return self._results[shape].tree(self._results[shape].arrays)
+
+    def run(self, shape: Shape, arrays: Sequence, lanes: int = 0) -> list:
+        """The results' arrays for arrays with values; if there are `lanes`, for as many of each."""
+        return self._executable(shape, lanes).result()(*arrays)
+
+    def results(self, shape: Shape) -> Results:
+        """What the function returns for arguments of this shape."""
+        if shape not in self._results:
+            self._executable(shape, 0)
+        return self._results[shape]
+
+    def flat(self, shape: Shape) -> Callable[..., list]:
+        """The function from the arguments' arrays to the results' arrays."""
+
+        def function(*arrays):
+            args, kwargs = shape.arguments(arrays)
+            leaves, structure = jax.tree.flatten(self._function(*args, **kwargs))
+            kept = [leaf for leaf in leaves if is_array(leaf)]
+            described = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in kept)
+            self._results[shape] = Results(structure, tuple(_if_array(leaf, leaf) for leaf in leaves), described)
+            return kept
+
+        return function
+
+    def tangents(self, shape: Shape, arrays: Sequence, dots: Sequence) -> list:
+        """Tangents of the results' arrays for tangents of the arguments' arrays; None where they are zero."""
+        results = self.results(shape)
+        if self._frozen:
+            return [None] * len(results.arrays)
+        if self._tangent is None:
+            return _differentiated(self._jitted(shape), arrays, dots)
+        args, _ = shape.arguments(arrays)
+        args_dot, _ = _tree(shape.structure, [_if_array(leaf) for leaf in shape.leaves], dots)
+        every = results.structure.flatten_up_to(self._tangent(args, args_dot))
+        return [dot for dot, leaf in zip(every, results.leaves, strict=True) if leaf is ...]
+
+    @functools.lru_cache(maxsize=64)  # noqa: B019, programs live as long as the process
+    def _jitted(self, shape: Shape) -> Callable[..., list]:
+        return jax.jit(self.flat(shape))
+
+    def clear(self) -> None:
+        """Forget everything that was compiled in this process."""
+        with self._lock:
+            self._executables.clear()
+
+    def _executable(self, shape: Shape, lanes: int, pool: Executor | None = None) -> Future:
+        with self._lock:
+            if (shape, lanes) not in self._executables:
+                with _announced():
+                    future = self._load(shape, lanes, pool) or self._compile(shape, lanes, pool)
+                self._executables[shape, lanes] = future
+            return self._executables[shape, lanes]
+
+    def _key(self, shape: Shape, lanes: int) -> str | None:
+        arguments = store.describe([self._function, shape.arguments([...] * len(shape.arrays))])
+        return arguments and store.key_of(f"{arguments} {shape.arrays} {lanes} {self._options}")
+
+    def _load(self, shape: Shape, lanes: int, pool: Executor | None) -> Future | None:
+        key = self._key(shape, lanes)
+        stored = key and store.load(key)
+        if not stored:
+            return None
+        tree, arrays, serialized = stored
+        leaves, structure = jax.tree.flatten(tree)
+        self._results[shape] = Results(structure, tuple(leaves), arrays)
+        return _aside(pool, lambda: serialize_executable.deserialize_and_load(*serialized))
+
+    def _compile(self, shape: Shape, lanes: int, pool: Executor | None) -> Future:
+        function, ahead = self.flat(shape), (lanes,) if lanes else ()
+        arguments = [jax.ShapeDtypeStruct((*ahead, *size), kind) for size, kind in shape.arrays]
+        lowered = jax.jit(jax.vmap(function) if lanes else function).lower(*arguments)
+        results = self._results[shape]
+
+        def compiled():
+            with _announced():
+                executable = lowered.compile(self._options)
+            if key := self._key(shape, lanes):
+                entry = results.tree([...] * len(results.arrays)), results.arrays
+                store.save(key, (*entry, serialize_executable.serialize(executable)))
+            return executable
+
+        return _aside(pool, compiled)
+
+
+_PROGRAMS: list[Program] = []
+
+
+def clear() -> None:
+    """Forget all programs that were compiled in this process; those on disk are loaded again when needed."""
+    for program in _PROGRAMS:
+        program.clear()
+
+
+def program(**options) -> Callable[[Callable], Program]:
+    """Decorator that makes a function a Program."""
+    return functools.partial(Program, **options)
+
+
+def is_array(leaf: Any) -> bool:
+    """Whether a leaf is an array, traced or not, or describes one; other leaves are static."""
+    return isinstance(leaf, (np.ndarray, np.generic, jax.Array, jax.ShapeDtypeStruct))
+
+
+def is_staged(leaf: Any) -> bool:
+    """Whether a value is unknown until a caller's jit runs. Below vmap, jvp and grad alone, values are known."""
+    while isinstance(leaf, Tracer):
+        kind = type(leaf).__name__
+        if kind == "BatchTracer":
+            leaf = leaf.val  # pyright: ignore[reportAttributeAccessIssue]
+        elif kind in ("JVPTracer", "LinearizeTracer"):
+            leaf = leaf.primal  # pyright: ignore[reportAttributeAccessIssue]
+        else:
+            return True
+    return False
+
+
+def threads() -> int:
+    """Number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _split(args: tuple, kwargs: dict[str, Any] | None = None) -> tuple[Shape, list]:
+    leaves, structure = jax.tree.flatten((args, kwargs or {}))
+    arrays = [leaf for leaf in leaves if is_array(leaf)]
+    shapes = tuple((tuple(leaf.shape), np.dtype(leaf.dtype)) for leaf in arrays)
+    return Shape(structure, tuple(_if_array(leaf, leaf) for leaf in leaves), shapes), arrays
+
+
+def _if_array(leaf: Any, otherwise: Any = None) -> Any:
+    return ... if leaf is ... or is_array(leaf) else otherwise
+
+
+def _tree(structure: Any, leaves: Sequence, arrays: Any) -> Any:
+    rest = iter(arrays)
+    return jax.tree.unflatten(structure, [next(rest) if leaf is ... else leaf for leaf in leaves])
+
+
+def _aside(pool: Executor | None, function: Callable) -> Future:
+    if pool is not None:
+        return pool.submit(function)
+    done = Future()
+    done.set_result(function())
+    return done
+
+
+# Below vmap, jvp and grad, a program is a primitive. `levels` says, for every vmap from the outermost one inwards, which
+# arrays have an axis for it; these axes come first, in the same order.
+PRIMITIVE = Primitive("jaxwhisker_program")
+PRIMITIVE.multiple_results = True
+
+
+@PRIMITIVE.def_impl
+def _run(*arrays, program: Program, shape: Shape, levels: tuple[tuple[bool, ...], ...]) -> list:
+    if not levels:
+        return program.run(shape, arrays)
+    values = [np.asarray(leaf) for leaf in arrays]
+    sizes = [_size(values, levels, number) for number in range(len(levels))]
+    indices = list(np.ndindex(*sizes))
+
+    def lane(index: tuple[int, ...]) -> list:
+        own = [tuple(i for i, mapped in zip(index, level, strict=True) if mapped) for level in zip(*levels, strict=True)]
+        return [leaf[at] for leaf, at in zip(values, own, strict=True)]
+
+    def single(index) -> list:
+        return [np.asarray(leaf) for leaf in program.run(shape, lane(index))]
+
+    def block(first: int) -> list:
+        some = indices[first : first + LANES]
+        lanes = [lane(index) for index in [*some, *[some[-1]] * (LANES - len(some))]]
+        results = program.run(shape, [np.stack(each) for each in zip(*lanes, strict=True)], LANES)
+        return [np.asarray(leaf)[: len(some)] for leaf in results]
+
+    together = program.batched and len(indices) > MOST_SINGLE
+    with ThreadPoolExecutor(threads()) as pool:  # XLA alone keeps one processor busy
+        if together:
+            parts = list(pool.map(block, range(0, len(indices), LANES)))
+            joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
+        else:
+            parts = list(pool.map(single, indices))
+            joined = [np.stack(each) for each in zip(*parts, strict=True)]
+    if not indices:
+        joined = [np.zeros((0, *info.shape), info.dtype) for info in program.results(shape).arrays]
+    return [jnp.asarray(leaf.reshape(*sizes, *leaf.shape[1:])) for leaf in joined]
+
+
+def _size(values: list[np.ndarray], levels: tuple[tuple[bool, ...], ...], number: int) -> int:
+    """Size of the axis of a vmap."""
+    which = levels[number].index(True)
+    return values[which].shape[sum(level[which] for level in levels[:number])]
+
+
+def _batch(arrays, axes, *, program: Program, shape: Shape, levels):
+    mapped = tuple(axis is not batching.not_mapped for axis in axes)
+    arrays = [jnp.moveaxis(leaf, axis, 0) if axis else leaf for leaf, axis in zip(arrays, axes, strict=True)]
+    results = PRIMITIVE.bind(*arrays, program=program, shape=shape, levels=(mapped, *levels))
+    return results, [0] * len(results)
+
+
+def _jvp(arrays, dots, *, program: Program, shape: Shape, levels):
+    results = PRIMITIVE.bind(*arrays, program=program, shape=shape, levels=levels)
+    some = [not isinstance(dot, ad.Zero) for dot in dots]
+    kept: list[int] = []
+
+    def tangents(arrays, given):
+        rest = iter(given)
+        every = program.tangents(shape, arrays, [next(rest) if one else None for one in some])
+        kept[:] = [k for k, dot in enumerate(every) if dot is not None]
+        return [every[k] for k in kept]
+
+    for level in reversed(levels):
+        axes = [0 if mapped else None for mapped in level]
+        tangents = jax.vmap(tangents, in_axes=(axes, [axis for axis, one in zip(axes, some, strict=True) if one]))
+    given = [ad.instantiate_zeros(dot) for dot, one in zip(dots, some, strict=True) if one]
+    found = tangents(list(arrays), given)
+    out: list = [ad.Zero(jax.typeof(result).to_tangent_aval()) for result in results]
+    for k, dot in zip(kept, found, strict=True):
+        out[k] = dot
+    return results, out
+
+
+def _differentiated(function: Callable[..., list], arrays: Sequence, dots: Sequence) -> list:
+    """Tangents by JAX."""
+    active = [k for k, dot in enumerate(dots) if dot is not None]
+
+    def smooth(*some):
+        every = list(arrays)
+        for k, leaf in zip(active, some, strict=True):
+            every[k] = leaf
+        return {k: leaf for k, leaf in enumerate(function(*every)) if eqx.is_inexact_array(leaf)}
+
+    found: dict = {}
+    results = jax.jvp(smooth, tuple(arrays[k] for k in active), tuple(dots[k] for k in active))[1]
+    found.update(results)
+    return [found.get(k) for k in range(1 + max(found, default=-1))]
+
+
+def _staged(*arrays, program: Program, shape: Shape, levels) -> list:
+    """The results where a caller's jit surrounds transformations that know their values."""
+    function = program.flat(shape)
+    for level in reversed(levels):
+        function = jax.vmap(function, in_axes=[0 if mapped else None for mapped in level])
+    return function(*arrays)
+
+
+batching.primitive_batchers[PRIMITIVE] = _batch
+ad.primitive_jvps[PRIMITIVE] = _jvp
+PRIMITIVE.def_abstract_eval(
+    lambda *avals, **params: [
+        jax.core.ShapedArray(info.shape, info.dtype)
+        for info in jax.eval_shape(functools.partial(_staged, **params), *avals)
+    ]
+)
+mlir.register_lowering(PRIMITIVE, mlir.lower_fun(_staged, multiple_results=True))
+
+
+class _Notice:
+    """What is being compiled in this process, and the line that says so."""
+
+    lock = threading.Lock()
+    running = 0
+    timer: threading.Timer | None = None
+
+
+@contextmanager
+def _announced() -> Iterator[None]:
+    """Say on a terminal or in a notebook what is going on if this takes longer than `PATIENCE`."""
+    with _Notice.lock:
+        _Notice.running += 1
+        if _Notice.running == 1 and _interactive():
+            _Notice.timer = threading.Timer(PATIENCE, _announce)
+            _Notice.timer.daemon = True
+            _Notice.timer.start()
+    try:
+        yield
+    finally:
+        with _Notice.lock:
+            _Notice.running -= 1
+            if _Notice.running == 0 and _Notice.timer is not None:
+                _Notice.timer.cancel()
+                _Notice.timer = None
+
+
+def _interactive() -> bool:
+    if os.environ.get("JAXWHISKER_PROGRESS", "").lower() in ("off", "0", "no", "false"):
+        return False
+    return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)())
+
+
+def _announce() -> None:
+    kept = "" if store.folder() is None else ", kept for later"
+    print(f"jaxwhisker: compiling for scenes of this kind, once{kept} ...", file=sys.stderr, flush=True)
