@@ -1,12 +1,11 @@
 """Derivatives of solved points by the implicit function theorem; they do not depend on the solver's iterations."""
 
-from typing import TypeVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, PyTree
 
+from jaxwhisker._base.leaves import Tree
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import (
     Condensed,
@@ -18,8 +17,6 @@ from jaxwhisker._equilibrium.newton import (
 )
 from jaxwhisker._equilibrium.point import Mode, Point, Row, scale_of, unit
 from jaxwhisker._equilibrium.problem import Problem
-
-Tree = TypeVar("Tree")
 
 
 def without_rule(point: Tree, known: PyTree) -> Tree:

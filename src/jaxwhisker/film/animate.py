@@ -5,8 +5,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from jaxwhisker._base import checks
 from jaxwhisker._scan.quantities import check_units
 from jaxwhisker._scan.result import Result, check_one_scan
@@ -77,6 +75,8 @@ def animate(
         ValueError: if an argument is invalid, the result is not that of one scan, or ffmpeg is missing for a video.
         OSError: if the file cannot be written.
     """
+    from tqdm import tqdm
+
     from jaxwhisker.film import canvas, frames, writers
 
     check_one_scan(result)

@@ -18,7 +18,7 @@ from jaxwhisker._scan.state import State
 from jaxwhisker.film.flow import flows
 
 SNAP_FRAMES = 13  # frames of a snap, including the states before and after it
-LINE_POINTS = 64  # per centre line
+FILMED_POINTS = 64  # per centre line
 EVENT_ROUNDING = 1e-9  # of the travel: a step exactly at an event shows the state after it
 SWINGS = 0.1  # of the whisker's length: only a whisker that swings moves farther than this in one step of the flow
 PADDING = 64  # states are padded to a multiple of this, because films of similar length then share a compiled program
@@ -117,7 +117,7 @@ def lines_of(groups: Sequence[State], result: Result) -> list[Shapes]:
     sizes = np.array([group.phase.shape[0] for group in groups])
     states = _merged(np.concatenate, groups)
     padded = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, [(0, -sizes.sum() % PADDING), (0, 0)])), states)
-    lines = shapes_of(padded, jax.tree.map(checks.as_float, result.scene.whiskers), points=LINE_POINTS)
+    lines = shapes_of(padded, jax.tree.map(checks.as_float, result.scene.whiskers), points=FILMED_POINTS)
     lines = jax.tree.map(np.asarray, lines)
     return [_at(lines, slice(end - size, end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
 
