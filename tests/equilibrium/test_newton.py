@@ -149,7 +149,9 @@ def test_failure_is_a_flag_and_neighbours_do_not_notice(typical):
     z = jnp.asarray(at.z)
     # Far beyond the fold there is no such equilibrium, and NaN is no control.
     controls = jnp.array([0.0, -6.0, jnp.nan, 1e-3])
-    batch = Program(lambda u: jax.vmap(lambda u: solve_point(problem, mode, at_control(u, z), Point(z, u)))(u))(controls)
+    batch = Program(lambda u: jax.vmap(lambda u: solve_point(problem, mode, at_control(u, z), Point(z, u)))(u))(
+        controls
+    )
     assert batch.converged.tolist() == [True, False, False, True]
     for lane in (0, 3):
         alone = solved_at_control(problem, mode, z, controls[lane])

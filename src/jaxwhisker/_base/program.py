@@ -260,8 +260,8 @@ def _aside(pool: Executor | None, function: Callable) -> Future:
     return done
 
 
-# Below vmap, jvp and grad, a program is a primitive. `levels` says, for every vmap from the outermost one inwards, which
-# arrays have an axis for it; these axes come first, in the same order.
+# Below vmap, jvp and grad, a program is a primitive. `levels` says which arrays have an axis for each vmap, from the
+# outermost one inwards; these axes come first, in the same order.
 PRIMITIVE = Primitive("jaxwhisker_program")
 PRIMITIVE.multiple_results = True
 
@@ -275,8 +275,8 @@ def _run(*arrays, program: Program, shape: Shape, levels: tuple[tuple[bool, ...]
     indices = list(np.ndindex(*sizes))
 
     def lane(index: tuple[int, ...]) -> list:
-        own = [tuple(i for i, mapped in zip(index, level, strict=True) if mapped) for level in zip(*levels, strict=True)]
-        return [leaf[at] for leaf, at in zip(values, own, strict=True)]
+        each = zip(values, zip(*levels, strict=True), strict=True)
+        return [leaf[tuple(k for k, own in zip(index, mapped, strict=True) if own)] for leaf, mapped in each]
 
     def single(index) -> list:
         return [np.asarray(leaf) for leaf in program.run(shape, lane(index))]

@@ -13,8 +13,8 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.program import Program
 from jaxwhisker._base.leaves import safe_placeholder
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.implicit import without_rule
 from jaxwhisker._model.loads import PointForce, PointMoment

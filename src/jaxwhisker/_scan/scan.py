@@ -27,8 +27,8 @@ from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.route import Route, across, route_of, straight, traced_route
 from jaxwhisker._scan.signals import events
-from jaxwhisker._scan.state import State
 from jaxwhisker._scan.slopes import event_tangents, state_tangents
+from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps, states
 
 STEP = 0.001  # of the default control, dimensionless: in lengths of the first whisker if the drive moves along x
@@ -217,7 +217,9 @@ class StagedScan:
         path = _if_ok(self._path, status)
         control, travel = jnp.asarray(route.control), jnp.asarray(route.travel)
         state, step_status = states(self.problem, control, solve_steps(self.problem, path, control, travel))
-        return _result(self.scene, self.problem, path, control, state, _spring_length(self.scene, state, control), step_status)
+        return _result(
+            self.scene, self.problem, path, control, state, _spring_length(self.scene, state, control), step_status
+        )
 
 
 def _if_ok(path: Path, status: Int[Array, ""] | None) -> Path:
