@@ -28,6 +28,9 @@ def coupled(length=1.0, bending_stiffness=1.0):
     return jw.Scene(whisker, jw.Parabola(0.2 * length, 1 / length), support, rod=jw.ClosedForm())
 
 
+SCENE = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0))
+
+
 def turning():
     """A base that moves along all axes, on an oblique mount, on a drive that rotates."""
     support = jw.Support.follicle(80.0, 200.0, 10.0, mount=jw.Mount(0.0, 0.1, 0.2))
@@ -81,12 +84,14 @@ def steepness(data):
     return (8.64 / data.distance / data.stiffness).transpose("stiffness", "distance")
 
 
-def some_information():
+def some_information(scene=SCENE):
     """Made-up information on a stiffness and a distance."""
     control = np.linspace(0.7, -1.4, 64)
     rates = np.stack([np.exp(-((control + 0.5) ** 2)), np.exp(-8 * (control + 1.0) ** 2)], axis=1)[:, None, :]
     event = EventInformation(jw.EventKind.vertex, (1,), -0.5, np.zeros(2), np.inf)
-    return jw.Information(("c", "q"), {"c": 70.0, "q": 0.2}, control, ("mz",), rates, (event,), np.array([True, True]))
+    return jw.Information(
+        ("c", "q"), {"c": 70.0, "q": 0.2}, control, ("mz",), rates, (event,), np.array([True, True]), scene
+    )
 
 
 def some_fit(result):
@@ -97,13 +102,14 @@ def some_fit(result):
     return jw.Fit(**dict.fromkeys(jw.Fit.__dataclass_fields__) | known)  # pyright: ignore[reportArgumentType]
 
 
-def some_points():
-    """Points of a parabola; the last one is lost in noise."""
+def some_points(length=1.0):
+    """Points of a parabola, seen by a whisker of this length; the last one is lost in noise."""
     x = jnp.linspace(-0.8, 0.8, 33)[:, None]
     one, covariance = jnp.ones_like(x), jnp.zeros((*x.shape, 4, 4)).at[..., [0, 1], [0, 1]].set(4e-4)
     point = {"x": x, "y": 0.2 + x**2, "slope": jnp.arctan(2 * x), "phase": jnp.ones(x.shape, int)}
     state = {"status": jnp.zeros(x.shape, int), "significance": 100 * one.at[-1].set(0.01), "covariance": covariance}
     fields = dict.fromkeys(jw.Reconstruction.__dataclass_fields__, one) | point | state | {"control": x[:, 0]}
+    fields |= {"length": jnp.asarray(length)}
     return jw.Reconstruction(**fields)
 
 

@@ -63,8 +63,11 @@ def peaks(failed, max_fy):
     names = ("min_fx", "max_fx", "max_mz", "contact_width")
     values = {name: (dims, np.ones((3, 1))) for name in names} | {"max_fy": (dims, np.reshape(max_fy, (3, 1)))}
     coords = {"stiffness": [30.0, 40.0, 50.0], "whisker": [1]}
-    attrs = {"points": "in words", "scene": "FB"}
-    return xr.Dataset(values | {"steps_failed": ("stiffness", failed)}, coords, attrs)
+    attrs = {"points": "in words", "scene": "FB", "typical_force": 9.6e-3, "typical_length": 0.05}
+    data = xr.Dataset(values | {"steps_failed": ("stiffness", failed)}, coords, attrs)
+    for name in (*names, "max_fy"):
+        data[name].attrs["units"] = {"max_mz": "force length", "contact_width": "length"}.get(name, "force")
+    return data
 
 
 @pytest.mark.parametrize(
@@ -90,7 +93,10 @@ def test_exit_code_and_last_line_report_how_the_study_ended(failed, max_fy, code
 
     monkeypatch.setattr("jaxwhisker.cli.study.study", study)
     assert cli.main(["study", "--stiffness", "30:50:3"]) == code
-    assert capsys.readouterr().out.splitlines()[-1] == last
+    printed = capsys.readouterr().out
+    assert printed.splitlines()[-1] == last
+    assert "max mz (mN mm)" in printed and "contact width (mm)" in printed
+    assert any(line.split() == ["1", "contact", "width", "(mm)", *["1000"] * 3] for line in printed.splitlines())
 
 
 CONTROL = ["--start", "0.9", "--stop", "-1.7", "--step", "0.05"]

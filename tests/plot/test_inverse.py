@@ -8,7 +8,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker import plot
-from pictured import some_fit, some_information, some_points
+from pictured import LENGTH, STIFFNESS, coupled, some_fit, some_information, some_points
 
 
 @pytest.mark.unchecked  # the made-up fit only has the fields that are drawn
@@ -31,6 +31,21 @@ def test_time_runs_to_the_right():
     for line in ax.get_lines()[:2]:
         share = np.asarray(line.get_ydata())
         assert np.all(np.diff(share) >= 0) and share[-1] == pytest.approx(1.0)
+
+
+def test_information_and_contours_have_si_units():
+    scene = coupled(LENGTH, STIFFNESS)
+    ax = plot.information(some_information(scene))
+    assert ax.get_xlabel() == "$u$ (mm)"
+    np.testing.assert_allclose(ax.get_lines()[0].get_xdata(), 1e3 * some_information().control)
+    assert plot.information(some_information(scene), units="dimensionless").get_xlabel() == "$u/L$"
+    points = some_points(LENGTH)
+    ax, other = plot.contour(points), plot.contour(points, units="dimensionless")
+    assert (ax.get_xlabel(), ax.get_ylabel(), other.get_xlabel()) == ("$x$ (mm)", "$y$ (mm)", "$x/L$")
+    (dots,), (scaled,) = ([x for x in a.get_lines() if x.get_label() == "whisker 1"] for a in (ax, other))
+    clear = points.clear[:, 0]
+    np.testing.assert_allclose(dots.get_xdata(), 1e3 * np.asarray(points.x)[clear, 0])
+    np.testing.assert_allclose(scaled.get_ydata(), np.asarray(points.y)[clear, 0] / LENGTH)
 
 
 def test_only_points_clear_of_noise_are_drawn():

@@ -16,6 +16,7 @@ from jaxwhisker._scan.quantities import (
     UnitSystem,
     control_kind,
     control_name,
+    in_si,
     kind_of,
     unit_in_words,
     with_prefix,
@@ -134,6 +135,23 @@ def test_units_are_one_of_three():
 )
 def test_prefixes_leave_one_to_three_digits(size, unit):
     assert with_prefix("N", size).name == unit
+
+
+@pytest.mark.parametrize(
+    ("words", "unit"),
+    [
+        ("force", ("mN", 1e-3)),
+        ("force length", ("mN mm", 1e-6)),
+        ("force/length", ("mN/mm", 1.0)),
+        ("force length^2", ("mN mm^2", 1e-9)),
+        ("length/force^2", ("mm/mN^2", 1e3)),
+        ("rad/length", ("rad/mm", 1e3)),
+        ("1", ("1", 1.0)),
+    ],
+)
+def test_units_in_words_become_si_units(words, unit):
+    found = in_si(words, 9.6e-3, 0.05)
+    assert found.name == unit[0] and found.size == pytest.approx(unit[1])
 
 
 def test_prefixes_end_at_giga():

@@ -55,6 +55,7 @@ class Information:
     rates: np.ndarray  # (steps, channels, parameters) whitened derivatives; 0 where a step failed
     events: tuple[EventInformation, ...]
     log: np.ndarray  # (parameters,) whether `combinations` describes changes of a parameter as relative ones
+    scene: Scene  # of these parameters
 
     def of(self, *channels: str) -> "Information":
         """The information in some of the channels: `of("mz_1", "mz_2")`, or `of("mz")` for all whiskers.
@@ -370,4 +371,5 @@ def _information_at(
         rates=np.stack([whitened[:, c.whisker, c.reaction] for c in noise.channels], axis=1),
         events=tuple(events),
         log=log,
+        scene=build_scene("at", build, {**at, **chosen}),
     )

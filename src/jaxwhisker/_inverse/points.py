@@ -81,6 +81,7 @@ class Reconstruction(Step):
     """
 
     control: Float[Array, " steps"]
+    length: Float[Array, ""]  # of the first whisker
 
     @property
     def standard_error(self) -> Float[Array, "steps whiskers 4"]:

@@ -98,7 +98,8 @@ def reconstruct(
         points = _contacts_now(jax.tree.map(checks.as_float, known), *readings)
     else:
         points = _contacts_of_parameters(sensor, names, values, jnp.asarray(covariance, dtype=float), readings)
-    return Reconstruction(**vars(jax.tree.map(lambda leaf: leaf[: control.size], points)), control=control)
+    points = jax.tree.map(lambda leaf: leaf[: control.size], points)
+    return Reconstruction(**vars(points), control=control, length=jnp.asarray(known.whiskers[0].length, dtype=float))
 
 
 def sensor_of(sensor: Any) -> Sensor:

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxwhisker._base.checks import is_traced
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import units as natural_units
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import (
     CONTROL,
@@ -19,6 +21,7 @@ from jaxwhisker._scan.quantities import (
     Quantity,
     control_kind,
     control_name,
+    in_si,
     is_dimensionless,
     unit_in_words,
 )
@@ -49,6 +52,7 @@ class SceneLayout(NamedTuple):
     control_kind: str  # of quantities.KINDS
     onwards: int  # +1 if the control grows during a scan, else -1
     dimensionless: bool  # the first whisker's length and bending stiffness are 1
+    sizes: dict[str, float]  # typical force and length, unless dimensionless; empty if unknown
 
     def attributes(self, name: str, quantity: Quantity) -> dict[str, Any]:
         """Attributes of a variable: long name, units, and the meaning of a positive sign and of flags."""
@@ -77,7 +81,7 @@ class SceneLayout(NamedTuple):
             found["between"] = ("spring", ends, {"long_name": "ends of the spring, 0 the drive", "units": "1"})
         return found
 
-    def dataset_attributes(self) -> dict[str, str]:
+    def dataset_attributes(self) -> dict[str, Any]:
         """Attributes of the whole Dataset."""
         return {
             "title": f"scans with tactile whiskers: {self.description}",
@@ -90,14 +94,46 @@ class SceneLayout(NamedTuple):
             "python_version": platform.python_version(),
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "Conventions": "CF-1.11",
-        }
+        } | {f"typical_{name}": size for name, size in self.sizes.items()}
 
 
 def layout_of(scene: Scene) -> SceneLayout:
     """The layout of a scene, traced or not."""
     springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in scene.support.springs)
     control = control_name(scene), control_kind(scene), scene.motion.onwards
-    return SceneLayout(str(scene), scene.support.whiskers, springs, *control, is_dimensionless(scene))
+    natural, dimensionless = natural_units(scene), is_dimensionless(scene)
+    unknown = dimensionless or is_traced((natural.force, natural.length))
+    sizes = {} if unknown else {"force": float(natural.force), "length": float(natural.length)}
+    return SceneLayout(str(scene), scene.support.whiskers, springs, *control, dimensionless, sizes)
+
+
+def in_shown_units(data: Any, attributes: Mapping[str, Any]) -> Any:
+    """A Dataset or DataArray in the units in which figures and tables show it.
+
+    The numbers of scenes that are not dimensionless are taken to be in SI units; prefixes suit their sizes.
+
+    Args:
+        data: a study, its summary, or a variable of them.
+        attributes: those of the Dataset.
+    """
+    if "typical_length" not in attributes:
+        return data
+
+    force, length = attributes["typical_force"], attributes["typical_length"]
+
+    def shown(variable):
+        words = variable.attrs.get("units", "1")
+        unit = in_si(words, force, length)
+        if unit.name == words:
+            return variable
+        scaled = variable / unit.size
+        scaled.attrs = variable.attrs | {"units": unit.name}
+        return scaled
+
+    coordinates = {name: shown(data[name].variable) for name in data.coords}
+    if hasattr(data, "data_vars"):
+        data = data.assign({name: shown(variable) for name, variable in data.data_vars.items()})
+    return data.assign_coords(coordinates)
 
 
 def scan_dataset(scene: Scene, arrays: Mapping[str, Any]) -> "xr.Dataset":

@@ -226,6 +226,17 @@ def unit_in_words(kind: str, dimensionless: bool, per: str = "number") -> str:
     return _product({"rad": (kind == "angle") - (per == "angle")} | powers)
 
 
+def in_si(words: str, force: float, length: float) -> Unit:
+    """The SI unit for a unit in terms of `force` and `length`, with prefixes that suit their sizes; others stay."""
+    units = {"force": with_prefix("N", force), "length": with_prefix("m", length)}
+    powers, size = {}, 1.0
+    for sign, product in zip((1, -1), words.split("/"), strict=False):
+        for name, _, power in (factor.partition("^") for factor in product.split()):
+            unit, exponent = units.get(name, Unit(name, 1.0)), sign * int(power or 1)
+            powers[unit.name], size = exponent, size * unit.size**exponent
+    return Unit(_product(powers), size)
+
+
 def _product(powers: dict[str, int]) -> str:
     """A product of powers of units in words, such as `N/m`; 1 without units."""
     above, below = (" ".join(_power(n, sign * p) for n, p in powers.items() if sign * p > 0) for sign in (1, -1))

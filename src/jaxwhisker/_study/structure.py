@@ -39,7 +39,8 @@ def layout_of_scenes(build: Callable, parameters: Parameters) -> SceneLayout:
             raise ValueError(
                 f"`build` must return scenes of the same structure at all points, got scenes whose `{path}` differs."
             )
-    return layout_of(traced)
+    # The parameters of a traced scene have no size.
+    return layout_of(traced)._replace(sizes=layout_of(samples[0]).sizes if samples else {})
 
 
 def _checked(scene: Any) -> Scene:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxwhisker._model.scene import Scene
+from jaxwhisker._scan.dataset import in_shown_units
 from jaxwhisker._scan.report import table
 from jaxwhisker._study.critical import steepness
 from jaxwhisker._study.study import SUMMARISED, study
@@ -50,7 +51,8 @@ def run_study(args: argparse.Namespace) -> int:
     summary. It writes the scans to --store and a map of the largest moment to
     --plot.
 
-    Units and signs are those of `jaxwhisker scan`. The same command line resumes a
+    Units and signs are those of `jaxwhisker scan`: the table and the map show SI units
+    with prefixes unless L = EI = 1. The same command line resumes a
     study that was interrupted. xarray.open_zarr(store) reads the store.
 
     exit codes:
@@ -79,7 +81,7 @@ def run_study(args: argparse.Namespace) -> int:
         kept = () if small else SUMMARISED
         data = study(build, control=control, summary=small, outputs=kept, store=args.store, **axes)
     peaks = data if small else summary(data)
-    rows = _table_rows(peaks)
+    rows = _table_rows(in_shown_units(peaks, peaks.attrs))
     print(f"\n{table(rows[0], rows[1:])}\n\nscans: {data.attrs['points']}")
     if args.store is not None:
         print(f"wrote {args.store}")
@@ -127,6 +129,7 @@ def _table_rows(peaks: "xr.Dataset") -> list[list[str]]:
         for name in PRINTED:
             values = peaks[name].sel(whisker=whisker).values
             values = values[np.isfinite(values)]
+            unit = peaks[name].attrs["units"]
             cells = [f"{f(values):.5g}" for f in (np.min, np.median, np.max)] if values.size else ["-"] * 3
-            rows.append([str(whisker), name.replace("_", " "), *cells])
+            rows.append([str(whisker), f"{name.replace('_', ' ')} ({unit})", *cells])
     return rows

@@ -11,7 +11,15 @@ from matplotlib.font_manager import FontProperties
 
 from jaxwhisker._base import checks
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._scan.quantities import DRAWN, QUANTITIES, UnitSystem, dimensionless_label
+from jaxwhisker._scan.quantities import (
+    DRAWN,
+    QUANTITIES,
+    Unit,
+    UnitSystem,
+    check_units,
+    dimensionless_label,
+    with_prefix,
+)
 from jaxwhisker._scan.result import Result
 
 # The palette of Okabe and Ito, whose colours remain distinct for colour-blind readers; black comes last.
@@ -58,6 +66,20 @@ def control_axis(scene: Scene, *, units: str = "auto") -> str:
     """
     checks.instance("scene", scene, Scene, "a Scene")
     return UnitSystem(scene, units).label("control")
+
+
+def length_unit(length: float, units: str) -> Unit:
+    """Unit of coordinates near a whisker of this length, without a scene: "auto" is "SI" unless the length is 1."""
+    check_units(units)
+    length = 1.0 if np.isclose(length, 1.0) else length
+    return with_prefix("m", length) if units == "SI" or (units == "auto" and length != 1) else Unit("", length)
+
+
+def label_coordinates(ax: Axes, unit: Unit) -> None:
+    """Label the axes of a drawing in the plane, which have the same scale."""
+    ax.set_aspect("equal")
+    x, y = (f"${s}$ ({unit.name})" if unit.name else dimensionless_label(s, "length") for s in "xy")
+    ax.set(xlabel=x, ylabel=y)
 
 
 def unit_systems(results: Sequence[Result], units: str) -> list[UnitSystem]:

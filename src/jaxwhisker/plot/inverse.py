@@ -18,10 +18,19 @@ from jaxwhisker._inverse.points import Reconstruction, bar_ends
 from jaxwhisker._inverse.statistics import NORMAL_95
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem
-from jaxwhisker.plot.axes import COLOURS, colour, grid_of_axes, legend_above, mark_events, one_axes, title
+from jaxwhisker.plot.axes import (
+    COLOURS,
+    colour,
+    grid_of_axes,
+    label_coordinates,
+    legend_above,
+    length_unit,
+    mark_events,
+    one_axes,
+    title,
+)
 
 DRAWN_POINTS = 241  # of a profile that is drawn for comparison
-_UNIT = "(scan's unit)"
 
 
 def fit(result: Fit, *, units: str = "auto", axs: Iterable[Axes] | None = None) -> np.ndarray:
@@ -58,85 +67,98 @@ def fit(result: Fit, *, units: str = "auto", axs: Iterable[Axes] | None = None) 
     return axes
 
 
-def information(result: Information, *, ax: Axes | None = None) -> Axes:
+def information(result: Information, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     """Draw the share of the information about each parameter that has been collected up to each step of a scan.
 
     The signals are most informative where a line is steep; grey lines are events.
 
     Args:
         result: result of `jw.information`.
+        units: "auto", "SI" or "dimensionless", see `fit`.
         ax: where to draw; a new figure by default.
 
     Returns:
         The Axes.
 
     Raises:
-        ValueError: if `result` is not an Information.
+        ValueError: if `result` is not an Information or `units` is invalid.
     """
     checks.instance("result", result, Information, "the Information of jw.information")
-    axes = one_axes(ax)
+    system = UnitSystem(result.scene, units)
+    axes, control = one_axes(ax), system.shown("control", result.control)
     for k, name in enumerate(result.names):
         collected = np.cumsum(result.density[:, k])
         if collected[-1] > 0:
-            axes.plot(result.control, collected / collected[-1], color=colour(k), label=name)
-    mark_events(axes, [event.control for event in result.events])
-    axes.set_xlabel(f"$u$ {_UNIT}")
+            axes.plot(control, collected / collected[-1], color=colour(k), label=name)
+    mark_events(axes, system.shown("control", [event.control for event in result.events]))
+    axes.set_xlabel(system.label("control"))
     axes.set_ylabel("share of information")
     legend_above(axes, least=1)
-    _in_order_of_time([axes], result.control)
+    _in_order_of_time([axes], control)
     return axes
 
 
 def contour(
-    result: Reconstruction | ContourFit, *, profile: AbstractProfile | None = None, ax: Axes | None = None
+    result: Reconstruction | ContourFit,
+    *,
+    profile: AbstractProfile | None = None,
+    units: str = "auto",
+    ax: Axes | None = None,
 ) -> Axes:
     """Draw reconstructed points with 95 % bars across the contour, or a fitted contour with its 95 % band.
 
     Only points clear of the noise are drawn, and only the part of a fitted contour that the signals determine. Both
-    axes have the same scale, in the unit of the signals.
+    axes have the same scale.
 
     Args:
         result: result of `reconstruct` or `fit_contour`.
         profile: a profile to draw as a black line for comparison: the true object, or one that was fitted to points.
+        units: "auto", "SI" (with prefixes: mm) or "dimensionless" (in L of the first whisker). "auto" is "SI" unless
+            L = 1.
         ax: where to draw; a new figure by default.
 
     Returns:
         The Axes.
 
     Raises:
-        ValueError: if `result` is neither a Reconstruction nor a ContourFit, or `profile` is not a profile.
+        ValueError: if `result` is neither a Reconstruction nor a ContourFit, `profile` is not a profile, or `units` is
+            invalid.
     """
     checks.instance("result", result, (Reconstruction, ContourFit), "the result of jw.reconstruct or jw.fit_contour")
     checks.instance("profile", profile, (AbstractProfile, NoneType), "a profile such as jw.Parabola(0.2)")
     axes = one_axes(ax)
-    fitted = isinstance(result, ContourFit)
-    slopes, left, right = _draw_fitted(result, axes) if fitted else _draw_points(result, axes)
+    if isinstance(result, ContourFit):
+        unit = length_unit(float(result.sensor.whiskers[0].length), units)
+        slopes, left, right = _draw_fitted(result, unit.size, axes)
+    else:
+        unit = length_unit(float(result.length), units)
+        slopes, left, right = _draw_points(result, unit.size, axes)
     if profile is not None:
         at = _between(jax.tree.map(checks.as_float, profile), jnp.asarray(slopes))
         # Slopes are less certain than points, so the range of the points limits the line as well.
-        known = (at.x >= left) & (at.x <= right)
-        axes.plot(at.x[known], at.y[known], color="black", linewidth=0.8, label=str(profile))
-    axes.set_aspect("equal")
-    axes.set_xlabel(f"$x$ {_UNIT}")
-    axes.set_ylabel(f"$y$ {_UNIT}")
+        x, y = at.x / unit.size, at.y / unit.size
+        known = (x >= left) & (x <= right)
+        axes.plot(x[known], y[known], color="black", linewidth=0.8, label=str(profile))
+    label_coordinates(axes, unit)
     legend_above(axes, least=1)
     return axes
 
 
-def _draw_fitted(result: ContourFit, axes: Axes) -> tuple[np.ndarray, float, float]:
+def _draw_fitted(result: ContourFit, unit: float, axes: Axes) -> tuple[np.ndarray, float, float]:
     """Draw a fitted contour and its band; return the slopes at its ends and its range in x."""
     band = result.band()
     known = np.isfinite(band.error) if np.isfinite(band.error).any() else np.ones(band.error.shape, bool)
-    slope, x, y, error = (values[known] for values in band)
+    slope, x, y, error = (values[known] / size for values, size in zip(band, (1.0, unit, unit, unit), strict=True))
     (x_out, x_in), (y_out, y_in) = _bars(x, y, slope, error)
     axes.fill(np.append(x_out, x_in[::-1]), np.append(y_out, y_in[::-1]), color=COLOURS[0], alpha=0.25, linewidth=0)
     axes.plot(x, y, color=COLOURS[0], label="fitted, 95 % band")
     return slope[[0, -1]], x.min(), x.max()
 
 
-def _draw_points(result: Reconstruction, axes: Axes) -> tuple[np.ndarray, float, float]:
+def _draw_points(result: Reconstruction, unit: float, axes: Axes) -> tuple[np.ndarray, float, float]:
     """Draw points with bars; return the range of their slopes and of x, both without outliers."""
-    x, y, slope, error = (np.asarray(values) for values in (result.x, result.y, result.slope, result.normal_error))
+    x, y, error = (np.asarray(values) / unit for values in (result.x, result.y, result.normal_error))
+    slope = np.asarray(result.slope)
     clear = np.asarray(result.clear)
     for k in range(x.shape[1]):
         own = clear[:, k], k

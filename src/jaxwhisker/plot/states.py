@@ -13,9 +13,19 @@ from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, moves_along_x
 from jaxwhisker._model.silhouette import silhouette_of
 from jaxwhisker._scan.deflect import Deflection
-from jaxwhisker._scan.quantities import Unit, UnitSystem, check_units, control_kind, dimensionless_label, with_prefix
+from jaxwhisker._scan.quantities import Unit, UnitSystem, control_kind
 from jaxwhisker._scan.result import Result, check_one_scan
-from jaxwhisker.plot.axes import OBJECT, SUPPORT, colour, legend_above, one_axes, several_axes, title
+from jaxwhisker.plot.axes import (
+    OBJECT,
+    SUPPORT,
+    colour,
+    label_coordinates,
+    legend_above,
+    length_unit,
+    one_axes,
+    several_axes,
+    title,
+)
 from jaxwhisker.plot.drawing import Drawing, drawing, drawing_at, rest_state, start_of
 
 MINUS = "\N{MINUS SIGN}"
@@ -145,27 +155,18 @@ def deflection(
         checks.instance("results", one, Deflection, words)
     if length is not None:
         checks.number("length", length, positive=True)
-    check_units(units)
-    unit = _deflection_unit([float(one.s[-1]) for one in results.values()], length, units)
+    longest = max((s for one in results.values() if np.isfinite(s := float(one.s[-1]))), default=1.0)
+    unit = length_unit(longest, "dimensionless" if units == "auto" and length is not None else units)
+    if length is not None and not unit.name:
+        unit = Unit("", length)
     ax = one_axes(ax)
     for k, (label, result) in enumerate(results.items()):
         x, y = np.asarray(result.x) / unit.size, np.asarray(result.y) / unit.size
         ax.plot(x, y, color=colour(k), linewidth=2, label=label)
     ax.plot(0, 0, marker="s", markersize=8, color=SUPPORT, zorder=4)
     ax.grid(alpha=0.3)
-    ax.set_aspect("equal")
-    x, y = (f"${s}$ ({unit.name})" if unit.name else dimensionless_label(s, "length") for s in "xy")
-    ax.set(xlabel=x, ylabel=y)
+    label_coordinates(ax, unit)
     return ax
-
-
-def _deflection_unit(lengths: Sequence[float], length: float | None, units: str) -> Unit:
-    """Unit of length for whiskers of these lengths, NaN where a deflection failed."""
-    longest = max((one for one in lengths if np.isfinite(one)), default=1.0)
-    longest = 1.0 if np.isclose(longest, 1.0) else longest
-    if units == "SI" or (units == "auto" and length is None and longest != 1):
-        return with_prefix("m", longest)
-    return Unit("", longest if length is None else length)
 
 
 def same_window(axs: Iterable[Axes]) -> None:

@@ -8,12 +8,14 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from jaxwhisker._base import checks
+from jaxwhisker._scan.dataset import in_shown_units
 from jaxwhisker.plot.axes import COLOURS, colour, grid_of_axes, legend_above, title
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _CRITICAL = COLOURS[1]
+STORED_UNITS = ("auto", "stored")
 
 
 def study(
@@ -21,6 +23,7 @@ def study(
     name: str = "max_mz",
     *,
     critical: "xr.DataArray | None" = None,
+    units: str = "auto",
     axs: Iterable[Axes] | None = None,
 ) -> np.ndarray:
     """Draw a variable of a summary over the study's one or two axes.
@@ -32,21 +35,28 @@ def study(
         name: a variable with one value per whisker.
         critical: steepest slope of the clamped whisker's force times the flexibility of the softest base, over the same
             axes. It is 1 at the critical stiffness, below which scans snap through the vertex; this is marked.
+        units: "auto" (SI with prefixes, such as mm and mN, for scenes whose L and EI are not 1) or "stored" (the
+            Dataset's own numbers).
         axs: where to draw: one Axes, or one per whisker for two axes of the study; a new figure by default.
 
     Returns:
         The Axes, in an array.
 
     Raises:
-        ValueError: if `data` is not a Dataset with such a variable over one or two axes, or the number of `axs` is
-            wrong.
+        ValueError: if `data` is not a Dataset with such a variable over one or two axes, the number of `axs` is
+            wrong, or `units` is invalid.
     """
     _check_dataset(data, name)
+    if units not in STORED_UNITS:
+        checks.fail("units", f"one of {', '.join(STORED_UNITS)}", repr(units))
     if not (critical is None or hasattr(critical, "dims")):
         checks.fail("critical", "a DataArray", repr(critical))
     dims = [str(dim) for dim in data[name].dims if dim != "whisker"]
     for dim in dims:  # no axis can show infinite parameters, such as the stiffness of a clamp
         data = data.isel({dim: np.isfinite(data[dim].values)}).sortby(dim)
+    if units == "auto":
+        critical = None if critical is None else in_shown_units(critical, data.attrs)
+        data = in_shown_units(data, data.attrs)
     word = "critical" if data.sizes["whisker"] == 1 else "critical, estimated"
     count = 1 if len(dims) == 1 else data.sizes["whisker"]
     size: dict[str, Any] = {"figsize": (2.0 + 3.6 * count, 4.0)} if count > 1 else {}
