@@ -32,7 +32,7 @@ def handmade_scan(length=1.0, stiffness=1.0, *, touching=True, failed=0, count=1
         control=length * jnp.array([1.0, 0.5]),
         spring_length=jnp.zeros((2, 1)),
         status=jnp.where(ok, int(jw.Status.ok), int(jw.Status.lost)),
-        events=events,
+        deferred_events=events,
         scene=jw.Scene(
             jw.Whisker(length, stiffness),
             jw.Parabola(0.2 * length, 1 / length),

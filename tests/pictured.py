@@ -41,7 +41,7 @@ def turning():
 def of_steps(result, steps):
     """A result with some of a scan's steps, in any order."""
     fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
-    whole = {name: fields.pop(name) for name in ("events", "scene")}
+    whole = {name: fields.pop(name) for name in ("deferred_events", "scene")}
     return jw.Result(**{name: jnp.asarray(field)[steps] for name, field in fields.items()}, **whole)
 
 
@@ -52,7 +52,7 @@ def failed(result, steps):
         return leaf.at[steps].set(jnp.nan) if eqx.is_inexact_array(leaf) else leaf.at[steps].set(0)
 
     fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
-    kept = {name: fields.pop(name) for name in ("control", "status", "events", "scene")}
+    kept = {name: fields.pop(name) for name in ("control", "status", "deferred_events", "scene")}
     kept["status"] = kept["status"].at[steps].set(jw.Status.lost)
     return jw.Result(**{name: fail(field) for name, field in fields.items()}, **kept)
 

@@ -57,6 +57,6 @@ def test_objects_of_one_kind_share_a_program():
     from jaxwhisker._model import silhouette
 
     silhouette_of(jw.Parabola(0.2), 1.0)
-    programs = silhouette._silhouette._outermost._cached._cache_size()
+    programs = silhouette._silhouette.compilations
     silhouette_of(jw.Parabola(0.7, 3.0), 2.0)
-    assert silhouette._silhouette._outermost._cached._cache_size() == programs
+    assert silhouette._silhouette.compilations == programs

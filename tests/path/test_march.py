@@ -158,7 +158,7 @@ def test_too_many_turns_are_too_long(problem):
 
 def test_a_path_without_nodes_has_the_size_of_a_path(problem):
     none = eqx.filter_eval_shape(no_path, problem, CAPACITY)
-    path = eqx.filter_eval_shape(marching.__wrapped__, problem, jnp.zeros(2), jnp.asarray(1))
+    path = eqx.filter_eval_shape(marching.function, problem, jnp.zeros(2), jnp.asarray(1))
     assert jax.tree.structure(none) == jax.tree.structure(path)
     assert jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), none) == jax.tree.map(
         lambda leaf: (leaf.shape, leaf.dtype), path

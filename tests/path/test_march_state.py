@@ -142,7 +142,7 @@ def test_a_trial_is_judged_by_its_solution():
     @Program
     def judged(problem, z, u, sign):
         newton = newton_step(problem, mode, at_control(u, z), Point(z, u))
-        state = started.__wrapped__(problem, jnp.array([1.0, -1.0]))
+        state = started.function(problem, jnp.array([1.0, -1.0]))
         ahead = Point(sign * newton.tangent.z, sign * newton.tangent.u)
         state = state._replace(mode=mode, point=Point(z, u + 0.01), tangent=ahead, pose=newton.pose + 0.01)
         solution = Solution(Point(z, u), newton, jnp.asarray(True), jnp.asarray(1))

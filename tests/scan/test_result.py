@@ -38,7 +38,7 @@ def result(count=3, status=(0, 0, 0)):
         control=jnp.linspace(0.8, -1.6, len(status)),
         spring_length=jnp.zeros((len(status), 2)),
         status=jnp.array(status),
-        events=events(count),
+        deferred_events=events(count),
         scene=SCENE,
     )
 

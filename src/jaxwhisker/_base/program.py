@@ -23,7 +23,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
+from jax.core import ShapedArray, Tracer
 from jax.experimental import serialize_executable
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
@@ -86,8 +86,8 @@ class Program:
         batched: bool = False,
     ):
         functools.update_wrapper(self, function)
-        self._function, self._frozen, self._tangent = function, frozen, tangent
-        self._options = COMPILER_OPTIONS | ({"xla_backend_optimization_level": 0} if quick else {})
+        self.function, self._frozen, self._tangent = function, frozen, tangent
+        self._options: dict[str, Any] = COMPILER_OPTIONS | ({"xla_backend_optimization_level": 0} if quick else {})
         self.batched = batched
         self._lock = threading.Lock()
         self._results: dict[Shape, Results] = {}
@@ -97,7 +97,7 @@ class Program:
     def __call__(self, *args, **kwargs):
         shape, arrays = _split(args, kwargs)
         if any(is_staged(leaf) for leaf in arrays):
-            return self._function(*args, **kwargs)
+            return self.function(*args, **kwargs)
         if any(isinstance(leaf, Tracer) for leaf in arrays):
             if self._frozen:
                 arrays = [jax.lax.stop_gradient(leaf) if isinstance(leaf, Tracer) else leaf for leaf in arrays]
@@ -105,6 +105,11 @@ class Program:
         else:
             arrays = self.run(shape, arrays)
         return self._results[shape].tree(arrays)
+
+    @property
+    def compilations(self) -> int:
+        """Number of executables of this program in this process."""
+        return len(self._executables)
 
     def is_ready(self, *args) -> bool:
         """Whether the program for arguments of these shapes is compiled, or being compiled."""
@@ -131,7 +136,7 @@ class Program:
 
         def function(*arrays):
             args, kwargs = shape.arguments(arrays)
-            leaves, structure = jax.tree.flatten(self._function(*args, **kwargs))
+            leaves, structure = jax.tree.flatten(self.function(*args, **kwargs))
             kept = [leaf for leaf in leaves if is_array(leaf)]
             described = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in kept)
             self._results[shape] = Results(structure, tuple(_if_array(leaf, leaf) for leaf in leaves), described)
@@ -169,7 +174,7 @@ class Program:
             return self._executables[shape, lanes]
 
     def _key(self, shape: Shape, lanes: int) -> str | None:
-        arguments = store.describe([self._function, shape.arguments([...] * len(shape.arrays))])
+        arguments = store.describe([self.function, shape.arguments([...] * len(shape.arrays))])
         return arguments and store.key_of(f"{arguments} {shape.arrays} {lanes} {self._options}")
 
     def _load(self, shape: Shape, lanes: int, pool: Executor | None) -> Future | None:
@@ -363,8 +368,7 @@ batching.primitive_batchers[PRIMITIVE] = _batch
 ad.primitive_jvps[PRIMITIVE] = _jvp
 PRIMITIVE.def_abstract_eval(
     lambda *avals, **params: [
-        jax.core.ShapedArray(info.shape, info.dtype)
-        for info in jax.eval_shape(functools.partial(_staged, **params), *avals)
+        ShapedArray(info.shape, info.dtype) for info in jax.eval_shape(functools.partial(_staged, **params), *avals)
     ]
 )
 mlir.register_lowering(PRIMITIVE, mlir.lower_fun(_staged, multiple_results=True))

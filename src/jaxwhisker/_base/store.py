@@ -66,7 +66,8 @@ def _processor() -> str:
 
 def key_of(text: str) -> str:
     """The name of the entry for a program with this description, on this machine with these versions."""
-    settings = os.environ.get("XLA_FLAGS", ""), jax.config.jax_debug_nans, jax.config.jax_default_matmul_precision
+    names = "jax_enable_x64", "jax_debug_nans", "jax_default_matmul_precision"
+    settings = os.environ.get("XLA_FLAGS", ""), [getattr(jax.config, name) for name in names]
     return hashlib.sha256(repr((text, _platform(), settings)).encode()).hexdigest()
 
 

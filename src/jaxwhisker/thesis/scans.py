@@ -114,7 +114,7 @@ class Scans:
         signals = arrays([*State.__dataclass_fields__, "control", "spring_length", "status"])
         travel = jnp.abs(fields["control"] - signals["control"][0])
         events = Events(**fields, travel=travel, before=before, after=after)
-        return Result(**signals, events=events, scene=build(**dataclasses.asdict(case)))
+        return Result(**signals, deferred_events=events, scene=build(**dataclasses.asdict(case)))
 
     def summary(self, case: Case, whisker: int, *names: str) -> list[float]:
         """Variables of the summary of a case, such as `max_mz`, `control_of_max_mz` or `last_contact`."""
