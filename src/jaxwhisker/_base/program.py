@@ -71,7 +71,7 @@ class Program:
         function: takes and returns trees of arrays; what else it returns must depend on its static arguments only.
         frozen: whether the function has no derivatives.
         tangent: a function of the arguments and their tangents (None where they are zero) that returns the tangents of
-            the results (None where they are zero or do not exist).
+            the results (None where they are zero or do not exist), or NotImplemented to leave them to JAX.
         quick: whether to compile in half the time; programs of many small kernels run no slower.
         batched: whether the lanes of a large batch run together rather than one by one.
     """
@@ -149,11 +149,12 @@ class Program:
         results = self.results(shape)
         if self._frozen:
             return [None] * len(results.arrays)
-        if self._tangent is None:
-            return _differentiated(self._jitted(shape), arrays, dots)
         args, _ = shape.arguments(arrays)
         args_dot, _ = _tree(shape.structure, [_if_array(leaf) for leaf in shape.leaves], dots)
-        every = results.structure.flatten_up_to(self._tangent(args, args_dot))
+        tree = NotImplemented if self._tangent is None else self._tangent(args, args_dot)
+        if tree is NotImplemented:
+            return _differentiated(self._jitted(shape), arrays, dots)
+        every = results.structure.flatten_up_to(tree)
         return [dot for dot, leaf in zip(every, results.leaves, strict=True) if leaf is ...]
 
     @functools.lru_cache(maxsize=64)  # noqa: B019, programs live as long as the process

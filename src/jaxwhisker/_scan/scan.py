@@ -18,16 +18,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program, is_staged, threads
+from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control
 from jaxwhisker._equilibrium.problem import Problem, problem_of
-from jaxwhisker._model.scene import Scene, moves_along_x, units
+from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import march
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.route import Route, across, route_of, straight, traced_route
-from jaxwhisker._scan.signals import events
-from jaxwhisker._scan.slopes import event_tangents, state_tangents
+from jaxwhisker._scan.signals import events, spring_lengths
+from jaxwhisker._scan.slopes import event_tangents, spring_tangents, state_tangents
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps, states
 
@@ -95,8 +96,7 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
         route = route_of(_default_control(scene, float(start), float(stop)))
     state, step_status = _in_blocks(problem, path, route)
     control = jnp.asarray(route.control)
-    spring_length = spring_length_now(scene, state, control)
-    return _result(scene, problem, path, control, state, spring_length, step_status)
+    return _result(scene, problem, path, control, state, step_status)
 
 
 def _in_blocks(problem: Problem, path: Path, route: Route) -> tuple[State, Int[Array, " steps"]]:
@@ -217,9 +217,7 @@ class StagedScan:
         path = _if_ok(self._path, status)
         control, travel = jnp.asarray(route.control), jnp.asarray(route.travel)
         state, step_status = states(self.problem, control, solve_steps(self.problem, path, control, travel))
-        return _result(
-            self.scene, self.problem, path, control, state, _spring_length(self.scene, state, control), step_status
-        )
+        return _result(self.scene, self.problem, path, control, state, step_status)
 
 
 def _if_ok(path: Path, status: Int[Array, ""] | None) -> Path:
@@ -262,50 +260,31 @@ def _scan_staged(scene: Scene, control: Control | None) -> Result:
     return StagedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route, status)
 
 
-def _spring_length(scene: Scene, state: State, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
-    """Lengths of the springs (angles of torsion springs), in the drive's frame."""
-    if moves_along_x(scene):
-        return scene.support.spring_length((state.base_x - control[:, None])[:, :, None])
-    x, y, angle = jax.tree.map(lambda leaf: leaf[:, None], jax.vmap(scene.motion.pose)(control))
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
-    right, up = state.base_x - x, state.base_y - y
-    mounts = ((mount.x, mount.y, mount.angle) for mount in scene.support.mounts)
-    mount_x, mount_y, mount_angle = (
-        jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in zip(*mounts, strict=True)
-    )
-    displacement = [
-        right * cos + up * sin - mount_x,
-        up * cos - right * sin - mount_y,
-        state.base_angle - angle - mount_angle,
-    ]
-    return scene.support.spring_length(jnp.stack(displacement, axis=-1))
-
-
 def _result(
     scene: Scene,
     problem: Problem,
     path: Path,
     control: Float[Array, " steps"],
     state: State,
-    spring_length: Float[Array, "steps springs"],
     status: Int[Array, " steps"],
 ) -> Result:
     fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
     return Result(
         **fields,
         control=control,
-        spring_length=spring_length,
+        spring_length=spring_lengths_now(scene, (state.base_x, state.base_y, state.base_angle), control),
         status=status,
         deferred_events=lambda: events_now(problem, path),
         scene=scene,
     )
 
 
-problem_now, spring_length_now = Program(problem_of), Program(_spring_length)
-follow_path_now = Program(follow_path, frozen=True, quick=True, batched=True)
+problem_now = Program(problem_of, tangent=by_slopes(problem_of))
+follow_path_now = Program(follow_path, frozen=True, batched=True)
 solve_steps_now = Program(solve_steps, frozen=True)
 states_now = Program(states, tangent=state_tangents)
-events_now = Program(events, tangent=event_tangents, quick=True)
+events_now = Program(events, tangent=event_tangents)
+spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
 traced_route_now, evenly_now = Program(traced_route), Program(evenly, frozen=True)
 
 

@@ -14,9 +14,12 @@ from jaxwhisker._equilibrium.implicit import solved, solved_event
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
+from jaxwhisker._model.scene import Scene, moves_along_x
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, select
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.state import State
+
+Bases = tuple[Float[Array, "steps whiskers"], Float[Array, "steps whiskers"], Float[Array, "steps whiskers"]]
 
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
@@ -76,6 +79,24 @@ def _state(problem: Problem, z: Contacts, mode: Mode, base: Base, arc: PerWhiske
         contact_y=if_touching(base.contact_y) * unit.length,
         phase=mode.phase,
     )
+
+
+def spring_lengths(scene: Scene, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
+    """Lengths of the springs, or angles of torsion springs, at all steps; bases have x, y and angle."""
+    return jax.vmap(partial(spring_length, scene))(bases, control)
+
+
+def spring_length(scene: Scene, base: tuple[PerWhisker, PerWhisker, PerWhisker], u: Scalar) -> Float[Array, " springs"]:
+    """Length of each spring, in the drive's frame, for bases at x, y and angle."""
+    x, y, angle = base
+    if moves_along_x(scene):
+        return scene.support.spring_length((x - u)[:, None])
+    drive_x, drive_y, drive_angle = scene.motion.pose(u)
+    cos, sin = jnp.cos(drive_angle), jnp.sin(drive_angle)
+    right, up = x - drive_x, y - drive_y
+    in_frame = jnp.stack([right * cos + up * sin, up * cos - right * sin, angle - drive_angle], axis=-1)
+    mounts = [[jnp.asarray(v, dtype=float) for v in (m.x, m.y, m.angle)] for m in scene.support.mounts]
+    return scene.support.spring_length(in_frame - jnp.stack([jnp.stack(mount) for mount in mounts]))
 
 
 def _event_row(node: Node) -> Row:

@@ -1,82 +1,97 @@
-"""Derivatives of states and events: one program each for all transformations outside of a jit.
+"""Tangent rules of the programs of a scan.
 
-A program computes the derivatives of all fields with respect to every number of the dimensionless problem that states
-depend on, and to the control of the step. Tangents are linear combinations of them, so jvp, grad and their batches need
-nothing else to be compiled.
+States depend on the numbers of the dimensionless problem and on the control of their own step only, and spring lengths
+on the bases of their step: their slopes have one column for each of these, not for every step.
 """
-
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.slopes import along, are_few, direction_of, jacobian
 from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Path
 from jaxwhisker._scan.result import Events
-from jaxwhisker._scan.signals import events
+from jaxwhisker._scan.signals import Bases, events, spring_length
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import Solutions, states
 
 
-def slopes(problem: Problem, control: Float[Array, " steps"], solutions: Solutions) -> State:
-    """Derivatives of all fields: the last axis runs over the numbers of the problem and the control of the step."""
-    numbers, rebuilt = ravel_pytree(problem.numbers())
+def state_slopes(problem: Problem, control: Float[Array, " steps"], solutions: Solutions) -> State:
+    """Slopes of all fields with respect to the numbers of the problem and, last, the control of the step."""
 
-    def smooth(numbers, control):
-        state, _ = states(eqx.combine(rebuilt(numbers), problem), control, solutions)
-        return eqx.filter(state, eqx.is_inexact_array)
+    def function(numbers):
+        numbers, moved = numbers
+        return states(eqx.combine(numbers, problem), control + moved, solutions)[0]
 
-    def towards(direction):
-        dots = direction[:-1], jnp.full_like(control, direction[-1])
-        return jax.jvp(smooth, (numbers, control), dots)[1]
-
-    return jax.vmap(towards, out_axes=-1)(jnp.eye(numbers.size + 1))
+    return jacobian(function, (problem.numbers(), jnp.zeros(())))
 
 
 def event_slopes(problem: Problem, path: Path) -> Events:
-    """Derivatives of all fields of the events: the last axis runs over the numbers of the problem."""
-    numbers, rebuilt = ravel_pytree(problem.numbers())
-
-    def smooth(numbers):
-        return eqx.filter(events(eqx.combine(rebuilt(numbers), problem), path), eqx.is_inexact_array)
-
-    return jax.vmap(lambda direction: jax.jvp(smooth, (numbers,), (direction,))[1], out_axes=-1)(jnp.eye(numbers.size))
+    """Slopes of all fields of the events with respect to the numbers of the problem."""
+    return jacobian(lambda numbers: events(eqx.combine(numbers, problem), path), problem.numbers())
 
 
-slopes_now, event_slopes_now = Program(slopes), Program(event_slopes, quick=True)
+def spring_slopes(scene: Scene, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs numbers"]:
+    """Slopes with respect to the numbers of the scene, then those of the step: x, y, angle of all bases, control."""
+
+    def at(base, u):
+        def function(numbers):
+            numbers, base, u = numbers
+            return spring_length(eqx.combine(numbers, scene), base, u)
+
+        return jacobian(function, (eqx.filter(scene, eqx.is_inexact_array), base, u))
+
+    return jax.vmap(at)(bases, control)
 
 
-@jax.jit
-def _along(slopes: Any, direction: list, control_dot: Float[Array, " steps"] | None) -> Any:
-    """Tangents for directions of the problem's numbers and of the control."""
-    flat = jnp.concatenate([jnp.ravel(leaf) for leaf in direction])
-
-    def along(slope):
-        by_numbers = slope[..., : flat.size] @ flat
-        return by_numbers if control_dot is None else by_numbers + slope[..., -1] * control_dot[:, None]
-
-    return jax.tree.map(along, slopes)
+state_slopes_now, spring_slopes_now = Program(state_slopes), Program(spring_slopes)
+event_slopes_now = Program(event_slopes, quick=True)
 
 
-def _direction(problem: Problem, problem_dot: Problem) -> list:
-    """Tangents of the problem's numbers."""
-    leaves, structure = jax.tree.flatten(problem.numbers())
-    dots = structure.flatten_up_to(problem_dot.numbers())
-    return [jnp.zeros(leaf.shape) if dot is None else dot for leaf, dot in zip(leaves, dots, strict=True)]
-
-
-def state_tangents(args, args_dot) -> tuple[State, None]:
+def state_tangents(args, args_dot):
     """The tangent rule of `states`."""
     problem, control, solutions = args
     problem_dot, control_dot, _ = args_dot
-    return _along(slopes_now(problem, control, solutions), _direction(problem, problem_dot), control_dot), None
+    numbers = problem.numbers()
+    if not are_few(numbers):
+        return NotImplemented
+    slopes = state_slopes_now(problem, control, solutions)
+    direction = direction_of(numbers, problem_dot.numbers())
+    return _along_each(slopes, direction, direction_of([control], [control_dot])), None
 
 
-def event_tangents(args, args_dot) -> Events:
+def spring_tangents(args, args_dot):
+    """The tangent rule of `spring_lengths`."""
+    scene, bases, control = args
+    scene_dot, bases_dot, control_dot = args_dot
+    numbers = eqx.filter(scene, eqx.is_inexact_array)
+    if not are_few(numbers):
+        return NotImplemented
+    own = direction_of([*bases, control], [*bases_dot, control_dot])
+    return _along_each(spring_slopes_now(scene, bases, control), direction_of(numbers, scene_dot), own)
+
+
+def event_tangents(args, args_dot):
     """The tangent rule of `events`."""
     problem, path = args
-    return _along(event_slopes_now(problem, path), _direction(problem, args_dot[0]), None)
+    numbers = problem.numbers()
+    if not are_few(numbers):
+        return NotImplemented
+    return along(event_slopes_now(problem, path), direction_of(numbers, args_dot[0].numbers()))
+
+
+@jax.jit
+def _along_each(slopes, direction: list, own: list):
+    """Tangents in a direction of the numbers that all steps share, then of those of each step."""
+    shared = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in direction)])
+    steps = own[0].shape[0]
+    each = jnp.concatenate([jnp.reshape(leaf, (steps, -1)) for leaf in own], axis=1)
+
+    def along(slope):
+        return slope[..., : shared.size] @ shared + jnp.sum(slope[..., shared.size :] * each[:, None], axis=-1)
+
+    return jax.tree.map(along, slopes)
