@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
@@ -66,6 +67,10 @@ class Spring(eqx.Module):
         if self.compliance is not None:
             return jnp.asarray(self.compliance, dtype=float)
         return 1 / jnp.asarray(self.stiffness, dtype=float)
+
+    def is_rigid(self) -> bool:
+        """Whether the stiffness of a concrete spring is infinite."""
+        return bool(np.isinf(np.asarray(self.stiffness)) if self.compliance is None else self.compliance == 0)
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructor checks."""

@@ -108,9 +108,10 @@ class Support(eqx.Module):
                 )
 
     def _check_rigid_loops(self) -> None:
+        if checks.is_traced(self.springs) or not any(s.is_rigid() for s in self.springs):
+            return
         with jax.ensure_compile_time_eval():  # concrete values are checked inside jit, too
-            rigid = not checks.is_traced(self.springs) and any(s.softness == 0 for s in self.springs)
-            if rigid and not all(flexibility(self.along(a), self.whiskers).consistent for a in self.axes):
+            if not all(flexibility(self.along(a), self.whiskers).consistent for a in self.axes):
                 lengths = [float(s.rest_length) for s in self.springs]
                 checks.fail("rest_length", "the same along all paths of infinitely stiff springs", lengths)
 

@@ -56,7 +56,7 @@ class Whisker(eqx.Module):
             checks.number("intrinsic_curvature", self.intrinsic_curvature)
         if not callable(self.bending_stiffness):
             checks.number("bending_stiffness", self.bending_stiffness, positive=True)
-        if checks.is_traced(self):
+        if self.uniform or checks.is_traced(self):
             return
         with jax.ensure_compile_time_eval():
             stiffness, stiff = map(np.asarray, self._stiffness_samples())

@@ -8,6 +8,7 @@ interpolation.
 Both parts are programs of the dimensionless problem, compiled once per problem shape.
 """
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from jaxwhisker._base.program import Program, is_staged, threads
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control
 from jaxwhisker._equilibrium.problem import Problem, problem_of
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import march
 from jaxwhisker._path.path import Path, Status
@@ -93,7 +94,7 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     if route is None and traced:
         route = evenly_now(start, stop, TRACED_STEPS)
     elif route is None:
-        route = route_of(_default_control(scene, float(start), float(stop)))
+        route = route_of(_default_control(problem, float(start), float(stop)))
     state, step_status = _in_blocks(problem, path, route)
     control = jnp.asarray(route.control)
     return _result(scene, problem, path, control, state, step_status)
@@ -109,14 +110,10 @@ def _in_blocks(problem: Problem, path: Path, route: Route) -> tuple[State, Int[A
     control, travel = (
         xp.pad(values, (0, -count % BLOCK), mode="edge").reshape(-1, BLOCK) for values in (route.control, route.travel)
     )
-    if xp is jnp:
-        blocks = jax.vmap(block)(control, travel)
-        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], blocks)
-    blocks = [block(*one) for one in zip(control, travel, strict=True)]
-    if checks.is_traced(blocks[0]):
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *blocks)
-    # NumPy joins them without compiling anything.
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:count]), *blocks)
+    blocks = jax.vmap(block)(control, travel)
+    if not checks.is_traced(blocks):  # NumPy joins them without compiling anything
+        blocks = jax.tree.map(np.asarray, blocks)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf.reshape(-1, *leaf.shape[2:])[:count]), blocks)
 
 
 def default_control(scene: Scene) -> np.ndarray:
@@ -129,19 +126,20 @@ def default_control(scene: Scene) -> np.ndarray:
     if checks.is_traced(scene):
         raise ValueError("`scene` must be concrete, got a traced one: the number of positions depends on its values.")
     scene = jax.tree.map(checks.as_float, scene)
-    path = follow_path_now(problem_now(scene), *map(np.asarray, across()))
-    return _default_control(scene, float(path.start), float(path.stop))
+    problem = problem_now(scene)
+    path = follow_path_now(problem, *map(np.asarray, across()))
+    return _default_control(problem, float(path.start), float(path.stop))
 
 
-def _default_control(scene: Scene, start: float, stop: float) -> np.ndarray:
-    onwards, step = scene.motion.onwards, STEP * float(units(scene).control)
-    count = max(2, int(np.ceil(onwards * (stop - start) / step)) + 1)
+def _default_control(problem: Problem, start: float, stop: float) -> np.ndarray:
+    step = STEP * float(problem.unit.control)
+    count = max(2, int(np.ceil(abs(stop - start) / step)) + 1)
     if count > MOST_STEPS:
         raise ValueError(
             f"Springs this soft need an explicit `control`: the default, from {start:g} to {stop:g}, would have "
             f"{count:,} steps, and at most {MOST_STEPS:,} are allowed."
         )
-    return start + onwards * step * np.arange(count)
+    return start + math.copysign(step, stop - start) * np.arange(count)
 
 
 def _check_valid(scene: Scene, problem: Problem) -> None:
