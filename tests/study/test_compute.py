@@ -49,7 +49,7 @@ def test_a_worker_refuses_another_build():
         return shared(stiffness, 1.01 * distance)
 
     samples = [{"stiffness": 70.0, "distance": 0.2}]
-    job = Job(shared, ("stiffness", "distance"), CONTROL, ("fx",), (), False, ("fx",), 8)
+    job = Job(shared, ("stiffness", "distance"), CONTROL, ("fx",), (), False, ("fx",))
     changed = dataclasses.replace(job, build=other, key=key_of(job, samples))
     with pytest.raises(RuntimeError, match="differ between the processes"):
         compute_in_worker(changed, samples, {})

@@ -11,6 +11,7 @@ rule, usually by another program. All others are differentiated by JAX.
 """
 
 import functools
+import math
 import os
 import sys
 import threading
@@ -35,8 +36,8 @@ from jaxwhisker._base import store
 # time, and its kernels run equally fast.
 COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if version < (0, 11) else {}
 
-MOST_SINGLE = 256  # batches up to this size run one by one, which needs no further program
-LANES = 64  # larger batches of a `batched` program run in blocks of this size
+LANES = 64  # large batches of a `batched` program run in blocks of this size
+MOST_SINGLE = 32  # smaller batches run one by one, which needs no further executable
 PATIENCE = 2.0  # seconds of compilation after which a line on the terminal says what is going on
 
 
@@ -113,12 +114,17 @@ class Program:
 
     def is_ready(self, *args) -> bool:
         """Whether the program for arguments of these shapes is compiled, or being compiled."""
-        return (_split(args)[0], 0) in self._executables
+        shape, arrays = _split(args)
+        return (shape, self._lanes_of(arrays)) in self._executables
+
+    def _lanes_of(self, arrays: Sequence) -> int:
+        """Lanes of the executable that runs arguments below vmap; 0 if it runs each lane alone."""
+        return LANES if self.batched and lanes_of(arrays) > MOST_SINGLE else 0
 
     def prepare(self, pool: Executor, *args) -> Any:
         """Trace for arguments of these shapes and compile in a thread of the pool. Return the shapes of the results."""
-        shape, _ = _split(args)
-        self._executable(shape, 0, pool)
+        shape, arrays = _split(args)
+        self._executable(shape, self._lanes_of(arrays), pool)
         return self._results[shape].tree(self._results[shape].arrays)
 
     def run(self, shape: Shape, arrays: Sequence, lanes: int = 0) -> list:
@@ -227,14 +233,28 @@ def is_array(leaf: Any) -> bool:
 def is_staged(leaf: Any) -> bool:
     """Whether a value is unknown until a caller's jit runs. Below vmap, jvp and grad alone, values are known."""
     while isinstance(leaf, Tracer):
-        kind = type(leaf).__name__
-        if kind == "BatchTracer":
-            leaf = leaf.val  # pyright: ignore[reportAttributeAccessIssue]
-        elif kind in ("JVPTracer", "LinearizeTracer"):
-            leaf = leaf.primal  # pyright: ignore[reportAttributeAccessIssue]
-        else:
+        leaf = _below(leaf)
+        if leaf is None:
             return True
     return False
+
+
+def _below(tracer: Any) -> Any:
+    """What a tracer of vmap, jvp or grad stands for; None for others."""
+    field = {"BatchTracer": "val", "JVPTracer": "primal", "LinearizeTracer": "primal"}.get(type(tracer).__name__)
+    return field and getattr(tracer, field)
+
+
+def lanes_of(leaves: Sequence[Any]) -> int:
+    """Number of lanes of all vmaps around these values."""
+    sizes: dict[int, int] = {}
+    for leaf in leaves:
+        while isinstance(leaf, Tracer) and not is_staged(leaf):
+            axis, below = getattr(leaf, "batch_dim", None), _below(leaf)
+            if axis is not None:
+                sizes[id(leaf._trace)] = np.shape(below)[axis]
+            leaf = below
+    return math.prod(sizes.values())
 
 
 def threads() -> int:

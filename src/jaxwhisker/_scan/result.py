@@ -1,6 +1,6 @@
 """Results of a scan: states at the positions of the control, and events."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -13,7 +13,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.dataset import counted, scan_dataset
 from jaxwhisker._scan.energy import stored_energy
-from jaxwhisker._scan.quantities import STATE
+from jaxwhisker._scan.quantities import QUANTITIES
 from jaxwhisker._scan.state import State
 
 if TYPE_CHECKING:
@@ -155,19 +155,17 @@ def check_one_scan(result: Any) -> Result:
     return result
 
 
-def arrays_of(result: Result) -> dict[str, Array]:
-    """All quantities of a scan by their names in `quantities.QUANTITIES`."""
-    events = result.events
-    states = {"": result, "before_": events.before, "after_": events.after}
-    fields = {prefix + name: getattr(state, name) for prefix, state in states.items() for name in STATE}
-    return fields | {
-        "control": result.control,
-        "spring_length": result.spring_length,
-        "status": result.status,
-        "event_kind": events.kind,
-        "event_control": events.control,
-        "event_whisker": events.whiskers,
-        "event_count": events.count,
-        "event_energy_before": stored_energy(result.scene, events.before),
-        "event_energy_after": stored_energy(result.scene, events.after),
-    }
+def arrays_of(result: Result, names: Iterable[str] = tuple(QUANTITIES)) -> dict[str, Array]:
+    """Quantities of a scan by their names in `quantities.QUANTITIES`."""
+    return {name: _array(result, name) for name in names}
+
+
+def _array(result: Result, name: str) -> Array:
+    when, _, field = name.partition("_")
+    if when in ("before", "after"):
+        return getattr(getattr(result.events, when), field)
+    if name.startswith("event_energy_"):
+        return stored_energy(result.scene, getattr(result.events, field.removeprefix("energy_")))
+    if when == "event":
+        return getattr(result.events, {"whisker": "whiskers"}.get(field, field))
+    return getattr(result, name)

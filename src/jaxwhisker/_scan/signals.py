@@ -138,6 +138,11 @@ def _placeholder(node: Node) -> Node:
     return nowhere._replace(arriving=along, side=side, side_before=side, kind=jnp.asarray(NO_EVENT))
 
 
+def event_room(whiskers: int) -> int:
+    """Number of events that a scan has room for; a path has more nodes."""
+    return 32 + 16 * whiskers
+
+
 def events(problem: Problem, path: Path) -> Events:
     """The events among the nodes from where the drive has reached the first position of the control."""
     nodes = path.nodes
@@ -145,7 +150,7 @@ def events(problem: Problem, path: Path) -> Events:
     index = jnp.arange(room)
     reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
     public = (nodes.kind >= 0) & reached & (index < path.count)
-    size = min(room, 32 + 16 * n)
+    size = event_room(n)
     at = jnp.nonzero(public, size=size, fill_value=0)[0]
     count = jnp.sum(public)
     filled = jnp.arange(size) < count

@@ -1,30 +1,29 @@
-"""Computation of a study: one compiled function for blocks of points, called by threads or by a dask cluster."""
+"""Computation of a study: blocks of points, computed by threads or by a dask cluster."""
 
 import hashlib
-import os
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from itertools import product
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxwhisker._base.program import COMPILER_OPTIONS
-from jaxwhisker._equilibrium.problem import problem_of
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._base import checks
+from jaxwhisker._base.program import threads
+from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import MARGIN
 from jaxwhisker._scan.dataset import VARIABLES, first_failure
 from jaxwhisker._scan.result import arrays_of
-from jaxwhisker._scan.route import route_of
-from jaxwhisker._scan.scan import STEP, contact_range, scan_route
+from jaxwhisker._scan.route import across
+from jaxwhisker._scan.scan import STEP, follow_path_now, problem_now, scan
 from jaxwhisker._study.layout import POINT_STATUS, derivative_name
-from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, padded
+from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, lanes_for
 from jaxwhisker._study.structure import fingerprint, sampled
 from jaxwhisker._study.summary import summarise
 
@@ -32,7 +31,6 @@ Arrays = dict[str, np.ndarray]
 Write = Callable[[BlockIndex, Arrays], None]  # stores the variables of a block
 
 MOST_POSITIONS = 100_000  # largest number of positions of the default control
-RANGE_LANES = 64  # points whose range of contact is computed at once
 BLOCKS_AHEAD = 2  # blocks submitted for each thread of a cluster: one is computed, one waits
 RETRIES = 3  # of a block whose computation fails; blocks of a worker that dies are submitted again anyway
 
@@ -48,69 +46,39 @@ class Job:
     derivatives: tuple[str, ...]  # parameters
     summary: bool  # summarise the signals
     kept: tuple[str, ...]  # variables of the study
-    lanes: int  # points of a block
     key: str = ""  # identifies the job in a worker
 
 
-def _outputs_at(job: Job) -> Callable[[dict], dict]:
-    """A function that computes the outputs at one point from its parameters."""
-    route = route_of(job.control)
-    names = tuple(dict.fromkeys((*job.outputs, "status")))
-    smooth = [name for name in names if VARIABLES[name].dtype == "float64"]
-
-    def outputs(varied, values):
-        arrays = arrays_of(scan_route(job.build(**values | varied), route))
-        found = {name: arrays[name].astype(VARIABLES[name].dtype) for name in names}
-        return {name: found[name] for name in smooth}, found
-
-    def point(values):
-        if not job.derivatives:
-            return outputs({}, values)[1]
-        # `jacfwd` computes the outputs themselves only once, for all derivatives.
-        varied = {name: values[name] for name in job.derivatives}
-        slopes, found = jax.jacfwd(outputs, has_aux=True)(varied, values)
-        for name, parameter in product(smooth, job.derivatives):
-            slope = jnp.where(jnp.isnan(found[name]), jnp.nan, slopes[name][parameter])
-            found[derivative_name(name, parameter)] = slope
-        return {name: value for name, value in found.items() if name in {*names, *job.kept}}
-
-    return point
-
-
 class Kernel:
-    """A job that is traced, and compiled when it is first needed. Then several threads may call it at once."""
+    """Computes the blocks of a job; several threads may call it at once."""
 
     def __init__(self, job: Job):
-        shapes = {name: jax.ShapeDtypeStruct((job.lanes,), float) for name in job.names}
-        self._lowered = jax.jit(jax.vmap(_outputs_at(job))).lower(shapes)
-        self._compiled = None
         self.job = job
+        self._names = tuple(dict.fromkeys((*job.outputs, "status")))
+        self._smooth = [name for name in self._names if VARIABLES[name].dtype == "float64"]
 
-    @property
-    def events(self) -> int:
-        """Number of events that are stored per scan; 0 if no variable of events is computed."""
-        infos = ((VARIABLES[name].axes, leaf) for name, leaf in self._lowered.out_info.items() if name in VARIABLES)
-        return next((leaf.shape[1] for axes, leaf in infos if axes[:1] == ("event",)), 0)
+    def _outputs(self, varied: dict, values: dict) -> tuple[dict, dict]:
+        """The smooth outputs at one point, which have derivatives, and all outputs."""
+        arrays = arrays_of(scan(self.job.build(**values | varied), self.job.control), self._names)
+        return {name: arrays[name] for name in self._smooth}, arrays
 
-    def compiled(self):
-        """The compiled function; the first call waits for the compiler."""
-        if self._compiled is None:
-            self._compiled = self._lowered.compile(COMPILER_OPTIONS)
-        return self._compiled
+    def _slopes(self, values: dict) -> tuple[dict, dict]:
+        """Derivatives of the smooth outputs at one point by parameter, and all outputs."""
+        varied = {name: values[name] for name in self.job.derivatives}
+        return jax.jacfwd(self._outputs, has_aux=True)(varied, values)
 
     def __call__(self, values: Arrays) -> Arrays:
-        """Compute the variables of at most `lanes` points; their first axis runs over the points."""
-        job, points = self.job, next(iter(values.values())).size
-        found = jax.tree.map(lambda leaf: np.asarray(leaf)[:points], self.compiled()(padded(values, job.lanes)))
+        """Compute the variables of some points; their first axis runs over the points."""
+        job, point = self.job, self._slopes if self.job.derivatives else partial(self._outputs, {})
+        slopes, arrays = jax.tree.map(np.asarray, jax.vmap(point)(values))
+        found = {name: array.astype(VARIABLES[name].dtype) for name, array in arrays.items()}
+        for name, parameter in product(self._smooth, job.derivatives):
+            slope = np.where(np.isnan(found[name]), np.nan, slopes[name][parameter])
+            found[derivative_name(name, parameter)] = slope
         found[POINT_STATUS] = first_failure(found["status"])
         if job.summary:
             found |= summarise(found, job.control)
         return {name: found[name] for name in job.kept}
-
-
-def threads() -> int:
-    """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def compute_here(
@@ -122,7 +90,6 @@ def compute_here(
         write(index, kernel(parameters.at(blocks.region(index))))
         return index
 
-    kernel.compiled()
     pool = ThreadPoolExecutor(threads(), thread_name_prefix="study")
     try:
         for future in as_completed([pool.submit(compute, index) for index in todo]):
@@ -179,16 +146,14 @@ def compute_in_worker(job: Job, samples: list[dict[str, float]], values: Arrays)
         if job.key not in _KERNELS:
             if job.key != key_of(job, samples):
                 raise RuntimeError("The versions of jax, jaxwhisker or what `build` uses differ between the processes.")
-            kernel = Kernel(job)
-            kernel.compiled()
-            _KERNELS[job.key] = kernel
+            _KERNELS[job.key] = Kernel(job)
     return _KERNELS[job.key](values)
 
 
 def key_of(job: Job, samples: list[dict[str, float]]) -> str:
     """A hash of the job, of the versions that compute it, and of the scenes at some points."""
     parts = [version("jaxwhisker"), jax.__version__, fingerprint(job.build, samples), job.control.tobytes()]
-    parts += [job.names, job.outputs, job.derivatives, job.summary, job.kept, job.lanes]
+    parts += [job.names, job.outputs, job.derivatives, job.summary, job.kept]
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -224,17 +189,13 @@ def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.nda
     """First and last position of the default control of every point, and its step; NaN for invalid points."""
 
     def point(values):
-        scene = build(**values)
-        step = STEP * jnp.asarray(units(scene).control, dtype=float)
-        return tuple(jnp.where(problem_of(scene).valid, x, jnp.nan) for x in (*contact_range(scene), step))
+        problem = problem_now(jax.tree.map(checks.as_float, build(**values)))
+        path = follow_path_now(problem, *map(np.asarray, across()))
+        return problem.valid, path.start, path.stop, problem.unit.control
 
-    total, lanes = parameters.total, min(parameters.total, RANGE_LANES)
-    shapes = {name: jax.ShapeDtypeStruct((lanes,), float) for name in parameters.values}
-    compiled = jax.jit(jax.vmap(point)).lower(shapes).compile(COMPILER_OPTIONS)
-
-    def block(first: int) -> np.ndarray:
-        values = parameters.numbered(np.arange(first, min(first + lanes, total)))
-        return np.stack(compiled(padded(values, lanes)))
-
+    total, lanes = parameters.total, lanes_for(parameters.total)
+    blocks = [np.arange(first, min(first + lanes, total)) for first in range(0, total, lanes)]
     with ThreadPoolExecutor(threads()) as pool:
-        return np.concatenate(list(pool.map(block, range(0, total, lanes))), axis=1)[:, :total]
+        found = list(pool.map(lambda numbers: jax.vmap(point)(parameters.numbered(numbers)), blocks))
+    valid, start, stop, unit = (np.concatenate(each) for each in zip(*found, strict=True))
+    return np.where(valid, [start, stop, STEP * unit], np.nan)

@@ -10,13 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.program import LANES, MOST_SINGLE
 from jaxwhisker._scan.quantities import Quantity
 
 PointRegion = tuple[slice, ...]  # along the dimensions of the points
 BlockIndex = tuple[int, ...]  # of a block along these dimensions
 
-LANES = 128  # largest number of points per block: more are not faster, and an interrupted study would lose more
-PARTS, FEW = 16, 8  # a smaller study has PARTS blocks, to keep all processors busy, or fewer of FEW points each
+MANY = 512  # points from which on a program for `LANES` of them pays
+PARTS, FEW = 16, 8  # a smaller study has PARTS blocks or fewer of FEW points each
 BASE = 1.2e9  # bytes that a process uses that has compiled a study and holds no block
 COPIES = 3  # of the results of a block in memory: as computed, as variables, and while they are stored
 PATH_BYTES, STEP_BYTES = 160e3, 60.0  # bytes per whisker and point: for the path, and for each step
@@ -71,9 +72,13 @@ class Parameters(NamedTuple):
         return inwards[: numbers.size]
 
 
-def padded(values: dict[str, np.ndarray], lanes: int) -> dict[str, np.ndarray]:
-    """Repeat the last point to fill a block of fixed size."""
-    return {n: np.concatenate([v, np.full(lanes - v.size, v[-1])]) for n, v in values.items()}
+def lanes_for(total: int) -> int:
+    """Points per block, if memory is no limit.
+
+    Few points run one by one, and in blocks so small that all processors are busy. Many run `LANES` at a time, which
+    needs a program of its own. More per block are not faster, and an interrupted study would lose more.
+    """
+    return LANES if total >= MANY else min(MOST_SINGLE, max(FEW, -(-total // PARTS)))
 
 
 class Blocks(NamedTuple):
@@ -117,8 +122,7 @@ def blocks_of(
     bytes_each = COPIES * results + sizes["whisker"] * (PATH_BYTES + STEP_BYTES * sizes["control"])
     room = int(max(0.0, memory - BASE) / (workers * bytes_each))
     total = math.prod(shape)
-    wanted = LANES if total >= PARTS * LANES else max(FEW, -(-total // PARTS))
-    return split(shape, max(1, min(room, wanted, total)))
+    return split(shape, max(1, min(room, lanes_for(total), total)))
 
 
 def parameters_of(build: Any, points: Any, axes: Mapping[str, Any], options: tuple[str, ...]) -> Parameters:

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.program import threads
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.dataset import VARIABLES, omitted_events, points_in_words
 from jaxwhisker._scan.quantities import Quantity
-from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster, threads
+from jaxwhisker._scan.signals import event_room
+from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster
 from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, chosen, variables_of
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, blocks_of, parameters_of
 from jaxwhisker._study.store import Memory, Store
@@ -94,8 +96,9 @@ def study(
             print(f"study: compiling, then {parameters.total:,} scans", file=sys.stderr)
         layout, blocks = resumed or _planned(layout, build, computed, memory, client)
         names, kept = tuple(parameters.values), tuple(layout.variables)
-        kernel = Kernel(Job(build, names, layout.control, computed, derivatives, summary, kept, blocks.lanes))
-        layout = layout._replace(events=kernel.events)
+        kernel = Kernel(Job(build, names, layout.control, computed, derivatives, summary, kept))
+        if any(VARIABLES[name].axes[:1] == ("event",) for name in computed):
+            layout = layout._replace(events=event_room(layout.scene.whiskers))
         _compute(kernel, target, layout, blocks, client, visible)
         return _finished(target, build, layout, visible)
 
