@@ -33,7 +33,7 @@ import jaxwhisker as jw
 from common import summary, write
 from jaxwhisker._explore.hosts import served
 from jaxwhisker._explore.session import Session
-from jaxwhisker._scan.scan import contact_range
+from jaxwhisker._scan.scan import default_control
 
 STEPS = 1900  # steps of the filmed scan
 FILMS = 3
@@ -171,7 +171,7 @@ def _retry(attempt) -> None:
 def films(model: str, folder: Path) -> list[dict[str, Any]]:
     """Time and size of a film of a finished scan; the first film compiles."""
     scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.named(model, 70.0, 0.2), rod=jw.ClosedForm())
-    first, last = (float(end) for end in contact_range(scene))
+    first, *_, last = default_control(scene)
     result = jax.block_until_ready(jw.scan(scene, np.linspace(first, last, STEPS)))
     rows = []
     for suffix in ("mp4", "gif"):

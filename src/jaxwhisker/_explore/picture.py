@@ -23,6 +23,7 @@ from jaxwhisker._scan.report import status_line
 from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.scan import scan_across
 from jaxwhisker._scan.shapes import Shapes, shapes_of
+from jaxwhisker._scan.state import State
 
 SCAN_STEPS = 400  # of a scan, evenly over the range of the default control
 PAGE_LINE_POINTS = 32  # of a whisker's centre line
@@ -42,14 +43,19 @@ class Picture(NamedTuple):
     outline: Float[jax.Array, "points 2"]  # of the object; NaN where a graph ends
 
 
-@Program
 def picture_of(scene: Scene) -> Picture:
-    """Scan a scene; compiled once for all scenes with the same structure."""
+    """Scan a scene; scenes with the same structure share the programs."""
     result = scan_across(scene, SCAN_STEPS)
-    lines = shapes_of(result, scene.whiskers, points=PAGE_LINE_POINTS)
-    drive = jax.vmap(scene.motion.pose)(result.control)
+    state = State(**{name: getattr(result, name) for name in State.__dataclass_fields__})
+    lines = shapes_of(state, scene.whiskers, points=PAGE_LINE_POINTS)
+    return Picture(result, lines, *_around(scene, result.control))
+
+
+@Program
+def _around(scene: Scene, control: Float[jax.Array, " steps"]) -> tuple[Pose, Float[jax.Array, "points 2"]]:
+    """The drive at all steps, and the outline of the object."""
     outline = silhouette(scene.profile, scene.whiskers[0].length, points=OUTLINE_POINTS)
-    return Picture(result, lines, drive, outline)
+    return jax.vmap(scene.motion.pose)(control), outline
 
 
 def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") -> bytes:

@@ -75,9 +75,26 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     scene = jax.tree.map(checks.as_float, scene)
     if any(is_staged(leaf) for leaf in jax.tree.leaves((scene, control))):
         return _scan_staged(scene, control)
-    traced = checks.is_traced((scene, control))
+    return _scan(scene, control, TRACED_STEPS if checks.is_traced(scene) else None)
+
+
+def scan_across(scene: Scene, steps: int) -> Result:
+    """Scan right across the object, at equidistant positions over the range of the default control.
+
+    Raises:
+        ValueError: if a concrete scene is invalid.
+    """
+    scene = jax.tree.map(checks.as_float, scene)
+    if not any(is_staged(leaf) for leaf in jax.tree.leaves(scene)):
+        return _scan(scene, None, steps)
+    staged = StagedScan(scene, *map(jnp.asarray, across()))
+    return staged.result(evenly(staged.start, staged.stop, steps))
+
+
+def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
+    """A scan outside any jit; without a control, its positions are `steps` equidistant ones or those of the default."""
     problem = problem_now(scene)
-    if not traced:
+    if not checks.is_traced((scene, control)):
         _check_valid(scene, problem)
     route = status = None
     if control is not None:
@@ -91,8 +108,9 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     _prepare(problem, stops.shape[0])
     path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
     path = _if_ok(path, status)
-    if route is None and traced:
-        route = evenly_now(start, stop, TRACED_STEPS)
+    if route is None and steps is not None:
+        route = evenly_now(start, stop, steps)
+        route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
     elif route is None:
         route = route_of(_default_control(problem, float(start), float(stop)))
     state, step_status = _in_blocks(problem, path, route)
@@ -226,35 +244,19 @@ def _if_ok(path: Path, status: Int[Array, ""] | None) -> Path:
     return path._replace(count=jnp.where(good, path.count, 0), status=jnp.where(good, path.status, status))
 
 
-def scan_route(scene: Scene, route: Route) -> Result:
-    """Scan a traced scene along a route. For callers that jit scans themselves."""
-    return StagedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route)
-
-
-def scan_across(scene: Scene, steps: int) -> Result:
-    """Scan a traced scene right across the object, at equidistant positions over the range of its default control."""
-    staged = StagedScan(scene, *map(jnp.asarray, across()))
-    return staged.result(evenly(staged.start, staged.stop, steps))
-
-
 def evenly(start: Float[Array, ""], stop: Float[Array, ""], steps: int) -> Route:
     """The route through equidistant positions."""
     start, stop = jax.lax.stop_gradient((start, stop))  # derivatives are taken at fixed positions
     return straight(start + (stop - start) * jnp.linspace(0.0, 1.0, steps))
 
 
-def contact_range(scene: Scene) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """First and last position of the default control of a scene, traced or not."""
-    path = follow_path(problem_of(scene), *map(jnp.asarray, across()))
-    return path.start, path.stop
-
-
 def _scan_staged(scene: Scene, control: Control | None) -> Result:
     if control is None:
         return scan_across(scene, TRACED_STEPS)
-    if not checks.is_traced(control):
-        return scan_route(scene, route_of(np.asarray(control, dtype=float)))
-    route, status = traced_route(jnp.asarray(control, dtype=float))
+    if checks.is_traced(control):
+        route, status = traced_route(jnp.asarray(control, dtype=float))
+    else:
+        route, status = route_of(np.asarray(control, dtype=float)), None
     return StagedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route, status)
 
 
