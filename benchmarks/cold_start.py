@@ -1,64 +1,148 @@
-"""Time from the start of a process to the first scan, split into import, tracing and compilation, and run.
+"""Waiting in a new process: time to the first scan, derivative, batch, fit, picture and command.
 
 python benchmarks/cold_start.py
+
+Every task runs in a process of its own, with an empty folder for compiled programs and then with the folder that this
+run has filled. Times of tasks that follow others in the same process do not include these. Each run also compiles a
+fixed function without jaxwhisker, because the speed of the machine varies: rows hold its median time.
 """
 
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
-
-from common import summary, write
-
-FIRST = """
 import time
-start = time.perf_counter()
+
+from common import write
+
+RUNS = 3
+PREPARED = """
+import os, time
+start = float(os.environ["STARTED"])
+def lap(name):
+    global start
+    now = time.clock_gettime(time.CLOCK_MONOTONIC)
+    print(f"{name}:{now - start}", flush=True)
+    start = time.clock_gettime(time.CLOCK_MONOTONIC)
 import jax
 jax.config.update("jax_enable_x64", True)
-import jaxwhisker as jw
-imported = time.perf_counter()
-scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.named("{model}", 70.0, 0.2))
-jw.scan(scene).mz.block_until_ready()
-first = time.perf_counter()
-jw.scan(scene).mz.block_until_ready()
-print(imported - start, first - imported, time.perf_counter() - first)
+import jax.numpy as jnp, numpy as np, jaxwhisker as jw
+def scene(c=70.0, q=0.2):
+    return jw.Scene(jw.Whisker(), jw.Parabola(q), getattr(jw.Support, MODEL)(c))
+def signals(scene):
+    result = jw.scan(scene, control)
+    return result.fx, result.fy, result.mz
 """
+CALIBRATION = """
+def chain(x):
+    for k in range(150):
+        x = jnp.where(x > k, jnp.sin(x) @ jnp.cos(x), x / (1 + x * x)) + jnp.cumsum(x, axis=0)
+    return x
+lowered = jax.jit(chain).lower(jnp.zeros((8, 8)))
+lap("")
+lowered.compile()
+lap("calibration")
+"""
+SCAN = """
+result = jw.scan(scene())
+result.mz.block_until_ready()
+lap("first scan")
+control, numbers = np.asarray(result.control), jax.tree.map(jnp.asarray, scene())
+jax.block_until_ready(jax.jacfwd(signals)(numbers))
+lap("then jacfwd of all signals by all fields")
+jax.block_until_ready(jax.grad(lambda scene: jw.scan(scene, control).events.control[1])(numbers))
+lap("then grad of an event position")
+"""
+BATCH = """
+control = np.linspace(0.8, -1.6, 2048)
+jax.block_until_ready(jax.vmap(lambda c: jw.scan(scene(c), control).mz)(jnp.linspace(30.0, 200.0, 256)))
+lap("first batch: vmap over 256 scans")
+"""
+STUDY = """
+jw.study(scene, c=np.linspace(30.0, 200.0, 16), q=np.linspace(0.1, 0.4, 16), progress=False)
+lap("first study of 256 scans")
+"""
+FIT = """
+data = np.load(os.environ["DATA"])
+start = time.clock_gettime(time.CLOCK_MONOTONIC)
+def build(c1, c2, c3, q):
+    return jw.Scene(jw.Whisker(), jw.Parabola(q), jw.Support.fbfbr((c1, c2, c3)))
+fit = jw.identify(build, {"c1": 80.0, "c2": 60.0, "c3": 75.0, "q": 0.25}, dict(data), starts=0)
+assert fit.status == jw.FitStatus.ok, fit
+lap("first fit of four parameters")
+"""
+RECORDING = """
+result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfbr((70.0, 70.0, 70.0))), np.linspace(0.8, -2.2, 200))
+noise = np.random.default_rng(0).normal(size=(3, 200, 2))
+sigma = {"fx": 0.05, "fy": 0.1, "mz": 0.045}
+values = {n: np.asarray(getattr(result, n)) + s * e for (n, s), e in zip(sigma.items(), noise)}
+np.savez(os.environ["DATA"], control=np.asarray(result.control), **values)
+"""
+SLIDERS = """
+from jaxwhisker._explore.session import Session
+session = Session(scene, {"c": (30.0, 200.0, 70.0)})
+session.answer({"c": 70.0})
+lap("sliders: first picture")
+"""
+TASKS = [("fb", SCAN), ("fbfbr", SCAN), ("fb", BATCH), ("fb", STUDY), ("fbfbr", FIT), ("fbfbr", SLIDERS)]
+COMMAND = "scan --model FBFBR --plot"
 
 
-def measure(model: str, cache: str) -> list[float]:
-    """Seconds for import, first scan and second scan in a new process."""
-    settings = {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2"}
+def settings(folder: str) -> dict[str, str]:
+    """The environment of a task whose programs are kept in this folder."""
+    own = {"JAXWHISKER_CACHE": f"{folder}/programs", "DATA": f"{folder}/data.npz", "TF_CPP_MIN_LOG_LEVEL": "3"}
+    return os.environ | own | {"STARTED": str(time.clock_gettime(time.CLOCK_MONOTONIC))}
+
+
+def laps(model: str, code: str, folder: str) -> dict[str, float]:
+    """Seconds for each part of a task in a new process."""
+    code = PREPARED.replace("MODEL", repr(model)) + code + CALIBRATION
     out = subprocess.run(
-        [sys.executable, "-c", FIRST.format(model=model)],
-        env={**os.environ, **settings, "TF_CPP_MIN_LOG_LEVEL": "3"},
-        check=True,
-        capture_output=True,
-        text=True,
+        [sys.executable, "-c", code], env=settings(folder), check=True, stdout=subprocess.PIPE, text=True
     )
-    return [float(word) for word in out.stdout.split()]
+    parts = (line.rsplit(":", 1) for line in out.stdout.splitlines())
+    return {f"{model.upper()}, {name}": float(seconds) for name, seconds in parts if name}
+
+
+def command(folder: str) -> float:
+    """Seconds for the command that scans and draws."""
+    start = time.perf_counter()
+    line = [sys.executable, "-m", "jaxwhisker", *COMMAND.split(), f"{folder}/scan.png"]
+    subprocess.run(line, env=settings(folder), check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - start
 
 
 def main() -> None:
-    rows = []
-    for model in ("FB", "FBFBR"):
-        runs: dict[str, list[list[float]]] = {"empty": [], "warm": []}
-        for _ in range(3):
-            with tempfile.TemporaryDirectory() as cache:
-                for measured in runs.values():  # the first of the two runs fills the cache
-                    measured.append(measure(model, cache))
-        for kind, measured in runs.items():
-            imported, first, again = (summary(list(column))["median"] for column in zip(*measured, strict=True))
-            rows.append(
-                {
-                    "model": model,
-                    "compilation cache": kind,
-                    "import, s": imported,
-                    "trace, compile and first scan, s": first - again,
-                    "a scan, s": again,
-                    "import to first result, s": imported + first,
-                }
-            )
-    write("cold_start", rows)
+    """Measure all tasks and store the table."""
+    times: dict[str, dict[str, list[float]]] = {}
+    calibration = []
+    for model, code in TASKS:
+        for _ in range(RUNS):
+            with tempfile.TemporaryDirectory() as folder:
+                if code is FIT:
+                    prepared = {"JAXWHISKER_CACHE": "off"}
+                    line = [sys.executable, "-c", PREPARED.replace("MODEL", repr(model)) + RECORDING]
+                    subprocess.run(line, env=settings(folder) | prepared, check=True, stdout=subprocess.DEVNULL)
+                for kind in ("empty", "filled"):
+                    for name, seconds in laps(model, code, folder).items():
+                        if name.endswith("calibration"):
+                            calibration.append(seconds)
+                        else:
+                            times.setdefault(name, {"empty": [], "filled": []})[kind].append(seconds)
+        print(
+            {name: {k: [round(t, 2) for t in v] for k, v in each.items()} for name, each in times.items()}, flush=True
+        )
+    name = f"jaxwhisker {COMMAND}"
+    for _ in range(RUNS):
+        with tempfile.TemporaryDirectory() as folder:
+            for kind in ("empty", "filled"):
+                times.setdefault(name, {"empty": [], "filled": []})[kind].append(command(folder))
+    calibrated = statistics.median(calibration)
+    write("cold_start", [
+        {"task": name} | {f"{kind}, s": statistics.median(each[kind]) for kind in each} | {"calibration, s": calibrated}
+        for name, each in times.items()
+    ])  # fmt: skip
 
 
 if __name__ == "__main__":
