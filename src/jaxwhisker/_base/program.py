@@ -12,24 +12,22 @@ rule, usually by another program. All others are differentiated by JAX.
 
 import functools
 import os
-import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jax.experimental import serialize_executable
+from jax.core import ShapedArray, Tracer
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxlib.version import __version_info__ as version
 
 from jaxwhisker._base import store
+from jaxwhisker._base.announce import announced
 
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
 # time, and its kernels run equally fast.
@@ -37,7 +35,6 @@ COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if ver
 
 MOST_SINGLE = 256  # batches up to this size run one by one, which needs no further program
 LANES = 64  # larger batches of a `batched` program run in blocks of this size
-PATIENCE = 2.0  # seconds of compilation after which a line on the terminal says what is going on
 
 
 class Shape(NamedTuple):
@@ -45,6 +42,7 @@ class Shape(NamedTuple):
 
     structure: Any
     leaves: tuple  # ... stands for an array
+    kinds: tuple[type, ...]  # of the leaves: 1, 1.0 and True are equal, but lead to different programs
     arrays: tuple[tuple[tuple[int, ...], np.dtype], ...]  # shapes and types
 
     def arguments(self, arrays: Any) -> tuple[tuple, dict[str, Any]]:
@@ -87,9 +85,9 @@ class Program:
     ):
         functools.update_wrapper(self, function)
         self._function, self._frozen, self._tangent = function, frozen, tangent
-        self._options = COMPILER_OPTIONS | ({"xla_backend_optimization_level": 0} if quick else {})
+        self._options: dict[str, Any] = COMPILER_OPTIONS | ({"xla_backend_optimization_level": 0} if quick else {})
         self.batched = batched
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a program may need another shape of itself while it is traced
         self._results: dict[Shape, Results] = {}
         self._executables: dict[tuple[Shape, int], Future] = {}
         _PROGRAMS.append(self)
@@ -118,7 +116,14 @@ class Program:
 
     def run(self, shape: Shape, arrays: Sequence, lanes: int = 0) -> list:
         """The results' arrays for arrays with values; if there are `lanes`, for as many of each."""
-        return self._executable(shape, lanes).result()(*arrays)
+        future = self._executable(shape, lanes)
+        try:
+            executable = future.result()
+        except Exception:  # the next call compiles again
+            with self._lock:
+                self._executables.pop((shape, lanes), None)
+            raise
+        return executable(*arrays)
 
     def results(self, shape: Shape) -> Results:
         """What the function returns for arguments of this shape."""
@@ -163,37 +168,43 @@ class Program:
     def _executable(self, shape: Shape, lanes: int, pool: Executor | None = None) -> Future:
         with self._lock:
             if (shape, lanes) not in self._executables:
-                with _announced():
-                    future = self._load(shape, lanes, pool) or self._compile(shape, lanes, pool)
+                key = self._key(shape, lanes)
+                with announced(kept=key is not None):
+                    future = self._load(shape, lanes, key, pool) or self._compile(shape, lanes, key, pool)
                 self._executables[shape, lanes] = future
             return self._executables[shape, lanes]
 
     def _key(self, shape: Shape, lanes: int) -> str | None:
+        """The program's name on disk; None if it is not kept there."""
+        if store.folder() is None:
+            return None
         arguments = store.describe([self._function, shape.arguments([...] * len(shape.arrays))])
         return arguments and store.key_of(f"{arguments} {shape.arrays} {lanes} {self._options}")
 
-    def _load(self, shape: Shape, lanes: int, pool: Executor | None) -> Future | None:
-        key = self._key(shape, lanes)
-        stored = key and store.load(key)
-        if not stored:
+    def _load(self, shape: Shape, lanes: int, key: str | None, pool: Executor | None) -> Future | None:
+        stored = store.load(key) if key is not None else None
+        if key is None or stored is None:
             return None
-        tree, arrays, serialized = stored
+        tree, arrays, code = stored
         leaves, structure = jax.tree.flatten(tree)
         self._results[shape] = Results(structure, tuple(leaves), arrays)
-        return _aside(pool, lambda: serialize_executable.deserialize_and_load(*serialized))
 
-    def _compile(self, shape: Shape, lanes: int, pool: Executor | None) -> Future:
+        def loaded():
+            return store.executable(key, code) or self._compile(shape, lanes, key, None).result()
+
+        return _aside(pool, loaded)
+
+    def _compile(self, shape: Shape, lanes: int, key: str | None, pool: Executor | None) -> Future:
         function, ahead = self.flat(shape), (lanes,) if lanes else ()
         arguments = [jax.ShapeDtypeStruct((*ahead, *size), kind) for size, kind in shape.arrays]
         lowered = jax.jit(jax.vmap(function) if lanes else function).lower(*arguments)
         results = self._results[shape]
 
         def compiled():
-            with _announced():
+            with announced(kept=key is not None), store.complete() as is_complete:
                 executable = lowered.compile(self._options)
-            if key := self._key(shape, lanes):
-                entry = results.tree([...] * len(results.arrays)), results.arrays
-                store.save(key, (*entry, serialize_executable.serialize(executable)))
+            if key is not None and is_complete() and (code := store.code(executable)):
+                store.save(key, (results.tree([...] * len(results.arrays)), results.arrays, code))
             return executable
 
         return _aside(pool, compiled)
@@ -240,7 +251,8 @@ def _split(args: tuple, kwargs: dict[str, Any] | None = None) -> tuple[Shape, li
     leaves, structure = jax.tree.flatten((args, kwargs or {}))
     arrays = [leaf for leaf in leaves if is_array(leaf)]
     shapes = tuple((tuple(leaf.shape), np.dtype(leaf.dtype)) for leaf in arrays)
-    return Shape(structure, tuple(_if_array(leaf, leaf) for leaf in leaves), shapes), arrays
+    static = tuple(_if_array(leaf, leaf) for leaf in leaves)
+    return Shape(structure, static, tuple(type(leaf) for leaf in static), shapes), arrays
 
 
 def _if_array(leaf: Any, otherwise: Any = None) -> Any:
@@ -363,46 +375,7 @@ batching.primitive_batchers[PRIMITIVE] = _batch
 ad.primitive_jvps[PRIMITIVE] = _jvp
 PRIMITIVE.def_abstract_eval(
     lambda *avals, **params: [
-        jax.core.ShapedArray(info.shape, info.dtype)
-        for info in jax.eval_shape(functools.partial(_staged, **params), *avals)
+        ShapedArray(info.shape, info.dtype) for info in jax.eval_shape(functools.partial(_staged, **params), *avals)
     ]
 )
 mlir.register_lowering(PRIMITIVE, mlir.lower_fun(_staged, multiple_results=True))
-
-
-class _Notice:
-    """What is being compiled in this process, and the line that says so."""
-
-    lock = threading.Lock()
-    running = 0
-    timer: threading.Timer | None = None
-
-
-@contextmanager
-def _announced() -> Iterator[None]:
-    """Say on a terminal or in a notebook what is going on if this takes longer than `PATIENCE`."""
-    with _Notice.lock:
-        _Notice.running += 1
-        if _Notice.running == 1 and _interactive():
-            _Notice.timer = threading.Timer(PATIENCE, _announce)
-            _Notice.timer.daemon = True
-            _Notice.timer.start()
-    try:
-        yield
-    finally:
-        with _Notice.lock:
-            _Notice.running -= 1
-            if _Notice.running == 0 and _Notice.timer is not None:
-                _Notice.timer.cancel()
-                _Notice.timer = None
-
-
-def _interactive() -> bool:
-    if os.environ.get("JAXWHISKER_PROGRESS", "").lower() in ("off", "0", "no", "false"):
-        return False
-    return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)())
-
-
-def _announce() -> None:
-    kept = "" if store.folder() is None else ", kept for later"
-    print(f"jaxwhisker: compiling for scenes of this kind, once{kept} ...", file=sys.stderr, flush=True)
