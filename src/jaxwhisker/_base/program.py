@@ -101,7 +101,7 @@ class Program:
                 arrays = [jax.lax.stop_gradient(leaf) if isinstance(leaf, Tracer) else leaf for leaf in arrays]
             arrays = PRIMITIVE.bind(*arrays, program=self, shape=shape, levels=())
         else:
-            arrays = self.run(shape, arrays)
+            arrays = self.compiled(shape)(*arrays)
         return self._results[shape].tree(arrays)
 
     def is_ready(self, *args) -> bool:
@@ -114,16 +114,15 @@ class Program:
         self._executable(shape, 0, pool)
         return self._results[shape].tree(self._results[shape].arrays)
 
-    def run(self, shape: Shape, arrays: Sequence, lanes: int = 0) -> list:
-        """The results' arrays for arrays with values; if there are `lanes`, for as many of each."""
+    def compiled(self, shape: Shape, lanes: int = 0) -> Callable[..., list]:
+        """The compiled function from the arguments' arrays to the results'; with `lanes`, of that many of each."""
         future = self._executable(shape, lanes)
         try:
-            executable = future.result()
+            return future.result()
         except Exception:  # the next call compiles again
             with self._lock:
                 self._executables.pop((shape, lanes), None)
             raise
-        return executable(*arrays)
 
     def results(self, shape: Shape) -> Results:
         """What the function returns for arguments of this shape."""
@@ -266,10 +265,21 @@ def _tree(structure: Any, leaves: Sequence, arrays: Any) -> Any:
 
 def _aside(pool: Executor | None, function: Callable) -> Future:
     if pool is not None:
-        return pool.submit(function)
+        return pool.submit(_as_precise(function))
     done = Future()
     done.set_result(function())
     return done
+
+
+def _as_precise(function: Callable) -> Callable:
+    """The function with this thread's precision: other threads do not see that `jax.enable_x64` surrounds this one."""
+    precise = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+
+    def run(*args):
+        with jax.enable_x64(precise):
+            return function(*args)
+
+    return run
 
 
 # Below vmap, jvp and grad, a program is a primitive. `levels` says which arrays have an axis for each vmap, from the
@@ -281,31 +291,32 @@ PRIMITIVE.multiple_results = True
 @PRIMITIVE.def_impl
 def _run(*arrays, program: Program, shape: Shape, levels: tuple[tuple[bool, ...], ...]) -> list:
     if not levels:
-        return program.run(shape, arrays)
+        return program.compiled(shape)(*arrays)
     values = [np.asarray(leaf) for leaf in arrays]
     sizes = [_size(values, levels, number) for number in range(len(levels))]
     indices = list(np.ndindex(*sizes))
+    together = program.batched and len(indices) > MOST_SINGLE
+    run = program.compiled(shape, LANES if together else 0)
 
     def lane(index: tuple[int, ...]) -> list:
         each = zip(values, zip(*levels, strict=True), strict=True)
         return [leaf[tuple(k for k, own in zip(index, mapped, strict=True) if own)] for leaf, mapped in each]
 
     def single(index) -> list:
-        return [np.asarray(leaf) for leaf in program.run(shape, lane(index))]
+        return [np.asarray(leaf) for leaf in run(*lane(index))]
 
     def block(first: int) -> list:
         some = indices[first : first + LANES]
         lanes = [lane(index) for index in [*some, *[some[-1]] * (LANES - len(some))]]
-        results = program.run(shape, [np.stack(each) for each in zip(*lanes, strict=True)], LANES)
+        results = run(*(np.stack(each) for each in zip(*lanes, strict=True)))
         return [np.asarray(leaf)[: len(some)] for leaf in results]
 
-    together = program.batched and len(indices) > MOST_SINGLE
     with ThreadPoolExecutor(threads()) as pool:  # XLA alone keeps one processor busy
         if together:
-            parts = list(pool.map(block, range(0, len(indices), LANES)))
+            parts = list(pool.map(_as_precise(block), range(0, len(indices), LANES)))
             joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
         else:
-            parts = list(pool.map(single, indices))
+            parts = list(pool.map(_as_precise(single), indices))
             joined = [np.stack(each) for each in zip(*parts, strict=True)]
     if not indices:
         joined = [np.zeros((0, *info.shape), info.dtype) for info in program.results(shape).arrays]
