@@ -173,6 +173,9 @@ def executable(key: str, code: Any) -> jax.stages.Compiled | None:
     """The program of an entry, or None if it cannot be loaded."""
     chosen, (serialized, arguments, results) = device(), code
     try:
+        if b"lapack" in serialized:
+            # jax initialises LAPACK when it lowers a function that needs it. Without it the process would crash.
+            jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.dtype(np.float32)))
         return serialize_executable.deserialize_and_load(serialized, arguments, results, chosen.client, [chosen])
     except Exception as error:  # whatever is wrong, the program can still be compiled
         _ignored(key, error)
