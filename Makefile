@@ -61,7 +61,7 @@ run = for name in $(1); do echo "== $$name"; $(BIN)/python benchmarks/$$name.py 
 draw = $(BIN)/python figures/results.py
 
 clean: ## remove results, caches and build products, but keep .venv
-	@rm -rf $(OUT) build dist .pytest_cache .ruff_cache .hypothesis src/*.egg-info
+	@rm -rf $(OUT) build dist .cache .pytest_cache .ruff_cache .hypothesis src/*.egg-info
 	@find src tests benchmarks docs_hooks figures notebooks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 distclean: clean ## run clean and remove .venv as well

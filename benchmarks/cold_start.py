@@ -73,7 +73,7 @@ assert fit.status == jw.FitStatus.ok, fit
 lap("first fit of four parameters")
 """
 RECORDING = """
-result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfbr((70.0, 70.0, 70.0))), np.linspace(0.8, -2.2, 200))
+result = jw.scan(scene((70.0, 70.0, 70.0)), np.linspace(0.8, -2.2, 200))
 noise = np.random.default_rng(0).normal(size=(3, 200, 2))
 sigma = {"fx": 0.05, "fy": 0.1, "mz": 0.045}
 values = {n: np.asarray(getattr(result, n)) + s * e for (n, s), e in zip(sigma.items(), noise)}

@@ -1,4 +1,4 @@
-"""Float64, a compilation cache shared by workers and runs, reproducible random scenes, limited compiled code."""
+"""Float64, caches of compiled code shared by workers and runs, reproducible random scenes, limited compiled code."""
 
 import gc
 import hashlib
@@ -34,6 +34,9 @@ if "XLA_FLAGS" not in os.environ:
 jax.config.update("jax_enable_x64", True)
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# Not in the user's home. JAXWHISKER_CACHE=off runs the tests without stored programs.
+os.environ.setdefault("JAXWHISKER_CACHE", str(Path(__file__).parents[1] / ".cache" / "programs"))
 
 # Types and shapes of all functions are checked while tests run; an int is accepted as a float.
 jaxtyping.install_import_hook("jaxwhisker", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")

@@ -13,11 +13,9 @@ rule, usually by another program. All others are differentiated by JAX.
 import functools
 import math
 import os
-import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -25,12 +23,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray, Tracer
-from jax.experimental import serialize_executable
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxlib.version import __version_info__ as version
 
 from jaxwhisker._base import store
+from jaxwhisker._base.announce import announced
 
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
 # time, and its kernels run equally fast.
@@ -38,7 +36,6 @@ COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if ver
 
 LANES = 64  # large batches of a `batched` program run in blocks of this size
 MOST_SINGLE = 32  # smaller batches run one by one, which needs no further executable
-PATIENCE = 2.0  # seconds of compilation after which a line on the terminal says what is going on
 
 
 class Shape(NamedTuple):
@@ -46,6 +43,7 @@ class Shape(NamedTuple):
 
     structure: Any
     leaves: tuple  # ... stands for an array
+    kinds: tuple[type, ...]  # of the leaves: 1, 1.0 and True are equal, but lead to different programs
     arrays: tuple[tuple[tuple[int, ...], np.dtype], ...]  # shapes and types
 
     def arguments(self, arrays: Any) -> tuple[tuple, dict[str, Any]]:
@@ -90,7 +88,7 @@ class Program:
         self.function, self._frozen, self._tangent = function, frozen, tangent
         self._options: dict[str, Any] = COMPILER_OPTIONS | ({"xla_backend_optimization_level": 0} if quick else {})
         self.batched = batched
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a program may need another shape of itself while it is traced
         self._results: dict[Shape, Results] = {}
         self._executables: dict[tuple[Shape, int], Future] = {}
         _PROGRAMS.append(self)
@@ -104,7 +102,7 @@ class Program:
                 arrays = [jax.lax.stop_gradient(leaf) if isinstance(leaf, Tracer) else leaf for leaf in arrays]
             arrays = PRIMITIVE.bind(*arrays, program=self, shape=shape, levels=())
         else:
-            arrays = self.run(shape, arrays)
+            arrays = self.compiled(shape)(*arrays)
         return self._results[shape].tree(arrays)
 
     @property
@@ -127,9 +125,15 @@ class Program:
         self._executable(shape, self._lanes_of(arrays), pool)
         return self._results[shape].tree(self._results[shape].arrays)
 
-    def run(self, shape: Shape, arrays: Sequence, lanes: int = 0) -> list:
-        """The results' arrays for arrays with values; if there are `lanes`, for as many of each."""
-        return self._executable(shape, lanes).result()(*arrays)
+    def compiled(self, shape: Shape, lanes: int = 0) -> Callable[..., list]:
+        """The compiled function from the arguments' arrays to the results'; with `lanes`, of that many of each."""
+        future = self._executable(shape, lanes)
+        try:
+            return future.result()
+        except Exception:  # the next call compiles again
+            with self._lock:
+                self._executables.pop((shape, lanes), None)
+            raise
 
     def results(self, shape: Shape) -> Results:
         """What the function returns for arguments of this shape."""
@@ -175,37 +179,43 @@ class Program:
     def _executable(self, shape: Shape, lanes: int, pool: Executor | None = None) -> Future:
         with self._lock:
             if (shape, lanes) not in self._executables:
-                with _announced():
-                    future = self._load(shape, lanes, pool) or self._compile(shape, lanes, pool)
+                key = self._key(shape, lanes)
+                with announced(kept=key is not None):
+                    future = self._load(shape, lanes, key, pool) or self._compile(shape, lanes, key, pool)
                 self._executables[shape, lanes] = future
             return self._executables[shape, lanes]
 
     def _key(self, shape: Shape, lanes: int) -> str | None:
+        """The program's name on disk; None if it is not kept there."""
+        if store.folder() is None:
+            return None
         arguments = store.describe([self.function, shape.arguments([...] * len(shape.arrays))])
         return arguments and store.key_of(f"{arguments} {shape.arrays} {lanes} {self._options}")
 
-    def _load(self, shape: Shape, lanes: int, pool: Executor | None) -> Future | None:
-        key = self._key(shape, lanes)
-        stored = key and store.load(key)
-        if not stored:
+    def _load(self, shape: Shape, lanes: int, key: str | None, pool: Executor | None) -> Future | None:
+        stored = store.load(key) if key is not None else None
+        if key is None or stored is None:
             return None
-        tree, arrays, serialized = stored
+        tree, arrays, code = stored
         leaves, structure = jax.tree.flatten(tree)
         self._results[shape] = Results(structure, tuple(leaves), arrays)
-        return _aside(pool, lambda: serialize_executable.deserialize_and_load(*serialized))
 
-    def _compile(self, shape: Shape, lanes: int, pool: Executor | None) -> Future:
+        def loaded():
+            return store.executable(key, code) or self._compile(shape, lanes, key, None).result()
+
+        return _aside(pool, loaded)
+
+    def _compile(self, shape: Shape, lanes: int, key: str | None, pool: Executor | None) -> Future:
         function, ahead = self.flat(shape), (lanes,) if lanes else ()
         arguments = [jax.ShapeDtypeStruct((*ahead, *size), kind) for size, kind in shape.arrays]
         lowered = jax.jit(jax.vmap(function) if lanes else function).lower(*arguments)
         results = self._results[shape]
 
         def compiled():
-            with _announced():
+            with announced(kept=key is not None), store.complete() as is_complete:
                 executable = lowered.compile(self._options)
-            if key := self._key(shape, lanes):
-                entry = results.tree([...] * len(results.arrays)), results.arrays
-                store.save(key, (*entry, serialize_executable.serialize(executable)))
+            if key is not None and is_complete() and (code := store.code(executable)):
+                store.save(key, (results.tree([...] * len(results.arrays)), results.arrays, code))
             return executable
 
         return _aside(pool, compiled)
@@ -266,7 +276,8 @@ def _split(args: tuple, kwargs: dict[str, Any] | None = None) -> tuple[Shape, li
     leaves, structure = jax.tree.flatten((args, kwargs or {}))
     arrays = [leaf for leaf in leaves if is_array(leaf)]
     shapes = tuple((tuple(leaf.shape), np.dtype(leaf.dtype)) for leaf in arrays)
-    return Shape(structure, tuple(_if_array(leaf, leaf) for leaf in leaves), shapes), arrays
+    static = tuple(_if_array(leaf, leaf) for leaf in leaves)
+    return Shape(structure, static, tuple(type(leaf) for leaf in static), shapes), arrays
 
 
 def _if_array(leaf: Any, otherwise: Any = None) -> Any:
@@ -280,10 +291,21 @@ def _tree(structure: Any, leaves: Sequence, arrays: Any) -> Any:
 
 def _aside(pool: Executor | None, function: Callable) -> Future:
     if pool is not None:
-        return pool.submit(function)
+        return pool.submit(_as_precise(function))
     done = Future()
     done.set_result(function())
     return done
+
+
+def _as_precise(function: Callable) -> Callable:
+    """The function with this thread's precision: other threads do not see that `jax.enable_x64` surrounds this one."""
+    precise = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+
+    def run(*args):
+        with jax.enable_x64(precise):
+            return function(*args)
+
+    return run
 
 
 # Below vmap, jvp and grad, a program is a primitive. `levels` says which arrays have an axis for each vmap, from the
@@ -295,31 +317,32 @@ PRIMITIVE.multiple_results = True
 @PRIMITIVE.def_impl
 def _run(*arrays, program: Program, shape: Shape, levels: tuple[tuple[bool, ...], ...]) -> list:
     if not levels:
-        return program.run(shape, arrays)
+        return program.compiled(shape)(*arrays)
     values = [np.asarray(leaf) for leaf in arrays]
     sizes = [_size(values, levels, number) for number in range(len(levels))]
     indices = list(np.ndindex(*sizes))
+    together = program.batched and len(indices) > MOST_SINGLE
+    run = program.compiled(shape, LANES if together else 0)
 
     def lane(index: tuple[int, ...]) -> list:
         each = zip(values, zip(*levels, strict=True), strict=True)
         return [leaf[tuple(k for k, own in zip(index, mapped, strict=True) if own)] for leaf, mapped in each]
 
     def single(index) -> list:
-        return [np.asarray(leaf) for leaf in program.run(shape, lane(index))]
+        return [np.asarray(leaf) for leaf in run(*lane(index))]
 
     def block(first: int) -> list:
         some = indices[first : first + LANES]
         lanes = [lane(index) for index in [*some, *[some[-1]] * (LANES - len(some))]]
-        results = program.run(shape, [np.stack(each) for each in zip(*lanes, strict=True)], LANES)
+        results = run(*(np.stack(each) for each in zip(*lanes, strict=True)))
         return [np.asarray(leaf)[: len(some)] for leaf in results]
 
-    together = program.batched and len(indices) > MOST_SINGLE
     with ThreadPoolExecutor(threads()) as pool:  # XLA alone keeps one processor busy
         if together:
-            parts = list(pool.map(block, range(0, len(indices), LANES)))
+            parts = list(pool.map(_as_precise(block), range(0, len(indices), LANES)))
             joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
         else:
-            parts = list(pool.map(single, indices))
+            parts = list(pool.map(_as_precise(single), indices))
             joined = [np.stack(each) for each in zip(*parts, strict=True)]
     if not indices:
         joined = [np.zeros((0, *info.shape), info.dtype) for info in program.results(shape).arrays]
@@ -393,41 +416,3 @@ PRIMITIVE.def_abstract_eval(
     ]
 )
 mlir.register_lowering(PRIMITIVE, mlir.lower_fun(_staged, multiple_results=True))
-
-
-class _Notice:
-    """What is being compiled in this process, and the line that says so."""
-
-    lock = threading.Lock()
-    running = 0
-    timer: threading.Timer | None = None
-
-
-@contextmanager
-def _announced() -> Iterator[None]:
-    """Say on a terminal or in a notebook what is going on if this takes longer than `PATIENCE`."""
-    with _Notice.lock:
-        _Notice.running += 1
-        if _Notice.running == 1 and _interactive():
-            _Notice.timer = threading.Timer(PATIENCE, _announce)
-            _Notice.timer.daemon = True
-            _Notice.timer.start()
-    try:
-        yield
-    finally:
-        with _Notice.lock:
-            _Notice.running -= 1
-            if _Notice.running == 0 and _Notice.timer is not None:
-                _Notice.timer.cancel()
-                _Notice.timer = None
-
-
-def _interactive() -> bool:
-    if os.environ.get("JAXWHISKER_PROGRESS", "").lower() in ("off", "0", "no", "false"):
-        return False
-    return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)())
-
-
-def _announce() -> None:
-    kept = "" if store.folder() is None else ", kept for later"
-    print(f"jaxwhisker: compiling for scenes of this kind, once{kept} ...", file=sys.stderr, flush=True)

@@ -4,8 +4,8 @@ An entry is valid for one version of this package, of jax and the libraries it c
 Entries of other versions are never looked up, and disappear when the store is full. A damaged entry is ignored with a
 warning and compiled again. Entries are written to a temporary file and renamed, so processes may share the store.
 
-`JAXWHISKER_CACHE` chooses the folder; the value `off` keeps nothing. Like any cache of compiled code, the folder must
-belong to the user: whoever can write to it can run code in the processes that read it.
+`JAXWHISKER_CACHE` chooses the folder; the value `off` keeps nothing. An entry is code, and loading it runs it. A folder
+or an entry that another user owns or can write to is therefore ignored with a warning.
 """
 
 import dataclasses
@@ -14,9 +14,14 @@ import hashlib
 import os
 import pickle
 import platform
+import stat
+import sys
 import tempfile
+import threading
 import warnings
 import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +32,15 @@ import jaxlib
 import lineax
 import numpy as np
 import optimistix
+from jax.experimental import serialize_executable
 
 LARGEST = 512 * 2**20  # bytes; when the store is larger, the entries that were not used for longest are deleted
 MAGIC = b"jaxwhisker program 1\n"
 DIGEST = hashlib.sha256().digest_size
 SUFFIX = ".program"
+UNFINISHED = SUFFIX + ".part"
+# Settings of jax that change the program of a function.
+SETTINGS = ("jax_enable_x64", "jax_numpy_dtype_promotion", "jax_default_matmul_precision", "jax_debug_nans")
 
 
 def folder() -> Path | None:
@@ -39,20 +48,45 @@ def folder() -> Path | None:
     chosen = os.environ.get("JAXWHISKER_CACHE", "")
     if chosen.lower() in ("off", "0", "no", "false"):
         return None
-    if chosen:
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxwhisker"
+    try:
+        if chosen:
+            return Path(chosen).expanduser()
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxwhisker"
+    except RuntimeError:  # the user has no home
+        return None
+
+
+def distrust(where: Path) -> str | None:
+    """The reason not to use a folder that exists: others can put code into it."""
+    try:
+        return _others(where.stat())
+    except OSError:
+        return None
+
+
+def _others(status: os.stat_result) -> str | None:
+    if hasattr(os, "getuid") and status.st_uid != os.getuid():
+        return "it belongs to another user"
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return "other users can write to it"
+    return None
+
+
+def device() -> Any:
+    """The device for which programs are compiled."""
+    chosen = getattr(jax.config, "jax_default_device")  # noqa: B009, pyright does not know it
+    return chosen if isinstance(chosen, jax.Device) else jax.devices(chosen)[0]
 
 
 @functools.cache
-def _platform() -> str:
+def _platform(device: Any) -> str:
     """Everything that compiled code depends on but its source: versions, this package's code, and the processor."""
     sources = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         sources.update(path.read_bytes())
-    versions = [module.__version__ for module in (jax, jaxlib, equinox, diffrax, optimistix, lineax)]
-    device = jax.devices()[0]
-    return repr([sources.hexdigest(), versions, platform.machine(), _processor(), device.platform, device.device_kind])
+    versions = [module.__version__ for module in (np, jax, jaxlib, equinox, diffrax, optimistix, lineax)]
+    compiler = device.platform, device.device_kind, device.client.platform_version, device.id
+    return repr([sources.hexdigest(), platform.python_version(), versions, platform.machine(), _processor(), compiler])
 
 
 def _processor() -> str:
@@ -66,9 +100,8 @@ def _processor() -> str:
 
 def key_of(text: str) -> str:
     """The name of the entry for a program with this description, on this machine with these versions."""
-    names = "jax_enable_x64", "jax_debug_nans", "jax_default_matmul_precision"
-    settings = os.environ.get("XLA_FLAGS", ""), [getattr(jax.config, name) for name in names]
-    return hashlib.sha256(repr((text, _platform(), settings)).encode()).hexdigest()
+    settings = [os.environ.get("XLA_FLAGS", ""), *(getattr(jax.config, name) for name in SETTINGS)]
+    return hashlib.sha256(repr((text, _platform(device()), settings)).encode()).hexdigest()
 
 
 def load(key: str) -> Any:
@@ -76,23 +109,33 @@ def load(key: str) -> Any:
     where = folder()
     if where is None:
         return None
+    if reason := distrust(where):
+        warnings.warn(f"Compiled programs are not kept in {where}: {reason}.", stacklevel=2)
+        return None
     path = where / (key + SUFFIX)
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            status, data = os.fstat(file.fileno()), file.read()
     except OSError:
         return None
     content = data[len(MAGIC) + DIGEST :]
     try:
+        if reason := _others(status):
+            raise ValueError(reason)
         if not data.startswith(MAGIC) or hashlib.sha256(content).digest() != data[len(MAGIC) : len(MAGIC) + DIGEST]:
             raise ValueError("its checksum is wrong")
-        if hasattr(os, "getuid") and path.stat().st_uid != os.getuid():
-            raise ValueError("it belongs to another user")
         value = pickle.loads(zlib.decompress(content))
-        os.utime(path)  # it was used just now
     except Exception as error:  # whatever is wrong, the program can still be compiled
-        warnings.warn(f"A cached program is ignored and compiled again: {path} ({error}).", stacklevel=2)
+        _ignored(key, error)
         return None
+    with suppress(OSError):  # of a file system that is read only
+        os.utime(path)  # it was used just now
     return value
+
+
+def _ignored(key: str, error: Exception) -> None:
+    text = f"A cached program is ignored and compiled again: {key}{SUFFIX} in {folder()} ({error})."
+    warnings.warn(text, stacklevel=3)
 
 
 def save(key: str, value: Any) -> None:
@@ -103,7 +146,9 @@ def save(key: str, value: Any) -> None:
     content = zlib.compress(pickle.dumps(value), 1)
     try:
         where.mkdir(parents=True, exist_ok=True, mode=0o700)
-        handle, temporary = tempfile.mkstemp(dir=where, suffix=".part")
+        if distrust(where):
+            return
+        handle, temporary = tempfile.mkstemp(dir=where, suffix=UNFINISHED)
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(MAGIC + hashlib.sha256(content).digest() + content)
@@ -116,10 +161,51 @@ def save(key: str, value: Any) -> None:
         return
 
 
+def code(program: jax.stages.Compiled) -> Any:
+    """What `executable` needs to load this program in another process; None for one that has to be compiled there."""
+    try:
+        return serialize_executable.serialize(program)
+    except Exception:  # such as a program that calls Python
+        return None
+
+
+def executable(key: str, code: Any) -> jax.stages.Compiled | None:
+    """The program of an entry, or None if it cannot be loaded."""
+    chosen, (serialized, arguments, results) = device(), code
+    try:
+        if b"lapack" in serialized:
+            # jax initialises LAPACK when it lowers a function that needs it. Without it the process would crash.
+            jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.dtype(np.float32)))
+        return serialize_executable.deserialize_and_load(serialized, arguments, results, chosen.client, [chosen])
+    except Exception as error:  # whatever is wrong, the program can still be compiled
+        _ignored(key, error)
+        return None
+
+
+@contextmanager
+def complete() -> Iterator[Callable[[], bool]]:
+    """Find out whether this thread really compiles a program, or gets it from jax's own cache.
+
+    The code of a program from that cache lacks its kernels when it is stored once more.
+    """
+    thread, found = threading.get_ident(), []
+
+    def listen(event: str, **_) -> None:
+        if event == "/jax/compilation_cache/cache_hits" and threading.get_ident() == thread:
+            found.append(event)
+
+    jax.monitoring.register_event_listener(listen)
+    try:
+        yield lambda: not found
+    finally:
+        with suppress(Exception):  # someone else has removed all listeners
+            jax.monitoring.unregister_event_listener(listen)
+
+
 def entries(where: Path) -> list[tuple[Path, os.stat_result]]:
     """Files of the store, with their properties; the least recently used one comes first."""
     found = []
-    for path in [*where.glob("*" + SUFFIX), *where.glob("*.part")]:
+    for path in [*where.glob("*" + SUFFIX), *where.glob("*" + UNFINISHED)]:
         try:
             found.append((path, path.stat()))
         except OSError:  # another process has just deleted it
@@ -129,12 +215,12 @@ def entries(where: Path) -> list[tuple[Path, os.stat_result]]:
 
 def _shrink(where: Path) -> None:
     found = entries(where)
-    excess = sum(stat.st_size for _, stat in found) - LARGEST
-    for path, stat in found:
+    excess = sum(status.st_size for _, status in found) - LARGEST
+    for path, status in found:
         if excess <= 0:
             return
         path.unlink(missing_ok=True)
-        excess -= stat.st_size
+        excess -= status.st_size
 
 
 def clear() -> int:
@@ -143,7 +229,7 @@ def clear() -> int:
     found = [] if where is None else entries(where)
     for path, _ in found:
         path.unlink(missing_ok=True)
-    return len(found)
+    return sum(path.suffix == SUFFIX for path, _ in found)
 
 
 KNOWN = {"builtins", "diffrax", "equinox", "functools", "jax", "jaxlib", "jaxwhisker", "lineax", "numpy", "optimistix"}
@@ -186,6 +272,9 @@ def _described(value: Any) -> str:
 def _named(value: Any) -> str:
     """Module and name of a function or class that is known by these."""
     module, name = getattr(value, "__module__", None) or "", getattr(value, "__qualname__", "")
-    if module.partition(".")[0] not in KNOWN or not name or "<" in name:
+    found: Any = sys.modules.get(module) if module.partition(".")[0] in KNOWN and name else None
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    if found is not value:  # a function that is wrapped has the name of another one
         raise _UnknownError
     return f"{module}.{name}"

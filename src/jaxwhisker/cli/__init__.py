@@ -7,6 +7,7 @@ from importlib.metadata import version
 
 import jax
 
+from jaxwhisker.cli.cache import add_cache
 from jaxwhisker.cli.explore import add_explore
 from jaxwhisker.cli.film import add_film
 from jaxwhisker.cli.inverse import add_identify, add_reconstruct
@@ -28,7 +29,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="jaxwhisker", description="Quasi-static scans with elastically coupled tactile whiskers.")
     parser.add_argument("--version", action="version", version=f"jaxwhisker {version('jaxwhisker')}")
     commands = parser.add_subparsers(dest="command", metavar="command", required=True)
-    for add in (add_scan, add_film, add_explore, add_study, add_identify, add_reconstruct, add_reproduce):
+    adds = add_scan, add_film, add_explore, add_study, add_identify, add_reconstruct, add_reproduce, add_cache
+    for add in adds:
         add(commands)
     return parser
 
