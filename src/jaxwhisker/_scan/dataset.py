@@ -101,9 +101,10 @@ def layout_of(scene: Scene) -> SceneLayout:
     """The layout of a scene, traced or not."""
     springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in scene.support.springs)
     control = control_name(scene), control_kind(scene), scene.motion.onwards
-    natural, dimensionless = natural_units(scene), is_dimensionless(scene)
-    unknown = dimensionless or is_traced((natural.force, natural.length))
-    sizes = {} if unknown else {"force": float(natural.force), "length": float(natural.length)}
+    dimensionless, sizes = is_dimensionless(scene), {}
+    if not dimensionless and not is_traced(scene.whiskers[0]):
+        natural = natural_units(scene)
+        sizes = {"force": float(natural.force), "length": float(natural.length)}
     return SceneLayout(str(scene), scene.support.whiskers, springs, *control, dimensionless, sizes)
 
 
