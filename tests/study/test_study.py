@@ -12,6 +12,7 @@ import xarray as xr
 from jax.core import Tracer
 
 import jaxwhisker as jw
+from jaxwhisker._base.program import compilations
 from jaxwhisker._study.compute import Kernel
 
 CONTROL = np.linspace(0.8, -1.6, 61)
@@ -93,17 +94,15 @@ class TestPoints:
             assert (float(row.distance), float(row.stiffness)) == (distance, stiffness)
             np.testing.assert_allclose(row.mz, data.mz.sel(stiffness=stiffness, distance=distance), atol=20 * ROUNDING)
 
-    def test_traced_once_whatever_the_size(self):
-        traced = []
-
-        def counted(stiffness, distance):
-            if isinstance(stiffness, Tracer):
-                traced.append(stiffness)
-            return build(stiffness, distance)
+    def test_a_second_study_compiles_nothing(self, data):
+        def other(stiffness, distance):
+            return build(2.0 * stiffness, distance)
 
         axes: dict[str, Any] = {"stiffness": np.linspace(50.0, 90.0, 7), "distance": DISTANCE}
-        jw.study(counted, control=CONTROL, outputs="all", **axes)
-        assert len(traced) == 2  # for the structure of the scenes, and for all four blocks
+        jw.study(build, control=CONTROL, outputs="all", stiffness=[40.0], distance=DISTANCE)
+        before = compilations()
+        jw.study(other, control=CONTROL, outputs="all", **axes)
+        assert before == compilations()
 
     def test_summary_is_that_of_the_signals(self, data):
         axes: dict[str, Any] = {"stiffness": STIFFNESS, "distance": DISTANCE}

@@ -224,6 +224,11 @@ class Program:
 _PROGRAMS: list[Program] = []
 
 
+def compilations() -> int:
+    """Number of executables of all programs in this process."""
+    return sum(program.compilations for program in _PROGRAMS)
+
+
 def clear() -> None:
     """Forget all programs that were compiled in this process; those on disk are loaded again when needed."""
     for program in _PROGRAMS:
