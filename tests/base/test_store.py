@@ -311,6 +311,18 @@ def test_a_bad_entry_is_ignored_with_a_warning_and_replaced(spoil, folder):
     assert solved(3) == (value, 0)
 
 
+def test_an_entry_with_the_name_of_another_one_is_ignored(folder):
+    value, _ = solved(3)
+    other = entry(folder).read_bytes()
+    path = entry(folder).rename(folder.parent / "other")
+    solved(2)
+    os.replace(path, entry(folder))
+    assert entry(folder).read_bytes() == other
+    with pytest.warns(UserWarning, match=f"{IGNORED}.*checksum"):
+        assert solved(2)[1] == 1
+    assert solved(3) == (value, 1)
+
+
 def test_code_that_xla_cannot_load_is_compiled_again(folder, monkeypatch):
     value, _ = solved(3)
     content = store.load(entry(folder).stem)

@@ -361,7 +361,7 @@ def _size(values: list[np.ndarray], levels: tuple[tuple[bool, ...], ...], number
 
 
 def _batch(arrays, axes, *, program: Program, shape: Shape, levels):
-    mapped = tuple(axis is not batching.not_mapped for axis in axes)
+    mapped = tuple(axis is not None for axis in axes)
     arrays = [jnp.moveaxis(leaf, axis, 0) if axis else leaf for leaf, axis in zip(arrays, axes, strict=True)]
     results = PRIMITIVE.bind(*arrays, program=program, shape=shape, levels=(mapped, *levels))
     return results, [0] * len(results)

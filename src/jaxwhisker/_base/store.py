@@ -122,7 +122,7 @@ def load(key: str) -> Any:
     try:
         if reason := _others(status):
             raise ValueError(reason)
-        if not data.startswith(MAGIC) or hashlib.sha256(content).digest() != data[len(MAGIC) : len(MAGIC) + DIGEST]:
+        if data[: len(MAGIC) + DIGEST] != _head(key, content):
             raise ValueError("its checksum is wrong")
         value = pickle.loads(zlib.decompress(content))
     except Exception as error:  # whatever is wrong, the program can still be compiled
@@ -131,6 +131,11 @@ def load(key: str) -> Any:
     with suppress(OSError):  # of a file system that is read only
         os.utime(path)  # it was used just now
     return value
+
+
+def _head(key: str, content: bytes) -> bytes:
+    """The first bytes of an entry: its format, and a checksum of its name and content."""
+    return MAGIC + hashlib.sha256(key.encode() + content).digest()
 
 
 def _ignored(key: str, error: Exception) -> None:
@@ -151,7 +156,7 @@ def save(key: str, value: Any) -> None:
         handle, temporary = tempfile.mkstemp(dir=where, suffix=UNFINISHED)
         try:
             with os.fdopen(handle, "wb") as file:
-                file.write(MAGIC + hashlib.sha256(content).digest() + content)
+                file.write(_head(key, content) + content)
             os.replace(temporary, where / (key + SUFFIX))
         except BaseException:
             Path(temporary).unlink(missing_ok=True)

@@ -143,11 +143,11 @@ class Problem(eqx.Module):
     def numbers(self) -> "Problem":
         """The numbers that equilibria depend on, and None for everything else."""
         numbers = eqx.filter(self, eqx.is_inexact_array)
-        return eqx.tree_at(type(self)._decisive, numbers, replace_fn=lambda _: None, is_leaf=lambda leaf: leaf is None)
+        return eqx.tree_at(self._decisive, numbers, replace_fn=lambda _: None, is_leaf=lambda leaf: leaf is None)
 
-    def _decisive(self) -> list:
-        """Fields that enter decisions and first guesses only."""
-        return [self.touch_right, self.touch_left, *([] if self.flexibility is None else [self.flexibility.root])]
+    def _decisive(self, tree: Any) -> list:
+        """Fields of a tree like this that enter decisions and first guesses only."""
+        return [tree.touch_right, tree.touch_left, *([] if self.flexibility is None else [tree.flexibility.root])]
 
     @property
     def offset(self) -> Poses:
@@ -224,8 +224,8 @@ class InPlane(Problem):
     axes: ClassVar[int] = 3
     frames_move: ClassVar[bool] = True
 
-    def _decisive(self):
-        return [*super()._decisive(), self.outline]
+    def _decisive(self, tree):
+        return [*super()._decisive(tree), tree.outline]
 
     def drive(self, u: Scalar) -> Pose:
         """The pose of the drive's frame."""

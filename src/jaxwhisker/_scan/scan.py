@@ -113,16 +113,21 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
         route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
     elif route is None:
         route = route_of(_default_control(problem, float(start), float(stop)))
-    state, step_status = _in_blocks(problem, path, route)
-    control = jnp.asarray(route.control)
-    return _result(scene, problem, path, control, state, step_status)
+    state, step_status, lengths = _in_blocks(scene, problem, path, route)
+    return _result(scene, problem, path, jnp.asarray(route.control), state, step_status, lengths)
 
 
-def _in_blocks(problem: Problem, path: Path, route: Route) -> tuple[State, Int[Array, " steps"]]:
-    """States and status of all steps. All blocks have one size, which lets one program serve scans of every length."""
+def _in_blocks(
+    scene: Scene, problem: Problem, path: Path, route: Route
+) -> tuple[State, Int[Array, " steps"], Float[Array, "steps springs"]]:
+    """States, status and spring lengths of all steps.
+
+    All blocks have one size, which lets one program serve scans of every length.
+    """
 
     def block(control, travel):
-        return states_now(problem, control, solve_steps_now(problem, path, control, travel))
+        state, status = states_now(problem, control, solve_steps_now(problem, path, control, travel))
+        return state, status, spring_lengths_now(scene, (state.base_x, state.base_y, state.base_angle), control)
 
     count, xp = route.control.shape[0], np if isinstance(route.control, np.ndarray) else jnp
     control, travel = (
@@ -131,7 +136,7 @@ def _in_blocks(problem: Problem, path: Path, route: Route) -> tuple[State, Int[A
     blocks = jax.vmap(block)(control, travel)
     if not checks.is_traced(blocks):  # NumPy joins them without compiling anything
         blocks = jax.tree.map(np.asarray, blocks)
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf.reshape(-1, *leaf.shape[2:])[:count]), blocks)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf.reshape(control.size, *leaf.shape[2:])[:count]), blocks)
 
 
 def default_control(scene: Scene) -> np.ndarray:
@@ -233,7 +238,8 @@ class StagedScan:
         path = _if_ok(self._path, status)
         control, travel = jnp.asarray(route.control), jnp.asarray(route.travel)
         state, step_status = states(self.problem, control, solve_steps(self.problem, path, control, travel))
-        return _result(self.scene, self.problem, path, control, state, step_status)
+        lengths = spring_lengths(self.scene, (state.base_x, state.base_y, state.base_angle), control)
+        return _result(self.scene, self.problem, path, control, state, step_status, lengths)
 
 
 def _if_ok(path: Path, status: Int[Array, ""] | None) -> Path:
@@ -267,12 +273,13 @@ def _result(
     control: Float[Array, " steps"],
     state: State,
     status: Int[Array, " steps"],
+    lengths: Float[Array, "steps springs"],
 ) -> Result:
     fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
     return Result(
         **fields,
         control=control,
-        spring_length=spring_lengths_now(scene, (state.base_x, state.base_y, state.base_angle), control),
+        spring_length=lengths,
         status=status,
         deferred_events=lambda: events_now(problem, path),
         scene=scene,

@@ -51,9 +51,9 @@ def run_study(args: argparse.Namespace) -> int:
     summary. It writes the scans to --store and a map of the largest moment to
     --plot.
 
-    Units and signs are those of `jaxwhisker scan`: the table and the map show SI units
-    with prefixes unless L = EI = 1. The same command line resumes a
-    study that was interrupted. xarray.open_zarr(store) reads the store.
+    Units and signs are those of `jaxwhisker scan`: the table and the map show SI
+    units with prefixes unless L = EI = 1. The same command line resumes a study
+    that was interrupted. xarray.open_zarr(store) reads the store.
 
     exit codes:
       0  at least one scan is ok; the number of failed scans is printed
