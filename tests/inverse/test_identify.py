@@ -5,6 +5,7 @@ import pytest
 from matplotlib import pyplot
 
 import jaxwhisker as jw
+from jaxwhisker._inverse.identify import _status_of
 from recordings import CONTROL, NOISE, STEPS, TRUTH, exact, fb, noisy, reversed_order
 
 RECOVERED = 1e-6  # relative: least squares stop at 1e-7, signals by the closed form and by integration agree to 1e-9
@@ -140,7 +141,12 @@ def test_a_fit_that_leaves_most_samples_out_is_implausible():
     data = reversed_order(exact(fb(60.0, 0.25)))
     fit = jw.identify(fb, {"c": 100.0, "q": 0.3}, {n: v for n, v in data.items() if n != "fx"}, starts=0)
     assert fit.status == jw.FitStatus.implausible and fit.chi2 > 1e3 * fit.degrees
-    assert "same side of a snap" in fit.reason and np.isnan(list(fit.standard_error.values())).all()
+    assert np.isnan(list(fit.standard_error.values())).all() and np.all(fit.signals == 0)
+    # The same misfit with hardly any samples left, as if the snap were far from the observed one.
+    solution = fit._solution
+    few = solution.compared._replace(left_out=np.arange(solution.compared.left_out.size) > 9)
+    status, reason = _status_of(fit._problem, solution._replace(compared=few), np.array(list(fit.estimates.values())))
+    assert status == jw.FitStatus.implausible and "only 20 of 512 values lie on the same side of a snap" in reason
 
 
 @pytest.mark.parametrize("seed", [None, 0])
@@ -215,7 +221,7 @@ def test_hopeless_fits_are_refused_before_compiling(name, monkeypatch):
         "constant": ({"measured": TABLE}, "`measured`.*contact"),
         "not traceable": ({"build": lambda c, q: fb(float(c), q)}, "`build`.*JAX can trace"),
     }[name]
-    monkeypatch.setattr("jaxwhisker._inverse.program.program", no_compilation)
+    monkeypatch.setattr("jaxwhisker._inverse.linearised.problem_and_slopes_now", no_compilation)
     with pytest.raises(ValueError, match=words):
         jw.identify(**{"build": fb, "guess": {"c": 100.0, "q": 0.3}, "measured": TABLE, "starts": 0} | arguments)
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.parameters import (
     Transforms,
     Unknowns,
     build_scene,
     check_traceable,
-    check_used,
     read_parameters,
     transforms_of,
 )

@@ -10,7 +10,6 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._inverse.features import JUMPS, features
 from jaxwhisker._inverse.observations import read_observations
-from jaxwhisker._inverse.parameters import transforms_of
 from jaxwhisker._inverse.residuals import (
     BLOCK,
     MISSING_EVENT,
@@ -37,9 +36,7 @@ def data():
 def samples(data, overlaid):
     observed = read_observations(data, NOISE)
     route = route_of(observed.control)
-    return samples_of(
-        observed, features(observed), transforms_of(fb, TRUTH), np.zeros(2), route, overlaid=overlaid, length=1.0
-    )
+    return samples_of(observed, features(observed), route, overlaid=overlaid, length=1.0)
 
 
 def test_samples_are_padded_without_weight(data):
@@ -114,10 +111,10 @@ def test_overlay_takes_touch_to_touch_and_release_to_release():
 def test_derivatives_are_those_of_differences(data):
     fit = jw.identify(fb, TRUTH, noisy(data, 0), sigma=NOISE)
     solve, solution = fit._problem.solve, fit._solution
-    padded = fit._problem.samples(solution.y)
+    padded = fit._problem.samples()
 
     def residual(y):
-        return solve(y, padded, free=np.zeros(y.size, bool)).observed[0]  # without the prior, which follows y
+        return solve.evaluate(y, padded, y).residual[: -y.size]  # without the prior
 
     np.testing.assert_allclose(residual(solution.y), solution.observed[0])
     for k, step in enumerate(DIFFERENCE * np.eye(solution.y.size)):

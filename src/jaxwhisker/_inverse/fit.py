@@ -10,10 +10,10 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._inverse.features import Features, Scatter
+from jaxwhisker._inverse.least_squares import LeastSquares, Minimum
 from jaxwhisker._inverse.observations import Observations
 from jaxwhisker._inverse.parameters import Transforms, Unknowns
-from jaxwhisker._inverse.program import LeastSquares, Minimum
-from jaxwhisker._inverse.residuals import Samples, residuals, samples_of
+from jaxwhisker._inverse.residuals import Samples, log_density, samples_of
 from jaxwhisker._inverse.statistics import CHI2_95, FitStatus, chi_squared, is_plausible
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._scan.report import table
@@ -38,7 +38,7 @@ class FitProblem(NamedTuple):
     scatter: Scatter | None  # of neighbouring samples, to judge a fit whose noise was estimated from its residuals
     scene: Scene  # at the guess
 
-    def samples(self, prior: np.ndarray, *, overlaid: bool = False, thin: bool = False) -> Samples:
+    def samples(self, *, overlaid: bool = False, thin: bool = False) -> Samples:
         """The observations for one stage: all of them, or as many as one block holds."""
         observations, landmarks = self.observations, self.landmarks
         if overlaid:
@@ -47,7 +47,7 @@ class FitProblem(NamedTuple):
             pick = np.unique(np.linspace(0, observations.control.size - 1, BLOCK).astype(int))
             observations, landmarks = observations.at(pick), landmarks._replace(travel=landmarks.travel[pick])
         route, length = route_of(self.observations.control), float(units(self.scene).control)
-        return samples_of(observations, landmarks, self.transforms, prior, route, overlaid=overlaid, length=length)
+        return samples_of(observations, landmarks, route, overlaid=overlaid, length=length)
 
     def compared(self, solution: Minimum) -> np.ndarray:
         """Which values are compared with the model, (steps, whiskers, 3): all but those left out at snaps."""
@@ -138,7 +138,7 @@ class Fit:
             raise ValueError(f"`name` must be one of {', '.join(self.names)}, got {name!r}.")
         checks.count("points", points, least=3)
         problem, solution, transforms = self._problem, self._solution, self._problem.transforms
-        data = problem.samples(solution.y)
+        data = problem.samples()
         at = self.names.index(name)
         x = np.array(list(self.estimates.values()))
         error = self.standard_error[name] / abs(transforms.per_inner(x)[at])
@@ -151,9 +151,9 @@ class Fit:
             y = np.array(solution.y)
             for k in side:
                 y[at] = solution.y[at] + offsets[k]
-                solved = problem.solve(y, data, free)
+                solved = problem.solve(y, data, solution.y, free=free)
                 misfit[k] = solved.misfit
-                y = np.array(solved.y)
+                y = solved.y.copy()
         values = np.array([transforms.natural(y, np)[at] for y in solution.y + np.outer(offsets, ~free)])
         rise = misfit - np.nanmin(misfit)
         return LikelihoodProfile(name, values, rise, (_crossing(values, rise, -1), _crossing(values, rise, 1)))
@@ -165,9 +165,7 @@ class Fit:
             y: the fit's variables, (parameters,), see `variables`. With a prior that is flat in them, this is the log
                 density of the posterior; add the logarithm of any other prior.
         """
-        data = jax.tree.map(jnp.asarray, self._problem.samples(self._solution.y))
-        residual, _ = residuals(self._problem.build, self._problem.unknowns, y, data)
-        return -0.5 * jnp.sum(residual**2)
+        return log_density(*self._problem.solve, y, self._problem.samples(), self._solution.y)
 
     @property
     def variables(self) -> np.ndarray:

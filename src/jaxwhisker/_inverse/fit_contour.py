@@ -124,7 +124,7 @@ def fit_contour(
         parameters: arguments of the function by name; initial guesses of the unknown ones.
         unknown: names of the parameters that are fitted.
         knots: number of knots, the slope angles at which a radius of curvature is fitted, or the angles themselves,
-            rad. More knots follow finer shapes, but also more of the noise. Fits with equal angles share compiled code.
+            rad. More knots follow finer shapes, but also more of the noise. Fits with equally many share compiled code.
         guess: a profile to start from. Default: one fitted to the reconstructed points.
 
     Returns:

@@ -5,21 +5,22 @@ import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._inverse import parameters
 from jaxwhisker._inverse.features import features, neighbour_scatter
 from jaxwhisker._inverse.fit import Fit, FitProblem
+from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum, possible_decrease
+from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.observations import Observations, read_observations
 from jaxwhisker._inverse.parameters import Unknowns
-from jaxwhisker._inverse.program import COARSE, LeastSquares, Minimum, possible_decrease
 from jaxwhisker._inverse.recording import check_recording
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, correlation, identifiability
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.route import turns_of
+from jaxwhisker._scan.scan import BLOCK
 
 LEAST_NOISE = 1e-4  # of the peak: least noise assumed before the residuals give an estimate
 SPREAD = np.log(4.0)  # largest distance of other starts from the guess in each of the fit's variables
@@ -85,7 +86,7 @@ def identify(
     checks.count("starts", starts, least=0)
     transforms = parameters.transforms_of(build, guess, bounds, transform)
     parameters.check_traceable(build, guess)
-    parameters.check_used(build, guess)
+    check_used(build, guess)
     observations = read_observations(measured, sigma, whiskers=len(scene.whiskers))
 
     channels = tuple((c.whisker, c.reaction) for c in observations.channels) if offsets else ()
@@ -105,7 +106,7 @@ def identify(
     first_leg = slice(0, min([*turns_of(observations.control), observations.control.size - 1]) + 1)
     problem = FitProblem(
         build=build,
-        solve=LeastSquares(build, unknowns),
+        solve=LeastSquares(build, unknowns, transforms),
         unknowns=unknowns,
         transforms=transforms,
         observations=observations,
@@ -139,16 +140,13 @@ def _can_be_overlaid(problem: FitProblem) -> bool:
 
 def _fit_in_stages(problem: FitProblem, y: np.ndarray, near: bool) -> tuple[Minimum, int]:
     """Fit from a guess, and count the steps."""
-    whole, part = problem.samples(y), problem.samples(y, thin=True)
-    thinned = whole.control.size != part.control.size
-    if thinned:
-        problem.solve.compile_all(part, whole)
+    thinned = problem.observations.control.size > BLOCK
     steps = 0
     for overlaid in [True] * (_can_be_overlaid(problem) and not near) + [False] * thinned:
-        solution = problem.solve(y, problem.samples(y, overlaid=overlaid, thin=True), least=COARSE)
-        y, steps = solution.y if np.isfinite(solution.y).all() else y, steps + int(solution.steps)
-    solution = problem.solve(y, problem.samples(y))
-    return solution, steps + int(solution.steps)
+        solution = problem.solve(y, problem.samples(overlaid=overlaid, thin=True), y, least=COARSE)
+        y, steps = solution.y, steps + solution.steps
+    solution = problem.solve(y, problem.samples(), y)
+    return solution, steps + solution.steps
 
 
 class _Search(NamedTuple):
@@ -190,8 +188,8 @@ def _reweighted(problem: FitProblem, search: _Search) -> tuple[FitProblem, _Sear
     """Estimate the noise from the residuals and fit again, until both have settled."""
     for _ in range(ESTIMATES):
         problem = _with_noise_of(problem, search.solution)
-        solution = problem.solve(search.solution.y, problem.samples(search.solution.y))
-        search = search._replace(solution=solution, steps=search.steps + int(solution.steps))
+        solution = problem.solve(search.solution.y, problem.samples(), search.solution.y)
+        search = search._replace(solution=solution, steps=search.steps + solution.steps)
         if solution.misfit > OVERESTIMATED * problem.degrees(solution):
             break
     return problem, search
@@ -250,7 +248,7 @@ def _fit_of(problem: FitProblem, search: _Search) -> Fit:
 
 def _status_of(problem: FitProblem, solution: Minimum, x: np.ndarray) -> tuple[FitStatus, str]:
     """How the fit ended, and the reason for failure."""
-    path = Status(int(solution.compared.status))
+    path = Status(solution.compared.status)
     if not np.isfinite(solution.y).all() or path != Status.ok:
         return FitStatus.failed, f"the scene cannot be scanned there ({path.name})"
     transforms = problem.transforms
@@ -261,9 +259,8 @@ def _status_of(problem: FitProblem, solution: Minimum, x: np.ndarray) -> tuple[F
         return FitStatus.at_bound, f"{name} = {x[k]:.6g} ended at its bound ({low:g}, {high:g})"
     if not problem.is_plausible(solution):
         return FitStatus.implausible, _why_implausible(problem, solution)
-    decrease = possible_decrease(jnp.asarray(solution.residual), jnp.asarray(solution.jacobian))
-    if not bool(solution.converged) and float(decrease) > NEGLIGIBLE:
-        return FitStatus.not_converged, f"no minimum was reached in {int(solution.steps)} steps"
+    if not solution.converged and possible_decrease(solution.residual, solution.jacobian) > NEGLIGIBLE:
+        return FitStatus.not_converged, f"no minimum was reached in {solution.steps} steps"
     return FitStatus.ok, ""
 
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Control
+from jaxwhisker._inverse.linearised import LinearisedScan
 from jaxwhisker._inverse.observations import CHANNEL, Observations, read_observations
 from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
-from jaxwhisker._inverse.program import program
 from jaxwhisker._inverse.residuals import UNIFORM
 from jaxwhisker._inverse.statistics import Identifiability, correlation, identifiability
 from jaxwhisker._model.scene import Scene
@@ -21,7 +20,7 @@ from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.report import table
 from jaxwhisker._scan.route import route_of
-from jaxwhisker._scan.scan import StagedScan, default_control
+from jaxwhisker._scan.scan import default_control
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -313,63 +312,38 @@ def _noise(control: Control, whiskers: int, sigma: Any, channels: Sequence[str])
     return read_observations({"control": control} | table, sigma, whiskers=whiskers)
 
 
-class _Rates(NamedTuple):
-    """Derivatives of the signals and events of a scan with respect to the parameters."""
-
-    signals: Any  # (steps, whiskers, 3, parameters); NaN where a step failed
-    kind: Any  # (events,) -1 beyond their number
-    whiskers: Any  # (events, whiskers)
-    control: Any  # (events,)
-    control_rate: Any  # (events, parameters)
-    gap: Any  # (events,) travel between the steps before and after a snap; 0 for other events
-
-
-def _rates_of(build: Callable[..., Scene], names: tuple[str, ...], x, chosen, control, travel, stops, last) -> _Rates:
-    def value(x):
-        scan = StagedScan(build(**dict(zip(names, x, strict=True)), **chosen), stops, last)
-        signals, ok = scan.signals(control, travel)
-        return (signals, scan.events.control), (ok, scan.events)
-
-    (_, where), push, (ok, events) = jax.linearize(value, x, has_aux=True)
-    by, where_by = jax.vmap(push, out_axes=-1)(jnp.eye(x.size))
-    # The last step before a snap is left out, as in a fit: slopes grow without bound there.
-    snaps = jnp.where(events.kind >= EventKind.snap_through, events.travel, jnp.nan)
-    before = (travel[:-1, None] <= snaps) & (travel[1:, None] > snaps)
-    gap = jnp.sum(jnp.where(before, (travel[1:] - travel[:-1])[:, None], 0.0), axis=0)
-    ok &= ~jnp.append(jnp.any(before, axis=1), False)
-    by = jnp.where(ok[:, None, None, None], by, jnp.nan)
-    return _Rates(by, events.kind, events.whiskers, where, where_by, gap)
-
-
 def _information_at(
     build: Callable, at: Mapping[str, float], chosen: Mapping[str, float], noise: Observations, log: np.ndarray
 ) -> Information:
     """The information about some parameters, for chosen values of the others."""
     route = route_of(noise.control)
-    rates = program(_rates_of, build, tuple(at))(
-        np.array(list(at.values())), dict(chosen), noise.control, route.travel, route.stops, route.last
-    )
-    rates = jax.tree.map(np.asarray, rates)
-    whitened = np.nan_to_num(rates.signals / noise.sigma[..., None])
-    events = []
-    for k in np.flatnonzero(rates.kind >= 0):
-        jumps = rates.kind[k] >= EventKind.snap_through and rates.gap[k] > 0
-        events.append(
-            EventInformation(
-                kind=EventKind(int(rates.kind[k])),
-                whiskers=tuple(int(w) + 1 for w in np.flatnonzero(rates.whiskers[k])),
-                control=float(rates.control[k]),
-                by_parameter=np.nan_to_num(rates.control_rate[k]),
-                sigma=float(UNIFORM * rates.gap[k]) if jumps else np.inf,
-            )
+    scan = LinearisedScan(build, at, np.asarray(route.stops), route.last, chosen)
+    table, by_events = jax.tree.map(np.asarray, (scan.events, scan.event_slopes[:, : len(at)]))
+    snaps = np.where(table.kind >= EventKind.snap_through, table.travel, np.nan)
+    # The last step before a snap is left out, as in a fit: slopes grow without bound there.
+    before = (route.travel[:-1, None] <= snaps) & (route.travel[1:, None] > snaps)
+    gaps = np.sum(np.where(before, np.diff(route.travel)[:, None], 0.0), axis=0)
+    signals = scan.signals(noise.control, np.asarray(route.travel))
+    lost = np.isnan(signals.values) | np.append(before.any(axis=1), False)[:, None, None]
+    rates = np.where(lost[..., None], 0.0, signals.slopes[..., : len(at)])
+    whitened = np.nan_to_num(rates / noise.sigma[..., None])
+    events = tuple(
+        EventInformation(
+            kind=EventKind(int(table.kind[k])),
+            whiskers=tuple(int(w) + 1 for w in np.flatnonzero(table.whiskers[k])),
+            control=float(table.control[k]),
+            by_parameter=np.nan_to_num(by_events[k]),
+            sigma=float(UNIFORM * gaps[k]) if gaps[k] > 0 else np.inf,
         )
+        for k in np.flatnonzero(table.kind >= 0)
+    )
     return Information(
         names=tuple(at),
         at=dict(at),
         control=noise.control,
         channels=tuple(noise.names),
         rates=np.stack([whitened[:, c.whisker, c.reaction] for c in noise.channels], axis=1),
-        events=tuple(events),
+        events=events,
         log=log,
         scene=build_scene("at", build, {**at, **chosen}),
     )

@@ -217,17 +217,3 @@ def check_traceable(build: Callable[..., Any], values: Mapping[str, float], call
             f"`{called}` must be a function that JAX can trace, got {name}, which raised {type(error).__name__}. Use "
             "jnp.where instead of `if`, jnp.interp instead of np.interp, and jax.numpy instead of math and numpy."
         ) from error
-
-
-def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
-    """Check that the scene depends on every parameter.
-
-    Raises:
-        ValueError: if not; the message names the parameter.
-    """
-    changes = jax.jacfwd(lambda values: numbers_of(build(**values)))(dict(guess))
-    for name in guess:
-        if not any(np.any(np.asarray(change[name]) != 0) for change in changes):
-            raise ValueError(
-                f"`guess` must name parameters that `build` uses, got {name}: nothing in the scene depends on {name}."
-            )

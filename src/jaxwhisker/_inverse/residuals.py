@@ -19,15 +19,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._base.program import Program
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._inverse.features import JUMPS, Features
+from jaxwhisker._inverse.linearised import EventTable, event_table
 from jaxwhisker._inverse.observations import Observations
 from jaxwhisker._inverse.parameters import Transforms, Unknowns
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.route import Route
-from jaxwhisker._scan.scan import BLOCK, StagedScan
+from jaxwhisker._scan.scan import BLOCK, follow_path
+from jaxwhisker._scan.steps import solve_steps, states
 
 OVERLAID_SIGMA = 0.1  # of the peak: standard deviation of overlaid signals
 OVERLAID_EVENT = 0.03  # lengths: standard deviation of touches, releases and jumps of overlaid scans
@@ -41,7 +44,7 @@ MISSING_EVENT = 1.0  # a length: residual of an observed event that the model do
 
 
 class Samples(NamedTuple):
-    """Padded observations, as the compiled residuals take them."""
+    """Padded observations."""
 
     control: Any  # (samples,)
     values: Any  # (samples, whiskers, 3)
@@ -52,9 +55,6 @@ class Samples(NamedTuple):
     end_weight: Any  # (2, whiskers) of the positions of touches and releases
     jump_weight: Any  # (jumps,) of the distance between a snap and the middle of its gap
     jump_width: Any  # (jumps,) distance over which that weight grows
-    transforms: Transforms
-    prior: Any  # (unknowns,)
-    prior_weight: Any
     overlaid: Any  # whether scans are overlaid
     direction: Any  # sign of the change of the control from the first sample to the last
 
@@ -70,8 +70,6 @@ class Comparison(NamedTuple):
 def samples_of(
     observations: Observations,
     landmarks: Features,
-    transforms: Transforms,
-    prior: np.ndarray,
     route: Route,
     *,
     overlaid: bool,
@@ -100,65 +98,117 @@ def samples_of(
         end_weight=1 / np.hypot(OVERLAID_EVENT * length, [touch_error, 0 * touch_error]),
         jump_weight=1 / (np.full(JUMPS, OVERLAID_EVENT * length) if overlaid else UNIFORM * gap),
         jump_width=np.full(JUMPS, np.inf) if overlaid else WIDER * gap,
-        transforms=transforms,
-        prior=prior,
-        prior_weight=np.asarray(1 / (OVERLAID_PRIOR if overlaid else PRIOR)),
         overlaid=np.asarray(overlaid),
         direction=np.asarray(float(np.sign(control[-1] - control[0]) or -1.0)),
     )
 
 
-def residuals(
-    build: Callable[..., Scene], unknowns: Unknowns, y: Float[Array, " unknowns"], data: Samples
-) -> tuple[Float[Array, " residuals"], Comparison]:
-    """Whitened residuals of all signals, of jumps, of touches and releases, and of the prior."""
-    x = data.transforms.natural(y)
-    shift = x[-1] if unknowns.shift else jnp.zeros(())
-    stops = jnp.where(data.overlaid, jnp.nan, data.stops + shift)
-    scene = build(**dict(zip(unknowns.names, x, strict=False)))
-    scan = StagedScan(scene, stops, jnp.where(data.overlaid, 1, data.last))
-    start = jax.lax.stop_gradient(scan.start)  # the overlaid scan begins where the model's does
-    happened = jnp.arange(scan.events.kind.size) < scan.events.count
-    at = _travel_of(scan.events, happened, data)
-    ends = _contact_ends(scan.events, at, happened)
-    overlay = _overlay(data, ends)
+class Placed(NamedTuple):
+    """Where signals are compared, and the residuals that do not depend on the signals."""
 
+    control: Any  # (samples,) of the model
+    travel: Any  # (samples,) of the model; no derivatives
+    weight: Any  # (samples, whiskers, 3) of the differences between signals; 0 where a sample is left out
+    price: Any  # (samples, whiskers, 3) residuals of samples between the model's snap and the observed one
+    left_out: Any  # (samples,) whether a sample is left out at a snap
+    of_snaps: Any  # (jumps,) residuals of snaps
+    of_ends: Any  # (2, whiskers) residuals of touches and releases
+
+    def residuals(self, signals: Any, data: Samples, xp: Any = np) -> list[Any]:
+        """Residuals of the signals, of snaps, and of touches and releases, flat. Signals that are NaN count as zero."""
+        of_signals = self.weight * (xp.where(xp.isnan(signals), 0.0, signals) - data.values) + self.price
+        return [of_signals.ravel(), self.of_snaps, self.of_ends.ravel()]
+
+
+def place(shift: Scalar, start: Scalar, events: EventTable, data: Samples) -> Placed:
+    """Choose the positions of the model that correspond to the samples, and compare its events with the observed ones.
+
+    Args:
+        shift: of the control.
+        start: position from which the model's travel counts in an overlaid scan.
+        events: of the model.
+        data: the observations.
+    """
+    start = jax.lax.stop_gradient(start)  # the overlaid scan begins where the model's does
+    happened = events.kind >= 0
+    at = _travel_of(events, happened, data)
+    ends = _contact_ends(events, at)
+    overlay = _overlay(data, ends)
     along = overlay(data.landmarks.travel)
     control = jnp.where(data.overlaid, start + data.direction * along, data.control + shift)
-    signals, ok = scan.signals(control, jax.lax.stop_gradient(along))
-    signals = jnp.where(ok[:, None, None], signals, 0.0) + _offset(unknowns, x, data)
 
-    snaps = _pair_snaps(scan.events, at, happened, overlay, data)
+    snaps = _pair_snaps(events, at, happened, overlay, data)
     left_out, wrong_side = _at_snaps(snaps, along)
-    of_signals = jnp.where(left_out[:, None, None], 0.0, (signals - data.values) * data.weight)
     # Without a price, a fit could improve by moving a snap to leave out bad samples.
     priced = (wrong_side & ~data.overlaid)[:, None, None] & (data.weight > 0)
-    of_signals = jnp.where(priced, PRICE, of_signals)
 
     observed = jnp.stack([data.landmarks.touch, data.landmarks.release])
     wanted = data.control[0] + data.direction * jnp.nan_to_num(observed)
     off = jnp.where(ends.exists, start + data.direction * ends.travel - wanted, MISSING_EVENT)
-    of_ends = jnp.where(data.overlaid & jnp.isfinite(observed), off, 0.0) * data.end_weight
-
-    everything = [
-        of_signals.ravel(),
-        _residuals_of_snaps(snaps, data),
-        of_ends.ravel(),
-        (y - data.prior) * data.prior_weight,
-    ]
-    compared = Comparison(jnp.where(ok[:, None, None], signals, jnp.nan), left_out, scan.status)
-    return jnp.concatenate(everything), compared
-
-
-def _offset(unknowns: Unknowns, x: Float[Array, " unknowns"], data: Samples) -> Float[Array, "whiskers 3"]:
-    """The constant offset of each channel."""
-    offset = jnp.zeros(data.values.shape[1:])
-    for k, (whisker, reaction) in enumerate(unknowns.offsets):
-        offset = offset.at[whisker, reaction].set(x[len(unknowns.names) + k])
-    return offset
+    return Placed(
+        control=control,
+        travel=jax.lax.stop_gradient(along),
+        weight=jnp.where(left_out[:, None, None], 0.0, data.weight),
+        price=jnp.where(priced, PRICE, 0.0),
+        left_out=left_out,
+        of_snaps=_residuals_of_snaps(snaps, data),
+        of_ends=jnp.where(data.overlaid & jnp.isfinite(observed), off, 0.0) * data.end_weight,
+    )
 
 
-def _travel_of(events: Events, happened: Bool[Array, " events"], data: Samples) -> Float[Array, " events"]:
+def _placed_and_slopes(
+    shift: Scalar,
+    start: Scalar,
+    events: EventTable,
+    data: Samples,
+    shift_slopes: Float[Array, " directions"],
+    event_slopes: Float[Array, "events directions"],
+) -> tuple[Placed, Placed]:
+    """The result of `place` and its derivatives, which are None where they are zero."""
+
+    def smooth(shift, control):
+        placed = place(shift, start, events._replace(control=control), data)
+        return (placed.control, placed.of_snaps, placed.of_ends), placed
+
+    def towards(*dots):
+        return jax.jvp(smooth, (shift, events.control), dots, has_aux=True)
+
+    _, by, placed = jax.vmap(towards, in_axes=-1, out_axes=(None, -1, None))(shift_slopes, event_slopes)
+    return placed, Placed(by[0], None, None, None, None, by[1], by[2])
+
+
+placed_and_slopes_now = Program(_placed_and_slopes, quick=True)
+
+
+def prior_weight(data: Samples) -> Any:
+    """Weight of the fit's variables, which keep the values of the prior where signals say nothing."""
+    return 1 / np.where(data.overlaid, OVERLAID_PRIOR, PRIOR)
+
+
+def log_density(
+    build: Callable[..., Scene],
+    unknowns: Unknowns,
+    transforms: Transforms,
+    y: Float[Array, " unknowns"],
+    data: Samples,
+    prior: Float[np.ndarray, " unknowns"],
+) -> Float[Array, ""]:
+    """Logarithm of the likelihood up to a constant; traceable and differentiable."""
+    weight, data = prior_weight(data), jax.tree.map(jnp.asarray, data)
+    x = transforms.natural(y)
+    shift = x[-1] if unknowns.shift else jnp.zeros(())
+    problem = problem_of(build(**dict(zip(unknowns.names, x, strict=False))))
+    path, start, _ = follow_path(problem, data.stops + shift, data.last)
+    placed = place(shift, start, event_table(problem, path), data)
+    state, _ = states(problem, placed.control, solve_steps(problem, path, placed.control, placed.travel))
+    signals = jnp.stack([state.fx, state.fy, state.mz], axis=-1)
+    for k, (whisker, reaction) in enumerate(unknowns.offsets, start=len(unknowns.names)):
+        signals = signals.at[:, whisker, reaction].add(x[k])
+    squares = [jnp.sum(part**2) for part in placed.residuals(signals, data, jnp)]
+    return -0.5 * (sum(squares) + jnp.sum(((y - prior) * weight) ** 2))
+
+
+def _travel_of(events: EventTable, happened: Bool[Array, " events"], data: Samples) -> Float[Array, " events"]:
     """Travel at every event; its derivative is that of the control times the direction in which the drive moves."""
     moved = jnp.where(happened, events.control - jax.lax.stop_gradient(events.control), 0.0)
     at = jnp.where(happened, events.travel, 0.0)
@@ -174,12 +224,10 @@ class _ContactEnds(NamedTuple):
     exists: Any
 
 
-def _contact_ends(events: Events, at: Float[Array, " events"], happened: Bool[Array, " events"]) -> _ContactEnds:
-    touching = happened[:, None] & events.whiskers & (events.kind == EventKind.touch)[:, None]
-    lost = (events.before.phase != Phase.free) & (events.after.phase == Phase.free)
-    freed = happened[:, None] & lost & (events.kind >= EventKind.release)[:, None]
-    event = jnp.stack([jnp.argmax(touching, axis=0), at.size - 1 - jnp.argmax(freed[::-1], axis=0)])
-    exists = jnp.stack([jnp.any(touching, axis=0), jnp.any(freed, axis=0)])
+def _contact_ends(events: EventTable, at: Float[Array, " events"]) -> _ContactEnds:
+    touching = events.whiskers & (events.kind == EventKind.touch)[:, None]
+    event = jnp.stack([jnp.argmax(touching, axis=0), at.size - 1 - jnp.argmax(events.freed[::-1], axis=0)])
+    exists = jnp.stack([jnp.any(touching, axis=0), jnp.any(events.freed, axis=0)])
     return _ContactEnds(jnp.where(exists, at[event], 0.0), exists)
 
 
@@ -212,7 +260,7 @@ class _Snaps(NamedTuple):
     paired: Any  # whether there is a snap for it
 
 
-def _pair_snaps(events: Events, at, happened, overlay: Callable, data: Samples) -> _Snaps:
+def _pair_snaps(events: EventTable, at, happened, overlay: Callable, data: Samples) -> _Snaps:
     is_snap = happened & (events.kind >= EventKind.snap_through)
     jump = jnp.isfinite(data.landmarks.low)
     low, high = (overlay(jnp.where(jump, travel, 0.0)) for travel in (data.landmarks.low, data.landmarks.high))

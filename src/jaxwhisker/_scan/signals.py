@@ -1,11 +1,12 @@
 """Signals: states of solved points of the path in the scene's units, and the events of a path."""
 
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
@@ -113,19 +114,24 @@ def _event_row(node: Node) -> Row:
     )
 
 
-def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tuple[Point, Mode], tuple[Point, Mode]]:
-    """Points and modes before and after an event. A snap starts at the node before its own: a fold or another event."""
+def before_event(problem: Problem, node: Node, previous: Node) -> tuple[Point, Mode]:
+    """Point and mode before an event. A snap starts at the node before its own: a fold or another event."""
     snap = node.kind >= EventKind.snap_through
     at = jax.tree.map(lambda a, b: jnp.where(snap, a, b), previous, node)
     no = jnp.asarray(False)
-    before_mode, after_mode = Mode(at.phase_before, at.side_before, no), Mode(node.phase, node.side, no)
+    before_mode = Mode(at.phase_before, at.side_before, no)
     fold = snap & (at.kind < 0)
     # A touch is solved for as the contact that begins.
     touches = at.kind == EventKind.touch
     solved_mode = select(touches, Mode(at.phase, at.side, no), before_mode)
     along = select(touches, at.leaving, at.arriving)
     z = jnp.where(touches, at.point.z, at.z_before)
-    before = solved_event(Point(z, at.point.u), problem, solved_mode, along, _event_row(at), fold)
+    return solved_event(Point(z, at.point.u), problem, solved_mode, along, _event_row(at), fold), before_mode
+
+
+def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tuple[Point, Mode], tuple[Point, Mode]]:
+    before, before_mode = before_event(problem, node, previous)
+    after_mode = Mode(node.phase, node.side, jnp.asarray(False))
     after = solved(Point(node.point.z, before.u), problem, after_mode, at_control(before.u, node.point.z)).z
     return (before, before_mode), (Point(after, before.u), after_mode)
 
@@ -143,7 +149,16 @@ def event_room(whiskers: int) -> int:
     return 32 + 16 * whiskers
 
 
-def events(problem: Problem, path: Path) -> Events:
+class EventNodes(NamedTuple):
+    """The nodes of a path at which events happen; placeholders beyond their number."""
+
+    node: Node  # fields (events, ...)
+    previous: Node
+    filled: Bool[Array, " events"]
+    count: Int[Array, ""]  # of all events, also of those for which there is no room
+
+
+def event_nodes(path: Path) -> EventNodes:
     """The events among the nodes from where the drive has reached the first position of the control."""
     nodes = path.nodes
     room, n = nodes.phase.shape
@@ -161,6 +176,13 @@ def events(problem: Problem, path: Path) -> Events:
         )
         for back in (0, 1)
     )
+    return EventNodes(node, previous, filled, count)
+
+
+def events(problem: Problem, path: Path) -> Events:
+    """The events among the nodes from where the drive has reached the first position of the control."""
+    node, previous, filled, count = event_nodes(path)
+    size = filled.shape[0]
     sides = jax.vmap(partial(_before_and_after, problem))(node, previous)
     # With both sides in one batch, the rods are compiled only once.
     both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides)

@@ -1,0 +1,166 @@
+"""Least-squares fits of a scene's parameters by Levenberg-Marquardt.
+
+The loop runs in NumPy. Residuals and derivatives come from programs that do not depend on `build`, and that plain scans
+share, so that a fit of another `build` compiles nothing but `build` itself.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxwhisker._inverse.linearised import LinearisedScan
+from jaxwhisker._inverse.parameters import Transforms, Unknowns
+from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
+from jaxwhisker._inverse.statistics import chi_squared
+from jaxwhisker._model.scene import Scene
+
+FIT_STEPS = 60  # of Levenberg-Marquardt
+FINAL = 1e-6  # decrease of the sum of squares below which a fit ends: within 1e-3 standard errors of the minimum
+COARSE = 1e-4  # the same for the first stages
+SMALL = 1e-7  # change of variables of order one, and of residuals, below which a fit ends as well
+RIDGE = 1e-14  # added to the diagonal of a scaled normal matrix, which is zero for an unknown that stays fixed
+LEAST_SHARE, GOOD_SHARE = 0.01, 0.99  # of the predicted decrease: a step is accepted, the damping is reduced
+LESS, MORE = 1 / 3.5, 4.0  # factors of the damping after a good step and after a rejected one
+
+Residuals = Float[np.ndarray, " residuals"]
+Jacobian = Float[np.ndarray, "residuals unknowns"]
+
+
+class Evaluation(NamedTuple):
+    """Residuals at one point, and their derivatives with respect to the fit's variables."""
+
+    residual: Residuals
+    jacobian: Jacobian
+    compared: Comparison
+
+
+class Minimum(NamedTuple):
+    """The end of a least-squares fit: a minimum, if it converged."""
+
+    y: Float[np.ndarray, " unknowns"]
+    residual: Residuals
+    jacobian: Jacobian
+    compared: Comparison
+    steps: int
+    converged: bool
+
+    @property
+    def misfit(self) -> float:
+        """Sum of squares of all residuals, including those of the prior."""
+        return chi_squared(self.residual)
+
+    @property
+    def observed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and their derivatives, without those of the prior."""
+        rows = self.residual.size - self.y.size
+        return self.residual[:rows], self.jacobian[:rows]
+
+
+class LeastSquares(NamedTuple):
+    """Least-squares fits of one `build`."""
+
+    build: Callable[..., Scene]
+    unknowns: Unknowns
+    transforms: Transforms
+
+    def __call__(
+        self,
+        y: Float[np.ndarray, " unknowns"],
+        data: Samples,
+        prior: Float[np.ndarray, " unknowns"],
+        *,
+        free: Bool[np.ndarray, " unknowns"] | None = None,
+        least: float = FINAL,
+    ) -> Minimum:
+        """Fit, starting from y, with a weak prior about these values; unknowns that are not free stay fixed."""
+        held = np.zeros(y.size, bool) if free is None else ~free
+
+        def evaluate(y):
+            at = self.evaluate(y, data, prior)
+            at.jacobian[:, held] = 0.0
+            return at
+
+        return minimise(evaluate, y, least)
+
+    def evaluate(self, y: np.ndarray, data: Samples, prior: np.ndarray) -> Evaluation:
+        """Residuals of all signals, of snaps, of touches and releases, and of the prior, with their derivatives."""
+        names, offsets, with_shift = self.unknowns
+        with np.errstate(over="ignore"):  # an infinite parameter is invalid
+            x = self.transforms.natural(y, np)
+        shift = np.asarray(x[-1] if with_shift else 0.0)
+        stops, last = (np.full_like(data.stops, np.nan), 1) if data.overlaid else (data.stops + shift, data.last)
+        parameters = dict(zip(names, x, strict=False))
+        scan = LinearisedScan(self.build, parameters, stops, last, further=int(with_shift))
+        shift_slopes = (np.arange(scan.width) == len(names)) * float(with_shift)
+        placed, by = placed_and_slopes_now(shift, scan.start, scan.events, data, shift_slopes, scan.event_slopes)
+        placed, by = jax.tree.map(np.asarray, (placed, by))
+        signals = scan.signals(placed.control, placed.travel, by.control)
+
+        def by_unknowns(slopes: np.ndarray) -> np.ndarray:
+            """Derivatives with respect to x from those along the scan's directions."""
+            columns = np.zeros((*slopes.shape[:-1], x.size))
+            columns[..., : len(names)] = slopes[..., : len(names)]
+            if with_shift:
+                columns[..., -1] = slopes[..., len(names)]
+            return columns
+
+        values, by_signals = signals.values.copy(), by_unknowns(signals.slopes)
+        for k, (whisker, reaction) in enumerate(offsets, start=len(names)):
+            values[:, whisker, reaction] += x[k]
+            by_signals[:, whisker, reaction, k] = 1.0
+        by_signals *= placed.weight[..., None]
+
+        weight = prior_weight(data)
+        residual = [*placed.residuals(values, data), (y - prior) * weight]
+        slopes = [part.reshape(-1, x.size) for part in (by_signals, by_unknowns(by.of_snaps), by_unknowns(by.of_ends))]
+        by_y = self.transforms.per_inner(x) * self.transforms.stretch(y)
+        jacobian = np.concatenate([*(part * by_y for part in slopes), weight * np.eye(x.size)])
+        return Evaluation(np.concatenate(residual), jacobian, Comparison(values, placed.left_out, int(scan.status)))
+
+
+def minimise(evaluate: Callable[[np.ndarray], Evaluation], y: np.ndarray, least: float) -> Minimum:
+    """Levenberg-Marquardt: end when another step would not lower the sum of squares by more than `least`.
+
+    Otherwise unknowns that are hardly determined would keep moving for many steps, and near the minimum rounding would
+    decide which steps are accepted.
+
+    Source: Gould, Orban, Sartenaer, Toint (2005), 4OR 3, "Sensitivity of trust-region algorithms to their parameters"
+    (for the rule that changes the damping).
+    """
+    at, steps, damping, small = evaluate(y), 1, 1.0, False
+    while steps < FIT_STEPS and np.isfinite(at.residual).all() and np.isfinite(at.jacobian).all():
+        if small or possible_decrease(at.residual, at.jacobian) < least:
+            return Minimum(y, *at, steps, True)
+        step = _damped_step(at, damping)
+        trial, steps = evaluate(y + step), steps + 1
+        decrease = chi_squared(at.residual) - chi_squared(trial.residual)
+        predicted = chi_squared(at.residual) - chi_squared(at.residual + at.jacobian @ step)
+        if not decrease >= LEAST_SHARE * predicted:
+            damping *= MORE
+            continue
+        damping *= LESS if decrease > GOOD_SHARE * predicted > 0 else 1.0
+        small = _is_small(step, y + step) and _is_small(trial.residual - at.residual, trial.residual)
+        y, at = y + step, trial
+    return Minimum(y, *at, steps, False)
+
+
+def _damped_step(at: Evaluation, damping: float) -> np.ndarray:
+    rotated, triangle = np.linalg.qr(at.jacobian)
+    rows = np.concatenate([triangle, np.sqrt(damping) * np.eye(triangle.shape[1])])
+    right = np.concatenate([rotated.T @ at.residual, np.zeros(triangle.shape[1])])
+    return -np.linalg.lstsq(rows, right, rcond=None)[0]
+
+
+def _is_small(change: np.ndarray, value: np.ndarray) -> bool:
+    return bool(np.all(np.abs(change) < SMALL * (1 + np.abs(value))))
+
+
+def possible_decrease(residual: Residuals, jacobian: Jacobian) -> float:
+    """Decrease of the sum of squares that a Gauss-Newton step predicts."""
+    size = np.linalg.norm(jacobian, axis=0)
+    scaled = jacobian / np.where(size > 0, size, 1.0)
+    slope, bend = scaled.T @ residual, scaled.T @ scaled + RIDGE * np.eye(size.size)
+    return float(slope @ np.linalg.solve(bend, slope))

@@ -1,0 +1,233 @@
+"""Scans with derivatives with respect to the parameters of a user's `build`, outside of any jit.
+
+Only `build` itself is compiled for each `build`. Path and solutions come from the programs of a plain scan. The other
+programs compute values together with derivatives in a few directions, those of the parameters, and therefore cost less
+than all derivatives of a scan.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.program import Program, threads
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.problem import Problem, problem_of
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._path.path import EventKind, Path
+from jaxwhisker._scan.scan import BLOCK, follow_path_now, solve_steps_now
+from jaxwhisker._scan.signals import before_event, event_nodes
+from jaxwhisker._scan.steps import Solutions, states
+
+WIDTH = 4  # directions are padded to a multiple of this, so that different numbers of parameters share programs
+
+
+class EventTable(NamedTuple):
+    """The events of a scan, as far as inverse problems need them."""
+
+    kind: Int[Array, " events"]  # EventKind; -1 beyond their number
+    whiskers: Bool[Array, "events whiskers"]  # those that the event concerns
+    freed: Bool[Array, "events whiskers"]  # whiskers whose contact ends
+    control: Float[Array, " events"]  # NaN beyond their number
+    travel: Float[Array, " events"]  # no derivatives
+
+
+def event_table(problem: Problem, path: Path) -> EventTable:
+    """The events of a scan without the states before and after them, which cost most."""
+    node, previous, filled, _ = event_nodes(path)
+    before, mode = jax.vmap(partial(before_event, problem))(node, previous)
+    lost = (mode.phase != Phase.free) & (node.phase == Phase.free)
+    return EventTable(
+        kind=jnp.where(filled, node.kind, -1),
+        whiskers=node.whiskers & filled[:, None],
+        freed=lost & (filled & (node.kind >= EventKind.release))[:, None],
+        control=jnp.where(filled, before.u * problem.unit.control, jnp.nan),
+        travel=jnp.where(filled, jax.lax.stop_gradient(node.travel * problem.unit.control), jnp.nan),
+    )
+
+
+def _scene_and_slopes(
+    build: Callable[..., Scene],
+    names: tuple[str, ...],
+    width: int,
+    x: Float[Array, " parameters"],
+    known: dict[str, Scalar],
+) -> tuple[Scene, Any]:
+    """The scene, and derivatives of its numbers with respect to the parameters along a last axis of this width."""
+
+    def scene(x):
+        return jax.tree.map(checks.as_float, build(**dict(zip(names, x, strict=True)), **known))
+
+    numbers, push = jax.linearize(lambda x: eqx.filter(scene(x), eqx.is_array), x)
+    return eqx.combine(numbers, scene(x)), jax.vmap(push, out_axes=-1)(jnp.eye(width, x.size))
+
+
+def _problem_and_slopes(scene: Scene, slopes: Any) -> tuple[Problem, Float[Array, "numbers directions"]]:
+    """The problem, and derivatives of its numbers."""
+    arrays, static = eqx.partition(scene, eqx.is_array)
+
+    def numbers(arrays):
+        return ravel_pytree(problem_of(eqx.combine(arrays, static)).numbers())[0]
+
+    along = jax.vmap(lambda dots: jax.jvp(numbers, (arrays,), (dots,))[1], in_axes=-1, out_axes=-1)
+    return problem_of(scene), along(slopes)
+
+
+def _events_and_slopes(
+    problem: Problem, path: Path, directions: Float[Array, "numbers directions"]
+) -> tuple[EventTable, Float[Array, "events directions"]]:
+    """The events, and derivatives of their positions."""
+    numbers, rebuilt = ravel_pytree(problem.numbers())
+
+    def control(numbers):
+        table = event_table(eqx.combine(rebuilt(numbers), problem), path)
+        return table.control, table
+
+    _, slopes, table = jax.vmap(
+        lambda dots: jax.jvp(control, (numbers,), (dots,), has_aux=True), in_axes=-1, out_axes=(None, -1, None)
+    )(directions)
+    return table, slopes
+
+
+class Signals(NamedTuple):
+    """The signals fx, fy, mz at some steps, and their derivatives; NaN where a step failed."""
+
+    values: Any  # (steps, whiskers, 3)
+    slopes: Any  # (steps, whiskers, 3, directions)
+
+
+def _signals_and_slopes(
+    problem: Problem,
+    control: Float[Array, " steps"],
+    solutions: Solutions,
+    directions: Float[Array, "numbers directions"],
+    control_slopes: Float[Array, "steps directions"],
+) -> Signals:
+    numbers, rebuilt = ravel_pytree(problem.numbers())
+
+    def signals(numbers, control):
+        state, _ = states(eqx.combine(rebuilt(numbers), problem), control, solutions)
+        return jnp.stack([state.fx, state.fy, state.mz], axis=-1)
+
+    def towards(*dots):
+        return jax.jvp(signals, (numbers, control), dots)
+
+    return Signals(*jax.vmap(towards, in_axes=-1, out_axes=(None, -1))(directions, control_slopes))
+
+
+scene_and_slopes_now = Program(_scene_and_slopes, quick=True)
+problem_and_slopes_now = Program(_problem_and_slopes, quick=True)
+events_and_slopes_now = Program(_events_and_slopes, quick=True)
+signals_and_slopes_now = Program(_signals_and_slopes)
+
+
+class LinearisedScan:
+    """The events and signals of a scene from `build`, with derivatives with respect to the parameters.
+
+    Derivatives have a last axis of directions: one for each parameter, then any further ones that the control depends
+    on. They are padded with zeros to a multiple of `WIDTH`.
+
+    Args:
+        build: makes a Scene from named numbers.
+        x: values of the parameters by which derivatives are taken, by name.
+        stops: of the drive, as in a Route.
+        last: index of the last stop.
+        known: values of further arguments of `build`.
+        further: number of further directions.
+    """
+
+    def __init__(
+        self,
+        build: Callable[..., Scene],
+        x: Mapping[str, Any],
+        stops: np.ndarray,
+        last: Any,
+        known: Mapping[str, float] | None = None,
+        further: int = 0,
+    ):
+        scene, slopes = _scene_with_slopes(build, x, known or {}, further)
+        _prepare(scene, slopes, stops.shape[0])
+        self.problem, self._directions = problem_and_slopes_now(scene, slopes)
+        self._path, self.start, _ = follow_path_now(self.problem, stops, np.asarray(last))
+        self.status = self._path.status
+        self.events, self.event_slopes = events_and_slopes_now(self.problem, self._path, self._directions)
+
+    @property
+    def width(self) -> int:
+        """Number of directions."""
+        return self._directions.shape[1]
+
+    def signals(self, control: np.ndarray, travel: np.ndarray, control_slopes: np.ndarray | None = None) -> Signals:
+        """Signals at controls that the drive passes after travelling `travel`; arrays of NumPy.
+
+        Args:
+            control: drive positions, (steps,).
+            travel: (steps,).
+            control_slopes: derivatives of the control, (steps, directions). Default: zero.
+        """
+        slopes = np.zeros((control.size, self.width)) if control_slopes is None else control_slopes
+        count, blocks = control.size, range(0, control.size, BLOCK)
+        control, travel, slopes = (
+            np.pad(values, [(0, -count % BLOCK)] + [(0, 0)] * (values.ndim - 1), mode="edge")
+            for values in (control, travel, slopes)
+        )
+        each = [self._block(*(values[k : k + BLOCK] for values in (control, travel, slopes))) for k in blocks]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *each)
+
+    def _block(self, control: np.ndarray, travel: np.ndarray, slopes: np.ndarray) -> Signals:
+        solutions = solve_steps_now(self.problem, self._path, control, travel)
+        return signals_and_slopes_now(self.problem, control, solutions, self._directions, slopes)
+
+
+def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
+    """Check that the scene depends on every parameter.
+
+    Raises:
+        ValueError: if not; the message names the parameter.
+    """
+    _, slopes = _scene_with_slopes(build, guess, {}, 0)
+    for k, name in enumerate(guess):
+        if not any(np.any(np.asarray(leaf)[..., k] != 0) for leaf in jax.tree.leaves(slopes)):
+            raise ValueError(
+                f"`guess` must name parameters that `build` uses, got {name}: nothing in the scene depends on {name}."
+            )
+
+
+def _scene_with_slopes(build: Callable[..., Scene], x: Mapping[str, Any], known: Mapping[str, Any], further: int):
+    values = np.array(list(x.values()), dtype=float)
+    width = WIDTH * math.ceil((values.size + further) / WIDTH)
+    return scene_and_slopes_now(_hashable(build), tuple(x), width, values, jax.tree.map(np.asarray, dict(known)))
+
+
+def _hashable(function: Callable) -> Callable:
+    """The function itself, or a function that is equal to itself only: static arguments of programs need a hash."""
+    try:
+        hash(function)
+    except TypeError:
+        return partial(function)
+    return function
+
+
+def _prepare(scene: Scene, slopes: Any, stops: int) -> None:
+    """Compile the programs for scenes of a kind at the same time: while one is traced, another one is compiled."""
+    if problem_and_slopes_now.is_ready(scene, slopes):
+        return
+    ends, block = (np.zeros(stops), np.asarray(0)), np.zeros(BLOCK)
+    with ThreadPoolExecutor(threads()) as pool:
+        problem, directions = problem_and_slopes_now.prepare(pool, scene, slopes)
+        path = follow_path_now.prepare(pool, problem, *ends).path
+        solutions = solve_steps_now.prepare(pool, problem, path, block, block)
+        along = np.zeros((BLOCK, directions.shape[1]))
+        signals_and_slopes_now.prepare(pool, problem, block, solutions, directions, along)
+        # The last one takes longest to trace, and is compiled fastest.
+        events_and_slopes_now.prepare(pool, problem, path, directions)
