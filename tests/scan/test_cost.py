@@ -14,6 +14,9 @@ from jaxwhisker._base.program import compilations
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
 from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._scan.route import across
+from jaxwhisker._scan.scan import BLOCK, events_now, follow_path_now, problem_now, solve_steps_now, states_now
+from jaxwhisker._scan.slopes import event_slopes_now, state_slopes_now
 from operations import operations, rods, traced
 from scenes import model
 
@@ -140,3 +143,39 @@ def test_programs_are_compiled_once_and_when_they_are_first_needed():
     assert compiled(lambda scene: jax.vmap(lambda u: mz(moved(scene, u)))(jnp.array([0.2, 0.3]))) == 0
     for again in (mz, event, jax.jacrev(mz), jax.jacfwd(event)):
         assert compiled(again) == 0
+
+
+# Operations of StableHLO and fusions of XLA, for FB, as measured with jax 0.10. More of them take longer to compile.
+SIZES = {
+    "problem_of": (261, 24),
+    "follow_path": (4277, 391),
+    "solve_steps": (2089, 141),
+    "states": (576, 87),
+    "events": (1334, 120),
+    "state_slopes": (2923, 235),
+    "event_slopes": (10365, 920),
+}
+GROWTH = 1.1  # a change that adds more needs a reason; other versions of jax differ by less
+
+
+def test_programs_of_a_scan_have_a_limited_size():
+    scene = jax.tree.map(jnp.asarray, jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0)))
+    problem = problem_now(scene)
+    step = np.zeros(BLOCK)
+    path = follow_path_now(problem, *map(np.asarray, across())).path
+    solutions = solve_steps_now(problem, path, step, step)
+    calls = {
+        problem_now: (scene,),
+        follow_path_now: (problem, *map(np.asarray, across())),
+        solve_steps_now: (problem, path, step, step),
+        states_now: (problem, step, solutions),
+        events_now: (problem, path),
+        state_slopes_now: (problem, step, solutions),
+        event_slopes_now: (problem, path),
+    }
+    for program, args in calls.items():
+        lowered = jax.jit(program.function).lower(*args)
+        fusions = program.executable(*args).as_text().count(" fusion(")
+        most = SIZES[program.function.__name__]
+        assert lowered.as_text().count("stablehlo.") < GROWTH * most[0], program.function.__name__
+        assert fusions < GROWTH * most[1], program.function.__name__

@@ -119,6 +119,10 @@ class Program:
         """Lanes of the executable that runs arguments below vmap; 0 if it runs each lane alone."""
         return LANES if self.batched and lanes_of(arrays) > MOST_SINGLE else 0
 
+    def executable(self, *args) -> Any:
+        """The executable for arguments of these shapes."""
+        return self.compiled(_split(args)[0])
+
     def prepare(self, pool: Executor, *args) -> Any:
         """Trace for arguments of these shapes and compile in a thread of the pool. Return the shapes of the results."""
         shape, arrays = _split(args)
