@@ -91,7 +91,7 @@ def in_short() -> str:
     fastest = {(kind, row["batch"]): row for kind, name in settings.items() for row in rows if row["setting"] == name}
     most = max(batch for _, batch in fastest)
     extreme = read("extremes")["rows"]
-    cold = {row["compilation cache"]: row for row in read("cold_start")["rows"] if row["model"] == "FB"}
+    first = next(row for row in read("cold_start")["rows"] if row["task"] == "FB, first scan")
     steps = [row["us per step"] for row in read("ladder")["rows"][1:5]]
 
     def line(name, integrated, closed_form=None):
@@ -107,7 +107,7 @@ def in_short() -> str:
     def worst(kind):
         return f"{max(row['error'] for row in extreme if row['rods'] == kind):.0e}"
 
-    starts = " / ".join(f"{cold[cache]['import to first result, s']:.0f} s" for cache in ("empty", "warm"))
+    starts = " / ".join(f"{first[f'{cache}, s']:.0f} s" for cache in ("empty", "filled"))
     return table([
         both("error of fx, fy, mz over a scan, relative to the peak", lambda kind: f"{fastest[kind, 1]['error']:.0e}"),
         both("error of event positions, in L", lambda kind: f"{fastest[kind, 1]['event error']:.0e}"),
@@ -119,7 +119,7 @@ def in_short() -> str:
         both("the same, compared with the thesis's algorithm in scipy at the same error", speed),
         both(f"{len(extreme) // 2} extreme cases: largest residual of any equation in states marked ok", worst),
         line("us per step of FB / FBFB / FBFBR / FBFBFBR, batch of 32", " / ".join(f"{t:.1f}" for t in steps)),
-        line("import to first result, compilation cache empty / filled", starts),
+        line("start of the process to first result, cache empty / filled", starts),
     ])  # fmt: skip
 
 

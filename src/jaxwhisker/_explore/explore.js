@@ -5,7 +5,7 @@
 
 const POSITIONS = 1000; // of a slider
 const MOST_REQUESTS = 2; // at a time: one is on its way while the other is computed
-const COMPILING = "Compiling. The first picture of such a scene takes 10 to 30 seconds.";
+const COMPILING = "Compiling. The first picture of such a scene takes some seconds.";
 const ARRAYS = { f8: Float64Array, f4: Float32Array, i1: Int8Array };
 
 /** Header and arrays of a picture, and values for drawing that are the same at all steps. */

@@ -25,7 +25,7 @@ LOGARITHMIC = 20.0  # a range from a positive number to more than this many time
 DIGITS = 4  # of the value in the middle of a range, like those of values to which a slider is dragged
 
 RECOMPILED = (
-    "A function of the scene depends on the sliders, so every picture is compiled (10 to 30 seconds). "
+    "A function of the scene depends on the sliders, so every picture is compiled (about 10 seconds). "
     "An equinox.Module with numeric fields instead of the function avoids this."
 )
 
