@@ -99,3 +99,6 @@ def _release_compiled_code():
         return
     if mappings > MAPPINGS:
         jax.clear_caches()
+        from jaxwhisker._base import program  # after the import hook
+
+        program.clear()

@@ -60,9 +60,9 @@ def run_explore(args: argparse.Namespace) -> int:
     logarithmic if HIGH/LOW is above 20. Position, length and bending stiffness
     have a slider only if a range is given. A stiffness of inf has no slider.
 
-    The first picture waits for the compiler unless the cache has its programs. Units
-    and signs are those of `jaxwhisker scan`. A button shows Python code for the
-    scene.
+    The first picture waits for the compiler unless the cache has its programs.
+    Units and signs are those of `jaxwhisker scan`. A button shows Python code for
+    the scene.
 
     exit codes:
       2    an option or a parameter is wrong, the port is taken, or the packages
