@@ -20,7 +20,8 @@ def explore(build: Callable[..., Scene], /, **ranges: Any) -> Any:
 
     In Jupyter the sliders are a widget, which appears if the call is the last line of a cell. Elsewhere they are a
     local page, which opens in the browser and stays until Ctrl-C. The first picture waits for the compiler unless
-    the cache has its programs; further scenes with the same structure take some milliseconds. A button shows Python code for the scene.
+    the cache has its programs; further scenes with the same structure take some milliseconds. A button shows Python
+    code for the scene.
 
     Args:
         build: makes a Scene from numbers given by name. It is called again for every picture and may branch on their
