@@ -195,7 +195,9 @@ def _onwards(
     return moved._replace(
         bend=bend,
         unstable_at=left,
-        step=_step_to_fold(turn, left, state.unstable_turn, jnp.minimum(factor * state.step, longest)),
+        # The Illinois rule: otherwise false position creeps towards a fold from one side.
+        unstable_turn=state.unstable_turn / 2,
+        step=_step_to_fold(turn, left, state.unstable_turn / 2, jnp.minimum(factor * state.step, longest)),
     )
 
 
