@@ -3,11 +3,13 @@
 import dataclasses
 import warnings
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.program import threads
 from jaxwhisker._inverse import parameters
 from jaxwhisker._inverse.features import features, neighbour_scatter
 from jaxwhisker._inverse.fit import Fit, FitProblem
@@ -164,13 +166,20 @@ def _search(problem: FitProblem, start: np.ndarray, starts: int, near: bool) -> 
     if not starts or problem.is_plausible(best):
         return _Search(best, steps, 1, 1)
     solutions, agreeing = [best], 1
-    # If a feature of the data is misread, overlaid scans mislead from every start: skip them every other time.
-    for k, y in enumerate([start, *_other_starts(start, starts - 1)]):
-        solutions.append(_fit_in_stages(problem, y, near=k % 2 == 0)[0])
-        best = min(solutions, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
-        agreeing = sum(bool(np.max(np.abs(s.y - best.y)) < EQUAL) for s in solutions)
-        if agreeing >= ENOUGH and problem.is_plausible(best):
-            break
+
+    def fit(number: int, y: np.ndarray) -> Minimum:
+        # If a feature of the data is misread, overlaid scans mislead from every start: skip them every other time.
+        return _fit_in_stages(problem, y, near=number % 2 == 0)[0]
+
+    others = [start, *_other_starts(start, starts - 1)]
+    with ThreadPoolExecutor(threads()) as pool:
+        for solution in pool.map(fit, range(len(others)), others):
+            solutions.append(solution)
+            best = min(solutions, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
+            agreeing = sum(bool(np.max(np.abs(s.y - best.y)) < EQUAL) for s in solutions)
+            if agreeing >= ENOUGH and problem.is_plausible(best):
+                pool.shutdown(wait=False, cancel_futures=True)
+                break
     return _Search(best, steps, len(solutions), agreeing)
 
 
