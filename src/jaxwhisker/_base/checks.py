@@ -1,4 +1,4 @@
-"""Argument checks before tracing.
+"""Argument checks before tracing, and what is known about traced arguments.
 
 A wrong argument raises a ValueError that names it, states what is allowed and shows its value. The values of traced
 arguments are unknown here: solvers check those and return a status.
@@ -26,6 +26,37 @@ def is_traced(tree: Any) -> bool:
 def is_numeric(leaf: Any) -> bool:
     """Whether a leaf of a scene is data rather than a function or a name."""
     return isinstance(leaf, (int, float, np.ndarray, np.generic, jax.Array))
+
+
+def is_staged(tree: Any) -> bool:
+    """Whether any leaf is unknown until a caller's jit runs. Below vmap, jvp and grad alone, values are known."""
+    return any(_is_staged(leaf) for leaf in jax.tree.leaves(tree))
+
+
+def _is_staged(leaf: Any) -> bool:
+    while isinstance(leaf, Tracer):
+        leaf = _below(leaf)
+        if leaf is None:
+            return True
+    return False
+
+
+def _below(tracer: Any) -> Any:
+    """What a tracer of vmap, jvp or grad stands for; None for others."""
+    field = {"BatchTracer": "val", "JVPTracer": "primal", "LinearizeTracer": "primal"}.get(type(tracer).__name__)
+    return field and getattr(tracer, field)
+
+
+def lanes_of(leaves: Sequence[Any]) -> int:
+    """Number of lanes of all vmaps around these values."""
+    sizes: dict[int, int] = {}
+    for leaf in leaves:
+        while isinstance(leaf, Tracer) and not _is_staged(leaf):
+            axis, below = getattr(leaf, "batch_dim", None), _below(leaf)
+            if axis is not None:
+                sizes[id(leaf._trace)] = np.shape(below)[axis]
+            leaf = below
+    return math.prod(sizes.values())
 
 
 def all_finite(tree: Any) -> jax.Array:

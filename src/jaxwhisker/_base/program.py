@@ -11,7 +11,6 @@ rule, usually by another program. All others are differentiated by JAX.
 """
 
 import functools
-import math
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -27,7 +26,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxlib.version import __version_info__ as version
 
-from jaxwhisker._base import store
+from jaxwhisker._base import checks, store
 from jaxwhisker._base.announce import announced
 
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
@@ -95,7 +94,7 @@ class Program:
 
     def __call__(self, *args, **kwargs):
         shape, arrays = _split(args, kwargs)
-        if any(is_staged(leaf) for leaf in arrays):
+        if checks.is_staged(arrays):
             return self.function(*args, **kwargs)
         if any(isinstance(leaf, Tracer) for leaf in arrays):
             if self._frozen:
@@ -117,7 +116,7 @@ class Program:
 
     def _lanes_of(self, arrays: Sequence) -> int:
         """Lanes of the executable that runs arguments below vmap; 0 if it runs each lane alone."""
-        return LANES if self.batched and lanes_of(arrays) > MOST_SINGLE else 0
+        return LANES if self.batched and checks.lanes_of(arrays) > MOST_SINGLE else 0
 
     def executable(self, *args) -> Any:
         """The executable for arguments of these shapes."""
@@ -247,33 +246,6 @@ def program(**options) -> Callable[[Callable], Program]:
 def is_array(leaf: Any) -> bool:
     """Whether a leaf is an array, traced or not, or describes one; other leaves are static."""
     return isinstance(leaf, (np.ndarray, np.generic, jax.Array, jax.ShapeDtypeStruct))
-
-
-def is_staged(leaf: Any) -> bool:
-    """Whether a value is unknown until a caller's jit runs. Below vmap, jvp and grad alone, values are known."""
-    while isinstance(leaf, Tracer):
-        leaf = _below(leaf)
-        if leaf is None:
-            return True
-    return False
-
-
-def _below(tracer: Any) -> Any:
-    """What a tracer of vmap, jvp or grad stands for; None for others."""
-    field = {"BatchTracer": "val", "JVPTracer": "primal", "LinearizeTracer": "primal"}.get(type(tracer).__name__)
-    return field and getattr(tracer, field)
-
-
-def lanes_of(leaves: Sequence[Any]) -> int:
-    """Number of lanes of all vmaps around these values."""
-    sizes: dict[int, int] = {}
-    for leaf in leaves:
-        while isinstance(leaf, Tracer) and not is_staged(leaf):
-            axis, below = getattr(leaf, "batch_dim", None), _below(leaf)
-            if axis is not None:
-                sizes[id(leaf._trace)] = np.shape(below)[axis]
-            leaf = below
-    return math.prod(sizes.values())
 
 
 def threads() -> int:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.program import Program, is_staged, threads
+from jaxwhisker._base.program import Program, threads
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control
 from jaxwhisker._equilibrium.problem import Problem, problem_of
@@ -73,7 +73,7 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     if control is not None:
         checks.vector("control", control)
     scene = jax.tree.map(checks.as_float, scene)
-    if any(is_staged(leaf) for leaf in jax.tree.leaves((scene, control))):
+    if checks.is_staged((scene, control)):
         return _scan_staged(scene, control)
     return _scan(scene, control, TRACED_STEPS if checks.is_traced(scene) else None)
 
@@ -85,7 +85,7 @@ def scan_across(scene: Scene, steps: int) -> Result:
         ValueError: if a concrete scene is invalid.
     """
     scene = jax.tree.map(checks.as_float, scene)
-    if not any(is_staged(leaf) for leaf in jax.tree.leaves(scene)):
+    if not checks.is_staged(scene):
         return _scan(scene, None, steps)
     staged = StagedScan(scene, *map(jnp.asarray, across()))
     return staged.result(evenly(staged.start, staged.stop, steps))
