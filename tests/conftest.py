@@ -87,18 +87,21 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 MAPPINGS = 20_000  # of memory; Linux allows 65,530 per process, beyond which the compiler crashes
+MEMORY = 1.5e9  # bytes that a worker may use when the next module begins
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _release_compiled_code():
-    """Release the kernels of a test module, each of which is a memory mapping; they stay in the cache on disk."""
+    """Release what a test module has compiled if it is much; most of it stays in the caches on disk."""
     yield
     try:
         mappings = len(Path("/proc/self/maps").read_text().splitlines())
+        memory = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
         return
-    if mappings > MAPPINGS:
-        jax.clear_caches()
+    if mappings > MAPPINGS or memory > MEMORY:
         from jaxwhisker._base import program  # after the import hook
 
+        jax.clear_caches()
         program.clear()
+        gc.collect()

@@ -37,7 +37,7 @@ def test_every_field_of_a_result_is_in_the_table():
     fields = {field.name for field in dataclasses.fields(State)}
     assert set(STATE) == fields
     others = {field.name for field in dataclasses.fields(Result)} - fields
-    assert others - set(QUANTITIES) == {"events", "scene"}
+    assert others - set(QUANTITIES) == {"deferred_events", "scene"}
     assert {f"{when}_{name}" for when in ("before", "after") for name in fields} <= set(QUANTITIES)
     assert set(REACTIONS) < set(STATE)
     assert set(DRAWN) <= set(QUANTITIES) and "phase" not in DRAWN

@@ -12,7 +12,7 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.point import Point, scale_of
 from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._path.path import NO_EVENT, Node, Path
-from jaxwhisker._scan.steps import interpolate, solve_steps
+from jaxwhisker._scan.steps import interpolate, solve_steps, states
 
 EXACT = 1e-9  # relative: solved from whatever is near
 CUBIC = 1e-12  # between two nodes of a cubic
@@ -21,7 +21,12 @@ ROOM = 6  # nodes of a path
 FIRST = 0.5  # control at which travel begins
 
 PROBLEM = Program(problem_of)(scene(jw.Support.fb(STIFFNESS, REST)))
-solved_steps, interpolated = Program(solve_steps), Program(interpolate)
+interpolated = Program(interpolate)
+
+
+@Program
+def solved_steps(problem, path, control, travel):
+    return states(problem, control, solve_steps(problem, path, control, travel))
 
 
 def controls_of(at, stiffness=STIFFNESS):
