@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._base.checks import as_float
 from jaxwhisker._base.program import compilations
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
@@ -159,7 +160,7 @@ GROWTH = 1.1  # a change that adds more needs a reason; other versions of jax di
 
 
 def test_programs_of_a_scan_have_a_limited_size():
-    scene = jax.tree.map(jnp.asarray, jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0)))
+    scene = jax.tree.map(as_float, jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0)))
     problem = problem_now(scene)
     step = np.zeros(BLOCK)
     path = follow_path_now(problem, *map(np.asarray, across())).path
