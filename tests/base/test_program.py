@@ -57,6 +57,13 @@ def test_arguments_that_are_no_arrays_are_static():
     assert len(traces) == 3
 
 
+def test_only_so_many_executables_are_kept(monkeypatch):
+    monkeypatch.setattr(programs, "MOST_KEPT", 2)
+    scale, traces = traced(lambda x, factor: factor * x)
+    assert [float(scale(jnp.asarray(1.0), factor)) for factor in (1, 2, 3, 3, 1)] == [1.0, 2.0, 3.0, 3.0, 1.0]
+    assert scale.compilations == 2 and len(traces) == 4
+
+
 @pytest.mark.parametrize("factors", [(2, 2.0), (2.0, 2), (True, 1, 1.0)])
 def test_equal_static_arguments_of_different_types_differ(factors):
     scale = Program(lambda x, factor: x * factor)

@@ -34,6 +34,7 @@ from jaxwhisker._base.announce import announced
 COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if version < (0, 11) else {}
 
 LANES = 64  # large batches of a `batched` program run in blocks of this size
+MOST_KEPT = 128  # executables of a program in a process; the oldest ones are dropped
 MOST_SINGLE = 32  # smaller batches run one by one, which needs no further executable
 
 
@@ -186,6 +187,8 @@ class Program:
                 with announced(kept=key is not None):
                     future = self._load(shape, lanes, key, pool) or self._compile(shape, lanes, key, pool)
                 self._executables[shape, lanes] = future
+                while len(self._executables) > MOST_KEPT:  # users may pass a new function in every call
+                    del self._executables[next(iter(self._executables))]
             return self._executables[shape, lanes]
 
     def _key(self, shape: Shape, lanes: int) -> str | None:

@@ -78,26 +78,25 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     out.mkdir(parents=True, exist_ok=True)
     html_page(TITLE)  # reports a missing package before anything is computed
     parts = [TITLE, paragraph(INTRODUCTION), paragraph(PARAMETERS)]
-    interactive = sys.stderr.isatty()
     cases = [case for name in wanted if name in FIGURES for case in FIGURES[name].cases]
     cases += needed() if CLAIMS_NAME in wanted else []
-    with Scans(cases) as scans, tqdm(total=len(wanted), unit="result", disable=not interactive) as bar:
+    with Scans(cases) as scans, tqdm(total=len(wanted), unit="result", disable=not sys.stderr.isatty()) as bar:
         for heading, write, group in SECTIONS:
             chosen = [name for name in group if name in wanted]
             parts += [f"## {heading}"] * bool(chosen)
             for name in chosen:
                 bar.set_description(name)
-                parts.append(write(name, scans, out))
+                file, text = write(name, scans, out)
+                parts.append(text)
+                bar.write(str(out / file))
                 bar.update()
-            if chosen and not interactive:
-                print(f"done: {heading}", flush=True)
-    text = "\n\n".join(parts) + "\n"
-    (out / "README.md").write_text(text, encoding="utf-8")
-    (out / "index.html").write_text(html_page(text), encoding="utf-8")
+    page = "\n\n".join(parts) + "\n"
+    (out / "README.md").write_text(page, encoding="utf-8")
+    (out / "index.html").write_text(html_page(page), encoding="utf-8")
     print(f"wrote {len(wanted)} results to {out}; see {out / 'index.html'}")
 
 
-def _table(name: str, _: Scans, out: Path) -> str:
+def _table(name: str, _: Scans, out: Path) -> tuple[str, str]:
     table, rows = TABLES[name], table_rows(TABLES[name])
     title = f"Table {name}: {table.title}"
     files = [f"table_{name}.png", f"table_{name}.csv"]
@@ -105,20 +104,20 @@ def _table(name: str, _: Scans, out: Path) -> str:
     write_rows(rows, out / files[1])
     links = ", ".join(f"[{file}]({file})" for file in files)
     about = [paragraph(TABLES_ABOUT)] * (name == next(iter(TABLES)))
-    return "\n\n".join([*about, f"### {title}", markdown_table(rows), links, *table.notes])
+    return files[0], "\n\n".join([*about, f"### {title}", markdown_table(rows), links, *table.notes])
 
 
-def _picture(name: str, scans: Scans, out: Path) -> str:
+def _picture(name: str, scans: Scans, out: Path) -> tuple[str, str]:
     file, data = draw(FIGURES[name], scans, out)
-    return figure(file.name, f"Figure {name}: {FIGURES[name].title}", data.name)
+    return file.name, figure(file.name, f"Figure {name}: {FIGURES[name].title}", data.name)
 
 
-def _claims(_: str, scans: Scans, out: Path) -> str:
+def _claims(_: str, scans: Scans, out: Path) -> tuple[str, str]:
     claims = [claim(scans) for claim in CLAIMS]
     text = f"{claims_table(claims)}\n\n{claim_sections(claims)}"
     title = "# Claims of chapter 6 with numbers"
     (out / "claims.md").write_text(f"{title}\n\n{paragraph(INTRODUCTION)}\n\n{text}\n", encoding="utf-8")
-    return text
+    return "claims.md", text
 
 
 # Heading, writer and names of every section of the page.
