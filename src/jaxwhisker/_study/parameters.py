@@ -16,7 +16,7 @@ from jaxwhisker._scan.quantities import Quantity
 PointRegion = tuple[slice, ...]  # along the dimensions of the points
 BlockIndex = tuple[int, ...]  # of a block along these dimensions
 
-MANY = 512  # points from which on a program for `LANES` of them pays
+MANY = 256  # points from which on a program for `LANES` of them pays
 PARTS, FEW = 16, 8  # a smaller study has PARTS blocks or fewer of FEW points each
 BASE = 1.2e9  # bytes that a process uses that has compiled a study and holds no block
 COPIES = 3  # of the results of a block in memory: as computed, as variables, and while they are stored
