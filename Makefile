@@ -16,7 +16,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 help: ## list all targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
-demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (3 to 4 minutes on two cores)
+demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (2 minutes on two cores)
 	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
 
 test: $(VENV)/installed-dev ## run the tests
