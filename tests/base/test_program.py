@@ -3,6 +3,7 @@
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from jaxwhisker._base import program as programs
-from jaxwhisker._base.program import Program, program
+from jaxwhisker._base.program import Program
 
 X = jnp.linspace(0.3, 1.2, 4)
 Y = jnp.linspace(-1.0, 2.0, 3)
@@ -90,7 +91,7 @@ def test_shapes_and_types_have_programs_of_their_own():
 
 
 def test_the_decorator_passes_options_on():
-    @program(frozen=True)
+    @partial(Program, frozen=True)
     def double(x):
         return 2 * x
 

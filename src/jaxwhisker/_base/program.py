@@ -241,11 +241,6 @@ def clear() -> None:
         program.clear()
 
 
-def program(**options) -> Callable[[Callable], Program]:
-    """Decorator that makes a function a Program."""
-    return functools.partial(Program, **options)
-
-
 def is_array(leaf: Any) -> bool:
     """Whether a leaf is an array, traced or not, or describes one; other leaves are static."""
     return isinstance(leaf, (np.ndarray, np.generic, jax.Array, jax.ShapeDtypeStruct))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program, threads
@@ -26,7 +26,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import march
 from jaxwhisker._path.path import Path, Status
-from jaxwhisker._scan.result import Events, Result
+from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import Route, across, route_of, straight, traced_route
 from jaxwhisker._scan.signals import events, spring_lengths
 from jaxwhisker._scan.slopes import event_tangents, spring_tangents, state_tangents
@@ -87,8 +87,9 @@ def scan_across(scene: Scene, steps: int) -> Result:
     scene = jax.tree.map(checks.as_float, scene)
     if not checks.is_staged(scene):
         return _scan(scene, None, steps)
-    staged = StagedScan(scene, *map(jnp.asarray, across()))
-    return staged.result(evenly(staged.start, staged.stop, steps))
+    problem = problem_of(scene)
+    path, start, stop = follow_path(problem, *map(jnp.asarray, across()))
+    return _staged_result(scene, problem, path, evenly(start, stop, steps))
 
 
 def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
@@ -210,36 +211,14 @@ def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array
     return ScanPath(path, jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control))
 
 
-class StagedScan:
-    """A scan as part of a caller's jit: its path, its events, and the signals at any controls.
-
-    With NaN for the first stop (see `route.across`) the path leads right across the object and begins at `start`.
-    """
-
-    def __init__(self, scene: Scene, stops: Float[Array, " stops"], last: Int[Array, ""]):
-        self.scene, self.problem = scene, problem_of(scene)
-        self._path, self.start, self.stop = follow_path(self.problem, stops, last)
-        self.status = self._path.status
-
-    @property
-    def events(self) -> Events:
-        """The events of the path."""
-        return events(self.problem, self._path)
-
-    def signals(
-        self, control: Float[Array, " steps"], travel: Float[Array, " steps"]
-    ) -> tuple[Float[Array, "steps whiskers 3"], Bool[Array, " steps"]]:
-        """Reactions fx, fy, mz at controls that the drive passes after travelling `travel`, and whether they are ok."""
-        state, status = states(self.problem, control, solve_steps(self.problem, self._path, control, travel))
-        return jnp.stack([state.fx, state.fy, state.mz], axis=-1), status == Status.ok
-
-    def result(self, route: Route, status: Int[Array, ""] | None = None) -> Result:
-        """The result along a route to these stops; a status of the route, if not ok, replaces that of the path."""
-        path = _if_ok(self._path, status)
-        control, travel = jnp.asarray(route.control), jnp.asarray(route.travel)
-        state, step_status = states(self.problem, control, solve_steps(self.problem, path, control, travel))
-        lengths = spring_lengths(self.scene, (state.base_x, state.base_y, state.base_angle), control)
-        return _result(self.scene, self.problem, path, control, state, step_status, lengths)
+def _staged_result(
+    scene: Scene, problem: Problem, path: Path, route: Route, status: Int[Array, ""] | None = None
+) -> Result:
+    """The result along a route, as part of a caller's jit; a status of the route that is not ok replaces the path's."""
+    path, control, travel = _if_ok(path, status), jnp.asarray(route.control), jnp.asarray(route.travel)
+    state, step_status = states(problem, control, solve_steps(problem, path, control, travel))
+    lengths = spring_lengths(scene, (state.base_x, state.base_y, state.base_angle), control)
+    return _result(scene, problem, path, control, state, step_status, lengths)
 
 
 def _if_ok(path: Path, status: Int[Array, ""] | None) -> Path:
@@ -263,7 +242,9 @@ def _scan_staged(scene: Scene, control: Control | None) -> Result:
         route, status = traced_route(jnp.asarray(control, dtype=float))
     else:
         route, status = route_of(np.asarray(control, dtype=float)), None
-    return StagedScan(scene, jnp.asarray(route.stops), jnp.asarray(route.last)).result(route, status)
+    problem = problem_of(scene)
+    path = follow_path(problem, jnp.asarray(route.stops), jnp.asarray(route.last)).path
+    return _staged_result(scene, problem, path, route, status)
 
 
 def _result(
