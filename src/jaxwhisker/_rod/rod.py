@@ -239,27 +239,33 @@ def integrate(
         solver: any diffrax solver. Default: `default_solver(material)`.
         from_base: arc length from the base to the loaded point; required for a section.
     """
-    args = _RodArgs(arc, load, material, from_base)
+    times = jnp.arange(steps + 1) / steps
+    if isinstance(material, Section):
+        assert from_base is not None
+        times = _graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
+    end, _ = _march(start, _RodArgs(arc, load, material, from_base), times, solver or default_solver(material))
+    return end
+
+
+def _march(
+    start: RodState, args: _RodArgs, times: Float[Array, " times"], solver: diffrax.AbstractSolver, keep: bool = False
+) -> tuple[RodState, Any]:
+    """The last state, and those after every step if they are kept. `times` are fractions of the arc length."""
     terms, no = diffrax.ODETerm(_towards_base), jnp.asarray(False)
-    solver = solver or default_solver(material)
     if isinstance(solver, diffrax.AbstractRungeKutta) and solver.scan_kind is None:
         # This loop over stages supports forward derivatives only, and no others are taken through a rod.
         solver = dataclasses.replace(solver, scan_kind="lax")
-    start = jax.tree.map(jnp.asarray, start)
 
     def step(carry, ends):
         state, memory = carry
         t0, t1 = ends
         state, _, _, memory, _ = solver.step(terms, t0, t1, state, args, memory, no)
-        return (state, memory), None
+        return (state, memory), state if keep else None
 
-    times = jnp.arange(steps + 1) / steps
-    if isinstance(material, Section):
-        assert from_base is not None
-        times = _graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
+    start = jax.tree.map(jnp.asarray, start)
     memory = solver.init(terms, times[0], times[1], start, args)
-    (end, _), _ = jax.lax.scan(step, (start, memory), (times[:-1], times[1:]))
-    return end
+    (end, _), states = jax.lax.scan(step, (start, memory), (times[:-1], times[1:]))
+    return end, states
 
 
 THICKEST = 100.0  # steps are graded for a ratio of thicknesses of at most this
@@ -290,20 +296,7 @@ def points(
 
     The arguments are those of `integrate`.
     """
-    fractions = np.linspace(0.0, 1.0, count)
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(_towards_base),
-        default_solver(material),
-        t0=0.0,
-        t1=1.0,
-        dt0=None,
-        y0=start,
-        args=_RodArgs(arc, load, material, from_base),
-        stepsize_controller=diffrax.StepTo(jnp.asarray(fractions)),
-        saveat=diffrax.SaveAt(steps=True, t0=True),
-        adjoint=diffrax.DirectAdjoint(),
-        max_steps=count - 1,
-        throw=False,
-    )
-    x, y, cos, sin = solution.ys  # pyright: ignore[reportGeneralTypeIssues]
+    args = _RodArgs(arc, load, material, from_base)
+    _, states = _march(start, args, jnp.linspace(0.0, 1.0, count), default_solver(material), keep=True)
+    x, y, cos, sin = (jnp.append(first, rest) for first, rest in zip(start, states, strict=True))
     return x, y, cos, sin

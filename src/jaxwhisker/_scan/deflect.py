@@ -58,11 +58,11 @@ class Deflection(eqx.Module):
 class _Loads(eqx.Module):
     """Forces and moments in one form, sorted from the tip to the base; dimensionless."""
 
-    force: Float[Array, " loads"]
-    direction: Float[Array, " loads"]
-    follower: Float[Array, " loads"]
-    moment: Float[Array, " loads"]
-    position: Float[Array, " loads"]
+    force: Float[Array, "*loads"]
+    direction: Float[Array, "*loads"]
+    follower: Float[Array, "*loads"]
+    moment: Float[Array, "*loads"]
+    position: Float[Array, "*loads"]
 
 
 class _Equations(eqx.Module):
@@ -111,7 +111,7 @@ class _Stretch(eqx.Module):
 class _Bent(NamedTuple):
     """A whisker under its loads, for some direction of its tip."""
 
-    stretches: list[_Stretch]  # from the outermost load, the origin, to the base
+    stretches: _Stretch  # leading axis: stretches from the outermost load, the origin, to the base
     x: Scalar  # position of the base
     y: Scalar
     load: Float[Array, "3"]  # forces and moment on the base
@@ -122,30 +122,32 @@ class _Bent(NamedTuple):
 def _bend(equations: _Equations, tip_angle: Scalar, factor: Scalar = 1.0, steps: int = ROD_STEPS) -> _Bent:
     """Integrate from the outermost load to the base, under `factor` times the loads."""
     loads, zero = equations.loads, jnp.zeros(())
-    state, total = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle)), rod.Load(zero, zero, zero)
-    stretches = []
+
+    def stretch(carry, load_and_end):
+        (state, total), (load, end) = carry, load_and_end
+        total = _with_load(total, load, state, factor)
+        here = _Stretch(state, total, load.position - end, load.position)
+        state = rod.integrate(state, here.arc, total, equations.section, steps=steps, from_base=here.position)
+        return (state, total), here
+
+    start = (zero, zero, jnp.cos(tip_angle), jnp.sin(tip_angle)), rod.Load(zero, zero, zero)
     ends = jnp.append(loads.position[1:], 0.0)
-    for k in range(loads.force.shape[0]):
-        total = _with_load(total, loads, k, state, factor)
-        stretch = _Stretch(state, total, loads.position[k] - ends[k], loads.position[k])
-        stretches.append(stretch)
-        state = rod.integrate(state, stretch.arc, total, equations.section, steps=steps, from_base=stretch.position)
-    x, y, cos, sin = state
+    ((x, y, cos, sin), total), stretches = jax.lax.scan(stretch, start, (loads, ends))
     load = jnp.stack([total.force_x, total.force_y, rod.moment(x, y, total)])  # pyright: ignore[reportArgumentType]
     pose = equations.rest + equations.compliance * load
     return _Bent(stretches, x, y, load, pose, pose[2] - jnp.arctan2(-cos, sin))
 
 
-def _with_load(total: rod.Load, loads: _Loads, k: int, state: rod.RodState, factor: Scalar) -> rod.Load:
-    """The load on the rod between load k, which acts at this state, and the base."""
+def _with_load(total: rod.Load, load: _Loads, state: rod.RodState, factor: Scalar) -> rod.Load:
+    """The load on the rod between this load, which acts at this state, and the next one."""
     x, y, cos, sin = state
-    dead_x, dead_y = jnp.cos(loads.direction[k]), jnp.sin(loads.direction[k])
-    follower = loads.follower[k] > 0
-    force = factor * loads.force[k]
+    dead_x, dead_y = jnp.cos(load.direction), jnp.sin(load.direction)
+    follower = load.follower > 0
+    force = factor * load.force
     # A follower is turned by phi - pi/2, like the whisker.
     fx = force * jnp.where(follower, dead_y * cos + dead_x * sin, dead_x)
     fy = force * jnp.where(follower, dead_y * sin - dead_x * cos, dead_y)
-    moment = total.moment + x * fy - y * fx + factor * loads.moment[k]  # pyright: ignore[reportOptionalOperand]
+    moment = total.moment + x * fy - y * fx + factor * load.moment  # pyright: ignore[reportOptionalOperand]
     return rod.Load(total.force_x + fx, total.force_y + fy, moment)  # pyright: ignore[reportOptionalOperand]
 
 
@@ -290,17 +292,13 @@ class _Shape(eqx.Module):
 
 
 def _shape(equations: _Equations, bent: _Bent, points: int) -> _Shape:
-    outermost = bent.stretches[0]
+    outermost = jax.tree.map(lambda leaf: leaf[0], bent.stretches)
     # Beyond the outermost load the whisker is unloaded; a straight line needs two points.
     nothing = rod.Load(None, jnp.zeros(()), jnp.zeros(()))
     tip = _Stretch(outermost.start, nothing, outermost.position - 1.0, outermost.position)
     beyond = _stretch_shape(equations, tip, 2 if equations.section is None else points)
-    lines = [_stretch_shape(equations, stretch, points) for stretch in reversed(bent.stretches)]
-    parts = [
-        *(jax.tree.map(lambda leaf: leaf[::-1], line) for line in lines),
-        jax.tree.map(lambda leaf: leaf[1:], beyond),
-    ]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    lines = jax.vmap(lambda stretch: _stretch_shape(equations, stretch, points))(bent.stretches)
+    return jax.tree.map(lambda line, tip: jnp.concatenate([jnp.ravel(line)[::-1], tip[1:]]), lines, beyond)
 
 
 def _stretch_shape(equations: _Equations, stretch: _Stretch, points: int) -> _Shape:
