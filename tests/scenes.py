@@ -1,4 +1,16 @@
-"""Scenes that tests share, and stored exact scans."""
+"""Scenes that tests share, and stored exact scans.
+
+Most of the time of a test run is spent on programs, one set for each problem shape. Tests therefore use few shapes and
+vary numbers, and call `jw.scan` and its derivatives without a jit of their own: such calls share programs, between
+workers too. The shapes are
+
+- one, two or three uniform whiskers on springs along x (`model`: FB, FBFBR, FBFBFBR), below a parabola or a circle;
+- one whisker on springs along x, y and phi (`follicle`), on a moving drive or below a tilted object;
+- one conical, curved whisker on one spring (`cone`);
+- and the few others that are the subject of a test.
+
+Functions of a scene are modules with fields. A lambda is a new shape in every test, and is not stored.
+"""
 
 import json
 from pathlib import Path
@@ -8,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
+from jaxwhisker._model.whisker import LinearTaper, RoundSection
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "scans.json").read_text())["cases"]
 
@@ -15,6 +28,20 @@ REFERENCE = json.loads((Path(__file__).parent / "data" / "scans.json").read_text
 def model(name="FB", stiffness: float | list = 70.0, rest_length=0.2, distance=0.2, a=1.0):
     """A named model and a parabola."""
     return jw.Scene(jw.Whisker(), jw.Parabola(distance, a), jw.Support.named(name, stiffness, rest_length))
+
+
+def follicle(x=np.inf, y=np.inf, phi=np.inf, mount=(0.0, 0.0, 0.0)):
+    """One base with springs along all axes."""
+    return jw.Support.follicle(x=x, y=y, phi=phi, mount=jw.Mount(*mount))
+
+
+def cone(ratio, *, length=1.0, stiffness=1.0, curvature: tuple | None = None):
+    """A whisker whose tip is `ratio` times as thick as its base, with this bending stiffness at its base.
+
+    `curvature` is the intrinsic curvature at the base and at the tip, between which it changes linearly.
+    """
+    section = RoundSection(stiffness * 64 / np.pi, LinearTaper(1.0, ratio, length))
+    return jw.Whisker(length, section, None if curvature is None else LinearTaper(*curvature, length))
 
 
 def from_reference(case):
