@@ -68,12 +68,8 @@ def event_list(result):
 
 
 def in_both_modes(function, direction):
-    """Compiled function of parameters and weights: value, forward and reverse derivative of the given function.
+    """Function of parameters and weights: value, forward and reverse derivative of the given function."""
 
-    Both modes share one linearisation, which is compiled once.
-    """
-
-    @jax.jit
     def both(p, weights):
         value, along = jax.linearize(function, p)
         return value, along(direction), jax.linear_transpose(along, p)(weights)[0]
