@@ -8,9 +8,14 @@ import jaxwhisker as jw
 from jaxwhisker._study.critical import softest, steepest
 from scenes import all_ok, model
 
-# Largest dF_x/dx0 in tangential contact, and x0 there, by distance (a = 1): the closed form's F_x'(alpha) / x0'(alpha),
-# maximised in 40 digits.
-EXACT = {0.1: (129.7212723891506, -0.0888582778568), 0.4: (5.823515964515434, -0.3674412508699)}
+# Largest dF_x/dx0 before the vertex, and x0 there, by distance (a = 1), from the closed form. The first two are maxima in
+# tangential contact, in 40 digits. At the larger distances the tip touches the vertex, where the slope still grows.
+EXACT = {
+    0.1: (129.7212723891506, -0.0888582778568),
+    0.4: (5.823515964515434, -0.3674412508699),
+    0.46: (7.209075237763611, -0.7617065743),
+    0.8: (5.673606459206943, -0.5326371760),
+}
 SLOPE = 1e-9  # relative
 PLACE = 1e-7  # the position of a maximum is known to the square root of the precision of its value
 MARGIN = 1e-3  # relative, on both sides of the critical stiffness

@@ -1,10 +1,11 @@
 """The critical stiffness: below it a scan snaps through the vertex and skips the maximum.
 
 A base on a spring is stable while the stiffness exceeds the slope of the force, c > dF_x/dx0 of the clamped whisker,
-where F_x = -fx is the force on the whisker. The steepest slope near the vertex is therefore the critical stiffness of
+where F_x = -fx is the force on the whisker. The steepest slope before the vertex is therefore the critical stiffness of
 one whisker. (Towards the snap-off the slope grows without bound. Every spring gives way there, and no maximum is
-skipped.) For coupled whiskers, the critical stiffness is larger by the ratio of the softest base's flexibility to that
-of a single spring, if the forces on the other whiskers stay the same. They do not, so this is an estimate.
+skipped.) It is a smooth maximum or, if the object is so far away that the tip touches it at the vertex, the slope
+there. For coupled whiskers, the critical stiffness is larger by the ratio of the softest base's flexibility to that of
+a single spring, if the forces on the other whiskers stay the same. They do not, so this is an estimate.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.scan import scan
+from jaxwhisker._path.path import EventKind
+from jaxwhisker._scan.scan import scan, scan_across
 from jaxwhisker._study.parameters import Parameters
 
 if TYPE_CHECKING:
@@ -43,10 +45,9 @@ class Steepest(NamedTuple):
 
 
 def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
-    """The largest slope of the clamped whisker's force between first touch and snap-off, with relative accuracy 1e-9.
+    """The largest slope of the clamped whisker's force between first touch and vertex, with relative accuracy 1e-9.
 
-    It is NaN if there is no maximum: the object is out of reach, or so far away that the slope grows up to the
-    snap-off.
+    It is NaN if the whisker does not reach the vertex: the object is out of reach, or the clamped whisker snaps before.
 
     Args:
         whisker: the whisker.
@@ -61,19 +62,15 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
             "`whisker` and `profile` must be concrete, got traced ones: the steepest slope is found by a search."
         )
     scene = jax.tree.map(checks.as_float, Scene(whisker, profile))
-    touch, length = problem_of(scene), float(units(scene).length)
-    first, last = float(touch.touch_right.x[0]) * length, float(touch.touch_left.x[0]) * length
-    best = Steepest(np.nan, np.nan)
+    best, passed = Steepest(np.nan, np.nan), scan_across(scene, 2).events.of(EventKind.vertex)
+    if not passed:
+        return best
+    first, last = float(problem_of(scene).touch_right.x[0]) * float(units(scene).length), passed[0].control
     for _ in range(SEARCHES):
         x = np.linspace(first, last, SEARCH_STEPS)
         slope, force = (np.asarray(leaf) for leaf in _slope(scene, jnp.asarray(x)))
-        known = np.isfinite(slope) & (force > 0) & (slope > 0)
-        # A value that is largest only because contact ends next to it is not a maximum.
-        top = known[1:-1] & known[:-2] & known[2:] & (slope[1:-1] >= slope[:-2]) & (slope[1:-1] >= slope[2:])
-        if not top.any():
-            break
-        k = 1 + int(np.argmax(np.where(top, slope[1:-1], -np.inf)))
-        best, first, last = Steepest(float(slope[k]), float(x[k])), x[k - 1], x[k + 1]
+        k = int(np.argmax(np.where(np.isfinite(slope) & (force > 0), slope, -np.inf)))
+        best, first, last = Steepest(float(slope[k]), float(x[k])), x[max(k - 1, 0)], x[min(k + 1, SEARCH_STEPS - 1)]
     return best
 
 
