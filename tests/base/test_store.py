@@ -38,8 +38,10 @@ def folder(tmp_path, monkeypatch):
 def child(*argv, code=None, **environment):
     """Start a process that solves systems."""
     command = [sys.executable, "-W", "error:::jaxwhisker", *(["-c", code] if code else [str(CHILD)]), *map(str, argv)]
-    # Without jax's own cache, in which the tests of this process may have put the same programs.
-    environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "0"} | environment
+    # Without jax's own cache, in which the tests of this process may have put the same programs; and with jax's own
+    # level of logs, because users must not see any.
+    settings = {"JAX_ENABLE_COMPILATION_CACHE": "0", "TF_CPP_MIN_LOG_LEVEL": "1"}
+    environment = os.environ | settings | environment
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

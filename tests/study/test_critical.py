@@ -8,8 +8,8 @@ import jaxwhisker as jw
 from jaxwhisker._study.critical import softest, steepest
 from scenes import all_ok, model
 
-# Largest dF_x/dx0 before the vertex, and x0 there, by distance (a = 1), from the closed form. The first two are maxima in
-# tangential contact, in 40 digits. At the larger distances the tip touches the vertex, where the slope still grows.
+# Largest dF_x/dx0 before the vertex, and x0 there, by distance (a = 1), from the closed form. The first two are maxima
+# in tangential contact, in 40 digits. At the larger distances the tip touches the vertex, where the slope still grows.
 EXACT = {
     0.1: (129.7212723891506, -0.0888582778568),
     0.4: (5.823515964515434, -0.3674412508699),

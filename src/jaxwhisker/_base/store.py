@@ -33,10 +33,12 @@ import lineax
 import numpy as np
 import optimistix
 from jax.experimental import serialize_executable
+from jaxlib.utils import absl_set_min_log_level
 
 LARGEST = 512 * 2**20  # bytes; when the store is larger, the entries that were not used for longest are deleted
 MAGIC = b"jaxwhisker program 1\n"
 DIGEST = hashlib.sha256().digest_size
+FATAL = 3  # the level of logs that XLA prints before it ends the process
 SUFFIX = ".program"
 UNFINISHED = SUFFIX + ".part"
 # Settings of jax that change the program of a function.
@@ -181,10 +183,31 @@ def executable(key: str, code: Any) -> jax.stages.Compiled | None:
         if b"lapack" in serialized:
             # jax initialises LAPACK when it lowers a function that needs it. Without it the process would crash.
             jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.dtype(np.float32)))
-        return serialize_executable.deserialize_and_load(serialized, arguments, results, chosen.client, [chosen])
+        with _silent():
+            return serialize_executable.deserialize_and_load(serialized, arguments, results, chosen.client, [chosen])
     except Exception as error:  # whatever is wrong, the program can still be compiled
         _ignored(key, error)
         return None
+
+
+_LOADING: list[None] = []  # one entry per thread that loads a program
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep XLA from logging errors.
+
+    On some processors it logs that a program may crash whenever it loads one, even one that the same processor compiled
+    (openxla/xla#44565).
+    """
+    _LOADING.append(None)
+    absl_set_min_log_level(FATAL)
+    try:
+        yield
+    finally:
+        _LOADING.pop()
+        if not _LOADING:
+            absl_set_min_log_level(int(os.environ.get("TF_CPP_MIN_LOG_LEVEL", "1")))  # the default of jax
 
 
 @contextmanager
