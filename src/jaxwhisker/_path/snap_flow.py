@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import Solution
+from jaxwhisker._equilibrium.newton import Condensed, Solution
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
@@ -38,7 +38,7 @@ SHORTEST = 1e-7  # smallest such change that is tried if a whisker cannot follow
 FIRST_TIME_STEP = 1e-3
 NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
 ITERATIONS = 3000
-NO_FORCE = 1e-9  # tolerance for the force of a contact that has just begun, which is zero up to rounding
+TOUCH = 1e-8  # tolerance for the position of a base where its whisker touches, and thus for the force of a new contact
 LANDED = 1e-6  # tolerance for the base position at which a slipped whisker's slide or landing ends
 
 
@@ -164,12 +164,13 @@ class _Slip(NamedTuple):
 
 
 def _slip(
-    problem: Problem, flow: Flow, mode: Mode, z: Contacts, u: Scalar, pose: Poses, at: Stance, by_x: PerWhisker
+    problem: Problem, flow: Flow, mode: Mode, z: Contacts, u: Scalar, pose: Poses, at: Stance, condensed: Condensed
 ) -> _Slip:
     """Apply the snap rule, points 1 to 3 above."""
-    free = mode.phase == Phase.free
+    free, by_x = mode.phase == Phase.free, condensed.by_x
     slipping, holds = flow.sliding | flow.landing, on_stable_branch(mode, by_x)
-    ends = ~free & ~slipping & (z[:, 0] < -NO_FORCE)
+    force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
+    ends = ~free & ~slipping & (z[:, 0] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
     contact = jax.vmap(problem.profile.point)(z[:, 1])
     base = problem.in_scene(u, pose)
@@ -194,7 +195,7 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
     turned = (phase != mode.phase) & ~free
     by_x = newton.condensed.by_x
     at = problem.stance(u, pose)
-    slip = _slip(problem, flow, mode, z, u, pose, at, by_x)
+    slip = _slip(problem, flow, mode, z, u, pose, at, newton.condensed)
 
     side = jnp.where(slip.freed, at.side, jnp.where(slip.lands, -mode.side, mode.side))
     z, phase = jnp.where(slip.freed[:, None], 0.0, z), jnp.where(slip.freed, Phase.free, phase)
