@@ -13,10 +13,13 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float, Int
 
+from jaxwhisker._base.program import is_array
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.profile import AbstractProfile
@@ -159,13 +162,28 @@ def linearise(
     return value, gradient, by_control
 
 
-def of_each(bodies: Body, function: Callable, *args):
-    """Apply a function of one body to every whisker; each whisker gets its own row of the arguments."""
+def of_each(bodies: Body, function: Callable, *args, in_turn: bool = False):
+    """Apply a function of one body to every whisker; each whisker gets its own row of the arguments.
+
+    Args:
+        bodies: all whiskers.
+        function: takes a body and a row of each argument.
+        *args: leading axis: whiskers.
+        in_turn: in a batch, whether to compute one whisker after the other. Arrays of lanes alone are twice as fast as
+            arrays of lanes and whiskers, but this has no derivatives in reverse mode.
+    """
     section = bodies.section
     if not isinstance(section, tuple):
-        frame = None if bodies.frame is None else 0
-        axes = Body(0, 0, None, None, None if section is None else 0, frame, frame)  # pyright: ignore[reportArgumentType]
-        return jax.vmap(function, in_axes=(axes, *[0] * len(args)))(bodies, *args)
+        own, own_rest = eqx.partition((bodies._replace(profile=None, rod=None), args), is_array)
+        shared, shared_rest = eqx.partition((bodies.profile, bodies.rod), is_array)
+
+        def one(own, shared):
+            body, rest = eqx.combine(own, own_rest)
+            profile, rod = eqx.combine(shared, shared_rest)
+            return function(body._replace(profile=profile, rod=rod), *rest)
+
+        each = jax.vmap(one, in_axes=(0, None))
+        return (_in_turn(one, each) if in_turn and bodies.length.shape[0] > 1 else each)(own, shared)
     # Whiskers of different kinds cannot be batched: each is computed separately.
     values = []
     for k, own in enumerate(section):
@@ -175,3 +193,17 @@ def of_each(bodies: Body, function: Callable, *args):
         body = Body(length, stiffness, bodies.profile, bodies.rod, own, *frames)
         values.append(function(body, *jax.tree.map(lambda leaf, k=k: leaf[k], args)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *values)
+
+
+def _in_turn(one: Callable, each: Callable) -> Callable:
+    """`each`, which applies `one` to every whisker, but in a batch as a loop over whiskers."""
+    whole = custom_vmap(each)
+
+    @whole.def_vmap
+    def _(_, batched, own, shared):
+        lanes = jax.vmap(one, in_axes=jax.tree.map(lambda mapped: 0 if mapped else None, tuple(batched)))
+        own = jax.tree.map(lambda leaf, mapped: jnp.swapaxes(leaf, 0, 1) if mapped else leaf, own, batched[0])
+        results = jax.lax.map(lambda own: lanes(own, shared), own)
+        return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), results), jax.tree.map(lambda _: True, results)
+
+    return whole

@@ -47,11 +47,12 @@ def with_dummy_contacts(
 
 
 def linearise_all(
-    problem: Problem, point: Point, mode: Mode, rates: AbstractRod
+    problem: Problem, point: Point, mode: Mode, rates: AbstractRod, in_turn: bool
 ) -> tuple[BaseEquations, BaseEquations, BaseEquations | None]:
     """Values of every whisker's equations, and their derivatives with respect to its contact and the control."""
     z, phase = with_dummy_contacts(problem, point.z, mode.phase)
-    return of_each(problem.bodies(point.u), partial(contact.linearise, rates=rates), z, phase, mode.side)
+    linearised = partial(contact.linearise, rates=rates)
+    return of_each(problem.bodies(point.u), linearised, z, phase, mode.side, in_turn=in_turn)
 
 
 def evaluate(problem: Problem, point: Point, phase: Int[Array, " whiskers"], side: PerWhisker) -> BaseEquations:
@@ -155,9 +156,11 @@ class NewtonStep(NamedTuple):
     tangent_pose: Poses
 
 
-def newton_step(problem: Problem, mode: Mode, row: Row, point: Point, rates: AbstractRod | None = None) -> NewtonStep:
+def newton_step(
+    problem: Problem, mode: Mode, row: Row, point: Point, rates: AbstractRod | None = None, in_turn: bool = False
+) -> NewtonStep:
     """Solve the linearised equations of all whiskers, the network and the row."""
-    linear = linearise_all(problem, point, mode, problem.rod if rates is None else rates)
+    linear = linearise_all(problem, point, mode, problem.rod if rates is None else rates, in_turn)
     return solve_coupled(problem, mode, row, point, condense(problem, point.z, mode, *linear))
 
 
@@ -292,7 +295,7 @@ def solve_point(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solutio
 
     def equations(point, args):
         problem, mode, row = args
-        newton = newton_step(problem, mode, row, point)
+        newton = newton_step(problem, mode, row, point, in_turn=True)
         return newton.residual, newton
 
     solution = optx.root_find(
