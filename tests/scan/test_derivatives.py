@@ -42,8 +42,8 @@ def observed(name, p, control):
 
 
 @cache
-def compiled(name):
-    """Values, forward Jacobians by parameters and by control, and a weighted reverse pass, in one compilation."""
+def derived(name):
+    """Function: values, forward Jacobians by parameters and by control, and a weighted reverse pass; some weights."""
 
     def all_of(p, control, weights):
         value, along = jax.linearize(lambda p, control: observed(name, p, control), p, control)
@@ -56,17 +56,17 @@ def compiled(name):
     shapes = jax.eval_shape(lambda p, control: observed(name, p, control), P, CONTROL)
     rng = np.random.default_rng(1)
     weights = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), shapes)
-    jitted = jax.jit(all_of)
+    here = cache(lambda: all_of(P, CONTROL, weights))
 
-    def at(p=P, control=CONTROL, weights=weights):
-        return jitted(p, jnp.asarray(control), weights)
+    def at(p=None, control=CONTROL, by=weights):
+        return here() if p is None and by is weights else all_of(P if p is None else p, jnp.asarray(control), by)
 
     return at, weights
 
 
 @pytest.fixture(scope="module")
 def fb():
-    return compiled("FB")[0]
+    return derived("FB")[0]
 
 
 def closed(phase, near):
@@ -131,7 +131,7 @@ def test_derivatives_agree_with_finite_differences(fb):
 
 
 def test_reverse_mode_agrees_with_forward_mode(fb):
-    _, weights = compiled("FB")
+    _, weights = derived("FB")
     _, forward, reverse = fb()
     for along in (0, 1):
         pairs = zip(weights, [columns[along] for columns in forward], strict=True)
@@ -147,7 +147,6 @@ def test_derivatives_of_networks_agree_with_differences_in_both_modes(name):
         steps, spring_length, positions, _, _ = observed(name, p, CONTROL)
         return steps[:-3], spring_length, positions
 
-    @jax.jit
     def all_of(p, direction, weights):
         value, along = jax.linearize(signals, p)
         return value, along(direction), jax.linear_transpose(along, p)(weights)[0]
@@ -214,7 +213,7 @@ def total(stiffness, distance, bending_stiffness):
 
 
 def test_failed_lanes_have_zero_derivatives_and_do_not_affect_other_lanes():
-    gradient = jax.jit(jax.value_and_grad(total, argnums=(0, 1, 2), has_aux=True))
+    gradient = jax.value_and_grad(total, argnums=(0, 1, 2), has_aux=True)
     stiffness, distance = jnp.array([70.0, 50.0, 90.0, 60.0]), jnp.array([0.2, 0.3, 0.25, 0.35])
     (_, ok), (by_c, by_q, shared) = gradient(stiffness, distance, 1.0)
     assert np.all(ok == CONTROL.size) and np.all(by_c != 0) and np.all(by_q != 0)
@@ -246,7 +245,7 @@ def test_a_rigid_spring_has_a_derivative_by_its_compliance():
         value = signals(*at)
         return value, value
 
-    derived = jax.jit(jax.jacfwd(both, argnums=(0, 1), has_aux=True))
+    derived = jax.jacfwd(both, argnums=(0, 1), has_aux=True)
 
     def value(*at):
         return derived(*at)[1]
@@ -265,7 +264,7 @@ def test_a_rigid_spring_has_a_derivative_by_its_compliance():
         springs = (jw.Spring((0, 1), 80.0, 0.2), jw.Spring((1, 2), c, 0.2))
         return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.25), jw.Support(springs)), CONTROL).fx
 
-    assert np.all(jax.jit(jax.jacfwd(by_stiffness))(jnp.inf) == 0)
+    assert np.all(jax.jacfwd(by_stiffness)(jnp.inf) == 0)
 
 
 class Bowl(eqx.Module):
@@ -279,7 +278,6 @@ class Bowl(eqx.Module):
         return jnp.where(jnp.abs(x) < self.wall, self.height + self.depth * x**2, jnp.nan)
 
 
-@jax.jit
 def by_graph(p, wall, weights):
     def weighted(p):
         stiffness, rest_length, distance, a, length, bending_stiffness = p
@@ -307,7 +305,7 @@ def curved(p, weights):
 
 
 def test_second_derivatives_are_symmetric_and_agree_with_differences(fb):
-    _, weights = compiled("FB")
+    _, weights = derived("FB")
     count = int(np.sum(np.isfinite(fb()[0][2])))
     weights = weights[0], jnp.where(jnp.arange(weights[2].size) < count, weights[2], 0.0)
     _, hessian = curved(P, weights)
@@ -345,9 +343,9 @@ def test_second_derivatives_in_a_loop_are_right_or_nan():
 @pytest.mark.parametrize("wall", [10.0, 0.95])
 def test_a_user_defined_profile_has_the_derivatives_of_the_parabola(fb, wall):
     # The nearer wall is just outside the point of first touch.
-    _, weights = compiled("FB")
+    _, weights = derived("FB")
     inner = jnp.zeros_like(weights[0]).at[2:7, :, STATE.index("fy")].set(1.0)
-    value, _, (expected, _) = fb(weights=(inner, *jax.tree.map(jnp.zeros_like, weights[1:])))
+    value, _, (expected, _) = fb(by=(inner, *jax.tree.map(jnp.zeros_like, weights[1:])))
     mean, ours = by_graph(P, wall, inner[..., STATE.index("fy")])
     np.testing.assert_allclose(mean, np.sum(value[0][2:7, :, STATE.index("fy")]), rtol=1e-8)
     np.testing.assert_allclose(ours, expected, atol=1e-8 * np.max(np.abs(expected)))
