@@ -10,10 +10,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial import Chebyshev
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 INTEGRATION = 1e-12  # relative and absolute tolerance of a rod
+DEGREE = 12  # of polynomials for bending stiffness and curvature: those of a cone are of degree 4 and 1
+POLYNOMIAL = 1e-13  # their error
 
 
 class Rod(NamedTuple):
@@ -121,6 +124,15 @@ def equilibrium(
     return at(solution.x)[0]
 
 
+def along(value, length) -> Callable[..., Any]:
+    """A quantity along a whisker as a polynomial: thousands of calls through JAX would take most of the time."""
+    exact = np.vectorize(lambda s: float(value(s)))
+    polynomial = Chebyshev.interpolate(exact, DEGREE, domain=[0.0, float(length)])
+    between = np.linspace(0.0, float(length), 2 * DEGREE)
+    np.testing.assert_allclose(polynomial(between), exact(between), rtol=POLYNOMIAL, atol=POLYNOMIAL)
+    return polynomial.trim(POLYNOMIAL)
+
+
 def misses(
     result, steps, *, drive=lambda u: (u, 0.0, 0.0), profile=None, phases: set | None = None
 ) -> dict[str, float]:
@@ -131,7 +143,7 @@ def misses(
     scene = result.scene
     mounts = [(float(m.x), float(m.y), float(m.angle)) for m in scene.support.mounts]
     rods = [
-        Rod(float(w.length), w.stiffness_at, w.curvature_at, mount)
+        Rod(float(w.length), along(w.stiffness_at, w.length), along(w.curvature_at, w.length), mount)
         for w, mount in zip(scene.whiskers, mounts, strict=True)
     ]
     springs = tuple(

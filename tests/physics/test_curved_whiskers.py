@@ -2,7 +2,6 @@
 
 from functools import cache
 
-import equinox as eqx
 import forward
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,8 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from scenes import all_ok, in_both_modes
+from jaxwhisker._model.whisker import LinearTaper
+from scenes import all_ok, cone, in_both_modes
 
 EXACT = 1e-7  # of signals relative to their size: error of the rods' steps
 SAME = 1e-9  # of signals relative to their size: the same rod, computed in another way
@@ -24,31 +24,20 @@ CONTROL = np.linspace(1.2, -1.6, 113)
 SIGNALS = ("base_x", "fx", "fy", "mz")
 
 
-class Spiral(eqx.Module):
-    """An Euler spiral: curvature linear in arc length."""
-
-    start: float
-    growth: float
-
-    def __call__(self, s):
-        return self.start + self.growth * s
+RIGID = jw.Support.fb(np.inf, 0.0)  # a clamp with the programs of a spring
 
 
-def curved(kappa, whisker=None, stiffness=70.0, distance=0.2):
+def curved(kappa, whisker=None, support=None, profile=None):
     whisker = jw.Whisker(intrinsic_curvature=kappa) if whisker is None else whisker
-    return jw.Scene(whisker, jw.Parabola(distance), jw.Support.fb(stiffness, 0.2))
-
-
-def conical_spiral():
-    return jw.Whisker(1.0, lambda s: (1 - 0.75 * s) ** 4, Spiral(0.3, 0.5))
+    return jw.Scene(whisker, profile or jw.Parabola(0.2), support or jw.Support.fb(70.0, 0.2))
 
 
 SCENES = {
     "towards": curved(0.6),
     "away": curved(-0.6),
-    "clamped": jw.Scene(jw.Whisker(intrinsic_curvature=0.5), jw.Parabola(0.2)),
-    "cone": curved(None, jw.Whisker(1.0, lambda s: (1 - 0.8 * s) ** 4)),
-    "conical spiral": curved(None, conical_spiral()),
+    "clamped": curved(0.5, support=RIGID),
+    "cone": curved(None, cone(0.2, curvature=(0.0, 0.0))),
+    "conical spiral": curved(None, cone(0.25, curvature=(0.3, 0.8))),
 }
 
 
@@ -78,7 +67,7 @@ def test_zero_curvature_is_a_straight_whisker():
 def test_the_first_touch_of_an_arc_by_its_tip(kappa):
     # Clamped, no springs: the tip of a circular arc meets the parabola at its own height.
     tip_x, tip_y = -(1 - np.cos(kappa)) / kappa, np.sin(kappa) / kappa
-    result = jw.scan(jw.Scene(jw.Whisker(intrinsic_curvature=kappa), jw.Parabola(0.2)))
+    result = jw.scan(curved(kappa, support=RIGID))
     touch = next(iter(result.events))
     assert touch.kind == jw.EventKind.touch
     assert touch.control == pytest.approx(np.sqrt(tip_y - 0.2) - tip_x, abs=ARC)
@@ -87,7 +76,7 @@ def test_the_first_touch_of_an_arc_by_its_tip(kappa):
 def test_the_first_touch_of_an_arc_by_its_shaft():
     # The whisker bends away from a small ball whose centre is below the tip: circle touches circle.
     kappa, radius, distance = -0.5, 0.1, 0.4
-    result = jw.scan(jw.Scene(jw.Whisker(intrinsic_curvature=kappa), jw.Circle(distance, radius)))
+    result = jw.scan(curved(kappa, support=RIGID, profile=jw.Circle(distance, radius)))
     touch = next(iter(result.events))
     # The centre of the whisker's circle is at base_x + 1/|kappa|; the ball touches it from outside, on the left.
     apart = np.sqrt((1 / abs(kappa) + radius) ** 2 - (distance + radius) ** 2)
@@ -97,11 +86,10 @@ def test_the_first_touch_of_an_arc_by_its_shaft():
 
 def test_moving_from_the_other_side_is_the_mirror_image():
     # A scan to the left and back to the right: on the way back, the whisker is curved away from the object.
-    forth, back = jw.Whisker(intrinsic_curvature=0.4), jw.Whisker(intrinsic_curvature=-0.4)
     support = jw.Support.fb(70.0, 0.0)
     turning = np.concatenate([np.linspace(1.3, -2.0, 50), np.linspace(-2.0, 1.5, 50)[1:]])
-    there = jw.scan(jw.Scene(forth, jw.Parabola(0.2), support), turning)
-    mirrored = jw.scan(jw.Scene(back, jw.Parabola(0.2), support), -turning[49:])
+    there = jw.scan(curved(0.4, support=support), turning)
+    mirrored = jw.scan(curved(-0.4, support=support), -turning[49:])
     assert all_ok(there) and all_ok(mirrored)
     np.testing.assert_allclose(there.mz[49:], -mirrored.mz, atol=SAME * 10)
 
@@ -115,7 +103,7 @@ def test_an_unloaded_arc_keeps_its_shape():
 
 
 def test_a_moment_at_the_tip_shifts_the_curvature_everywhere():
-    whisker = jw.Whisker(1.0, lambda s: 2.0 - s, Spiral(0.3, 0.5))
+    whisker = jw.Whisker(1.0, LinearTaper(2.0, 1.0, 1.0), LinearTaper(0.3, 0.8, 1.0))
     d = jw.deflect(whisker, jw.PointMoment(0.4), points=50)
     s = np.asarray(d.s)[:50]  # beyond the moment, at the tip, the curvature is intrinsic
     np.testing.assert_allclose(d.curvature[:50], 0.3 + 0.5 * s + 0.4 / (2.0 - s), atol=ARC)
@@ -130,15 +118,15 @@ def test_free_whiskers_have_their_unloaded_shape():
     np.testing.assert_allclose(y[-1], np.sin(angle[-1]) / 0.6, atol=ARC)
 
 
-# Length, Young's modulus, diameters at base and tip, curvature and its growth, stiffness of the spring.
-P = jnp.array([1.0, 64 / np.pi, 1.0, 0.3, 0.3, 0.4, 70.0])
+# Length, Young's modulus, diameters at base and tip, curvatures at base and tip, stiffness of the spring.
+P = jnp.array([1.0, 64 / np.pi, 1.0, 0.3, 0.3, 0.7, 70.0])
 
 
 def observed(p):
     """Signals before and after the vertex and on the far side; positions of the first events, including a snap."""
-    length, modulus, base, tip, start, growth, c = p
+    length, modulus, base, tip, first, last, c = p
     stiffness = jw.Whisker.conical(length, modulus, base, tip).bending_stiffness
-    whisker = jw.Whisker(length, stiffness, Spiral(start, growth))
+    whisker = jw.Whisker(length, stiffness, LinearTaper(first, last, length))
     control = jnp.array([0.65, 0.3, -0.1, -0.4, -0.7, -1.6])
     result = jw.scan(jw.Scene(whisker, jw.Parabola(0.2), jw.Support.fb(c, 0.2)), control)
     return jnp.concatenate([result.fx[:5, 0], result.mz[:5, 0], result.events.control[:3]])
@@ -158,31 +146,31 @@ def test_derivatives_by_all_parameters_of_a_whisker():
     assert abs(weights @ pushed - pulled @ direction) < MODES * np.sum(np.abs(pulled * direction))
     for k, size in enumerate(P):
         step = DIFFERENCE * size
-        ahead, behind = (both(P.at[k].add(sign * step), weights)[0] for sign in (1, -1))
+        ahead, behind = (observed(P.at[k].add(sign * step)) for sign in (1, -1))
         difference = weights @ (ahead - behind) / (2 * step)
         assert abs(difference - pulled[k]) < DIFFERENCES * np.max(np.abs(pulled * P)) / size
 
 
 def test_a_whisker_that_curls_up_is_invalid_in_a_batch():
     kappa = jnp.array([0.4, 1.6])
-    mz, status = jax.jit(jax.vmap(lambda k: (lambda r: (r.mz, r.status))(jw.scan(curved(k), CONTROL[::16]))))(kappa)
+    mz, status = jax.vmap(lambda k: (lambda r: (r.mz, r.status))(jw.scan(curved(k), CONTROL[::16])))(kappa)
     assert np.all(status[1] == jw.Status.invalid) and np.all(np.isnan(mz[1]))
     assert np.all(status[0] == jw.Status.ok) and np.all(np.isfinite(mz[0]))
 
 
 def test_a_whisker_that_would_touch_in_two_places_is_an_error():
     # The whisker leans away and then over the object: its lower half and its tip protrude.
-    bent = jw.Whisker(intrinsic_curvature=Spiral(-3.0, 8.0))
+    def bent(growth):
+        return cone(1.0, curvature=(-3.0 * growth / 8, 5.0 * growth / 8))
+
     with pytest.raises(ValueError, match=r"`intrinsic_curvature` must let .* in one place only"):
-        jw.scan(jw.Scene(bent, jw.Parabola(0.2, 10.0)), CONTROL[::16])
+        jw.scan(curved(None, bent(8.0), RIGID, jw.Parabola(0.2, 10.0)), CONTROL[::16])
     # A flatter object meets the same whisker at its tip only.
-    assert all_ok(jw.scan(jw.Scene(bent, jw.Parabola(0.2, 0.3)), CONTROL[:32:8]))
-    growth = jnp.array([8.0, 2.0])
+    assert all_ok(jw.scan(curved(None, bent(8.0), RIGID, jw.Parabola(0.2, 0.3)), CONTROL[:32:8]))
 
     def status(growth):
-        whisker = jw.Whisker(intrinsic_curvature=Spiral(-3.0 * growth / 8, growth))
-        return jw.scan(jw.Scene(whisker, jw.Parabola(0.2, 10.0)), CONTROL[::16]).status
+        return jw.scan(curved(None, bent(growth), RIGID, jw.Parabola(0.2, 10.0)), CONTROL[::16]).status
 
-    each = jax.jit(jax.vmap(status))(growth)
+    each = jax.vmap(status)(jnp.array([8.0, 2.0]))
     assert np.all(each[0] == jw.Status.invalid)
     assert np.all(each[1] == jw.Status.ok)
