@@ -2,7 +2,6 @@
 
 from functools import cache
 
-import equinox as eqx
 import forward
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,8 @@ import pytest
 from discrete import Chains
 
 import jaxwhisker as jw
-from scenes import all_ok
+from jaxwhisker._model.whisker import LinearTaper
+from scenes import all_ok, cone, follicle
 
 EXACT = 1e-7  # of signals relative to their size: error of the rods' steps
 SAME = 1e-9  # of signals: the same equilibria, computed in another way
@@ -20,27 +20,8 @@ SIGNALS = ("base_x", "base_y", "base_angle", "fx", "fy", "mz")
 PARABOLA = jw.Parabola(0.2)
 
 
-class Spiral(eqx.Module):
-    """An Euler spiral: curvature linear in arc length."""
-
-    start: float
-    growth: float
-
-    def __call__(self, s):
-        return self.start + self.growth * s
-
-
-def cone(ratio):
-    return lambda s: (1 - (1 - ratio) * s) ** 4
-
-
 def spring(ends, stiffness, rest_length=0.0, axis="x"):
     return jw.Spring(ends, stiffness, rest_length, axis)
-
-
-def follicle(x=np.inf, y=np.inf, phi=np.inf, mount=(0.0, 0.0, 0.0)):
-    """One base with springs along all axes: scenes with these supports share their programs."""
-    return jw.Support.follicle(x=x, y=y, phi=phi, mount=jw.Mount(*mount))
 
 
 def coupled(torsion, offset=0.0, feedback=90.0):
@@ -59,11 +40,9 @@ SCENES = {
     "torsion": jw.Scene(jw.Whisker(), PARABOLA, follicle(phi=5.0)),
     "mounted": jw.Scene(jw.Whisker(), PARABOLA, follicle(x=90.0, phi=40.0, mount=(0.1, -0.05, 0.2))),
     "coupled by torsion": jw.Scene(jw.Whisker(), PARABOLA, coupled(30.0, 0.1)),
-    "conical spiral on torsion": jw.Scene(
-        jw.Whisker(1.0, cone(0.4), Spiral(0.3, 0.5)), PARABOLA, jw.Support.follicle(phi=15.0)
-    ),
+    "conical spiral on torsion": jw.Scene(cone(0.4, curvature=(0.3, 0.8)), PARABOLA, jw.Support.follicle(phi=15.0)),
     "everything": jw.Scene(
-        (jw.Whisker(1.0, cone(0.5), -0.2), jw.Whisker(0.95, 0.8, Spiral(0.1, 0.2))),
+        (cone(0.5, curvature=(-0.2, -0.2)), jw.Whisker(0.95, 0.8, LinearTaper(0.1, 0.29, 0.95))),
         PARABOLA,
         jw.Support(
             (*coupled(30.0, 0.05).springs, spring((0, 2), 300.0, 0.02, "y")),
@@ -221,7 +200,7 @@ def test_an_invalid_batch_element_does_not_affect_its_neighbour():
         result = jw.scan(jw.Scene(jw.Whisker(), PARABOLA, follicle(phi=stiffness)), CONTROL[::8])
         return result.mz, result.base_angle, result.status
 
-    mz, angle, status = jax.jit(jax.vmap(scan))(jnp.array([5.0, -1.0]))
+    mz, angle, status = jax.vmap(scan)(jnp.array([5.0, -1.0]))
     assert np.all(status[1] == jw.Status.invalid) and np.all(np.isnan(mz[1]))
     np.testing.assert_allclose(mz[0], scanned("torsion").mz[::8], atol=1e-9)
     np.testing.assert_allclose(angle[0], scanned("torsion").base_angle[::8], atol=1e-9)
