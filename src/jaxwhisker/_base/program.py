@@ -33,6 +33,7 @@ from jaxwhisker._base.announce import announced
 # time, and its kernels run equally fast.
 COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if version < (0, 11) else {}
 
+ARRAYS = (np.ndarray, np.generic, jax.Array, jax.ShapeDtypeStruct)
 LANES = 64  # large batches of a `batched` program run in blocks of this size
 MOST_KEPT = 128  # executables of a program in a process; the oldest ones are dropped
 MOST_SINGLE = 32  # smaller batches run one by one, which needs no further executable
@@ -95,9 +96,9 @@ class Program:
 
     def __call__(self, *args, **kwargs):
         shape, arrays = _split(args, kwargs)
-        if checks.is_staged(arrays):
-            return self.function(*args, **kwargs)
         if any(isinstance(leaf, Tracer) for leaf in arrays):
+            if checks.is_staged(arrays):
+                return self.function(*args, **kwargs)
             if self._frozen:
                 arrays = [jax.lax.stop_gradient(leaf) if isinstance(leaf, Tracer) else leaf for leaf in arrays]
             arrays = PRIMITIVE.bind(*arrays, program=self, shape=shape, levels=())
@@ -243,7 +244,7 @@ def clear() -> None:
 
 def is_array(leaf: Any) -> bool:
     """Whether a leaf is an array, traced or not, or describes one; other leaves are static."""
-    return isinstance(leaf, (np.ndarray, np.generic, jax.Array, jax.ShapeDtypeStruct))
+    return isinstance(leaf, ARRAYS)
 
 
 def threads() -> int:
@@ -253,10 +254,15 @@ def threads() -> int:
 
 def _split(args: tuple, kwargs: dict[str, Any] | None = None) -> tuple[Shape, list]:
     leaves, structure = jax.tree.flatten((args, kwargs or {}))
-    arrays = [leaf for leaf in leaves if is_array(leaf)]
-    shapes = tuple((tuple(leaf.shape), np.dtype(leaf.dtype)) for leaf in arrays)
-    static = tuple(_if_array(leaf, leaf) for leaf in leaves)
-    return Shape(structure, static, tuple(type(leaf) for leaf in static), shapes), arrays
+    arrays, static, kinds, shapes = [], [], [], []
+    for leaf in leaves:  # one plain loop, because every call of a program runs it
+        if isinstance(leaf, ARRAYS):
+            arrays.append(leaf)
+            shapes.append((tuple(leaf.shape), leaf.dtype))
+            leaf = ...
+        static.append(leaf)
+        kinds.append(type(leaf))
+    return Shape(structure, tuple(static), tuple(kinds), tuple(shapes)), arrays
 
 
 def _if_array(leaf: Any, otherwise: Any = None) -> Any:
