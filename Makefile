@@ -11,7 +11,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint types docs notebooks figures bench bench-more bench-inverse extremes soak clean distclean
+.PHONY: help demo test quick lint types docs notebooks figures bench bench-more bench-inverse extremes soak clean distclean
 
 help: ## list all targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -21,6 +21,9 @@ demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out
 
 test: $(VENV)/installed-dev ## run the tests
 	@$(BIN)/python -m pytest
+
+quick: $(VENV)/installed-dev ## run the tests of equilibria, paths and models, after every edit (90 seconds)
+	@$(BIN)/python -m pytest --quiet $(QUICK)
 
 lint: $(VENV)/installed-dev ## check style and formatting (ruff)
 	@$(BIN)/ruff check .
@@ -56,6 +59,11 @@ extremes: $(VENV)/installed-dev ## scan scenes at the limits of every parameter'
 
 soak: $(VENV)/installed-dev ## check 100,000 random scenes (half an hour on two cores)
 	@$(call run,soak soak_supports report)
+
+# Everything that a scan rests on, without the tests that need further programs.
+QUICK := tests/equilibrium tests/path tests/physics/test_reference_scans.py tests/scan/test_batches.py \
+    tests/base/test_leaves.py tests/base/test_linear_algebra.py tests/docs/test_layout.py \
+    $(filter-out $(addprefix tests/model/test_,motion.py contour.py profiles.py),$(wildcard tests/model/*.py))
 
 run = for name in $(1); do echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit 1; done
 draw = $(BIN)/python figures/results.py

@@ -1,5 +1,7 @@
 """Float64, caches of compiled code shared by workers and runs, reproducible random scenes, limited compiled code."""
 
+import contextlib
+import ctypes
 import gc
 import hashlib
 import os
@@ -34,6 +36,7 @@ if "XLA_FLAGS" not in os.environ:
 jax.config.update("jax_enable_x64", True)
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("MALLOC_ARENA_MAX", "2")  # of workers, so that memory that one thread freed serves the others
 
 # Not in the user's home. JAXWHISKER_CACHE=off runs the tests without stored programs.
 os.environ.setdefault("JAXWHISKER_CACHE", str(Path(__file__).parents[1] / ".cache" / "programs"))
@@ -87,7 +90,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 MAPPINGS = 20_000  # of memory; Linux allows 65,530 per process, beyond which the compiler crashes
-MEMORY = 1.5e9  # bytes that a worker may use when the next module begins
+MEMORY = 1.2e9  # bytes that a worker may use when the next module begins
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -105,3 +108,5 @@ def _release_compiled_code():
         jax.clear_caches()
         program.clear()
         gc.collect()
+        with contextlib.suppress(OSError, AttributeError):  # of other C libraries
+            ctypes.CDLL(None).malloc_trim(0)

@@ -11,6 +11,7 @@ from jaxwhisker._inverse.points import PointStatus
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import NORMAL_95
 from jaxwhisker._model.scene import Sensor
+from scenes import cone
 
 POINT = 1e-7  # of the length; for exact signals 1e-13 is usual
 STRONG = 10.0  # standard deviations that a contact force has to have for errors to be linear in the noise
@@ -55,17 +56,14 @@ def follicle():
         jw.Spring((1, 2), 12.0, 0.05, axis="phi"),
         jw.Spring((0, 2), 90.0, axis="y"),
     )
-    whiskers = jw.Whisker(1.0, lambda s: (1 - 0.8 * s) ** 4), jw.Whisker(1.1, 2.0)
+    whiskers = cone(0.2), jw.Whisker(1.1, 2.0)
     mounts = jw.Mount(0.05, 0.02, 0.1), jw.Mount(0.0, 0.03, -0.2)
     return jw.Scene(whiskers, jw.Parabola(0.2), jw.Support(springs, mounts), jw.Shooting(steps=16))
 
 
 OTHERS = {
-    "cone": lambda: jw.Scene(
-        jw.Whisker(1.0, lambda s: (1 - 0.8 * s) ** 4), jw.Parabola(0.2), jw.Support.fb(70.0), jw.Shooting(steps=16)
-    ),
-    "curved": lambda: jw.Scene(
-        jw.Whisker(intrinsic_curvature=0.6), jw.Parabola(0.2), jw.Support.fb(70.0), jw.Shooting(steps=16)
+    "curved cone": lambda: jw.Scene(
+        cone(0.2, curvature=(0.4, 0.6)), jw.Parabola(0.2), jw.Support.fb(70.0), jw.Shooting(steps=16)
     ),
     "springs along all axes, two kinds of whisker": follicle,
     "rotation, other units": lambda: jw.Scene(

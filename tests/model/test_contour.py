@@ -78,7 +78,7 @@ def test_other_units():
 
 @pytest.fixture(scope="module")
 def scan():
-    return jax.jit(lambda contour: jw.scan(jw.Scene(jw.Whisker(), contour, jw.Support.fb(70.0)), CONTROL))
+    return lambda contour: jw.scan(jw.Scene(jw.Whisker(), contour, jw.Support.fb(70.0)), CONTROL)
 
 
 @pytest.mark.parametrize(("profile", "error"), [(jw.Circle(0.3, 1.0), CIRCLE), (jw.Parabola(0.2), PARABOLA)])

@@ -16,6 +16,18 @@ EXACT = 1e-12
 SAME = 1e-8  # two parametrisations of one object
 
 
+class Curve(eqx.Module):
+    """A parabola, a quartic or a dented parabola; graphs of this file."""
+
+    height: float | jax.Array
+    bow: float | jax.Array = 1.0
+    growth: float | jax.Array = 0.0
+    dent: float | jax.Array = 0.0
+
+    def __call__(self, x):
+        return self.height + self.bow * x**2 + self.growth * x**4 + self.dent * jnp.exp(-(((x - 0.2) / 0.1) ** 2))
+
+
 def test_points_lie_on_the_object():
     p = jw.Parabola(0.3, 2.0, 0.4).point(0.8)
     assert abs(p.y - (0.3 + 2.0 * (p.x - 0.4) ** 2)) < EXACT
@@ -35,7 +47,7 @@ def test_a_tilted_profile_is_turned_about_its_point():
 
 
 def test_a_small_circle_is_first_met_by_the_shaft():
-    scene = jw.Scene(jw.Whisker(), jw.Circle(0.3, 0.2), jw.Support.fbfbr(70.0))
+    scene = jw.Scene(jw.Whisker(), jw.Circle(0.3, 0.2), jw.Support.fb(70.0))
     result = jw.scan(scene)
     assert all_ok(result)
     touch = result.events.of(jw.EventKind.touch, 1)[0]
@@ -49,15 +61,15 @@ def test_a_small_circle_is_first_met_by_the_shaft():
 
 def test_an_ellipse_with_equal_axes_is_a_circle():
     control = np.linspace(0.9, -1.7, 131)
-    circle = jw.scan(jw.Scene(jw.Whisker(), jw.Circle(0.3, 1.0), jw.Support.fbfbr(70.0)), control)
-    ellipse = jw.scan(jw.Scene(jw.Whisker(), jw.Ellipse(0.3, 1.0, 1.0), jw.Support.fbfbr(70.0)), control)
+    circle = jw.scan(jw.Scene(jw.Whisker(), jw.Circle(0.3, 1.0), jw.Support.fb(70.0)), control)
+    ellipse = jw.scan(jw.Scene(jw.Whisker(), jw.Ellipse(0.3, 1.0, 1.0), jw.Support.fb(70.0)), control)
     for name in ("fx", "fy", "mz"):
         np.testing.assert_allclose(getattr(circle, name), getattr(ellipse, name), atol=SAME)
 
 
 def test_the_graph_of_a_parabola_is_the_parabola():
     control = np.linspace(0.9, -1.7, 131)
-    graph = jw.scan(jw.Scene(jw.Whisker(), jw.Graph(lambda x: 0.2 + x**2), jw.Support.fb(70.0)), control)
+    graph = jw.scan(jw.Scene(jw.Whisker(), jw.Graph(Curve(0.2)), jw.Support.fb(70.0)), control)
     parabola = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0)), control)
     assert all_ok(graph)
     for name in ("fx", "fy", "mz", "base_x"):
@@ -76,23 +88,15 @@ def test_a_graph_may_end_like_a_semicircle():
 
 def test_a_graph_in_other_units():
     control = np.linspace(0.9, -1.5, 25)
-    one = jw.scan(jw.Scene(jw.Whisker(), jw.Graph(lambda x: 0.2 + x**2), jw.Support.fb(70.0)), control)
-    stretched = jw.Scene(jw.Whisker(10.0), jw.Graph(lambda x: 2.0 + x**2 / 10), jw.Support.fb(0.07, 2.0))
+    one = jw.scan(jw.Scene(jw.Whisker(), jw.Graph(Curve(0.2)), jw.Support.fb(70.0)), control)
+    stretched = jw.Scene(jw.Whisker(10.0), jw.Graph(Curve(2.0, 0.1)), jw.Support.fb(0.07, 2.0))
     ten = jw.scan(stretched, 10 * control)
     np.testing.assert_allclose(np.asarray(ten.fy) * 100, one.fy, atol=SAME)
 
 
-class Quartic(eqx.Module):
-    height: jax.Array
-    growth: jax.Array
-
-    def __call__(self, x):
-        return self.height + x**2 + self.growth * x**4
-
-
 def test_a_graph_with_parameters_goes_through_vmap():
     def peak(growth):
-        scene = jw.Scene(jw.Whisker(), jw.Graph(Quartic(jnp.asarray(0.2), growth)), jw.Support.fb(70.0))
+        scene = jw.Scene(jw.Whisker(), jw.Graph(Curve(0.2, growth=growth)), jw.Support.fb(70.0))
         return jnp.max(jw.scan(scene, jnp.linspace(0.8, -1.5, 64)).fy)
 
     peaks = jax.vmap(peak)(jnp.array([0.0, 0.5, 1.0]))
@@ -100,7 +104,7 @@ def test_a_graph_with_parameters_goes_through_vmap():
 
 
 def test_a_graph_that_is_not_convex_is_reported():
-    dented = jw.Graph(lambda x: 0.2 + x**2 + 0.1 * jnp.exp(-(((x - 0.2) / 0.1) ** 2)))
+    dented = jw.Graph(Curve(0.2, dent=0.1))
     result = jw.scan(jw.Scene(jw.Whisker(), dented, jw.Support.fb(70.0)), np.linspace(0.8, -1.5, 100))
     assert jw.Status.not_convex in np.asarray(result.status)
     bad = np.asarray(result.status) != jw.Status.ok

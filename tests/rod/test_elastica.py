@@ -77,7 +77,7 @@ def test_scans_and_their_derivatives_are_exact():
         values = jnp.stack([getattr(result, name)[:, 0] for name in STATE], axis=-1)
         return values, (values, result.phase, result.status)
 
-    by_p, (ours, phase, status) = jax.jit(jax.jacfwd(states, has_aux=True))(VALUES)
+    by_p, (ours, phase, status) = jax.jacfwd(states, has_aux=True)(VALUES)
     assert np.all(status == jw.Status.ok)
     assert len(np.unique(phase)) == 2
     h = mp.mpf(10) ** -12
@@ -130,7 +130,7 @@ def test_both_methods_agree_on_random_scenes():
     def all_scans(parameters):
         return [jax.vmap(lambda p, rod=rod: scan(p, rod))(parameters) for rod in (jw.Shooting(), jw.ClosedForm())]
 
-    one, other = jax.jit(all_scans)(parameters)
+    one, other = all_scans(parameters)
     np.testing.assert_array_equal(one.status, other.status)
     np.testing.assert_array_equal(one.events.kind, other.events.kind)
     assert np.mean(one.status == jw.Status.ok) > 0.99
