@@ -94,6 +94,16 @@ def test_moving_from_the_other_side_is_the_mirror_image():
     np.testing.assert_allclose(there.mz[49:], -mirrored.mz, atol=SAME * 10)
 
 
+def test_a_whisker_that_touches_during_a_snap_keeps_its_contact():
+    # Where it touches is known to 1e-9 only: the new contact would pull a little, and must not end at once for that.
+    whisker = cone(0.1365558056854707, curvature=(0.7514765001311368, 0.5371876867275924))
+    support, profile = jw.Support.fb(43.88185254548893), jw.Parabola(0.21644107437614563)
+    result = jw.scan(curved(None, whisker, support, profile), CONTROL)
+    assert all_ok(result)
+    (snap,) = result.events.of(jw.EventKind.snap_through)
+    assert snap.before.mz[0] > 0 > snap.after.mz[0]
+
+
 def test_an_unloaded_arc_keeps_its_shape():
     kappa = 0.7
     d = jw.deflect(jw.Whisker(intrinsic_curvature=kappa), jw.PointForce(0.0, position=0.6))
