@@ -35,7 +35,7 @@ def follicle(x=np.inf, y=np.inf, phi=np.inf, mount=(0.0, 0.0, 0.0)):
     return jw.Support.follicle(x=x, y=y, phi=phi, mount=jw.Mount(*mount))
 
 
-def cone(ratio, *, length=1.0, stiffness=1.0, curvature: tuple | None = None):
+def cone(ratio, *, length=1.0, stiffness=1.0, curvature: tuple[float, float] | None = None):
     """A whisker whose tip is `ratio` times as thick as its base, with this bending stiffness at its base.
 
     `curvature` is the intrinsic curvature at the base and at the tip, between which it changes linearly.
