@@ -18,7 +18,7 @@ import optimistix
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._base import linear_algebra, store
+from jaxwhisker._base import linear_algebra, program, store
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.problem import problem_of
 from program_child import SIZES, solved
@@ -241,6 +241,15 @@ def test_a_function_with_a_borrowed_name_has_no_description():
     wrapper.__module__, wrapper.__qualname__ = linear_algebra.solve.__module__, "solve"
     assert store.describe(linear_algebra.solve) == "jaxwhisker._base.linear_algebra.solve"
     assert store.describe(wrapper) is None
+
+
+def test_every_program_of_the_package_can_be_stored():
+    import jaxwhisker._explore.picture
+    import jaxwhisker.plot  # noqa: F401
+
+    own = [one for one in program._PROGRAMS if one.function.__module__.startswith("jaxwhisker")]
+    assert len(own) > 20
+    assert [one for one in own if store.describe(one.function) is None] == []
 
 
 def test_programs_with_users_functions_are_not_stored(folder):

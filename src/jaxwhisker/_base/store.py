@@ -303,6 +303,7 @@ def _named(value: Any) -> str:
     found: Any = sys.modules.get(module) if module.partition(".")[0] in KNOWN and name else None
     for part in name.split("."):
         found = getattr(found, part, None)
-    if found is not value:  # a function that is wrapped has the name of another one
+    # The name of a function may be that of another one, which wraps it; a program that decorates it is as good.
+    if found is not value and getattr(found, "function", None) is not value:
         raise _UnknownError
     return f"{module}.{name}"
