@@ -90,6 +90,7 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
                 parts.append(text)
                 bar.write(str(out / file))
                 bar.update()
+                scans.start()  # not before, because compiling the studies would delay the first result
     page = "\n\n".join(parts) + "\n"
     (out / "README.md").write_text(page, encoding="utf-8")
     (out / "index.html").write_text(html_page(page), encoding="utf-8")

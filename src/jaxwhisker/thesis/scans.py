@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
@@ -80,7 +80,7 @@ def vary(field: str, base: Case = Case(), values: Sequence[float] | None = None)
 
 
 class Scans:
-    """Scans by case, from studies that run in the background.
+    """Scans by case, from studies that run in the background as soon as they are started or needed.
 
     At the end of a `with` block, studies that have not started are cancelled.
     """
@@ -90,7 +90,12 @@ class Scans:
         self._cases: dict[tuple, list[Case]] = {}
         for case in dict.fromkeys(cases):
             self._cases.setdefault(case.structure, []).append(case)
-        self._studies = {key: self._pool.submit(_study, cases) for key, cases in self._cases.items()}
+        self._studies: dict[tuple, Future] = {}
+
+    def start(self) -> None:
+        """Begin the studies, unless they have begun."""
+        if not self._studies:
+            self._studies = {key: self._pool.submit(_study, cases) for key, cases in self._cases.items()}
 
     def __enter__(self):
         return self
@@ -100,6 +105,7 @@ class Scans:
 
     def _data(self, case: Case) -> "xr.Dataset":
         """The point of a study that belongs to a case, with its summary."""
+        self.start()
         return self._studies[case.structure].result().isel(point=self._cases[case.structure].index(case))
 
     def __call__(self, case: Case) -> Result:
