@@ -12,7 +12,7 @@ from jaxwhisker.thesis.catalogue import FIGURES
 from jaxwhisker.thesis.claims import CLAIMS, needed
 from jaxwhisker.thesis.figures import draw, draw_table
 from jaxwhisker.thesis.page import claim_sections, claims_table, figure, html_page, markdown_table, paragraph
-from jaxwhisker.thesis.scans import Scans
+from jaxwhisker.thesis.scans import Case, Scans
 from jaxwhisker.thesis.tables import TABLES, table_rows
 
 CLAIMS_NAME = "claims"
@@ -78,8 +78,11 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     out.mkdir(parents=True, exist_ok=True)
     html_page(TITLE)  # reports a missing package before anything is computed
     parts = [TITLE, paragraph(INTRODUCTION), paragraph(PARAMETERS)]
-    cases = [case for name in wanted if name in FIGURES for case in FIGURES[name].cases]
-    cases += needed() if CLAIMS_NAME in wanted else []
+
+    def cases() -> list[Case]:
+        of_figures = [case for name in wanted if name in FIGURES for case in FIGURES[name].cases]
+        return [*of_figures, *(needed() if CLAIMS_NAME in wanted else [])]
+
     with Scans(cases) as scans, tqdm(total=len(wanted), unit="result", disable=not sys.stderr.isatty()) as bar:
         for heading, write, group in SECTIONS:
             chosen = [name for name in group if name in wanted]

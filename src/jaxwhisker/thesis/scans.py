@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -85,17 +85,23 @@ class Scans:
     At the end of a `with` block, studies that have not started are cancelled.
     """
 
-    def __init__(self, cases: Iterable[Case]):
+    def __init__(self, cases: Callable[[], Iterable[Case]]):
         self._pool = ThreadPoolExecutor(CORES)
+        self._chosen = cases  # choosing the cases compiles the search for the critical stiffness
+        self._begun: Future | None = None
         self._cases: dict[tuple, list[Case]] = {}
-        for case in dict.fromkeys(cases):
-            self._cases.setdefault(case.structure, []).append(case)
         self._studies: dict[tuple, Future] = {}
 
     def start(self) -> None:
         """Begin the studies, unless they have begun."""
-        if not self._studies:
-            self._studies = {key: self._pool.submit(_study, cases) for key, cases in self._cases.items()}
+        if self._begun is None:
+            self._begun = self._pool.submit(self._begin)
+
+    def _begin(self) -> None:
+        for case in dict.fromkeys(self._chosen()):
+            self._cases.setdefault(case.structure, []).append(case)
+        for structure, cases in self._cases.items():
+            self._studies[structure] = self._pool.submit(_study, cases)
 
     def __enter__(self):
         return self
@@ -106,6 +112,7 @@ class Scans:
     def _data(self, case: Case) -> "xr.Dataset":
         """The point of a study that belongs to a case, with its summary."""
         self.start()
+        self._begun.result()  # pyright: ignore[reportOptionalMemberAccess]
         return self._studies[case.structure].result().isel(point=self._cases[case.structure].index(case))
 
     def __call__(self, case: Case) -> Result:
