@@ -15,7 +15,7 @@ SOFT = Case(stiffness=30.0)
 
 @pytest.fixture(scope="module")
 def scans():
-    with Scans(lambda: [CLAMPED_CASE, SOFT, *critical_cases("FB", 0.2)]) as kept:
+    with Scans([CLAMPED_CASE, SOFT, *critical_cases("FB", 0.2)]) as kept:
         yield kept
 
 

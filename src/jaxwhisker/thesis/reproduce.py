@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tqdm import tqdm
@@ -79,11 +79,11 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     html_page(TITLE)  # reports a missing package before anything is computed
     parts = [TITLE, paragraph(INTRODUCTION), paragraph(PARAMETERS)]
 
-    def cases() -> list[Case]:
-        of_figures = [case for name in wanted if name in FIGURES for case in FIGURES[name].cases]
-        return [*of_figures, *(needed() if CLAIMS_NAME in wanted else [])]
+    def cases() -> Iterator[Case]:
+        yield from (case for name in wanted if name in FIGURES for case in FIGURES[name].cases)
+        yield from needed() if CLAIMS_NAME in wanted else []
 
-    with Scans(cases) as scans, tqdm(total=len(wanted), unit="result", disable=not sys.stderr.isatty()) as bar:
+    with Scans(cases()) as scans, tqdm(total=len(wanted), unit="result", disable=not sys.stderr.isatty()) as bar:
         for heading, write, group in SECTIONS:
             chosen = [name for name in group if name in wanted]
             parts += [f"## {heading}"] * bool(chosen)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -85,9 +85,9 @@ class Scans:
     At the end of a `with` block, studies that have not started are cancelled.
     """
 
-    def __init__(self, cases: Callable[[], Iterable[Case]]):
+    def __init__(self, cases: Iterable[Case]):
         self._pool = ThreadPoolExecutor(CORES)
-        self._chosen = cases  # choosing the cases compiles the search for the critical stiffness
+        self._chosen = cases  # a generator does not choose them before the start, because that compiles programs
         self._begun: Future | None = None
         self._cases: dict[tuple, list[Case]] = {}
         self._studies: dict[tuple, Future] = {}
@@ -98,7 +98,7 @@ class Scans:
             self._begun = self._pool.submit(self._begin)
 
     def _begin(self) -> None:
-        for case in dict.fromkeys(self._chosen()):
+        for case in dict.fromkeys(self._chosen):
             self._cases.setdefault(case.structure, []).append(case)
         for structure, cases in self._cases.items():
             self._studies[structure] = self._pool.submit(_study, cases)
