@@ -22,7 +22,7 @@ demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out
 test: $(VENV)/installed-dev ## run the tests
 	@$(BIN)/python -m pytest
 
-quick: $(VENV)/installed-dev ## run the tests of equilibria, paths and models, after every edit (90 seconds)
+quick: $(VENV)/installed-dev ## run the tests of equilibria, paths, exact scans and models, after an edit (a few minutes)
 	@$(BIN)/python -m pytest --quiet $(QUICK)
 
 lint: $(VENV)/installed-dev ## check style and formatting (ruff)
@@ -61,7 +61,7 @@ soak: $(VENV)/installed-dev ## check 100,000 random scenes (half an hour on two 
 	@$(call run,soak soak_supports report)
 
 # Everything that a scan rests on, without the tests that need further programs.
-QUICK := tests/equilibrium tests/path tests/physics/test_reference_scans.py tests/scan/test_batches.py \
+QUICK := tests/equilibrium tests/path tests/physics/test_reference_scans.py \
     tests/base/test_leaves.py tests/base/test_linear_algebra.py tests/docs/test_layout.py \
     $(filter-out $(addprefix tests/model/test_,motion.py contour.py profiles.py),$(wildcard tests/model/*.py))
 
