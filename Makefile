@@ -23,7 +23,7 @@ test: $(VENV)/installed-dev ## run the tests
 	@$(BIN)/python -m pytest
 
 quick: $(VENV)/installed-dev ## run the tests of equilibria, paths, exact scans and models, after an edit (a few minutes)
-	@$(BIN)/python -m pytest --quiet $(QUICK)
+	@$(BIN)/python -m pytest --quiet $(CORE_TESTS)
 
 lint: $(VENV)/installed-dev ## check style and formatting (ruff)
 	@$(BIN)/ruff check .
@@ -61,7 +61,7 @@ soak: $(VENV)/installed-dev ## check 100,000 random scenes (half an hour on two 
 	@$(call run,soak soak_supports report)
 
 # Everything that a scan rests on, without the tests that need further programs.
-QUICK := tests/equilibrium tests/path tests/physics/test_reference_scans.py \
+CORE_TESTS := tests/equilibrium tests/path tests/physics/test_reference_scans.py \
     tests/base/test_leaves.py tests/base/test_linear_algebra.py tests/docs/test_layout.py \
     $(filter-out $(addprefix tests/model/test_,motion.py contour.py profiles.py),$(wildcard tests/model/*.py))
 
