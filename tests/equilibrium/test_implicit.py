@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 import jaxwhisker as jw
 from exact_contacts import DISTANCE, branch, contacts, fb_control, fbfb_at
 from jaxwhisker._base.program import Program
-from jaxwhisker._equilibrium.implicit import solved, solved_event, without_rule
+from jaxwhisker._equilibrium.implicit import event_control, solved, without_rule
 from jaxwhisker._equilibrium.newton import newton_step, solve_point
 from jaxwhisker._equilibrium.point import Mode, Point, Row, at_control, at_event
 from jaxwhisker._equilibrium.problem import problem_of
@@ -117,7 +117,7 @@ def events():
         along = jax.lax.stop_gradient(along)
         no = jnp.asarray(False)
         row = at_event(jnp.ones(1, bool), z, unloaded=no, phase=kind == 0, vertex=kind == 1, control=no, u0=u)
-        return solved_event(point, problem, mode, along, row, kind == 2).u
+        return event_control(point, problem, mode, along, row, kind == 2)
 
     @Program
     @jax.vmap

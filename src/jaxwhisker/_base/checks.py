@@ -67,7 +67,9 @@ def all_finite(tree: Any) -> jax.Array:
 
 def as_float(leaf: Any) -> Any:
     """Convert a numeric leaf to a float64 array, which jit treats as data; return other leaves unchanged."""
-    return jnp.asarray(leaf, dtype=float) if is_numeric(leaf) else leaf
+    if isinstance(leaf, jax.Array):
+        return jnp.asarray(leaf, dtype=float)
+    return jax.device_put(np.asarray(leaf, dtype=float)) if is_numeric(leaf) else leaf
 
 
 def fail(name: str, allowed: str, got: Any) -> NoReturn:

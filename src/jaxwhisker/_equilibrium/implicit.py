@@ -1,22 +1,27 @@
 """Derivatives of solved points by the implicit function theorem; they do not depend on the solver's iterations."""
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, PyTree
 
 from jaxwhisker._base.leaves import Tree
-from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import BaseEquations, Phase
 from jaxwhisker._equilibrium.newton import (
     Condensed,
+    change_along,
     condense,
     evaluate,
-    newton_step,
-    solve_coupled,
+    linear_system,
     with_dummy_contacts,
 )
-from jaxwhisker._equilibrium.point import Mode, Point, Row, scale_of, unit
-from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.point import Mode, Point, Row, at_control, scale_of
+from jaxwhisker._equilibrium.problem import Poses, Problem
 
 
 def without_rule(point: Tree, known: PyTree) -> Tree:
@@ -48,8 +53,7 @@ def _(primals, tangents):
     point, problem, mode, row = primals
     _, problem_dot, _, row_dot = tangents
     here = solved(point, problem, mode, row)
-    _, point_dot = _implicit_step(here, problem, mode, row, problem_dot, row_dot)
-    return here, point_dot
+    return here, _implicit_step(here, problem, mode, row, problem_dot, row_dot).drift
 
 
 def _linear(function, *at):
@@ -70,10 +74,25 @@ def _no_tangents(tree):
     return jax.tree.map(lambda _: None, tree)
 
 
-def _implicit_step(
-    here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot
-) -> tuple[Condensed, Point]:
-    """The condensed whiskers at a solution, and the solution's tangent for given tangents of problem and row."""
+def _tangent(function, at, dot):
+    """Tangent of a function's value; 0 if all tangents `dot` are None."""
+    found = eqx.filter_jvp(function, (at,), (dot,))[1]
+    return 0.0 if found is None else found
+
+
+class _ImplicitStep(NamedTuple):
+    """The linearised equations at a solution."""
+
+    at: Condensed
+    gradient: BaseEquations
+    by_u: BaseEquations | None
+    drift: Point  # tangent of the solution for given tangents of problem and row
+    tangent: Point  # of the path
+    left: Poses  # at a fold, the left null vector of the network's equations
+
+
+def _implicit_step(here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot) -> _ImplicitStep:
+    """Solve the linearised equations at a solution for given tangents of problem and row (None for zero)."""
     z, phase = with_dummy_contacts(problem, here.z, mode.phase)
     value, differential = _linear(
         lambda problem, z, u: evaluate(problem, Point(z, u), phase, mode.side), problem, z, here.u
@@ -82,61 +101,126 @@ def _implicit_step(
     columns = jax.vmap(lambda e: differential(_no_tangents(problem), jnp.broadcast_to(e, z.shape), None))(jnp.eye(3))
     gradient = jax.tree.map(jnp.transpose, columns)
     by_u = differential(_no_tangents(problem), None, jnp.ones_like(here.u)) if problem.frames_move else None
-    value_dot = differential(problem_dot, None, None)
+    at = condense(problem, here.z, mode, value, gradient, by_u)
+    # Residuals are linear in the values, and so are their tangents in those of the values.
+    dot = condense(problem, here.z, mode, differential(problem_dot, None, None), gradient, by_u)
+    yielding_dot = _tangent(lambda problem: problem.rest(here.u) + problem.displacement(at.load), problem, problem_dot)
+    touching = (mode.phase != Phase.free)[:, None]
+    network_dot = jnp.where(touching, dot.pose - yielding_dot - problem.displacement(dot.load), 0.0)
+    row_dot = 0.0 if row_dot is None else _tangent(lambda row: row.residual(here, at.slope_sin), row, row_dot)
+    slope_sin_dot = dot.slope_sin + jnp.sum(dot.slope_sin_gradient * dot.particular, axis=-1)
+    row_dot += jnp.sum(row.weight_z * dot.particular) + jnp.sum(row.vertex * slope_sin_dot)
+    # The inverse does not depend on tangents, in which everything else is linear.
+    system = linear_system(problem, mode, row, at)
+    inverse = solve(system, jnp.eye(system.shape[0]))
+    residual_dot = jnp.append(jnp.ravel(network_dot), row_dot)
+    drift, _, _ = change_along(at, -jnp.sum(inverse * residual_dot, axis=1))
+    tangent, _, _ = change_along(at, inverse[:, -1])
+    left = jnp.reshape(inverse[-1, :-1], at.pose.shape)
+    return _ImplicitStep(at, gradient, by_u, drift._replace(z=drift.z + dot.particular), tangent, left)
 
-    def at(problem, value):
-        return condense(problem, here.z, mode, value, gradient, by_u)
 
-    def step(value, problem, row):
-        # The derivative of the Jacobian does not matter: it is multiplied by residuals, which are zero.
-        return solve_coupled(problem, mode, row, here, at(problem, value)).step
+def _singularity(here: Point, mode: Mode, linear: _ImplicitStep) -> Callable[[Point, Problem], Array]:
+    """A function of a point and the problem that vanishes at the fold `here` and at folds nearby, to first order.
 
-    _, point_dot = eqx.filter_jvp(step, (value, problem, row), (value_dot, problem_dot, row_dot))
-    return at(problem, value), point_dot
+    At a fold, the Jacobian F_z of the equations F by the contacts has a null vector t, the path's tangent, and a left
+    null vector w. To first order, a change of w F_z t does not depend on the changes of w and t.
+    """
+
+    def function(point: Point, problem: Problem):
+        def equations(z):
+            contacts, phase = with_dummy_contacts(problem, z, mode.phase)
+            value = evaluate(problem, Point(contacts, point.u), phase, mode.side)
+            at = condense(problem, here.z, mode, value, linear.gradient, linear.by_u)
+            network = at.pose - problem.rest(point.u) - problem.displacement(at.load)
+            return jnp.sum(jnp.where((mode.phase != Phase.free)[:, None], linear.left * network, 0.0))
+
+        return jax.jvp(equations, (point.z,), (linear.tangent.z,))[1]
+
+    return function
+
+
+# An event is a point of a path that satisfies a row or, at a fold, where the control turns back. The equations are
+# solved in a plane transverse to the path's direction `along`, where they are regular at folds too. The distance that
+# the event then moves along the path follows from the event's own equation. At a fold this is du/ds = 0, whose
+# derivative needs second derivatives of the whiskers. The control does not change along the path there, so its own
+# derivative needs none.
 
 
 @eqx.filter_custom_jvp
-def solved_event(point: Point, problem: Problem, mode: Mode, along: Point, row: Row, fold: Bool[Array, ""]) -> Point:
-    """The point of a path that satisfies the row or, at a fold, where the control turns back; with its derivatives.
-
-    The equations are solved in a plane transverse to the path's direction `along`, where they are regular at folds too.
-    The distance that the event then moves along the path follows from the event's own equation. At a fold this is
-    du/ds = 0, whose derivative needs second derivatives of the whiskers.
-    """
+def event_control(point: Point, problem: Problem, mode: Mode, along: Point, row: Row, fold: Bool[Array, ""]) -> Scalar:
+    """The control of an event, with its derivatives."""
     del mode, along, fold
-    return without_rule(point, (problem, row))
+    return without_rule(point, (problem, row)).u
 
 
-@solved_event.def_jvp
+@event_control.def_jvp
 def _(primals, tangents):
     point, problem, mode, along, row, fold = primals
     _, problem_dot, _, _, row_dot, _ = tangents
-    here = solved_event(point, problem, mode, along, row, fold)
-    none = jnp.zeros_like(here.z[:, 0])
-    weight = jax.lax.stop_gradient(
-        Point(along.z / scale_of(here.z) ** 2, along.u)
-    )  # any plane transverse to the path would do
-    across = Row(weight.z, here.z, weight.u, here.u, none)
-    at, drift = _implicit_step(here, problem, mode, across, problem_dot, _no_tangents(across))
-    tangent = solve_coupled(problem, mode, across, here, at).tangent
+    here = event_points(Sides(point, None), problem, Sides(mode, None), along, row, fold).before
+    linear = _implicit_step(here, problem, mode, _across(here, along), problem_dot, None)
+    moved = _distance_to_row(here, mode, linear, ~fold, (problem, row), (problem_dot, row_dot))
+    return here.u, linear.drift.u + moved * linear.tangent.u
 
-    def row_residual(point, problem, row):
-        touching = mode.phase != Phase.free
+
+class Sides(NamedTuple):
+    """What holds before and after an event."""
+
+    before: Any
+    after: Any
+
+
+@eqx.filter_custom_jvp
+def event_points(points: Sides, problem: Problem, modes: Sides, along: Point, row: Row, fold: Bool[Array, ""]) -> Sides:
+    """The points before and after an event, which have the same control, with their derivatives; after may be None."""
+    del modes, along, fold
+    return without_rule(points, (problem, row))
+
+
+@event_points.def_jvp
+def _(primals, tangents):
+    points, problem, modes, along, row, fold = primals
+    _, problem_dot, _, _, row_dot, _ = tangents
+    points = event_points(points, problem, modes, along, row, fold)
+    here, mode, after = points.before, modes.before, points.after
+    sides = [(here, mode, _across(here, along))]
+    if after is not None:
+        sides.append((after, modes.after, at_control(after.u, after.z)))
+    # With both sides in one batch, the whiskers' equations are differentiated only once.
+    steps = jax.vmap(lambda here, mode, row: _implicit_step(here, problem, mode, row, problem_dot, None))(
+        *jax.tree.map(lambda *leaves: jnp.stack(leaves), *sides)
+    )
+    linear = [jax.tree.map(lambda leaf, k=k: leaf[k], steps) for k in range(len(sides))]
+    at, drift = linear[0], linear[0].drift
+    by_row = _distance_to_row(here, mode, at, ~fold, (problem, row), (problem_dot, row_dot))
+    by_turn = _distance(_singularity(here, mode, at), here, at, fold, (problem,), (problem_dot,))
+    u_dot = drift.u + by_row * at.tangent.u
+    before_dot = Point(drift.z + (by_row + by_turn) * at.tangent.z, u_dot)
+    if after is None:
+        return points, Sides(before_dot, None)
+    return points, Sides(before_dot, Point(linear[1].drift.z + linear[1].tangent.z * u_dot, u_dot))
+
+
+def _across(here: Point, along: Point) -> Row:
+    """The row of a plane through a point of the path, transverse to the path."""
+    weight = jax.lax.stop_gradient(Point(along.z / scale_of(here.z) ** 2, along.u))  # any such plane would do
+    return Row(weight.z, here.z, weight.u, here.u, jnp.zeros_like(here.z[:, 0]))
+
+
+def _distance(vanishing: Callable, here: Point, linear: _ImplicitStep, holds: Bool[Array, ""], known, known_dot):
+    """Distance by which an event moves along the path to keep `vanishing` zero; 0 unless `holds`."""
+    _, rate = _linear(vanishing, here, *known)
+    by_drift, by_tangent = rate(linear.drift, *known_dot), rate(linear.tangent, *_no_tangents(known))
+    return jnp.where(holds, -by_drift / jnp.where(holds, by_tangent, 1.0), 0.0)
+
+
+def _distance_to_row(here: Point, mode: Mode, linear: _ImplicitStep, holds: Bool[Array, ""], known, known_dot):
+    """Distance by which an event moves along the path to satisfy its row."""
+
+    def residual(point: Point, problem: Problem, row: Row):
         at_contact, _ = with_dummy_contacts(problem, point.z, mode.phase)
         slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(at_contact[:, 1])
-        return row.residual(point, jnp.where(touching, slope_sin, 0.0))
+        return row.residual(point, jnp.where(mode.phase != Phase.free, slope_sin, 0.0))
 
-    def turn(point, problem):
-        row = Row(weight.z, point.z, weight.u, point.u, none)
-        return unit(newton_step(problem, mode, row, point, problem.rod.for_rates()).tangent, point.z)[0].u
-
-    def distance(vanishing, holds, known, known_dot):
-        """Distance by which the event moves along the path to keep `vanishing` zero; 0 unless `holds`."""
-        _, rate = _linear(vanishing, here, *known)
-        by_drift, by_tangent = rate(drift, *known_dot), rate(tangent, *_no_tangents(known))
-        return jnp.where(holds, -by_drift / jnp.where(holds, by_tangent, 1.0), 0.0)
-
-    by_row = distance(row_residual, ~fold, (problem, row), (problem_dot, row_dot))
-    by_turn = distance(turn, fold, (problem,), (problem_dot,))
-    # At a fold the control does not change along the path: its derivative needs no second derivatives.
-    return here, Point(drift.z + (by_row + by_turn) * tangent.z, drift.u + by_row * tangent.u)
+    return _distance(residual, here, linear, holds, known, known_dot)

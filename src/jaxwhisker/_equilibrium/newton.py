@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
@@ -166,26 +167,18 @@ def newton_step(
 
 def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Condensed) -> NewtonStep:
     """Solve the linearised equations of the network and the row for condensed whiskers."""
-    n, axes = at.load.shape
-    touching, size = (mode.phase != Phase.free)[:, None], n * axes
+    touching = (mode.phase != Phase.free)[:, None]
     coupled = touching & ~mode.separate
     network = jnp.where(coupled, at.pose - problem.rest(point.u) - problem.displacement(at.load), 0.0)
     slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
     row_residual = row.residual(Point(point.z + at.particular, point.u), slope_sin)
     row_residual = jnp.where(mode.separate, 0.0, row_residual)
-    system, right = _linear_system(problem, mode, row, at, network, row_residual)
-    solution = solve(system, right)
-
-    def moved(column):
-        """Changes of contacts and control, poses, and loads for a column of the whiskers' steps and the control."""
-        steps, du = jnp.reshape(column[:size], (n, axes)), column[size]
-        pose, load = _times(at.pose_by, steps), _times(at.load_by, steps)
-        if at.pose_by_u is not None and at.load_by_u is not None:
-            pose, load = pose + at.pose_by_u * du, load + at.load_by_u * du
-        return Point(_times(at.basis, steps), du), pose, load
-
-    step, pose, load = moved(solution[:, 0])
-    tangent, tangent_pose, tangent_load = moved(solution[:, 1])
+    system = linear_system(problem, mode, row, at)
+    residuals = jnp.append(jnp.ravel(network), row_residual)
+    last = np.eye(residuals.size)[-1]
+    solution = solve(system, jnp.stack([-residuals, last], axis=1))
+    step, pose, load = change_along(at, solution[:, 0])
+    tangent, tangent_pose, tangent_load = change_along(at, solution[:, 1])
     load = at.load + load
     return NewtonStep(
         step._replace(z=step.z + at.particular),
@@ -200,17 +193,27 @@ def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Cond
     )
 
 
-def _linear_system(
-    problem: Problem, mode: Mode, row: Row, at: Condensed, network: Poses, row_residual: Scalar
-) -> tuple[Float[Array, "rows rows"], Float[Array, "rows 2"]]:
-    """Matrix, and right-hand sides for the Newton step and the tangent.
+Change = tuple[Point, Poses, Poses]  # of contacts and control, of poses, and of loads
+
+
+def change_along(at: Condensed, steps: Float[Array, " rows"]) -> Change:
+    """The changes when whiskers move along and across their branches, and the control (last) moves."""
+    n, axes = at.load.shape
+    own, du = jnp.reshape(steps[: n * axes], (n, axes)), steps[n * axes]
+    pose, load = _times(at.pose_by, own), _times(at.load_by, own)
+    if at.pose_by_u is not None and at.load_by_u is not None:
+        pose, load = pose + at.pose_by_u * du, load + at.load_by_u * du
+    return Point(_times(at.basis, own), du), pose, load
+
+
+def linear_system(problem: Problem, mode: Mode, row: Row, at: Condensed) -> Float[Array, "rows rows"]:
+    """Derivatives of the residuals of the network and the row with respect to the steps and the control.
 
     If `mode.separate`, whiskers keep their places along their branches, and the equations of the network and the row
     are left out.
     """
     n, axes = at.load.shape
     touching, size = (mode.phase != Phase.free)[:, None], n * axes
-    # Derivatives of the network's residuals with respect to the steps and the control.
     coupling = block_diagonal(at.pose_by)
     if problem.flexibility is not None:
         yields = times_block_diagonal(problem.flexibility.matrix, at.load_by)
@@ -225,17 +228,7 @@ def _linear_system(
     coupling = jnp.where(apart, jnp.eye(size), coupling)
     by_control, along = (jnp.where(apart, 0.0, jnp.ravel(value)) for value in (by_control, along))
     row_u = jnp.where(apart, 1.0, row.weight_u)
-    system = jnp.block([[coupling, by_control[:, None]], [along[None, :], row_u[None, None]]])
-    right = (
-        jnp.zeros((size + 1, 2))
-        .at[:size, 0]
-        .set(-jnp.ravel(network))
-        .at[size, 0]
-        .set(-row_residual)
-        .at[size, 1]
-        .set(1.0)
-    )
-    return system, right
+    return jnp.block([[coupling, by_control[:, None]], [along[None, :], row_u[None, None]]])
 
 
 def _times(matrices: Float[Array, "whiskers rows axes"], steps: Poses) -> Float[Array, "whiskers rows"]:

@@ -26,7 +26,7 @@ from jaxwhisker._equilibrium.problem import Problem, problem_of
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, Path
 from jaxwhisker._scan.scan import BLOCK, follow_path_now, solve_steps_now
-from jaxwhisker._scan.signals import before_event, event_nodes
+from jaxwhisker._scan.signals import control_at_event, event_nodes
 from jaxwhisker._scan.steps import Solutions, states
 
 WIDTH = 4  # directions are padded to a multiple of this, so that different numbers of parameters share programs
@@ -45,13 +45,13 @@ class EventTable(NamedTuple):
 def event_table(problem: Problem, path: Path) -> EventTable:
     """The events of a scan without the states before and after them, which cost most."""
     node, previous, filled, _ = event_nodes(path)
-    before, mode = jax.vmap(partial(before_event, problem))(node, previous)
+    control, mode = jax.vmap(partial(control_at_event, problem))(node, previous)
     lost = (mode.phase != Phase.free) & (node.phase == Phase.free)
     return EventTable(
         kind=jnp.where(filled, node.kind, -1),
         whiskers=node.whiskers & filled[:, None],
         freed=lost & (filled & (node.kind >= EventKind.release))[:, None],
-        control=jnp.where(filled, before.u * problem.unit.control, jnp.nan),
+        control=jnp.where(filled, control * problem.unit.control, jnp.nan),
         travel=jnp.where(filled, jax.lax.stop_gradient(node.travel * problem.unit.control), jnp.nan),
     )
 

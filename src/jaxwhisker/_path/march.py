@@ -139,8 +139,13 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     blank, unpacked = ravel_pytree(state.pending)
     table = jnp.zeros((capacity, blank.size))
 
+    most = 8 * capacity // CHUNK
+
     def running(carry):
-        return carry[0].task != Task.done
+        # The second condition always holds. Without it, XLA would take the task for a counter and analyse the whole
+        # body again and again for the number of its iterations, which is a third of the time of compilation.
+        state, _, used = carry
+        return (state.task != Task.done) & (used <= most)
 
     def chunk(carry):
         state, table, used = carry
@@ -151,7 +156,7 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
 
         state, (index, rows) = jax.lax.scan(iteration, state, None, length=CHUNK)
         table = table.at[jnp.where(index < 0, capacity, index)].set(rows, mode="drop")
-        full = (state.count >= capacity) | (used >= 8 * capacity // CHUNK)
+        full = (state.count >= capacity) | (used >= most)
         return select(full, state.stopped(Status.too_long), state), table, used + 1
 
     state, table, _ = jax.lax.while_loop(running, chunk, (state, table, jnp.asarray(0)))

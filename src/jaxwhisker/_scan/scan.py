@@ -135,9 +135,18 @@ def _in_blocks(
         xp.pad(values, (0, -count % BLOCK), mode="edge").reshape(-1, BLOCK) for values in (route.control, route.travel)
     )
     blocks = jax.vmap(block)(control, travel)
-    if not checks.is_traced(blocks):  # NumPy joins them without compiling anything
-        blocks = jax.tree.map(np.asarray, blocks)
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf.reshape(control.size, *leaf.shape[2:])[:count]), blocks)
+    if checks.is_traced(blocks):
+        return _joined(blocks, count)
+    # NumPy joins them without compiling anything.
+    return jax.tree.map(jax.device_put, _first_steps(jax.tree.map(np.asarray, blocks), count))
+
+
+def _first_steps(blocks, count: int):
+    """The first steps of arrays whose two leading axes run over blocks and their steps."""
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], blocks)
+
+
+_joined = jax.jit(_first_steps, static_argnums=1)
 
 
 def default_control(scene: Scene) -> np.ndarray:

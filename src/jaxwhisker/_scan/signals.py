@@ -11,9 +11,9 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
 from jaxwhisker._equilibrium.contact import Base, Phase, of_each
-from jaxwhisker._equilibrium.implicit import solved, solved_event
+from jaxwhisker._equilibrium.implicit import Sides, event_control, event_points
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_event
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
 from jaxwhisker._model.scene import Scene, moves_along_x
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, select
@@ -114,26 +114,42 @@ def _event_row(node: Node) -> Row:
     )
 
 
-def before_event(problem: Problem, node: Node, previous: Node) -> tuple[Point, Mode]:
-    """Point and mode before an event. A snap starts at the node before its own: a fold or another event."""
+class _EventPoint(NamedTuple):
+    """What defines the point of an event, as it is before the event."""
+
+    point: Point
+    mode: Mode  # in which the point is solved for
+    along: Point  # direction of the path
+    row: Row
+    fold: Bool[Array, ""]
+
+
+def _event_point(node: Node, previous: Node) -> tuple[_EventPoint, Mode]:
+    """The point of an event, and the mode before it. A snap starts at the node before its own: a fold or an event."""
     snap = node.kind >= EventKind.snap_through
     at = jax.tree.map(lambda a, b: jnp.where(snap, a, b), previous, node)
     no = jnp.asarray(False)
     before_mode = Mode(at.phase_before, at.side_before, no)
-    fold = snap & (at.kind < 0)
     # A touch is solved for as the contact that begins.
     touches = at.kind == EventKind.touch
-    solved_mode = select(touches, Mode(at.phase, at.side, no), before_mode)
+    mode = select(touches, Mode(at.phase, at.side, no), before_mode)
     along = select(touches, at.leaving, at.arriving)
-    z = jnp.where(touches, at.point.z, at.z_before)
-    return solved_event(Point(z, at.point.u), problem, solved_mode, along, _event_row(at), fold), before_mode
+    point = Point(jnp.where(touches, at.point.z, at.z_before), at.point.u)
+    return _EventPoint(point, mode, along, _event_row(at), snap & (at.kind < 0)), before_mode
 
 
-def _before_and_after(problem: Problem, node: Node, previous: Node) -> tuple[tuple[Point, Mode], tuple[Point, Mode]]:
-    before, before_mode = before_event(problem, node, previous)
-    after_mode = Mode(node.phase, node.side, jnp.asarray(False))
-    after = solved(Point(node.point.z, before.u), problem, after_mode, at_control(before.u, node.point.z)).z
-    return (before, before_mode), (Point(after, before.u), after_mode)
+def control_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Scalar, Mode]:
+    """Control of an event, with derivatives, and the mode before it."""
+    at, mode = _event_point(node, previous)
+    return event_control(at.point, problem, at.mode, at.along, at.row, at.fold), mode
+
+
+def _points_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Sides, Sides]:
+    """Points before and after an event, with derivatives, and their modes."""
+    at, before_mode = _event_point(node, previous)
+    mode = Mode(node.phase, node.side, jnp.asarray(False))
+    points = Sides(at.point, Point(node.point.z, at.point.u))
+    return event_points(points, problem, Sides(at.mode, mode), at.along, at.row, at.fold), Sides(before_mode, mode)
 
 
 def _placeholder(node: Node) -> Node:
@@ -183,12 +199,12 @@ def events(problem: Problem, path: Path) -> Events:
     """The events among the nodes from where the drive has reached the first position of the control."""
     node, previous, filled, count = event_nodes(path)
     size = filled.shape[0]
-    sides = jax.vmap(partial(_before_and_after, problem))(node, previous)
+    points, modes = jax.vmap(partial(_points_at_event, problem))(node, previous)
     # With both sides in one batch, the rods are compiled only once.
-    both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides)
+    both = (jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides) for sides in (points, modes))
     states, _ = jax.vmap(lambda point, mode: signals(problem, point.z, point.u, mode))(*both)
     before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)
-    control = sides[0][0].u * problem.unit.control
+    control = points.before.u * problem.unit.control
 
     def filled_with(leaf):
         keep = filled if leaf.ndim == 1 else filled[:, None]
