@@ -88,4 +88,6 @@ def scans(network: str, profile: str, rod: jw.AbstractRod):
         springs = tuple(jw.Spring(ends, p.stiffness[i], p.rest_length[i]) for i, ends in enumerate(NETWORKS[network]))
         return jw.scan(jw.Scene(whiskers, make(**p.profile), jw.Support(springs), rod), p.control)
 
-    return jax.jit(lambda p: jax.vmap(one)(jax.tree.map(jnp.asarray, p)))
+    # Optimised, because this computes for longer than it compiles, also where tests are not optimised otherwise.
+    options = {"xla_backend_optimization_level": 3}
+    return jax.jit(lambda p: jax.vmap(one)(jax.tree.map(jnp.asarray, p)), compiler_options=options)

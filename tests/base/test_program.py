@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from jaxwhisker._base import program as programs
+from jaxwhisker._base.primitive import LANES
 from jaxwhisker._base.program import Program
 
 X = jnp.linspace(0.3, 1.2, 4)
@@ -217,17 +218,17 @@ def test_integers_have_no_derivative():
 
 @pytest.mark.parametrize("count", [5, 64, 130])
 def test_large_batches_run_in_blocks(count, monkeypatch):
-    monkeypatch.setattr(programs, "MOST_SINGLE", 4)
+    monkeypatch.setattr("jaxwhisker._base.primitive.MOST_SINGLE", 4)
     x, y = np.linspace(0.0, 1.0, count), np.linspace(1.0, 2.0, count)
     together, traces = traced(plain, batched=True)
     assert_same(jax.vmap(together)(x, y), jax.vmap(plain)(x, y))
-    assert [lanes for _, lanes in together._executables] == [programs.LANES]
+    assert [lanes for _, lanes in together._executables] == [LANES]
     assert_same(jax.vmap(together, (0, None))(x[::-1], y[0]), jax.vmap(plain, (0, None))(x[::-1], y[0]))
     assert len(traces) == 1
 
 
 def test_other_batches_run_one_by_one(monkeypatch):
-    monkeypatch.setattr(programs, "MOST_SINGLE", 4)
+    monkeypatch.setattr("jaxwhisker._base.primitive.MOST_SINGLE", 4)
     for count, batched in ((4, True), (5, False)):
         run = Program(plain, batched=batched)
         jax.vmap(run, (0, None))(np.linspace(0.0, 1.0, count), Y[0])

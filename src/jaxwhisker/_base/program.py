@@ -2,7 +2,7 @@
 
 Where the arguments of a program have values, the program runs on its own: it is compiled without what surrounds it, and
 everything that runs outside a caller's jit shares it. That includes vmap, jvp, grad and any nesting of them, because
-JAX hands such transformations down to values (see `_jvp` and `_batch`). Inside a caller's jit, the function becomes
+JAX hands such transformations down to values (see primitive.py). Inside a caller's jit, the function becomes
 part of the caller's program.
 
 A program decides how it is differentiated. `frozen` programs have no derivatives: those of the path and of solved
@@ -12,33 +12,28 @@ rule, usually by another program. All others are differentiated by JAX.
 
 import functools
 import gc
-import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.core import ShapedArray, Tracer
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
+from jax.core import Tracer
 from jaxlib.version import __version_info__ as version
 
 from jaxwhisker._base import checks, store
 from jaxwhisker._base.announce import announced
+from jaxwhisker._base.primitive import PRIMITIVE, as_precise, lanes_together
 
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
 # time, and its kernels run equally fast.
 COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if version < (0, 11) else {}
 
 ARRAYS = (np.ndarray, np.generic, jax.Array, jax.ShapeDtypeStruct)
-LANES = 64  # large batches of a `batched` program run in blocks of this size
 MOST_KEPT = 128  # executables of a program in a process; the oldest ones are dropped
-MOST_SINGLE = 32  # smaller batches run one by one, which needs no further executable
 
 
 class Shape(NamedTuple):
@@ -119,8 +114,8 @@ class Program:
         return (shape, self._lanes_of(arrays)) in self._executables
 
     def _lanes_of(self, arrays: Sequence) -> int:
-        """Lanes of the executable that runs arguments below vmap; 0 if it runs each lane alone."""
-        return LANES if self.batched and checks.lanes_of(arrays) > MOST_SINGLE else 0
+        """Lanes of the executable that runs arguments below vmap."""
+        return lanes_together(self, checks.lanes_of(arrays))
 
     def executable(self, *args) -> Any:
         """The executable for arguments of these shapes."""
@@ -250,11 +245,6 @@ def is_array(leaf: Any) -> bool:
     return isinstance(leaf, ARRAYS)
 
 
-def threads() -> int:
-    """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _split(args: tuple, kwargs: dict[str, Any] | None = None) -> tuple[Shape, list]:
     leaves, structure = jax.tree.flatten((args, kwargs or {}))
     arrays, static, kinds, shapes = [], [], [], []
@@ -291,98 +281,10 @@ def _tree(structure: Any, leaves: Sequence, arrays: Any) -> Any:
 
 def _aside(pool: Executor | None, function: Callable) -> Future:
     if pool is not None:
-        return pool.submit(_as_precise(function))
+        return pool.submit(as_precise(function))
     done = Future()
     done.set_result(function())
     return done
-
-
-def _as_precise(function: Callable) -> Callable:
-    """The function with this thread's precision: other threads do not see that `jax.enable_x64` surrounds this one."""
-    precise = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
-
-    def run(*args):
-        with jax.enable_x64(precise):
-            return function(*args)
-
-    return run
-
-
-# Below vmap, jvp and grad, a program is a primitive. `levels` says which arrays have an axis for each vmap, from the
-# outermost one inwards; these axes come first, in the same order.
-PRIMITIVE = Primitive("jaxwhisker_program")
-PRIMITIVE.multiple_results = True
-
-
-@PRIMITIVE.def_impl
-def _run(*arrays, program: Program, shape: Shape, levels: tuple[tuple[bool, ...], ...]) -> list:
-    if not levels:
-        return program.compiled(shape)(*arrays)
-    values = [np.asarray(leaf) for leaf in arrays]
-    sizes = [_size(values, levels, number) for number in range(len(levels))]
-    indices = list(np.ndindex(*sizes))
-    together = program.batched and len(indices) > MOST_SINGLE
-    run = program.compiled(shape, LANES if together else 0)
-
-    def lane(index: tuple[int, ...]) -> list:
-        each = zip(values, zip(*levels, strict=True), strict=True)
-        return [leaf[tuple(k for k, own in zip(index, mapped, strict=True) if own)] for leaf, mapped in each]
-
-    def single(index) -> list:
-        return [np.asarray(leaf) for leaf in run(*lane(index))]
-
-    def block(first: int) -> list:
-        some = indices[first : first + LANES]
-        lanes = [lane(index) for index in [*some, *[some[-1]] * (LANES - len(some))]]
-        results = run(*(np.stack(each) for each in zip(*lanes, strict=True)))
-        return [np.asarray(leaf)[: len(some)] for leaf in results]
-
-    with ThreadPoolExecutor(threads()) as pool:  # XLA alone keeps one processor busy
-        if together:
-            parts = list(pool.map(_as_precise(block), range(0, len(indices), LANES)))
-            joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
-        else:
-            parts = list(pool.map(_as_precise(single), indices))
-            joined = [np.stack(each) for each in zip(*parts, strict=True)]
-    if not indices:
-        joined = [np.zeros((0, *info.shape), info.dtype) for info in program.results(shape).arrays]
-    # Unlike jnp.asarray, device_put compiles nothing for each new shape.
-    return [jax.device_put(leaf.reshape(*sizes, *leaf.shape[1:])) for leaf in joined]
-
-
-def _size(values: list[np.ndarray], levels: tuple[tuple[bool, ...], ...], number: int) -> int:
-    """Size of the axis of a vmap."""
-    which = levels[number].index(True)
-    return values[which].shape[sum(level[which] for level in levels[:number])]
-
-
-def _batch(arrays, axes, *, program: Program, shape: Shape, levels):
-    mapped = tuple(axis is not None for axis in axes)
-    arrays = [jnp.moveaxis(leaf, axis, 0) if axis else leaf for leaf, axis in zip(arrays, axes, strict=True)]
-    results = PRIMITIVE.bind(*arrays, program=program, shape=shape, levels=(mapped, *levels))
-    return results, [0] * len(results)
-
-
-def _jvp(arrays, dots, *, program: Program, shape: Shape, levels):
-    results = PRIMITIVE.bind(*arrays, program=program, shape=shape, levels=levels)
-    some = [not isinstance(dot, ad.Zero) for dot in dots]
-    kept: list[int] = []
-
-    def tangents(arrays, given):
-        rest = iter(given)
-        every = program.tangents(shape, arrays, [next(rest) if one else None for one in some])
-        kept[:] = [k for k, dot in enumerate(every) if dot is not None]
-        return [every[k] for k in kept]
-
-    for level in reversed(levels):
-        axes = [0 if mapped else None for mapped in level]
-        tangents = jax.vmap(tangents, in_axes=(axes, [axis for axis, one in zip(axes, some, strict=True) if one]))
-    given = [ad.instantiate_zeros(dot) for dot, one in zip(dots, some, strict=True) if one]
-    found = tangents(list(arrays), given)
-    out: list = [ad.Zero(jax.typeof(result).to_tangent_aval()) for result in results]
-    for k, dot in zip(kept, found, strict=True):
-        out[k] = dot
-    return results, out
 
 
 def _differentiated(function: Callable[..., list], arrays: Sequence, dots: Sequence) -> list:
@@ -399,21 +301,3 @@ def _differentiated(function: Callable[..., list], arrays: Sequence, dots: Seque
     results = jax.jvp(smooth, tuple(arrays[k] for k in active), tuple(dots[k] for k in active))[1]
     found.update(results)
     return [found.get(k) for k in range(1 + max(found, default=-1))]
-
-
-def _staged(*arrays, program: Program, shape: Shape, levels) -> list:
-    """The results where a caller's jit surrounds transformations that know their values."""
-    function = program.flat(shape)
-    for level in reversed(levels):
-        function = jax.vmap(function, in_axes=[0 if mapped else None for mapped in level])
-    return function(*arrays)
-
-
-batching.primitive_batchers[PRIMITIVE] = _batch
-ad.primitive_jvps[PRIMITIVE] = _jvp
-PRIMITIVE.def_abstract_eval(
-    lambda *avals, **params: [
-        ShapedArray(info.shape, info.dtype) for info in jax.eval_shape(functools.partial(_staged, **params), *avals)
-    ]
-)
-mlir.register_lowering(PRIMITIVE, mlir.lower_fun(_staged, multiple_results=True))

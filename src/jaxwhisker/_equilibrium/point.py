@@ -8,14 +8,14 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.problem import PerWhisker
 
-Contacts = Float[Array, "whiskers 3"]
+Contacts = Float[Array, "*batch whiskers 3"]
 
 
 class Point(NamedTuple):
     """A point of the path, or a direction: contacts z = (force, parameter, slack), and control u; dimensionless."""
 
     z: Contacts
-    u: Scalar
+    u: Float[Array, "*batch"]
 
 
 class Mode(NamedTuple):
@@ -89,7 +89,7 @@ def at_event(
 
 def scale_of(z: Contacts) -> Contacts:
     """Scale in which changes of a contact are measured: 1 + |force| for the force, 1 for parameter and slack."""
-    return jnp.ones_like(z).at[:, 0].add(jnp.abs(z[:, 0]))
+    return jnp.ones_like(z).at[..., 0].add(jnp.abs(z[..., 0]))
 
 
 def dot(a: Point, b: Point, scale: Contacts) -> Scalar:

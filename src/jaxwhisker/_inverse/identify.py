@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.program import threads
+from jaxwhisker._base.primitive import threads
 from jaxwhisker._inverse import parameters
 from jaxwhisker._inverse.features import features, neighbour_scatter
 from jaxwhisker._inverse.fit import Fit, FitProblem

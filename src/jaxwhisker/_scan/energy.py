@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.program import Program
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
@@ -50,7 +51,11 @@ def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
     checks.instance("scene", scene, Scene, "a Scene")
     checks.instance("state", state, State, "a Result or a State")
     fields = {name: jnp.asarray(getattr(state, name)) for name in State.__dataclass_fields__}
-    state, energy = State(**fields), jnp.zeros(())
+    return _energy_now(jax.tree.map(checks.as_float, scene), State(**fields))
+
+
+def _energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
+    energy = jnp.zeros(())
     for k, whisker in enumerate(scene.whiskers):
         energy += _whisker_energy(whisker, jax.tree.map(lambda leaf, k=k: leaf[..., k], state))
     flexibility = scene.support.flexibility()
@@ -102,3 +107,6 @@ def _whisker_energy(whisker: Whisker, state: State) -> Float[Array, "*steps"]:
     for _ in range(state.base_x.ndim):
         integral = jax.vmap(integral)
     return integral(state)
+
+
+_energy_now = Program(_energy)

@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.program import Program, threads
+from jaxwhisker._base.primitive import threads
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control
 from jaxwhisker._equilibrium.problem import Problem, problem_of
@@ -106,7 +107,7 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
             route = route_of(np.asarray(still, dtype=float))
             route = route._replace(control=control) if checks.is_traced(control) else route
     stops, last = across() if route is None else (route.stops, route.last)
-    _prepare(problem, stops.shape[0])
+    prepare(problem, stops.shape[0])
     path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
     path = _if_ok(path, status)
     if route is None and steps is not None:
@@ -143,7 +144,7 @@ def _in_blocks(
 
 def _first_steps(blocks, count: int):
     """The first steps of arrays whose two leading axes run over blocks and their steps."""
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], blocks)
+    return jax.tree.map(lambda leaf: leaf.reshape(leaf.shape[0] * leaf.shape[1], *leaf.shape[2:])[:count], blocks)
 
 
 _joined = jax.jit(_first_steps, static_argnums=1)
@@ -285,7 +286,7 @@ spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
 traced_route_now, evenly_now = Program(traced_route), Program(evenly, frozen=True)
 
 
-def _prepare(problem: Problem, stops: int) -> None:
+def prepare(problem: Problem, stops: int, events: bool = False) -> None:
     """Compile the programs of a scan for a problem shape at the same time; one compiler alone leaves a core idle."""
     ends = np.zeros(stops), np.asarray(0)
     if follow_path_now.is_ready(problem, *ends):
@@ -295,3 +296,5 @@ def _prepare(problem: Problem, stops: int) -> None:
         path = follow_path_now.prepare(pool, problem, *ends).path
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)
         states_now.prepare(pool, problem, block, solutions)
+        if events:
+            events_now.prepare(pool, problem, path)

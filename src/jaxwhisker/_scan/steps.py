@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.implicit import solved
-from jaxwhisker._equilibrium.newton import solve_point
+from jaxwhisker._equilibrium.newton import solve_points
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, at_control, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stability import is_stable
@@ -63,20 +63,22 @@ class Solutions(NamedTuple):
     status: Int[Array, "*steps"]
 
 
-def _solve(problem: Problem, path: Path, index: Int[Array, ""], u: Scalar, known: Int[Array, ""]) -> Solutions:
-    """Solve for the equilibrium at a control after node `index`; `known` is the status of the path there."""
-    mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.asarray(False))
-    guess = interpolate(path, index, u)
-    solution = solve_point(problem, mode, at_control(u, guess.z), guess)
+def _solve(
+    problem: Problem, path: Path, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Int[Array, " steps"]
+) -> Solutions:
+    """Solve for the equilibria at controls after nodes `index`; `known` is the status of the path there."""
+    mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.zeros(index.shape, bool))
+    guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
+    solution = solve_points(problem, mode, jax.vmap(at_control)(u, guess.z), guess)
     z = solution.point.z
-    near = jnp.max(jnp.abs(z - guess.z) / scale_of(z)) < JUMP
-    stable = is_stable(problem, mode, solution.newton.condensed)
+    near = jnp.max(jnp.abs(z - guess.z) / scale_of(z), axis=(1, 2)) < JUMP
+    stable = jax.vmap(lambda *own: is_stable(problem, *own))(mode, solution.newton.condensed)
     status = jnp.where(solution.converged & near, jnp.where(stable, Status.ok, Status.unstable), Status.inexact)
     status = jnp.where(known == Status.ok, status, known)
-    accepted = status == Status.ok
+    accepted = (status == Status.ok)[:, None]
     # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see `safe_placeholder`).
     phase = jnp.where(accepted, mode.phase, Phase.free)
-    return Solutions(jnp.where(accepted, z, 0.0), phase, mode.side, status)
+    return Solutions(jnp.where(accepted[:, None], z, 0.0), phase, mode.side, status)
 
 
 def solve_steps(
@@ -95,8 +97,11 @@ def solve_steps(
     index = jnp.clip(jnp.searchsorted(node_travel, travel + noise, side="right") - 1, 0, path.count - 1)
     beyond = (travel > end + noise) | (path.count == 0)
     known = jnp.where(problem.valid, jnp.where(beyond, path.status, Status.ok), Status.invalid)
-    batch = min(BATCH, control.shape[0])
-    return jax.lax.map(lambda one: _solve(problem, path, *one), (index, u, known), batch_size=batch)
+    count = control.shape[0]
+    batch = min(BATCH, count)
+    padded = [jnp.pad(values, (0, -count % batch), mode="edge").reshape(-1, batch) for values in (index, u, known)]
+    solutions = jax.lax.map(lambda some: _solve(problem, path, *some), padded)
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], solutions)
 
 
 def states(

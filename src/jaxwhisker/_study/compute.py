@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.program import threads
+from jaxwhisker._base.primitive import threads
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import MARGIN
 from jaxwhisker._scan.dataset import VARIABLES, first_failure
 from jaxwhisker._scan.result import arrays_of
 from jaxwhisker._scan.route import across
-from jaxwhisker._scan.scan import STEP, follow_path_now, problem_now, scan
+from jaxwhisker._scan.scan import STEP, follow_path_now, prepare, problem_now, scan
 from jaxwhisker._study.layout import POINT_STATUS, derivative_name
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, lanes_for
 from jaxwhisker._study.structure import fingerprint, sampled
@@ -189,8 +189,9 @@ def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.nda
     """First and last position of the default control of every point, and its step; NaN for invalid points."""
 
     def point(values):
-        problem = problem_now(jax.tree.map(checks.as_float, build(**values)))
-        path = follow_path_now(problem, *map(np.asarray, across()))
+        problem, (stops, last) = problem_now(jax.tree.map(checks.as_float, build(**values))), across()
+        prepare(problem, stops.size, events=True)  # the scans themselves, which follow, need them all
+        path = follow_path_now(problem, stops, np.asarray(last))
         return problem.valid, path.start, path.stop, problem.unit.control
 
     total, lanes = parameters.total, lanes_for(parameters.total)

@@ -20,13 +20,12 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
-from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.scan import scan, scan_across
+from jaxwhisker._scan.scan import problem_now, scan, scan_across
 from jaxwhisker._study.parameters import Parameters
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
     best, passed = Steepest(np.nan, np.nan), scan_across(scene, 2).events.of(EventKind.vertex)
     if not passed:
         return best
-    first, last = float(problem_of(scene).touch_right.x[0]) * float(units(scene).length), passed[0].control
+    first, last = float(problem_now(scene).touch_right.x[0]) * float(units(scene).length), passed[0].control
     for _ in range(SEARCHES):
         x = np.linspace(first, last, SEARCH_STEPS)
         slope, force = (np.asarray(leaf) for leaf in _slope(scene, jnp.asarray(x)))

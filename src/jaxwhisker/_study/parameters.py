@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.program import LANES, MOST_SINGLE
+from jaxwhisker._base.primitive import LANES, MOST_SINGLE
 from jaxwhisker._scan.quantities import Quantity
 
 PointRegion = tuple[slice, ...]  # along the dimensions of the points

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.program import threads
+from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status

@@ -10,16 +10,19 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.program import Program
+from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._equilibrium.problem import Problem, problem_of
 from jaxwhisker._model.motion import Pose, Rotation
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.spring import AXES, Spring
 from jaxwhisker._path.approach import FromAfar
 from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.scan import problem_now
 from jaxwhisker._scan.shapes import shapes_of
 from jaxwhisker._scan.state import State
 
@@ -134,27 +137,39 @@ def start_of(scene: Scene) -> float:
 
     If no whisker touches, it is x of the object's vertex, or the start of a motion that has ends.
     """
-    equations = problem_of(jax.tree.map(checks.as_float, scene))
-    motion, unit = equations.motion, float(equations.unit.control)
+    problem = problem_now(jax.tree.map(checks.as_float, scene))
+    motion, unit = problem.motion, float(problem.unit.control)
     if motion.ends is None:
-        first = float(FromAfar(equations).first_touch()) - BEFORE_TOUCH * motion.onwards
-        return unit * (first if np.isfinite(first) else float(equations.profile.vertex()[0]))
-
-    def clears(u):
-        return jnp.all(equations.stance(u, equations.rest(u)).clear)
-
+        first = float(_first_touch(problem)) - BEFORE_TOUCH * motion.onwards
+        return unit * (first if np.isfinite(first) else float(problem.profile.vertex()[0]))
     start, end = (float(end) / unit for end in motion.ends)
     controls = np.linspace(start, end, CONTROLS)
-    meets = np.flatnonzero(~np.asarray(jax.vmap(clears)(jnp.asarray(controls))))
+    meets = np.flatnonzero(~np.asarray(_clear(problem, controls)))
     return unit * (float(controls[max(meets[0] - 1, 0)]) if meets.size else start)
+
+
+@Program
+def _first_touch(problem: Problem) -> Scalar:
+    return FromAfar(problem).first_touch()
+
+
+@Program
+def _clear(problem: Problem, controls: Float[Array, " controls"]) -> Bool[Array, " controls"]:
+    """Whether all unloaded whiskers are clear of the object, at each control."""
+    return jax.vmap(lambda u: jnp.all(problem.stance(u, problem.rest(u)).clear))(controls)
 
 
 def rest_state(scene: Scene, control: float) -> State:
     """State of the unloaded whiskers at a control, as if there were no object."""
-    equations = problem_of(jax.tree.map(checks.as_float, scene))
-    u = jnp.asarray(control, dtype=float) / equations.unit.control
-    at = equations.in_scene(u, equations.rest(u))
-    size, none = units(scene).length, jnp.zeros(scene.support.whiskers)
+    return _rest_state(*jax.tree.map(checks.as_float, (scene, control)))
+
+
+@Program
+def _rest_state(scene: Scene, control: Scalar) -> State:
+    problem = problem_of(scene)
+    u = control / problem.unit.control
+    at, size = problem.in_scene(u, problem.rest(u)), problem.unit.length
+    none = jnp.zeros(scene.support.whiskers)
     fields = dict.fromkeys(State.__dataclass_fields__, none) | {"phase": none.astype(int)}
     return State(**fields | {"base_x": at.x * size, "base_y": at.y * size, "base_angle": at.angle})
 
