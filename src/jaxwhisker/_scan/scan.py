@@ -97,7 +97,7 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
     """A scan outside any jit; without a control, its positions are `steps` equidistant ones or those of the default."""
     problem = problem_now(scene)
     if not checks.is_traced((scene, control)):
-        _check_valid(scene, problem)
+        check_valid(scene, problem)
     route = status = None
     if control is not None:
         still = jax.lax.stop_gradient(control)
@@ -176,7 +176,7 @@ def _default_control(problem: Problem, start: float, stop: float) -> np.ndarray:
     return start + math.copysign(step, stop - start) * np.arange(count)
 
 
-def _check_valid(scene: Scene, problem: Problem) -> None:
+def check_valid(scene: Scene, problem: Problem) -> None:
     """Raise an error for invalid values that the constructors do not detect."""
     if bool(problem.valid):
         return

@@ -20,12 +20,15 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.scan import problem_now, scan, scan_across
+from jaxwhisker._path.path import EventKind, Path
+from jaxwhisker._scan.route import across
+from jaxwhisker._scan.scan import check_valid, follow_path_now, problem_now
+from jaxwhisker._scan.steps import solve_steps, states
 from jaxwhisker._study.parameters import Parameters
 
 if TYPE_CHECKING:
@@ -61,25 +64,32 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
             "`whisker` and `profile` must be concrete, got traced ones: the steepest slope is found by a search."
         )
     scene = jax.tree.map(checks.as_float, Scene(whisker, profile))
-    best, passed = Steepest(np.nan, np.nan), scan_across(scene, 2).events.of(EventKind.vertex)
-    if not passed:
+    problem = problem_now(scene)
+    check_valid(scene, problem)
+    path, start, _ = follow_path_now(problem, *map(np.asarray, across()))
+    best, unit = Steepest(np.nan, np.nan), float(problem.unit.control)
+    passed = np.flatnonzero(np.asarray(path.nodes.kind)[: int(path.count)] == EventKind.vertex)
+    if passed.size == 0:
         return best
-    first, last = float(problem_now(scene).touch_right.x[0]) * float(units(scene).length), passed[0].control
+    first, last = unit * float(problem.touch_right.x[0]), unit * float(path.nodes.point.u[passed[0]])
     for _ in range(SEARCHES):
         x = np.linspace(first, last, SEARCH_STEPS)
-        slope, force = (np.asarray(leaf) for leaf in _slope(scene, jnp.asarray(x)))
+        slope, force = (np.asarray(leaf) for leaf in _slope(problem, path, x, float(start) - x))
         k = int(np.argmax(np.where(np.isfinite(slope) & (force > 0), slope, -np.inf)))
         best, first, last = Steepest(float(slope[k]), float(x[k])), x[max(k - 1, 0)], x[min(k + 1, SEARCH_STEPS - 1)]
     return best
 
 
 @Program
-def _slope(scene: Scene, base_x: Float[Array, " steps"]) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
+def _slope(
+    problem: Problem, path: Path, base_x: Float[Array, " steps"], travel: Float[Array, " steps"]
+) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
     """dF_x/dx0 and the contact force at positions of the clamped base."""
+    solutions = solve_steps(problem, path, base_x, travel)
 
     def force(base_x):
-        result = scan(scene, base_x)
-        return -result.fx[:, 0], result.contact_force[:, 0]
+        state, _ = states(problem, base_x, solutions)
+        return -state.fx[:, 0], state.contact_force[:, 0]
 
     (_, size), (slope, _) = jax.jvp(force, (base_x,), (jnp.ones_like(base_x),))
     return slope, size
