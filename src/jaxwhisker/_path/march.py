@@ -134,10 +134,12 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     state = _start(problem, stops)
     clear = approach_of(problem).starts_clear(state.point.u, state.pose)
     state = select(clear, state, state.stopped(Status.lost))
-    state = select(problem.valid, state, state.stopped(Status.invalid))
+    stopped = state.stopped(Status.invalid)
+    # Below vmap, every leaf then has lanes from the start, or JAX would find out one by one, and trace the loop each time.
+    state = jax.tree.map(lambda a, b: jnp.where(problem.valid, a, b), state, stopped)
     # A node is written as one row of a table: one write per field would be slow to compile.
     blank, unpacked = ravel_pytree(state.pending)
-    table = jnp.zeros((capacity, blank.size))
+    table = jnp.where(problem.valid, jnp.zeros((capacity, blank.size)), 0.0)
 
     most = 8 * capacity // CHUNK
 
@@ -159,7 +161,7 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
         full = (state.count >= capacity) | (used >= most)
         return select(full, state.stopped(Status.too_long), state), table, used + 1
 
-    state, table, _ = jax.lax.while_loop(running, chunk, (state, table, jnp.asarray(0)))
+    state, table, _ = jax.lax.while_loop(running, chunk, (state, table, jnp.where(problem.valid, 0, 0)))
     return Path(jax.vmap(unpacked)(table), jnp.minimum(state.count, capacity).astype(int), state.status.astype(int))
 
 
