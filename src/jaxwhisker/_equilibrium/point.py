@@ -15,7 +15,7 @@ class Point(NamedTuple):
     """A point of the path, or a direction: contacts z = (force, parameter, slack), and control u; dimensionless."""
 
     z: Contacts
-    u: Float[Array, "*batch"]
+    u: Scalar | Float[Array, "*batch"]
 
 
 class Mode(NamedTuple):

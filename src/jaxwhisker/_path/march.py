@@ -135,7 +135,7 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     clear = approach_of(problem).starts_clear(state.point.u, state.pose)
     state = select(clear, state, state.stopped(Status.lost))
     stopped = state.stopped(Status.invalid)
-    # Below vmap, every leaf then has lanes from the start, or JAX would find out one by one, and trace the loop each time.
+    # Every leaf of a batch has lanes from the start; otherwise JAX would trace the loop again for each that gets them.
     state = jax.tree.map(lambda a, b: jnp.where(problem.valid, a, b), state, stopped)
     # A node is written as one row of a table: one write per field would be slow to compile.
     blank, unpacked = ravel_pytree(state.pending)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -120,10 +121,12 @@ class Scans:
         data = self._data(case)
 
         def arrays(names: Iterable[str], prefix: str = "") -> dict:
-            return {name: jnp.asarray(data[prefix + name].values) for name in names}
+            return {name: jax.device_put(data[prefix + name].values) for name in names}
 
         before, after = (State(**arrays(State.__dataclass_fields__, side)) for side in ("before_", "after_"))
-        fields = arrays(("kind", "control", "count"), "event_") | {"whiskers": jnp.asarray(data.event_whisker.values)}
+        fields = arrays(("kind", "control", "count"), "event_") | {
+            "whiskers": jax.device_put(data.event_whisker.values)
+        }
         signals = arrays([*State.__dataclass_fields__, "control", "spring_length", "status"])
         travel = jnp.abs(fields["control"] - signals["control"][0])
         events = Events(**fields, travel=travel, before=before, after=after)
