@@ -22,7 +22,7 @@ demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out
 test: $(VENV)/installed-dev ## run the tests
 	@$(BIN)/python -m pytest
 
-quick: $(VENV)/installed-dev ## run the tests of equilibria, paths, exact scans and models, after an edit (a few minutes)
+quick: $(VENV)/installed-dev ## run the tests of equilibria, paths, exact scans and models, after an edit (a minute and a half)
 	@$(BIN)/python -m pytest --quiet $(CORE_TESTS)
 
 lint: $(VENV)/installed-dev ## check style and formatting (ruff)

@@ -1,5 +1,6 @@
 """Programs: sharing of compiled code, derivatives, batches and failures, compared with plain jax."""
 
+import gc
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -341,3 +342,21 @@ def test_an_error_while_compiling_does_not_poison_later_calls(monkeypatch):
         run(X[0], Y[0])
     monkeypatch.undo()
     assert_same(run(X[0], Y[0]), plain(X[0], Y[0]))
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_garbage_is_not_collected_during_tracing(enabled):
+    collecting = []
+
+    @programs.Program
+    def traced(x):
+        collecting.append(gc.isenabled())
+        return x + 1
+
+    before = gc.isenabled()
+    try:
+        (gc.enable if enabled else gc.disable)()
+        traced(np.zeros(3))
+        assert collecting == [False] and gc.isenabled() == enabled
+    finally:
+        (gc.enable if before else gc.disable)()

@@ -180,3 +180,14 @@ def test_programs_of_a_scan_have_a_limited_size():
         most = SIZES[program.function.__name__]
         assert lowered.as_text().count("stablehlo.") < GROWTH * most[0], program.function.__name__
         assert fusions < GROWTH * most[1], program.function.__name__
+
+
+def test_the_loop_of_the_march_ends_on_more_than_one_value():
+    # A loop that ends on one value looks like a counter to XLA, which then takes half as long again to compile it.
+    scene = jax.tree.map(as_float, model("FB"))
+    whole = traced(lambda scene: follow_path_now.function(problem_of(scene), *map(jnp.asarray, across())), scene)
+    loops = [equation.params["cond_jaxpr"].jaxpr for equation in whole.eqns if equation.primitive.name == "while"]
+    assert loops
+    for condition in loops:
+        used = {id(v) for equation in condition.eqns for v in equation.invars} & {id(v) for v in condition.invars}
+        assert len(used) > 1

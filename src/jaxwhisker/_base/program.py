@@ -260,7 +260,7 @@ def _split(args: tuple, kwargs: dict[str, Any] | None = None) -> tuple[Shape, li
 
 @contextmanager
 def _without_garbage_collection() -> Iterator[None]:
-    """Collect no garbage: tracing makes a million objects that stay, and to visit them takes a quarter of its time."""
+    """Pause the garbage collector, which would spend a quarter of the time of tracing on objects that stay."""
     enabled = gc.isenabled()
     gc.disable()
     try:
