@@ -54,9 +54,11 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
         checks.vector("at", at)
         index = np.argmin(np.abs(np.asarray(result.control)[:, None] - np.asarray(at)), axis=0)
     fields = {name: getattr(result, name) for name in State.__dataclass_fields__}
-    if not checks.is_traced(fields):  # NumPy compiles nothing for a new shape
-        fields = jax.tree.map(np.asarray, fields)
-    fields, whiskers = {name: values[index] for name, values in fields.items()}, result.scene.whiskers
+    if checks.is_traced(fields):
+        fields = {name: values[index] for name, values in fields.items()}
+    else:  # NumPy compiles nothing for a new shape
+        fields = {name: jax.device_put(np.asarray(values)[index]) for name, values in fields.items()}
+    whiskers = result.scene.whiskers
     return shapes_of(State(**fields), jax.tree.map(checks.as_float, whiskers), points=points)
 
 
