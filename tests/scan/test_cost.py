@@ -75,10 +75,10 @@ def of_scan(function, name="FB"):
     return traced(function, jax.tree.map(jnp.asarray, model(name)))
 
 
-@pytest.mark.parametrize(("name", "most"), [("clamped", 6950), ("FB", 7300), ("FBFB", 7650)])
+@pytest.mark.parametrize(("name", "most"), [("clamped", 6900), ("FB", 7250), ("FBFB", 7600)])
 def test_a_scan_has_a_limited_number_of_operations(name, most):
     # Half of the operations of an FB scan are decisions of the march. A change that adds many needs a reason.
-    # jax 0.12 traces a scan to a tenth fewer operations than jax 0.10. Forty give every leaf of the march its lanes.
+    # jax 0.12 traces a scan to a tenth fewer operations than jax 0.10.
     assert 0.8 * most < operations(of_scan(signals, name)) < most
 
 
@@ -183,7 +183,7 @@ def test_programs_of_a_scan_have_a_limited_size():
 
 
 def test_the_loop_of_the_march_ends_on_more_than_one_value():
-    # A loop that ends on one value looks like a counter to XLA, which then takes half as long again to compile it.
+    # A loop that ends on one value looks like a counter to XLA, which then takes 40 % longer to compile it.
     scene = jax.tree.map(as_float, model("FB"))
     whole = traced(lambda scene: follow_path_now.function(problem_of(scene), *map(jnp.asarray, across())), scene)
     loops = [equation.params["cond_jaxpr"].jaxpr for equation in whole.eqns if equation.primitive.name == "while"]
