@@ -190,7 +190,7 @@ def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.nda
 
     def point(values):
         problem, (stops, last) = problem_now(jax.tree.map(checks.as_float, build(**values))), across()
-        prepare(problem, stops.size, events=True)  # the scans themselves, which follow, need them all
+        prepare(problem, stops.size, events=True)  # for the scans that follow
         path = follow_path_now(problem, stops, np.asarray(last))
         return problem.valid, path.start, path.stop, problem.unit.control
 
