@@ -146,17 +146,18 @@ def test_programs_are_compiled_once_and_when_they_are_first_needed():
         assert compiled(again) == 0
 
 
-# Operations of StableHLO and fusions of XLA, for FB, as measured with jax 0.10. More of them take longer to compile.
+# For FB: operations of StableHLO as measured with jax 0.10 (jax 0.12 has fewer), and fusions of XLA as measured with jax
+# 0.10 and 0.12, which fuse differently. More of them take longer to compile.
 SIZES = {
-    "problem_of": (261, 24),
-    "follow_path": (4278, 350),
-    "solve_steps": (1985, 105),
-    "states": (576, 65),
-    "events": (1277, 86),
-    "state_slopes": (2734, 165),
-    "event_slopes": (7097, 590),
+    "problem_of": (261, 24, 24),
+    "follow_path": (4278, 350, 381),
+    "solve_steps": (1985, 105, 136),
+    "states": (576, 65, 86),
+    "events": (1277, 86, 115),
+    "state_slopes": (2734, 165, 241),
+    "event_slopes": (7097, 590, 816),
 }
-GROWTH = 1.1  # a change that adds more needs a reason; other versions of jax differ by less
+GROWTH = 1.1  # a change that adds more needs a reason
 
 
 def test_programs_of_a_scan_have_a_limited_size():
@@ -177,9 +178,10 @@ def test_programs_of_a_scan_have_a_limited_size():
     for program, args in calls.items():
         lowered = jax.jit(program.function).lower(*args)
         fusions = program.executable(*args).as_text().count(" fusion(")
-        most = SIZES[program.function.__name__]
-        assert lowered.as_text().count("stablehlo.") < GROWTH * most[0], program.function.__name__
-        assert fusions < GROWTH * most[1], program.function.__name__
+        most_operations, *most_fusions = SIZES[program.function.__name__]
+        assert lowered.as_text().count("stablehlo.") < GROWTH * most_operations, program.function.__name__
+        most = most_fusions[jax.__version_info__ >= (0, 11)]
+        assert fusions < GROWTH * most, program.function.__name__
 
 
 def test_the_loop_of_the_march_ends_on_more_than_one_value():
