@@ -146,8 +146,8 @@ def test_programs_are_compiled_once_and_when_they_are_first_needed():
         assert compiled(again) == 0
 
 
-# For FB: operations of StableHLO as measured with jax 0.10 (jax 0.12 has fewer), and fusions of XLA as measured with jax
-# 0.10 and 0.12, which fuse differently. More of them take longer to compile.
+# For FB: operations of StableHLO with jax 0.10 (jax 0.12 has fewer), and fusions of XLA with jax 0.10 and 0.12, which
+# fuse differently. More of them take longer to compile.
 SIZES = {
     "problem_of": (261, 24, 24),
     "follow_path": (4278, 350, 381),
