@@ -5,6 +5,7 @@ import struct
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -42,7 +43,7 @@ def of_steps(result, steps):
     """A result with some of a scan's steps, in any order."""
     fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
     whole = {name: fields.pop(name) for name in ("deferred_events", "scene")}
-    return jw.Result(**{name: jnp.asarray(field)[steps] for name, field in fields.items()}, **whole)
+    return jw.Result(**jax.tree.map(lambda field: jnp.asarray(field)[steps], fields), **whole)
 
 
 def failed(result, steps):
@@ -54,7 +55,7 @@ def failed(result, steps):
     fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
     kept = {name: fields.pop(name) for name in ("control", "status", "deferred_events", "scene")}
     kept["status"] = kept["status"].at[steps].set(jw.Status.lost)
-    return jw.Result(**{name: fail(field) for name, field in fields.items()}, **kept)
+    return jw.Result(**jax.tree.map(fail, fields), **kept)
 
 
 def there_and_back(result):

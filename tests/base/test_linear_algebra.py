@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxwhisker._base.linear_algebra import UNROLLED, positive_definite, solve
+from jaxwhisker._base.linear_algebra import UNROLLED, eigenvalues_are_positive, positive_definite, solve
 
 ROUNDING = 1e-12
 SIZES = (1, 2, 3, UNROLLED, UNROLLED + 1)
@@ -41,3 +41,15 @@ def test_positive_definite(n):
     assert not positive_definite(matrix - 1.01 * least * jnp.eye(n))
     assert positive_definite(matrix - 0.99 * least * jnp.eye(n))
     assert not positive_definite(matrix.at[0, 0].set(jnp.nan))
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_eigenvalues_with_positive_real_parts(n):
+    rng = np.random.default_rng(n)
+    matrix = rng.normal(size=(n, n))
+    shift = np.min(np.linalg.eigvals(matrix).real)
+    for by, positive in ((1e-6, True), (-1e-6, False), (10.0, True)):
+        moved = jnp.asarray(matrix - (shift - by) * np.eye(n))
+        assert eigenvalues_are_positive(moved) == positive
+    assert not eigenvalues_are_positive(jnp.full((n, n), jnp.nan))
+    assert not eigenvalues_are_positive(jnp.zeros((n, n)))

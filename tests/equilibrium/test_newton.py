@@ -172,7 +172,8 @@ def test_dummy_contacts_keep_derivatives_finite(typical):
         def height(profile):
             before = problem.__class__(**{**vars(problem), "profile": profile})
             contact, phase = with_dummy_contacts(before, z, free)
-            return newton.evaluate(before, Point(contact, jnp.asarray(0.0)), phase, jnp.ones(2)).y[1]
+            mode = Mode(phase, jnp.ones(2), jnp.asarray(False))
+            return newton.evaluate(before, Point(contact, jnp.asarray(0.0)), mode).y[1]
 
         return jax.grad(height)(problem.profile)
 

@@ -1,5 +1,7 @@
 """The state of a march: events and dips within a step, on margins that are known everywhere."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -42,13 +44,14 @@ def two():
 def margins(touch=np.inf, release=1.0, phase=1.0, vertex=1.0, stop=1.0):
     """Margins of both whiskers: a touch of the second one, all else of the first one."""
     release, phase, vertex = (jnp.array([value, np.inf]) for value in (release, phase, vertex))
-    return Margins(jnp.array([np.inf, touch]), release, phase, vertex, jnp.array([stop]))
+    return Margins(jnp.array([np.inf, touch]), release, phase, vertex, jnp.array([stop]), jnp.zeros(0))
 
 
 def trial(problem, here, there, tangent=None, tangent_pose=None):
     stance = problem.stance(0.0, jnp.array([[0.5], [0.7]]))
     yes, side = jnp.asarray(True), jnp.ones(2)
-    return Trial(None, tangent, tangent_pose, yes, yes, here, there, stance, side)  # pyright: ignore[reportArgumentType]
+    solution = SimpleNamespace(point=Point(jnp.zeros((2, 3)), jnp.asarray(0.0)))
+    return Trial(solution, tangent, tangent_pose, yes, yes, here, there, stance, side)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_march_starts_free_ahead_of_the_object():
@@ -146,7 +149,7 @@ def test_a_trial_is_judged_by_its_solution():
         ahead = Point(sign * newton.tangent.z, sign * newton.tangent.u)
         state = state._replace(mode=mode, point=Point(z, u + 0.01), tangent=ahead, pose=newton.pose + 0.01)
         solution = Solution(Point(z, u), newton, jnp.asarray(True), jnp.asarray(1))
-        return evaluate_trial(problem, state, solution, u - 0.25), slope_sines(problem, z)
+        return evaluate_trial(problem, state, solution, u - 0.25), slope_sines(problem, z, mode)
 
     results = {sign: judged(problem, z, u, jnp.asarray(sign)) for sign in (1.0, -1.0)}
     for sign, (trial, sines) in results.items():

@@ -41,9 +41,11 @@ def test_leaves_that_both_trees_share_are_not_selected():
 def test_numbers_of_status_and_kinds_are_those_that_files_hold():
     # Stored results hold these numbers.
     names = ["ok", "invalid", "lost", "unsettled", "not_convex", "too_long", "inexact", "unstable"]
-    assert [status.name for status in Status] == names and list(Status) == list(range(8))
+    names += ["undetermined"]
+    assert [status.name for status in Status] == names and list(Status) == list(range(9))
     kinds = ["touch", "tip_to_tangential", "vertex", "tangential_to_tip", "release", "snap_through", "snap_off"]
-    assert [kind.name for kind in EventKind] == kinds and list(EventKind) == list(range(7))
+    kinds += ["stick", "slip"]
+    assert [kind.name for kind in EventKind] == kinds and list(EventKind) == list(range(9))
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +93,7 @@ def test_rates_are_derivatives_of_the_margins(problem, at, mode):
     def moved(by):
         return at(mode, Point(POINT.z + by * direction.z, POINT.u + by * direction.u), POSE + by * pose_rate)
 
-    rates = margin_rates(problem, mode, direction, pose_rate)
+    rates = margin_rates(problem, mode, POINT, direction, pose_rate)
     ahead, behind = moved(step), moved(-step)
     for name in ("touch", "release", "phase"):
         later, earlier, here = (np.asarray(getattr(m, name)) for m in (ahead, behind, at(mode, POINT, POSE)))

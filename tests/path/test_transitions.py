@@ -11,10 +11,11 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import Solution
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._path.leaving import _is_over
 from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import Target, Trial
 from jaxwhisker._path.path import AT_STOP, PHASE, RELEASE, STOP, TOUCH, VERTEX, EventKind
-from jaxwhisker._path.transitions import SHORTEST_DIP, _event_kind, _is_over, _may_fold_twice, _step_to_fold
+from jaxwhisker._path.transitions import SHORTEST_DIP, _event_kind, _may_fold_twice, _step_to_fold
 
 ROUNDING = 1e-12
 SCENE = scene(jw.Support.fb(70.0))

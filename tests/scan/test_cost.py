@@ -12,6 +12,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._base.checks import as_float
 from jaxwhisker._base.program import compilations
+from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
 from jaxwhisker._equilibrium.problem import problem_of
@@ -29,7 +30,8 @@ def newton_operations(scene):
     dimensionless = problem_of(scene)
     n = scene.support.whiskers
     z = jnp.ones((n, 3))
-    mode = Mode(jnp.full(n, 2), jnp.ones(n), jnp.asarray(False))
+    friction = None if scene.friction is None else slipping_from(jnp.ones(n))
+    mode = Mode(jnp.full(n, 2), jnp.ones(n), jnp.asarray(False), friction=friction)
     point = Point(z, jnp.asarray(0.0))
     return operations(traced(lambda p, z: newton_step(p, mode, at_control(z.u, z.z), z), dimensionless, point))
 
@@ -43,6 +45,15 @@ def test_a_clamped_whisker_has_no_network():
     assert problem_of(model("clamped")).flexibility is None
     # A network adds flexibility @ force and its slope to the step.
     assert newton_operations(model("FB")) - newton_operations(model("clamped")) >= 6
+
+
+def test_friction_adds_operations_only_to_scenes_that_have_it():
+    smooth = model("FB")
+    rough = jw.Scene(smooth.whisker, smooth.profile, smooth.support, friction=0.3)
+    assert problem_of(smooth).friction_angle is None
+    assert newton_operations(smooth) < newton_operations(rough)
+    path = jax.eval_shape(follow_path_now.function, problem_of(smooth), *map(jnp.asarray, across())).path
+    assert path.nodes.friction is None and path.nodes.stop is None
 
 
 def test_a_further_spring_adds_no_operations():

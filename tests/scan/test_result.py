@@ -7,7 +7,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._scan.result import Event, Events, Result, check_one_scan
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.state import FRICTION, State
 
 ROOM = 4  # for events
 SCENE = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfb(70.0))
@@ -16,7 +16,7 @@ SCENE = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfb(70.0))
 def state(*shape):
     """States whose fields hold their own indices."""
     values = jnp.arange(float(np.prod(shape))).reshape(shape)
-    fields = {name: values for name in State.__dataclass_fields__}
+    fields = {name: values for name in State.__dataclass_fields__ if name not in FRICTION}
     return State(**{**fields, "phase": jnp.zeros(shape, int)})
 
 

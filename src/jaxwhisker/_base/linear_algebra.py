@@ -1,5 +1,6 @@
 """Linear algebra for small dense systems, such as networks of a few whiskers."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -41,6 +42,21 @@ def positive_definite(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
             rows[j] = rows[j] - rows[i] * (rows[j][i] / rows[i][i])
         definite &= rows[i + 1][i + 1] > 0
     return definite
+
+
+SQUARINGS = 40  # resolve eigenvalues of 1e-12 times the largest one
+
+
+def eigenvalues_are_positive(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
+    """Whether all eigenvalues of the matrix have a positive real part; False if it contains NaN.
+
+    They have if the powers of the matrix (M - s)(M + s)^-1 vanish, with any s > 0.
+    """
+    n = matrix.shape[0]
+    shift = jnp.sqrt(jnp.sum(matrix**2) / n) * jnp.eye(n)
+    power = solve((matrix + shift).T, (matrix - shift).T)
+    power = jax.lax.fori_loop(0, SQUARINGS, lambda _, power: jnp.sum(power[:, :, None] * power[None], axis=1), power)
+    return jnp.sum(power**2) < 1
 
 
 def block_diagonal(blocks: Float[Array, "n size size"]) -> Float[Array, "rows rows"]:

@@ -1,11 +1,11 @@
 """One whisker in contact: from the unknowns at the contact to the pose of the base and the load on it.
 
 A contact is described by z = (force, parameter, slack): the magnitude f >= 0 of the contact force, the parameter of the
-profile at the contact point, and the slack. In tangential contact the slack is positive: the arc length of the whisker
-beyond the contact. In tip contact it is negative: minus the angle between whisker and object. Both phases share one
-system of equations, smooth within each phase and regular at first touch (f = 0) and at a change of phase. The rod is
-integrated in the frame of the contact. A whisker that approaches from the left (side = -1) bends the other way: it is
-computed as a mirror image.
+profile at the contact point (of a contact that sticks, the lean of the force: see friction.py), and the slack. In
+tangential contact the slack is positive: the arc length of the whisker beyond the contact. In tip contact it is
+negative: minus the angle between whisker and object. Both phases share one system of equations, smooth within each
+phase and regular at first touch (f = 0) and at a change of phase. The rod is integrated in the frame of the contact
+force. A whisker that approaches from the left (side = -1) bends the other way: it is computed as a mirror image.
 """
 
 import dataclasses
@@ -21,8 +21,9 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.program import is_array
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.friction import Friction, contact_parameter, lean
 from jaxwhisker._model.motion import Frame
-from jaxwhisker._model.profile import AbstractProfile
+from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Section
 
@@ -45,6 +46,7 @@ class Body(NamedTuple):
     section: Section | tuple[Section, ...] | None = None  # None if uniform; a tuple for whiskers of different kinds
     frame: Frame | None = None  # of the base's mount on the drive; None if bases stay upright and move along x only
     frame_rate: Frame | None = None  # derivative of the frame with respect to the control
+    friction_angle: Float[Array, "*batch"] | None = None  # None without friction
 
 
 class Base(NamedTuple):
@@ -78,23 +80,39 @@ class BaseEquations(NamedTuple):
     slope_sin: Float[Array, "*batch"]  # of the object at the contact, in the scene
 
 
+def beyond(slack: Scalar | Float[Array, "*batch"], phase: Int[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Arc length of the whisker beyond the contact."""
+    return jnp.where(phase == Phase.tangential, slack, 0.0)
+
+
 def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
     """Arc length from base to contact."""
-    return body.length - jnp.where(phase == Phase.tangential, slack, 0.0)
+    return body.length - beyond(slack, phase)
 
 
-def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Scalar) -> Base:
-    force, parameter, _ = z
+def parameter(
+    profile: AbstractProfile, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+) -> Scalar:
+    """The profile's parameter at the contact z."""
+    return z[1] if friction is None else contact_parameter(profile, z[1], beyond(z[2], phase), side, friction)
+
+
+def _in_scene(
+    at: ContactPoint, leans: Float[Array, ""] | None, end: Float[Array, "4"], force: Scalar, side: Scalar
+) -> Base:
     x, y, cos, sin = end
     x, cos = side * x, side * cos
-    at = body.profile.point(parameter)
+    along_cos, along_sin = at.cos, at.sin  # direction normal to the force
+    if leans is not None:
+        lean_cos, lean_sin = jnp.cos(leans), jnp.sin(leans)
+        along_cos, along_sin = at.cos * lean_cos + at.sin * lean_sin, at.sin * lean_cos - at.cos * lean_sin
     return Base(
-        x=at.x + x * at.cos - y * at.sin,
-        y=at.y + x * at.sin + y * at.cos,
-        cos=cos * at.cos - sin * at.sin,
-        sin=cos * at.sin + sin * at.cos,
-        force_x=force * at.sin,
-        force_y=-force * at.cos,
+        x=at.x + x * along_cos - y * along_sin,
+        y=at.y + x * along_sin + y * along_cos,
+        cos=cos * along_cos - sin * along_sin,
+        sin=cos * along_sin + sin * along_cos,
+        force_x=force * along_sin,
+        force_y=-force * along_cos,
         bend=force * x,
         slope_sin=at.sin,
         slope_cos=at.cos,
@@ -104,10 +122,20 @@ def _in_scene(body: Body, end: Float[Array, "4"], z: Float[Array, "3"], side: Sc
 
 
 def base(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
+    body: Body,
+    z: Float[Array, "3"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None = None,
+    *,
+    rates: AbstractRod | None = None,
 ) -> Base:
     """Pose of the base and load on it for the contact z; the rod method `rates` computes the derivatives."""
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
+    at = body.profile.point(parameter(body.profile, z, phase, side, friction))
+    leans = lean(z[1], friction, body.friction_angle)
+    if leans is not None:
+        angle = angle + side * leans
     rates = body.rod.for_rates() if rates is None else rates
     s = arc(body, z[2], phase)
     if body.section is None:
@@ -116,7 +144,7 @@ def base(
         assert isinstance(body.section, Section)  # of one whisker
         section = dataclasses.replace(body.section, orientation=side)
         end = uneven_rod_end(z[0], s, angle, section, body.rod, rates)
-    return _in_scene(body, end, z, side)
+    return _in_scene(at, leans, end, z[0], side)
 
 
 def in_base_frame(b: Base, frame: Frame | None) -> BaseEquations:
@@ -136,14 +164,20 @@ def in_base_frame(b: Base, frame: Frame | None) -> BaseEquations:
 
 
 def equations(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod | None = None
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
 ) -> BaseEquations:
     """Quantities that enter the equations, for the contact z."""
-    return in_base_frame(base(body, z, phase, side, rates=rates), body.frame)
+    return in_base_frame(base(body, z, phase, side, friction), body.frame)
 
 
 def linearise(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, *, rates: AbstractRod
+    body: Body,
+    z: Float[Array, "3"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None = None,
+    *,
+    rates: AbstractRod,
 ) -> tuple[BaseEquations, BaseEquations, BaseEquations | None]:
     """Values, gradients with respect to z of shape (3,), and derivatives with respect to the control.
 
@@ -151,7 +185,7 @@ def linearise(
     """
 
     def value_and_value(z):
-        b = base(body, z, phase, side, rates=rates)
+        b = base(body, z, phase, side, friction, rates=rates)
         value = in_base_frame(b, body.frame)
         return value, (value, None if body.frame is None else b)
 
@@ -187,10 +221,9 @@ def of_each(bodies: Body, function: Callable, *args, in_turn: bool = False):
     # Whiskers of different kinds cannot be batched: each is computed separately.
     values = []
     for k, own in enumerate(section):
-        length, stiffness, frames = jax.tree.map(
-            lambda leaf, k=k: leaf[k], (bodies.length, bodies.bending_stiffness, (bodies.frame, bodies.frame_rate))
-        )
-        body = Body(length, stiffness, bodies.profile, bodies.rod, own, *frames)
+        shared = bodies._replace(profile=None, rod=None, section=None)
+        body = jax.tree.map(lambda leaf, k=k: leaf[k], shared)
+        body = body._replace(profile=bodies.profile, rod=bodies.rod, section=own)
         values.append(function(body, *jax.tree.map(lambda leaf, k=k: leaf[k], args)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *values)
 

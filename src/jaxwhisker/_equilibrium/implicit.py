@@ -6,22 +6,25 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from jaxwhisker._base.leaves import Tree
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import BaseEquations, Phase
+from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import (
     Condensed,
     change_along,
     condense,
     evaluate,
     linear_system,
+    slip_by_contact,
+    slope_sines,
     with_dummy_contacts,
 )
-from jaxwhisker._equilibrium.point import Mode, Point, Row, at_control, scale_of
-from jaxwhisker._equilibrium.problem import Poses, Problem
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, scale_of
+from jaxwhisker._equilibrium.problem import Problem
 
 
 def without_rule(point: Tree, known: PyTree) -> Tree:
@@ -39,21 +42,25 @@ def without_rule(point: Tree, known: PyTree) -> Tree:
 
 @eqx.filter_custom_jvp
 def solved(point: Point, problem: Problem, mode: Mode, row: Row) -> Point:
-    """The solution of the equations of problem, mode and row, with its derivatives with respect to problem and row.
+    """The solution of the equations of problem, mode and row, with its derivatives with respect to problem, row and the
+    places where contacts stick.
 
     The derivative is minus the inverse Jacobian times the derivative of the equations, which is the derivative of a
     Newton step that starts at the solution.
     """
-    del mode
-    return without_rule(point, (problem, row))
+    return without_rule(point, (problem, mode.friction, row))
 
 
 @solved.def_jvp
 def _(primals, tangents):
     point, problem, mode, row = primals
-    _, problem_dot, _, row_dot = tangents
+    _, problem_dot, mode_dot, row_dot = tangents
     here = solved(point, problem, mode, row)
-    return here, _implicit_step(here, problem, mode, row, problem_dot, row_dot).drift
+    known, known_dot = (problem, mode.friction), (problem_dot, mode_dot.friction)
+    return here, _implicit_step(here, known, mode, row, known_dot, row_dot).drift
+
+
+Known = tuple[Problem, Friction | None]  # the numbers that equilibria depend on
 
 
 def _linear(function, *at):
@@ -61,13 +68,18 @@ def _linear(function, *at):
     some, rest = eqx.partition(at, eqx.is_inexact_array)
     value, push = jax.linearize(lambda some: function(*eqx.combine(some, rest)), some)
 
-    def differential(*tangents):
-        def filled(x, tangent):
-            return x if x is None else jnp.zeros_like(x) if tangent is None else tangent
+    return value, lambda *tangents: push(_dense(some, tangents))
 
-        return push(jax.tree.map(filled, some, tangents, is_leaf=lambda leaf: leaf is None))
 
-    return value, differential
+def _dense(tree, dots):
+    """Tangents of a tree's real values, with zeros where they are None."""
+    some = eqx.filter(tree, eqx.is_inexact_array)
+    return jax.tree.map(
+        lambda x, dot: x if x is None else jnp.zeros_like(x) if dot is None else dot,
+        some,
+        dots,
+        is_leaf=lambda leaf: leaf is None,
+    )
 
 
 def _no_tangents(tree):
@@ -88,22 +100,25 @@ class _ImplicitStep(NamedTuple):
     by_u: BaseEquations | None
     drift: Point  # tangent of the solution for given tangents of problem and row
     tangent: Point  # of the path
-    left: Poses  # at a fold, the left null vector of the network's equations
+    inverse: Float[Array, "rows rows"]  # of the linear system
 
 
-def _implicit_step(here: Point, problem: Problem, mode: Mode, row: Row, problem_dot, row_dot) -> _ImplicitStep:
-    """Solve the linearised equations at a solution for given tangents of problem and row (None for zero)."""
+def _implicit_step(here: Point, known: Known, mode: Mode, row: Row, known_dot, row_dot) -> _ImplicitStep:
+    """Solve the linearised equations at a solution for given tangents of the numbers and the row (None for zero)."""
+    problem, problem_dot = known[0], known_dot[0]
     z, phase = with_dummy_contacts(problem, here.z, mode.phase)
-    value, differential = _linear(
-        lambda problem, z, u: evaluate(problem, Point(z, u), phase, mode.side), problem, z, here.u
-    )
+
+    def values(known: Known, z: Contacts, u: Scalar) -> BaseEquations:
+        return evaluate(known[0], Point(z, u), mode._replace(phase=phase, friction=known[1]))
+
+    value, differential = _linear(values, known, z, here.u)
     # A whisker's equations depend on its own contact only: three directions serve all whiskers.
-    columns = jax.vmap(lambda e: differential(_no_tangents(problem), jnp.broadcast_to(e, z.shape), None))(jnp.eye(3))
+    columns = jax.vmap(lambda e: differential(_no_tangents(known), jnp.broadcast_to(e, z.shape), None))(jnp.eye(3))
     gradient = jax.tree.map(jnp.transpose, columns)
-    by_u = differential(_no_tangents(problem), None, jnp.ones_like(here.u)) if problem.frames_move else None
+    by_u = differential(_no_tangents(known), None, jnp.ones_like(here.u)) if problem.frames_move else None
     at = condense(problem, here.z, mode, value, gradient, by_u)
     # Residuals are linear in the values, and so are their tangents in those of the values.
-    dot = condense(problem, here.z, mode, differential(problem_dot, None, None), gradient, by_u)
+    dot = condense(problem, here.z, mode, differential(known_dot, None, None), gradient, by_u)
     yielding_dot = _tangent(lambda problem: problem.rest(here.u) + problem.displacement(at.load), problem, problem_dot)
     touching = (mode.phase != Phase.free)[:, None]
     network_dot = jnp.where(touching, dot.pose - yielding_dot - problem.displacement(dot.load), 0.0)
@@ -116,51 +131,82 @@ def _implicit_step(here: Point, problem: Problem, mode: Mode, row: Row, problem_
     residual_dot = jnp.append(jnp.ravel(network_dot), row_dot)
     drift, _, _ = change_along(at, -jnp.sum(inverse * residual_dot, axis=1))
     tangent, _, _ = change_along(at, inverse[:, -1])
-    left = jnp.reshape(inverse[-1, :-1], at.pose.shape)
-    return _ImplicitStep(at, gradient, by_u, drift._replace(z=drift.z + dot.particular), tangent, left)
+    return _ImplicitStep(at, gradient, by_u, drift._replace(z=drift.z + dot.particular), tangent, inverse)
 
 
-def _singularity(here: Point, mode: Mode, linear: _ImplicitStep) -> Callable[[Point, Problem], Array]:
-    """A function of a point and the problem that vanishes at the fold `here` and at folds nearby, to first order.
+class Turning(NamedTuple):
+    """What turns back along the path at a point: the control, at a fold, or the slip of a contact that will stick."""
 
-    At a fold, the Jacobian F_z of the equations F by the contacts has a null vector t, the path's tangent, and a left
-    null vector w. To first order, a change of w F_z t does not depend on the changes of w and t.
+    control: Bool[Array, ""]
+    slip: Bool[Array, " whiskers"] | None = None  # None without friction
+
+    @property
+    def any(self) -> Bool[Array, ""]:
+        """Whether anything turns back."""
+        return self.control if self.slip is None else self.control | jnp.any(self.slip)
+
+
+def _singularity(
+    here: Point, mode: Mode, linear: _ImplicitStep, turning: Turning, problem: Problem
+) -> Callable[[Point, Known], Array]:
+    """A function of a point and the numbers that vanishes at the turning point `here` and nearby, to first order.
+
+    At a turning point, the Jacobian M of the equations and of the quantity that turns has a null vector t, the path's
+    tangent, and a left null vector w. To first order, a change of w M t does not depend on the changes of w and t.
     """
+    touching = (mode.phase != Phase.free)[:, None]
+    left = linear.inverse[-1, :-1]
 
-    def function(point: Point, problem: Problem):
+    def slip(z: Contacts, problem: Problem, z_rate: Contacts) -> Scalar:
+        z, _ = with_dummy_contacts(problem, z, mode.phase)
+        assert turning.slip is not None
+        return jnp.sum(jnp.where(turning.slip[:, None], slip_by_contact(problem, z, mode) * z_rate, 0.0))
+
+    if turning.slip is not None:
+        by_z = jax.grad(slip, argnums=2)(here.z, problem, jnp.zeros_like(here.z))
+        by_steps = jnp.append(jnp.ravel(jnp.sum(by_z[:, :, None] * linear.at.basis, axis=1)), 0.0)
+        by_network = -jnp.sum(by_steps[:, None] * linear.inverse, axis=0)[:-1]
+        left = jnp.where(jnp.any(turning.slip), by_network, left)
+    left = jnp.reshape(left, linear.at.pose.shape)
+
+    def function(point: Point, known: Known):
+        problem, friction = known
+
         def equations(z):
             contacts, phase = with_dummy_contacts(problem, z, mode.phase)
-            value = evaluate(problem, Point(contacts, point.u), phase, mode.side)
+            value = evaluate(problem, Point(contacts, point.u), mode._replace(phase=phase, friction=friction))
             at = condense(problem, here.z, mode, value, linear.gradient, linear.by_u)
             network = at.pose - problem.rest(point.u) - problem.displacement(at.load)
-            return jnp.sum(jnp.where((mode.phase != Phase.free)[:, None], linear.left * network, 0.0))
+            return jnp.sum(jnp.where(touching, left * network, 0.0))
 
-        return jax.jvp(equations, (point.z,), (linear.tangent.z,))[1]
+        rate = jax.jvp(equations, (point.z,), (linear.tangent.z,))[1]
+        return rate if turning.slip is None else rate + slip(point.z, problem, linear.tangent.z)
 
     return function
 
 
-# An event is a point of a path that satisfies a row or, at a fold, where the control turns back. The equations are
-# solved in a plane transverse to the path's direction `along`, where they are regular at folds too. The distance that
-# the event then moves along the path follows from the event's own equation. At a fold this is du/ds = 0, whose
-# derivative needs second derivatives of the whiskers. The control does not change along the path there, so its own
-# derivative needs none.
+# An event is a point of a path that satisfies a row or, at a turning point, where the control or a slip turns back. The
+# equations are solved in a plane transverse to the path's direction `along`, where they are regular at folds too. The
+# distance that the event then moves along the path follows from the event's own equation. At a turning point this is
+# that a rate vanishes, whose derivative needs second derivatives of the whiskers. At a fold the control does not change
+# along the path, so its own derivative needs none.
 
 
 @eqx.filter_custom_jvp
 def event_control(point: Point, problem: Problem, mode: Mode, along: Point, row: Row, fold: Bool[Array, ""]) -> Scalar:
-    """The control of an event, with its derivatives."""
-    del mode, along, fold
-    return without_rule(point, (problem, row)).u
+    """The control of an event, with its derivatives; not of one where a contact begins to stick."""
+    del along, fold
+    return without_rule(point, (problem, mode.friction, row)).u
 
 
 @event_control.def_jvp
 def _(primals, tangents):
     point, problem, mode, along, row, fold = primals
-    _, problem_dot, _, _, row_dot, _ = tangents
-    here = event_points(Sides(point, None), problem, Sides(mode, None), along, row, fold).before
-    linear = _implicit_step(here, problem, mode, _across(here, along), problem_dot, None)
-    moved = _distance_to_row(here, mode, linear, ~fold, (problem, row), (problem_dot, row_dot))
+    _, problem_dot, mode_dot, _, row_dot, _ = tangents
+    here = event_points(Sides(point, None), problem, Sides(mode, None), along, row, Turning(fold)).before
+    known, known_dot = (problem, mode.friction), (problem_dot, mode_dot.friction)
+    linear = _implicit_step(here, known, mode, _across(here, along), known_dot, None)
+    moved = _distance_to_row(here, mode, linear, ~fold, known, row, known_dot, row_dot)
     return here.u, linear.drift.u + moved * linear.tangent.u
 
 
@@ -172,30 +218,35 @@ class Sides(NamedTuple):
 
 
 @eqx.filter_custom_jvp
-def event_points(points: Sides, problem: Problem, modes: Sides, along: Point, row: Row, fold: Bool[Array, ""]) -> Sides:
+def event_points(points: Sides, problem: Problem, modes: Sides, along: Point, row: Row, turning: Turning) -> Sides:
     """The points before and after an event, which have the same control, with their derivatives; after may be None."""
-    del modes, along, fold
-    return without_rule(points, (problem, row))
+    del along, turning
+    frictions = [mode.friction for mode in modes if mode is not None]
+    return without_rule(points, (problem, frictions, row))
 
 
 @event_points.def_jvp
 def _(primals, tangents):
-    points, problem, modes, along, row, fold = primals
-    _, problem_dot, _, _, row_dot, _ = tangents
-    points = event_points(points, problem, modes, along, row, fold)
+    points, problem, modes, along, row, turning = primals
+    _, problem_dot, modes_dot, _, row_dot, _ = tangents
+    points = event_points(points, problem, modes, along, row, turning)
     here, mode, after = points.before, modes.before, points.after
-    sides = [(here, mode, _across(here, along))]
+    sides, modes_dot = [(here, mode, _across(here, along))], [*modes_dot]
     if after is not None:
         sides.append((after, modes.after, at_control(after.u, after.z)))
+    dots = [_dense(side[1].friction, dot.friction) for side, dot in zip(sides, modes_dot, strict=False)]
     # With both sides in one batch, the whiskers' equations are differentiated only once.
-    steps = jax.vmap(lambda here, mode, row: _implicit_step(here, problem, mode, row, problem_dot, None))(
-        *jax.tree.map(lambda *leaves: jnp.stack(leaves), *sides)
-    )
+    steps = jax.vmap(
+        lambda at, dot: _implicit_step(at[0], (problem, at[1].friction), at[1], at[2], (problem_dot, dot), None)
+    )(*(jax.tree.map(lambda *leaves: jnp.stack(leaves), *each) for each in (sides, dots)))
     linear = [jax.tree.map(lambda leaf, k=k: leaf[k], steps) for k in range(len(sides))]
     at, drift = linear[0], linear[0].drift
-    by_row = _distance_to_row(here, mode, at, ~fold, (problem, row), (problem_dot, row_dot))
-    by_turn = _distance(_singularity(here, mode, at), here, at, fold, (problem,), (problem_dot,))
-    u_dot = drift.u + by_row * at.tangent.u
+    known, known_dot = (problem, mode.friction), (problem_dot, dots[0])
+    by_row = _distance_to_row(here, mode, at, ~turning.any, known, row, known_dot, row_dot)
+    vanishing = _singularity(here, mode, at, turning, problem)
+    by_turn = _distance(vanishing, here, at, turning.any, (known,), (known_dot,))
+    slips = 0.0 if turning.slip is None else jnp.any(turning.slip)
+    u_dot = drift.u + (by_row + slips * by_turn) * at.tangent.u
     before_dot = Point(drift.z + (by_row + by_turn) * at.tangent.z, u_dot)
     if after is None:
         return points, Sides(before_dot, None)
@@ -215,12 +266,14 @@ def _distance(vanishing: Callable, here: Point, linear: _ImplicitStep, holds: Bo
     return jnp.where(holds, -by_drift / jnp.where(holds, by_tangent, 1.0), 0.0)
 
 
-def _distance_to_row(here: Point, mode: Mode, linear: _ImplicitStep, holds: Bool[Array, ""], known, known_dot):
+def _distance_to_row(
+    here: Point, mode: Mode, linear: _ImplicitStep, holds: Bool[Array, ""], known: Known, row: Row, *dots
+):
     """Distance by which an event moves along the path to satisfy its row."""
 
-    def residual(point: Point, problem: Problem, row: Row):
-        at_contact, _ = with_dummy_contacts(problem, point.z, mode.phase)
-        slope_sin = jax.vmap(lambda p: problem.profile.point(p).sin)(at_contact[:, 1])
-        return row.residual(point, jnp.where(mode.phase != Phase.free, slope_sin, 0.0))
+    def residual(point: Point, known: Known, row: Row):
+        at_contact, _ = with_dummy_contacts(known[0], point.z, mode.phase)
+        slopes = slope_sines(known[0], at_contact, mode._replace(friction=known[1]))
+        return row.residual(point, jnp.where(mode.phase != Phase.free, slopes, 0.0))
 
-    return _distance(residual, here, linear, holds, known, known_dot)
+    return _distance(residual, here, linear, holds, (known, row), dots)

@@ -29,6 +29,7 @@ from jaxwhisker._base.linear_algebra import block_diagonal, solve, times_block_d
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import BaseEquations, Phase, of_each
+from jaxwhisker._equilibrium.friction import Friction, speed
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
 from jaxwhisker._rod.elastica import AbstractRod
@@ -54,12 +55,21 @@ def linearise_all(
     """Values of every whisker's equations, and their derivatives with respect to its contact and the control."""
     z, phase = with_dummy_contacts(problem, point.z, mode.phase)
     linearised = partial(contact.linearise, rates=rates)
-    return of_each(problem.bodies(point.u), linearised, z, phase, mode.side, in_turn=in_turn)
+    return of_each(problem.bodies(point.u), linearised, z, phase, mode.side, mode.friction, in_turn=in_turn)
 
 
-def evaluate(problem: Problem, point: Point, phase: Int[Array, " whiskers"], side: PerWhisker) -> BaseEquations:
+def evaluate(problem: Problem, point: Point, mode: Mode) -> BaseEquations:
     """Values of every whisker's equations; free whiskers must have dummy contacts."""
-    return of_each(problem.bodies(point.u), contact.equations, point.z, phase, side)
+    return of_each(problem.bodies(point.u), contact.equations, point.z, mode.phase, mode.side, mode.friction)
+
+
+def slope_sines(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
+    """sin(alpha) of the object at every contact; free whiskers must have dummy contacts."""
+
+    def slope(*at):
+        return problem.profile.point(contact.parameter(problem.profile, *at)).sin
+
+    return jax.vmap(slope)(z, mode.phase, mode.side, mode.friction)
 
 
 def pose_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]:
@@ -70,6 +80,27 @@ def pose_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]
 def load_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]:
     """Loads on the bases, or their derivatives, stacked."""
     return jnp.stack([base.force_x, base.force_y, base.moment][:axes], axis=1)
+
+
+def slip_by_contact(problem: Problem, z: Contacts, mode: Mode) -> Contacts:
+    """Derivatives of the distances slipped along the object, positive towards +x, of contacts that slip."""
+    speeds = jax.vmap(lambda p: speed(problem.profile, p))(z[:, 1])
+    return jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(mode.side, mode.phase)], axis=1)
+
+
+def with_slips(problem: Problem, z: Contacts, mode: Mode, slip: Int[Array, " whiskers"]) -> tuple[Contacts, Friction]:
+    """The same contacts, which from here on slip in these directions or stick (0)."""
+    assert mode.friction is not None and problem.friction_angle is not None
+    old, limit = mode.friction, problem.friction_angle
+    at = jax.vmap(partial(contact.parameter, problem.profile))(z, mode.phase, mode.side, old)
+    begins = (slip == 0) & (old.slip != 0)
+    friction = Friction(
+        slip,
+        jnp.where(begins, at, old.parameter),
+        jnp.where(begins, contact.beyond(z[:, 2], mode.phase), old.beyond),
+    )
+    leans = jnp.clip(jnp.where(old.slip == 0, z[:, 1], old.slip * limit), -limit, limit)
+    return z.at[:, 1].set(jnp.where(slip == 0, leans, at)), friction
 
 
 class Condensed(NamedTuple):

@@ -6,13 +6,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.problem import PerWhisker
 
 Contacts = Float[Array, "*batch whiskers 3"]
 
 
 class Point(NamedTuple):
-    """A point of the path, or a direction: contacts z = (force, parameter, slack), and control u; dimensionless."""
+    """A point of the path, or a direction: contacts z (see contact.py), and control u; dimensionless."""
 
     z: Contacts
     u: Scalar | Float[Array, "*batch"]
@@ -25,6 +26,7 @@ class Mode(NamedTuple):
     side: PerWhisker  # +1: the whisker approached from the right of the object; -1: from the left
     separate: Bool[Array, ""]  # each whisker keeps its place on its branch; the network's equations are left out
     held: Float[Array, "whiskers 2"] | None = None  # with `separate`: given y and angle of bases; None in `AlongX`
+    friction: Friction | None = None
 
 
 class Row(NamedTuple):
@@ -70,6 +72,8 @@ def at_event(
     vertex: Bool[Array, ""],
     control: Bool[Array, ""],
     u0: Scalar,
+    lean: Bool[Array, ""] | None = None,
+    limit: PerWhisker | None = None,
 ) -> Row:
     """The row that selects an event of these whiskers.
 
@@ -79,16 +83,20 @@ def at_event(
         unloaded: whether a contact begins or ends: its force is zero.
         phase: whether tip and tangential contact meet: the slack is zero.
         vertex: whether the contact passes the vertex: its slope is zero.
+        lean: whether a sticking contact begins to slip: the force leans as far as friction lets it.
+        limit: the lean at which it does so.
         control: whether the point has the control u0 and no event.
         u0: the control.
     """
     none, one = jnp.zeros_like(like), whiskers.astype(float)
-    weight = none.at[:, 0].set(one * unloaded).at[:, 2].set(one * phase)
-    return Row(weight, none, control.astype(float), u0, one * vertex)
+    weight, z0 = none.at[:, 0].set(one * unloaded).at[:, 2].set(one * phase), none
+    if lean is not None:
+        weight, z0 = weight.at[:, 1].set(one * lean), none.at[:, 1].set(limit)
+    return Row(weight, z0, control.astype(float), u0, one * vertex)
 
 
 def scale_of(z: Contacts) -> Contacts:
-    """Scale in which changes of a contact are measured: 1 + |force| for the force, 1 for parameter and slack."""
+    """Scale in which changes of a contact are measured: 1 + |force| for the force, 1 for the others."""
     return jnp.ones_like(z).at[..., 0].add(jnp.abs(z[..., 0]))
 
 

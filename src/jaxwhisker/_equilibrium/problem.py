@@ -80,6 +80,7 @@ class Problem(eqx.Module):
     touch_left: Touch
     valid: Bool[Array, ""]
     unit: Units
+    friction_angle: Scalar | None  # arctan of the friction coefficient; None without friction
 
     axes: eqx.AbstractClassVar[int]  # number of coordinates of a base
     frames_move: eqx.AbstractClassVar[bool]  # whether these refer to a frame that moves with the control
@@ -138,7 +139,8 @@ class Problem(eqx.Module):
 
     def bodies(self, u: Scalar) -> Body:
         """All whiskers, stacked, at a control."""
-        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u))
+        angle = None if self.friction_angle is None else jnp.full_like(self.length, self.friction_angle)
+        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle)
 
     def numbers(self) -> "Problem":
         """The numbers that equilibria depend on, and None for everything else."""
@@ -310,6 +312,7 @@ def problem_of(scene: Scene) -> Problem:
         "rod": scene.rod,
         "motion": scene.motion,
         "unit": unit,
+        "friction_angle": None if scene.friction is None else jnp.arctan(jnp.asarray(scene.friction, dtype=float)),
     }
     curved = any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers)
     if moves_along_x(scene):
@@ -378,4 +381,7 @@ def sections(
 def _valid(scene: Scene) -> Bool[Array, ""]:
     """Whether traced parameters are in the domains that the constructors check for concrete ones."""
     whiskers = jnp.all(jnp.stack([whisker.valid() for whisker in scene.whiskers]))
-    return scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers
+    valid = scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers
+    if scene.friction is None:
+        return valid
+    return valid & (scene.friction >= 0) & jnp.isfinite(scene.friction)

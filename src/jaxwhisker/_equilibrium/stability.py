@@ -2,13 +2,15 @@
 
 The clamped branch of a whisker consists of its states with a clamped base, for all positions of the base along x. It is
 stable up to its fold, where the base would have to move back. The network is stable while its stiffness exceeds the
-slopes of the loads: K - D is positive definite, with D = d load / d pose.
+slopes of the loads: K - D is positive definite, with D = d load / d pose. With friction, D is the slope for the present
+slips and not symmetric; the network is then stable while all eigenvalues have a positive real part, for overdamped
+bases whose mobility is their compliance. A disturbance that makes contacts stick is never worse.
 """
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker._base.linear_algebra import positive_definite, times_block_diagonal
+from jaxwhisker._base.linear_algebra import eigenvalues_are_positive, positive_definite, times_block_diagonal
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import Condensed
 from jaxwhisker._equilibrium.point import Mode
@@ -19,7 +21,7 @@ BRANCH_SIGN = -1.0
 
 
 def load_slopes(mode: Mode, at: Condensed) -> Float[Array, "whiskers axes axes"]:
-    """Slope d load / d pose of a touching whisker's base; symmetric, because the load derives from an energy."""
+    """Slope d load / d pose of a touching whisker's base; symmetric without friction."""
     by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
     along = at.load_by[:, :, 0] / by_x
     columns = [along]
@@ -36,7 +38,9 @@ def network_is_stable(problem: Problem, slope: Float[Array, "whiskers axes axes"
         return jnp.asarray(True)
     root = problem.flexibility.root
     pull = jnp.sum(root[:, :, None] * times_block_diagonal(root.T, slope).T[:, None, :], axis=0)
-    return positive_definite(jnp.eye(root.shape[0]) - pull)
+    symmetric = problem.friction_angle is None or problem.axes == 1
+    positive = positive_definite if symmetric else eigenvalues_are_positive
+    return positive(jnp.eye(root.shape[0]) - pull)
 
 
 def on_stable_branch(mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:

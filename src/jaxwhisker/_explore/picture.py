@@ -23,7 +23,7 @@ from jaxwhisker._scan.report import status_line
 from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.scan import scan_across
 from jaxwhisker._scan.shapes import Shapes, shapes_of
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.state import state_of
 
 SCAN_STEPS = 400  # of a scan, evenly over the range of the default control
 PAGE_LINE_POINTS = 32  # of a whisker's centre line
@@ -46,8 +46,7 @@ class Picture(NamedTuple):
 def picture_of(scene: Scene) -> Picture:
     """Scan a scene; scenes with the same structure share the programs."""
     result = scan_across(scene, SCAN_STEPS)
-    state = State(**{name: getattr(result, name) for name in State.__dataclass_fields__})
-    lines = shapes_of(state, scene.whiskers, points=PAGE_LINE_POINTS)
+    lines = shapes_of(state_of(result), scene.whiskers, points=PAGE_LINE_POINTS)
     return Picture(result, lines, *_around(scene, result.control))
 
 
@@ -100,6 +99,7 @@ def _arrays(picture: Picture, units: UnitSystem) -> dict[str, Any]:
     arrays: dict[str, Any] = {
         name: units.shown(name, getattr(result, name)).astype(QUANTITIES[name].dtype)
         for name in ("control", *STATE, "status")
+        if getattr(result, name) is not None
     }
     arrays |= {"drive_x": drive.x / length, "drive_y": drive.y / length, "drive_angle": drive.angle}
     outline = outline[np.isfinite(outline).all(axis=1)]

@@ -16,7 +16,7 @@ from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_pa
 from jaxwhisker._inverse.residuals import UNIFORM
 from jaxwhisker._inverse.statistics import Identifiability, correlation, identifiability
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._path.path import EventKind
+from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.report import table
 from jaxwhisker._scan.route import route_of
@@ -319,7 +319,7 @@ def _information_at(
     route = route_of(noise.control)
     scan = LinearisedScan(build, at, np.asarray(route.stops), route.last, chosen)
     table, by_events = jax.tree.map(np.asarray, (scan.events, scan.event_slopes[:, : len(at)]))
-    snaps = np.where(table.kind >= EventKind.snap_through, table.travel, np.nan)
+    snaps = np.where(np.isin(table.kind, SNAPS), table.travel, np.nan)
     # The last step before a snap is left out, as in a fit: slopes grow without bound there.
     before = (route.travel[:-1, None] <= snaps) & (route.travel[1:, None] > snaps)
     gaps = np.sum(np.where(before, np.diff(route.travel)[:, None], 0.0), axis=0)

@@ -27,7 +27,7 @@ from jaxwhisker._inverse.linearised import EventTable, event_table
 from jaxwhisker._inverse.observations import Observations
 from jaxwhisker._inverse.parameters import Transforms, Unknowns
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._path.path import EventKind
+from jaxwhisker._path.path import EventKind, is_snap
 from jaxwhisker._scan.route import Route
 from jaxwhisker._scan.scan import BLOCK, follow_path
 from jaxwhisker._scan.steps import solve_steps, states
@@ -261,10 +261,10 @@ class _Snaps(NamedTuple):
 
 
 def _pair_snaps(events: EventTable, at, happened, overlay: Callable, data: Samples) -> _Snaps:
-    is_snap = happened & (events.kind >= EventKind.snap_through)
+    snaps = happened & is_snap(events.kind)
     jump = jnp.isfinite(data.landmarks.low)
     low, high = (overlay(jnp.where(jump, travel, 0.0)) for travel in (data.landmarks.low, data.landmarks.high))
-    apart = jnp.where(is_snap, jnp.abs(at - (low + high)[:, None] / 2), jnp.inf)
+    apart = jnp.where(snaps, jnp.abs(at - (low + high)[:, None] / 2), jnp.inf)
     nearest = jnp.argmin(apart, axis=1)
     paired = jump & jnp.isfinite(jnp.min(apart, axis=1))
     low, high, snap = (jnp.where(paired, v, 0.0) for v in (low, high, at[nearest]))

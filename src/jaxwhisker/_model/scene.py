@@ -5,10 +5,12 @@ profile, whose vertex is at height q (the object distance). The drive position u
 base i rests at u plus the rest lengths of the springs between the drive and the base: the drive leads, and the whiskers
 trail.
 
-Contact force: frictionless, f >= 0, on the whisker along the object's outward normal: f (sin alpha, -cos alpha).
+Contact force: f >= 0, on the whisker: f (sin psi, -cos psi). Without friction it acts along the object's outward
+normal, psi = alpha. With the friction coefficient mu it leans against the slip: psi = alpha - slip * arctan(mu), with
+slip = +1 if the whisker slips along the object towards +x, and -1 if towards -x.
 Support reaction: force and moment of the support on the whisker at its base:
 
-    fx = -f sin(alpha),   fy = +f cos(alpha),   mz = -EI kappa(0)   (counter-clockwise positive).
+    fx = -f sin(psi),   fy = +f cos(psi),   mz = -EI kappa(0)   (counter-clockwise positive).
 
 Internally everything is dimensionless in the length L and the bending stiffness EI of the first whisker: forces in
 EI/L^2, moments in EI/L, spring stiffnesses in EI/L^3.
@@ -40,10 +42,11 @@ class Scene(eqx.Module):
         rod: how rods are computed: `Shooting()`, or `ClosedForm()`, which is faster and exact to rounding but limited
             to uniform straight whiskers.
         motion: motion of the drive: Translation(), Rotation(), or a user-defined Motion.
+        friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
 
     Raises:
-        ValueError: if an argument has the wrong type, the numbers of whiskers and bases differ, or `rod` cannot compute
-            the whiskers.
+        ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
+            cannot compute the whiskers.
 
     Examples:
         >>> jw.Scene(jw.Whisker(), jw.Parabola(distance=0.2), jw.Support.fbfbr(stiffness=70.0))
@@ -55,6 +58,7 @@ class Scene(eqx.Module):
     support: Support = Support()
     rod: AbstractRod = Shooting()
     motion: AbstractMotion = Translation()
+    friction: Scalar | None = None
 
     def __check_init__(self):
         allowed = "a Parabola, Circle, Ellipse, Graph, Contour or Tilted"
@@ -63,6 +67,8 @@ class Scene(eqx.Module):
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):
             checks.fail("rod", "Shooting() for whiskers that are curved or not uniform", "ClosedForm()")
+        if self.friction is not None:
+            checks.number("friction", self.friction, non_negative=True)
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
@@ -74,7 +80,8 @@ class Scene(eqx.Module):
         counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
         rods = "" if self.rod == Shooting() else f", {self.rod}"
         motion = "" if isinstance(self.motion, Translation) and self.motion.onwards < 0 else f", {self.motion}"
-        details = f"{self.profile}{_whisker_text(self.whiskers[0])}{rods}{motion}"
+        friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
+        details = f"{self.profile}{_whisker_text(self.whiskers[0])}{friction}{rods}{motion}"
         return f"{self.support.name}: {', '.join(counted)}, {details}"
 
     __repr__ = __str__
@@ -122,9 +129,9 @@ class Sensor(eqx.Module):
         """The sensor of a scene."""
         return cls(scene.whisker, scene.support, scene.motion)
 
-    def before(self, profile: AbstractProfile) -> Scene:
+    def before(self, profile: AbstractProfile, friction: Scalar | None = None) -> Scene:
         """The scene in which this sensor scans an object, with rods computed by `Shooting()`."""
-        return Scene(self.whisker, profile, self.support, motion=self.motion)
+        return Scene(self.whisker, profile, self.support, motion=self.motion, friction=friction)
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:

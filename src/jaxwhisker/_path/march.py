@@ -21,14 +21,16 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.friction import newly_slipping, slipping_from
 from jaxwhisker._equilibrium.newton import solve_point
 from jaxwhisker._equilibrium.point import Mode, Point, Row, along, at_arc_length, at_control, at_event
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
+from jaxwhisker._path.leaving import after_arrive
 from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, evaluate_trial
-from jaxwhisker._path.path import AT_STOP, NO_EVENT, PHASE, RELEASE, TOUCH, VERTEX, Node, Path, Status, select
-from jaxwhisker._path.transitions import after_advance, after_arrive, after_event, after_flow
+from jaxwhisker._path.path import AT_STOP, NO_EVENT, PHASE, RELEASE, SLIP, TOUCH, VERTEX, Node, Path, Status, select
+from jaxwhisker._path.transitions import after_advance, after_event, after_flow
 
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
@@ -43,6 +45,8 @@ def _target_row(state: MarchState, stop_u: Scalar) -> Row:
         vertex=kind == VERTEX,
         control=kind == AT_STOP,
         u0=stop_u,
+        lean=None if state.target.lean is None else kind == SLIP,
+        limit=state.target.lean,
     )
 
 
@@ -70,6 +74,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
         side=jnp.where(begins, target.side, state.mode.side),
         separate=flowing,
         held=problem.across(flow.pose),
+        friction=newly_slipping(state.mode.friction, begins, target.side),
     )
     guess = guess._replace(z=jnp.where(begins[:, None], target.contact, guess.z))
     solution = solve_point(problem, mode, row, guess)
@@ -93,12 +98,14 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
     pose = problem.rest(u)
     side = problem.stance(u, pose).side
     z, none = jnp.zeros((n, 3)), jnp.zeros(n)
-    mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False))
+    friction = None if problem.friction_angle is None else slipping_from(side)
+    mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False), friction=friction)
     point = Point(z, u)
     still = Point(z, jnp.asarray(float(onwards)))
     pending = Node(
         point, z, still, still, mode.phase, mode.side, -jnp.abs(u - stops[0]), jnp.asarray(NO_EVENT),
-        jnp.zeros(n, bool), mode.phase, mode.side,
+        jnp.zeros(n, bool), mode.phase, mode.side, friction, friction,
+        *([] if friction is None else [jnp.asarray(0), jnp.asarray(False)]),
     )  # fmt: skip
     zero = jnp.asarray(0.0)
     return MarchState(
@@ -112,7 +119,9 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         step=jnp.asarray(FIRST_STEP),
         unstable_at=jnp.asarray(jnp.inf),
         unstable_turn=zero,
-        target=Target(jnp.asarray(0), jnp.zeros(n, bool), zero, z, mode.phase, mode.side),
+        target=Target(
+            jnp.asarray(0), jnp.zeros(n, bool), zero, z, mode.phase, mode.side, None if friction is None else none
+        ),
         lead=Lead(z, jnp.zeros_like(pose), still.u),
         before_vertex=none + 1.0,
         goal=jnp.asarray(0),
@@ -122,6 +131,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         flow=snap_flow.start(mode, pose),
         count=jnp.asarray(0),
         status=jnp.asarray(int(Status.ok)),
+        tries=None if friction is None else jnp.asarray(0),
     )
 
 

@@ -1,20 +1,23 @@
 """The state of a march: where it is, what it is doing, and how a trial step is evaluated."""
 
 from enum import IntEnum
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import Solution
+from jaxwhisker._equilibrium.newton import Solution, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import (
+    AT_STOP,
     MARGIN_NOISE,
     TOUCH,
     Margins,
@@ -46,6 +49,7 @@ class Target(NamedTuple):
     contact: Contacts  # first contacts of whiskers that may touch
     phase: Int[Array, " whiskers"]
     side: PerWhisker
+    lean: PerWhisker | None = None  # at which sticking contacts begin to slip; None without friction
 
 
 class Lead(NamedTuple):
@@ -79,6 +83,7 @@ class MarchState(NamedTuple):
     flow: snap_flow.Flow
     count: Int[Array, ""]
     status: Int[Array, ""]
+    tries: Int[Array, ""] | None = None  # of the slips with which the path leaves an event; None without friction
 
     def turn(self, tangent: Point) -> Scalar:
         """du/ds along a tangent, positive while the drive moves towards its stop."""
@@ -105,6 +110,8 @@ class Trial(NamedTuple):
     there: Margins  # at its end
     stance: Stance  # at its end
     side: PerWhisker  # at its end
+    slips_on: PerWhisker | None = None  # rate of slip in the direction of slip; infinite for contacts that stick
+    friction_angle: Scalar | None = None
 
 
 def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop_u: Scalar) -> Trial:
@@ -134,7 +141,18 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         there=margins_there,
         stance=there,
         side=problem.updated_side(free, state.mode.side, there),
+        slips_on=slips_on(problem, state.mode, solution.point.z, tangent.z),
+        friction_angle=problem.friction_angle,
     )
+
+
+def slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
+    """Rates of slip in the direction of slip, infinite for whiskers that are free or stick; None without friction."""
+    if mode.friction is None:
+        return None
+    slips = (mode.phase != Phase.free) & (mode.friction.slip != 0)
+    rates = jnp.sum(slip_by_contact(problem, z, mode) * z_rate, axis=-1)
+    return jnp.where(slips, mode.friction.slip * rates, jnp.inf)
 
 
 def _direction_of_parabola(
@@ -151,35 +169,46 @@ def _direction_of_parabola(
 
 
 def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
-    ahead = state.before_vertex * slope_sines(problem, point.z)
-    return margins(state.mode, point, at, ahead, state.direction * (stop_u - point.u))
+    ahead = state.before_vertex * slope_sines(problem, point.z, state.mode)
+    return margins(state.mode, point, at, ahead, state.direction * (stop_u - point.u), problem.friction_angle)
 
 
-def slope_sines(problem: Problem, z: Contacts) -> PerWhisker:
-    """sin(alpha) of the object at every contact."""
-    return jax.vmap(lambda p: problem.profile.point(p).sin)(z[:, 1])
+def _flat(margins: Margins) -> Float[Array, " margins"]:
+    return jnp.concatenate([margin for margin in margins if margin.size])
 
 
 def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
     """Whether an event lies within a step of this length, and the first such event."""
     n = trial.here.touch.shape[0]
-    now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
+    now, then = _flat(trial.here), _flat(trial.there)
     violated = then < -MARGIN_NOISE
     # A whisker that was out of reach may touch anywhere within the step.
     share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
     share = jnp.where(violated, share, jnp.inf)
     first = jnp.argmin(share)
-    hit = jnp.arange(4 * n + 1) == first
     contact, phase, side = snap_flow.touching(trial.stance, state.mode.side)
-    whisker = jnp.any(hit[: 4 * n].reshape(4, n), axis=0)
-    return jnp.any(violated), Target(first // n, whisker, jnp.min(share) * distance, contact, phase, side)
+    kinds = np.repeat(np.arange(len(trial.here)), [margin.size for margin in trial.here])
+    whiskers = np.concatenate([np.eye(n, dtype=bool)[: m.size] & (k != AT_STOP) for k, m in enumerate(trial.here)])
+    lean = None
+    if trial.friction_angle is not None:
+        lean = jnp.sign(trial.solution.point.z[:, 1]) * trial.friction_angle
+    return jnp.any(violated), Target(
+        jnp.asarray(kinds)[first],
+        jnp.asarray(whiskers)[first],
+        jnp.min(share) * distance,
+        contact,
+        phase,
+        side,
+        lean,
+    )
 
 
 def dip(problem: Problem, state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
     """Whether a margin is negative within a step but not at its ends, and the share of the step where it is lowest."""
-    now, then = jnp.concatenate(trial.here), jnp.concatenate(trial.there)
-    start = distance * jnp.concatenate(margin_rates(problem, state.mode, state.tangent, state.tangent_pose))
-    end = distance * jnp.concatenate(margin_rates(problem, state.mode, trial.tangent, trial.tangent_pose))
+    now, then = _flat(trial.here), _flat(trial.there)
+    rates = partial(margin_rates, problem, state.mode)
+    start = distance * _flat(rates(state.point, state.tangent, state.tangent_pose))
+    end = distance * _flat(rates(trial.solution.point, trial.tangent, trial.tangent_pose))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
     within = now + t * (start + t * ((3 * (then - now) - 2 * start - end) + t * (start + end - 2 * (then - now))))
     # The margin of an event just passed is zero at the start; rounding must not count as a dip.

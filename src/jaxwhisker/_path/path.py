@@ -4,6 +4,7 @@ A path is a sequence of nodes: exact equilibria in the order in which the drive 
 path before and after each. Every corner of the path (an event, a turning point of the drive) is a node.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 
@@ -28,6 +30,7 @@ class Status(IntEnum):
     too_long = 5  # more nodes, iterations or (for a traced control) turning points than there is room for
     inexact = 6  # this step's equations are not satisfied to tolerance
     unstable = 7  # this step's equilibrium is not stable
+    undetermined = 8  # friction lets the contacts move on in no way, or in more than one
 
 
 class EventKind(IntEnum):
@@ -40,8 +43,11 @@ class EventKind(IntEnum):
     release = 4  # contact ends smoothly, with zero force
     snap_through = 5  # stability is lost, and no whisker that slips comes free
     snap_off = 6  # stability is lost, and a whisker slips and comes free
+    stick = 7  # a contact stops slipping along the object
+    slip = 8  # a contact that stuck begins to slip
 
 
+SNAPS = (EventKind.snap_through, EventKind.snap_off)
 NO_EVENT = -1
 STOP = -2  # the drive reverses, or the scan ends
 
@@ -60,6 +66,26 @@ class Node(NamedTuple):
     whiskers: Bool[Array, " whiskers"]  # those that the event concerns
     phase_before: Int[Array, " whiskers"]
     side_before: PerWhisker
+    friction: Friction | None = None  # from here on
+    friction_before: Friction | None = None
+    stop: Int[Array, ""] | None = None  # index of the next stop; None without friction, which remembers stops
+    corner: Bool[Array, ""] | None = None  # whether contacts stick or slip at the node before; None without friction
+
+    @property
+    def mode(self) -> Mode:
+        """The mode from here on."""
+        return Mode(self.phase, self.side, jnp.zeros_like(self.kind, bool), friction=self.friction)
+
+    @property
+    def mode_before(self) -> Mode:
+        """The mode before."""
+        separate = jnp.zeros_like(self.kind, bool)
+        return Mode(self.phase_before, self.side_before, separate, friction=self.friction_before)
+
+
+def is_snap(kind: Int[Array, "*nodes"]) -> Bool[Array, "*nodes"]:
+    """Whether an event is a snap."""
+    return (kind == EventKind.snap_through) | (kind == EventKind.snap_off)
 
 
 class Path(NamedTuple):
@@ -93,13 +119,21 @@ class Margins(NamedTuple):
     phase: PerWhisker  # tip <-> tangential
     vertex: PerWhisker
     stop: Float[Array, " 1"]
+    slip: Float[Array, " sticking"]  # of sticking contacts; empty without friction
 
 
-TOUCH, RELEASE, PHASE, VERTEX, AT_STOP = range(len(Margins._fields))  # indices into Margins
+TOUCH, RELEASE, PHASE, VERTEX, AT_STOP, SLIP = range(len(Margins._fields))  # indices into Margins
 MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
 
 
-def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, remaining: Scalar) -> Margins:
+def margins(
+    mode: Mode,
+    point: Point,
+    at: Stance,
+    ahead: PerWhisker,
+    remaining: Scalar,
+    friction_angle: Scalar | None = None,
+) -> Margins:
     """Margins at a point.
 
     Args:
@@ -108,9 +142,10 @@ def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, remaining: 
         at: stance of the whiskers at the point.
         ahead: sin(alpha), with the sign that makes it positive before the vertex.
         remaining: distance of the drive to its next stop.
+        friction_angle: largest lean of a contact force.
     """
     free = mode.phase == Phase.free
-    force, _, slack = point.z.T
+    force, lean, slack = point.z.T
     first = at.first(mode.side)
     far = jnp.inf
     return Margins(
@@ -119,16 +154,26 @@ def margins(mode: Mode, point: Point, at: Stance, ahead: PerWhisker, remaining: 
         phase=jnp.where(free, far, jnp.where(mode.phase == Phase.tip, -slack, slack)),
         vertex=jnp.where(free, far, ahead),
         stop=jnp.reshape(remaining, 1),
+        slip=_sticking(mode, lambda limit: limit - jnp.abs(lean), friction_angle, far),
     )
 
 
-def margin_rates(problem: Problem, mode: Mode, direction: Point, pose_rate: Poses) -> Margins:
+def margin_rates(problem: Problem, mode: Mode, point: Point, direction: Point, pose_rate: Poses) -> Margins:
     """Derivatives of the margins along the path; zero for vertex and stop, which are passed only once."""
-    free = mode.phase == Phase.free
+    free, lean = mode.phase == Phase.free, point.z[:, 1]
     return Margins(
         touch=jnp.where(free, problem.touch_rate(mode.side, pose_rate), 0.0),
         release=jnp.where(free, 0.0, direction.z[:, 0]),
         phase=jnp.where(free, 0.0, jnp.where(mode.phase == Phase.tip, -1.0, 1.0) * direction.z[:, 2]),
         vertex=jnp.zeros_like(mode.side),
         stop=jnp.zeros(1),
+        slip=_sticking(mode, lambda _: -jnp.sign(lean) * direction.z[:, 1], problem.friction_angle, 0.0),
     )
+
+
+def _sticking(
+    mode: Mode, values: Callable[[Scalar], PerWhisker], limit: Scalar | None, otherwise: float
+) -> Float[Array, " sticking"]:
+    if mode.friction is None or limit is None:
+        return jnp.zeros(0)
+    return jnp.where((mode.phase != Phase.free) & (mode.friction.slip == 0), values(limit), otherwise)

@@ -19,6 +19,7 @@ dt is shorter. Treating it explicitly throughout would be too slow: just below a
 millionth of the distance per step.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -27,8 +28,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import Condensed, Solution
+from jaxwhisker._equilibrium.contact import Phase, parameter
+from jaxwhisker._equilibrium.friction import newly_slipping
+from jaxwhisker._equilibrium.newton import Condensed, Solution, slip_by_contact, with_slips
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
@@ -39,6 +41,8 @@ FIRST_TIME_STEP = 1e-3
 NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
 ITERATIONS = 3000
 TOUCH = 1e-8  # tolerance for the position of a base where its whisker touches, and thus for the force of a new contact
+SLIPPED = 1e-12  # distance that a contact may slip back before it sticks
+LEANING = 1e-12  # angle by which a contact that sticks may lean too far before it slips
 LANDED = 1e-6  # tolerance for the base position at which a slipped whisker's slide or landing ends
 
 
@@ -172,7 +176,8 @@ def _slip(
     force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
     ends = ~free & ~slipping & (z[:, 0] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
-    contact = jax.vmap(problem.profile.point)(z[:, 1])
+    at_contact = jax.vmap(partial(parameter, problem.profile))(z, mode.phase, mode.side, mode.friction)
+    contact = jax.vmap(problem.profile.point)(at_contact)
     base = problem.in_scene(u, pose)
     unbent = mode.side * ((contact.x - base.x) * contact.cos + (contact.y - base.y) * contact.sin) <= 0
     near = at.first(mode.side)
@@ -186,17 +191,25 @@ def _slip(
     )
 
 
-def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tuple[Flow, Mode, Contacts]:
-    """Accept the solved step: phases change, contacts end or begin, whiskers slip."""
+def advance(
+    problem: Problem, flow: Flow, mode: Mode, previous: Contacts, solution: Solution
+) -> tuple[Flow, Mode, Contacts]:
+    """Accept the solved step from the previous contacts: phases change, contacts end or begin, whiskers slip."""
     newton, z, u = solution.newton, solution.point.z, solution.point.u
     free = mode.phase == Phase.free
     pose = jnp.where(free[:, None], flow.pose, newton.pose)
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
-    turned = (phase != mode.phase) & ~free
+    friction, turned = mode.friction, (phase != mode.phase) & ~free
+    if friction is not None:
+        directions = _slips(problem, mode, previous, z)
+        turned |= (directions != friction.slip) & ~free
+        stuck, friction = with_slips(problem, z, mode, directions)
     by_x = newton.condensed.by_x
     at = problem.stance(u, pose)
     slip = _slip(problem, flow, mode, z, u, pose, at, newton.condensed)
 
+    if friction is not None:
+        z = stuck
     side = jnp.where(slip.freed, at.side, jnp.where(slip.lands, -mode.side, mode.side))
     z, phase = jnp.where(slip.freed[:, None], 0.0, z), jnp.where(slip.freed, Phase.free, phase)
     fresh = slip.begins | slip.lands
@@ -206,6 +219,7 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
     first = at.first(side)
     pose = pose + jnp.where(fresh[:, None], problem.shift(u, first.x - at.x), 0.0)
     side = jnp.where(fresh, touched_side, side)
+    friction = newly_slipping(friction, fresh | slip.freed, side)
     astray = jnp.abs(landing_x - pose[:, 0]) > LANDED * jnp.minimum(jnp.abs(by_x), 1.0)
 
     iterations = flow.iterations + 1
@@ -229,7 +243,17 @@ def advance(problem: Problem, flow: Flow, mode: Mode, solution: Solution) -> tup
         step=jnp.minimum(2 * flow.step, LARGEST_CHANGE),
         time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
     )
-    return flow, Mode(phase, side, jnp.asarray(False)), z
+    return flow, Mode(phase, side, jnp.asarray(False), friction=friction), z
+
+
+def _slips(problem: Problem, mode: Mode, previous: Contacts, z: Contacts) -> Int[Array, " whiskers"]:
+    """Directions in which contacts slip after a step; those that turned back stick, those that lean too far slip."""
+    assert mode.friction is not None and problem.friction_angle is not None
+    slip, lean = mode.friction.slip, z[:, 1]
+    slipped = slip * jnp.sum(slip_by_contact(problem, z, mode) * (z - previous), axis=-1)
+    backwards = jnp.where(problem.friction_angle > 0, 0, -slip)
+    slips = jnp.where(jnp.abs(lean) > problem.friction_angle + LEANING, jnp.sign(lean).astype(int), 0)
+    return jnp.where(slip == 0, slips, jnp.where(slipped < -SLIPPED, backwards, slip))
 
 
 def shortened(flow: Flow) -> Flow:

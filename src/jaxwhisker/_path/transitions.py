@@ -6,24 +6,27 @@ and one is selected, because a batch pays for every branch anyway.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import Condensed, Solution
-from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of
+from jaxwhisker._equilibrium.friction import newly_slipping
+from jaxwhisker._equilibrium.newton import Condensed, Solution, slip_by_contact, slope_sines, with_slips
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.approach import FIRST_STEP, approach_of
-from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, slope_sines
+from jaxwhisker._path.approach import approach_of
+from jaxwhisker._path.leaving import SLIP_NOISE, to_snap, with_changed_slips
+from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, slips_on
 from jaxwhisker._path.path import (
     AT_STOP,
     MARGIN_NOISE,
     NO_EVENT,
     PHASE,
     RELEASE,
+    SLIP,
     STOP,
     TOUCH,
     VERTEX,
@@ -32,6 +35,7 @@ from jaxwhisker._path.path import (
     Status,
     first_case,
     margin_rates,
+    select,
 )
 
 PREDICTION_ERROR = 2e-3  # target; states between nodes are then interpolated to about 1e-6 before they are solved for
@@ -43,14 +47,13 @@ NEAR_FOLD = 2e-4  # ... or within one this short, if no shorter step can be solv
 RESOLVED_STEP = 0.02  # step within which du/ds is a parabola to a few percent of its change
 PARABOLA_ERROR = 0.25  # assumed error of the parabola's slopes, relative to that change, with a margin
 SHORTEST_DIP = 1e-4  # step within which du/ds changes by about 1e-6 at most: folds closer together are overlooked
-ARRIVAL_MISS = 0.1  # the equilibrium at which a flow ends is nearer than this
 
 
 def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
     """EventKind of a target, or STOP."""
     tip = jnp.any(target.whisker & (phase == Phase.tip))
     change = jnp.where(tip, EventKind.tip_to_tangential, EventKind.tangential_to_tip)
-    kinds = jnp.array([EventKind.touch, EventKind.release, 0, EventKind.vertex, STOP])
+    kinds = jnp.array([EventKind.touch, EventKind.release, 0, EventKind.vertex, STOP, EventKind.slip])
     return jnp.where(target.kind == PHASE, change, kinds[target.kind])
 
 
@@ -77,6 +80,9 @@ def _node(state: MarchState, trial: Trial) -> Node:
         jnp.zeros_like(state.mode.phase, bool),
         state.mode.phase,
         state.mode.side,
+        state.mode.friction,
+        state.mode.friction,
+        *(() if state.mode.friction is None else (state.goal, jnp.asarray(False))),
     )
 
 
@@ -88,21 +94,6 @@ def _moved(state: MarchState, trial: Trial, node: Node) -> MarchState:
         tangent=trial.tangent,
         tangent_pose=trial.tangent_pose,
         travel=node.travel,
-    )
-
-
-def _to_snap(state: MarchState) -> MarchState:
-    """The state that is about to leave an equilibrium that has lost its stability."""
-    return state._replace(
-        pending=state.pending._replace(
-            z_before=state.point.z,
-            arriving=state.tangent,
-            phase_before=state.mode.phase,
-            side_before=state.mode.side,
-        ),
-        task=jnp.asarray(int(Task.kick)),
-        flow=snap_flow.start(state.mode, state.pose),
-        unstable_at=jnp.asarray(jnp.inf),
     )
 
 
@@ -143,30 +134,52 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     too_short = ~good & (shorter.step < SHORTEST_STEP)
     to_event = state._replace(task=jnp.asarray(int(Task.event)), target=target)
 
-    turn = state.turn(trial.tangent)
+    turn = _lowest(state.turn(trial.tangent), trial.slips_on)
     located = (jnp.abs(turn) < FOLD_SLOPE) | (state.step < FOLD_BRACKET)
     node = _node(state, trial)
     moved = _moved(state, trial, node)
-    fold = _to_snap(moved)
+    turned = _turned(problem, moved, trial, node)
     closer = state._replace(
         unstable_at=state.step,
         unstable_turn=turn,
-        step=_step_to_fold(state.turn(state.tangent), state.step, turn, jnp.inf),
+        step=_step_to_fold(_turn_at_start(problem, state), state.step, turn, jnp.inf),
     )
     at_fold = jnp.isfinite(state.unstable_at) & (turn < FOLD_SLOPE)
+    holds = trial.stable if trial.slips_on is None else trial.stable & jnp.all(trial.slips_on > -SLIP_NOISE)
     new = first_case(
         # If several whiskers become unstable at once, Newton's method fails close to the fold: this is near enough.
-        (too_short & (state.unstable_at < NEAR_FOLD), _to_snap(state)),
+        (too_short & (state.unstable_at < NEAR_FOLD), to_snap(state)),
         (too_short, state.stopped(Status.lost)),
         (~good, shorter),
         (violated, to_event),
-        (~trial.stable & ~located, closer),
-        (~trial.stable, fold),
+        (~holds & ~located, closer),
+        (~holds, turned),
         (~trial.convex, state.stopped(Status.not_convex)),
-        (at_fold, fold),
+        (at_fold, turned),
         otherwise=_onwards(problem, state, moved, trial, error, scale),
     )
-    return new, good & ~violated & (trial.stable | located) & trial.convex, node
+    return new, good & ~violated & (holds | located) & trial.convex, node
+
+
+def _lowest(turn: Scalar, slips_on: PerWhisker | None) -> Scalar:
+    """The lowest rate along the path of what must not turn back: the drive, and the slips of contacts."""
+    return turn if slips_on is None else jnp.minimum(turn, jnp.min(slips_on))
+
+
+def _turn_at_start(problem: Problem, state: MarchState) -> Scalar:
+    slips = slips_on(problem, state.mode, state.point.z, state.tangent.z)
+    return _lowest(state.turn(state.tangent), slips)
+
+
+def _turned(problem: Problem, moved: MarchState, trial: Trial, node: Node) -> MarchState:
+    """The state at a located turning point: the path loses stability at a fold, or a contact begins to stick."""
+    fold = to_snap(moved)
+    friction = moved.mode.friction
+    if trial.slips_on is None or friction is None:
+        return fold
+    sticks = trial.slips_on < jnp.minimum(FOLD_SLOPE, moved.turn(trial.tangent))
+    stick = with_changed_slips(problem, moved, node, jnp.where(sticks, 0, friction.slip), trial.tangent)
+    return select(jnp.any(sticks), stick, fold)
 
 
 def _prediction_error(state: MarchState, trial: Trial, guess: Point, scale: Contacts) -> tuple[Scalar, Bool[Array, ""]]:
@@ -191,7 +204,7 @@ def _onwards(
     # The path is still stable there: lengths along a curve do not quite add up, and the loss is further ahead.
     left = jnp.where(left < FOLD_BRACKET, jnp.inf, left)
     bend = Point((trial.tangent.z - state.tangent.z) / state.step, (trial.tangent.u - state.tangent.u) / state.step)
-    turn = state.turn(trial.tangent)
+    turn = _lowest(state.turn(trial.tangent), trial.slips_on)
     return moved._replace(
         bend=bend,
         unstable_at=left,
@@ -207,12 +220,13 @@ class _Change(NamedTuple):
     touches: Bool[Array, " whiskers"]
     released: Bool[Array, " whiskers"]
     phase: Bool[Array, " whiskers"]
+    slips: Bool[Array, " whiskers"]
 
 
 def after_event(problem: Problem, state: MarchState, trial: Trial):
     """Handle the point where a margin vanishes: change to the mode that holds from here on."""
     solution, target = trial.solution, state.target
-    change = _Change(*(target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE)))
+    change = _Change(*(target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE, SLIP)))
     z_before = jnp.where(change.touches[:, None], state.point.z, solution.point.z)
     good, distance = _reached(problem, state, trial, z_before)
 
@@ -223,19 +237,20 @@ def after_event(problem: Problem, state: MarchState, trial: Trial):
     again = state._replace(
         task=jnp.asarray(int(Task.advance)), step=jnp.where(dips, share * distance, 0.4 * state.step)
     )
-    turn = state.turn(trial.tangent)
+    turn = _lowest(state.turn(trial.tangent), trial.slips_on)
+    holds = trial.stable if trial.slips_on is None else trial.stable & jnp.all(trial.slips_on > -SLIP_NOISE)
     unstable = state._replace(
         task=jnp.asarray(int(Task.advance)),
         unstable_at=distance,
         unstable_turn=turn,
-        step=_step_to_fold(state.turn(state.tangent), distance, turn, jnp.inf),
+        step=_step_to_fold(_turn_at_start(problem, state), distance, turn, jnp.inf),
     )
-    node = _event_node(state, trial, change, z_before)
+    node = _event_node(problem, state, trial, change, z_before)
     new = first_case(
         (~good & (again.step < SHORTEST_STEP), state.stopped(Status.lost)),
         (~good, again),
         (violated, state._replace(target=earlier)),
-        (~trial.stable, unstable),
+        (~holds, unstable),
         otherwise=_arrived(problem, state, trial, change, node),
     )
     return new, jnp.asarray(False), node
@@ -250,13 +265,13 @@ def _reached(problem: Problem, state: MarchState, trial: Trial, z_before: Contac
     good = trial.solution.converged & (distance > -1e-9) & (reach <= 1.5 * state.step + 1e-9)
     # If the margin grows, the path comes back from beyond the event, and the event itself lies earlier on the path.
     n = state.mode.phase.shape[0]
-    rates = jnp.concatenate(margin_rates(problem, state.mode, trial.tangent, trial.tangent_pose))
-    rate = rates[: 4 * n].reshape(4, n)[jnp.minimum(state.target.kind, VERTEX)]
-    growing = jnp.where(state.target.kind < AT_STOP, rate, 0.0)
+    rates = margin_rates(problem, state.mode, trial.solution.point, trial.tangent, trial.tangent_pose)
+    rows = [*rates[:AT_STOP], np.zeros(n), *([rates.slip] if rates.slip.size else [])]
+    growing = jnp.stack(rows)[state.target.kind]
     return good & (jnp.sum(state.target.whisker * growing) < MARGIN_NOISE), distance
 
 
-def _event_node(state: MarchState, trial: Trial, change: _Change, z_before: Contacts) -> Node:
+def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Change, z_before: Contacts) -> Node:
     """The node of an event, in the mode that holds from here on."""
     solution, target, mode = trial.solution, state.target, state.mode
     phase = jnp.where(change.touches, target.phase, mode.phase)
@@ -265,6 +280,12 @@ def _event_node(state: MarchState, trial: Trial, change: _Change, z_before: Cont
     phase = jnp.where(change.released, Phase.free, phase)
     phase = jnp.where(change.phase, jnp.where(mode.phase == Phase.tip, Phase.tangential, Phase.tip), phase)
     z = z.at[:, 2].set(jnp.where(change.phase, 0.0, z[:, 2]))
+    friction = newly_slipping(mode.friction, change.touches | change.released, side)
+    if friction is not None and target.lean is not None:
+        now = Mode(phase, side, mode.separate, friction=friction)
+        slip = jnp.where(change.slips, jnp.sign(target.lean).astype(int), friction.slip)
+        z, friction = with_slips(problem, z, now, slip)
+        z = jnp.where(change.released[:, None], 0.0, z)
     node = _node(state, trial)
     at_first = (target.kind == AT_STOP) & (state.goal == 0)
     return node._replace(
@@ -272,6 +293,7 @@ def _event_node(state: MarchState, trial: Trial, change: _Change, z_before: Cont
         z_before=z_before,
         phase=phase,
         side=side,
+        friction=friction,
         travel=jnp.where(at_first, 0.0, node.travel),
         kind=_event_kind(target, mode.phase),
         whiskers=target.whisker,
@@ -287,6 +309,9 @@ def _arrived(problem: Problem, state: MarchState, trial: Trial, change: _Change,
     # If the mode does not change, the path continues as it arrives.
     stops = kind == AT_STOP
     smooth = stops | (kind == VERTEX)
+    if node.friction is not None:
+        by_contact = slip_by_contact(problem, node.point.z, node.mode)
+        lead_z += jnp.where(change.slips[:, None], node.friction.slip[:, None] * by_contact, 0.0)
     lead_z += jnp.where(smooth, state.tangent.z / scale**2, 0.0)
     lead_u = jnp.where(smooth, state.tangent.u, 0.0)
     # A whisker is released in the direction in which its contact would have to pull.
@@ -294,11 +319,11 @@ def _arrived(problem: Problem, state: MarchState, trial: Trial, change: _Change,
     lead_pose = jnp.where(change.released[:, None], by_pose, 0.0)
     lead_u += jnp.sum(jnp.where(change.released, by_u, 0.0))
     passed = state.target.whisker & (kind == VERTEX)
-    ahead = jnp.where(slope_sines(problem, node.point.z) < 0, -1.0, 1.0)
+    ahead = jnp.where(slope_sines(problem, node.point.z, node.mode) < 0, -1.0, 1.0)
     sign = jnp.where(change.touches, ahead, state.before_vertex)
     return _moved(state, trial, node)._replace(
         task=jnp.asarray(int(Task.arrive)),
-        mode=state.mode._replace(phase=node.phase, side=node.side),
+        mode=node.mode,
         point=node.point,
         lead=Lead(lead_z, lead_pose, lead_u),
         before_vertex=jnp.where(passed, -sign, sign),
@@ -316,69 +341,9 @@ def _pulling(at: Condensed) -> tuple[Poses, PerWhisker]:
     return weight, jnp.zeros_like(by_x[:, 0]) if at.pose_by_u is None else -jnp.sum(weight * at.pose_by_u, axis=1)
 
 
-def after_arrive(
-    problem: Problem, state: MarchState, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]
-):
-    """Handle the point of an event in its new mode: leave along the path, or begin a snap."""
-    point = trial.solution.point
-    stop_kind = state.pending.kind == STOP
-    heading = jnp.sign(stops[jnp.minimum(state.goal, last)] - state.point.u)
-    turned = stop_kind & (state.goal <= last) & (heading != 0)
-    direction = jnp.where(turned, heading, state.direction)
-    reversed_ = direction != state.direction
-    lead = state.lead
-    grows = jnp.sum(lead.z * trial.tangent.z) + jnp.sum(lead.pose * trial.tangent_pose) + lead.u * trial.tangent.u
-    sign = jnp.where(grows < 0, -1.0, 1.0) * jnp.where(reversed_, -1.0, 1.0)
-    tangent = Point(sign * trial.tangent.z, sign * trial.tangent.u)
-    node = state.pending._replace(point=point, leaving=tangent)
-    state = state._replace(direction=direction)
-    after_snap = (state.pending.kind == EventKind.snap_off) | (state.pending.kind == EventKind.snap_through)
-    # After a snap, and only then, the contact may be on the other side of the vertex.
-    behind = jnp.where(slope_sines(problem, point.z) < 0, -1.0, 1.0)
-    onwards = state._replace(
-        task=jnp.asarray(int(Task.advance)),
-        point=point,
-        pose=trial.solution.newton.pose,
-        tangent=tangent,
-        tangent_pose=sign * trial.tangent_pose,
-        bend=jax.tree.map(jnp.zeros_like, tangent),
-        step=jnp.asarray(FIRST_STEP),
-        unstable_at=jnp.asarray(jnp.inf),
-        before_vertex=jnp.where(after_snap, behind, state.before_vertex),
-    )
-    falls = (state.turn(tangent) <= 0) | ~trial.stable
-    moved = Point(point.z - state.point.z, point.u - state.point.u)
-    near = trial.solution.converged & (dot(moved, moved, scale_of(state.point.z)) < ARRIVAL_MISS**2)
-    # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
-    there = trial.there
-    wrong = jnp.any(jnp.stack([there.touch, there.release, there.phase]) < -MARGIN_NOISE)
-    early = after_snap & (wrong | falls | ~near)
-    flowing = state._replace(
-        task=jnp.asarray(int(Task.flow)),
-        flow=state.flow._replace(near=state.flow.near / 4),
-    )
-    new = first_case(
-        (early, flowing),
-        (~near, state.stopped(Status.lost)),
-        (_is_over(problem, state, trial, last, stop_kind), state.stopped(Status.ok)),
-        (falls, _to_snap(onwards)),
-        otherwise=onwards,
-    )
-    return new, near & ~early, node
-
-
-def _is_over(
-    problem: Problem, state: MarchState, trial: Trial, last: Int[Array, ""], stop_kind: Bool[Array, ""]
-) -> Bool[Array, ""]:
-    """Whether the march ends here: at the last stop, or on the way to it after all whiskers have passed the object."""
-    last_leg = (state.goal >= last) & (state.direction * problem.motion.onwards > 0) & (state.goal > 0)
-    gone = approach_of(problem).is_over(state.mode, trial.stance) & last_leg
-    return (stop_kind & (state.goal > last)) | gone
-
-
 def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, solution: Solution):
     """Handle a step of the overdamped bases."""
-    flow, mode, z = snap_flow.advance(problem, proposed, state.mode, solution)
+    flow, mode, z = snap_flow.advance(problem, proposed, state.mode, state.point.z, solution)
     rested = snap_flow.at_rest(problem, flow, mode, state.point.u)
     freed = flow.slipped & (mode.phase == Phase.free)
     kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
@@ -387,6 +352,7 @@ def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, so
     pending = state.pending._replace(
         phase=mode.phase,
         side=mode.side,
+        friction=mode.friction,
         travel=state.travel,
         kind=kind,
         whiskers=flow.slipped,

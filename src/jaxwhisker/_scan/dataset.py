@@ -29,13 +29,24 @@ from jaxwhisker._scan.quantities import (
 if TYPE_CHECKING:
     import xarray as xr
 
+
+class Slip(IntEnum):
+    """Direction of slip along the object."""
+
+    backwards = -1  # towards -x
+    sticks = 0
+    forwards = 1
+
+
 VARIABLES = {name: quantity for name, quantity in QUANTITIES.items() if name != "control"}
 # Integers that stand for words, and the word for -1.
 FLAGS: dict[str, tuple[type[IntEnum], str | None]] = {
     "phase": (Phase, None),
     "status": (Status, "not_computed"),
     "event_kind": (EventKind, "none"),
+    "slip": (Slip, None),
 }
+
 SIGNS = (
     "x along the scan, y up from the bases to the object; fx, fy and mz (counter-clockwise positive) are what the "
     "support exerts on the whisker at its base"
@@ -51,6 +62,7 @@ class SceneLayout(NamedTuple):
     control_name: str
     control_kind: str  # of quantities.KINDS
     onwards: int  # +1 if the control grows during a scan, else -1
+    friction: bool
     dimensionless: bool  # the first whisker's length and bending stiffness are 1
     sizes: dict[str, float]  # typical force and length, unless dimensionless; empty if unknown
 
@@ -101,11 +113,12 @@ def layout_of(scene: Scene) -> SceneLayout:
     """The layout of a scene, traced or not."""
     springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in scene.support.springs)
     control = control_name(scene), control_kind(scene), scene.motion.onwards
+    friction = scene.friction is not None
     dimensionless, sizes = is_dimensionless(scene), {}
     if not dimensionless and not is_traced(scene.whiskers[0]):
         natural = natural_units(scene)
         sizes = {"force": float(natural.force), "length": float(natural.length)}
-    return SceneLayout(str(scene), scene.support.whiskers, springs, *control, dimensionless, sizes)
+    return SceneLayout(str(scene), scene.support.whiskers, springs, *control, friction, dimensionless, sizes)
 
 
 def in_shown_units(data: Any, attributes: Mapping[str, Any]) -> Any:
@@ -155,6 +168,7 @@ def scan_dataset(scene: Scene, arrays: Mapping[str, Any]) -> "xr.Dataset":
     variables = {
         name: (quantity.axes, arrays[name].astype(quantity.dtype), layout.attributes(name, quantity))
         for name, quantity in VARIABLES.items()
+        if name in arrays
     }
     coordinates = layout.coordinates(arrays["control"], ("whisker", "spring"))
     attributes = layout.dataset_attributes() | {"points": points_in_words(first_failure(arrays["status"]))}

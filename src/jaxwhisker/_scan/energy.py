@@ -23,7 +23,7 @@ from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.state import State, base_of, outwards
+from jaxwhisker._scan.state import State, base_of, outwards, state_of
 
 INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; the error falls with the fourth power
 
@@ -50,8 +50,7 @@ def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
     """
     checks.instance("scene", scene, Scene, "a Scene")
     checks.instance("state", state, State, "a Result or a State")
-    fields = {name: jnp.asarray(getattr(state, name)) for name in State.__dataclass_fields__}
-    return _energy_now(jax.tree.map(checks.as_float, scene), State(**fields))
+    return _energy_now(jax.tree.map(checks.as_float, scene), state_of(state))
 
 
 def _energy(scene: Scene, state: State) -> Float[Array, "*steps"]:

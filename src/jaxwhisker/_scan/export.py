@@ -17,8 +17,9 @@ def columns(result: Result) -> dict[str, np.ndarray]:
     """Every signal of a scan by name: control, fx_1, fy_1, mz_1, base_x_1, ..., spring_1, ..., phase_1, status."""
     check_one_scan(result)
     found = {"control": np.asarray(result.control)}
+    signals = [name for name in STATE if name != "phase" and getattr(result, name) is not None]
     for k in range(result.fx.shape[1]):
-        found |= {f"{name}_{k + 1}": np.asarray(getattr(result, name))[:, k] for name in STATE if name != "phase"}
+        found |= {f"{name}_{k + 1}": np.asarray(getattr(result, name))[:, k] for name in signals}
     for name, values in (("spring", result.spring_length), ("phase", result.phase)):
         found |= {f"{name}_{k + 1}": column for k, column in enumerate(np.asarray(values).T)}
     return found | {"status": np.asarray(result.status)}
@@ -29,7 +30,8 @@ def to_dataframe(result: Result) -> "pd.DataFrame":
 
     Columns: control; fx_1, fy_1, mz_1, base_x_1, base_y_1, base_angle_1, contact_force_1, contact_slope_1,
     contact_arc_1, contact_x_1, contact_y_1 and the same for further whiskers; spring_1, ...; phase_1, ... (0 free,
-    1 tip, 2 tangential); status (0 ok). `identify` and `reconstruct` read such tables. Failed steps are NaN.
+    1 tip, 2 tangential); status (0 ok); with friction, also slip_1, ..., normal_force_1, ..., friction_force_1, ...
+    `identify` and `reconstruct` read such tables. Failed steps are NaN.
 
     Args:
         result: the Result of a scan.

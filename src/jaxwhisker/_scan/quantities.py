@@ -36,12 +36,13 @@ class Quantity(NamedTuple):
     axes: tuple[str, ...]
     sign: str = ""  # meaning of a positive value, unless it is obvious
     dtype: str = "float64"
+    missing: int = -1  # for an integer, the value that marks missing data
     per: str = "number"  # for a derivative, the kind of the parameter
 
     @property
     def fill(self) -> float | int | bool:
         """The value that marks missing data."""
-        return {"f": np.nan, "i": -1, "b": False}[np.dtype(self.dtype).kind]
+        return {"f": np.nan, "i": self.missing, "b": False}[np.dtype(self.dtype).kind]
 
 
 _STEP, _EVENT = ("control", "whisker"), ("event", "whisker")
@@ -60,6 +61,10 @@ STATE = {
     "contact_x": Quantity("contact point, x", r"\xi", "length", _STEP),
     "contact_y": Quantity("contact point, y", r"\eta", "length", _STEP),
     "phase": Quantity("phase of contact", "", "number", _STEP, dtype="int8"),
+    # With friction only:
+    "slip": Quantity("direction of slip along the object", "", "number", _STEP, dtype="int8", missing=-128),
+    "normal_force": Quantity("contact force along the normal", "f_n", "force", _STEP, "never negative"),
+    "friction_force": Quantity("contact force along the object", "f_t", "force", _STEP, "towards +x on the whisker"),
 }
 QUANTITIES = (
     {"control": Quantity("drive position", "u", CONTROL, ("control",))}
@@ -82,7 +87,7 @@ QUANTITIES = (
 )
 REACTIONS = ("fx", "fy", "mz")
 # Quantities that can be plotted against the control.
-DRAWN = (*(name for name in STATE if name != "phase"), "spring_length")
+DRAWN = (*(name for name in STATE if name not in ("phase", "slip")), "spring_length")
 
 
 def kind_of(name: str, scene: Scene) -> str:

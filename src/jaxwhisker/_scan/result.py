@@ -156,11 +156,12 @@ def check_one_scan(result: Any) -> Result:
 
 
 def arrays_of(result: Result, names: Iterable[str] = tuple(QUANTITIES)) -> dict[str, Array]:
-    """Quantities of a scan by their names in `quantities.QUANTITIES`."""
-    return {name: _array(result, name) for name in names}
+    """Quantities of a scan by their names in `quantities.QUANTITIES`; without those that the scene does not have."""
+    arrays = {name: _array(result, name) for name in names}
+    return {name: array for name, array in arrays.items() if array is not None}
 
 
-def _array(result: Result, name: str) -> Array:
+def _array(result: Result, name: str) -> Array | None:
     when, _, field = name.partition("_")
     if when in ("before", "after"):
         return getattr(getattr(result.events, when), field)

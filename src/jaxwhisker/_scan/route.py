@@ -23,10 +23,16 @@ class Route(NamedTuple):
 
 def route_of(control: Float[np.ndarray, " steps"]) -> Route:
     """The route through concrete positions."""
-    stops = np.concatenate([control[:1], control[turns_of(control)], control[-1:]])
-    room = 2 if stops.size == 2 else STOPS * int(np.ceil(stops.size / STOPS))
-    padded = np.concatenate([stops, np.full(room - stops.size, stops[-1])])
-    return Route(control, np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))]), padded, stops.size - 1)
+    index = stops_of(control)
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])
+    return Route(control, travel, control[index], turns_of(control).size + 1)
+
+
+def stops_of(control: Float[np.ndarray, " steps"]) -> Int[np.ndarray, " stops"]:
+    """Indices of the first position, the turning points and the last position, which is repeated as padding."""
+    turns, end = turns_of(control), control.size - 1
+    room = 2 if turns.size == 0 else STOPS * int(np.ceil((turns.size + 2) / STOPS))
+    return np.concatenate([[0], turns, np.full(room - 1 - turns.size, end)])
 
 
 def turns_of(control: Float[np.ndarray, " steps"]) -> Int[np.ndarray, " turns"]:

@@ -27,8 +27,9 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import march
 from jaxwhisker._path.path import Path, Status
+from jaxwhisker._scan.memory import remembered, with_places
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.route import Route, across, route_of, straight, traced_route
+from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
 from jaxwhisker._scan.signals import events, spring_lengths
 from jaxwhisker._scan.slopes import event_tangents, spring_tangents, state_tangents
 from jaxwhisker._scan.state import State
@@ -104,12 +105,17 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
         if checks.is_traced(still):
             route, status = traced_route_now(jnp.asarray(control, dtype=float))
         else:
-            route = route_of(np.asarray(still, dtype=float))
-            route = route._replace(control=control) if checks.is_traced(control) else route
+            still = np.asarray(still, dtype=float)
+            route = route_of(still)
+            if checks.is_traced(control):
+                control = jnp.asarray(control)
+                route = route._replace(control=control, stops=control[stops_of(still)])
     stops, last = across() if route is None else (route.stops, route.last)
     prepare(problem, stops.shape[0])
     path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
     path = _if_ok(path, status)
+    if problem.friction_angle is not None and checks.is_traced((problem, stops)):
+        path = remembered_now(path, problem, np.zeros(2) if route is None else stops)
     if route is None and steps is not None:
         route = evenly_now(start, stop, steps)
         route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
@@ -128,7 +134,8 @@ def _in_blocks(
     """
 
     def block(control, travel):
-        state, status = states_now(problem, control, solve_steps_now(problem, path, control, travel))
+        solutions = with_places(solve_steps_now(problem, path, control, travel), path)
+        state, status = states_now(problem, control, solutions)
         return state, status, spring_lengths_now(scene, (state.base_x, state.base_y, state.base_angle), control)
 
     count, xp = route.control.shape[0], np if isinstance(route.control, np.ndarray) else jnp
@@ -226,7 +233,10 @@ def _staged_result(
 ) -> Result:
     """The result along a route, as part of a caller's jit; a status of the route that is not ok replaces the path's."""
     path, control, travel = _if_ok(path, status), jnp.asarray(route.control), jnp.asarray(route.travel)
-    state, step_status = states(problem, control, solve_steps(problem, path, control, travel))
+    if problem.friction_angle is not None:
+        path = remembered(path, problem, jnp.asarray(route.stops))
+    solutions = with_places(solve_steps(problem, path, control, travel), path)
+    state, step_status = states(problem, control, solutions)
     lengths = spring_lengths(scene, (state.base_x, state.base_y, state.base_angle), control)
     return _result(scene, problem, path, control, state, step_status, lengths)
 
@@ -279,6 +289,7 @@ def _result(
 
 problem_now = Program(problem_of, tangent=by_slopes(problem_of))
 follow_path_now = Program(follow_path, frozen=True, batched=True)
+remembered_now = Program(remembered)
 solve_steps_now = Program(solve_steps, frozen=True)
 states_now = Program(states, tangent=state_tangents)
 events_now = Program(events, tangent=event_tangents)

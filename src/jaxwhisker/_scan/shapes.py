@@ -16,7 +16,7 @@ from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.result import Result, check_one_scan
-from jaxwhisker._scan.state import State, base_of, material, outwards
+from jaxwhisker._scan.state import State, base_of, material, outwards, state_of
 
 
 class Shapes(eqx.Module):
@@ -53,13 +53,13 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
     if at is not None:
         checks.vector("at", at)
         index = np.argmin(np.abs(np.asarray(result.control)[:, None] - np.asarray(at)), axis=0)
-    fields = {name: getattr(result, name) for name in State.__dataclass_fields__}
-    if checks.is_traced(fields):
-        fields = {name: values[index] for name, values in fields.items()}
+    state = state_of(result)
+    if checks.is_traced(state):
+        state = jax.tree.map(lambda values: values[index], state)
     else:  # NumPy compiles nothing for a new shape
-        fields = {name: jax.device_put(np.asarray(values)[index]) for name, values in fields.items()}
+        state = jax.tree.map(lambda values: jax.device_put(np.asarray(values)[index]), state)
     whiskers = result.scene.whiskers
-    return shapes_of(State(**fields), jax.tree.map(checks.as_float, whiskers), points=points)
+    return shapes_of(state, jax.tree.map(checks.as_float, whiskers), points=points)
 
 
 @Program

@@ -11,12 +11,13 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
 from jaxwhisker._equilibrium.contact import Base, Phase, of_each
-from jaxwhisker._equilibrium.implicit import Sides, event_control, event_points
+from jaxwhisker._equilibrium.friction import lean, slipping_from
+from jaxwhisker._equilibrium.implicit import Sides, Turning, event_control, event_points
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_event
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
 from jaxwhisker._model.scene import Scene, moves_along_x
-from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, select
+from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, is_snap, select
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.state import State
 
@@ -27,7 +28,7 @@ def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State
     """State of an equilibrium in the scene's units, and its largest residual."""
     touching, bodies = mode.phase != Phase.free, problem.bodies(u)
     contacts = with_dummy_contacts(problem, z, mode.phase)
-    base = of_each(bodies, contact.base, *contacts, mode.side)
+    base = of_each(bodies, contact.base, *contacts, mode.side, mode.friction)
     arc = of_each(bodies, contact.arc, z[:, 2], mode.phase)
     in_frame = jax.vmap(contact.in_base_frame, in_axes=(0, None if bodies.frame is None else 0))(base, bodies.frame)
     load = jnp.where(touching[:, None], newton.load_of(in_frame, problem.axes), 0.0)
@@ -56,7 +57,12 @@ def _residual(
     equalities = [*apart.T, *problem.further_residuals(base, here)]
     # Complementarity: the object only pushes, and the slack has the sign of its phase.
     excess = jnp.where(mode.phase == Phase.tip, z[:, 2], -z[:, 2])
-    residuals = jnp.concatenate([jnp.abs(jnp.stack(equalities)), jnp.maximum(jnp.stack([-z[:, 0], excess]), 0.0)])
+    inequalities = [-z[:, 0], excess]
+    leans = lean(z[:, 1], mode.friction, problem.friction_angle)
+    if leans is not None and problem.friction_angle is not None:
+        # The lean of a small force is not known to the same accuracy.
+        inequalities += [(jnp.abs(leans) - problem.friction_angle) * jnp.minimum(z[:, 0], 1.0)]
+    residuals = jnp.concatenate([jnp.abs(jnp.stack(equalities)), jnp.maximum(jnp.stack(inequalities), 0.0)])
     return problem.if_defined(jnp.max(jnp.where(touching, residuals, 0.0)), here)
 
 
@@ -79,7 +85,21 @@ def _state(problem: Problem, z: Contacts, mode: Mode, base: Base, arc: PerWhiske
         contact_x=if_touching(base.contact_x) * unit.length,
         contact_y=if_touching(base.contact_y) * unit.length,
         phase=mode.phase,
+        **_friction(problem, z, mode),
     )
+
+
+def _friction(problem: Problem, z: Contacts, mode: Mode) -> dict[str, Array]:
+    """Fields of a state with friction."""
+    leans = lean(z[:, 1], mode.friction, problem.friction_angle)
+    if mode.friction is None or leans is None:
+        return {}
+    touching, force = mode.phase != Phase.free, z[:, 0] * problem.unit.force
+    return {
+        "slip": jnp.where(touching, mode.friction.slip, 0),
+        "normal_force": jnp.where(touching, force * jnp.cos(leans), 0.0),
+        "friction_force": jnp.where(touching, -force * jnp.sin(leans), 0.0),
+    }
 
 
 def spring_lengths(scene: Scene, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
@@ -100,9 +120,11 @@ def spring_length(scene: Scene, base: tuple[PerWhisker, PerWhisker, PerWhisker],
     return scene.support.spring_length(in_frame - jnp.stack([jnp.stack(mount) for mount in mounts]))
 
 
-def _event_row(node: Node) -> Row:
+def _event_row(problem: Problem, node: Node) -> Row:
     """The equation that defines a node's event; for a node without an event, its control is given."""
-    kind = node.kind
+    kind, slips, limit = node.kind, None, None
+    if problem.friction_angle is not None:
+        slips, limit = kind == EventKind.slip, jnp.sign(node.z_before[:, 1]) * problem.friction_angle
     return at_event(
         node.whiskers,
         node.z_before,
@@ -111,45 +133,61 @@ def _event_row(node: Node) -> Row:
         vertex=kind == EventKind.vertex,
         control=kind < 0,
         u0=node.point.u,
+        lean=slips,
+        limit=limit,
     )
 
 
-class _EventPoint(NamedTuple):
+class EventPoint(NamedTuple):
     """What defines the point of an event, as it is before the event."""
 
     point: Point
     mode: Mode  # in which the point is solved for
     along: Point  # direction of the path
     row: Row
-    fold: Bool[Array, ""]
+    turning: Turning
 
 
-def _event_point(node: Node, previous: Node) -> tuple[_EventPoint, Mode]:
-    """The point of an event, and the mode before it. A snap starts at the node before its own: a fold or an event."""
-    snap = node.kind >= EventKind.snap_through
-    at = jax.tree.map(lambda a, b: jnp.where(snap, a, b), previous, node)
-    no = jnp.asarray(False)
-    before_mode = Mode(at.phase_before, at.side_before, no)
+def event_point(problem: Problem, node: Node, previous: Node) -> tuple[EventPoint, Mode]:
+    """The point of an event, and the mode before it.
+
+    A snap, and a change of slips at another event, happen at the node before: at a turning point of the path, or at an
+    event.
+    """
+    corner = is_snap(node.kind) if node.corner is None else node.corner
+    at = jax.tree.map(lambda a, b: jnp.where(corner, a, b), previous, node)
     # A touch is solved for as the contact that begins.
-    touches = at.kind == EventKind.touch
-    mode = select(touches, Mode(at.phase, at.side, no), before_mode)
-    along = select(touches, at.leaving, at.arriving)
-    point = Point(jnp.where(touches, at.point.z, at.z_before), at.point.u)
-    return _EventPoint(point, mode, along, _event_row(at), snap & (at.kind < 0)), before_mode
+    begun = after = at.kind == EventKind.touch
+    row, turns = _event_row(problem, at), corner & (at.kind == NO_EVENT)
+    sticks = None
+    if node.corner is not None:
+        # The node before is the outcome of an event itself, and its control is known.
+        known = corner & at.corner
+        after, turns = after | known, turns & ~known
+        row = select(known, at_control(at.point.u, at.point.z), row)
+        sticks = turns & (node.kind == EventKind.stick) & node.whiskers
+    mode = select(after, at.mode, at.mode_before)
+    before_mode = select(begun, at.mode_before, mode)
+    along = select(after, at.leaving, at.arriving)
+    point = Point(jnp.where(after, at.point.z, at.z_before), at.point.u)
+    return EventPoint(point, mode, along, row, Turning(turns & is_snap(node.kind), sticks)), before_mode
 
 
 def control_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Scalar, Mode]:
     """Control of an event, with derivatives, and the mode before it."""
-    at, mode = _event_point(node, previous)
-    return event_control(at.point, problem, at.mode, at.along, at.row, at.fold), mode
+    at, mode = event_point(problem, node, previous)
+    if at.turning.slip is not None:
+        points = event_points(Sides(at.point, None), problem, Sides(at.mode, None), at.along, at.row, at.turning)
+        return points.before.u, mode
+    return event_control(at.point, problem, at.mode, at.along, at.row, at.turning.control), mode
 
 
 def _points_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Sides, Sides]:
     """Points before and after an event, with derivatives, and their modes."""
-    at, before_mode = _event_point(node, previous)
-    mode = Mode(node.phase, node.side, jnp.asarray(False))
+    at, before_mode = event_point(problem, node, previous)
     points = Sides(at.point, Point(node.point.z, at.point.u))
-    return event_points(points, problem, Sides(at.mode, mode), at.along, at.row, at.fold), Sides(before_mode, mode)
+    points = event_points(points, problem, Sides(at.mode, node.mode), at.along, at.row, at.turning)
+    return points, Sides(before_mode, node.mode)
 
 
 def _placeholder(node: Node) -> Node:
@@ -157,7 +195,15 @@ def _placeholder(node: Node) -> Node:
     nowhere = jax.tree.map(jnp.zeros_like, node)
     along = Point(nowhere.point.z, jnp.asarray(-1.0))
     side = jnp.ones_like(node.side)
-    return nowhere._replace(arriving=along, side=side, side_before=side, kind=jnp.asarray(NO_EVENT))
+    slipping = None if node.friction is None else slipping_from(side)
+    return nowhere._replace(
+        arriving=along,
+        side=side,
+        side_before=side,
+        kind=jnp.asarray(NO_EVENT),
+        friction=slipping,
+        friction_before=slipping,
+    )
 
 
 def event_room(whiskers: int) -> int:

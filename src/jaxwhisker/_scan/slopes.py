@@ -57,8 +57,8 @@ def state_tangents(args, args_dot):
     problem, control, solutions = args
     problem_dot, control_dot, _ = args_dot
     numbers = problem.numbers()
-    if not are_few(numbers):
-        return NotImplemented
+    if not are_few(numbers) or problem.friction_angle is not None:
+        return NotImplemented  # with friction, states also depend on where contacts began to stick
     slopes = state_slopes_now(problem, control, solutions)
     direction = direction_of(numbers, problem_dot.numbers())
     return _along_each(slopes, direction, direction_of([control], [control_dot])), None
@@ -79,7 +79,7 @@ def event_tangents(args, args_dot):
     """The tangent rule of `events`."""
     problem, path = args
     numbers = problem.numbers()
-    if not are_few(numbers):
+    if not are_few(numbers) or problem.friction_angle is not None:
         return NotImplemented
     return along(event_slopes_now(problem, path), direction_of(numbers, args_dot[0].numbers()))
 

@@ -1,6 +1,7 @@
 """The state of the whiskers in equilibrium, and points on their centre lines in that state."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -28,6 +29,21 @@ class State(eqx.Module):
     contact_x: Float[Array, "*steps whiskers"]  # contact point, a length
     contact_y: Float[Array, "*steps whiskers"]
     phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
+    # The following fields are None without friction: the direction of slip along the object (+1 towards +x, -1 towards
+    # -x, 0 if the contact sticks), and the parts of the contact force along the normal (>= 0) and, positive towards +x,
+    # along the object.
+    slip: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    normal_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    friction_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+
+
+FRICTION = ("slip", "normal_force", "friction_force")  # fields that are None without friction
+
+
+def state_of(state: State) -> State:
+    """The fields of a state, without what a Result holds besides."""
+    fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
+    return State(**jax.tree.map(jnp.asarray, fields))
 
 
 def base_of(state: State) -> Pose:

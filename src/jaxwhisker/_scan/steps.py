@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.friction import Friction, newly_slipping
 from jaxwhisker._equilibrium.implicit import solved
 from jaxwhisker._equilibrium.newton import solve_points
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, at_control, dot, scale_of
@@ -61,13 +62,22 @@ class Solutions(NamedTuple):
     phase: Int[Array, "*steps whiskers"]
     side: Float[Array, "*steps whiskers"]
     status: Int[Array, "*steps"]
+    friction: Friction | None = None
+    node: Int[Array, "*steps"] | None = None  # of the path, before the step; None without friction
+
+    @property
+    def mode(self) -> Mode:
+        """The modes of the steps."""
+        return Mode(self.phase, self.side, jnp.zeros(self.status.shape, bool), friction=self.friction)
 
 
 def _solve(
     problem: Problem, path: Path, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Int[Array, " steps"]
 ) -> Solutions:
     """Solve for the equilibria at controls after nodes `index`; `known` is the status of the path there."""
-    mode = Mode(path.nodes.phase[index], path.nodes.side[index], jnp.zeros(index.shape, bool))
+    nodes = path.nodes
+    friction = jax.tree.map(lambda leaf: leaf[index], nodes.friction)
+    mode = Mode(nodes.phase[index], nodes.side[index], jnp.zeros(index.shape, bool), friction=friction)
     guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
     solution = solve_points(problem, mode, jax.vmap(at_control)(u, guess.z), guess)
     z = solution.point.z
@@ -78,7 +88,11 @@ def _solve(
     accepted = (status == Status.ok)[:, None]
     # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see `safe_placeholder`).
     phase = jnp.where(accepted, mode.phase, Phase.free)
-    return Solutions(jnp.where(accepted[:, None], z, 0.0), phase, mode.side, status)
+    z = jnp.where(accepted[:, None], z, 0.0)
+    if friction is None:
+        return Solutions(z, phase, mode.side, status)
+    friction = newly_slipping(friction, ~accepted & jnp.ones_like(phase, bool), mode.side)
+    return Solutions(z, phase, mode.side, status, friction, index)
 
 
 def solve_steps(
@@ -109,7 +123,7 @@ def states(
 ) -> tuple[State, Int[Array, " steps"]]:
     """States and status of solved steps, in the scene's units, with derivatives; NaN for steps that failed."""
     u = control / problem.unit.control
-    modes = Mode(solutions.phase, solutions.side, jnp.zeros(solutions.status.shape, bool))
+    modes = solutions.mode
 
     def point(u: Scalar, z: Contacts, mode: Mode) -> Point:
         return solved(Point(z, jax.lax.stop_gradient(u)), problem, mode, at_control(u, z))

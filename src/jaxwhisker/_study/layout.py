@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from jaxwhisker._scan.dataset import VARIABLES, SceneLayout
 from jaxwhisker._scan.quantities import REACTIONS, STATE, Quantity, unit_in_words
+from jaxwhisker._scan.state import FRICTION
 from jaxwhisker._study.parameters import Parameters
 from jaxwhisker._study.summary import SUMMARY, comment_on
 
@@ -18,7 +19,7 @@ GROUPS = {
     "reactions": REACTIONS,
     "status": ("status",),
     "events": tuple(name for name in VARIABLES if name.startswith("event_")),
-    "contact": ("phase", *(name for name in STATE if name.startswith("contact_"))),
+    "contact": ("phase", *(name for name in STATE if name.startswith("contact_")), *FRICTION),
     "springs": ("base_x", "base_y", "base_angle", "spring_length"),
     "event_states": tuple(name for name in VARIABLES if name.startswith(("before_", "after_"))),
     "all": tuple(VARIABLES),
@@ -29,8 +30,8 @@ NOT_COMPUTED = -1  # status of a point that has not been computed yet
 DEFAULT_CONTROL = "default: from the earliest start to the latest end of the default controls of all points"
 
 
-def chosen(outputs: Sequence[str] | str) -> tuple[str, ...]:
-    """Names of the variables that `outputs` selects by their names or by those of groups.
+def chosen(outputs: Sequence[str] | str, friction: bool = True) -> tuple[str, ...]:
+    """Names of the variables, of scenes with friction or not, that `outputs` selects by name or by group.
 
     Raises:
         ValueError: if there is no such variable or group.
@@ -40,12 +41,23 @@ def chosen(outputs: Sequence[str] | str) -> tuple[str, ...]:
         if name not in GROUPS and name not in VARIABLES:
             raise ValueError(f"`outputs` must be names among {', '.join([*GROUPS, *VARIABLES])}, got {name!r}.")
         wanted |= set(GROUPS.get(name, (name,)))
-    return tuple(name for name in VARIABLES if name in wanted)
+    return tuple(name for name in VARIABLES if name in wanted and (friction or not needs_friction(name)))
 
 
-def variables_of(outputs: Sequence[str] | str, derivatives: Sequence[str], summarised: bool) -> dict[str, Quantity]:
-    """The variables of a study; those along the control are left out if they are summarised."""
-    kept = {name: VARIABLES[name] for name in chosen(outputs)}
+def variables_of(
+    outputs: Sequence[str] | str, derivatives: Sequence[str], summarised: bool, friction: bool = False
+) -> dict[str, Quantity]:
+    """The variables of a study; those along the control are left out if they are summarised.
+
+    Raises:
+        ValueError: if `outputs` contains a name that is unknown, or one that the scenes do not have without friction.
+    """
+    kept = {name: VARIABLES[name] for name in chosen(outputs, friction)}
+    for name in (outputs,) if isinstance(outputs, str) else outputs:
+        if name in VARIABLES and name not in kept:
+            raise ValueError(
+                f"`outputs` must be names of what the scenes have, but they have no friction: got {name!r}."
+            )
     if summarised:
         kept = {name: quantity for name, quantity in kept.items() if "control" not in quantity.axes}
     for name, quantity in list(kept.items()):
@@ -55,6 +67,11 @@ def variables_of(outputs: Sequence[str] | str, derivatives: Sequence[str], summa
             kept[derivative_name(name, parameter)] = slope
     status = Quantity("first status of the point that is not ok", "", "number", (), dtype="int8")
     return kept | (SUMMARY if summarised else {}) | {POINT_STATUS: status}
+
+
+def needs_friction(name: str) -> bool:
+    """Whether scenes without friction do not have this variable."""
+    return name.removeprefix("before_").removeprefix("after_") in FRICTION
 
 
 def derivative_name(name: str, parameter: str) -> str:

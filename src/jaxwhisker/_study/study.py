@@ -87,8 +87,12 @@ def study(
     checks.number("memory", memory, positive=True, finite=False)
     parameters = parameters_of(build, points, axes, OPTIONS)
     derivatives = _checked_derivatives(derivatives, parameters)
-    layout = _layout(build, parameters, control, variables_of(outputs, derivatives, summary))
-    computed = tuple(n for n in VARIABLES if n in layout.variables or (summary and n in chosen(SUMMARISED)))
+    layout = _layout(build, parameters, control)
+    variables = variables_of(outputs, derivatives, summary, layout.scene.friction)
+    _check_names(parameters, variables)
+    layout = layout._replace(variables=variables)
+    summarised = chosen(SUMMARISED, layout.scene.friction) if summary else ()
+    computed = tuple(name for name in VARIABLES if name in layout.variables or name in summarised)
     visible = sys.stderr.isatty() if progress is None else progress
     with closing(Memory() if store is None else Store(store)) as target:
         resumed = target.resumed(layout)
@@ -103,20 +107,21 @@ def study(
         return _finished(target, build, layout, visible)
 
 
-def _layout(
-    build: Callable[..., Scene], parameters: Parameters, control: Any, variables: dict[str, Quantity]
-) -> Layout:
-    """The layout of the Dataset; its control is empty until the default one has been computed."""
+def _check_names(parameters: Parameters, variables: dict[str, Quantity]) -> None:
     for name in parameters.values:
         if name in RESERVED or name in VARIABLES or name in variables:
             raise ValueError(
                 f"The name of an axis must not be that of a variable of the Dataset, got `{name}`: rename it."
             )
+
+
+def _layout(build: Callable[..., Scene], parameters: Parameters, control: Any) -> Layout:
+    """The layout of the Dataset without its variables; its control is empty until the default one is computed."""
     if control is not None:
         checks.vector("control", control)
     scene = layout_of_scenes(build, parameters)
     positions = np.empty(0) if control is None else np.asarray(control, dtype=float)
-    return Layout(parameters, scene, fingerprint(build, sampled(parameters)), positions, control is None, variables)
+    return Layout(parameters, scene, fingerprint(build, sampled(parameters)), positions, control is None, {})
 
 
 def _check_packages(store: Any, client: Any) -> None:

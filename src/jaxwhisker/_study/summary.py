@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxwhisker._path.path import EventKind
+from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.dataset import VARIABLES
 from jaxwhisker._scan.quantities import CONTROL, REACTIONS, Quantity
 from jaxwhisker._scan.route import route_of
@@ -173,7 +173,7 @@ class _Scans:
             failures.append(np.any(self.arrays["status"] != 0, axis=1))
         if self.has_events:
             self.kind, self.at, self.named, self.count = (self.arrays[name] for name in _EVENTS)
-            self.snap = self.kind >= EventKind.snap_through
+            self.snap = np.isin(self.kind, SNAPS)
             failures.append(self.count > self.kind.shape[1])  # events that are not stored cannot be summed
         self.failed = np.any(failures, axis=0)
 

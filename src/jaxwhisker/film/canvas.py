@@ -15,7 +15,7 @@ from matplotlib.patches import FancyArrowPatch
 from matplotlib.patheffects import withStroke
 
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._path.path import EventKind, Status
+from jaxwhisker._path.path import SNAPS, EventKind, Status
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, control_kind, kind_of
 from jaxwhisker._scan.result import Event, Result
 from jaxwhisker.film.frames import SNAP_FRAMES, Frames
@@ -40,6 +40,8 @@ _EVENT_WORDS = {
     EventKind.tip_to_tangential: "tangential contact of {}",
     EventKind.vertex: "{} at the vertex",
     EventKind.tangential_to_tip: "tip contact of {}",
+    EventKind.stick: "{} sticks",
+    EventKind.slip: "{} slips",
 }
 
 _Place = tuple[float, float, float, float]  # left, bottom, width and height of axes, as shares of the figure
@@ -316,5 +318,5 @@ def _control_in_words(system: UnitSystem, control: float) -> str:
 
 def _duration(event: Event, fps: int) -> int:
     """Number of frames for which an event flashes."""
-    snap = SNAP_FRAMES if event.kind >= EventKind.snap_through else 0
+    snap = SNAP_FRAMES if event.kind in SNAPS else 0
     return max(2, round(FLASH * fps)) + snap

@@ -17,6 +17,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import newton_step, solve_point
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, problem_of
@@ -38,6 +39,7 @@ class _Kept(NamedTuple):
     z: Contacts
     phase: Int[Array, " whiskers"]
     side: PerWhisker
+    friction: Friction | None
     pose: Poses
 
 
@@ -74,7 +76,7 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
 def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
     """States of the flow that begins at a node of the path, padded, and their number."""
     dimensionless, u = problem_of(scene), before.point.u
-    still = Mode(before.phase, before.side, jnp.asarray(False))
+    still = before.mode
     tangent, tangent_pose, pose = _leaving(dimensionless, still, before)
 
     def step(at: _Going) -> _Going:
@@ -83,17 +85,17 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
         held = dimensionless.across(flow.pose)
         mode = at.mode._replace(separate=jnp.asarray(True), held=held)
         solution = solve_point(dimensionless, mode, at_control(u, flow.guess), Point(flow.guess, u))
-        flow, mode, z = snap_flow.advance(dimensionless, flow, at.mode, solution)
+        flow, mode, z = snap_flow.advance(dimensionless, flow, at.mode, at.z, solution)
         rested = snap_flow.at_rest(dimensionless, flow, mode, u)
         keep = ~jnp.any(flow.sliding | flow.landing)
-        now = _Kept(z, mode.phase, mode.side, flow.pose)
+        now = _Kept(z, mode.phase, mode.side, mode.friction, flow.pose)
         index = jnp.where(keep, at.count, MOST_STATES)
         kept = jax.tree.map(lambda all, one: all.at[index].set(one, mode="drop"), at.kept, now)
         onwards = _Going(flow, mode, z, jnp.asarray(True), rested | flow.exhausted, kept, at.count + keep)
         shorter = snap_flow.shortened(at.flow)
         return select(solution.converged, onwards, at._replace(flow=shorter, over=shorter.exhausted))
 
-    first = _Kept(before.point.z, before.phase, before.side, pose)
+    first = _Kept(before.point.z, before.phase, before.side, before.friction, pose)
     room = jax.tree.map(lambda leaf: jnp.zeros((MOST_STATES, *leaf.shape), leaf.dtype), first)
     no = jnp.asarray(False)
     start = _Going(snap_flow.start(still, pose), still, before.point.z, no, no, room, jnp.asarray(0))
@@ -113,7 +115,8 @@ def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, 
 
 def _state_in_scene(problem: Problem, u: Scalar, kept: _Kept) -> State:
     """State in the scene's units; bases of free whiskers have the pose of the flow."""
-    state, _ = signals(problem, kept.z, u, Mode(kept.phase, kept.side, jnp.asarray(False)))
+    mode = Mode(kept.phase, kept.side, jnp.asarray(False), friction=kept.friction)
+    state, _ = signals(problem, kept.z, u, mode)
     here, free = problem.in_scene(u, kept.pose), kept.phase == Phase.free
     return dataclasses.replace(
         state,

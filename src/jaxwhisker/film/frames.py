@@ -11,10 +11,10 @@ from jaxtyping import Bool, Complex, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.silhouette import silhouette_of
-from jaxwhisker._path.path import EventKind
+from jaxwhisker._path.path import SNAPS
 from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.shapes import Shapes, shapes_of
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.state import State, state_of
 from jaxwhisker.film.flow import flows
 
 SNAP_FRAMES = 13  # frames of a snap, including the states before and after it
@@ -66,9 +66,8 @@ def frames(result: Result, count: int) -> tuple[Frames, list[tuple[int, Event]]]
     """
     events, control = list(result.events), np.asarray(result.control)
     shown = np.round(np.linspace(0, control.size - 1, count)).astype(int)
-    of_scan = State(**{name: jnp.asarray(getattr(result, name))[shown] for name in State.__dataclass_fields__})
-    of_scan = jax.tree.map(np.asarray, of_scan)
-    snaps = [k for k, event in enumerate(events) if event.kind >= EventKind.snap_through]
+    of_scan = jax.tree.map(lambda leaf: np.asarray(leaf)[shown], state_of(result))
+    snaps = [k for k, event in enumerate(events) if event.kind in SNAPS]
     groups = [of_scan, *map(_with_ends, [events[k] for k in snaps], flows(result, snaps))]
     lines = lines_of(groups, result)
     scan = Frames(shown, control[shown], of_scan, lines[0], np.zeros(count, bool))
@@ -148,8 +147,10 @@ def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, "
     """State between two others; whiskers that swing, release or touch in between have no contact."""
     touching = (first.phase != Phase.free) & (second.phase != Phase.free) & ~swings
     fields: dict[str, Any] = {"phase": np.where(touching, second.phase, Phase.free)}
+    if second.slip is not None:
+        fields["slip"] = np.where(touching, second.slip, 0)
     for name in State.__dataclass_fields__:
-        if name != "phase":
+        if name not in ("phase", "slip") and getattr(first, name) is not None:
             value = (1 - share) * getattr(first, name) + share * getattr(second, name)
             fields[name] = value if name.startswith("base") else np.where(touching, value, 0.0)
     return State(**{name: jnp.asarray(value) for name, value in fields.items()})

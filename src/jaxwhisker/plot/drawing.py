@@ -24,7 +24,7 @@ from jaxwhisker._path.approach import FromAfar
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import problem_now
 from jaxwhisker._scan.shapes import shapes_of
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.state import FRICTION, State, state_of
 
 # Lengths are in L of the first whisker.
 LINE_POINTS = 64  # per centre line
@@ -170,13 +170,13 @@ def _rest_state(scene: Scene, control: Scalar) -> State:
     u = control / problem.unit.control
     at, size = problem.in_scene(u, problem.rest(u)), problem.unit.length
     none = jnp.zeros(scene.support.whiskers)
-    fields = dict.fromkeys(State.__dataclass_fields__, none) | {"phase": none.astype(int)}
+    fields = {name: none for name in State.__dataclass_fields__ if name not in FRICTION} | {"phase": none.astype(int)}
     return State(**fields | {"base_x": at.x * size, "base_y": at.y * size, "base_angle": at.angle})
 
 
 def state_at(result: Result, step: int) -> State:
     """State at a step of a scan."""
-    return State(**{name: jnp.asarray(getattr(result, name))[step] for name in State.__dataclass_fields__})
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[step], state_of(result))
 
 
 def largest_force(result: Result) -> float:

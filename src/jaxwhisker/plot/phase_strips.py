@@ -19,6 +19,8 @@ _HEIGHT = 0.6  # of the strips of a whisker; rows are 1 apart
 _MARKERS = {
     EventKind.touch: ("o", "white"),
     EventKind.vertex: ("v", "white"),
+    EventKind.stick: ("<", GREY),
+    EventKind.slip: (">", GREY),
     EventKind.release: ("s", "white"),
     EventKind.snap_through: ("D", "black"),
     EventKind.snap_off: ("X", "black"),

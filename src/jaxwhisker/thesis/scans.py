@@ -16,9 +16,9 @@ from jaxwhisker._model.profiles import Circle, Parabola
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._path.path import EventKind
+from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.result import Event, Events, Result
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.state import FRICTION, State
 from jaxwhisker._study.critical import Steepest, softest, steepest
 from jaxwhisker._study.study import study
 from jaxwhisker._study.summary import summary
@@ -34,7 +34,6 @@ VALUES = {
 }
 SYMBOLS = {"stiffness": r"$c$ = ", "distance": r"$q$ = ", "rest_length": r"$\lambda$ = "}
 CORES = 2  # studies computed at the same time
-SNAPS = (EventKind.snap_through, EventKind.snap_off)
 WHISKERS = {"FB": 1, "FBFB": 2, "FBFBR": 2, "FBFBFBR": 3}
 BRACKET = 5e-3  # relative width of the bracket around a critical stiffness
 # Range of the critical stiffness of coupled whiskers, relative to its value if the other forces were constant.
@@ -123,11 +122,12 @@ class Scans:
         def arrays(names: Iterable[str], prefix: str = "") -> dict:
             return {name: jax.device_put(data[prefix + name].values) for name in names}
 
-        before, after = (State(**arrays(State.__dataclass_fields__, side)) for side in ("before_", "after_"))
+        state = [name for name in State.__dataclass_fields__ if name not in FRICTION]
+        before, after = (State(**arrays(state, side)) for side in ("before_", "after_"))
         fields = arrays(("kind", "control", "count"), "event_") | {
             "whiskers": jax.device_put(data.event_whisker.values)
         }
-        signals = arrays([*State.__dataclass_fields__, "control", "spring_length", "status"])
+        signals = arrays([*state, "control", "spring_length", "status"])
         travel = jnp.abs(fields["control"] - signals["control"][0])
         events = Events(**fields, travel=travel, before=before, after=after)
         return Result(**signals, deferred_events=events, scene=build(**dataclasses.asdict(case)))

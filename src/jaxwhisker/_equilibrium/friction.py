@@ -1,0 +1,126 @@
+"""Coulomb friction: the slip of a contact along the object, and the direction of its force.
+
+With the friction coefficient mu = tan(rho), the contact force leans away from the normal, against the slip, by at most
+rho. Its direction is (sin psi, -cos psi) with psi = alpha - lean, where the lean is
+
+    slip * rho    while the whisker slips along the object towards +x (slip = +1) or -x (slip = -1),
+    unknown       in [-rho, rho] while it sticks (slip = 0).
+
+The arc length along the object minus side times that along the whisker changes by the distance slipped. While a contact
+sticks, it is constant: the tip stays at a fixed point of the object, and a tangential contact rolls. The unknown lean
+then takes the place of the profile's parameter among the unknowns of the contact.
+"""
+
+from typing import NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.profile import AbstractProfile
+
+
+class Friction(NamedTuple):
+    """Slip of each whisker's contact, and where it began to stick."""
+
+    slip: Int[Array, "*batch"]  # direction of slip: +1 towards +x, -1 towards -x, 0 if it sticks; never 0 if free
+    parameter: Float[Array, "*batch"]  # of the profile where the contact began to stick
+    beyond: Float[Array, "*batch"]  # arc length of the whisker beyond the contact, there
+
+
+def slipping_from(side: Float[Array, "*batch"]) -> Friction:
+    """The friction of contacts that have just begun: pressed on, whiskers slip towards the vertex of the object."""
+    # A straight whisker has no rate of slip at first touch. Other slips follow from their rates (transitions.py).
+    none = jnp.zeros_like(side)
+    return Friction(jnp.where(side > 0, -1, 1), none, none)
+
+
+def newly_slipping(
+    friction: Friction | None, which: Bool[Array, "*batch"], side: Float[Array, "*batch"]
+) -> Friction | None:
+    """The friction after the contacts of these whiskers have begun or ended."""
+    if friction is None:
+        return None
+    return friction._replace(slip=jnp.where(which, slipping_from(side).slip, friction.slip))
+
+
+# Gauss-Legendre points and weights on [0, 1], composite: for derivatives of arc lengths by the object's numbers.
+_GAUSS = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
+POINTS = ((np.arange(16)[:, None] + _GAUSS) / 16).ravel()
+WEIGHTS = np.tile([5 / 288, 8 / 288, 5 / 288], 16)
+STEPS = 32  # by which a rolling contact is followed: errors of 1e-9 for a distance of ten radii of curvature
+
+
+def speed(profile: AbstractProfile, parameter: Scalar) -> Scalar:
+    """Arc length of the profile per parameter."""
+
+    def position(parameter):
+        at = profile.point(parameter)
+        return (at.x, at.y), at
+
+    (x, y), at = jax.jvp(position, (parameter,), (jnp.ones_like(parameter),), has_aux=True)[1:]
+    return x * at.cos + y * at.sin
+
+
+@eqx.filter_custom_jvp
+def rolled(profile: AbstractProfile, start: Scalar, distance: Scalar) -> Float[Array, ""]:
+    """The parameter at an arc length from another parameter. A distance of zero costs nothing, also in a batch."""
+    solver, no = diffrax.Dopri8(scan_kind="lax"), jnp.asarray(False)
+    term = diffrax.ODETerm(lambda t, parameter, args: distance / speed(profile, parameter))
+    start = jnp.asarray(start, dtype=float)
+
+    def step(k, carry):
+        parameter, memory = carry
+        parameter, _, _, memory, _ = solver.step(term, k / STEPS, (k + 1) / STEPS, parameter, None, memory, no)
+        return parameter, memory
+
+    carry = start, solver.init(term, 0.0, 1.0 / STEPS, start, None)
+    return jax.lax.fori_loop(0, jnp.where(distance == 0, 0, STEPS), step, carry)[0]
+
+
+@rolled.def_jvp
+def _(primals, tangents):
+    profile, start, distance = primals
+    profile_dot, start_dot, distance_dot = tangents
+    stop = rolled(profile, start, distance)
+
+    def length(profile):
+        """Arc length from start to stop; only its derivative by the numbers of the profile is used."""
+        speeds = jax.vmap(lambda share: speed(profile, start + share * (stop - start)))(POINTS)
+        return (stop - start) * jnp.sum(WEIGHTS * speeds)
+
+    longer = eqx.filter_jvp(length, (profile,), (profile_dot,))[1]
+    rate = sum(dot for dot in (distance_dot, None if longer is None else -longer) if dot is not None)
+    if start_dot is not None:
+        rate += speed(profile, start) * start_dot
+    return stop, jnp.zeros_like(stop) + rate / speed(profile, stop)
+
+
+def contact_parameter(
+    profile: AbstractProfile, known: Scalar, beyond: Scalar, side: Scalar, friction: Friction
+) -> Float[Array, ""]:
+    """The profile's parameter at a contact.
+
+    Args:
+        profile: the object.
+        known: the contact's second unknown: the parameter, or the lean if the contact sticks.
+        beyond: arc length of the whisker beyond the contact.
+        side: side from which the whisker approached.
+        friction: of this contact.
+    """
+    sticks = friction.slip == 0
+    rolling = rolled(profile, friction.parameter, jnp.where(sticks, side * (friction.beyond - beyond), 0.0))
+    return jnp.where(sticks, rolling, known)
+
+
+def lean(
+    known: Float[Array, "*batch"], friction: Friction | None, friction_angle: Scalar | None
+) -> Float[Array, "*batch"] | None:
+    """Angle from the object's normal to the contact force; None without friction."""
+    if friction is None or friction_angle is None:
+        return None
+    return jnp.where(friction.slip == 0, known, friction.slip * friction_angle)

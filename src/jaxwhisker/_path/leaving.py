@@ -1,0 +1,175 @@
+"""How the path leaves an event: along the path in its new mode, or with a snap.
+
+With friction, an event may also change which contacts slip. Along the path of a mode, contacts that slip must not turn
+back, and the lean of those that stick must not grow beyond its limit. Contacts that break this are changed one after
+the other until none does; the first of them is changed first, which cannot run in circles if the motion is unique
+(Murty, Linear Complementarity, Linear and Nonlinear Programming, 1988, chapter 5).
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.newton import slip_by_contact, slope_sines, with_slips
+from jaxwhisker._equilibrium.point import Point, dot, scale_of
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._path import snap_flow
+from jaxwhisker._path.approach import FIRST_STEP, approach_of
+from jaxwhisker._path.march_state import Lead, MarchState, Task, Trial, slips_on
+from jaxwhisker._path.path import MARGIN_NOISE, NO_EVENT, STOP, EventKind, Node, Status, first_case, is_snap, select
+
+ARRIVAL_MISS = 0.1  # the equilibrium at which a flow ends is nearer than this
+SLIP_NOISE = 1e-9  # rate of slip, per length of the path, that rounding may cause
+FIRM = 1e-6  # a contact with a smaller force cannot stick: the lean of no force is unknown
+
+
+def after_arrive(
+    problem: Problem, state: MarchState, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]
+):
+    """Handle the point of an event in its new mode: leave along the path, or begin a snap."""
+    point = trial.solution.point
+    stop_kind = state.pending.kind == STOP
+    heading = jnp.sign(stops[jnp.minimum(state.goal, last)] - state.point.u)
+    turned = stop_kind & (state.goal <= last) & (heading != 0)
+    direction = jnp.where(turned, heading, state.direction)
+    reversed_ = direction != state.direction
+    lead = state.lead
+    grows = jnp.sum(lead.z * trial.tangent.z) + jnp.sum(lead.pose * trial.tangent_pose) + lead.u * trial.tangent.u
+    sign = jnp.where(grows < 0, -1.0, 1.0) * jnp.where(reversed_, -1.0, 1.0)
+    tangent = Point(sign * trial.tangent.z, sign * trial.tangent.u)
+    node = state.pending._replace(point=point, leaving=tangent)
+    state = state._replace(direction=direction)
+    after_snap = is_snap(state.pending.kind)
+    # After a snap, and only then, the contact may be on the other side of the vertex.
+    behind = jnp.where(slope_sines(problem, point.z, state.mode) < 0, -1.0, 1.0)
+    onwards = state._replace(
+        task=jnp.asarray(int(Task.advance)),
+        point=point,
+        pose=trial.solution.newton.pose,
+        tangent=tangent,
+        tangent_pose=sign * trial.tangent_pose,
+        bend=jax.tree.map(jnp.zeros_like, tangent),
+        step=jnp.asarray(FIRST_STEP),
+        unstable_at=jnp.asarray(jnp.inf),
+        before_vertex=jnp.where(after_snap, behind, state.before_vertex),
+    )
+    falls = (state.turn(tangent) <= 0) | ~trial.stable
+    moved = Point(point.z - state.point.z, point.u - state.point.u)
+    near = trial.solution.converged & (dot(moved, moved, scale_of(state.point.z)) < ARRIVAL_MISS**2)
+    # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
+    there = trial.there
+    wrong = jnp.any(jnp.stack([there.touch, there.release, there.phase]) < -MARGIN_NOISE)
+    early = after_snap & (wrong | falls | ~near)
+    flowing = state._replace(
+        task=jnp.asarray(int(Task.flow)),
+        flow=state.flow._replace(near=state.flow.near / 4),
+    )
+    over = _is_over(problem, state, trial, last, stop_kind)
+    cases = [
+        (early, flowing),
+        (~near, state.stopped(Status.lost)),
+        (over, state.stopped(Status.ok)),
+    ]
+    write = near & ~early
+    if state.tries is not None:
+        changed, slip = _changed_slips(problem, state, point, tangent)
+        first = state.tries == 0
+        retry = with_changed_slips(problem, onwards, node, slip, trial.tangent)
+        undetermined = state.stopped(Status.undetermined)
+        cases += [
+            (changed & (state.tries > 4**state.mode.phase.size), undetermined),
+            (changed, retry),
+            ((state.turn(tangent) <= 0) & trial.stable, undetermined),
+        ]
+        onwards = onwards._replace(tries=jnp.zeros_like(state.tries))
+        write &= over | first | ~changed
+    return first_case(*cases, (falls, to_snap(onwards)), otherwise=onwards), write, node
+
+
+def _changed_slips(
+    problem: Problem, state: MarchState, point: Point, tangent: Point
+) -> tuple[Bool[Array, ""], Int[Array, " whiskers"]]:
+    """Whether a contact breaks a law of friction along the tangent, and the slips after the first one is changed."""
+    friction, limit, onwards = (
+        state.mode.friction,
+        problem.friction_angle,
+        slips_on(problem, state.mode, point.z, tangent.z),
+    )
+    assert friction is not None and limit is not None and onwards is not None
+    slip, (force, leans, _) = friction.slip, point.z.T
+    backwards = onwards < -SLIP_NOISE
+    sticks = (state.mode.phase != Phase.free) & (slip == 0)
+    exceeds = sticks & (jnp.abs(leans) > limit - SLIP_NOISE) & (jnp.sign(leans) * tangent.z[:, 1] > SLIP_NOISE)
+    can_stick = (force > FIRM) & (limit > 0)
+    changed = jnp.where(exceeds, jnp.sign(leans).astype(int), jnp.where(can_stick, 0, -slip))
+    wrong = backwards | exceeds
+    first = wrong & (jnp.cumsum(wrong) == 1)
+    return jnp.any(wrong), jnp.where(first, changed, slip)
+
+
+def with_changed_slips(
+    problem: Problem, state: MarchState, node: Node, slip: Int[Array, " whiskers"], arriving: Point
+) -> MarchState:
+    """The state at a node, before the direction in which the path leaves with these slips is determined."""
+    before, earlier = state.mode.friction, state.pending.friction_before
+    assert before is not None and earlier is not None and state.tries is not None
+    z, friction = with_slips(problem, node.point.z, state.mode, slip)
+    fresh = state.tries == 0
+    # Slips at an event are changed after the event itself.
+    z_before = jnp.where(fresh, node.point.z, state.pending.z_before)
+    friction_before = select(fresh, before, earlier)
+    differ = friction.slip != friction_before.slip
+    sticks = differ & (friction.slip == 0)
+    begins = differ & (friction_before.slip == 0)
+    kind = jnp.where(jnp.any(sticks), EventKind.stick, jnp.where(jnp.any(begins), EventKind.slip, NO_EVENT))
+    changes = slip != before.slip
+    pending = node._replace(
+        point=node.point._replace(z=z),
+        z_before=z_before,
+        arriving=arriving,
+        phase_before=state.mode.phase,
+        side_before=state.mode.side,
+        friction=friction,
+        friction_before=friction_before,
+        kind=kind,
+        whiskers=sticks | begins,
+        corner=jnp.asarray(True),
+    )
+    inwards = jnp.zeros_like(z).at[:, 1].set(-before.slip.astype(float))
+    ahead = friction.slip[:, None] * slip_by_contact(problem, z, state.mode._replace(friction=friction))
+    lead = jnp.where((slip == 0)[:, None], inwards, ahead)
+    return state._replace(
+        task=jnp.asarray(int(Task.arrive)),
+        mode=state.mode._replace(friction=friction),
+        point=pending.point,
+        lead=Lead(jnp.where(changes[:, None], lead, 0.0), jnp.zeros_like(state.pose), jnp.asarray(0.0)),
+        pending=pending,
+        tries=state.tries + 1,
+    )
+
+
+def _is_over(
+    problem: Problem, state: MarchState, trial: Trial, last: Int[Array, ""], stop_kind: Bool[Array, ""]
+) -> Bool[Array, ""]:
+    """Whether the march ends here: at the last stop, or on the way to it after all whiskers have passed the object."""
+    last_leg = (state.goal >= last) & (state.direction * problem.motion.onwards > 0) & (state.goal > 0)
+    gone = approach_of(problem).is_over(state.mode, trial.stance) & last_leg
+    return (stop_kind & (state.goal > last)) | gone
+
+
+def to_snap(state: MarchState) -> MarchState:
+    """The state that is about to leave an equilibrium that has lost its stability."""
+    return state._replace(
+        pending=state.pending._replace(
+            z_before=state.point.z,
+            arriving=state.tangent,
+            phase_before=state.mode.phase,
+            side_before=state.mode.side,
+            friction_before=state.mode.friction,
+            **({} if state.tries is None else {"stop": state.goal, "corner": jnp.asarray(True)}),
+        ),
+        task=jnp.asarray(int(Task.kick)),
+        flow=snap_flow.start(state.mode, state.pose),
+        unstable_at=jnp.asarray(jnp.inf),
+    )

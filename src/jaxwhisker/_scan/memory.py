@@ -1,0 +1,140 @@
+"""The memory of friction: how the places where contacts stick depend on the numbers of a scene.
+
+A contact that sticks depends on where it began to stick: at a turning point of the drive, at another event, or where
+its slip came to rest. That event may itself depend on earlier ones. The march stores the places as values; here they
+get their derivatives, from event to event.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium import contact
+from jaxwhisker._equilibrium.friction import Friction
+from jaxwhisker._equilibrium.implicit import Sides, event_points, without_rule
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._path.path import STOP, Node, Path
+from jaxwhisker._scan.signals import event_point
+from jaxwhisker._scan.steps import Solutions
+
+Places = tuple[Float[Array, "*nodes whiskers"], Float[Array, "*nodes whiskers"]]  # parameter, beyond: see Friction
+
+
+@eqx.filter_custom_jvp
+def remembered(path: Path, problem: Problem, stops: Float[Array, " stops"]) -> Path:
+    """The path, with derivatives of the places where contacts stick and of the controls of the events there.
+
+    Args:
+        path: the path, whose own derivatives are ignored.
+        problem: the problem.
+        stops: where the drive starts, turns and ends, in the scene's units.
+    """
+    controls, places = without_rule((path.nodes.point.u, _places(path.nodes.friction)), (problem, stops))
+    return _with(path, controls, places, _places(path.nodes.friction_before))
+
+
+@remembered.def_jvp
+def _(primals, tangents):
+    path, problem, stops = primals
+    _, problem_dot, stops_dot = tangents
+    path = remembered(path, problem, stops)
+
+    def chain(known):
+        return _chain(path, *known)
+
+    dot = eqx.filter_jvp(chain, ((problem, stops),), ((problem_dot, stops_dot),))[1]
+    none = jax.tree.map(lambda _: None, path)
+    return path, _with(none, *dot)
+
+
+def _places(friction: Friction | None) -> Places:
+    assert friction is not None
+    return friction.parameter, friction.beyond
+
+
+def _at(friction: Friction | None, places: Places) -> Friction:
+    assert friction is not None
+    parameter, beyond = places
+    return friction._replace(parameter=parameter, beyond=beyond)
+
+
+def _with(path: Path, controls: Scalar | Float[Array, " nodes"], places: Places, places_before: Places) -> Path:
+    nodes = path.nodes
+    return path._replace(
+        nodes=nodes._replace(
+            point=nodes.point._replace(u=controls),
+            friction=_at(nodes.friction, places),
+            friction_before=_at(nodes.friction_before, places_before),
+        )
+    )
+
+
+def _chain(path: Path, problem: Problem, stops: Float[Array, " stops"]):
+    """Controls of nodes, and the places where contacts stick from there on and before, with their derivatives."""
+    nodes = path.nodes
+    room, corner = nodes.kind.shape[0], nodes.corner
+    assert corner is not None
+    links = (jnp.arange(room) < path.count) & ((nodes.kind == STOP) | corner)
+    # A path has several nodes for each event: half of the room is enough. The first node, where all is free, fills it.
+    index = jnp.nonzero(links, size=room // 2, fill_value=0)[0]
+    controls = jnp.asarray(nodes.point.u)
+    start = controls[0], _places(jax.tree.map(lambda leaf: leaf[0], nodes.friction))
+
+    def link(carry, k):
+        node, previous = (jax.tree.map(lambda leaf, j=j: leaf[j], nodes) for j in (k, jnp.maximum(k - 1, 0)))
+        carry = _after(problem, node, _linked(previous, carry, links[jnp.maximum(k - 1, 0)]), carry, stops)
+        return carry, carry
+
+    _, (linked, places) = jax.lax.scan(link, start, index)
+    passed = jnp.cumsum(links)
+    controls = jnp.where(links, jnp.asarray(linked)[jnp.maximum(passed - 1, 0)], controls)
+    table = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start[1], places)
+    now, before = (jax.tree.map(lambda leaf, at=at: leaf[at], table) for at in (passed, passed - links))
+    return controls, now, before
+
+
+def _linked(previous: Node, carry: tuple[Scalar, Places], link: Bool[Array, ""]) -> Node:
+    """The node before, with the derivatives known so far."""
+    u, places = carry
+    return previous._replace(
+        point=previous.point._replace(u=jnp.where(link, u, previous.point.u)),
+        friction=_at(previous.friction, places),
+        friction_before=_at(previous.friction_before, places),
+    )
+
+
+def _after(
+    problem: Problem, node: Node, previous: Node, carry: tuple[Scalar, Places], stops: Float[Array, " stops"]
+) -> tuple[Scalar, Places]:
+    """Control of a node and the places where contacts stick from there on."""
+    _, places = carry
+    at, _ = event_point(problem, node, previous)
+    point = event_points(Sides(at.point, None), problem, Sides(at.mode, None), at.along, at.row, at.turning).before
+    mode = at.mode
+    here = (
+        jax.vmap(partial(contact.parameter, problem.profile))(point.z, mode.phase, mode.side, mode.friction),
+        contact.beyond(point.z[:, 2], mode.phase),
+    )
+    new, old = _places(node.friction), _places(node.friction_before)
+    assert node.corner is not None and node.stop is not None
+    differs = node.corner & ((new[0] != old[0]) | (new[1] != old[1]))
+
+    def moved(value, here, known):
+        # In a snap, a contact may also stick later. Its derivatives are then those of where the snap begins.
+        return jnp.where(differs, value + here - jax.lax.stop_gradient(here), known)
+
+    stop = stops[node.stop] / jnp.asarray(problem.unit.control)
+    u = jnp.where(node.kind == STOP, node.point.u + stop - jax.lax.stop_gradient(stop), point.u)
+    return u, jax.tree.map(moved, new, here, places)
+
+
+def with_places(solutions: Solutions, path: Path) -> Solutions:
+    """The solutions, with the path's derivatives of the places where contacts stick."""
+    if solutions.friction is None:
+        return solutions
+    parameter, beyond = (leaf[solutions.node] for leaf in _places(path.nodes.friction))
+    return solutions._replace(friction=_at(solutions.friction, (parameter, beyond)))

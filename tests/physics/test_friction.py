@@ -1,0 +1,195 @@
+"""Scans with Coulomb friction: against exact states by elliptic integrals, and by laws."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from scenes import all_ok
+
+CASES = json.loads((Path(__file__).parent.parent / "data/friction.json").read_text())["cases"]
+COLUMNS = {"base_x": 1, "fx": 2, "fy": 3, "mz": 4, "contact_force": 5, "contact_slope": 6, "contact_arc": 7}
+SIGNAL = 1e-8  # relative to the peak
+ROUNDING = 5.1e-11  # of the reference's control, which counts with the slope of the signal
+EVENT = 1e-8
+STEP = 1e-5  # of differences
+DIFFERENCE = 1e-6  # error of central differences, relative to 1 + the derivative
+LIMIT = 1e-9  # for friction that vanishes
+SAME = 1e-9  # for scenes that are mirror images
+SUPPORTS = {"clamped": jw.Support.clamped, "FB": lambda: jw.Support.fb(70.0), "FBFBR": lambda: jw.Support.fbfbr(70.0)}
+
+by_name = pytest.mark.parametrize("case", CASES, ids=[case["name"] for case in CASES])
+
+
+def scene(case):
+    spring, profile = case["spring"], case["profile"]
+    support = jw.Support.clamped() if spring is None else jw.Support.fb(spring["stiffness"], spring["rest_length"])
+    return jw.Scene(jw.Whisker(), jw.Parabola(profile["distance"], profile["a"]), support, friction=case["friction"])
+
+
+def table(rows):
+    """Rows of the reference without the phase."""
+    return np.array([row[:1] + row[2:] for row in rows])
+
+
+def check(case, result, exact, first=0):
+    peaks = np.max(np.abs(table(case["forward"])), axis=0)
+    for name, column in COLUMNS.items():
+        ours = np.asarray(getattr(result, name))[first:, 0]
+        slopes = np.abs(np.gradient(ours, np.asarray(result.control)[first:]))
+        allowed = SIGNAL * peaks[column] + ROUNDING * (1 + np.nan_to_num(slopes, nan=np.inf, posinf=np.inf))
+        assert np.all(np.abs(ours - exact[:, column]) < allowed), name
+
+
+@by_name
+def test_the_way_out_is_exact(case):
+    exact = table(case["forward"])
+    if case["spring"] is not None:
+        exact = exact[:-1]  # the last state lies beyond the fold, where it is not stable any more
+    result = jw.scan(scene(case), exact[:, 0])
+    assert all_ok(result)
+    check(case, result, exact)
+    assert np.all(result.slip == -1)
+    assert [jw.Phase(p).name for p in np.asarray(result.phase)[:, 0]] == [r[1] for r in case["forward"][: len(exact)]]
+
+
+@by_name
+def test_a_contact_sticks_where_the_drive_turns_and_then_slips_back(case):
+    for turn in case["turns"]:
+        stick, back = table(turn["stick"]), table(turn["back"])
+        control = np.concatenate([[0.9, turn["turn_at"]], stick[:, 0], back[:, 0]])
+        result = jw.scan(scene(case), control)
+        assert all_ok(result)
+        check(case, result, np.concatenate([stick, back]), first=2)
+        slip = np.asarray(result.slip)[2:, 0]
+        assert np.all(slip[: len(stick) - 1] == 0) and np.all(slip[len(stick) + 1 :] == 1)
+        (sticks,), (slips, *_) = result.events.of(jw.EventKind.stick), result.events.of(jw.EventKind.slip)
+        assert sticks.control == turn["turn_at"] and abs(slips.control - turn["slips_at"]) < EVENT
+
+
+def reversing(p, support):
+    """A scan that turns twice, with parameters q, a, mu and the position of the first turn."""
+    q, a, mu, turn = p
+    control = np.concatenate(
+        [np.linspace(0.9, -0.1, 8), [-0.0995, -0.099, -0.098], np.linspace(-0.09, 0.3, 6), np.linspace(0.2, -1.1, 9)]
+    )
+    control = jnp.asarray(control).at[7].add(turn)
+    return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(q, a), SUPPORTS[support](), friction=mu), control)
+
+
+P = jnp.array([0.2, 1.0, 0.3, 0.0])
+
+
+@cache
+def reversed_scan(support):
+    return reversing(P, support)
+
+
+@pytest.mark.parametrize("support", ["clamped", "FBFBR"])
+def test_states_obey_the_laws_of_friction(support):
+    result = reversed_scan(support)
+    assert all_ok(result)
+    touching, slip = np.asarray(result.phase) > 0, np.asarray(result.slip)
+    normal, along, force = (np.asarray(v) for v in (result.normal_force, result.friction_force, result.contact_force))
+    np.testing.assert_allclose(np.hypot(normal, along), force, atol=LIMIT)
+    assert np.all(normal >= 0) and np.all(np.abs(along) <= 0.3 * normal + LIMIT)
+    slips = touching & (slip != 0)
+    np.testing.assert_allclose(along[slips], (-0.3 * slip * normal)[slips], atol=LIMIT)
+    # The reactions balance the contact force, which has these parts along the object's normal and tangent.
+    alpha = np.asarray(result.contact_slope)
+    np.testing.assert_allclose(result.fx, -normal * np.sin(alpha) - along * np.cos(alpha), atol=LIMIT)
+    np.testing.assert_allclose(result.fy, normal * np.cos(alpha) - along * np.sin(alpha), atol=LIMIT)
+    # A contact moves along the object in the direction of slip; a contact that sticks moves as the whisker rolls.
+    x, arc = np.asarray(result.contact_x), np.asarray(result.contact_arc)
+    for k in range(len(x) - 1):
+        for i in range(x.shape[1]):
+            if not (touching[k, i] and touching[k + 1, i]) or slip[k, i] != slip[k + 1, i]:
+                continue
+            t = np.linspace(x[k, i], x[k + 1, i], 2001)
+            moved = np.sign(t[-1] - t[0]) * np.sum(np.hypot(np.diff(t), np.diff(t**2))) - (arc[k + 1, i] - arc[k, i])
+            assert abs(moved) < 1e-7 if slip[k, i] == 0 else moved * slip[k, i] > 0, (k, i)
+    assert {-1, 0, 1} <= set(slip[touching].tolist())
+
+
+@pytest.mark.parametrize("support", ["clamped", "FBFBR"])
+def test_derivatives_remember_where_contacts_began_to_stick(support):
+    def values(p):
+        result = reversing(p, support)
+        return jnp.concatenate([result.fx.ravel(), result.mz.ravel(), result.events.control[:12]])
+
+    slopes = np.asarray(jax.jacfwd(values)(P))
+    known = np.isfinite(np.asarray(values(P)))
+    for k in range(4):
+        difference = (values(P.at[k].add(STEP)) - values(P.at[k].add(-STEP))) / (2 * STEP)
+        error = np.abs(np.asarray(difference) - slopes[:, k]) / (1 + np.abs(slopes[:, k]))
+        assert np.max(error[known]) < DIFFERENCE, k
+    # While a contact sticks, the state depends on where the drive turned; on the way back it does not.
+    fx = slopes[:26, 3]
+    slip = np.asarray(reversed_scan(support).slip)[:, 0]
+    assert np.any(np.abs(fx[8:17][slip[8:17] == 0]) > 1)
+    backwards = np.asarray(jax.jacrev(lambda p: values(p)[:26])(P))
+    np.testing.assert_allclose(backwards, slopes[:26], atol=1e-7 * np.max(np.abs(slopes[:26])))
+
+
+@pytest.mark.parametrize("support", SUPPORTS)
+def test_friction_that_vanishes_changes_nothing(support):
+    smooth = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), SUPPORTS[support]()))
+    for mu, limit in ((0.0, LIMIT), (1e-12, LIMIT)):
+        rough = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), SUPPORTS[support](), friction=mu), smooth.control)
+        for name in ("fx", "fy", "mz", "base_x", "contact_arc"):
+            here, there = np.asarray(getattr(rough, name)), np.asarray(getattr(smooth, name))
+            near_snap = np.min(np.abs(np.asarray(smooth.control)[:, None] - [e.control for e in smooth.events]), axis=1)
+            far = near_snap > 1e-4
+            np.testing.assert_allclose(here[far], there[far], atol=limit * np.max(np.abs(there)), err_msg=name)
+
+
+def test_mirrored_scenes_give_mirrored_signals():
+    control = np.concatenate([np.linspace(0.85, -0.2, 9), np.linspace(-0.15, 0.4, 12)])
+    right = jw.scan(jw.Scene(jw.Whisker(), jw.Circle(0.3, 0.6), friction=0.4), control)
+    left = jw.scan(jw.Scene(jw.Whisker(), jw.Circle(0.3, 0.6), motion=jw.Translation(1), friction=0.4), -control)
+    assert all_ok(right) and all_ok(left)
+    for name, sign in (("fx", -1), ("fy", 1), ("mz", -1), ("contact_slope", -1), ("friction_force", -1), ("slip", -1)):
+        here, there = np.asarray(getattr(right, name)), np.asarray(getattr(left, name))
+        np.testing.assert_allclose(there, sign * here, atol=SAME * np.max(np.abs(here)), err_msg=name)
+    assert {-1, 0, 1} <= set(np.asarray(right.slip).ravel().tolist())
+
+
+def test_results_do_not_depend_on_the_steps_of_the_drive():
+    turns = np.array([0.9, -0.1, 0.3, -1.1])
+    legs = [np.linspace(a, b, n) for a, b, n in zip(turns[:-1], turns[1:], (30, 17, 40), strict=True)]
+    make = lambda: jw.Scene(jw.Whisker(), jw.Parabola(0.2), friction=0.3)  # noqa: E731
+    few, many = jw.scan(make(), turns), jw.scan(make(), np.concatenate(legs))
+    assert [e.kind for e in few.events] == [e.kind for e in many.events]
+    np.testing.assert_allclose([e.control for e in few.events], [e.control for e in many.events], atol=LIMIT)
+    np.testing.assert_allclose(few.fx[1], many.fx[29], atol=1e-8)
+
+
+def test_a_batch_with_a_hopeless_scene():
+    def peak(mu):
+        result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), friction=mu), np.linspace(0.9, -1.0, 12))
+        return jnp.max(result.mz), jnp.max(result.status)
+
+    mus = np.array([0.0, -0.1, 0.3, np.nan])
+    peaks, status = jax.vmap(peak)(jnp.asarray(mus))
+    assert np.isnan(peaks).tolist() == [False, True, False, True]
+    assert status.tolist() == [jw.Status.ok, jw.Status.invalid, jw.Status.ok, jw.Status.invalid]
+    alone, _ = peak(0.3)
+    np.testing.assert_allclose(peaks[2], alone, rtol=LIMIT)
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf, "rough"])
+def test_friction_must_be_a_number_that_is_not_negative(value):
+    with pytest.raises(ValueError, match="`friction`"):
+        jw.Scene(jw.Whisker(), jw.Parabola(0.2), friction=value)
+
+
+def test_without_friction_there_are_no_fields_of_friction():
+    result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2)), np.linspace(0.9, 0.5, 4))
+    assert result.slip is None and result.normal_force is None and result.friction_force is None
+    assert result.events.before.slip is None
