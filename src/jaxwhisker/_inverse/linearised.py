@@ -26,6 +26,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.problem import Problem, problem_of
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, Path
+from jaxwhisker._scan.memory import remembered, with_places
 from jaxwhisker._scan.scan import BLOCK, follow_path_now, solve_steps_now
 from jaxwhisker._scan.signals import control_at_event, event_nodes
 from jaxwhisker._scan.steps import Solutions, states
@@ -84,14 +85,22 @@ def _problem_and_slopes(scene: Scene, slopes: Any) -> tuple[Problem, Float[Array
     return problem_of(scene), along(slopes)
 
 
+Memory = tuple[Path, Any] | None  # the path and its stops, where contacts may stick; None without friction
+
+
+def _memory(problem: Problem, path: Path, stops: Any) -> Memory:
+    return None if problem.friction_angle is None else (path, stops)
+
+
 def _events_and_slopes(
-    problem: Problem, path: Path, directions: Float[Array, "numbers directions"]
+    problem: Problem, path: Path, memory: Memory, directions: Float[Array, "numbers directions"]
 ) -> tuple[EventTable, Float[Array, "events directions"]]:
     """The events, and derivatives of their positions."""
     numbers, rebuilt = ravel_pytree(problem.numbers())
 
     def control(numbers):
-        table = event_table(eqx.combine(rebuilt(numbers), problem), path)
+        moved = eqx.combine(rebuilt(numbers), problem)
+        table = event_table(moved, path if memory is None else remembered(path, moved, memory[1]))
         return table.control, table
 
     _, slopes, table = jax.vmap(
@@ -111,13 +120,18 @@ def _signals_and_slopes(
     problem: Problem,
     control: Float[Array, " steps"],
     solutions: Solutions,
+    memory: Memory,
     directions: Float[Array, "numbers directions"],
     control_slopes: Float[Array, "steps directions"],
 ) -> Signals:
     numbers, rebuilt = ravel_pytree(problem.numbers())
 
     def signals(numbers, control):
-        state, _ = states(eqx.combine(rebuilt(numbers), problem), control, solutions)
+        moved, steps = eqx.combine(rebuilt(numbers), problem), solutions
+        if memory is not None:
+            path, stops = memory
+            steps = with_places(solutions, remembered(path, moved, stops))
+        state, _ = states(moved, control, steps)
         return jnp.stack([state.fx, state.fy, state.mz], axis=-1)
 
     def towards(*dots):
@@ -161,7 +175,9 @@ class LinearisedScan:
         self.problem, self._directions = problem_and_slopes_now(scene, slopes)
         self._path, self.start, _ = follow_path_now(self.problem, stops, np.asarray(last))
         self.status = self._path.status
-        self.events, self.event_slopes = events_and_slopes_now(self.problem, self._path, self._directions)
+        self._memory = _memory(self.problem, self._path, stops)
+        found = events_and_slopes_now(self.problem, self._path, self._memory, self._directions)
+        self.events, self.event_slopes = found
 
     @property
     def width(self) -> int:
@@ -187,7 +203,7 @@ class LinearisedScan:
 
     def _block(self, control: np.ndarray, travel: np.ndarray, slopes: np.ndarray) -> Signals:
         solutions = solve_steps_now(self.problem, self._path, control, travel)
-        return signals_and_slopes_now(self.problem, control, solutions, self._directions, slopes)
+        return signals_and_slopes_now(self.problem, control, solutions, self._memory, self._directions, slopes)
 
 
 def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
@@ -229,6 +245,7 @@ def _prepare(scene: Scene, slopes: Any, stops: int) -> None:
         path = follow_path_now.prepare(pool, problem, *ends).path
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)
         along = np.zeros((BLOCK, directions.shape[1]))
-        signals_and_slopes_now.prepare(pool, problem, block, solutions, directions, along)
+        memory = _memory(problem, path, ends[0])
+        signals_and_slopes_now.prepare(pool, problem, block, solutions, memory, directions, along)
         # The last one takes longest to trace, and is compiled fastest.
-        events_and_slopes_now.prepare(pool, problem, path, directions)
+        events_and_slopes_now.prepare(pool, problem, path, memory, directions)
