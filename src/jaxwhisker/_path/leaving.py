@@ -91,11 +91,8 @@ def _changed_slips(
     problem: Problem, state: MarchState, point: Point, tangent: Point
 ) -> tuple[Bool[Array, ""], Int[Array, " whiskers"]]:
     """Whether a contact breaks a law of friction along the tangent, and the slips after the first one is changed."""
-    friction, limit, onwards = (
-        state.mode.friction,
-        problem.friction_angle,
-        slips_on(problem, state.mode, point.z, tangent.z),
-    )
+    friction, limit = state.mode.friction, problem.friction_angle
+    onwards = slips_on(problem, state.mode, point.z, tangent.z)
     assert friction is not None and limit is not None and onwards is not None
     slip, (force, leans, _) = friction.slip, point.z.T
     backwards = onwards < -SLIP_NOISE

@@ -33,7 +33,8 @@ def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
 
     Between snaps, no energy E is lost: it is exchanged with the drive and with a moving object. A drive that moves
     along x does the work dE = sum(fx) du; on other motions, forces and moments of the drive do work. A moving object
-    does the work of the contact forces, dE = -sum(fx) dx - sum(fy) dy. At a snap, the drop in E is lost.
+    does the work of the contact forces, dE = -sum(fx) dx - sum(fy) dy. At a snap, the drop in E is lost. With friction,
+    contacts that slip turn some of the work into heat.
 
     Springs that strain each other at rest (a loop whose rest lengths do not add up) store a constant energy, which is
     not included.

@@ -56,7 +56,7 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
 
     Returns:
         A Result. The values of a step that fails are NaN, and its status says why (`invalid`: a parameter is outside
-        its domain; `lost`, `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`: see `Status`).
+        its domain; `lost`, `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`, `undetermined`: see `Status`).
 
     Raises:
         ValueError: if a concrete argument is invalid, if the default control would have more than a million steps
@@ -65,9 +65,10 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
 
     `scan` works under jax.jit and jax.vmap. Signals, states and event positions have first and second derivatives, in
     both modes, with respect to every numeric field of the scene and to the control. Derivatives are taken at fixed
-    control along the step's own branch; exactly at a change of phase they are those of the phase that begins. Reactions
-    of failed steps and of free whiskers have derivative 0. Inside your own lax.map or lax.scan, jax.hessian returns NaN
-    with jax 0.10; use vmap, or jacfwd of jacfwd.
+    control along the step's own branch; exactly at a change of phase they are those of the phase that begins. With
+    friction, a contact that sticks also depends on where the drive turned. Reactions of failed steps and of free
+    whiskers have derivative 0. Inside your own lax.map or lax.scan, jax.hessian returns NaN with jax 0.10; use vmap, or
+    jacfwd of jacfwd.
     """
     checks.float64_mode()
     if not isinstance(scene, Scene):
