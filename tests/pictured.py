@@ -12,6 +12,7 @@ import xarray as xr
 
 import jaxwhisker as jw
 from jaxwhisker._explore.picture import DTYPES
+from jaxwhisker._inverse.fit import FittedRecording
 from jaxwhisker._inverse.information import EventInformation
 from jaxwhisker._inverse.observations import Observations
 
@@ -99,7 +100,8 @@ def some_fit(result):
     """A made-up fit with small residuals."""
     values = np.stack([np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz")], axis=-1)
     measured = Observations(np.asarray(result.control), values + 0.3 * np.sin(40 * values), np.ones(values.shape))
-    known = {"status": jw.FitStatus.ok, "measured": measured, "signals": values, "scene": result.scene}
+    recording = FittedRecording(measured, values, measured.values - values, {}, result.scene)
+    known = {"status": jw.FitStatus.ok, "recordings": (recording,)}
     return jw.Fit(**dict.fromkeys(jw.Fit.__dataclass_fields__) | known)  # pyright: ignore[reportArgumentType]
 
 

@@ -11,7 +11,6 @@ import jaxwhisker as jw
 from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.parameters import (
     Transforms,
-    Unknowns,
     build_scene,
     check_traceable,
     read_parameters,
@@ -66,11 +65,6 @@ def test_positive_parameters_are_fitted_in_log():
     assert not transforms_of(build, {"c": 60.0, "position": 0.0}, kinds={"c": "linear"}).log.any()
     with pytest.raises(ValueError, match=r"`transform` must be linear .*position = -0.5"):
         transforms_of(build, {"c": 60.0, "position": -0.5}, kinds={"position": "log"})
-
-
-def test_names_of_all_unknowns():
-    assert Unknowns(("c",), ((0, 0), (0, 2)), True).all_names == ("c", "offset_fx", "offset_mz", "shift")
-    assert Unknowns((), ((0, 0), (1, 2)), False).all_names == ("offset_fx_1", "offset_mz_2")
 
 
 def if_function(c, q):

@@ -20,6 +20,7 @@ EVENT = 1e-8
 STEP = 1e-5  # of differences
 DIFFERENCE = 1e-6  # error of central differences, relative to 1 + the derivative
 LIMIT = 1e-9  # for friction that vanishes
+ROLLING = 1e-9  # slip of a contact that sticks
 SAME = 1e-9  # for scenes that are mirror images
 SUPPORTS = {"clamped": jw.Support.clamped, "FB": lambda: jw.Support.fb(70.0), "FBFBR": lambda: jw.Support.fbfbr(70.0)}
 
@@ -146,6 +147,38 @@ def test_friction_that_vanishes_changes_nothing(support):
             near_snap = np.min(np.abs(np.asarray(smooth.control)[:, None] - [e.control for e in smooth.events]), axis=1)
             far = near_snap > 1e-4
             np.testing.assert_allclose(here[far], there[far], atol=limit * np.max(np.abs(there)), err_msg=name)
+
+
+def curved(friction):
+    return jw.Scene(jw.Whisker(intrinsic_curvature=0.5), jw.Circle(0.2, 0.5), jw.Support.fb(70.0), friction=friction)
+
+
+def test_a_curved_whisker_rocks_on_the_object():
+    # It first slips up the object, comes to rest while the drive goes on, and then slips down.
+    control = jnp.linspace(0.47, -0.2, 41)
+    result = jw.scan(curved(0.3), control)
+    assert all_ok(result)
+    kinds = [e.kind.name for e in result.events]
+    assert kinds == ["stick", "slip"]
+    stick, slip = (e.control for e in result.events)
+    slips = np.asarray(result.slip)[:, 0]
+    np.testing.assert_array_equal(slips, np.where(control > stick, 1, np.where(control > slip, 0, -1)))
+    arc_on_object = 0.5 * np.asarray(result.contact_slope)[:, 0]
+    way = np.diff(arc_on_object - np.asarray(result.contact_arc)[:, 0])
+    same = slips[1:] == slips[:-1]
+    assert np.all((way * slips[1:])[same & (slips[1:] != 0)] > 0)
+    # There the slip has come to rest: the rate of the way is zero, and so is that of the friction after it.
+    near = jw.scan(curved(0.3), stick + jnp.array([2e-4, 1e-4, 0.0, -1e-4, -2e-4]))
+    way = 0.5 * np.asarray(near.contact_slope)[:, 0] - np.asarray(near.contact_arc)[:, 0]
+    assert abs(way[2] - way[1]) < abs(way[1] - way[0]) and abs(way[-1] - way[2]) < ROLLING
+
+
+def test_without_any_friction_slips_turn_back_at_once():
+    control = jnp.linspace(0.47, -0.2, 41)
+    result, plain = jw.scan(curved(0.0), control), jw.scan(curved(None), control)
+    assert all_ok(result) and set(np.asarray(result.slip)[:, 0].tolist()) == {-1, 1}
+    for name in COLUMNS:
+        np.testing.assert_allclose(getattr(result, name), getattr(plain, name), atol=LIMIT)
 
 
 def test_mirrored_scenes_give_mirrored_signals():

@@ -1,12 +1,15 @@
-"""One line on a terminal or in a notebook that says why a first call takes long."""
+"""One line on a terminal or in a notebook that says why a call takes long."""
 
 import os
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-PATIENCE = 2.0  # seconds of compilation after which the line is printed
+PATIENCE = 2.0  # seconds after which a line is printed
+REFRESH = 0.5  # seconds between two updates of a line of progress
+LINE = 79  # characters
 
 
 class _Notice:
@@ -44,6 +47,35 @@ def _interactive() -> bool:
     if os.environ.get("JAXWHISKER_PROGRESS", "").lower() in ("off", "0", "no", "false"):
         return False
     return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)())
+
+
+@contextmanager
+def progress(doing: str) -> Iterator[Callable[[float], None]]:
+    """Show on a terminal or in a notebook how far a search has come if it takes longer than `PATIENCE`.
+
+    Args:
+        doing: what is shown, such as "fitting".
+
+    Yields:
+        A function to call after every trial with its misfit.
+    """
+    start, lock = time.monotonic(), threading.Lock()
+    shown, trials, least = start, 0, float("inf")
+
+    def report(misfit: float) -> None:
+        nonlocal shown, trials, least
+        with lock:
+            trials, least, now = trials + 1, min(least, misfit), time.monotonic()
+            if now - start > PATIENCE and now - shown > REFRESH and _interactive():
+                shown = now
+                line = f"jaxwhisker: {doing}, {trials} scans in {now - start:.0f} s, misfit {least:.3g}"
+                print(f"\r{line:<{LINE}}", end="", file=sys.stderr, flush=True)
+
+    try:
+        yield report
+    finally:
+        if shown > start:
+            print("\r" + " " * LINE + "\r", end="", file=sys.stderr, flush=True)
 
 
 def _announce(kept: bool) -> None:

@@ -37,8 +37,8 @@ class Features(NamedTuple):
 class Scatter(NamedTuple):
     """Noise estimated from neighbouring samples."""
 
-    sigma: Float[np.ndarray, " 3"]  # standard deviation of each reaction; 0 if nothing is known
-    count: int  # number of differences in the estimate of the reaction with the fewest
+    sigma: Float[np.ndarray, " kinds"]  # standard deviation of each kind of signal; 0 if nothing is known
+    count: int  # number of differences in the estimate of the kind with the fewest
 
 
 def features(observations: Observations) -> Features:
@@ -52,26 +52,28 @@ def features(observations: Observations) -> Features:
     return Features(travel, low, high, touch, touch_error, release)
 
 
-def in_contact(observations: Observations) -> Bool[np.ndarray, "steps whiskers 3"]:
+def in_contact(observations: Observations) -> Bool[np.ndarray, "steps whiskers kinds"]:
     """Where a signal is clear of its noise."""
     noise = np.nan_to_num(observations.sigma)
     return np.abs(observations.values) > np.maximum(ABOVE_NOISE * noise, LEAST_CONTACT * observations.peaks)
 
 
-def neighbour_scatter(observations: Observations) -> Scatter:
-    """Estimate the noise of each reaction from third differences of neighbouring samples.
+def neighbour_scatter(*recordings: Observations) -> Scatter:
+    """Estimate the noise of each kind of signal from third differences of neighbouring samples.
 
     For smooth signals these differences nearly vanish. Divided differences allow for gaps and unequal steps; each is
     divided by the standard deviation that noise of size one gives it. Jumps and corners hardly affect their median.
     Signals that are still curved on the scale of four samples make the estimate too large, never too small. Noise that
     is correlated between samples (by a low-pass filter) makes it too small.
     """
-    sigma, counts = np.zeros(observations.values.shape[2]), []
-    for r in range(sigma.size):
-        rough = np.concatenate([_third_differences(observations.control, v) for v in observations.values[:, :, r].T])
-        rough = rough[np.abs(rough) > ZERO_DIFFERENCE * observations.peaks[r]]  # omits exact zeros of free whiskers
+    sigma, counts = np.zeros(recordings[0].values.shape[2]), []
+    peaks = np.max([observations.peaks for observations in recordings], axis=0)
+    for c in range(sigma.size):
+        signals = [(one.control, signal) for one in recordings for signal in one.values[:, :, c].T]
+        rough = np.concatenate([_third_differences(*pair) for pair in signals])
+        rough = rough[np.abs(rough) > ZERO_DIFFERENCE * peaks[c]]  # omits exact zeros of free whiskers
         if rough.size:
-            sigma[r] = MAD_TO_SIGMA * np.median(np.abs(rough))
+            sigma[c] = MAD_TO_SIGMA * np.median(np.abs(rough))
             counts.append(rough.size)
     return Scatter(sigma, min(counts, default=0))
 

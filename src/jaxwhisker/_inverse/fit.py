@@ -12,9 +12,10 @@ from jaxwhisker._base import checks
 from jaxwhisker._inverse.features import Features, Scatter
 from jaxwhisker._inverse.least_squares import LeastSquares, Minimum
 from jaxwhisker._inverse.observations import Observations
-from jaxwhisker._inverse.parameters import Transforms, Unknowns
-from jaxwhisker._inverse.residuals import Samples, log_density, samples_of
+from jaxwhisker._inverse.parameters import Transforms
+from jaxwhisker._inverse.residuals import Comparison, Samples, log_density, samples_of
 from jaxwhisker._inverse.statistics import CHI2_95, FitStatus, chi_squared, is_plausible
+from jaxwhisker._inverse.unknowns import Unknowns
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._scan.report import table
 from jaxwhisker._scan.route import route_of
@@ -24,18 +25,13 @@ NUMERICAL = 1e-6  # of the peak: residuals below it are numerical
 SCATTER_ERROR = 6.0  # relative error that the scatter between n neighbours may have, times sqrt(n): 3.4 standard errors
 
 
-class FitProblem(NamedTuple):
-    """Observations and the program that fits them."""
+class Recording(NamedTuple):
+    """One scan that was measured."""
 
-    build: Callable[..., Scene]
-    solve: LeastSquares
-    unknowns: Unknowns
-    transforms: Transforms
     observations: Observations
     landmarks: Features
     first_leg: slice  # the samples before the drive first turns, which can be overlaid with a scan
     landmarks_of_leg: Features
-    scatter: Scatter | None  # of neighbouring samples, to judge a fit whose noise was estimated from its residuals
     scene: Scene  # at the guess
 
     def samples(self, *, overlaid: bool = False, thin: bool = False) -> Samples:
@@ -49,15 +45,69 @@ class FitProblem(NamedTuple):
         route, length = route_of(self.observations.control), float(units(self.scene).control)
         return samples_of(observations, landmarks, route, overlaid=overlaid, length=length)
 
-    def compared(self, solution: Minimum) -> np.ndarray:
+    @property
+    def can_be_overlaid(self) -> bool:
+        """Whether the drive starts in the direction of a default scan and a touch is visible."""
+        leg = self.observations.control[self.first_leg]
+        onwards = np.sign(leg[-1] - leg[0]) == self.scene.motion.onwards
+        return bool(onwards and np.isfinite(self.landmarks_of_leg.touch).any())
+
+    def compared(self, comparison: Comparison) -> np.ndarray:
         """Which values are compared with the model, (steps, whiskers, 3): all but those left out at snaps."""
         steps = self.observations.control.size
-        return self.observations.known & ~solution.compared.left_out[:steps, None, None]
+        return self.observations.known & ~comparison.left_out[:steps, None, None]
+
+    def off(self, comparison: Comparison) -> np.ndarray:
+        """Measured - model, (steps, whiskers, 3); NaN where nothing is compared."""
+        signals = comparison.signals[: self.observations.control.size]
+        return np.where(self.compared(comparison), self.observations.values - signals, np.nan)
+
+
+class FitProblem(NamedTuple):
+    """Recordings, and the program that fits them."""
+
+    build: Callable[..., Scene]
+    solve: LeastSquares
+    recordings: tuple[Recording, ...]
+    scatter: Scatter | None  # of neighbouring samples, to judge a fit whose noise was estimated from its residuals
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """What is fitted."""
+        return self.solve.unknowns
+
+    @property
+    def transforms(self) -> Transforms:
+        """How the fit's variables follow from the unknowns."""
+        return self.solve.transforms
+
+    @property
+    def peaks(self) -> np.ndarray:
+        """Largest magnitude of each kind of signal, (3,)."""
+        return np.max([recording.observations.peaks for recording in self.recordings], axis=0)
+
+    def samples(self, *, overlaid: bool = False, thin: bool = False) -> list[Samples]:
+        """The observations of every recording for one stage."""
+        return [recording.samples(overlaid=overlaid, thin=thin) for recording in self.recordings]
+
+    def with_noise(self, sigma: np.ndarray) -> "FitProblem":
+        """The same problem with this standard deviation of the noise of each kind of signal, (3,)."""
+        return self._replace(
+            recordings=tuple(
+                recording._replace(observations=recording.observations.with_sigma(sigma))
+                for recording in self.recordings
+            )
+        )
+
+    def compared(self, solution: Minimum) -> np.ndarray:
+        """Which values are compared with the model, (steps of all recordings, whiskers, 3)."""
+        pairs = zip(self.recordings, solution.compared, strict=True)
+        return np.concatenate([recording.compared(comparison) for recording, comparison in pairs])
 
     def off(self, solution: Minimum) -> np.ndarray:
-        """Measured - model, (steps, whiskers, 3); NaN where nothing is compared."""
-        signals = solution.compared.signals[: self.observations.control.size]
-        return np.where(self.compared(solution), self.observations.values - signals, np.nan)
+        """Measured - model, (steps of all recordings, whiskers, 3); NaN where nothing is compared."""
+        pairs = zip(self.recordings, solution.compared, strict=True)
+        return np.concatenate([recording.off(comparison) for recording, comparison in pairs])
 
     def degrees(self, solution: Minimum) -> int:
         """Degrees of freedom."""
@@ -75,8 +125,18 @@ class FitProblem(NamedTuple):
         if self.scatter is None:
             return True
         uncertainty = 1 + SCATTER_ERROR / np.sqrt(max(1, self.scatter.count))
-        largest_noise = uncertainty * np.maximum(self.scatter.sigma, NUMERICAL * self.observations.peaks)
+        largest_noise = uncertainty * np.maximum(self.scatter.sigma, NUMERICAL * self.peaks)
         return is_plausible(chi_squared(np.nan_to_num(off / largest_noise)), degrees)
+
+
+class FittedRecording(NamedTuple):
+    """One recording, and what the fit says of it."""
+
+    measured: Observations  # with the noise that was assumed
+    signals: np.ndarray  # (steps, whiskers, 3) of the model, or (steps, 1, channels) with `channels`
+    residuals: np.ndarray  # measured - model; NaN where nothing was compared
+    parameters: dict[str, float]  # arguments of `build`
+    scene: Scene  # at the estimates
 
 
 class LikelihoodProfile(NamedTuple):
@@ -109,15 +169,40 @@ class Fit:
     reason: str  # for a status that is not ok; else empty
     chi2: float  # sum of squares of the whitened residuals
     degrees: int  # degrees of freedom
-    residuals: np.ndarray  # (steps, whiskers, 3) measured - model; NaN where nothing was compared
-    signals: np.ndarray  # (steps, whiskers, 3) of the model
-    measured: Observations  # with the noise that was assumed
+    recordings: tuple[FittedRecording, ...]
     steps: int  # of Levenberg-Marquardt, over all stages
     starts: int  # number of starts
     agreeing: int  # number of starts that ended in this minimum
-    scene: Scene  # at the estimates
     _problem: FitProblem
     _solution: Minimum
+
+    @property
+    def measured(self) -> Observations:
+        """The measured signals of the only recording, with the noise that was assumed."""
+        return self._only_recording.measured
+
+    @property
+    def signals(self) -> np.ndarray:
+        """Signals of the model for the only recording, (steps, whiskers, 3), or (steps, 1, channels)."""
+        return self._only_recording.signals
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """Measured - model for the only recording; NaN where nothing was compared."""
+        return self._only_recording.residuals
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the only recording at the estimates."""
+        return self._only_recording.scene
+
+    @property
+    def _only_recording(self) -> FittedRecording:
+        if len(self.recordings) > 1:
+            raise ValueError(
+                f"Each of the {len(self.recordings)} recordings has its own: ask `recordings[k]` of the fit instead."
+            )
+        return self.recordings[0]
 
     def profile(self, name: str, points: int = 21, width: float = 3.0) -> LikelihoodProfile:
         """Compute the likelihood profile of one parameter, which does not assume that the misfit is quadratic.
@@ -165,7 +250,8 @@ class Fit:
             y: the fit's variables, (parameters,), see `variables`. With a prior that is flat in them, this is the log
                 density of the posterior; add the logarithm of any other prior.
         """
-        return log_density(*self._problem.solve, y, self._problem.samples(), self._solution.y)
+        build, unknowns, transforms, _ = self._problem.solve
+        return log_density(build, unknowns, transforms, jnp.asarray(y), self._problem.samples(), self._solution.y)
 
     @property
     def variables(self) -> np.ndarray:

@@ -8,28 +8,32 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxwhisker._base import checks
+from jaxwhisker._base import announce, checks
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._inverse import parameters
+from jaxwhisker._inverse.channels import Channels, arguments_of, channels_from, table_of_result
 from jaxwhisker._inverse.features import features, neighbour_scatter
-from jaxwhisker._inverse.fit import Fit, FitProblem
+from jaxwhisker._inverse.fit import Fit, FitProblem, FittedRecording, Recording
 from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum, possible_decrease
 from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.observations import Observations, read_observations
-from jaxwhisker._inverse.parameters import Unknowns
 from jaxwhisker._inverse.recording import check_recording
+from jaxwhisker._inverse.residuals import Samples
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, correlation, identifiability
+from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
+from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import turns_of
 from jaxwhisker._scan.scan import BLOCK
 
 LEAST_NOISE = 1e-4  # of the peak: least noise assumed before the residuals give an estimate
 SPREAD = np.log(4.0)  # largest distance of other starts from the guess in each of the fit's variables
 ESTIMATES = 4  # of the noise from the residuals, at most
+EXACT = 1e-10  # of the peak: signals are not more exact, so that smaller residuals are no noise
 OVERESTIMATED = 0.5  # share of the degrees of freedom; below it, chi-squared shows that the noise was overestimated
 BASELINE = 5  # first samples, from which constant offsets are guessed
-ENOUGH = 3  # starts that must end in the same plausible minimum before the search stops
+ENOUGH = 3  # starts that must end in the best minimum before the search stops
 EQUAL = 1e-3  # difference of the fit's variables up to which two minima are the same
 NEGLIGIBLE = 1e-2  # possible decrease of chi-squared (a tenth of a standard error) that a converged fit may leave
 AT_BOUND = 1e-3  # dv/dy, relative to that in the middle if it is larger than 1, below which a parameter is at its bound
@@ -37,36 +41,49 @@ AT_BOUND = 1e-3  # dv/dy, relative to that in the middle if it is larger than 1,
 
 def identify(
     build: Callable[..., Scene],
-    guess: Mapping[str, float],
+    guess: Mapping[str, Any],
     measured: Any,
     *,
     sigma: Any = None,
+    channels: Any = None,
     offsets: bool = False,
+    gains: bool = False,
     shift: bool = False,
+    individual: Any = (),
     bounds: Mapping[str, Any] | None = None,
     transform: Mapping[str, str] | None = None,
     starts: int = 16,
     near: bool = False,
 ) -> Fit:
-    """Estimate the parameters of a scene from measured signals.
+    """Estimate the parameters of a scene from the measured signals of one scan or of several.
 
     The method is Levenberg-Marquardt on whitened residuals, with exact derivatives. Snaps contribute by their positions
     (see residuals.py). A first stage overlays the scans; therefore guesses may be off by a factor of three or more. If
-    the residuals are not plausible, fits from other starts follow.
+    the residuals are not plausible, fits from other starts follow. A fit that takes longer than two seconds shows its
+    progress on terminals and in notebooks.
 
     Args:
         build: makes a Scene from named numbers: parameters of springs, object and whiskers. JAX must be able to trace
             it.
         guess: an initial value of each unknown parameter.
-        measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers): a mapping of arrays, a Result,
-            a Dataset with one scan, a DataFrame or the path of a CSV file. Arrays are (steps,) or (steps, whiskers), in
-            the units of the scene, with the signs of `scene.py` (forces and moments of the support on the whisker), and
-            in the order in which the drive moved. NaN is skipped.
+        measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers), or of the names in `channels`:
+            a mapping of arrays, a Result, a Dataset with one scan, a DataFrame or the path of a CSV file. Arrays are
+            (steps,) or (steps, whiskers), in the units of the scene, with the signs of `scene.py` (forces and moments
+            of the support on the whisker), and in the order in which the drive moved. NaN is skipped. A list of these:
+            several recordings, which are fitted together.
         sigma: standard deviation of the noise: a number, or a mapping from channels to numbers or arrays. Default: one
             number per channel, estimated from the residuals; the fit is then plausible if the residuals are not larger
             than the scatter between neighbouring samples. Noise that is correlated between samples needs `sigma`.
+        channels: what the sensor measures, if not reactions: a function of the Result of a scan that returns a mapping
+            from names to arrays (steps,), such as `lambda result: {"bend": result.base_angle}`. Its further arguments
+            are unknown parameters as well, which `guess` names. It must not ask for events.
         offsets: whether an unknown constant is added to every measured channel.
+        gains: whether every measured channel is multiplied by an unknown factor of either sign, before its offset is
+            added. The signals may then be in any unit.
         shift: whether the control is off by an unknown constant: the scene's is the measured one plus `shift`.
+        individual: names of unknowns that recordings do not share (parameters, "offsets", "gains", "shift"): each
+            recording has its own. A mapping from names to one label per recording: recordings with the same label share
+            the value, `name[label]`.
         bounds: pairs (low, high) by name, None for no bound.
         transform: "log" or "linear" by name. Default: log for parameters that `build` rejects if they are negative.
         starts: largest number of further fits if the first one is not plausible; 0 for none.
@@ -84,71 +101,120 @@ def identify(
     """
     checks.float64_mode()
     guess = parameters.read_parameters("guess", guess)
-    scene = parameters.build_scene("guess", build, guess)
     checks.count("starts", starts, least=0)
-    transforms = parameters.transforms_of(build, guess, bounds, transform)
-    parameters.check_traceable(build, guess)
-    check_used(build, guess)
-    observations = read_observations(measured, sigma, whiskers=len(scene.whiskers))
+    own = arguments_of(channels)
+    scene = parameters.build_scene("guess", build, {name: v for name, v in guess.items() if name not in own})
+    measures, values = channels_from(channels, scene, guess)
+    further = {name: guess[name] for name in measures.parameters}
+    transforms = parameters.transforms_of(build, values, bounds, transform, further)
+    parameters.check_traceable(build, values)
+    check_used(build, values)
+    observations = _read(measured, sigma, measures, len(scene.whiskers))
 
-    channels = tuple((c.whisker, c.reaction) for c in observations.channels) if offsets else ()
-    unknowns = Unknowns(tuple(guess), channels, shift)
-    baseline = _baseline(observations) if offsets else np.zeros(observations.values.shape[1:])
-    centred = dataclasses.replace(observations, values=observations.values - baseline)
-    check_recording(centred, scene, len(unknowns.all_names))
-    sizes = [float(observations.peaks[reaction]) for _, reaction in channels] + [float(units(scene).control)] * shift
-    transforms = transforms.with_sizes(sizes)
-    start = transforms.variables([*guess.values(), *(baseline[channel] for channel in channels), *[0.0] * shift])
+    present = dict.fromkeys((c.whisker, c.kind) for one in observations for c in one.channels)
+    pairs = [tuple(present) if wanted else () for wanted in (offsets, gains)]
+    unknowns = unknowns_of(tuple(values), measures, *pairs, shift, individual, len(observations))
+    baselines = [_baseline(one) if offsets else np.zeros(one.values.shape[1:]) for one in observations]
+    centred = [dataclasses.replace(o, values=o.values - base) for o, base in zip(observations, baselines, strict=True)]
+    in_units = channels is None and not gains
+    for one in centred:
+        check_recording(one, scene, len(unknowns.all_names) if len(centred) == 1 else 0, in_units=in_units)
 
     scatter = None
-    if np.isnan(observations.sigma[observations.known]).all():
-        scatter = neighbour_scatter(observations)
-        observations = observations.with_sigma(np.maximum(scatter.sigma, LEAST_NOISE * observations.peaks))
-        centred = centred.with_sigma(observations.sigma)
-    first_leg = slice(0, min([*turns_of(observations.control), observations.control.size - 1]) + 1)
-    problem = FitProblem(
-        build=build,
-        solve=LeastSquares(build, unknowns, transforms),
-        unknowns=unknowns,
-        transforms=transforms,
-        observations=observations,
-        landmarks=features(centred),
-        first_leg=first_leg,
-        landmarks_of_leg=features(centred.at(first_leg)),
-        scatter=None,
-        scene=scene,
-    )
-    search = _search(problem, start, starts, near)
-    if scatter is not None:
-        problem, search = _reweighted(problem._replace(scatter=scatter), search)
+    if all(np.isnan(one.sigma[one.known]).all() for one in observations):
+        scatter = neighbour_scatter(*observations)
+        noise = np.maximum(scatter.sigma, LEAST_NOISE * np.max([one.peaks for one in observations], axis=0))
+        observations, centred = ([one.with_sigma(noise) for one in several] for several in (observations, centred))
+    recordings = tuple(_recording(*pair, scene) for pair in zip(observations, centred, strict=True))
+    with announce.progress("fitting") as report:
+        solve = LeastSquares(build, unknowns, transforms, report)
+        solve, start = _ready(solve, [*values.values(), *further.values()], baselines, recordings)
+        problem = FitProblem(build, solve, recordings, None)
+        search = _search(problem, start, starts, near)
+        if scatter is not None:
+            problem, search = _reweighted(problem._replace(scatter=scatter), search)
     return _fit_of(problem, search)
+
+
+def _read(measured: Any, sigma: Any, channels: Channels, whiskers: int) -> list[Observations]:
+    """All recordings."""
+    recordings = measured if isinstance(measured, (list, tuple)) else [measured]
+    if not recordings:
+        raise ValueError("`measured` must hold at least one recording, got an empty list.")
+    if channels.function is None:
+        return [read_observations(one, sigma, whiskers=whiskers) for one in recordings]
+    tables = [table_of_result(channels, one) if isinstance(one, Result) else one for one in recordings]
+    return [read_observations(table, sigma, whiskers=1, kinds=channels.names) for table in tables]
+
+
+def _recording(observations: Observations, centred: Observations, scene: Scene) -> Recording:
+    first_leg = slice(0, min([*turns_of(observations.control), observations.control.size - 1]) + 1)
+    return Recording(observations, features(centred), first_leg, features(centred.at(first_leg)), scene)
 
 
 def _baseline(observations: Observations) -> np.ndarray:
     """Median of each channel's first samples, (whiskers, 3); 0 where nothing was measured."""
     baseline = np.zeros(observations.values.shape[1:])
-    for whisker, reaction, _ in observations.channels:
-        signal = observations.values[:, whisker, reaction]
-        baseline[whisker, reaction] = np.median(signal[np.isfinite(signal)][:BASELINE])
+    for whisker, kind, _ in observations.channels:
+        signal = observations.values[:, whisker, kind]
+        baseline[whisker, kind] = np.median(signal[np.isfinite(signal)][:BASELINE])
     return baseline
 
 
-def _can_be_overlaid(problem: FitProblem) -> bool:
-    """Whether the drive starts in the direction of a default scan and a touch is visible."""
-    leg = problem.observations.control[problem.first_leg]
-    onwards = np.sign(leg[-1] - leg[0]) == problem.scene.motion.onwards
-    return bool(onwards and np.isfinite(problem.landmarks_of_leg.touch).any())
+def _ready(
+    solve: LeastSquares, values: list[float], baselines: list[np.ndarray], recordings: tuple[Recording, ...]
+) -> tuple[LeastSquares, np.ndarray]:
+    """The solver, with natural sizes of all unknowns, and the variables from which it starts."""
+    unknowns, scene = solve.unknowns, recordings[0].scene
+    nothing = [np.zeros_like(baseline) for baseline in baselines]
+    peaks = np.max([recording.observations.peaks for recording in recordings], axis=0)
+    offsets = [float(peaks[kind]) for _, kind in unknowns.offsets]
+    shifts = [float(units(scene).control)] * unknowns.shift
+
+    def with_gains(gains: list[float], baselines: list[np.ndarray]) -> tuple[LeastSquares, np.ndarray]:
+        transforms = solve.transforms.with_sizes([*offsets, *map(abs, gains), *shifts]).at(unknowns.own_index)
+        x = np.zeros(len(unknowns.all_names))
+        for baseline, columns in zip(baselines, unknowns.columns, strict=True):
+            own = [*values, *(baseline[channel] for channel in unknowns.offsets), *gains, *[0.0] * unknowns.shift]
+            x[columns] = own
+        return solve._replace(transforms=transforms), transforms.variables(x)
+
+    if not unknowns.gains:
+        return with_gains([], baselines)
+    # The signals of the scene at the guess tell how large a gain is.
+    plain, y = with_gains([1.0] * len(unknowns.gains), nothing)
+    at = plain.evaluate(y, [r.samples(overlaid=r.can_be_overlaid, thin=True) for r in recordings], y)
+    largest = np.max(np.abs(np.nan_to_num(np.concatenate([each.signals for each in at.compared]))), axis=0)
+    gains = [peaks[kind] / (largest[whisker, kind] or 1.0) for whisker, kind in unknowns.gains]
+    return with_gains(gains, baselines)
 
 
 def _fit_in_stages(problem: FitProblem, y: np.ndarray, near: bool) -> tuple[Minimum, int]:
     """Fit from a guess, and count the steps."""
-    thinned = problem.observations.control.size > BLOCK
+    thinned = any(recording.observations.control.size > BLOCK for recording in problem.recordings)
+    overlaid = all(recording.can_be_overlaid for recording in problem.recordings)
     steps = 0
-    for overlaid in [True] * (_can_be_overlaid(problem) and not near) + [False] * thinned:
-        solution = problem.solve(y, problem.samples(overlaid=overlaid, thin=True), y, least=COARSE)
+    for first in [True] * (overlaid and not near) + [False] * thinned:
+        data = problem.samples(overlaid=first, thin=True)
+        y = _with_linear(problem, y, data)
+        solution = problem.solve(y, data, y, least=COARSE)
         y, steps = solution.y, steps + solution.steps
-    solution = problem.solve(y, problem.samples(), y)
+    data = problem.samples()
+    solution = problem.solve(_with_linear(problem, y, data), data, y)
     return solution, steps + solution.steps
+
+
+def _with_linear(problem: FitProblem, y: np.ndarray, data: list[Samples]) -> np.ndarray:
+    """The variables with the best gains and offsets for these values of the others."""
+    linear = problem.unknowns.linear
+    if not problem.unknowns.gains:
+        return y
+    at = problem.solve.evaluate(y, data, y)
+    if not (np.isfinite(at.residual).all() and np.isfinite(at.jacobian).all()):
+        return y
+    y = y.copy()
+    y[linear] -= np.linalg.lstsq(at.jacobian[:, linear], at.residual, rcond=None)[0]
+    return y
 
 
 class _Search(NamedTuple):
@@ -161,7 +227,7 @@ class _Search(NamedTuple):
 
 
 def _search(problem: FitProblem, start: np.ndarray, starts: int, near: bool) -> _Search:
-    """Fit from the guess, and then from other starts until enough of them agree on a plausible fit."""
+    """Fit from the guess; if that is not plausible, from other starts until enough of them agree on the best fit."""
     best, steps = _fit_in_stages(problem, start, near)
     if not starts or problem.is_plausible(best):
         return _Search(best, steps, 1, 1)
@@ -177,7 +243,7 @@ def _search(problem: FitProblem, start: np.ndarray, starts: int, near: bool) -> 
             solutions.append(solution)
             best = min(solutions, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
             agreeing = sum(bool(np.max(np.abs(s.y - best.y)) < EQUAL) for s in solutions)
-            if agreeing >= ENOUGH and problem.is_plausible(best):
+            if agreeing >= ENOUGH:
                 pool.shutdown(wait=False, cancel_futures=True)
                 break
     return _Search(best, steps, len(solutions), agreeing)
@@ -205,14 +271,13 @@ def _reweighted(problem: FitProblem, search: _Search) -> tuple[FitProblem, _Sear
 
 
 def _with_noise_of(problem: FitProblem, solution: Minimum) -> FitProblem:
-    """The same problem with the noise of each reaction estimated from the residuals."""
+    """The same problem with the noise of each kind of signal estimated from the residuals."""
     compared = problem.compared(solution)
     count = compared.sum(axis=(0, 1))
     correction = count.sum() / max(1, problem.degrees(solution))
     squares = np.sum(np.where(compared, problem.off(solution), 0.0) ** 2, axis=(0, 1))
     noise = np.sqrt(correction * squares / np.maximum(count, 1))
-    noise = np.where(count > 0, np.maximum(noise, np.finfo(float).eps * problem.observations.peaks), 1.0)
-    return problem._replace(observations=problem.observations.with_sigma(noise))
+    return problem.with_noise(np.where(count > 0, np.maximum(noise, EXACT * problem.peaks), 1.0))
 
 
 def _fit_of(problem: FitProblem, search: _Search) -> Fit:
@@ -229,7 +294,6 @@ def _fit_of(problem: FitProblem, search: _Search) -> Fit:
         covariance = np.full_like(covariance, np.nan)
     errors = np.sqrt(np.diag(covariance))
     estimates = dict(zip(names, x.tolist(), strict=True))
-    at_estimates = {name: estimates[name] for name in problem.unknowns.names}
     return Fit(
         names=names,
         estimates=estimates,
@@ -243,21 +307,30 @@ def _fit_of(problem: FitProblem, search: _Search) -> Fit:
         reason=reason,
         chi2=chi_squared(residual),
         degrees=problem.degrees(solution),
-        residuals=problem.off(solution),
-        signals=solution.compared.signals[: problem.observations.control.size],
-        measured=problem.observations,
+        recordings=tuple(_fitted(problem, solution, x, k) for k in range(len(problem.recordings))),
         steps=search.steps,
         starts=search.starts,
         agreeing=search.agreeing,
-        scene=problem.build(**at_estimates) if np.isfinite(x).all() else problem.scene,
         _problem=problem,
         _solution=solution,
     )
 
 
+def _fitted(problem: FitProblem, solution: Minimum, x: np.ndarray, k: int) -> FittedRecording:
+    recording, comparison = problem.recordings[k], solution.compared[k]
+    values = {name: float(value) for name, value in problem.unknowns.scene_values(x, k).items()}
+    return FittedRecording(
+        measured=recording.observations,
+        signals=comparison.signals[: recording.observations.control.size],
+        residuals=recording.off(comparison),
+        parameters=values,
+        scene=problem.build(**values) if np.isfinite(x).all() else recording.scene,
+    )
+
+
 def _status_of(problem: FitProblem, solution: Minimum, x: np.ndarray) -> tuple[FitStatus, str]:
     """How the fit ended, and the reason for failure."""
-    path = Status(solution.compared.status)
+    path = max(Status(comparison.status) for comparison in solution.compared)
     if not np.isfinite(solution.y).all() or path != Status.ok:
         return FitStatus.failed, f"the scene cannot be scanned there ({path.name})"
     transforms = problem.transforms
@@ -275,14 +348,16 @@ def _status_of(problem: FitProblem, solution: Minimum, x: np.ndarray) -> tuple[F
 
 def _why_implausible(problem: FitProblem, solution: Minimum) -> str:
     off, given = problem.off(solution), problem.scatter is None
-    noise = problem.observations.sigma if problem.scatter is None else problem.scatter.sigma
+    each = [recording.observations for recording in problem.recordings]
+    noise = np.concatenate([one.sigma for one in each]) if problem.scatter is None else problem.scatter.sigma
     with np.errstate(divide="ignore", invalid="ignore"):
-        share, size = (_rms(off / unit) for unit in (problem.observations.peaks, noise))
+        share, size = (_rms(off / unit) for unit in (problem.peaks, noise))
     unit = "standard deviations of the noise" if given else "times the scatter between neighbouring samples"
     degrees, compared = problem.degrees(solution), int(problem.compared(solution).sum())
     reason = f"the residuals are {share:.2g} of the peaks, {size:.3g} {unit} (root mean square)"
-    if compared < problem.observations.known.sum() / 2:
-        reason += f", and only {compared} of {problem.observations.known.sum()} values lie on the same side of a snap"
+    known = sum(int(one.known.sum()) for one in each)
+    if compared < known / 2:
+        reason += f", and only {compared} of {known} values lie on the same side of a snap"
     reason += f"; chi^2 = {chi_squared(solution.observed[0]):.3g} with {degrees} degrees of freedom"
     return reason if given else f"{reason}. If the noise is correlated between samples, give `sigma`"
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Control
+from jaxwhisker._inverse.channels import Channels, arguments_of, channels_from
 from jaxwhisker._inverse.linearised import LinearisedScan
-from jaxwhisker._inverse.observations import CHANNEL, Observations, read_observations
+from jaxwhisker._inverse.observations import Observations, channel_pattern, read_observations
 from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
 from jaxwhisker._inverse.residuals import UNIFORM
 from jaxwhisker._inverse.statistics import Identifiability, correlation, identifiability
@@ -50,7 +51,7 @@ class Information:
     names: tuple[str, ...]
     at: dict[str, float]
     control: np.ndarray  # (steps,)
-    channels: tuple[str, ...]  # fx, fy, mz, or fx_1, fx_2, ... of several whiskers
+    channels: tuple[str, ...]  # fx, fy, mz, or fx_1, fx_2, ... of several whiskers; or names from a function
     rates: np.ndarray  # (steps, channels, parameters) whitened derivatives; 0 where a step failed
     events: tuple[EventInformation, ...]
     log: np.ndarray  # (parameters,) whether `combinations` describes changes of a parameter as relative ones
@@ -185,7 +186,7 @@ def information(
     *,
     sigma: Any,
     control: Control | None = None,
-    channels: Sequence[str] = REACTIONS,
+    channels: Sequence[str] | Callable[..., Mapping[str, Any]] = REACTIONS,
 ) -> Information:
     """Compute the Fisher information of a scene's signals about its parameters, by exact derivatives.
 
@@ -196,7 +197,8 @@ def information(
             channels to numbers.
         control: drive positions, (steps,). Default: those of `scan`. Information is proportional to the density of
             steps.
-        channels: measured channels, such as "mz" (of all whiskers) or "mz_1".
+        channels: measured channels, such as "mz" (of all whiskers) or "mz_1"; or a function of the result, as in
+            `identify`, with its own unknown parameters in `at`.
 
     Returns:
         An Information.
@@ -206,11 +208,11 @@ def information(
     """
     checks.float64_mode()
     values = read_parameters("at", at)
-    scene = build_scene("at", build, values)
+    scene = build_scene("at", build, _for_build(values, channels))
     control = default_control(scene) if control is None else control
-    noise = _noise(control, len(scene.whiskers), sigma, channels)
-    check_traceable(build, values)
-    return _information_at(build, values, {}, noise, transforms_of(build, values).log)
+    measured, noise = _measured(control, scene, sigma, channels, values)
+    check_traceable(build, _for_build(values, channels))
+    return _information_at(build, values, {}, measured, noise, _logs(build, values, {}, measured))
 
 
 def design(
@@ -219,7 +221,7 @@ def design(
     *,
     sigma: Any,
     control: Control | None = None,
-    channels: Sequence[str] = REACTIONS,
+    channels: Sequence[str] | Callable[..., Mapping[str, Any]] = REACTIONS,
     **axes: Any,
 ) -> "xr.Dataset":
     """Compare sensors: how well parameters can be estimated, for all combinations of design choices.
@@ -248,12 +250,26 @@ def design(
     values = read_parameters("at", at)
     grids = _grids(axes, values)
     points = [dict(zip(grids, chosen, strict=True)) for chosen in itertools.product(*grids.values())]
-    scenes = [build_scene("at` and `axes", build, {**values, **point}) for point in points]
+    scenes = [build_scene("at` and `axes", build, {**_for_build(values, channels), **point}) for point in points]
     control = _common_control(scenes) if control is None else control
-    noise = _noise(control, len(scenes[0].whiskers), sigma, channels)
-    check_traceable(build, {**values, **points[0]})
-    log = transforms_of(build, {**values, **points[0]}).log[: len(values)]
-    return _dataset(values, grids, points, [_information_at(build, values, point, noise, log) for point in points])
+    measured, noise = _measured(control, scenes[0], sigma, channels, values)
+    check_traceable(build, {**_for_build(values, channels), **points[0]})
+    log = _logs(build, values, points[0], measured)
+    each = [_information_at(build, values, point, measured, noise, log) for point in points]
+    return _dataset(values, grids, points, each)
+
+
+def _for_build(values: Mapping[str, float], channels: Any) -> dict[str, float]:
+    """The parameters of `build`: those that are not arguments of the channels' function."""
+    own = arguments_of(channels) if callable(channels) else ()
+    return {name: value for name, value in values.items() if name not in own}
+
+
+def _logs(build: Callable, values: Mapping[str, float], point: Mapping[str, float], channels: Channels) -> np.ndarray:
+    """Which parameters are described by relative changes, in the order of the values."""
+    own = {name: value for name, value in values.items() if name not in channels.parameters}
+    log = dict(zip(own, transforms_of(build, {**own, **point}).log, strict=False))
+    return np.array([log.get(name, False) for name in values])
 
 
 def _grids(axes: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, np.ndarray]:
@@ -297,35 +313,53 @@ def _dataset(values: Mapping[str, float], grids: Mapping[str, np.ndarray], point
     return data
 
 
-def _noise(control: Control, whiskers: int, sigma: Any, channels: Sequence[str]) -> Observations:
-    """Observations of zero in the measured channels, with their noise."""
+def _measured(
+    control: Control, scene: Scene, sigma: Any, channels: Any, values: Mapping[str, float]
+) -> tuple[Channels, Observations]:
+    """The channels, and observations of zero in the measured ones, with their noise."""
     checks.vector("control", control)
+    if callable(channels):
+        measured, _ = channels_from(channels, scene, values)
+        zeros = dict.fromkeys(measured.names, np.zeros(np.shape(control)))
+        table = {"control": np.asarray(control, dtype=float)} | zeros
+        return measured, read_observations(table, sigma, whiskers=1, kinds=measured.names)
+    whiskers = len(scene.whiskers)
     if not channels:
         raise ValueError(f"`channels` must name at least one of {', '.join(REACTIONS)}, got an empty sequence.")
     for name in channels:
-        matched = CHANNEL.fullmatch(name)
+        matched = channel_pattern(REACTIONS).fullmatch(name)
         if matched is None or not 1 <= int(matched[2] or 1) <= whiskers:
             raise ValueError(f"`channels` must be among {', '.join(REACTIONS)}, got {name!r}.")
     control = np.asarray(control, dtype=float)
     zero = np.zeros((control.size, whiskers))
     table = {name: zero if name in REACTIONS else zero[:, 0] for name in channels}
-    return read_observations({"control": control} | table, sigma, whiskers=whiskers)
+    return Channels(), read_observations({"control": control} | table, sigma, whiskers=whiskers)
 
 
 def _information_at(
-    build: Callable, at: Mapping[str, float], chosen: Mapping[str, float], noise: Observations, log: np.ndarray
+    build: Callable,
+    at: Mapping[str, float],
+    chosen: Mapping[str, float],
+    channels: Channels,
+    noise: Observations,
+    log: np.ndarray,
 ) -> Information:
     """The information about some parameters, for chosen values of the others."""
     route = route_of(noise.control)
-    scan = LinearisedScan(build, at, np.asarray(route.stops), route.last, chosen)
-    table, by_events = jax.tree.map(np.asarray, (scan.events, scan.event_slopes[:, : len(at)]))
+    own = {name: value for name, value in at.items() if name not in channels.parameters}
+    further = [at[name] for name in channels.parameters]
+    stops = np.asarray(route.stops)
+    scan = LinearisedScan(build, own, stops, route.last, chosen, channels=channels, values=further)
+    # Derivatives come in the order of the programs: by the scene's parameters first.
+    order = [[*own, *channels.parameters].index(name) for name in at]
+    table, by_events = jax.tree.map(np.asarray, (scan.events, scan.event_slopes[:, order]))
     snaps = np.where(np.isin(table.kind, SNAPS), table.travel, np.nan)
     # The last step before a snap is left out, as in a fit: slopes grow without bound there.
     before = (route.travel[:-1, None] <= snaps) & (route.travel[1:, None] > snaps)
     gaps = np.sum(np.where(before, np.diff(route.travel)[:, None], 0.0), axis=0)
     signals = scan.signals(noise.control, np.asarray(route.travel))
     lost = np.isnan(signals.values) | np.append(before.any(axis=1), False)[:, None, None]
-    rates = np.where(lost[..., None], 0.0, signals.slopes[..., : len(at)])
+    rates = np.where(lost[..., None], 0.0, signals.slopes[..., order])
     whitened = np.nan_to_num(rates / noise.sigma[..., None])
     events = tuple(
         EventInformation(
@@ -342,8 +376,8 @@ def _information_at(
         at=dict(at),
         control=noise.control,
         channels=tuple(noise.names),
-        rates=np.stack([whitened[:, c.whisker, c.reaction] for c in noise.channels], axis=1),
+        rates=np.stack([whitened[:, c.whisker, c.kind] for c in noise.channels], axis=1),
         events=events,
         log=log,
-        scene=build_scene("at", build, {**at, **chosen}),
+        scene=build_scene("at", build, {**own, **chosen}),
     )

@@ -4,6 +4,7 @@ The states of a whisker on a base are a family with two parameters, z = (force, 
 whisker and object in tip contact, or the arc beyond the contact in tangential contact; it is >= 0 in both. In each
 phase, Gauss-Newton finds the state nearest to the three measured reactions, weighted with their noise. The nearer of
 the two states decides the phase. For a uniform straight upright whisker, tangential contact requires mz^2 = 2 EI fy.
+With friction, the contact force leans from the object's normal by a known angle, against the slip.
 """
 
 import dataclasses
@@ -45,6 +46,7 @@ class Observation(NamedTuple):
     length: Scalar
     stiffness: Scalar
     section: Section | None
+    lean: Scalar | None = None  # of the contact force: slope of the object minus angle of the force; None: no friction
 
 
 class Estimate(NamedTuple):
@@ -66,7 +68,7 @@ def state(z: Float[Array, "2"], tip: Bool[Array, ""], observed: Observation) -> 
     fx, fy, mz, and angle of the base to the upright (rad, counter-clockwise); dimensionless.
     """
     force, beyond = z
-    angle, arc = jnp.where(tip, beyond, 0.0), observed.length - jnp.where(tip, 0.0, beyond)
+    angle, arc = jnp.where(tip, beyond, 0.0) + _turn(observed), observed.length - jnp.where(tip, 0.0, beyond)
     method: AbstractRod = ClosedForm() if observed.section is None else Shooting(steps=UNEVEN_STEPS)
     if observed.section is None:
         end = rod_end(force / observed.stiffness, arc, angle, method, method)
@@ -76,11 +78,17 @@ def state(z: Float[Array, "2"], tip: Bool[Array, ""], observed: Observation) -> 
     x, y, cos, sin = observed.side * end[0], end[1], observed.side * end[2], end[3]
     base_angle = observed.angle + observed.twist * force * x
     up, left = jnp.cos(base_angle), jnp.sin(base_angle)
-    # The rod is computed in the frame of the contact; the direction of its base gives the slope.
-    slope_cos, slope_sin = up * sin - left * cos, up * cos + left * sin
-    where = [y * slope_sin - x * slope_cos, -x * slope_sin - y * slope_cos, jnp.arctan2(slope_sin, slope_cos), arc]
-    reaction = [-force * slope_sin, force * slope_cos, -force * x]
+    # The rod is computed in the frame of the contact force; the direction of its base gives the angle of the force.
+    force_cos, force_sin = up * sin - left * cos, up * cos + left * sin
+    slope = jnp.arctan2(force_sin, force_cos) + (0.0 if observed.lean is None else observed.lean)
+    where = [y * force_sin - x * force_cos, -x * force_sin - y * force_cos, slope, arc]
+    reaction = [-force * force_sin, force * force_cos, -force * x]
     return jnp.stack([*where, *reaction, base_angle])
+
+
+def _turn(observed: Observation) -> Scalar:
+    """Angle from the frame of the contact force to that of the object, as the rod is bent."""
+    return jnp.zeros(()) if observed.lean is None else observed.side * observed.lean
 
 
 def nearest_state(observed: Observation) -> Estimate:
@@ -109,9 +117,9 @@ class LocatedContact(NamedTuple):
     near: Estimate
 
 
-def locate(section: Section | None, *fields) -> LocatedContact:
+def locate(section: Section | None, lean: Scalar | None, *fields) -> LocatedContact:
     """Locate the contact of one whisker from the other fields of its Observation."""
-    observed = Observation(*fields, section)  # pyright: ignore[reportCallIssue]
+    observed = Observation(*fields, section, lean)  # pyright: ignore[reportCallIssue]
     near = nearest_state(observed)
 
     def at(z_angle: Float[Array, "3"], tip: Any = near.tip):
@@ -207,7 +215,7 @@ def _guesses(observed: Observation):
     force = jnp.sqrt(fx**2 + fy**2)
     slope_cos, slope_sin = fy / force, -fx / force
     across, along = sin[end] * slope_cos - cos[end] * slope_sin, cos[end] * slope_cos + sin[end] * slope_sin
-    theta = jnp.clip(jnp.arctan2(across, observed.side * along), 0.0, LARGEST_ANGLE)
+    theta = jnp.clip(jnp.arctan2(across, observed.side * along) - _turn(observed), 0.0, LARGEST_ANGLE)
     beyond = jnp.clip(observed.length - arc, START * observed.length, 0.9 * observed.length)
     return jnp.stack([jnp.stack([force, theta]), jnp.stack([force, beyond])])
 

@@ -4,17 +4,20 @@ The loop runs in NumPy. Residuals and derivatives come from programs that do not
 share, so that a fit of another `build` compiles nothing but `build` itself.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxwhisker._base.primitive import threads
 from jaxwhisker._inverse.linearised import LinearisedScan
-from jaxwhisker._inverse.parameters import Transforms, Unknowns
+from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
 from jaxwhisker._inverse.statistics import chi_squared
+from jaxwhisker._inverse.unknowns import Unknowns, split
 from jaxwhisker._model.scene import Scene
 
 FIT_STEPS = 60  # of Levenberg-Marquardt
@@ -34,7 +37,7 @@ class Evaluation(NamedTuple):
 
     residual: Residuals
     jacobian: Jacobian
-    compared: Comparison
+    compared: tuple[Comparison, ...]  # one for each recording
 
 
 class Minimum(NamedTuple):
@@ -43,7 +46,7 @@ class Minimum(NamedTuple):
     y: Float[np.ndarray, " unknowns"]
     residual: Residuals
     jacobian: Jacobian
-    compared: Comparison
+    compared: tuple[Comparison, ...]  # one for each recording
     steps: int
     converged: bool
 
@@ -65,11 +68,12 @@ class LeastSquares(NamedTuple):
     build: Callable[..., Scene]
     unknowns: Unknowns
     transforms: Transforms
+    report: Callable[[float], None] | None = None  # is called with the misfit of every trial
 
     def __call__(
         self,
         y: Float[np.ndarray, " unknowns"],
-        data: Samples,
+        data: Sequence[Samples],
         prior: Float[np.ndarray, " unknowns"],
         *,
         free: Bool[np.ndarray, " unknowns"] | None = None,
@@ -81,44 +85,70 @@ class LeastSquares(NamedTuple):
         def evaluate(y):
             at = self.evaluate(y, data, prior)
             at.jacobian[:, held] = 0.0
+            if self.report is not None:
+                self.report(chi_squared(at.residual))
             return at
 
         return minimise(evaluate, y, least)
 
-    def evaluate(self, y: np.ndarray, data: Samples, prior: np.ndarray) -> Evaluation:
-        """Residuals of all signals, of snaps, of touches and releases, and of the prior, with their derivatives."""
-        names, offsets, with_shift = self.unknowns
+    def evaluate(self, y: np.ndarray, data: Sequence[Samples], prior: np.ndarray) -> Evaluation:
+        """Residuals of all recordings and of the prior, with their derivatives."""
         with np.errstate(over="ignore"):  # an infinite parameter is invalid
             x = self.transforms.natural(y, np)
-        shift = np.asarray(x[-1] if with_shift else 0.0)
+        columns = self.unknowns.columns
+        if len(data) == 1:
+            each = [self._of_recording(x[columns[0]], data[0])]
+        else:
+            with ThreadPoolExecutor(threads()) as pool:
+                each = list(pool.map(self._of_recording, [x[own] for own in columns], data))
+        by_y = self.transforms.per_inner(x) * self.transforms.stretch(y)
+        jacobians = []
+        for at, own in zip(each, columns, strict=True):
+            jacobian = np.zeros((at.residual.size, x.size))
+            jacobian[:, own] = at.jacobian
+            jacobians.append(jacobian * by_y)
+        weight = prior_weight(data[0])
+        residual = np.concatenate([*(at.residual for at in each), (y - prior) * weight])
+        compared = tuple(comparison for at in each for comparison in at.compared)
+        return Evaluation(residual, np.concatenate([*jacobians, weight * np.eye(x.size)]), compared)
+
+    def _of_recording(self, x: Float[np.ndarray, " own"], data: Samples) -> Evaluation:
+        """Residuals of one recording's signals, snaps, touches and releases, and their derivatives by its unknowns."""
+        unknowns, parts = self.unknowns, split(self.unknowns, x)
+        shift = parts.shift[0] if unknowns.shift else np.asarray(0.0)
         stops, last = (np.full_like(data.stops, np.nan), 1) if data.overlaid else (data.stops + shift, data.last)
-        parameters = dict(zip(names, x, strict=False))
-        scan = LinearisedScan(self.build, parameters, stops, last, further=int(with_shift))
-        shift_slopes = (np.arange(scan.width) == len(names)) * float(with_shift)
-        placed, by = placed_and_slopes_now(shift, scan.start, scan.events, data, shift_slopes, scan.event_slopes)
+        parameters = dict(zip(unknowns.build, parts.build, strict=True))
+        scan = LinearisedScan(
+            self.build, parameters, stops, last, channels=unknowns.channels, values=parts.channels, shift=unknowns.shift
+        )
+        placed, by = placed_and_slopes_now(shift, scan.start, scan.events, data, scan.shift_slopes, scan.event_slopes)
         placed, by = jax.tree.map(np.asarray, (placed, by))
         signals = scan.signals(placed.control, placed.travel, by.control)
+        count = len(unknowns.names)
 
         def by_unknowns(slopes: np.ndarray) -> np.ndarray:
             """Derivatives with respect to x from those along the scan's directions."""
             columns = np.zeros((*slopes.shape[:-1], x.size))
-            columns[..., : len(names)] = slopes[..., : len(names)]
-            if with_shift:
-                columns[..., -1] = slopes[..., len(names)]
+            columns[..., :count] = slopes[..., :count]
+            if unknowns.shift:
+                columns[..., -1] = slopes[..., count]
             return columns
 
         values, by_signals = signals.values.copy(), by_unknowns(signals.slopes)
-        for k, (whisker, reaction) in enumerate(offsets, start=len(names)):
-            values[:, whisker, reaction] += x[k]
-            by_signals[:, whisker, reaction, k] = 1.0
+        first_gain = count + len(unknowns.offsets)
+        for k, (whisker, kind) in enumerate(unknowns.gains, start=first_gain):
+            by_signals[:, whisker, kind] *= x[k]
+            by_signals[:, whisker, kind, k] = values[:, whisker, kind]
+            values[:, whisker, kind] *= x[k]
+        for k, (whisker, kind) in enumerate(unknowns.offsets, start=count):
+            by_signals[:, whisker, kind, k] = 1.0
+            values[:, whisker, kind] += x[k]
         by_signals *= placed.weight[..., None]
 
-        weight = prior_weight(data)
-        residual = [*placed.residuals(values, data), (y - prior) * weight]
         slopes = [part.reshape(-1, x.size) for part in (by_signals, by_unknowns(by.of_snaps), by_unknowns(by.of_ends))]
-        by_y = self.transforms.per_inner(x) * self.transforms.stretch(y)
-        jacobian = np.concatenate([*(part * by_y for part in slopes), weight * np.eye(x.size)])
-        return Evaluation(np.concatenate(residual), jacobian, Comparison(values, placed.left_out, int(scan.status)))
+        compared = Comparison(values, placed.left_out, int(scan.status))
+        residual, jacobian = np.concatenate(placed.residuals(values, data)), np.concatenate(slopes)
+        return Evaluation(residual, jacobian, (compared,))
 
 
 def minimise(evaluate: Callable[[np.ndarray], Evaluation], y: np.ndarray, least: float) -> Minimum:

@@ -24,13 +24,16 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.problem import Problem, problem_of
+from jaxwhisker._inverse.channels import Channels, channels_and_slopes_now
+from jaxwhisker._inverse.parameters import hashable
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, Path
-from jaxwhisker._scan.memory import remembered, with_places
+from jaxwhisker._scan.memory import Places, chained, places_of, with_places
 from jaxwhisker._scan.scan import BLOCK, follow_path_now, solve_steps_now
 from jaxwhisker._scan.signals import control_at_event, event_nodes
 from jaxwhisker._scan.steps import Solutions, states
 
+REACTION_CHANNELS = Channels()
 WIDTH = 4  # directions are padded to a multiple of this, so that different numbers of parameters share programs
 
 
@@ -46,7 +49,7 @@ class EventTable(NamedTuple):
 
 def event_table(problem: Problem, path: Path) -> EventTable:
     """The events of a scan without the states before and after them, which cost most."""
-    node, previous, filled, _ = event_nodes(path)
+    node, previous, filled, *_ = event_nodes(path)
     control, mode = jax.vmap(partial(control_at_event, problem))(node, previous)
     lost = (mode.phase != Phase.free) & (node.phase == Phase.free)
     return EventTable(
@@ -85,22 +88,47 @@ def _problem_and_slopes(scene: Scene, slopes: Any) -> tuple[Problem, Float[Array
     return problem_of(scene), along(slopes)
 
 
-Memory = tuple[Path, Any] | None  # the path and its stops, where contacts may stick; None without friction
+class Memory(NamedTuple):
+    """What contacts with friction remember, and its derivatives along a last axis."""
+
+    places: Places  # where contacts stick after each node of the path
+    slopes: Any
+    control_slopes: Float[Array, "nodes directions"]  # derivatives of the positions of events
 
 
-def _memory(problem: Problem, path: Path, stops: Any) -> Memory:
-    return None if problem.friction_angle is None else (path, stops)
+def _memory(
+    problem: Problem,
+    path: Path,
+    stops: Float[Array, " stops"],
+    directions: Float[Array, "numbers directions"],
+    stop_slopes: Float[Array, "stops directions"],
+) -> Memory | None:
+    if problem.friction_angle is None:
+        return None
+    numbers, rebuilt = ravel_pytree(problem.numbers())
+
+    def chain(numbers, stops):
+        controls, places, _ = chained(path, eqx.combine(rebuilt(numbers), problem), stops, events=True)
+        return controls, places
+
+    def towards(*dots):
+        return jax.jvp(chain, (numbers, stops), dots)[1]
+
+    controls, slopes = jax.vmap(towards, in_axes=-1, out_axes=-1)(directions, stop_slopes)
+    return Memory(places_of(path.nodes.friction), slopes, controls)
 
 
 def _events_and_slopes(
-    problem: Problem, path: Path, memory: Memory, directions: Float[Array, "numbers directions"]
+    problem: Problem, path: Path, memory: Memory | None, directions: Float[Array, "numbers directions"]
 ) -> tuple[EventTable, Float[Array, "events directions"]]:
     """The events, and derivatives of their positions."""
+    if memory is not None:
+        nodes = event_nodes(path)
+        return event_table(problem, path), memory.control_slopes[nodes.index] * problem.unit.control
     numbers, rebuilt = ravel_pytree(problem.numbers())
 
     def control(numbers):
-        moved = eqx.combine(rebuilt(numbers), problem)
-        table = event_table(moved, path if memory is None else remembered(path, moved, memory[1]))
+        table = event_table(eqx.combine(rebuilt(numbers), problem), path)
         return table.control, table
 
     _, slopes, table = jax.vmap(
@@ -110,40 +138,44 @@ def _events_and_slopes(
 
 
 class Signals(NamedTuple):
-    """The signals fx, fy, mz at some steps, and their derivatives; NaN where a step failed."""
+    """The signals of the channels at some steps, and their derivatives; NaN where a step failed."""
 
-    values: Any  # (steps, whiskers, 3)
+    values: Any  # (steps, whiskers, 3), or (steps, 1, names) from a function
     slopes: Any  # (steps, whiskers, 3, directions)
 
 
-def _signals_and_slopes(
+def _states_and_slopes(
+    fields: tuple[str, ...] | None,
     problem: Problem,
     control: Float[Array, " steps"],
     solutions: Solutions,
-    memory: Memory,
+    memory: Memory | None,
     directions: Float[Array, "numbers directions"],
     control_slopes: Float[Array, "steps directions"],
-) -> Signals:
+) -> tuple[Any, Any]:
+    """Some fields of the states, stacked along a last axis, or whole states; and their derivatives."""
     numbers, rebuilt = ravel_pytree(problem.numbers())
+    places, place_slopes = (None, None) if memory is None else (memory.places, memory.slopes)
 
-    def signals(numbers, control):
-        moved, steps = eqx.combine(rebuilt(numbers), problem), solutions
-        if memory is not None:
-            path, stops = memory
-            steps = with_places(solutions, remembered(path, moved, stops))
-        state, _ = states(moved, control, steps)
-        return jnp.stack([state.fx, state.fy, state.mz], axis=-1)
+    def solved(numbers, control, places):
+        state, _ = states(eqx.combine(rebuilt(numbers), problem), control, with_places(solutions, places))
+        if fields is not None:
+            return jnp.stack([getattr(state, name) for name in fields], axis=-1), None
+        return eqx.partition(state, eqx.is_inexact_array)
 
     def towards(*dots):
-        return jax.jvp(signals, (numbers, control), dots)
+        return jax.jvp(solved, (numbers, control, places), dots, has_aux=True)
 
-    return Signals(*jax.vmap(towards, in_axes=-1, out_axes=(None, -1))(directions, control_slopes))
+    dots = directions, control_slopes, place_slopes
+    smooth, slopes, rest = jax.vmap(towards, in_axes=-1, out_axes=(None, -1, None))(*dots)
+    return eqx.combine(smooth, rest), slopes
 
 
 scene_and_slopes_now = Program(_scene_and_slopes, quick=True)
 problem_and_slopes_now = Program(_problem_and_slopes, quick=True)
+memory_now = Program(_memory, quick=True)
 events_and_slopes_now = Program(_events_and_slopes, quick=True)
-signals_and_slopes_now = Program(_signals_and_slopes)
+states_and_slopes_now = Program(_states_and_slopes)
 
 
 class LinearisedScan:
@@ -158,7 +190,9 @@ class LinearisedScan:
         stops: of the drive, as in a Route.
         last: index of the last stop.
         known: values of further arguments of `build`.
-        further: number of further directions.
+        channels: what is measured.
+        values: of further arguments of its function, (values,); derivatives by them follow those by the parameters.
+        shift: whether the last direction is a shift of all stops.
     """
 
     def __init__(
@@ -168,14 +202,21 @@ class LinearisedScan:
         stops: np.ndarray,
         last: Any,
         known: Mapping[str, float] | None = None,
-        further: int = 0,
+        channels: Channels = REACTION_CHANNELS,
+        values: Any = (),
+        shift: bool = False,
     ):
-        scene, slopes = _scene_with_slopes(build, x, known or {}, further)
-        _prepare(scene, slopes, stops.shape[0])
+        self._channels, self._values = channels, np.asarray(values, dtype=float)
+        self._first = len(x)
+        scene, slopes = _scene_with_slopes(build, x, known or {}, len(values) + shift)
+        self._scene = scene, slopes
+        _prepare(scene, slopes, stops.shape[0], channels.fields)
         self.problem, self._directions = problem_and_slopes_now(scene, slopes)
         self._path, self.start, _ = follow_path_now(self.problem, stops, np.asarray(last))
         self.status = self._path.status
-        self._memory = _memory(self.problem, self._path, stops)
+        self.shift_slopes = (np.arange(self.width) == len(x) + len(values)) * float(shift)
+        at_stops = np.nan_to_num(stops), self._directions, np.tile(self.shift_slopes, (stops.size, 1))
+        self._memory = memory_now(self.problem, self._path, *at_stops)
         found = events_and_slopes_now(self.problem, self._path, self._memory, self._directions)
         self.events, self.event_slopes = found
 
@@ -203,7 +244,12 @@ class LinearisedScan:
 
     def _block(self, control: np.ndarray, travel: np.ndarray, slopes: np.ndarray) -> Signals:
         solutions = solve_steps_now(self.problem, self._path, control, travel)
-        return signals_and_slopes_now(self.problem, control, solutions, self._memory, self._directions, slopes)
+        fields, memory = self._channels.fields, self._memory
+        state = states_and_slopes_now(fields, self.problem, control, solutions, memory, self._directions, slopes)
+        if fields is not None:
+            return Signals(*state)
+        values = self._values, np.eye(self._values.size, self.width, self._first)
+        return Signals(*channels_and_slopes_now(self._channels, *self._scene, *state, control, slopes, values))
 
 
 def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
@@ -223,19 +269,10 @@ def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
 def _scene_with_slopes(build: Callable[..., Scene], x: Mapping[str, Any], known: Mapping[str, Any], further: int):
     values = np.array(list(x.values()), dtype=float)
     width = WIDTH * math.ceil((values.size + further) / WIDTH)
-    return scene_and_slopes_now(_hashable(build), tuple(x), width, values, jax.tree.map(np.asarray, dict(known)))
+    return scene_and_slopes_now(hashable(build), tuple(x), width, values, jax.tree.map(np.asarray, dict(known)))
 
 
-def _hashable(function: Callable) -> Callable:
-    """The function itself, or a function that is equal to itself only: static arguments of programs need a hash."""
-    try:
-        hash(function)
-    except TypeError:
-        return partial(function)
-    return function
-
-
-def _prepare(scene: Scene, slopes: Any, stops: int) -> None:
+def _prepare(scene: Scene, slopes: Any, stops: int, fields: tuple[str, ...] | None) -> None:
     """Compile the programs for scenes of a kind at the same time: while one is traced, another one is compiled."""
     if problem_and_slopes_now.is_ready(scene, slopes):
         return
@@ -244,8 +281,8 @@ def _prepare(scene: Scene, slopes: Any, stops: int) -> None:
         problem, directions = problem_and_slopes_now.prepare(pool, scene, slopes)
         path = follow_path_now.prepare(pool, problem, *ends).path
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)
-        along = np.zeros((BLOCK, directions.shape[1]))
-        memory = _memory(problem, path, ends[0])
-        signals_and_slopes_now.prepare(pool, problem, block, solutions, memory, directions, along)
+        along, at_stops = (np.zeros((size, directions.shape[1])) for size in (BLOCK, stops))
+        memory = memory_now.prepare(pool, problem, path, ends[0], directions, at_stops)
+        states_and_slopes_now.prepare(pool, fields, problem, block, solutions, memory, directions, along)
         # The last one takes longest to trace, and is compiled fastest.
         events_and_slopes_now.prepare(pool, problem, path, memory, directions)

@@ -12,27 +12,31 @@ from jaxtyping import Bool, Float
 from jaxwhisker._scan.quantities import QUANTITIES, REACTIONS
 from jaxwhisker._scan.result import Result
 
-CHANNEL = re.compile(rf"({'|'.join(REACTIONS)})(?:_(\d+))?")
 # Other columns of scans and studies, which are ignored.
 _IGNORED = re.compile(rf"(?:{'|'.join(QUANTITIES)}|spring|time|event_.*|n_events)(?:_\d+)?")
 
 
 class Observations(eqx.Module):
-    """Support reactions over the control, in the units of the scene; NaN where nothing was measured."""
+    """Measured signals over the control, in the units of the scene; NaN where nothing was measured.
+
+    Signals are fx, fy, mz of the support on each whisker. If a function computes what is measured, the axis of whiskers
+    has length 1 and the last axis holds its channels.
+    """
 
     control: Float[np.ndarray, " steps"]  # drive positions in the order in which they were visited
-    values: Float[np.ndarray, "steps whiskers 3"]  # fx, fy, mz of the support on the whisker
-    sigma: Float[np.ndarray, "steps whiskers 3"]  # standard deviation of their noise; NaN if unknown
+    values: Float[np.ndarray, "steps whiskers kinds"]
+    sigma: Float[np.ndarray, "steps whiskers kinds"]  # standard deviation of their noise; NaN if unknown
+    kinds: tuple[str, ...] = eqx.field(default=REACTIONS, static=True)  # names along the last axis
 
     @property
-    def known(self) -> Bool[np.ndarray, "steps whiskers 3"]:
+    def known(self) -> Bool[np.ndarray, "steps whiskers kinds"]:
         """Where a value was measured."""
         return np.isfinite(self.values)
 
     @property
     def channels(self) -> list["Channel"]:
         """The channels that hold a value, in the order of the last two axes."""
-        return [c for c in channels_of(self.values.shape[1]) if self.known[:, c.whisker, c.reaction].any()]
+        return [c for c in channels_of(self.values.shape[1], self.kinds) if self.known[:, c.whisker, c.kind].any()]
 
     @property
     def names(self) -> list[str]:
@@ -40,38 +44,41 @@ class Observations(eqx.Module):
         return [channel.name for channel in self.channels]
 
     @property
-    def peaks(self) -> Float[np.ndarray, " 3"]:
-        """Largest magnitude of each reaction over all whiskers; 1 for a reaction that is zero or not measured."""
+    def peaks(self) -> Float[np.ndarray, " kinds"]:
+        """Largest magnitude of each kind of signal over all whiskers; 1 for one that is zero or not measured."""
         peak = np.max(np.abs(np.where(self.known, self.values, 0.0)), axis=(0, 1), initial=0.0)
         return np.where(peak > 0, peak, 1.0)
 
     def at(self, steps: Any) -> "Observations":
         """The observations at some steps, which a slice or indices select."""
-        return Observations(self.control[steps], self.values[steps], self.sigma[steps])
+        return Observations(self.control[steps], self.values[steps], self.sigma[steps], self.kinds)
 
     def with_sigma(self, sigma: Any) -> "Observations":
         """The same observations with another standard deviation of the noise, broadcast to (steps, whiskers, 3)."""
-        return Observations(self.control, self.values, np.array(np.broadcast_to(sigma, self.values.shape), dtype=float))
+        sigma = np.array(np.broadcast_to(sigma, self.values.shape), dtype=float)
+        return Observations(self.control, self.values, sigma, self.kinds)
 
 
 class Channel(NamedTuple):
-    """One reaction of one whisker."""
+    """One kind of signal of one whisker."""
 
     whisker: int  # index
-    reaction: int  # index into REACTIONS
+    kind: int  # index along the last axis of the values
     name: str  # fx, or fx_1, fx_2, ... of several whiskers
 
 
-def channels_of(whiskers: int) -> list[Channel]:
+def channels_of(whiskers: int, kinds: tuple[str, ...] = REACTIONS) -> list[Channel]:
     """All channels of a number of whiskers."""
     return [
-        Channel(k, r, f"{name}_{k + 1}" if whiskers > 1 else name)
+        Channel(k, c, f"{name}_{k + 1}" if whiskers > 1 else name)
         for k in range(whiskers)
-        for r, name in enumerate(REACTIONS)
+        for c, name in enumerate(kinds)
     ]
 
 
-def read_observations(data: Any, sigma: Any = None, *, whiskers: int | None = None) -> Observations:
+def read_observations(
+    data: Any, sigma: Any = None, *, whiskers: int | None = None, kinds: tuple[str, ...] = REACTIONS
+) -> Observations:
     """Read signals from a Result, a Dataset, a DataFrame, a CSV file or a mapping of arrays.
 
     Args:
@@ -80,9 +87,10 @@ def read_observations(data: Any, sigma: Any = None, *, whiskers: int | None = No
         sigma: standard deviation of the noise: a number for all channels, or a mapping from channels to numbers or
             arrays; None if unknown.
         whiskers: number of whiskers; the data may omit whiskers that were not measured.
+        kinds: names of the channels if a function computes them; the data may omit some.
 
     Raises:
-        ValueError: if the data have another type, lack `control` or all reactions, or have an unknown or a wrongly
+        ValueError: if the data have another type, lack `control` or all channels, or have an unknown or a wrongly
             shaped column, or if sigma is not positive or is missing for a channel.
     """
     table = _named_values(data)
@@ -94,50 +102,54 @@ def read_observations(data: Any, sigma: Any = None, *, whiskers: int | None = No
             "`measured` must hold a non-empty one-dimensional `control` of finite numbers, got shape "
             f"{control.shape} with {int(np.sum(~np.isfinite(control)))} values that are not finite."
         )
-    columns = _columns_of(table, control.size)
+    columns = _columns_of(table, control.size, kinds)
     if not columns:
-        raise ValueError(f"`measured` must hold at least one of {', '.join(REACTIONS)}, got {', '.join(table)}.")
+        raise ValueError(f"`measured` must hold at least one of {', '.join(kinds)}, got {', '.join(table)}.")
     lowest, highest = 1 + min(k for k, _ in columns), 1 + max(k for k, _ in columns)
     if lowest < 1 or (whiskers is not None and highest > whiskers):
         raise ValueError(
             f"`measured` must hold channels of whiskers 1 to {whiskers or 'their number'}, got one of whisker "
             f"{highest if lowest > 0 else lowest}."
         )
-    values = np.full((control.size, whiskers or highest, len(REACTIONS)), np.nan)
-    for (whisker, reaction), column in columns.items():
-        values[:, whisker, reaction] = column
+    values = np.full((control.size, whiskers or highest, len(kinds)), np.nan)
+    for (whisker, kind), column in columns.items():
+        values[:, whisker, kind] = column
     values[~np.isfinite(values)] = np.nan
-    return Observations(control, values, _sigma_of(sigma, values))
+    return Observations(control, values, _sigma_of(sigma, values, kinds), kinds)
 
 
-def _columns_of(table: Mapping[str, Any], steps: int) -> dict[tuple[int, int], np.ndarray]:
-    """The measured columns by whisker and reaction."""
+def channel_pattern(kinds: tuple[str, ...]) -> re.Pattern:
+    """What names of channels look like: those of reactions may end with the number of a whisker."""
+    names = "|".join(map(re.escape, kinds))
+    return re.compile(rf"({names})(?:_(\d+))?" if kinds == REACTIONS else rf"({names})()")
+
+
+def _columns_of(table: Mapping[str, Any], steps: int, kinds: tuple[str, ...]) -> dict[tuple[int, int], np.ndarray]:
+    """The measured columns by whisker and kind."""
     columns: dict[tuple[int, int], np.ndarray] = {}
+    pattern, hint = channel_pattern(kinds), " (or fx_1, fx_2, ... of several whiskers)" if kinds == REACTIONS else ""
     for name, values in table.items():
-        matched = CHANNEL.fullmatch(name)
+        matched = pattern.fullmatch(name)
         if matched is None:
             if _IGNORED.fullmatch(name):
                 continue
-            raise ValueError(
-                f"`measured` must hold channels among {', '.join(REACTIONS)} (or fx_1, fx_2, ... of several whiskers), "
-                f"got {name!r}."
-            )
+            raise ValueError(f"`measured` must hold channels among {', '.join(kinds)}{hint}, got {name!r}.")
         values = _as_numbers("measured", name, values)
         if values.shape[:1] != (steps,) or values.ndim > 2:
             raise ValueError(
                 f"`measured` must hold a value of {name} for each of the {steps} controls, got shape {values.shape}."
             )
-        if matched[2] is not None and values.ndim > 1:
+        if (matched[2] or kinds != REACTIONS) and values.ndim > 1:
             raise ValueError(f"`measured` must hold one column for {name}, got shape {values.shape}.")
         first = int(matched[2] or 1) - 1
         for k, column in enumerate(values.reshape(steps, -1).T):
-            columns[first + k, REACTIONS.index(matched[1])] = column
+            columns[first + k, kinds.index(matched[1])] = column
     return columns
 
 
 def _named_values(data: Any) -> dict[str, Any]:
     if isinstance(data, Observations):
-        return {"control": data.control} | {name: data.values[:, :, r] for r, name in enumerate(REACTIONS)}
+        return {"control": data.control} | {name: data.values[:, :, c] for c, name in enumerate(data.kinds)}
     if isinstance(data, (str, Path)):
         return _read_csv(Path(data))
     if isinstance(data, Result):
@@ -190,22 +202,22 @@ def _as_numbers(argument: str, name: str, values: Any) -> np.ndarray:
         raise ValueError(f"`{argument}` must hold numbers, got {values!r} for {name}.") from None
 
 
-def _sigma_of(sigma: Any, values: np.ndarray) -> np.ndarray:
+def _sigma_of(sigma: Any, values: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
     """Standard deviation of every value; NaN if unknown."""
     deviation = np.full(values.shape, np.nan)
     known = np.isfinite(values)
     if sigma is None:
         return deviation
-    for name, value in (sigma if isinstance(sigma, Mapping) else dict.fromkeys(REACTIONS, sigma)).items():
-        matched = CHANNEL.fullmatch(str(name))
+    for name, value in (sigma if isinstance(sigma, Mapping) else dict.fromkeys(kinds, sigma)).items():
+        matched = channel_pattern(kinds).fullmatch(str(name))
         if matched is None:
-            raise ValueError(f"`sigma` must name channels among {', '.join(REACTIONS)}, got {name!r}.")
-        if matched[2] is not None and not 1 <= int(matched[2]) <= values.shape[1]:
+            raise ValueError(f"`sigma` must name channels among {', '.join(kinds)}, got {name!r}.")
+        if matched[2] and not 1 <= int(matched[2]) <= values.shape[1]:
             raise ValueError(f"`sigma` must name channels of whiskers 1 to {values.shape[1]}, got {name!r}.")
-        whiskers = slice(None) if matched[2] is None else slice(int(matched[2]) - 1, int(matched[2]))
-        _fill(deviation[:, whiskers, REACTIONS.index(matched[1])], name, value)
+        whiskers = slice(int(matched[2]) - 1, int(matched[2])) if matched[2] else slice(None)
+        _fill(deviation[:, whiskers, kinds.index(matched[1])], name, value)
     if np.isnan(deviation[known]).any():
-        lacking = [c for r, c in enumerate(REACTIONS) if (np.isnan(deviation[:, :, r]) & known[:, :, r]).any()]
+        lacking = [name for c, name in enumerate(kinds) if (np.isnan(deviation[:, :, c]) & known[:, :, c]).any()]
         raise ValueError(f"`sigma` must be given for every measured channel, got none for {', '.join(lacking)}.")
     return deviation
 

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,23 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._inverse.statistics import NORMAL_95
-from jaxwhisker._model.scene import Scene, Sensor
-from jaxwhisker._scan.quantities import REACTIONS
-
-
-class Unknowns(NamedTuple):
-    """Everything that a fit estimates: parameters of `build`, constant offsets of channels, a shift of the control."""
-
-    names: tuple[str, ...]  # of the parameters of `build`
-    offsets: tuple[tuple[int, int], ...]  # (whisker, reaction)
-    shift: bool
-
-    @property
-    def all_names(self) -> tuple[str, ...]:
-        """Names of all unknowns, in the order of the fit's variables."""
-        several = len({k for k, _ in self.offsets}) > 1
-        channels = [REACTIONS[r] + (f"_{k + 1}" if several else "") for k, r in self.offsets]
-        return (*self.names, *(f"offset_{c}" for c in channels), *["shift"] * self.shift)
+from jaxwhisker._model.scene import Scene
 
 
 class Transforms(eqx.Module):
@@ -51,6 +36,10 @@ class Transforms(eqx.Module):
         """These transforms, followed by those of parameters of these sizes, without bounds."""
         rows = [self.table, *([[0.0, size, -np.inf, np.inf]] for size in sizes)]
         return Transforms(np.concatenate(rows))
+
+    def at(self, index: Any) -> "Transforms":
+        """The transforms of some of the parameters, which may repeat."""
+        return Transforms(self.table[index])
 
     @property
     def log(self) -> Bool[np.ndarray, " parameters"]:
@@ -122,36 +111,38 @@ def transforms_of(
     guess: Mapping[str, float],
     bounds: Mapping[str, Any] | None = None,
     kinds: Mapping[str, str] | None = None,
+    further: Mapping[str, float] | None = None,
 ) -> Transforms:
     """Transforms of the parameters: in log by default for parameters that `build` rejects if they are negative.
+
+    Parameters of the channels' function are `further` ones.
 
     Raises:
         ValueError: if a name is unknown, the guess is not within its bounds, or a kind does not exist or does not fit.
     """
-    bounds, kinds = bounds or {}, kinds or {}
+    bounds, kinds, further = bounds or {}, kinds or {}, further or {}
+    values = {**guess, **further}
     for argument, given in (("bounds", bounds), ("transform", kinds)):
         for name in given:
-            if name not in guess:
-                raise ValueError(f"`{argument}` must name parameters of `guess` ({', '.join(guess)}), got {name!r}.")
-    pairs = [_bounds_of(name, bounds.get(name), value) for name, value in guess.items()]
-    logs = [_is_log(build, guess, name, kinds.get(name)) for name in guess]
-    length = float(np.asarray(build(**guess).whiskers[0].length))
-    scales = [1.0 if log else max(abs(value), length) for log, value in zip(logs, guess.values(), strict=True)]
+            if name not in values:
+                raise ValueError(f"`{argument}` must name parameters of `guess` ({', '.join(values)}), got {name!r}.")
+    pairs = [_bounds_of(name, bounds.get(name), value) for name, value in values.items()]
+    logs = [_is_log(build, guess, name, value, kinds.get(name)) for name, value in values.items()]
+    sizes = [float(np.asarray(build(**guess).whiskers[0].length))] * len(guess) + [1.0] * len(further)
+    scales = [1.0 if log else max(abs(v), size) for log, v, size in zip(logs, values.values(), sizes, strict=True)]
     return Transforms.of(logs, scales, pairs)
 
 
-def _is_log(build: Callable[..., Scene], guess: Mapping[str, float], name: str, kind: str | None) -> bool:
-    positive = guess[name] > 0
+def _is_log(build: Callable[..., Scene], guess: Mapping[str, float], name: str, value: float, kind: str | None) -> bool:
+    positive = value > 0
     if kind not in (None, "log", "linear"):
         raise ValueError(f"`transform` must be one of log, linear, got {kind!r} for {name}.")
     if kind == "log" and not positive:
-        raise ValueError(
-            f"`transform` must be linear where the guess is not positive, got log for {name} = {guess[name]}."
-        )
-    if kind is not None or not positive:
+        raise ValueError(f"`transform` must be linear where the guess is not positive, got log for {name} = {value}.")
+    if kind is not None or not positive or name not in guess:
         return kind == "log"
     try:
-        build(**{**guess, name: -guess[name]})
+        build(**{**guess, name: -value})
     except ValueError:
         return True
     return False
@@ -198,12 +189,23 @@ def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Scene
     return scene
 
 
-def numbers_of(scene: Scene | Sensor) -> list[Array]:
-    """All numeric leaves of a scene as arrays."""
-    return [jnp.asarray(leaf, dtype=float) for leaf in jax.tree.leaves(scene) if checks.is_numeric(leaf)]
+def numbers_of(tree: Any) -> list[Array]:
+    """All numeric leaves of a scene, or of another tree, as arrays."""
+    return [jnp.asarray(leaf, dtype=float) for leaf in jax.tree.leaves(tree) if checks.is_numeric(leaf)]
 
 
-def check_traceable(build: Callable[..., Any], values: Mapping[str, float], called: str = "build") -> None:
+def hashable(function: Callable) -> Callable:
+    """The function itself, or a function that is equal to itself only: static arguments of programs need a hash."""
+    try:
+        hash(function)
+    except TypeError:
+        return partial(function)
+    return function
+
+
+def check_traceable(
+    build: Callable[..., Any], values: Mapping[str, float], called: str = "build", name: str = ""
+) -> None:
     """Check that JAX can trace a user's function, as every compiled program must.
 
     Raises:
@@ -212,7 +214,7 @@ def check_traceable(build: Callable[..., Any], values: Mapping[str, float], call
     try:
         jax.eval_shape(lambda values: numbers_of(build(**values)), {k: jnp.asarray(v) for k, v in values.items()})
     except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
-        name = getattr(build, "__name__", type(build).__name__)
+        name = name or getattr(build, "__name__", type(build).__name__)
         raise ValueError(
             f"`{called}` must be a function that JAX can trace, got {name}, which raised {type(error).__name__}. Use "
             "jnp.where instead of `if`, jnp.interp instead of np.interp, and jax.numpy instead of math and numpy."

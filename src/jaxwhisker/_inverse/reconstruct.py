@@ -46,6 +46,7 @@ def reconstruct(
     parameters: Mapping[str, Any] | None = None,
     covariance: Any = None,
     base: tuple[Any, Any, Any] | None = None,
+    slip: Any = None,
 ) -> Reconstruction:
     """Locate the contact of every whisker at every step, with its uncertainty.
 
@@ -62,6 +63,9 @@ def reconstruct(
         base: measured poses of the bases, which replace those that follow from drive, mounts and springs: x, y
             (lengths) and the angle of the whisker there to the upright (rad, positive counter-clockwise), each (steps,)
             or (steps, whiskers).
+        slip: with friction, the direction in which contacts slip along the object: +1 towards +x, -1 towards -x, and
+            values between them where contacts stick, for the share of the friction that acts; (steps,) or (steps,
+            whiskers). Default: contacts slip with the drive, which is wrong while they stick after a reversal.
 
     Returns:
         A Reconstruction; NaN where a whisker is `free`, where signals are `missing`, or where no state fits (`failed`).
@@ -88,7 +92,8 @@ def reconstruct(
         check_traceable(sensor, parameters, called="sensor")  # pyright: ignore[reportArgumentType]
     readings = _signals(measured, sigma, len(known.whiskers))
     control, signals, _ = readings
-    readings = *readings, None if base is None else _poses(base, (signals.shape[0], signals.shape[1]))
+    shape = signals.shape[0], signals.shape[1]
+    readings = *readings, None if base is None else _poses(base, shape), _slips(known, slip, control, shape)
     # Recordings of similar length share a compilation.
     padding = -control.size % BLOCK
     readings = jax.tree.map(
@@ -159,6 +164,24 @@ def _contacts_of_parameters(build, names, values, covariance, readings) -> Step:
     return dataclasses.replace(points, covariance=of_values + of_noise)
 
 
+def _slips(sensor: Sensor, slip: Any, control: Any, shape: tuple[int, int]) -> Float[Array, "steps whiskers"] | None:
+    """Directions of slip; None without friction."""
+    if slip is not None and sensor.friction is None:
+        raise ValueError("`slip` must be given for a sensor with friction only, got one for a sensor without friction.")
+    if sensor.friction is None:
+        return None
+    if slip is not None:
+        slip = jnp.asarray(slip, dtype=float)
+        if slip.shape not in (shape, shape[:1]):
+            raise ValueError(f"`slip` must be an array of shape {shape}, got shape {slip.shape}.")
+        return jnp.broadcast_to(slip if slip.ndim == 2 else slip[:, None], shape)
+    moves = jnp.sign(jnp.diff(control))
+    # While the drive stands still, the direction stays.
+    moves = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
+    with_drive = -sensor.motion.onwards * jnp.concatenate([moves[:1], moves])
+    return jnp.broadcast_to(with_drive[:, None], shape)
+
+
 class Instrument(NamedTuple):
     """A dimensionless sensor."""
 
@@ -168,6 +191,7 @@ class Instrument(NamedTuple):
     section: Section | tuple[Section, ...] | None
     flexibility: Float[Array, "whiskers 3 whiskers 3"]  # in the drive's frame
     rest: Float[Array, "whiskers 3"]  # x, y, angle of the unloaded bases in the drive's frame
+    friction_angle: Scalar | None  # None without friction
 
 
 def instrument(sensor: Sensor) -> Instrument:
@@ -188,10 +212,11 @@ def instrument(sensor: Sensor) -> Instrument:
         sections(whiskers, unit.length, bending_unit),
         matrix,
         rest,
+        None if sensor.friction is None else jnp.arctan(jnp.asarray(sensor.friction, dtype=float)),
     )
 
 
-def _contacts(sensor: Sensor, control, signals, noise, poses) -> Step:
+def _contacts(sensor: Sensor, control, signals, noise, poses, slips) -> Step:
     """Contacts at all steps, in the sensor's units."""
     known = instrument(sensor)
     unit = known.unit
@@ -203,19 +228,20 @@ def _contacts(sensor: Sensor, control, signals, noise, poses) -> Step:
     else:
         deviation = noise / sizes
     drive = jnp.stack(jax.vmap(sensor.motion.pose)(control), axis=-1) / lengths
-    each = drive, reaction, deviation, None if poses is None else poses / lengths
+    leans = None if slips is None else slips * known.friction_angle
+    each = drive, reaction, deviation, None if poses is None else poses / lengths, leans
     return jax.vmap(lambda *at: _step(known, noise is not None, *at))(*each)
 
 
 _contacts_now = Program(_contacts)
 
 
-def _step(known: Instrument, noisy: bool, drive, reaction, deviation, pose) -> Step:
+def _step(known: Instrument, noisy: bool, drive, reaction, deviation, pose, leans) -> Step:
     """Contacts of all whiskers at one step, computed without dimensions and given in the sensor's units."""
     flexibility = known.flexibility if pose is None else jnp.zeros_like(known.flexibility)
     signals = _sorted_signals(flexibility, FREE if noisy else EXACTLY_FREE, reaction, deviation, pose)
     observed = _observations(known, flexibility, drive, signals, deviation)
-    located = each_whisker(known.section, locate, *observed)
+    located = each_whisker(known.section, locate, leans, *observed)
     ok = signals.touching & located.near.ok
 
     reactions = jnp.where(ok[:, None], located.values[:, REACTION], signals.measured)

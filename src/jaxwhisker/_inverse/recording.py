@@ -16,8 +16,16 @@ NEGATIVE_WORK = 0.1  # of the sum of |work|: negative work beyond it is signific
 CONSTANT = 1e-12  # relative change of a constant signal
 
 
-def check_recording(observations: Observations, sensor: Scene | Sensor, unknowns: int) -> None:
+def check_recording(
+    observations: Observations, sensor: Scene | Sensor, unknowns: int, *, in_units: bool = True
+) -> None:
     """Check that observations can be a scan with this sensor, and that they suffice for this number of unknowns.
+
+    Args:
+        observations: of one scan.
+        sensor: the sensor, or a scene with it.
+        unknowns: number of unknowns that only this recording can determine.
+        in_units: whether the signals are reactions in the units of the sensor.
 
     Raises:
         ValueError: if there are too few values or drive positions, no contact, values in another unit, or values in
@@ -32,8 +40,8 @@ def check_recording(observations: Observations, sensor: Scene | Sensor, unknowns
             "`measured` must show a contact, got signals of which none changes by more than five standard deviations "
             "of its noise."
         )
-    _check_units(observations, sensor)
-    if isinstance(sensor.motion, Translation):
+    _check_units(observations, sensor, REACTIONS if in_units else ())
+    if in_units and isinstance(sensor.motion, Translation):
         _check_order(observations)
 
 
@@ -52,16 +60,16 @@ def _check_count(observations: Observations, unknowns: int) -> None:
 
 def _changes(observations: Observations, channel: Channel) -> bool:
     """Whether a signal changes by more than its noise and rounding."""
-    signal = observations.values[:, channel.whisker, channel.reaction]
-    noise = observations.sigma[:, channel.whisker, channel.reaction]
+    signal = observations.values[:, channel.whisker, channel.kind]
+    noise = observations.sigma[:, channel.whisker, channel.kind]
     away = np.abs(signal - np.nanmedian(signal)) - ABOVE_NOISE * noise
     return bool(np.nanmax(away) > CONSTANT * np.nanmax(np.abs(signal)))
 
 
-def _check_units(observations: Observations, sensor: Scene | Sensor) -> None:
+def _check_units(observations: Observations, sensor: Scene | Sensor, reactions: tuple[str, ...]) -> None:
     unit = units_of(sensor.whiskers[0], sensor.motion)
     sizes = {"the range of control": (float(np.ptp(observations.control)), float(unit.control), CONTROL_RATIO)}
-    for r, (name, size) in enumerate(zip(REACTIONS, (unit.force, unit.force, unit.moment), strict=True)):
+    for r, (name, size) in enumerate(zip(reactions, (unit.force, unit.force, unit.moment), strict=False)):
         peak = float(np.nanmax(np.abs(observations.values[:, :, r]), initial=0.0))
         sizes[f"the peak of {name}"] = peak, float(size), REACTION_RATIO
     for name, (value, size, (low, high)) in sizes.items():

@@ -11,7 +11,7 @@ and releases are compared separately. That misfit is smooth and has a wide minim
 starts.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -19,15 +19,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._inverse.channels import result_of
 from jaxwhisker._inverse.features import JUMPS, Features
 from jaxwhisker._inverse.linearised import EventTable, event_table
 from jaxwhisker._inverse.observations import Observations
-from jaxwhisker._inverse.parameters import Transforms, Unknowns
+from jaxwhisker._inverse.parameters import Transforms
+from jaxwhisker._inverse.unknowns import Unknowns, split
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, is_snap
+from jaxwhisker._scan.memory import places_of, remembered, with_places
 from jaxwhisker._scan.route import Route
 from jaxwhisker._scan.scan import BLOCK, follow_path
 from jaxwhisker._scan.steps import solve_steps, states
@@ -47,7 +51,7 @@ class Samples(NamedTuple):
     """Padded observations."""
 
     control: Any  # (samples,)
-    values: Any  # (samples, whiskers, 3)
+    values: Any  # (samples, whiskers, 3), or (samples, 1, names) from a function
     weight: Any  # (samples, whiskers, 3) 1 / sigma; 0 where nothing was measured
     stops: Any  # (stops,) of the drive
     last: Any  # index of the last stop
@@ -132,7 +136,8 @@ def place(shift: Scalar, start: Scalar, events: EventTable, data: Samples) -> Pl
     start = jax.lax.stop_gradient(start)  # the overlaid scan begins where the model's does
     happened = events.kind >= 0
     at = _travel_of(events, happened, data)
-    ends = _contact_ends(events, at)
+    # Signals from a function do not say which whisker they belong to.
+    ends = _contact_ends(events, at, of_each=data.landmarks.touch.shape == events.whiskers.shape[1:])
     overlay = _overlay(data, ends)
     along = overlay(data.landmarks.travel)
     control = jnp.where(data.overlaid, start + data.direction * along, data.control + shift)
@@ -190,22 +195,36 @@ def log_density(
     unknowns: Unknowns,
     transforms: Transforms,
     y: Float[Array, " unknowns"],
-    data: Samples,
+    data: Sequence[Samples],
     prior: Float[np.ndarray, " unknowns"],
 ) -> Float[Array, ""]:
     """Logarithm of the likelihood up to a constant; traceable and differentiable."""
-    weight, data = prior_weight(data), jax.tree.map(jnp.asarray, data)
-    x = transforms.natural(y)
-    shift = x[-1] if unknowns.shift else jnp.zeros(())
-    problem = problem_of(build(**dict(zip(unknowns.names, x, strict=False))))
+    x, misfit = transforms.natural(y), jnp.sum(((y - prior) * prior_weight(data[0])) ** 2)
+    for samples, columns in zip(data, unknowns.columns, strict=True):
+        misfit += _misfit(build, unknowns, x[columns], jax.tree.map(jnp.asarray, samples))
+    return -0.5 * misfit
+
+
+def _misfit(build, unknowns: Unknowns, x: Float[Array, " own"], data: Samples) -> Scalar:
+    """Sum of squares of the residuals of one recording, from its own unknowns."""
+    parts = split(unknowns, x)
+    shift = parts.shift[0] if unknowns.shift else jnp.zeros(())
+    scene = jax.tree.map(checks.as_float, build(**dict(zip(unknowns.build, parts.build, strict=True))))
+    problem = problem_of(scene)
     path, start, _ = follow_path(problem, data.stops + shift, data.last)
+    if problem.friction_angle is not None:
+        path = remembered(path, problem, data.stops + shift)
     placed = place(shift, start, event_table(problem, path), data)
-    state, _ = states(problem, placed.control, solve_steps(problem, path, placed.control, placed.travel))
-    signals = jnp.stack([state.fx, state.fy, state.mz], axis=-1)
-    for k, (whisker, reaction) in enumerate(unknowns.offsets, start=len(unknowns.names)):
-        signals = signals.at[:, whisker, reaction].add(x[k])
-    squares = [jnp.sum(part**2) for part in placed.residuals(signals, data, jnp)]
-    return -0.5 * (sum(squares) + jnp.sum(((y - prior) * weight) ** 2))
+    solutions = solve_steps(problem, path, placed.control, placed.travel)
+    solutions = with_places(solutions, places_of(path.nodes.friction))
+    state, _ = states(problem, placed.control, solutions)
+    values = dict(zip(unknowns.channels.parameters, parts.channels, strict=True))
+    signals = unknowns.channels.of_result(result_of(scene, state, placed.control), values)
+    for (whisker, kind), gain in zip(unknowns.gains, parts.gains, strict=True):
+        signals = signals.at[:, whisker, kind].multiply(gain)
+    for (whisker, kind), offset in zip(unknowns.offsets, parts.offsets, strict=True):
+        signals = signals.at[:, whisker, kind].add(offset)
+    return sum((jnp.sum(part**2) for part in placed.residuals(signals, data, jnp)), jnp.zeros(()))
 
 
 def _travel_of(events: EventTable, happened: Bool[Array, " events"], data: Samples) -> Float[Array, " events"]:
@@ -218,16 +237,19 @@ def _travel_of(events: EventTable, happened: Bool[Array, " events"], data: Sampl
 
 
 class _ContactEnds(NamedTuple):
-    """The first touch and the last release of every whisker, (2, whiskers)."""
+    """The first touch and the last release of every whisker, (2, whiskers); (2, 1) for all whiskers together."""
 
     travel: Any
     exists: Any
 
 
-def _contact_ends(events: EventTable, at: Float[Array, " events"]) -> _ContactEnds:
-    touching = events.whiskers & (events.kind == EventKind.touch)[:, None]
-    event = jnp.stack([jnp.argmax(touching, axis=0), at.size - 1 - jnp.argmax(events.freed[::-1], axis=0)])
-    exists = jnp.stack([jnp.any(touching, axis=0), jnp.any(events.freed, axis=0)])
+def _contact_ends(events: EventTable, at: Float[Array, " events"], *, of_each: bool) -> _ContactEnds:
+    """The ends of contact of each whisker, or of all whiskers together."""
+    touching, freed = events.whiskers & (events.kind == EventKind.touch)[:, None], events.freed
+    if not of_each:
+        touching, freed = (jnp.any(which, axis=1, keepdims=True) for which in (touching, freed))
+    event = jnp.stack([jnp.argmax(touching, axis=0), at.size - 1 - jnp.argmax(freed[::-1], axis=0)])
+    exists = jnp.stack([jnp.any(touching, axis=0), jnp.any(freed, axis=0)])
     return _ContactEnds(jnp.where(exists, at[event], 0.0), exists)
 
 

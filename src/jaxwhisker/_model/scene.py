@@ -63,12 +63,10 @@ class Scene(eqx.Module):
     def __check_init__(self):
         allowed = "a Parabola, Circle, Ellipse, Graph, Contour or Tilted"
         checks.instance("profile", self.profile, AbstractProfile, allowed)
-        _check_sensor(self.whisker, self.support, self.motion)
+        _check_sensor(self.whisker, self.support, self.motion, self.friction)
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):
             checks.fail("rod", "Shooting() for whiskers that are curved or not uniform", "ClosedForm()")
-        if self.friction is not None:
-            checks.number("friction", self.friction, non_negative=True)
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
@@ -107,9 +105,10 @@ class Sensor(eqx.Module):
         whisker: one Whisker for all bases, or a tuple with one per base.
         support: springs between the drive and the bases. Default: clamped.
         motion: motion of the drive: Translation(), Rotation(), or a user-defined Motion.
+        friction: Coulomb friction coefficient mu between whiskers and objects, not negative. Default: no friction.
 
     Raises:
-        ValueError: if an argument has the wrong type, or the numbers of whiskers and bases differ.
+        ValueError: if an argument has the wrong type or value, or the numbers of whiskers and bases differ.
 
     Examples:
         >>> sensor = jw.Sensor(jw.Whisker(), jw.Support.fb(stiffness=70.0))
@@ -120,18 +119,19 @@ class Sensor(eqx.Module):
     whisker: Whisker | tuple[Whisker, ...]
     support: Support = Support()
     motion: AbstractMotion = Translation()
+    friction: Scalar | None = None
 
     def __check_init__(self):
-        _check_sensor(self.whisker, self.support, self.motion)
+        _check_sensor(self.whisker, self.support, self.motion, self.friction)
 
     @classmethod
     def of(cls, scene: Scene) -> "Sensor":
         """The sensor of a scene."""
-        return cls(scene.whisker, scene.support, scene.motion)
+        return cls(scene.whisker, scene.support, scene.motion, scene.friction)
 
-    def before(self, profile: AbstractProfile, friction: Scalar | None = None) -> Scene:
+    def before(self, profile: AbstractProfile) -> Scene:
         """The scene in which this sensor scans an object, with rods computed by `Shooting()`."""
-        return Scene(self.whisker, profile, self.support, motion=self.motion, friction=friction)
+        return Scene(self.whisker, profile, self.support, motion=self.motion, friction=self.friction)
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
@@ -139,7 +139,7 @@ class Sensor(eqx.Module):
         return _each_whisker(self.whisker, self.support)
 
 
-def _check_sensor(whisker: Any, support: Any, motion: Any) -> None:
+def _check_sensor(whisker: Any, support: Any, motion: Any, friction: Any) -> None:
     whiskers = whisker if isinstance(whisker, tuple) else (whisker,)
     if not whiskers or not all(isinstance(w, Whisker) for w in whiskers):
         checks.fail("whisker", "a Whisker or a tuple of them", repr(whisker))
@@ -148,6 +148,8 @@ def _check_sensor(whisker: Any, support: Any, motion: Any) -> None:
     if isinstance(whisker, tuple) and len(whiskers) != support.whiskers:
         allowed = f"one Whisker or one per base ({support.whiskers} in {support.name})"
         checks.fail("whisker", allowed, f"a tuple of {len(whiskers)}")
+    if friction is not None:
+        checks.number("friction", friction, non_negative=True)
 
 
 def _each_whisker(whisker: Whisker | tuple[Whisker, ...], support: Support) -> tuple[Whisker, ...]:

@@ -75,7 +75,7 @@ def after_arrive(
     if state.tries is not None:
         changed, slip = _changed_slips(problem, state, point, tangent)
         first = state.tries == 0
-        retry = with_changed_slips(problem, onwards, node, slip, trial.tangent)
+        retry = with_changed_slips(problem, onwards, node, slip, trial.tangent, rest=False)
         undetermined = state.stopped(Status.undetermined)
         cases += [
             (changed & (state.tries > 4**state.mode.phase.size), undetermined),
@@ -106,9 +106,18 @@ def _changed_slips(
 
 
 def with_changed_slips(
-    problem: Problem, state: MarchState, node: Node, slip: Int[Array, " whiskers"], arriving: Point
+    problem: Problem, state: MarchState, node: Node, slip: Int[Array, " whiskers"], arriving: Point, *, rest: bool
 ) -> MarchState:
-    """The state at a node, before the direction in which the path leaves with these slips is determined."""
+    """The state at a node, before the direction in which the path leaves with these slips is determined.
+
+    Args:
+        problem: the problem.
+        state: the state of the march.
+        node: the node, with the slips before.
+        slip: the new slips.
+        arriving: direction of the path before.
+        rest: whether the slips that change have come to rest, so that the path goes on without a corner.
+    """
     before, earlier = state.mode.friction, state.pending.friction_before
     assert before is not None and earlier is not None and state.tries is not None
     z, friction = with_slips(problem, node.point.z, state.mode, slip)
@@ -136,11 +145,16 @@ def with_changed_slips(
     inwards = jnp.zeros_like(z).at[:, 1].set(-before.slip.astype(float))
     ahead = friction.slip[:, None] * slip_by_contact(problem, z, state.mode._replace(friction=friction))
     lead = jnp.where((slip == 0)[:, None], inwards, ahead)
+    weights = Lead(jnp.where(changes[:, None], lead, 0.0), jnp.zeros_like(state.pose), jnp.asarray(0.0))
+    if rest:
+        # A lean does not change at first; all else goes on as before.
+        same = jnp.where(changes[:, None], arriving.z.at[:, 1].set(0.0), arriving.z)
+        weights = weights._replace(z=same, u=arriving.u)
     return state._replace(
         task=jnp.asarray(int(Task.arrive)),
         mode=state.mode._replace(friction=friction),
         point=pending.point,
-        lead=Lead(jnp.where(changes[:, None], lead, 0.0), jnp.zeros_like(state.pose), jnp.asarray(0.0)),
+        lead=weights,
         pending=pending,
         tries=state.tries + 1,
     )

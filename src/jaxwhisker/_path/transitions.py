@@ -174,11 +174,13 @@ def _turn_at_start(problem: Problem, state: MarchState) -> Scalar:
 def _turned(problem: Problem, moved: MarchState, trial: Trial, node: Node) -> MarchState:
     """The state at a located turning point: the path loses stability at a fold, or a contact begins to stick."""
     fold = to_snap(moved)
-    friction = moved.mode.friction
-    if trial.slips_on is None or friction is None:
+    friction, limit = moved.mode.friction, problem.friction_angle
+    if trial.slips_on is None or friction is None or limit is None:
         return fold
     sticks = trial.slips_on < jnp.minimum(FOLD_SLOPE, moved.turn(trial.tangent))
-    stick = with_changed_slips(problem, moved, node, jnp.where(sticks, 0, friction.slip), trial.tangent)
+    # Without any friction, slips that come to rest turn back at once.
+    slip = jnp.where(sticks, jnp.where(limit > 0, 0, -friction.slip), friction.slip)
+    stick = with_changed_slips(problem, moved, node, slip, trial.tangent, rest=True)
     return select(jnp.any(sticks), stick, fold)
 
 

@@ -6,6 +6,7 @@ get their derivatives, from event to event.
 """
 
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -33,8 +34,8 @@ def remembered(path: Path, problem: Problem, stops: Float[Array, " stops"]) -> P
         problem: the problem.
         stops: where the drive starts, turns and ends, in the scene's units.
     """
-    controls, places = without_rule((path.nodes.point.u, _places(path.nodes.friction)), (problem, stops))
-    return _with(path, controls, places, _places(path.nodes.friction_before))
+    controls, places = without_rule((path.nodes.point.u, places_of(path.nodes.friction)), (problem, stops))
+    return _with(path, controls, places, places_of(path.nodes.friction_before))
 
 
 @remembered.def_jvp
@@ -44,16 +45,16 @@ def _(primals, tangents):
     path = remembered(path, problem, stops)
 
     def chain(known):
-        return _chain(path, *known)
+        return chained(path, *known)
 
     dot = eqx.filter_jvp(chain, ((problem, stops),), ((problem_dot, stops_dot),))[1]
     none = jax.tree.map(lambda _: None, path)
     return path, _with(none, *dot)
 
 
-def _places(friction: Friction | None) -> Places:
-    assert friction is not None
-    return friction.parameter, friction.beyond
+def places_of(friction: Friction | None) -> Any:
+    """Where contacts stick; None without friction."""
+    return None if friction is None else (friction.parameter, friction.beyond)
 
 
 def _at(friction: Friction | None, places: Places) -> Friction:
@@ -73,16 +74,23 @@ def _with(path: Path, controls: Scalar | Float[Array, " nodes"], places: Places,
     )
 
 
-def _chain(path: Path, problem: Problem, stops: Float[Array, " stops"]):
-    """Controls of nodes, and the places where contacts stick from there on and before, with their derivatives."""
+def chained(path: Path, problem: Problem, stops: Float[Array, " stops"], *, events: bool = False):
+    """Controls of nodes, and the places where contacts stick from there on and before, with their derivatives.
+
+    Args:
+        path: the path, without derivatives.
+        problem: the problem.
+        stops: where the drive starts, turns and ends, in the scene's units.
+        events: whether controls are those of the events at all nodes, rather than those that contacts remember.
+    """
     nodes = path.nodes
     room, corner = nodes.kind.shape[0], nodes.corner
     assert corner is not None
-    links = (jnp.arange(room) < path.count) & ((nodes.kind == STOP) | corner)
+    links = (jnp.arange(room) < path.count) & ((nodes.kind == STOP) | corner | (events & (nodes.kind >= 0)))
     # A path has several nodes for each event: half of the room is enough. The first node, where all is free, fills it.
     index = jnp.nonzero(links, size=room // 2, fill_value=0)[0]
     controls = jnp.asarray(nodes.point.u)
-    start = controls[0], _places(jax.tree.map(lambda leaf: leaf[0], nodes.friction))
+    start = controls[0], places_of(jax.tree.map(lambda leaf: leaf[0], nodes.friction))
 
     def link(carry, k):
         node, previous = (jax.tree.map(lambda leaf, j=j: leaf[j], nodes) for j in (k, jnp.maximum(k - 1, 0)))
@@ -119,7 +127,7 @@ def _after(
         jax.vmap(partial(contact.parameter, problem.profile))(point.z, mode.phase, mode.side, mode.friction),
         contact.beyond(point.z[:, 2], mode.phase),
     )
-    new, old = _places(node.friction), _places(node.friction_before)
+    new, old = places_of(node.friction), places_of(node.friction_before)
     assert node.corner is not None and node.stop is not None
     differs = node.corner & ((new[0] != old[0]) | (new[1] != old[1]))
 
@@ -132,9 +140,9 @@ def _after(
     return u, jax.tree.map(moved, new, here, places)
 
 
-def with_places(solutions: Solutions, path: Path) -> Solutions:
-    """The solutions, with the path's derivatives of the places where contacts stick."""
-    if solutions.friction is None:
+def with_places(solutions: Solutions, places: Places | None) -> Solutions:
+    """The solutions, with derivatives of the places where contacts stick after each node; None without friction."""
+    if places is None:
         return solutions
-    parameter, beyond = (leaf[solutions.node] for leaf in _places(path.nodes.friction))
+    parameter, beyond = (leaf[solutions.node] for leaf in places)
     return solutions._replace(friction=_at(solutions.friction, (parameter, beyond)))

@@ -27,7 +27,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import march
 from jaxwhisker._path.path import Path, Status
-from jaxwhisker._scan.memory import remembered, with_places
+from jaxwhisker._scan.memory import places_of, remembered, with_places
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
 from jaxwhisker._scan.signals import events, spring_lengths
@@ -135,7 +135,7 @@ def _in_blocks(
     """
 
     def block(control, travel):
-        solutions = with_places(solve_steps_now(problem, path, control, travel), path)
+        solutions = with_places(solve_steps_now(problem, path, control, travel), places_of(path.nodes.friction))
         state, status = states_now(problem, control, solutions)
         return state, status, spring_lengths_now(scene, (state.base_x, state.base_y, state.base_angle), control)
 
@@ -236,7 +236,7 @@ def _staged_result(
     path, control, travel = _if_ok(path, status), jnp.asarray(route.control), jnp.asarray(route.travel)
     if problem.friction_angle is not None:
         path = remembered(path, problem, jnp.asarray(route.stops))
-    solutions = with_places(solve_steps(problem, path, control, travel), path)
+    solutions = with_places(solve_steps(problem, path, control, travel), places_of(path.nodes.friction))
     state, step_status = states(problem, control, solutions)
     lengths = spring_lengths(scene, (state.base_x, state.base_y, state.base_angle), control)
     return _result(scene, problem, path, control, state, step_status, lengths)

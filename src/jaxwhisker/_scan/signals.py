@@ -217,6 +217,7 @@ class EventNodes(NamedTuple):
     node: Node  # fields (events, ...)
     previous: Node
     filled: Bool[Array, " events"]
+    index: Int[Array, " events"]  # among all nodes
     count: Int[Array, ""]  # of all events, also of those for which there is no room
 
 
@@ -238,12 +239,12 @@ def event_nodes(path: Path) -> EventNodes:
         )
         for back in (0, 1)
     )
-    return EventNodes(node, previous, filled, count)
+    return EventNodes(node, previous, filled, at, count)
 
 
 def events(problem: Problem, path: Path) -> Events:
     """The events among the nodes from where the drive has reached the first position of the control."""
-    node, previous, filled, count = event_nodes(path)
+    node, previous, filled, _, count = event_nodes(path)
     size = filled.shape[0]
     points, modes = jax.vmap(partial(_points_at_event, problem))(node, previous)
     # With both sides in one batch, the rods are compiled only once.

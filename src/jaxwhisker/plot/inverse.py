@@ -33,11 +33,12 @@ from jaxwhisker.plot.axes import (
 DRAWN_POINTS = 241  # of a profile that is drawn for comparison
 
 
-def fit(result: Fit, *, units: str = "auto", axs: Iterable[Axes] | None = None) -> np.ndarray:
+def fit(result: Fit, *, recording: int = 0, units: str = "auto", axs: Iterable[Axes] | None = None) -> np.ndarray:
     """Draw measured signals (dots) and those of the fit (lines), one Axes for each measured channel.
 
     Args:
         result: result of `identify`.
+        recording: which recording of a fit to several, from 0.
         units: "auto", "SI" (with prefixes: mm, mN) or "dimensionless" (in L and EI of the first whisker). "auto" is
             "dimensionless" for a first whisker with L = EI = 1, else "SI".
         axs: where to draw, one Axes for each measured channel; a new figure by default.
@@ -46,19 +47,30 @@ def fit(result: Fit, *, units: str = "auto", axs: Iterable[Axes] | None = None) 
         The Axes.
 
     Raises:
-        ValueError: if `result` is not a Fit, the number of `axs` is wrong, or `units` is invalid.
+        ValueError: if `result` is not a Fit, there is no such recording, the number of `axs` is wrong, or `units` is
+            invalid.
     """
     checks.instance("result", result, Fit, "the Fit of jw.identify")
-    measured, system = result.measured, UnitSystem(result.scene, units)
-    channels = [c for c in range(len(REACTIONS)) if measured.known[:, :, c].any()]
+    if recording not in range(len(result.recordings)):
+        raise ValueError(f"`recording` must be a number from 0 to {len(result.recordings) - 1}, got {recording!r}.")
+    fitted = result.recordings[recording]
+    measured, system = fitted.measured, UnitSystem(fitted.scene, units)
+    kinds = measured.kinds
+    channels = [c for c in range(len(kinds)) if measured.known[:, :, c].any()]
+    # Signals with an unknown gain, or from a function, have no unit that is known.
+    in_units = kinds == REACTIONS and not any(name.startswith("gain_") for name in result.names)
+
+    def shown(kind: str, values: np.ndarray) -> np.ndarray:
+        return system.shown(kind, values) if in_units else values
+
     axes = grid_of_axes(axs, rows=len(channels), sharex=True)
     control = system.shown("control", measured.control)
     for ax, c in zip(axes, channels, strict=True):
-        dots, lines = (system.shown(REACTIONS[c], values[..., c]) for values in (measured.values, result.signals))
+        dots, lines = (shown(kinds[c], values[..., c]) for values in (measured.values, fitted.signals))
         for k in range(measured.values.shape[1]):
             ax.plot(control, dots[:, k], ".", color=colour(k), markersize=2, alpha=0.4)
             ax.plot(control, lines[:, k], color=colour(k), linewidth=1, label=f"whisker {k + 1}")
-        ax.set_ylabel(system.label(REACTIONS[c]))
+        ax.set_ylabel(system.label(kinds[c]) if in_units else kinds[c])
     axes[-1].set_xlabel(system.label("control"))
     if measured.values.shape[1] > 1:
         legend_above(axes[0])

@@ -1,0 +1,140 @@
+"""Everything that a fit estimates, and which of it each recording shares with others."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from jaxwhisker._inverse.channels import Channels
+
+GROUPS = {"offset_": "offsets", "gain_": "gains"}  # names of the unknowns of channels, by the prefix of each
+
+
+class Unknowns(NamedTuple):
+    """The unknowns of one recording, and their places among those of all recordings.
+
+    Those of a recording are, in this order: parameters of `build`, parameters of the channels' function, constant
+    offsets of channels, gains of channels, a shift of the control.
+    """
+
+    build: tuple[str, ...]
+    channels: Channels
+    offsets: tuple[tuple[int, int], ...]  # (whisker, channel)
+    gains: tuple[tuple[int, int], ...]
+    shift: bool
+    all_names: tuple[str, ...]  # of all recordings, in the order of the fit's variables
+    columns: tuple[Int[np.ndarray, " own"], ...]  # places of each recording's unknowns among all
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters of the scene and of the channels' function."""
+        return self.build + self.channels.parameters
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of the unknowns of one recording."""
+        return _own_names(self.names, self.channels, self.offsets, self.gains, self.shift)
+
+    @property
+    def own_index(self) -> Int[np.ndarray, " unknowns"]:
+        """Place of each unknown of all recordings among those of one recording."""
+        index = np.zeros(len(self.all_names), dtype=int)
+        for columns in self.columns:
+            index[columns] = np.arange(columns.size)
+        return index
+
+    @property
+    def linear(self) -> Bool[np.ndarray, " unknowns"]:
+        """Which unknowns of all recordings the signals depend on linearly: gains and offsets."""
+        first, count = len(self.names), len(self.offsets) + len(self.gains)
+        linear = np.zeros(len(self.all_names), bool)
+        for columns in self.columns:
+            linear[columns[first : first + count]] = True
+        return linear
+
+    def scene_values(self, x: Any, recording: int = 0) -> dict[str, Any]:
+        """The arguments of `build` for one recording, from all unknowns."""
+        return {name: x[k] for name, k in zip(self.build, self.columns[recording], strict=False)}
+
+
+class Parts(NamedTuple):
+    """The unknowns of one recording by what they act on."""
+
+    build: Any
+    channels: Any
+    offsets: Any
+    gains: Any
+    shift: Any
+
+
+def split(unknowns: Unknowns, own: Any) -> Parts:
+    """The unknowns of one recording, an array or a list, by what they act on."""
+    sizes = [len(unknowns.build), len(unknowns.channels.parameters), len(unknowns.offsets), len(unknowns.gains)]
+    ends = np.cumsum(sizes)
+    return Parts(*(own[a:b] for a, b in zip([0, *ends], [*ends, len(own)], strict=True)))
+
+
+def _own_names(names, channels: Channels, offsets, gains, shift: bool) -> tuple[str, ...]:
+    several = len({k for k, _ in (*offsets, *gains)}) > 1
+
+    def named(prefix: str, pairs) -> list[str]:
+        return [prefix + channels.names[c] + (f"_{k + 1}" if several else "") for k, c in pairs]
+
+    return (*names, *named("offset_", offsets), *named("gain_", gains), *["shift"] * shift)
+
+
+def unknowns_of(
+    names: Sequence[str],
+    channels: Channels,
+    offsets: Sequence[tuple[int, int]],
+    gains: Sequence[tuple[int, int]],
+    shift: bool,
+    individual: Any,
+    recordings: int,
+) -> Unknowns:
+    """The unknowns of several recordings.
+
+    Args:
+        names: parameters of `build`.
+        channels: what is measured, with its own parameters.
+        offsets: channels with an unknown constant.
+        gains: channels with an unknown factor.
+        shift: whether the control is off by an unknown constant.
+        individual: names of unknowns that recordings do not share, or a mapping from such names to one label for each
+            recording: recordings with the same label share the value.
+        recordings: their number.
+
+    Raises:
+        ValueError: if `individual` names an unknown that does not exist, or has not one label for each recording.
+    """
+    build, pairs = tuple(names), (tuple(offsets), tuple(gains))
+    own = _own_names(build + channels.parameters, channels, *pairs, shift)
+    groups = [next((g for prefix, g in GROUPS.items() if name.startswith(prefix)), name) for name in own]
+    groups[: len(names) + len(channels.parameters)] = build + channels.parameters
+    labels = _labels_of(individual, list(dict.fromkeys(groups)), recordings)
+    table = [
+        [f"{name}[{labels[group][r]}]" if group in labels else name for name, group in zip(own, groups, strict=True)]
+        for r in range(recordings)
+    ]
+    all_names = list(dict.fromkeys(table[r][k] for k in range(len(own)) for r in range(recordings)))
+    columns = tuple(np.array([all_names.index(name) for name in row], dtype=int) for row in table)
+    return Unknowns(build, channels, *pairs, shift, tuple(all_names), columns)
+
+
+def _labels_of(individual: Any, groups: list[str], recordings: int) -> dict[str, list[str]]:
+    """One label per recording for each name."""
+    if isinstance(individual, str) or not isinstance(individual, (Mapping, Sequence)):
+        raise ValueError(f"`individual` must be names of unknowns, or a mapping to labels, got {individual!r}.")
+    numbers = range(1, recordings + 1)
+    given = individual if isinstance(individual, Mapping) else dict.fromkeys(individual, numbers)
+    labels = {}
+    for name, of_each in given.items():
+        if name not in groups:
+            raise ValueError(f"`individual` must name unknowns of the fit ({', '.join(groups)}), got {name!r}.")
+        if isinstance(of_each, str) or not isinstance(of_each, Sequence) or len(of_each) != recordings:
+            raise ValueError(
+                f"`individual` must hold a label for each of the {recordings} recordings, got {of_each!r} for {name}."
+            )
+        labels[name] = [str(label) for label in of_each]
+    return labels
