@@ -52,7 +52,7 @@ bench-more: $(VENV)/installed-dev ## measure gradients, studies, supports, films
 	@$(call run,gradient_cost study_speed critical_map settings showing report) && $(draw)
 
 bench-inverse: $(VENV)/installed-dev ## measure fits, contours and required prior knowledge (an hour)
-	@$(call run,identify reconstruct known report) && $(draw)
+	@$(call run,identify reconstruct known known_friction report) && $(draw)
 
 extremes: $(VENV)/installed-dev ## scan scenes at the limits of every parameter's range
 	@$(call run,extremes report) && $(draw)

@@ -278,6 +278,28 @@ def known_networks() -> str:
 # Films and sliders
 
 
+def known_friction() -> str:
+    """Errors of contour and parameters for each assumed friction coefficient."""
+    kept = [
+        {"assumed friction": row["assumed"]}
+        | {name: row[name] for name in ("contour, mean", "contour, largest")}
+        | {f"{name} off by": f"{row[f'{name} off by']:+.1%}" for name in ("c", "q", "a")}
+        | {"reduced chi^2": row["reduced chi^2 without noise"] + 1}
+        for row in read("known_friction")["rows"]
+    ]
+    return f"{table(kept)}\n\n{environment('known_friction')}"
+
+
+def revealed_friction() -> str:
+    """Standard errors on each route of the drive, if friction is known / unknown."""
+    kept = [
+        {"route": row["route"], "friction": row["friction"]}
+        | {name: f"{row[f'{name}, friction known']:.2%} / {row[f'{name}, unknown']:.2%}" for name in ("c", "q", "a")}
+        for row in read("revealed_friction")["rows"]
+    ]
+    return f"{table(kept)}\n\n{environment('revealed_friction')}"
+
+
 def films() -> str:
     """Time and size of films."""
     return table(read("films")["rows"])
@@ -300,7 +322,7 @@ WHOLE = (
     *("identify_guesses", "identify_noise", "reconstruct"),
 )
 SELECTED = (in_short, work_precision, speed_up, models, settings, claims)
-SELECTED += (known_subsets, known_errors, known_networks, films, sliders)
+SELECTED += (known_subsets, known_errors, known_networks, known_friction, revealed_friction, films, sliders)
 TABLES = {function.__name__: function for function in SELECTED}
 TABLES |= {"growth": partial(whole, "growth", "failed")} | {name: partial(whole, name) for name in WHOLE}
 

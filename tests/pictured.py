@@ -101,7 +101,7 @@ def some_fit(result):
     values = np.stack([np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz")], axis=-1)
     measured = Observations(np.asarray(result.control), values + 0.3 * np.sin(40 * values), np.ones(values.shape))
     recording = FittedRecording(measured, values, measured.values - values, {}, result.scene)
-    known = {"status": jw.FitStatus.ok, "recordings": (recording,)}
+    known = {"status": jw.FitStatus.ok, "names": (), "recordings": (recording,)}
     return jw.Fit(**dict.fromkeys(jw.Fit.__dataclass_fields__) | known)  # pyright: ignore[reportArgumentType]
 
 

@@ -134,7 +134,7 @@ def test_wrong_functions_are_named(channels, named):
 
 
 def test_arguments_of_the_function_need_a_guess():
-    with pytest.raises(ValueError, match="`guess`.*mix"):
+    with pytest.raises(ValueError, match=r"`guess`.*mix"):
         channels_from(hall, fb(**TRUTH), TRUTH)
-    with pytest.raises(ValueError, match="`measured`.*mix"):
+    with pytest.raises(ValueError, match=r"`measured`.*mix"):
         jw.identify(fb, TRUTH | {"mix": 0.0}, jw.scan(fb(**TRUTH), CONTROL), channels=hall)

@@ -146,8 +146,11 @@ def test_a_fit_that_leaves_most_samples_out_is_implausible():
     assert np.isnan(list(fit.standard_error.values())).all() and np.all(fit.signals == 0)
     # The same misfit with hardly any samples left, as if the snap were far from the observed one.
     solution = fit._solution
-    few = solution.compared._replace(left_out=np.arange(solution.compared.left_out.size) > 9)
-    status, reason = _status_of(fit._problem, solution._replace(compared=few), np.array(list(fit.estimates.values())))
+    (compared,) = solution.compared
+    few = compared._replace(left_out=np.arange(compared.left_out.size) > 9)
+    status, reason = _status_of(
+        fit._problem, solution._replace(compared=(few,)), np.array(list(fit.estimates.values()))
+    )
     assert status == jw.FitStatus.implausible and "only 20 of 512 values lie on the same side of a snap" in reason
 
 

@@ -36,6 +36,7 @@ def add_identify(commands) -> None:
     add("--guess", type=_named, default={}, metavar="NAME=X[,...]", help="initial values")
     _add_sigma(add, "unknown")
     add("--offsets", action="store_true", help="fit an unknown constant offset of each channel")
+    add("--gains", action="store_true", help="fit an unknown factor of each channel: signals in any unit")
     add("--shift", action="store_true", help="fit an unknown constant offset of the control")
     options.add_output(command, csv="estimates and standard errors")
 
@@ -47,6 +48,7 @@ def add_reconstruct(commands) -> None:
     _add_signals(command)
     add = command.add_argument_group("contour").add_argument
     _add_sigma(add, "none")
+    options.add_friction(add)
     families = ("points", "parabola", "circle", "ellipse", "free")
     text = (
         "points only, or a shape fitted to them; free: any convex contour, fitted to all signals (default: %(default)s)"
@@ -93,7 +95,7 @@ def run_identify(args: argparse.Namespace) -> int:
 
     parameters: stiffness (of all springs, each on its own: c1, c2, ...),
     rest_length (l1, l2, ...), c1, l2, ..., distance, position, a, b, radius,
-    length, bending_stiffness
+    length, bending_stiffness, and friction if --friction is given
 
     exit codes:
       0  the fit is ok
@@ -113,7 +115,8 @@ def run_identify(args: argparse.Namespace) -> int:
         guess = {name: values.pop(name) for name in dict.fromkeys(free)}
         print(f"fitting {', '.join(guess)} to {args.data}", flush=True)
         build = partial(options.make_scene, args, **values)
-        fit = identify(build, guess, args.data, sigma=args.sigma, offsets=args.offsets, shift=args.shift)
+        unknown = {"offsets": args.offsets, "gains": args.gains, "shift": args.shift}
+        fit = identify(build, guess, args.data, sigma=args.sigma, **unknown)
     print(f"\n{fit}")
     if args.csv is not None:
         rows = [
@@ -165,7 +168,7 @@ def run_reconstruct(args: argparse.Namespace) -> int:
     shape, joint = None, None
     with options.usage_errors():
         support = options.support_of(args, options.springs_of(args))
-        sensor = Sensor(Whisker(args.length, args.bending_stiffness), support)
+        sensor = Sensor(Whisker(args.length, args.bending_stiffness), support, friction=args.friction)
         points = reconstruct(args.data, sensor, sigma=args.sigma)
         print(points)
         good = bool(np.isfinite(np.asarray(points.x)).any())

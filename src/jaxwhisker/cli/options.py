@@ -134,6 +134,12 @@ def add_object(command: argparse.ArgumentParser, kind: Callable = parse_number) 
     )
     add("--b", type=kind, metavar="B", help="ellipse: vertical half axis (default: 0.8)")
     add("--radius", type=kind, metavar="R", help="circle: radius (default: 1)")
+    add_friction(add, kind)
+
+
+def add_friction(add: Callable, kind: Callable = parse_number) -> None:
+    """Add the option of the friction coefficient."""
+    add("--friction", type=kind, metavar="MU", help="friction coefficient of whiskers and object (default: none)")
 
 
 def add_drive(command: argparse.ArgumentParser) -> None:
@@ -189,7 +195,8 @@ def values_of_parameters(args: argparse.Namespace) -> dict[str, Any]:
     """
     shape = _chosen(args, ("a", "b", "radius"), PROFILES[args.profile][1], f"--profile {args.profile}")
     others = {name: getattr(args, name) for name in ("length", "bending_stiffness", "distance", "position")}
-    return springs_of(args) | others | shape
+    friction = {} if args.friction is None else {"friction": args.friction}
+    return springs_of(args) | others | shape | friction
 
 
 def option_of(name: str) -> str:
@@ -210,7 +217,7 @@ def make_scene(args: argparse.Namespace, rod: AbstractRod | None = None, /, **va
     kind, shape = PROFILES[args.profile]
     profile = kind(**{name: values[name] for name in ("distance", "position", *shape)})
     whisker = Whisker(values["length"], values["bending_stiffness"])
-    return Scene(whisker, profile, support_of(args, values), rod or Shooting())
+    return Scene(whisker, profile, support_of(args, values), rod or Shooting(), friction=values.get("friction"))
 
 
 def scene_of(args: argparse.Namespace) -> Scene:
