@@ -136,6 +136,12 @@ def add_object(command: argparse.ArgumentParser, kind: Callable = parse_number) 
     add("--radius", type=kind, metavar="R", help="circle: radius (default: 1)")
 
 
+def add_detect(command: argparse.ArgumentParser) -> None:
+    """Add the option that ends scans where whiskers cross."""
+    text = "end a scan, with the status `crossing`, where two whiskers cross (default: whiskers pass each other)"
+    command.add_argument("--detect-crossing", action="store_true", help=text)
+
+
 def add_drive(command: argparse.ArgumentParser) -> None:
     """Add the options of the drive positions."""
     add = command.add_argument_group("drive").add_argument
@@ -210,7 +216,8 @@ def make_scene(args: argparse.Namespace, rod: AbstractRod | None = None, /, **va
     kind, shape = PROFILES[args.profile]
     profile = kind(**{name: values[name] for name in ("distance", "position", *shape)})
     whisker = Whisker(values["length"], values["bending_stiffness"])
-    return Scene(whisker, profile, support_of(args, values), rod or Shooting())
+    detect = ("crossing",) * getattr(args, "detect_crossing", False)
+    return Scene(whisker, profile, support_of(args, values), rod or Shooting(), detect=detect)
 
 
 def scene_of(args: argparse.Namespace) -> Scene:
