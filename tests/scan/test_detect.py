@@ -31,15 +31,18 @@ def lines(result):
 
 
 def depths(result):
-    """How deep each whisker that touches a parabola lies inside it, per step: the largest distance to its outline."""
+    """How deep whiskers that touch a parabola dip into it, per step: distance from the tangent at the nearest point."""
     profile, found = result.scene.profile, []
+    slope = 2 * profile.a * DENSE
+    normal = np.stack([slope, -np.ones_like(slope)], axis=-1) / np.sqrt(1 + slope**2)[:, None]
     outline = np.stack([DENSE, profile.distance + profile.a * DENSE**2], axis=-1)
     for shapes, phases in zip(lines(result), np.asarray(result.phase), strict=True):
         inside = [line[line[:, 1] > profile.distance + profile.a * line[:, 0] ** 2] for line in shapes[phases > 0]]
         points = np.concatenate([*inside, np.zeros((0, 2))])
         near = np.clip(np.searchsorted(DENSE, points[:, 0])[:, None] + np.arange(-6000, 6000, 8), 0, DENSE.size - 1)
-        distance = np.linalg.norm(outline[near] - points[:, None], axis=-1).min(axis=1)
-        found.append(distance.max(initial=0.0))
+        distance = np.linalg.norm(outline[near] - points[:, None], axis=-1)
+        nearest = np.take_along_axis(near, distance.argmin(axis=1)[:, None], axis=1)[:, 0]
+        found.append(np.max(np.sum(normal[nearest] * (outline[nearest] - points), axis=-1), initial=0.0))
     return np.array(found)
 
 

@@ -58,7 +58,7 @@ def _along(x: Scalar | Along, y: Scalar | Along, at: ContactPoint) -> Scalar | A
     return (x - at.x) * at.cos + (y - at.y) * at.sin
 
 
-def _least(line: Line, gap: Along, slope: Along) -> Along:
+def _least(line: Line, gap: Along, slope: Along) -> Float[Array, " cells"]:
     """The smallest gap in each cell of a line."""
     start, rise = gap[:-1], gap[1:] - gap[:-1]
     leaving, arriving = slope[:-1] * line.cell, slope[1:] * line.cell
@@ -138,7 +138,8 @@ def _cells(own: Shaft) -> _Cells:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
-def _cross(a: Float[Array, "*batch 2"], b: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+def _cross(a: Float[Array, "... 2"], b: Float[Array, "... 2"]) -> Float[Array, "..."]:
+    """The sine of the angle from one vector to another, times their lengths."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 

@@ -29,7 +29,7 @@ class Line(NamedTuple):
     y: Along
     cos: Along
     sin: Along
-    cell: Along  # arc length from each point to the next, negative towards the base
+    cell: Float[Array, " cells"]  # arc length from each point to the next, negative towards the base
 
 
 class Shaft(NamedTuple):
@@ -57,18 +57,18 @@ def shaft(
         cells_beyond = 1 if material.intrinsic_curvature is None else CELLS_BEYOND
     arc = contact.arc(body, z[2], phase)
 
-    def line(length: Scalar, force: Scalar, cells: int) -> tuple[rod.RodState, Along]:
+    def line(length: Scalar, force: Scalar, cells: int) -> tuple[Float[Array, "4 points"], Float[Array, " cells"]]:
         at = rod.step_ends(length, material, steps=cells, from_base=arc)
         points = rod.points(start, length, Load(None, -force, None), material, at=at, solver=solver, from_base=arc)
-        return points, -length * jnp.diff(at)
+        return jnp.stack(points), -length * jnp.diff(at)
 
-    def in_scene(points: rod.RodState, cell: Along) -> Line:
-        placed = contact.in_scene(at, leans, points, z[0], side)  # pyright: ignore[reportArgumentType]
+    def in_scene(points: Float[Array, "4 points"], cell: Float[Array, " cells"]) -> Line:
+        placed = contact.in_scene(at, leans, points, z[0], side)
         return Line(placed.x, placed.y, placed.cos, placed.sin, cell)
 
     to_base, to_tip = line(arc, z[0], CELLS), line(arc - body.length, jnp.zeros_like(z[0]), cells_beyond)
-    end = jnp.stack([jnp.asarray(leaf)[-1] for leaf in to_base[0]])
-    return Shaft(in_scene(*to_base), in_scene(*to_tip), p, contact.in_scene(at, leans, end, z[0], side))
+    base = contact.in_scene(at, leans, to_base[0][:, -1], z[0], side)
+    return Shaft(in_scene(*to_base), in_scene(*to_tip), p, base)
 
 
 def moved(own: Shaft, x: Scalar, y: Scalar, angle: Scalar) -> Shaft:
