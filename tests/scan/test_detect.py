@@ -9,7 +9,9 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.clearance import DEPTH
+from jaxwhisker._equilibrium.point import Mode, Point
 from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._scan import detect
 from operations import operations, traced
 from scenes import all_ok, cone, model
 
@@ -158,6 +160,16 @@ def test_a_crossing_ends_the_scan_where_polylines_cross(name, rest_length, cross
 def test_whiskers_with_one_base_cross_from_the_start():
     scene = detecting(model("FBFBR", rest_length=0.0), "crossing")
     assert np.all(jw.scan(scene, CONTROL).status == jw.Status.crossing)
+
+
+def test_bases_that_have_changed_places_are_a_crossing():
+    # A snap may lead there without a state in which shafts cross.
+    problem = problem_of(detecting(model("FBFBR"), "crossing"))
+    upright = Mode(jnp.zeros(2, int), jnp.ones(2), jnp.asarray(False))
+    point = Point(jnp.zeros((2, 3)), jnp.asarray(0.9))
+    shafts = detect._shafts(problem, point, upright)
+    assert not detect._any_cross(problem, point, shafts)
+    assert detect._any_cross(problem, point, jax.tree.map(lambda leaf: leaf[::-1], shafts))
 
 
 def test_the_film_of_the_readme_shows_a_crossing():

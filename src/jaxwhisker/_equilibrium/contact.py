@@ -100,7 +100,7 @@ def parameter(
 def in_scene(
     at: ContactPoint, leans: Float[Array, ""] | None, end: Float[Array, "4 *points"], force: Scalar, side: Scalar
 ) -> Base:
-    """Pose of the base and load on it, from the rod's end in the frame of the contact; or the poses of several points."""
+    """Pose of the base and load on it, from the rod's end in the frame of the contact; or poses of several points."""
     x, y, cos, sin = end
     x, cos = side * x, side * cos
     along_cos, along_sin = at.cos, at.sin  # direction normal to the force
