@@ -157,6 +157,14 @@ def test_a_crossing_ends_the_scan_where_polylines_cross(name, rest_length, cross
     np.testing.assert_array_equal(result.mz[: first(status)], plain.mz[: first(status)])
 
 
+def test_the_onset_is_located_within_a_step_of_the_path():
+    scene = model("FBFBR")
+    control = np.append(1.2, np.linspace(0.185, 0.175, 101))
+    plain, result = jw.scan(scene, control), jw.scan(detecting(scene, *BOTH), control)
+    onset = first([crosses(*shapes) for shapes in lines(plain)])
+    assert 10 < onset < 90 and abs(first(np.asarray(result.status)) - onset) <= STEPS
+
+
 def test_whiskers_with_one_base_cross_from_the_start():
     scene = detecting(model("FBFBR", rest_length=0.0), "crossing")
     assert np.all(jw.scan(scene, CONTROL).status == jw.Status.crossing)
