@@ -97,9 +97,10 @@ def parameter(
     return z[1] if friction is None else contact_parameter(profile, z[1], beyond(z[2], phase), side, friction)
 
 
-def _in_scene(
-    at: ContactPoint, leans: Float[Array, ""] | None, end: Float[Array, "4"], force: Scalar, side: Scalar
+def in_scene(
+    at: ContactPoint, leans: Float[Array, ""] | None, end: Float[Array, "4 *points"], force: Scalar, side: Scalar
 ) -> Base:
+    """Pose of the base and load on it, from the rod's end in the frame of the contact; or poses of several points."""
     x, y, cos, sin = end
     x, cos = side * x, side * cos
     along_cos, along_sin = at.cos, at.sin  # direction normal to the force
@@ -144,7 +145,7 @@ def base(
         assert isinstance(body.section, Section)  # of one whisker
         section = dataclasses.replace(body.section, orientation=side)
         end = uneven_rod_end(z[0], s, angle, section, body.rod, rates)
-    return _in_scene(at, leans, end, z[0], side)
+    return in_scene(at, leans, end, z[0], side)
 
 
 def in_base_frame(b: Base, frame: Frame | None) -> BaseEquations:

@@ -81,6 +81,7 @@ class Problem(eqx.Module):
     valid: Bool[Array, ""]
     unit: Units
     friction_angle: Scalar | None  # arctan of the friction coefficient; None without friction
+    detect: tuple[str, ...] = eqx.field(static=True)  # of `Scene.detect`, what can happen
 
     axes: eqx.AbstractClassVar[int]  # number of coordinates of a base
     frames_move: eqx.AbstractClassVar[bool]  # whether these refer to a frame that moves with the control
@@ -313,6 +314,7 @@ def problem_of(scene: Scene) -> Problem:
         "motion": scene.motion,
         "unit": unit,
         "friction_angle": None if scene.friction is None else jnp.arctan(jnp.asarray(scene.friction, dtype=float)),
+        "detect": _detectable(scene),
     }
     curved = any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers)
     if moves_along_x(scene):
@@ -331,6 +333,20 @@ def problem_of(scene: Scene) -> Problem:
     outline = outlines(scene.whiskers, length, section)
     touches, single = _first_touches(common["profile"], outline, length, y / unit.length, angle, curved)
     return InPlane(**common, **touches, flexibility=flexibility, valid=valid & single, mount=mount, outline=outline)
+
+
+def _detectable(scene: Scene) -> tuple[str, ...]:
+    """What a scene is to detect, without what cannot happen.
+
+    Without friction, a uniform straight whisker stays on the outer side of the object's tangent at its contact, which a
+    convex object does not cross. Let theta be the angle from the tangent to the whisker, theta1 its value at the
+    contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >= sin theta1 >= 0 along the shaft.
+    """
+    possible = {
+        "second_contact": scene.friction is not None or not all(whisker.uniform for whisker in scene.whiskers),
+        "crossing": len(scene.whiskers) > 1,
+    }
+    return tuple(name for name in scene.detect if possible[name])
 
 
 def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict[str, Any]:

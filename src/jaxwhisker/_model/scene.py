@@ -31,6 +31,18 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 
+DETECTABLE = ("second_contact", "crossing")
+
+
+def _as_names(value: Any) -> Any:
+    """A tuple of names, in one order, so that equal sets share programs; other values stay as they are."""
+    names = (value,) if isinstance(value, str) else value
+    try:
+        known = set(names) <= set(DETECTABLE)
+    except TypeError:
+        return value
+    return tuple(name for name in DETECTABLE if name in names) if known else value
+
 
 class Scene(eqx.Module):
     """Whiskers on a support, scanned past an object.
@@ -43,6 +55,9 @@ class Scene(eqx.Module):
             to uniform straight whiskers.
         motion: motion of the drive: Translation(), Rotation(), or a user-defined Motion.
         friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
+        detect: contacts that are not modelled, at which a scan ends with the status of this name: "second_contact" (a
+            whisker meets the object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
+            tuple of both. Default: they are not detected.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
@@ -59,6 +74,7 @@ class Scene(eqx.Module):
     rod: AbstractRod = Shooting()
     motion: AbstractMotion = Translation()
     friction: Scalar | None = None
+    detect: str | tuple[str, ...] = eqx.field(static=True, default=(), converter=_as_names)
 
     def __check_init__(self):
         allowed = "a Parabola, Circle, Ellipse, Graph, Contour or Tilted"
@@ -67,6 +83,9 @@ class Scene(eqx.Module):
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):
             checks.fail("rod", "Shooting() for whiskers that are curved or not uniform", "ClosedForm()")
+        if not isinstance(self.detect, tuple) or any(name not in DETECTABLE for name in self.detect):
+            allowed = f"{' or '.join(map(repr, DETECTABLE))}, or a tuple of these"
+            checks.fail("detect", allowed, repr(self.detect))
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
@@ -79,7 +98,8 @@ class Scene(eqx.Module):
         rods = "" if self.rod == Shooting() else f", {self.rod}"
         motion = "" if isinstance(self.motion, Translation) and self.motion.onwards < 0 else f", {self.motion}"
         friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
-        details = f"{self.profile}{_whisker_text(self.whiskers[0])}{friction}{rods}{motion}"
+        detect = ", detects " * bool(self.detect) + " and ".join(self.detect).replace("_", " ")
+        details = f"{self.profile}{_whisker_text(self.whiskers[0])}{friction}{rods}{motion}{detect}"
         return f"{self.support.name}: {', '.join(counted)}, {details}"
 
     __repr__ = __str__

@@ -239,12 +239,20 @@ def integrate(
         solver: any diffrax solver. Default: `default_solver(material)`.
         from_base: arc length from the base to the loaded point; required for a section.
     """
-    times = jnp.arange(steps + 1) / steps
-    if isinstance(material, Section):
-        assert from_base is not None
-        times = _graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
+    times = step_ends(arc, material, steps=steps, from_base=from_base)
     end, _ = _march(start, _RodArgs(arc, load, material, from_base), times, solver or default_solver(material))
     return end
+
+
+def step_ends(
+    arc: Scalar, material: Material, *, steps: int, from_base: Scalar | None = None
+) -> Float[Array, " points"]:
+    """Ends of integration steps as fractions of the arc length: equidistant, but for sections closer where thinner."""
+    times = jnp.arange(steps + 1) / steps
+    if not isinstance(material, Section):
+        return times
+    assert from_base is not None
+    return _graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
 
 
 def _march(
@@ -289,14 +297,20 @@ def points(
     load: Load,
     material: Material,
     *,
-    count: int,
+    count: int | None = None,
+    at: Along | None = None,
+    solver: diffrax.AbstractSolver | None = None,
     from_base: Scalar | None = None,
 ) -> tuple[Along, Along, Along, Along]:
-    """States x, y, cos phi, sin phi at `count` equidistant points from `start` on, over `arc` towards the base.
+    """States x, y, cos phi, sin phi at points from `start` on, over `arc` towards the base.
 
-    The arguments are those of `integrate`.
+    They are `count` equidistant points, or those at the fractions `at` of the arc, which begin with 0. Other arguments
+    are those of `integrate`.
     """
     args = _RodArgs(arc, load, material, from_base)
-    _, states = _march(start, args, jnp.linspace(0.0, 1.0, count), default_solver(material), keep=True)
+    if at is None:
+        assert count is not None
+        at = jnp.linspace(0.0, 1.0, count)
+    _, states = _march(start, args, at, solver or default_solver(material), keep=True)
     x, y, cos, sin = (jnp.append(first, rest) for first, rest in zip(start, states, strict=True))
     return x, y, cos, sin

@@ -16,6 +16,7 @@ def add_film(commands) -> None:
     options.add_sensor(command)
     options.add_object(command)
     options.add_drive(command)
+    options.add_detect(command)
     add = command.add_argument_group("film").add_argument
     number = options.parse_number
     add("--seconds", type=number, default="12", metavar="T", help="duration of the scan (default: %(default)s)")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import DETECTABLE, Scene
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, Shooting
@@ -142,6 +142,12 @@ def add_friction(add: Callable, kind: Callable = parse_number) -> None:
     add("--friction", type=kind, metavar="MU", help="friction coefficient of whiskers and object (default: none)")
 
 
+def add_detect(command: argparse.ArgumentParser) -> None:
+    """Add the option that ends scans at contacts that are not modelled."""
+    text = f"end a scan where this happens: {' or '.join(DETECTABLE)}; may be repeated (default: not detected)"
+    command.add_argument("--detect", action="append", choices=DETECTABLE, default=[], help=text)
+
+
 def add_drive(command: argparse.ArgumentParser) -> None:
     """Add the options of the drive positions."""
     add = command.add_argument_group("drive").add_argument
@@ -217,7 +223,8 @@ def make_scene(args: argparse.Namespace, rod: AbstractRod | None = None, /, **va
     kind, shape = PROFILES[args.profile]
     profile = kind(**{name: values[name] for name in ("distance", "position", *shape)})
     whisker = Whisker(values["length"], values["bending_stiffness"])
-    return Scene(whisker, profile, support_of(args, values), rod or Shooting(), friction=values.get("friction"))
+    more = {"friction": values.get("friction"), "detect": tuple(getattr(args, "detect", ()))}
+    return Scene(whisker, profile, support_of(args, values), rod or Shooting(), **more)
 
 
 def scene_of(args: argparse.Namespace) -> Scene:

@@ -15,6 +15,7 @@ def add_scan(commands) -> None:
     options.add_sensor(command)
     options.add_object(command)
     options.add_drive(command)
+    options.add_detect(command)
     add = options.add_output(command, csv="control, reactions, base positions, spring lengths, phases, status")
     options.add_units(add)
 

@@ -38,6 +38,7 @@ def add_study(commands) -> None:
     command = options.add_command(commands, run_study, "scan many scenes: one model over ranges of parameters")
     options.add_sensor(command, axis, axis, several=False)
     options.add_object(command, axis)
+    options.add_detect(command)
     options.add_drive(command)
     add = command.add_argument_group("output").add_argument
     add("--store", type=Path, metavar="FOLDER", help="zarr store of the results")

@@ -1,0 +1,145 @@
+"""Detect contacts that are not modelled: a whisker that meets the object a second time, and whiskers that cross.
+
+The path, which chooses its steps itself, is searched for the first such state, and ends there. What is found therefore
+depends on the caller's control no more than stability and snaps do. Later states are unknown even if the shafts come
+apart again: the missing force decides what they are.
+"""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium import contact, newton
+from jaxwhisker._equilibrium.clearance import cross, meets_again
+from jaxwhisker._equilibrium.contact import Phase, of_each
+from jaxwhisker._equilibrium.newton import with_dummy_contacts
+from jaxwhisker._equilibrium.point import Mode, Point
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
+from jaxwhisker._path.path import NO_EVENT, Path, Status
+from jaxwhisker._scan.steps import interpolate
+
+SHARES = 2  # states examined from one node of the path to the next; a contact that lasts less than that is overlooked
+BATCH = 32  # states examined at once
+REFINEMENTS = 3  # each divides the distance to the first contact on the path by the size of a batch
+
+
+def detect(problem: Problem, path: Path) -> Path:
+    """The path up to the first state that the problem is to detect."""
+    if not problem.detect:
+        return path
+    found = _search(problem, path)
+    return _cut(path, found.place, found.status)
+
+
+def _shafts(problem: Problem, point: Point, mode: Mode) -> Shaft:
+    """The shafts of all whiskers, stacked."""
+    free = mode.phase == Phase.free
+    z, phase = with_dummy_contacts(problem, point.z, mode.phase)
+    z = z.at[:, 0].set(jnp.where(free, 0.0, z[:, 0]))
+    bodies = problem.bodies(point.u)
+    shafts = of_each(bodies, shaft, z, phase, mode.side, mode.friction)
+    if "crossing" not in problem.detect:  # no need to know where free whiskers are
+        return shafts
+    in_frame = jax.vmap(contact.in_base_frame, in_axes=(0, None if bodies.frame is None else 0))
+    load = newton.load_of(in_frame(shafts.base, bodies.frame), problem.axes)
+    load = jnp.where(free[:, None], 0.0, load)
+    at = problem.in_scene(point.u, problem.rest(point.u) + problem.displacement(load))
+    unloaded = jax.vmap(moved)(shafts, *at)
+    shafts = jax.tree.map(
+        lambda bent, straight: jnp.where(jnp.reshape(free, (-1,) + (1,) * (bent.ndim - 1)), straight, bent),
+        shafts,
+        unloaded,
+    )
+    return shafts._replace(base=shafts.base._replace(x=at.x, y=at.y))
+
+
+def _status(problem: Problem, point: Point, mode: Mode) -> Int[Array, ""]:
+    """Status of a state: what is detected in it."""
+    shafts, status = _shafts(problem, point, mode), jnp.asarray(int(Status.ok))
+    if "crossing" in problem.detect:
+        status = jnp.where(_any_cross(problem, point, shafts), Status.crossing, status)
+    if "second_contact" in problem.detect:
+        again = jax.vmap(lambda own: meets_again(problem.profile, own))(shafts)
+        status = jnp.where(jnp.any(again & (mode.phase != Phase.free)), Status.second_contact, status)
+    return status
+
+
+def _any_cross(problem: Problem, point: Point, shafts: Shaft) -> Bool[Array, ""]:
+    """Whether any two whiskers cross, or their bases have changed places."""
+    n = problem.length.shape[0]
+    rest, found = problem.in_scene(point.u, problem.rest(point.u)), jnp.asarray(False)
+    for j, k in combinations(range(n), 2):
+        one, other = (jax.tree.map(lambda leaf, i=i: leaf[i], shafts) for i in (j, k))
+        x, y = other.base.x - one.base.x, other.base.y - one.base.y
+        in_order = x * (rest.x[k] - rest.x[j]) + y * (rest.y[k] - rest.y[j]) > 0
+        found |= cross(one, other) | ~in_order
+    return found
+
+
+class _Found(NamedTuple):
+    """The search: the last place known to be good, and what was found after it."""
+
+    place: Float[Array, ""]  # on the path, counted in nodes
+    stride: Float[Array, ""]  # from one examined place to the next
+    status: Int[Array, ""]  # of the first bad place so far
+
+
+def _search(problem: Problem, path: Path) -> _Found:
+    last = path.count - 1.0
+
+    def status_at(place: Scalar) -> Int[Array, ""]:
+        index, u = _control_at(path, place)
+        nodes = path.nodes
+        friction = jax.tree.map(lambda leaf: leaf[index], nodes.friction)
+        mode = Mode(nodes.phase[index], nodes.side[index], jnp.asarray(False), friction=friction)
+        return _status(problem, interpolate(path, index, u), mode)
+
+    def searching(found: _Found) -> Bool[Array, ""]:
+        return (found.place < last) & ((found.status == Status.ok) | (found.stride > finest))
+
+    def examine(found: _Found) -> _Found:
+        places = jnp.minimum(found.place + found.stride * jnp.arange(1, BATCH + 1), last)
+        status = jax.vmap(status_at)(places)
+        bad = status != Status.ok
+        first = jnp.argmax(bad)
+        before = jnp.where(first == 0, found.place, places[first - 1])
+        return _Found(
+            jnp.where(jnp.any(bad), before, places[-1]),
+            jnp.where(jnp.any(bad), found.stride / BATCH, found.stride),
+            jnp.where(jnp.any(bad), status[first], found.status),
+        )
+
+    finest = 1 / SHARES / BATCH**REFINEMENTS / 2
+    # The first place examined is that of the first node.
+    start = _Found(jnp.asarray(-1.0 / SHARES), jnp.asarray(1.0 / SHARES), jnp.asarray(int(Status.ok)))
+    return jax.lax.while_loop(searching, examine, start)
+
+
+def _control_at(path: Path, place: Scalar) -> tuple[Int[Array, ""], Scalar]:
+    """The node before a place on the path, and the control there."""
+    index = jnp.clip(jnp.floor(place).astype(int), 0, path.count - 1)
+    controls = jnp.asarray(path.nodes.point.u)
+    u, there = controls[index], controls[jnp.minimum(index + 1, path.count - 1)]
+    return index, u + (place - index) * (there - u)
+
+
+def _cut(path: Path, place: Scalar, status: Int[Array, ""]) -> Path:
+    """The path up to a place, with this status; the whole path if it is ok."""
+    nodes, bad = path.nodes, status != Status.ok
+    index = jnp.clip(jnp.floor(place).astype(int), 0, path.count - 1)
+    after = jnp.minimum(index + 1, path.count - 1)
+    here, there = nodes.travel[index], nodes.travel[after]
+    travel = here + (place - index) * (there - here)
+    # The node after the place stays, because states before it are interpolated, but nothing happens there.
+    stays = bad & (travel > here)
+    kind = nodes.kind.at[after].set(jnp.where(stays, NO_EVENT, nodes.kind[after]))
+    nodes = nodes._replace(kind=kind, travel=nodes.travel.at[after].set(jnp.where(stays, travel, there)))
+    if nodes.corner is not None:
+        nodes = nodes._replace(corner=nodes.corner.at[after].set(jnp.where(stays, False, nodes.corner[after])))
+    count = jnp.where(place < 0, 0, index + 1 + stays)
+    return Path(nodes, jnp.where(bad, count, path.count), jnp.where(bad, status, path.status))
