@@ -1,0 +1,204 @@
+"""The energy balance of a scan: work of the drive, stored energy, frictional heat, and losses in snaps.
+
+All springs act between the bases and the drive's frame. By the balance of the whole structure, the drive therefore
+supplies the power of the sum of all support reactions, reduced to the drive's frame (X, Y, angle A):
+
+    dW = sum_i [fx_i (dX - (y_i - Y) dA) + fy_i (dY + (x_i - X) dA) + mz_i dA],    (x_i, y_i) the base.
+
+A contact that slips by dS along the object turns mu N |dS| into heat. The slip is the way of the contact along the
+object minus that along the whisker, with the sign of the side from which the whisker approached. Work, heat and stored
+energy are computed from different quantities, and the residual of the balance is an independent check of a scan.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.motion import Pose
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._path.path import Status, is_snap
+from jaxwhisker._scan import panels
+from jaxwhisker._scan.energy import stored_energy
+from jaxwhisker._scan.memory import with_places
+from jaxwhisker._scan.panels import POINTS, Ends, Stretch
+from jaxwhisker._scan.result import Events, Result
+from jaxwhisker._scan.scan import BLOCK, in_blocks, path_along, problem_now, route_through, solve_steps_now, states_now
+from jaxwhisker._scan.state import State, state_of
+from jaxwhisker._scan.steps import TRAVEL_NOISE
+
+
+class EnergyBalance(eqx.Module):
+    """Energies at the steps of a scan, each counted from the first step; force times length.
+
+    The balance is work = stored + sum of heat + loss, and `residual` is what it misses. All values are NaN from the
+    first step on that failed.
+    """
+
+    control: Float[Array, "*batch steps"]  # drive position
+    work: Float[Array, "*batch steps"]  # of the drive on whiskers and springs
+    stored: Float[Array, "*batch steps"]  # change of the elastic energy of whiskers and springs
+    heat: Float[Array, "*batch steps whiskers"]  # of the friction of each contact; never falls
+    loss: Float[Array, "*batch steps"]  # stored energy lost in snaps, including the heat of friction within them
+    residual: Float[Array, "*batch steps"]  # work - stored - sum of heat - loss
+
+
+def energy_balance(result: Result) -> EnergyBalance:
+    """Work of the drive along a scan, and where it goes: stored energy, heat of friction, and losses in snaps.
+
+    Args:
+        result: the Result of a scan, or of a batch of scans.
+
+    Returns:
+        EnergyBalance, with arrays of shape (steps,), or (steps, whiskers) for `heat`.
+
+    Raises:
+        ValueError: if `result` is not a Result.
+    """
+    checks.instance("result", result, Result, "the Result of a scan")
+    if np.ndim(result.control) == 1:
+        return _balance(result)
+    return jax.vmap(energy_balance)(result)
+
+
+def _balance(result: Result) -> EnergyBalance:
+    scene = jax.tree.map(checks.as_float, result.scene)
+    control = result.control if checks.is_traced(result.control) else np.asarray(result.control)
+    problem = problem_now(scene)
+    route, status = route_through(control)
+    path = path_along(problem, route, status).path
+    ends = panels.ends_now(problem, path)
+    ends = ends._replace(control=panels.with_slopes_now(ends, problem, path, result.events, route.stops))
+    stretch = Stretch(ends.control[:-1], ends.control[1:], ends.travel[:-1], ends.slopes[:-1])
+    size = BLOCK // POINTS
+    count = stretch.start.shape[0]
+    if not checks.is_traced((stretch, path)):
+        # Panels beyond the last one are empty. The number of blocks may vary, their size does not.
+        stretch = jax.tree.map(np.asarray, stretch)
+        used = max(size, -(-int(ends.last) // size) * size)
+        stretch = jax.tree.map(lambda leaf: leaf[:used], stretch)
+
+    def integrals(*panel):
+        panel = Stretch(*panel)
+        at, travel = points_now(panel)
+        solutions = with_places(solve_steps_now(problem, path, at, travel), path)
+        state, step_status = states_now(problem, at, solutions)
+        return integrals_now(scene, panel, at, state, solutions.side, step_status)
+
+    table, good = in_blocks(integrals, tuple(stretch), size)
+    table, good = _padded(table, count, 0.0), _padded(good, count, True)
+    before = before_now(table, good)
+    state, events = state_of(result), result.events
+
+    def at_steps(control, travel, state, status):
+        return at_steps_now(scene, ends, table, before, control, travel, state, status)
+
+    steps = in_blocks(at_steps, (route.control, route.travel, state, result.status), BLOCK)
+    return assembled_now(scene, events, jnp.asarray(control), jnp.asarray(route.travel), *steps)
+
+
+def _padded(values, count: int, rest):
+    """The values of all panels; those beyond the last block are empty."""
+    missing = count - values.shape[0]
+    if missing <= 0:
+        return values[:count]
+    return jax.device_put(np.pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), constant_values=rest))
+
+
+def _points(panel: Stretch):
+    at, travel = panels.points_of(panel)
+    return at.ravel(), travel.ravel()
+
+
+def _power(scene: Scene, control: Float[Array, " points"], state: State) -> Float[Array, " points"]:
+    """Work of the drive per control."""
+
+    def moving(control):
+        return tuple(jnp.asarray(value, dtype=float) for value in scene.motion.pose(control))
+
+    one = jnp.ones_like(control[0])
+    drive, rate = jax.vmap(lambda u: jax.jvp(moving, (u,), (one,)))(control)
+    drive, rate = (Pose(*(leaf[:, None] for leaf in pose)) for pose in (drive, rate))
+    along_x = rate.x - (state.base_y - drive.y) * rate.angle
+    along_y = rate.y + (state.base_x - drive.x) * rate.angle
+    return jnp.sum(state.fx * along_x + state.fy * along_y + state.mz * rate.angle, axis=1)
+
+
+def _integrals(
+    scene: Scene,
+    panel: Stretch,
+    control: Float[Array, " points"],
+    state: State,
+    side: Float[Array, "points whiskers"],
+    status: Int[Array, " points"],
+) -> tuple[Float[Array, "panels points integrals"], Bool[Array, " panels"]]:
+    """Work and heats by t, as coefficients of polynomials, and whether all states are known."""
+    number, used = panel.start.shape[0], panel.used
+    known = (status == Status.ok)[:, None]
+    state = jax.tree.map(lambda leaf: jnp.where(known, leaf, 0), state)
+    work = jnp.reshape(_power(scene, control, state), (number, POINTS)) * panels.rates_of(panel)
+    heat = jnp.zeros((number, POINTS, len(scene.whiskers)))
+    if scene.friction is not None:
+        fields = state.contact_x, state.contact_y, state.contact_arc
+        x, y, arc = (panels.slopes_at_points(leaf.reshape(heat.shape)) for leaf in fields)
+        slope, side, normal, slip = (
+            leaf.reshape(heat.shape) for leaf in (state.contact_slope, side, state.normal_force, state.slip)
+        )
+        slipped = x * jnp.cos(slope) + y * jnp.sin(slope) - side * arc
+        heat = scene.friction * normal * slip * slipped
+    values = jnp.concatenate([work[..., None], heat], axis=-1)
+    table = jnp.where(used[:, None, None], panels.coefficients(values), 0.0)
+    return table, ~used | jnp.all(known.reshape(number, POINTS), axis=1)
+
+
+def _before(table, good):
+    """Integrals up to the start of each panel and to the end of the last one; whether all panels so far are known."""
+    totals = jnp.cumsum(table[:, 0], axis=0)
+    return jnp.concatenate([jnp.zeros_like(totals[:1]), totals]), jnp.cumsum(~good) == 0
+
+
+def _at_steps(scene, ends: Ends, table, before, control, travel, state: State, status):
+    """Work, heats, stored energy of steps, and whether they are known."""
+    totals, good = before
+    noise = TRAVEL_NOISE * (1 + ends.travel[-1])
+    index = jnp.clip(jnp.searchsorted(ends.travel, travel + noise, side="right") - 1, 0, ends.travel.shape[0] - 2)
+
+    def one(k, control):
+        panel = Stretch(ends.control[k], ends.control[k + 1], ends.travel[k], ends.slopes[k])
+        t = panels.place_in(panel, control)
+        return totals[k] + panels.integral_to(t, table[k])
+
+    integrals = jax.vmap(one)(index, control)
+    ok = (status == Status.ok) & good[index]
+    state = jax.tree.map(lambda leaf: jnp.where(ok[:, None], leaf, 0), state)
+    return integrals[:, 0], integrals[:, 1:], stored_energy(scene, state), ok
+
+
+def _assembled(scene, events: Events, control, travel, work, heat, stored, ok) -> EnergyBalance:
+    filled = jnp.arange(events.kind.shape[0]) < events.count
+    before, after = (
+        jax.tree.map(lambda leaf: jnp.where(filled[:, None], leaf, 0), state)
+        for state in (events.before, events.after)
+    )
+    snaps = filled & is_snap(events.kind)
+    drops = jnp.where(snaps, stored_energy(scene, before) - stored_energy(scene, after), 0.0)
+    noise = TRAVEL_NOISE * (1 + travel[-1])
+    passed = events.travel <= travel[:, None] + noise  # NaN beyond the last event
+    loss = jnp.sum(jnp.where(passed, drops, 0.0), axis=1)
+    last = jnp.max(jnp.where(filled, events.travel, -jnp.inf))
+    ok = (jnp.cumsum(~ok | (events.truncated & (travel > last))) == 0)
+    stored = stored - stored[0]
+    residual = work - stored - jnp.sum(heat, axis=1) - loss
+
+    def known(values):
+        return jnp.where(ok if values.ndim == 1 else ok[:, None], values, jnp.nan)
+
+    return EnergyBalance(control, *map(known, (work, stored, heat, loss, residual)))
+
+
+points_now, integrals_now, before_now = Program(_points), Program(_integrals), Program(_before)
+at_steps_now, assembled_now = Program(_at_steps), Program(_assembled)
