@@ -62,7 +62,12 @@ def energy_balance(result: Result) -> EnergyBalance:
     checks.instance("result", result, Result, "the Result of a scan")
     if np.ndim(result.control) == 1:
         return _balance(result)
-    return jax.vmap(energy_balance)(result)
+    if checks.is_traced(result):
+        return jax.vmap(energy_balance)(result)
+    # One after the other, each takes as many states as it needs.
+    result = jax.tree.map(np.asarray, result)
+    each = [energy_balance(jax.tree.map(lambda leaf, k=k: leaf[k], result)) for k in range(result.control.shape[0])]
+    return jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *each)
 
 
 def _balance(result: Result) -> EnergyBalance:
@@ -74,12 +79,10 @@ def _balance(result: Result) -> EnergyBalance:
     ends = panels.ends_now(problem, path)
     ends = ends._replace(control=panels.with_slopes_now(ends, problem, path, result.events, route.stops))
     stretch = Stretch(ends.control[:-1], ends.control[1:], ends.travel[:-1], ends.slopes[:-1])
-    size = BLOCK // POINTS
-    count = stretch.start.shape[0]
-    if not checks.is_traced((stretch, path)):
-        # Panels beyond the last one are empty. The number of blocks may vary, their size does not.
-        stretch = jax.tree.map(np.asarray, stretch)
-        used = max(size, -(-int(ends.last) // size) * size)
+    size, count = BLOCK // POINTS, stretch.start.shape[0]
+    if not checks.is_traced(ends.last):
+        # The other panels are empty. The number of blocks may vary, their size does not.
+        used = max(1, -(-int(ends.last) // size)) * size
         stretch = jax.tree.map(lambda leaf: leaf[:used], stretch)
 
     def integrals(*panel):
@@ -106,7 +109,8 @@ def _padded(values, count: int, rest):
     missing = count - values.shape[0]
     if missing <= 0:
         return values[:count]
-    return jax.device_put(np.pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), constant_values=rest))
+    values, pad = (values, jnp.pad) if checks.is_traced(values) else (np.asarray(values), np.pad)
+    return jnp.asarray(pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), constant_values=rest))
 
 
 def _points(panel: Stretch):

@@ -21,7 +21,7 @@ from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.signals import event_room
 from jaxwhisker._scan.steps import TRAVEL_NOISE
 
-POINTS = 8  # in each panel
+POINTS = 16  # in each panel
 SHORT = 3e-3  # nodes nearer to a corner, in the scale of the path, begin no panel: they crowd there
 
 _AT, _WEIGHTS = np.polynomial.legendre.leggauss(POINTS)
