@@ -1,9 +1,9 @@
 """Panels: stretches of a path on which forces are smooth, and integrals along them.
 
 The march places its nodes as densely as the path requires, and at all of its corners. The panels lie between these
-nodes. Within a panel, the control is the cubic of t in [0, 1] that has the direction of the path at both ends. At a
-fold, where forces change with the square root of the distance, the control is then quadratic in t and forces are smooth
-functions of t. Gauss-Legendre points in t integrate them.
+nodes. Within a panel, the control is the cubic of t in [0, 1] that has the direction of the path at both ends. Forces
+change with the square root of the distance to a fold. On the way to a fold, this root is linear in t, and forces are
+smooth functions of t. Gauss-Legendre points in t integrate them.
 """
 
 from typing import NamedTuple
@@ -23,6 +23,7 @@ from jaxwhisker._scan.steps import TRAVEL_NOISE
 
 POINTS = 16  # in each panel
 SHORT = 3e-3  # nodes nearer to a corner, in the scale of the path, begin no panel: they crowd there
+FLAT = 1e-3  # du/ds at a located fold is smaller
 
 _AT, _WEIGHTS = np.polynomial.legendre.leggauss(POINTS)
 _VALUES = np.polynomial.legendre.legvander(_AT, POINTS)  # of the Legendre polynomials, at the points
@@ -63,11 +64,14 @@ def ends_of(problem: Problem, path: Path) -> Ends:
 
     steps = jax.vmap(_distance)(nodes.point, Point(nodes.z_before[follows], nodes.point.u[follows]))
     passed = jnp.cumsum(steps) - steps
-    ahead = jax.lax.cummin(jnp.where(corner, passed, jnp.inf), reverse=True)
+    upcoming = jax.lax.cummin(jnp.where(corner, passed, jnp.inf), reverse=True)
     behind = jax.lax.cummax(jnp.where(corner, passed, -jnp.inf))
-    kept = corner | (reached & (ahead - passed > SHORT) & (passed - behind > SHORT))
+    kept = corner | (reached & (upcoming - passed > SHORT) & (passed - behind > SHORT))
     at = jnp.nonzero(kept, size=room, fill_value=last)[0]
-    slopes = jax.vmap(lambda a, b: _slopes(path, a, b))(at, jnp.append(at[1:], last))
+    ahead = jax.lax.cummin(jnp.where(corner, index, last), reverse=True)[follows]  # the next corner after each node
+    folds = first & (jnp.abs(nodes.arriving.u) < FLAT) & (nodes.kind == NO_EVENT)
+    fold = jnp.where(folds[ahead], nodes.travel[ahead], jnp.inf)
+    slopes = jax.vmap(lambda a, b: _slopes(path, fold[a], a, b))(at, jnp.append(at[1:], last))
     place = jnp.where(first, follows, index)[at]
     return Ends(
         nodes.point.u[at] * unit, nodes.travel[at] * unit, slopes, place, number[at], stop[at], jnp.sum(kept) - 1
@@ -79,8 +83,15 @@ def _distance(a: Point, b: Point) -> Float[Array, ""]:
     return jnp.sqrt(dot(chord, chord, scale_of(a.z)))
 
 
-def _slopes(path: Path, start: Int[Array, ""], stop: Int[Array, ""]) -> Float[Array, "2"]:
-    """Slopes of the share of the control between two nodes; within [0, 3], where the cubic is monotone."""
+def _slopes(path: Path, fold: Float[Array, ""], start: Int[Array, ""], stop: Int[Array, ""]) -> Float[Array, "2"]:
+    """Slopes of the share of the control between two nodes; within [0, 3], where the cubic is monotone.
+
+    Args:
+        path: the path.
+        fold: travel at the next corner after the first node if that is a fold; otherwise infinite.
+        start: the first node.
+        stop: the second node.
+    """
     here, there = (jax.tree.map(lambda leaf, k=k: leaf[k], path.nodes) for k in (start, stop))
     chord = Point(there.z_before - here.point.z, there.point.u - here.point.u)
     scale = scale_of(here.point.z)
@@ -90,7 +101,12 @@ def _slopes(path: Path, start: Int[Array, ""], stop: Int[Array, ""]) -> Float[Ar
     # A direction that is passed while t grows from 0 to 1, at the speed of the chord.
     good = (forwards > 0) & (chord.u != 0)
     slopes = rates * dot(chord, chord, scale) / jnp.where(good, forwards * chord.u, 1.0)
-    return jnp.where(good, jnp.clip(slopes, 0.0, 3.0), 1.0)
+    slopes = jnp.where(good, jnp.clip(slopes, 0.0, 3.0), 1.0)
+    # Towards a fold, the square root of the distance to it is linear in t.
+    left = jnp.stack([fold - here.travel, fold - there.travel])
+    folds = jnp.isfinite(fold) & (left[0] > left[1])
+    roots = jnp.sqrt(jnp.where(folds, jnp.maximum(left, 0.0), 1.0))
+    return jnp.where(folds, 2 * roots / jnp.sum(roots), slopes)
 
 
 ends_now = Program(ends_of, frozen=True)
