@@ -25,11 +25,10 @@ from jaxwhisker._path.path import Status, is_snap
 from jaxwhisker._scan import panels
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.memory import with_places
-from jaxwhisker._scan.panels import POINTS, Ends, Stretch
+from jaxwhisker._scan.panels import POINTS, Ends, Panel
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.scan import BLOCK, in_blocks, path_along, problem_now, route_through, solve_steps_now, states_now
 from jaxwhisker._scan.state import State, state_of
-from jaxwhisker._scan.steps import TRAVEL_NOISE
 
 
 class EnergyBalance(eqx.Module):
@@ -78,21 +77,21 @@ def _balance(result: Result) -> EnergyBalance:
     path = path_along(problem, route, status).path
     ends = panels.ends_now(problem, path)
     ends = ends._replace(control=panels.with_slopes_now(ends, problem, path, result.events, route.stops))
-    stretch = Stretch(ends.control[:-1], ends.control[1:], ends.travel[:-1], ends.slopes[:-1])
-    size, count = BLOCK // POINTS, stretch.start.shape[0]
+    every = panels.panels_now(ends)
+    size, count = BLOCK // POINTS, every.start.shape[0]
     if not checks.is_traced(ends.last):
         # The other panels are empty. The number of blocks may vary, their size does not.
         used = max(1, -(-int(ends.last) // size)) * size
-        stretch = jax.tree.map(lambda leaf: leaf[:used], stretch)
+        every = jax.tree.map(lambda leaf: leaf[:used], every)
 
     def integrals(*panel):
-        panel = Stretch(*panel)
+        panel = Panel(*panel)
         at, travel = points_now(panel)
         solutions = with_places(solve_steps_now(problem, path, at, travel), path)
         state, step_status = states_now(problem, at, solutions)
         return integrals_now(scene, panel, at, state, solutions.side, step_status)
 
-    table, good = in_blocks(integrals, tuple(stretch), size)
+    table, good = in_blocks(integrals, tuple(every), size)
     table, good = _padded(table, count, 0.0), _padded(good, count, True)
     before = before_now(table, good)
     state, events = state_of(result), result.events
@@ -101,7 +100,7 @@ def _balance(result: Result) -> EnergyBalance:
         return at_steps_now(scene, ends, table, before, control, travel, state, status)
 
     steps = in_blocks(at_steps, (route.control, route.travel, state, result.status), BLOCK)
-    return assembled_now(scene, events, jnp.asarray(control), jnp.asarray(route.travel), *steps)
+    return assembled_now(scene, events, ends.noise, jnp.asarray(control), jnp.asarray(route.travel), *steps)
 
 
 def _padded(values, count: int, rest):
@@ -113,7 +112,7 @@ def _padded(values, count: int, rest):
     return jnp.asarray(pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), constant_values=rest))
 
 
-def _points(panel: Stretch):
+def _points(panel: Panel):
     at, travel = panels.points_of(panel)
     return at.ravel(), travel.ravel()
 
@@ -134,7 +133,7 @@ def _power(scene: Scene, control: Float[Array, " points"], state: State) -> Floa
 
 def _integrals(
     scene: Scene,
-    panel: Stretch,
+    panel: Panel,
     control: Float[Array, " points"],
     state: State,
     side: Float[Array, "points whiskers"],
@@ -168,12 +167,12 @@ def _before(table, good):
 def _at_steps(scene, ends: Ends, table, before, control, travel, state: State, status):
     """Work, heats, stored energy of steps, and whether they are known."""
     totals, good = before
-    noise = TRAVEL_NOISE * (1 + ends.travel[-1])
-    index = jnp.clip(jnp.searchsorted(ends.travel, travel + noise, side="right") - 1, 0, ends.travel.shape[0] - 2)
+    index = jnp.clip(jnp.searchsorted(ends.travel, travel + ends.noise, side="right") - 1, 0, ends.travel.shape[0] - 2)
+
+    every = panels.panels_of(ends)
 
     def one(k, control):
-        panel = Stretch(ends.control[k], ends.control[k + 1], ends.travel[k], ends.slopes[k])
-        t = panels.place_in(panel, control)
+        t = panels.place_in(jax.tree.map(lambda leaf: leaf[k], every), control)
         return totals[k] + panels.integral_to(t, table[k])
 
     integrals = jax.vmap(one)(index, control)
@@ -182,15 +181,16 @@ def _at_steps(scene, ends: Ends, table, before, control, travel, state: State, s
     return integrals[:, 0], integrals[:, 1:], stored_energy(scene, state), ok
 
 
-def _assembled(scene, events: Events, control, travel, work, heat, stored, ok) -> EnergyBalance:
+def _assembled(scene, events: Events, noise, control, travel, work, heat, stored, ok) -> EnergyBalance:
     filled = jnp.arange(events.kind.shape[0]) < events.count
     before, after = (
         jax.tree.map(lambda leaf: jnp.where(filled[:, None], leaf, 0), state)
         for state in (events.before, events.after)
     )
     snaps = filled & is_snap(events.kind)
-    drops = jnp.where(snaps, stored_energy(scene, before) - stored_energy(scene, after), 0.0)
-    noise = TRAVEL_NOISE * (1 + travel[-1])
+    # Where contacts stick after a snap, a further event at its place may complete the change of the state.
+    at_snap = jnp.any(snaps & (jnp.abs(events.travel[:, None] - events.travel) <= noise), axis=1)
+    drops = jnp.where(at_snap, stored_energy(scene, before) - stored_energy(scene, after), 0.0)
     passed = events.travel <= travel[:, None] + noise  # NaN beyond the last event
     loss = jnp.sum(jnp.where(passed, drops, 0.0), axis=1)
     last = jnp.max(jnp.where(filled, events.travel, -jnp.inf))

@@ -22,7 +22,7 @@ from jaxwhisker._scan.signals import event_room
 from jaxwhisker._scan.steps import TRAVEL_NOISE
 
 POINTS = 16  # in each panel
-SHORT = 3e-3  # nodes nearer to a corner, in the scale of the path, begin no panel: they crowd there
+SHORT = 0.02  # nodes nearer to a corner, in the scale of the path, begin no panel: they crowd there
 FLAT = 1e-3  # du/ds at a located fold is smaller
 
 _AT, _WEIGHTS = np.polynomial.legendre.leggauss(POINTS)
@@ -42,6 +42,7 @@ class Ends(NamedTuple):
     event: Int[Array, " ends"]  # number of the event here; -1 if there is none
     stop: Int[Array, " ends"]  # number of the stop here; -1 if there is none
     last: Int[Array, ""]  # index of the last end
+    noise: Float[Array, ""]  # travels that differ by less are taken as equal
 
 
 def ends_of(problem: Problem, path: Path) -> Ends:
@@ -73,9 +74,9 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     fold = jnp.where(folds[ahead], nodes.travel[ahead], jnp.inf)
     slopes = jax.vmap(lambda a, b: _slopes(path, fold[a], a, b))(at, jnp.append(at[1:], last))
     place = jnp.where(first, follows, index)[at]
-    return Ends(
-        nodes.point.u[at] * unit, nodes.travel[at] * unit, slopes, place, number[at], stop[at], jnp.sum(kept) - 1
-    )
+    travel = nodes.travel[at] * unit
+    noise = TRAVEL_NOISE * (unit + jnp.maximum(travel[-1], 0.0))
+    return Ends(nodes.point.u[at] * unit, travel, slopes, place, number[at], stop[at], jnp.sum(kept) - 1, noise)
 
 
 def _distance(a: Point, b: Point) -> Float[Array, ""]:
@@ -129,18 +130,29 @@ def with_slopes(
 with_slopes_now = Program(with_slopes)
 
 
-class Stretch(NamedTuple):
-    """Panels, seen from their ends."""
+class Panel(NamedTuple):
+    """One panel, or all panels along the first axis."""
 
     start: Float[Array, "*panels"]  # control
     stop: Float[Array, "*panels"]
-    travel: Float[Array, "*panels"]  # at the start
+    travel: Float[Array, "*panels 2"]  # at the start and at the end
     slopes: Float[Array, "*panels 2"]
+    noise: Float[Array, "*panels"]  # of travels
 
     @property
     def used(self) -> Bool[Array, "*panels"]:
         """Whether the drive moves; corners of the path are panels in which it stands still."""
-        return jnp.abs(self.stop - self.start) > TRAVEL_NOISE * (1 + jnp.abs(self.start))
+        return self.travel[..., 1] - self.travel[..., 0] > 8 * self.noise
+
+
+def panels_of(ends: Ends) -> Panel:
+    """All panels between the ends."""
+    both = jnp.stack([ends.travel[:-1], ends.travel[1:]], axis=-1)
+    noise = jnp.full_like(both[:, 0], ends.noise)
+    return Panel(ends.control[:-1], ends.control[1:], both, ends.slopes[:-1], noise)
+
+
+panels_now = Program(panels_of)
 
 
 def share(t: Float[Array, "*at"], slopes: Float[Array, "*at 2"]) -> tuple[Float[Array, "*at"], Float[Array, "*at"]]:
@@ -150,14 +162,16 @@ def share(t: Float[Array, "*at"], slopes: Float[Array, "*at 2"]) -> tuple[Float[
     return t * (start + t * (bend + t * twist)), start + t * (2 * bend + t * 3 * twist)
 
 
-def points_of(panel: Stretch) -> tuple[Float[Array, "panels points"], Float[Array, "panels points"]]:
+def points_of(panel: Panel) -> tuple[Float[Array, "panels points"], Float[Array, "panels points"]]:
     """Control and travel at the points of each panel."""
     shares, _ = share(jnp.asarray((_AT + 1) / 2), panel.slopes[:, None])
-    way = ((panel.stop - panel.start) * 1.0)[:, None] * shares
-    return panel.start[:, None] + way, panel.travel[:, None] + jnp.abs(way)
+    control = panel.start[:, None] + (panel.stop - panel.start)[:, None] * shares
+    start, stop = panel.travel[:, :1], panel.travel[:, 1:]
+    # Points next to the end belong to this side of it, which the travel must show.
+    return control, jnp.minimum(start + (stop - start) * shares, stop - 2 * panel.noise[:, None])
 
 
-def rates_of(panel: Stretch) -> Float[Array, "panels points"]:
+def rates_of(panel: Panel) -> Float[Array, "panels points"]:
     """Derivatives of the control by t at the points."""
     _, rates = share(jnp.asarray((_AT + 1) / 2), panel.slopes[:, None])
     return (panel.stop - panel.start)[:, None] * rates
@@ -189,7 +203,7 @@ def integral_to(t: Float[Array, ""], coefficients: Float[Array, "points *more"])
     return jnp.tensordot(jnp.stack(integrals), coefficients, axes=1)
 
 
-def place_in(panel: Stretch, control: Float[Array, ""]) -> Float[Array, ""]:
+def place_in(panel: Panel, control: Float[Array, ""]) -> Float[Array, ""]:
     """The t at which a panel has a control."""
     used = panel.used
     way = jnp.where(used, panel.stop - panel.start, 1.0)
