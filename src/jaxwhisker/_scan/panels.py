@@ -22,7 +22,8 @@ from jaxwhisker._scan.signals import event_room
 from jaxwhisker._scan.steps import TRAVEL_NOISE
 
 POINTS = 16  # in each panel
-SHORT = 0.02  # nodes nearer to a corner, in the scale of the path, begin no panel: they crowd there
+SHORT = 3e-3  # nodes nearer to a corner, in the scale of the path, begin no panel: they crowd there
+SHORT_TO_FOLD = 0.02  # the same before a fold, where states of closely spaced points are less accurate
 FLAT = 1e-3  # du/ds at a located fold is smaller
 
 _AT, _WEIGHTS = np.polynomial.legendre.leggauss(POINTS)
@@ -67,10 +68,11 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     passed = jnp.cumsum(steps) - steps
     upcoming = jax.lax.cummin(jnp.where(corner, passed, jnp.inf), reverse=True)
     behind = jax.lax.cummax(jnp.where(corner, passed, -jnp.inf))
-    kept = corner | (reached & (upcoming - passed > SHORT) & (passed - behind > SHORT))
-    at = jnp.nonzero(kept, size=room, fill_value=last)[0]
     ahead = jax.lax.cummin(jnp.where(corner, index, last), reverse=True)[follows]  # the next corner after each node
     folds = first & (jnp.abs(nodes.arriving.u) < FLAT) & (nodes.kind == NO_EVENT)
+    apart = jnp.where(folds[ahead], SHORT_TO_FOLD, SHORT)
+    kept = corner | (reached & (upcoming - passed > apart) & (passed - behind > SHORT))
+    at = jnp.nonzero(kept, size=room, fill_value=last)[0]
     fold = jnp.where(folds[ahead], nodes.travel[ahead], jnp.inf)
     slopes = jax.vmap(lambda a, b: _slopes(path, fold[a], a, b))(at, jnp.append(at[1:], last))
     place = jnp.where(first, follows, index)[at]
