@@ -157,7 +157,7 @@ def panels_of(ends: Ends) -> Panel:
 panels_now = Program(panels_of)
 
 
-def share(t: Float[Array, "*at"], slopes: Float[Array, "*at 2"]) -> tuple[Float[Array, "*at"], Float[Array, "*at"]]:
+def share(t: Float[Array, "*#at"], slopes: Float[Array, "*#at 2"]) -> tuple[Float[Array, "*_"], Float[Array, "*_"]]:
     """Share of the panel's control at t, and its derivative."""
     start, stop = slopes[..., 0], slopes[..., 1]
     bend, twist = 3 - 2 * start - stop, start + stop - 2
