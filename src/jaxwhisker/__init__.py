@@ -22,6 +22,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker._rod.rod import Splitting
+from jaxwhisker._scan.balance import EnergyBalance, energy_balance
 from jaxwhisker._scan.deflect import Deflection, deflect
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.export import to_csv, to_dataframe
@@ -43,6 +44,7 @@ __all__ = [
     "ContourFit",
     "Deflection",
     "Ellipse",
+    "EnergyBalance",
     "Event",
     "EventKind",
     "Events",
@@ -76,6 +78,7 @@ __all__ = [
     "animate",
     "deflect",
     "design",
+    "energy_balance",
     "explore",
     "fit_contour",
     "fit_profile",

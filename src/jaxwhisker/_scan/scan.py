@@ -9,8 +9,9 @@ Both parts are programs of the dimensionless problem, compiled once per problem 
 """
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -103,23 +104,8 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
     problem = problem_now(scene)
     if not checks.is_traced((scene, control)):
         check_valid(scene, problem)
-    route = status = None
-    if control is not None:
-        still = jax.lax.stop_gradient(control)
-        if checks.is_traced(still):
-            route, status = traced_route_now(jnp.asarray(control, dtype=float))
-        else:
-            still = np.asarray(still, dtype=float)
-            route = route_of(still)
-            if checks.is_traced(control):
-                control = jnp.asarray(control)
-                route = route._replace(control=control, stops=control[stops_of(still)])
-    stops, last = across() if route is None else (route.stops, route.last)
-    prepare(problem, stops.shape[0])
-    path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
-    path = _if_ok(path, status)
-    if problem.friction_angle is not None and checks.is_traced((problem, stops)):
-        path = remembered_now(path, problem, np.zeros(2) if route is None else stops)
+    route, status = (None, None) if control is None else route_through(control)
+    path, start, stop = path_along(problem, route, status)
     if route is None and steps is not None:
         route = evenly_now(start, stop, steps)
         route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
@@ -132,21 +118,29 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
 def _in_blocks(
     scene: Scene, problem: Problem, path: Path, route: Route
 ) -> tuple[State, Int[Array, " steps"], Float[Array, "steps springs"]]:
-    """States, status and spring lengths of all steps.
-
-    All blocks have one size, which lets one program serve scans of every length.
-    """
+    """States, status and spring lengths of all steps."""
 
     def block(control, travel):
         solutions = with_places(solve_steps_now(problem, path, control, travel), places_of(path.nodes.friction))
         state, status = states_now(problem, control, solutions)
         return state, status, spring_lengths_now(scene, (state.base_x, state.base_y, state.base_angle), control)
 
-    count, xp = route.control.shape[0], np if isinstance(route.control, np.ndarray) else jnp
-    control, travel = (
-        xp.pad(values, (0, -count % BLOCK), mode="edge").reshape(-1, BLOCK) for values in (route.control, route.travel)
-    )
-    blocks = jax.vmap(block)(control, travel)
+    return in_blocks(block, (route.control, route.travel), BLOCK)
+
+
+def in_blocks(function: Callable, arrays: Any, size: int) -> Any:
+    """Results of a function of arrays whose first axis runs over the steps of a scan, or over other rows.
+
+    All blocks have one size, which lets one program serve scans of every length. The last row is repeated as padding.
+    """
+    count = jax.tree.leaves(arrays)[0].shape[0]
+
+    def split(values):
+        values, pad = (values, jnp.pad) if checks.is_traced(values) else (np.asarray(values), np.pad)
+        padding = [(0, -count % size)] + [(0, 0)] * (values.ndim - 1)
+        return pad(values, padding, mode="edge").reshape(-1, size, *values.shape[1:])
+
+    blocks = jax.vmap(function)(*jax.tree.map(split, arrays))
     if checks.is_traced(blocks):
         return _joined(blocks, count)
     # NumPy joins them without compiling anything.
@@ -159,6 +153,31 @@ def _first_steps(blocks, count: int):
 
 
 _joined = jax.jit(_first_steps, static_argnums=1)
+
+
+def route_through(control: Control) -> tuple[Route, Int[Array, ""] | None]:
+    """The route through positions of the drive, and its status; None if the positions are concrete."""
+    still = jax.lax.stop_gradient(control)
+    if checks.is_traced(still):
+        return traced_route_now(jnp.asarray(control, dtype=float))
+    still = np.asarray(still, dtype=float)
+    route = route_of(still)
+    if checks.is_traced(control):
+        control = jnp.asarray(control)
+        route = route._replace(control=control, stops=control[stops_of(still)])
+    return route, None
+
+
+def path_along(problem: Problem, route: Route | None, status: Int[Array, ""] | None = None) -> "ScanPath":
+    """The path along a route, or right across the object, with the derivatives of places where contacts stick."""
+    stops, last = across() if route is None else (route.stops, route.last)
+    if not checks.is_staged((problem, stops)):
+        prepare(problem, stops.shape[0])
+    path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
+    path = _if_ok(path, status)
+    if problem.friction_angle is not None and checks.is_traced((problem, stops)):
+        path = remembered_now(path, problem, np.zeros(2) if route is None else stops)
+    return ScanPath(path, start, stop)
 
 
 def default_control(scene: Scene) -> np.ndarray:
