@@ -14,6 +14,7 @@ from jaxwhisker._rod.rod import Section
 
 SEARCHED = 1e-10  # promised of a first touch that is searched
 ROUNDING = 1e-14
+POLYLINE = 1e-8  # position of a polyline of 200,000 points
 TABLE = 1e-9  # position of a circular arc in the outline's table
 
 PARABOLA = jw.Parabola(0.2)
@@ -128,3 +129,32 @@ def test_both_sides_at_once():
     for found, side in ((right, 1.0), (left, -1.0)):
         alone = first_touch(*args, jnp.asarray(side))
         np.testing.assert_allclose(jnp.stack(jax.tree.leaves(found)), jnp.stack(jax.tree.leaves(alone)), atol=SEARCHED)
+
+
+def hook(s):
+    """Curvature of a whisker whose tip bends far over."""
+    return 0.765 - 4.324 * s
+
+
+@pytest.mark.parametrize("distance", [0.407, 0.444, 0.494, 0.519, 0.556])
+def test_a_hooked_whisker(distance):
+    # From the left it would touch the object higher than where it is widest, where no contact is modelled.
+    profile = jw.Circle(distance, 0.278, 0.93)
+    section = jw.Whisker(1.0, 1.0, intrinsic_curvature=hook).section(1.0, 1.0)
+    own, zero = touch.outline(jnp.asarray(1.0), section), jnp.asarray(0.0)
+    right, left = (first_touch(profile, jnp.asarray(1.0), own, zero, zero, jnp.asarray(s)) for s in (1.0, -1.0))
+    s = np.linspace(0.0, 1.0, 200_001)
+    turn = np.pi / 2 + 0.765 * s - 4.324 * s**2 / 2
+    x, y = (np.append(0.0, np.cumsum((f[1:] + f[:-1]) / 2 * s[1])) for f in (np.cos(turn), np.sin(turn)))
+    half_width = np.sqrt(np.maximum(0.278**2 - (y - distance - 0.278) ** 2, 0.0))
+    below = np.abs(y - distance - 0.139) < 0.139
+    np.testing.assert_allclose(right.x, np.max((0.93 + half_width - x)[below]), atol=POLYLINE)
+    assert left.x < right.x and 0 <= left.slack < 1
+
+
+def test_a_hooked_whisker_is_not_overlooked():
+    result = jw.scan(
+        jw.Scene(jw.Whisker(intrinsic_curvature=hook), jw.Circle(0.494, 0.278, 0.93)), jnp.linspace(1.3, 0.4, 10)
+    )
+    assert [e.kind.name for e in result.events] == ["touch", "vertex"]
+    assert np.all(np.asarray(result.status) == jw.Status.ok) and float(np.min(result.mz[2:])) > 0.1

@@ -7,14 +7,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch
+from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch, bisect
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
 SHAFT_FIRST = 1e-12  # a first contact is tangential if more than this share of the length lies above it
 POINTS = 65  # along a whisker that is not upright and straight, at which the first touch is searched for
 SAME_HEIGHT = 1e-6  # dimensionless tolerance for whisker and object at the same height, and for equal distances
-NEWTON_STEPS = 8
+HALVINGS = 20  # of two cells around the point of the whisker that touches first: to within 1e-8 of the length
+NEWTON_STEPS = 3  # from there
 
 
 class Touch(NamedTuple):
@@ -134,8 +135,21 @@ def first_touch(
         step = jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
         return unknowns - jnp.where(jnp.isfinite(step), step, 0.0)
 
-    start = jnp.stack([touch.parameter[k], jnp.minimum(k, POINTS - 1.5)])
-    parameter, cell = jax.lax.fori_loop(0, NEWTON_STEPS, newton, start)
+    def touched(cell):
+        """The object's point at the height of a point of the whisker, and whether it lies before the first touch."""
+        (_, height), (cos, sin) = whisker(cell)
+        there = profile.first_touch(height, side)
+        at = profile.point(there.parameter)
+        meets = (height > profile.vertex()[1]) & (jnp.abs(there.y - height) < SAME_HEIGHT)
+        return there.parameter, jnp.where(meets, sin * at.cos > cos * at.sin, cell < k)
+
+    # Newton's method alone may leave the cells: the object may be curved as strongly as the whisker.
+    low, high = jnp.maximum(k - 1.0, 0.0), jnp.minimum(k + 1.0, POINTS - 1.0)
+    cell = bisect(lambda cell: touched(cell)[1], low, high, steps=HALVINGS)
+    solved = jax.lax.fori_loop(0, NEWTON_STEPS, newton, jnp.stack([touched(cell)[0], cell]))
+    # There is no tangent point if the whisker would touch an object higher than where it is widest.
+    found = (solved[1] >= low) & (solved[1] <= high) & jnp.all(jnp.abs(residual(solved)) < SAME_HEIGHT)
+    parameter, cell = jnp.where(found, solved, jnp.stack([touch.parameter[k], k * 1.0]))
     at = profile.point(parameter)
     (shaft_x, _), (cos, sin) = whisker(cell)
     along = jnp.where(cos * at.cos + sin * at.sin < 0, -1.0, 1.0)

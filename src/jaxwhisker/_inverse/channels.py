@@ -102,9 +102,9 @@ def table_of_result(channels: Channels, result: Result) -> dict[str, Any]:
 def _example(scene: Scene) -> State:
     """A state of the scene, at every step of an example."""
     zero = jnp.zeros((EXAMPLE_STEPS, len(scene.whiskers)))
-    fields = dict.fromkeys(State.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
-    without = dict.fromkeys(FRICTION) if scene.friction is None else {"slip": zero.astype(int)}
-    return State(**fields | without)
+    fields: dict[str, Any] = dict.fromkeys(State.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
+    fields |= dict.fromkeys(FRICTION) if scene.friction is None else {"slip": zero.astype(int)}
+    return State(**fields)
 
 
 def _columns(signals: Any, steps: int) -> dict[str, Array]:

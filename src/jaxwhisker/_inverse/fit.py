@@ -198,11 +198,12 @@ class Fit:
 
     @property
     def _only_recording(self) -> FittedRecording:
-        if len(self.recordings) > 1:
+        first, *others = self.recordings
+        if others:
             raise ValueError(
                 f"Each of the {len(self.recordings)} recordings has its own: ask `recordings[k]` of the fit instead."
             )
-        return self.recordings[0]
+        return first
 
     def profile(self, name: str, points: int = 21, width: float = 3.0) -> LikelihoodProfile:
         """Compute the likelihood profile of one parameter, which does not assume that the misfit is quadratic.

@@ -112,8 +112,8 @@ def identify(
     observations = _read(measured, sigma, measures, len(scene.whiskers))
 
     present = dict.fromkeys((c.whisker, c.kind) for one in observations for c in one.channels)
-    pairs = [tuple(present) if wanted else () for wanted in (offsets, gains)]
-    unknowns = unknowns_of(tuple(values), measures, *pairs, shift, individual, len(observations))
+    moved, scaled = (tuple(present) if wanted else () for wanted in (offsets, gains))
+    unknowns = unknowns_of(tuple(values), measures, moved, scaled, shift, individual, len(observations))
     baselines = [_baseline(one) if offsets else np.zeros(one.values.shape[1:]) for one in observations]
     centred = [dataclasses.replace(o, values=o.values - base) for o, base in zip(observations, baselines, strict=True)]
     in_units = channels is None and not gains

@@ -320,8 +320,8 @@ def _measured(
     checks.vector("control", control)
     if callable(channels):
         measured, _ = channels_from(channels, scene, values)
-        zeros = dict.fromkeys(measured.names, np.zeros(np.shape(control)))
-        table = {"control": np.asarray(control, dtype=float)} | zeros
+        control = np.asarray(control, dtype=float)
+        table = {"control": control} | dict.fromkeys(measured.names, np.zeros_like(control))
         return measured, read_observations(table, sigma, whiskers=1, kinds=measured.names)
     whiskers = len(scene.whiskers)
     if not channels:

@@ -24,7 +24,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status, is_snap
 from jaxwhisker._scan import panels
 from jaxwhisker._scan.energy import stored_energy
-from jaxwhisker._scan.memory import with_places
+from jaxwhisker._scan.memory import places_of, with_places
 from jaxwhisker._scan.panels import POINTS, Ends, Panel
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.scan import BLOCK, in_blocks, path_along, problem_now, route_through, solve_steps_now, states_now
@@ -106,7 +106,7 @@ def _balance(result: Result) -> EnergyBalance:
     def integrals(*panel):
         panel = Panel(*panel)
         at, travel = points_now(panel)
-        solutions = with_places(solve_steps_now(problem, path, at, travel), path)
+        solutions = with_places(solve_steps_now(problem, path, at, travel), places_of(path.nodes.friction))
         state, step_status = states_now(problem, at, solutions)
         return integrals_now(scene, panel, at, state, solutions.side, step_status)
 
@@ -127,8 +127,10 @@ def _padded(values: Array, count: int, rest: float) -> Array:
     missing = count - values.shape[0]
     if missing <= 0:
         return values[:count]
-    values, pad = (values, jnp.pad) if checks.is_traced(values) else (np.asarray(values), np.pad)
-    return jnp.asarray(pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), constant_values=rest))
+    padding = [(0, missing)] + [(0, 0)] * (values.ndim - 1)
+    if checks.is_traced(values):
+        return jnp.pad(values, padding, constant_values=rest)
+    return jnp.asarray(np.pad(np.asarray(values), padding, constant_values=rest))
 
 
 def _points(panel: Panel) -> tuple[Float[Array, " at"], Float[Array, " at"]]:
@@ -174,7 +176,7 @@ def _integrals(
         fields = state.contact_x, state.contact_y, state.contact_arc
         x, y, arc = (panels.slopes_at_points(leaf.reshape(heat.shape)) for leaf in fields)
         slope, side, normal, slip = (
-            leaf.reshape(heat.shape) for leaf in (state.contact_slope, side, state.normal_force, state.slip)
+            jnp.reshape(leaf, heat.shape) for leaf in (state.contact_slope, side, state.normal_force, state.slip)
         )
         slipped = x * jnp.cos(slope) + y * jnp.sin(slope) - side * arc
         heat = heat_rate(scene.friction, normal, slip, slipped)
