@@ -75,7 +75,7 @@ def energy_balance(result: Result) -> EnergyBalance:
         >>> scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), friction=0.3)
         >>> energies = jw.energy_balance(jw.scan(scene, jnp.array([0.9, -0.4, 0.9])))
         >>> print(f"{energies.work[-1]:.6f} {energies.heat[-1, 0]:.6f}")
-        1.000000 1.000000
+        5.933391 5.933391
     """
     checks.instance("result", result, Result, "the Result of a scan")
     if np.ndim(result.control) == 1:
