@@ -127,8 +127,10 @@ def _padded(values: Array, count: int, rest: float) -> Array:
     missing = count - values.shape[0]
     if missing <= 0:
         return values[:count]
-    values, pad = (values, jnp.pad) if checks.is_traced(values) else (np.asarray(values), np.pad)
-    return jnp.asarray(pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), constant_values=rest))
+    padding = [(0, missing)] + [(0, 0)] * (values.ndim - 1)
+    if checks.is_traced(values):
+        return jnp.pad(values, padding, constant_values=rest)
+    return jnp.asarray(np.pad(np.asarray(values), padding, constant_values=rest))  # compiles nothing
 
 
 def _points(panel: Panel) -> tuple[Float[Array, " at"], Float[Array, " at"]]:
@@ -173,9 +175,8 @@ def _integrals(
     if scene.friction is not None:
         fields = state.contact_x, state.contact_y, state.contact_arc
         x, y, arc = (panels.slopes_at_points(leaf.reshape(heat.shape)) for leaf in fields)
-        slope, side, normal, slip = (
-            leaf.reshape(heat.shape) for leaf in (state.contact_slope, side, state.normal_force, state.slip)
-        )
+        others = state.contact_slope, side, state.normal_force, state.slip
+        slope, side, normal, slip = (jnp.reshape(jnp.asarray(leaf), heat.shape) for leaf in others)
         slipped = x * jnp.cos(slope) + y * jnp.sin(slope) - side * arc
         heat = heat_rate(scene.friction, normal, slip, slipped)
     values = jnp.concatenate([work[..., None], heat], axis=-1)

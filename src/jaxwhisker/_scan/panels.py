@@ -50,6 +50,7 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     """The ends of the panels of a path, from where the drive is at its first stop."""
     nodes, unit = path.nodes, jax.lax.stop_gradient(problem.unit.control)
     room, n = nodes.phase.shape
+    control = jnp.asarray(nodes.point.u)
     index, last = jnp.arange(room), jnp.maximum(path.count - 1, 0)
     reached = (jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0) & (index < path.count)
     follows = jnp.minimum(index + 1, last)
@@ -64,7 +65,7 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     is_stop = reached & (nodes.kind == STOP)
     stop = jnp.where(is_stop, jnp.cumsum(is_stop) - 1, -1)
 
-    steps = jax.vmap(_distance)(nodes.point, Point(nodes.z_before[follows], nodes.point.u[follows]))
+    steps = jax.vmap(_distance)(nodes.point, Point(nodes.z_before[follows], control[follows]))
     passed = jnp.cumsum(steps) - steps
     upcoming = jax.lax.cummin(jnp.where(corner, passed, jnp.inf), reverse=True)
     behind = jax.lax.cummax(jnp.where(corner, passed, -jnp.inf))
@@ -78,7 +79,7 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     place = jnp.where(first, follows, index)[at]
     travel = nodes.travel[at] * unit
     noise = TRAVEL_NOISE * (unit + jnp.maximum(travel[-1], 0.0))
-    return Ends(nodes.point.u[at] * unit, travel, slopes, place, number[at], stop[at], jnp.sum(kept) - 1, noise)
+    return Ends(control[at] * unit, travel, slopes, place, number[at], stop[at], jnp.sum(kept) - 1, noise)
 
 
 def _distance(a: Point, b: Point) -> Float[Array, ""]:
@@ -119,7 +120,7 @@ def with_slopes(
     ends: Ends, problem: Problem, path: Path, events: Events, stops: Float[Array, " stops"]
 ) -> Float[Array, " ends"]:
     """Controls of the ends, with their derivatives: events and stops move, other nodes stay where they are."""
-    control = path.nodes.point.u[ends.node] * problem.unit.control
+    control = jnp.asarray(path.nodes.point.u)[ends.node] * problem.unit.control
     event = events.control[jnp.maximum(ends.event, 0)]
     known = (ends.event >= 0) & jnp.isfinite(event)
     control = jnp.where(known, event, control)
