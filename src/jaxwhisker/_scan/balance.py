@@ -75,7 +75,7 @@ def energy_balance(result: Result) -> EnergyBalance:
         >>> scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), friction=0.3)
         >>> energies = jw.energy_balance(jw.scan(scene, jnp.array([0.9, -0.4, 0.9])))
         >>> print(f"{energies.work[-1]:.6f} {energies.heat[-1, 0]:.6f}")
-        1.000000 1.000000
+        5.933391 5.933391
     """
     checks.instance("result", result, Result, "the Result of a scan")
     if np.ndim(result.control) == 1:
@@ -130,7 +130,7 @@ def _padded(values: Array, count: int, rest: float) -> Array:
     padding = [(0, missing)] + [(0, 0)] * (values.ndim - 1)
     if checks.is_traced(values):
         return jnp.pad(values, padding, constant_values=rest)
-    return jnp.asarray(np.pad(np.asarray(values), padding, constant_values=rest))
+    return jnp.asarray(np.pad(np.asarray(values), padding, constant_values=rest))  # compiles nothing
 
 
 def _points(panel: Panel) -> tuple[Float[Array, " at"], Float[Array, " at"]]:
@@ -175,9 +175,8 @@ def _integrals(
     if scene.friction is not None:
         fields = state.contact_x, state.contact_y, state.contact_arc
         x, y, arc = (panels.slopes_at_points(leaf.reshape(heat.shape)) for leaf in fields)
-        slope, side, normal, slip = (
-            jnp.reshape(leaf, heat.shape) for leaf in (state.contact_slope, side, state.normal_force, state.slip)
-        )
+        others = state.contact_slope, side, state.normal_force, state.slip
+        slope, side, normal, slip = (jnp.reshape(jnp.asarray(leaf), heat.shape) for leaf in others)
         slipped = x * jnp.cos(slope) + y * jnp.sin(slope) - side * arc
         heat = heat_rate(scene.friction, normal, slip, slipped)
     values = jnp.concatenate([work[..., None], heat], axis=-1)

@@ -26,11 +26,33 @@ SHORT = 3e-3  # nodes nearer to a corner, in the scale of the path, begin no pan
 SHORT_TO_FOLD = 0.02  # the same before a fold, where states of closely spaced points are less accurate
 FLAT = 1e-3  # du/ds at a located fold is smaller
 
-_AT, _WEIGHTS = np.polynomial.legendre.leggauss(POINTS)
-_VALUES = np.polynomial.legendre.legvander(_AT, POINTS)  # of the Legendre polynomials, at the points
-_COEFFICIENTS = _VALUES[:, :POINTS].T * _WEIGHTS * (np.arange(POINTS)[:, None] + 0.5)  # times values at the points
-_RISES = [np.polynomial.legendre.legval(_AT, np.polynomial.legendre.legder(row)) for row in np.eye(POINTS)]
-_SLOPES = 2 * np.stack(_RISES, axis=1) @ _COEFFICIENTS  # times values at the points: derivatives by t there
+
+def _legendre(x: np.ndarray | Array, count: int) -> list:
+    """The first Legendre polynomials at x."""
+    values = [1.0 + 0.0 * x, x]
+    for n in range(1, count - 1):
+        values.append(((2 * n + 1) * x * values[n] - n * values[n - 1]) / (n + 1))
+    return values
+
+
+def _legendre_slopes(values: list) -> list:
+    """Derivatives of Legendre polynomials with these values."""
+    slopes = [0.0 * values[0], values[0]]
+    for n in range(1, len(values) - 1):
+        slopes.append(slopes[n - 1] + (2 * n + 1) * values[n])
+    return slopes
+
+
+# The Gauss points are eigenvalues (Golub and Welsch 1969). numpy.polynomial would be loaded with the package.
+_K = np.arange(1, POINTS)
+_JACOBI = np.diag(_K / np.sqrt(4.0 * _K**2 - 1), 1)
+_AT = np.linalg.eigvalsh(_JACOBI + _JACOBI.T)
+_VALUES = np.stack(_legendre(_AT, POINTS))
+_NORMS = np.arange(POINTS)[:, None] + 0.5  # inverse squares of the norms of the polynomials
+_WEIGHTS = 1 / np.sum(_NORMS * _VALUES**2, axis=0)
+_COEFFICIENTS = _VALUES * _WEIGHTS * _NORMS  # times values at the points
+# Times values at the points: derivatives by t there.
+_SLOPES = 2 * np.stack(_legendre_slopes(list(_VALUES)), axis=1) @ _COEFFICIENTS
 
 
 class Ends(NamedTuple):
@@ -50,6 +72,7 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     """The ends of the panels of a path, from where the drive is at its first stop."""
     nodes, unit = path.nodes, jax.lax.stop_gradient(problem.unit.control)
     room, n = nodes.phase.shape
+    control = jnp.asarray(nodes.point.u)
     index, last = jnp.arange(room), jnp.maximum(path.count - 1, 0)
     reached = (jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0) & (index < path.count)
     follows = jnp.minimum(index + 1, last)
@@ -64,7 +87,7 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     is_stop = reached & (nodes.kind == STOP)
     stop = jnp.where(is_stop, jnp.cumsum(is_stop) - 1, -1)
 
-    steps = jax.vmap(_distance)(nodes.point, Point(nodes.z_before[follows], nodes.point.u[follows]))
+    steps = jax.vmap(_distance)(nodes.point, Point(nodes.z_before[follows], control[follows]))
     passed = jnp.cumsum(steps) - steps
     upcoming = jax.lax.cummin(jnp.where(corner, passed, jnp.inf), reverse=True)
     behind = jax.lax.cummax(jnp.where(corner, passed, -jnp.inf))
@@ -78,7 +101,7 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     place = jnp.where(first, follows, index)[at]
     travel = nodes.travel[at] * unit
     noise = TRAVEL_NOISE * (unit + jnp.maximum(travel[-1], 0.0))
-    return Ends(nodes.point.u[at] * unit, travel, slopes, place, number[at], stop[at], jnp.sum(kept) - 1, noise)
+    return Ends(control[at] * unit, travel, slopes, place, number[at], stop[at], jnp.sum(kept) - 1, noise)
 
 
 def _distance(a: Point, b: Point) -> Float[Array, ""]:
@@ -119,7 +142,7 @@ def with_slopes(
     ends: Ends, problem: Problem, path: Path, events: Events, stops: Float[Array, " stops"]
 ) -> Float[Array, " ends"]:
     """Controls of the ends, with their derivatives: events and stops move, other nodes stay where they are."""
-    control = path.nodes.point.u[ends.node] * problem.unit.control
+    control = jnp.asarray(path.nodes.point.u)[ends.node] * problem.unit.control
     event = events.control[jnp.maximum(ends.event, 0)]
     known = (ends.event >= 0) & jnp.isfinite(event)
     control = jnp.where(known, event, control)
@@ -198,9 +221,7 @@ def _times(matrix: np.ndarray, values: Array) -> Array:
 def integral_to(t: Float[Array, ""], coefficients: Float[Array, "points *more"]) -> Float[Array, "*more"]:
     """Integral from 0 to t of the polynomial with these coefficients."""
     x = 2 * t - 1
-    values = [jnp.ones_like(x), x]
-    for n in range(1, POINTS):
-        values.append(((2 * n + 1) * x * values[n] - n * values[n - 1]) / (n + 1))
+    values = _legendre(x, POINTS + 1)
     integrals = [t] + [(values[n + 1] - values[n - 1]) / (4 * n + 2) for n in range(1, POINTS)]
     return jnp.tensordot(jnp.stack(integrals), coefficients, axes=1)
 
