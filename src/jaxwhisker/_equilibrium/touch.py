@@ -15,7 +15,7 @@ SHAFT_FIRST = 1e-12  # a first contact is tangential if more than this share of 
 POINTS = 65  # along a whisker that is not upright and straight, at which the first touch is searched for
 SAME_HEIGHT = 1e-6  # dimensionless tolerance for whisker and object at the same height, and for equal distances
 HALVINGS = 20  # of two cells around the point of the whisker that touches first: to within 1e-8 of the length
-NEWTON_STEPS = 3  # from there
+NEWTON_STEPS = 8
 
 
 class Touch(NamedTuple):
@@ -143,13 +143,23 @@ def first_touch(
         meets = (height > profile.vertex()[1]) & (jnp.abs(there.y - height) < SAME_HEIGHT)
         return there.parameter, jnp.where(meets, sin * at.cos > cos * at.sin, cell < k)
 
-    # Newton's method alone may leave the cells: the object may be curved as strongly as the whisker.
+    # From the point alone, Newton's method may go astray: the object may be curved as strongly as the whisker. But only
+    # from there it finds a touch higher than where the object is widest.
     low, high = jnp.maximum(k - 1.0, 0.0), jnp.minimum(k + 1.0, POINTS - 1.0)
     cell = bisect(lambda cell: touched(cell)[1], low, high, steps=HALVINGS)
-    solved = jax.lax.fori_loop(0, NEWTON_STEPS, newton, jnp.stack([touched(cell)[0], cell]))
-    # There is no tangent point if the whisker would touch an object higher than where it is widest.
-    found = (solved[1] >= low) & (solved[1] <= high) & jnp.all(jnp.abs(residual(solved)) < SAME_HEIGHT)
-    parameter, cell = jnp.where(found, solved, jnp.stack([touch.parameter[k], k * 1.0]))
+    point = jnp.stack([touch.parameter[k], k * 1.0])
+    starts = jnp.stack([jnp.stack([touched(cell)[0], cell]), point.at[1].min(POINTS - 1.5)])
+
+    def solved(start):
+        unknowns = jax.lax.fori_loop(0, NEWTON_STEPS, newton, start)
+        reached = side * (profile.point(unknowns[0]).x - whisker(unknowns[1])[0][0])
+        inside = (unknowns[1] >= 0) & (unknowns[1] <= POINTS - 1)
+        # No other point touches before the first one.
+        found = jnp.all(jnp.abs(residual(unknowns)) < SAME_HEIGHT) & inside & (reached > ahead[k] - SAME_HEIGHT)
+        return unknowns, found
+
+    each, found = jax.vmap(solved)(starts)
+    parameter, cell = jnp.where(found[0], each[0], jnp.where(found[1], each[1], point))
     at = profile.point(parameter)
     (shaft_x, _), (cos, sin) = whisker(cell)
     along = jnp.where(cos * at.cos + sin * at.sin < 0, -1.0, 1.0)

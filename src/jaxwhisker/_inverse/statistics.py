@@ -12,6 +12,7 @@ CHI2_95 = NORMAL_95**2  # rise of chi-squared at the ends of a 95 % interval of 
 DEVIATIONS = 6.0  # standard deviations of chi-squared above its mean from which a misfit is implausible
 
 RELATIVE_ZERO = 1e-7  # of the largest singular value: below it a direction changes no signal; derivatives err by 1e-9
+NOTHING = 1e-9  # of the largest column of derivatives: a parameter with a smaller one changes no signal
 LARGEST_LOG_ERROR = 1.0  # standard error of a logarithm above which a parameter is not identified: a factor of e
 NAMED = 0.05  # of a direction's largest component: parameters with smaller components are not named
 INVOLVED = 1e-4  # a parameter with a larger component in a direction that changes no signal is not identified
@@ -65,22 +66,29 @@ def identifiability(jacobian: np.ndarray, names: Sequence[str], log: np.ndarray,
         scale: units in which changes of the others are measured, (parameters,).
     """
     # Thousands of residuals and a handful of parameters: QR first.
-    _, singular, directions = np.linalg.svd(np.linalg.qr(jacobian, mode="r"))
-    largest = float(singular[0])
-    null = singular <= RELATIVE_ZERO * largest
+    triangle = np.linalg.qr(jacobian, mode="r")
+    size = np.linalg.norm(triangle, axis=0)
+    # In units in which each parameter alone changes the signals equally: the scales of some may be far off.
+    seen = size > NOTHING * np.max(size)
+    _, singular, shares = np.linalg.svd(triangle / np.where(seen, size, np.inf))
+    shares = shares[singular <= RELATIVE_ZERO * singular[0]]
+    null = np.linalg.qr((shares / np.where(seen, size, 1.0)).T)[0].T
+    determined = size.size - len(null)
+    _, singular, directions = np.linalg.svd(triangle @ (np.eye(size.size) - null.T @ null))
+    singular, directions = singular[:determined], directions[:determined]
     with np.errstate(divide="ignore"):
-        error = np.where(null, np.inf, 1 / np.where(singular > 0, singular, 1.0))
+        error = 1 / singular
     # Only a logarithm has an absolute limit; a parameter of either sign has no natural size.
     leading = np.argmax(np.abs(directions), axis=1)
-    weak = ~null & (error > LARGEST_LOG_ERROR) & log[leading]
-    covariance = (directions.T * np.where(null, 0.0, error) ** 2) @ directions
-    involved = np.any(np.abs(directions[null]) > INVOLVED, axis=0)
-    identified = ~involved & (~log | (np.sqrt(np.diag(covariance)) <= LARGEST_LOG_ERROR)) & (largest > 0)
+    weak = (error > LARGEST_LOG_ERROR) & log[leading]
+    covariance = (directions.T * error**2) @ directions
+    involved = np.any(np.abs(shares) > INVOLVED, axis=0)
+    identified = ~involved & (~log | (np.sqrt(np.diag(covariance)) <= LARGEST_LOG_ERROR)) & seen
     covariance = np.where(identified[:, None] & identified[None, :], covariance, np.nan)
-    words = [_in_words(direction, np.inf, names, log, scale) for direction in _simplest_basis(directions[null])]
+    words = [_in_words(direction, np.inf, names, log, scale) for direction in _simplest_basis(null)]
     words += [_in_words(d, e, names, log, scale) for d, e in zip(directions[weak], error[weak], strict=True)]
-    condition = np.inf if null.any() else largest / float(singular[-1])
-    return Identifiability(covariance, identified, tuple(words), int(np.sum(~null & ~weak)), condition)
+    condition = np.inf if len(null) else float(singular[0] / singular[-1])
+    return Identifiability(covariance, identified, tuple(words), determined - int(weak.sum()), condition)
 
 
 def _simplest_basis(null: np.ndarray) -> np.ndarray:
