@@ -42,9 +42,13 @@ FILES = {
 
 
 def read(coating, trial):
-    """Position in mm, and the signal that follows the bending moment, in counts."""
-    data = pd.read_csv(FOLDER / f"{FILES[coating]}_{trial}.csv")[::2]
-    return {"control": data.px.to_numpy(), "sy": data.sy.to_numpy()}
+    """Position in mm, and the signal that follows the bending moment, in counts.
+
+    In the first 20 rows nothing is touched: their mean is the zero of the signal.
+    """
+    data = pd.read_csv(FOLDER / f"{FILES[coating]}_{trial}.csv")
+    signal = (data.sy - data.sy[:20].mean()).to_numpy()
+    return {"control": data.px.to_numpy()[::2], "sy": signal[::2]}
 
 
 sweeps = {(c, trial): read(c, trial) for c in FILES for trial in range(3)}
@@ -103,8 +107,7 @@ def moment(result):
 # Trials 0 and 1 of all coatings are fitted together; trial 2 is left for a check. All
 # sweeps share the whisker, the place of the cylinder along the way, and the gain. Each
 # coating has its own friction coefficient, and its own distance, because coatings have
-# a thickness and the cylinder was mounted again for each. Each sweep has its own
-# offset. Sweeps repeat to 1 % of the peak, and that, 13 counts, is taken as noise: it
+# a thickness and the cylinder was mounted again for each. Sweeps repeat to 1 % of the peak, and that, 13 counts, is taken as noise: it
 # says how far the model may be off.
 
 # %%
@@ -121,23 +124,18 @@ options = {
     "sigma": 13.0,
     "channels": moment,
     "gains": True,
-    "offsets": True,
     "near": True,
     "starts": 0,
 }
-individual = {"friction": coatings, "distance": coatings, "offsets": range(8)}
+individual = {"friction": coatings, "distance": coatings}
 fit = jw.identify(build, guess, fitted, individual=individual, **options)
 for name in fit.names:
-    if not name.startswith("offset"):
-        low, high = fit.interval[name]
-        print(
-            f"{name:24} {fit.estimates[name]:11.4g}   95 %: {low:.4g} to {high:.4g}"
-        )
+    low, high = fit.interval[name]
+    print(f"{name:24} {fit.estimates[name]:11.4g}   95 %: {low:.4g} to {high:.4g}")
 
 # %% [markdown]
 # Friction grows from the bare cylinder to sandpaper, black rubber and ecoflex. Does the
-# fit predict the sweeps that it has not seen? Only their offset is taken from them,
-# from the first 20 positions, where nothing is touched.
+# fit predict the sweeps that it has not seen?
 
 # %%
 figure, (ax, below) = pyplot.subplots(2, sharex=True, height_ratios=(3, 1))
@@ -147,9 +145,9 @@ for k, coating in enumerate(FILES):
     data = sweeps[coating, 2]
     result = jw.scan(scene, data["control"])
     model = fit.estimates["gain_sy"] * np.asarray(result.mz)[:, 0]
-    off = data["sy"] - data["sy"][:20].mean() - model
+    off = data["sy"] - model
     misses[coating] = np.sqrt(np.mean(off**2)) / np.ptp(data["sy"])
-    ax.plot(data["control"], data["sy"] - data["sy"][:20].mean(), f"C{k}.", markersize=2)
+    ax.plot(data["control"], data["sy"], f"C{k}.", markersize=2)
     ax.plot(data["control"], model, f"C{k}", linewidth=0.8, label=coating)
     below.plot(data["control"], off, f"C{k}", linewidth=0.8)
     print(f"{coating:13} unseen sweep: off by {misses[coating]:.2%} of the peak (rms)")
@@ -179,11 +177,11 @@ for coating in FILES:
     print(f"friction, {coating:13} {free.estimates[f'friction[{coating}]']:.2f}")
 
 # %% [markdown]
-# The radius cannot be had from these sweeps: the estimate is far from the truth, and
-# chi² hardly gets better. A free radius and the unknown shape of the whisker do the
-# same to the signal. Whoever measures the shape of the unloaded whisker, for example in
-# a photograph, gets the radius; whoever does not must know the object. The friction
-# coefficients depend on these assumptions as well, while their order does not.
+# The estimate is 1.5 mm off, and its interval is 5 mm wide: a larger cylinder and a
+# whisker that is bent a little differently give nearly the same signal. If the hinge is
+# unknown as well, the radius is lost. Whoever measures the shape of the unloaded
+# whisker, for example in a photograph, gets the radius. The friction coefficients
+# depend on these assumptions, too, while their order does not.
 #
 # The length of the whisker has no effect at all as long as the contact has not reached
 # the tip, and a stiffer whisker is the same as a larger gain: neither can be fitted.
