@@ -19,9 +19,10 @@ from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.implicit import Sides, event_points, without_rule
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.path import STOP, Node, Path
-from jaxwhisker._scan.signals import event_point
+from jaxwhisker._scan.signals import event_point, event_room
 from jaxwhisker._scan.steps import Solutions
 
+LINKS = 16  # changes of slips and turning points of the drive, besides the events that a scan has room for
 Places = tuple[Float[Array, "*nodes whiskers"], Float[Array, "*nodes whiskers"]]  # parameter, beyond: see Friction
 
 
@@ -87,8 +88,10 @@ def chained(path: Path, problem: Problem, stops: Float[Array, " stops"], *, even
     room, corner = nodes.kind.shape[0], nodes.corner
     assert corner is not None
     links = (jnp.arange(room) < path.count) & ((nodes.kind == STOP) | corner | (events & (nodes.kind >= 0)))
-    # A path has several nodes for each event: half of the room is enough. The first node, where all is free, fills it.
-    index = jnp.nonzero(links, size=room // 2, fill_value=0)[0]
+    # The first node, where all is free, fills the rest of the room. If there is too little, derivatives are NaN.
+    size = min(room, LINKS + event_room(nodes.phase.shape[1]))
+    index = jnp.nonzero(links, size=size, fill_value=0)[0]
+    known = jnp.where(jnp.sum(links) > size, jnp.nan, 1.0)
     controls = jnp.asarray(nodes.point.u)
     start = controls[0], places_of(jax.tree.map(lambda leaf: leaf[0], nodes.friction))
 
@@ -97,7 +100,8 @@ def chained(path: Path, problem: Problem, stops: Float[Array, " stops"], *, even
         carry = _after(problem, node, _linked(previous, carry, links[jnp.maximum(k - 1, 0)]), carry, stops)
         return carry, carry
 
-    _, (linked, places) = jax.lax.scan(link, start, index)
+    _, every = jax.lax.scan(link, start, index)
+    linked, places = jax.tree.map(lambda leaf: leaf * known, every)
     passed = jnp.cumsum(links)
     controls = jnp.where(links, jnp.asarray(linked)[jnp.maximum(passed - 1, 0)], controls)
     table = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start[1], places)
