@@ -36,7 +36,7 @@ def remembered(path: Path, problem: Problem, stops: Float[Array, " stops"]) -> P
         stops: where the drive starts, turns and ends, in the scene's units.
     """
     controls, places = without_rule((path.nodes.point.u, places_of(path.nodes.friction)), (problem, stops))
-    return _with(path, controls, places, places_of(path.nodes.friction_before))
+    return with_memory(path, controls, places, places_of(path.nodes.friction_before))
 
 
 @remembered.def_jvp
@@ -50,7 +50,7 @@ def _(primals, tangents):
 
     dot = eqx.filter_jvp(chain, ((problem, stops),), ((problem_dot, stops_dot),))[1]
     none = jax.tree.map(lambda _: None, path)
-    return path, _with(none, *dot)
+    return path, with_memory(none, *dot)
 
 
 def places_of(friction: Friction | None) -> Any:
@@ -64,7 +64,7 @@ def _at(friction: Friction | None, places: Places) -> Friction:
     return friction._replace(parameter=parameter, beyond=beyond)
 
 
-def _with(path: Path, controls: Scalar | Float[Array, " nodes"], places: Places, places_before: Places) -> Path:
+def with_memory(path: Path, controls: Scalar | Float[Array, " nodes"], places: Places, places_before: Places) -> Path:
     nodes = path.nodes
     return path._replace(
         nodes=nodes._replace(

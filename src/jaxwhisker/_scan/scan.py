@@ -33,7 +33,7 @@ from jaxwhisker._scan.memory import places_of, remembered, with_places
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
 from jaxwhisker._scan.signals import events, spring_lengths
-from jaxwhisker._scan.slopes import event_tangents, spring_tangents, state_tangents
+from jaxwhisker._scan.slopes import event_tangents, remembered_tangents, spring_tangents, state_tangents
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps, states
 
@@ -313,7 +313,7 @@ def _result(
 
 problem_now = Program(problem_of, tangent=by_slopes(problem_of))
 follow_path_now = Program(follow_path, frozen=True, batched=True)
-remembered_now = Program(remembered)
+remembered_now = Program(remembered, tangent=remembered_tangents)
 solve_steps_now = Program(solve_steps, frozen=True)
 states_now = Program(states, tangent=state_tangents)
 events_now = Program(events, tangent=event_tangents)

@@ -14,6 +14,7 @@ from jaxwhisker._base.slopes import along, are_few, direction_of, jacobian
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Path
+from jaxwhisker._scan.memory import chained, with_memory
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.signals import Bases, events, spring_length
 from jaxwhisker._scan.state import State
@@ -21,13 +22,36 @@ from jaxwhisker._scan.steps import Solutions, states
 
 
 def state_slopes(problem: Problem, control: Float[Array, " steps"], solutions: Solutions) -> State:
-    """Slopes of all fields with respect to the numbers of the problem and, last, the control of the step."""
+    """Slopes of all fields with respect to the numbers of the problem and, last, those of the step.
+
+    These are its control and, with friction, the places where its contacts stick.
+    """
+    known = _places(solutions)
 
     def function(numbers):
-        numbers, moved = numbers
-        return states(eqx.combine(numbers, problem), control + moved, solutions)[0]
+        numbers, moved, shifted = numbers
+        places = jax.tree.map(lambda place, shift: place + shift, known, shifted)
+        steps = solutions if known is None else solutions._replace(friction=solutions.friction._replace(**places))
+        return states(eqx.combine(numbers, problem), control + moved, steps)[0]
 
-    return jacobian(function, (problem.numbers(), jnp.zeros(())))
+    still = jax.tree.map(lambda place: jnp.zeros(place.shape[1:]), known)
+    return jacobian(function, (problem.numbers(), jnp.zeros(()), still))
+
+
+def _places(solutions: Solutions) -> dict[str, Array] | None:
+    """Where contacts stick at each step, (steps, whiskers); None without friction."""
+    friction = solutions.friction
+    return None if friction is None else {"beyond": friction.beyond, "parameter": friction.parameter}
+
+
+def chain_slopes(path: Path, problem: Problem, stops: Float[Array, " stops"]):
+    """Slopes of what contacts with friction remember: with respect to the numbers of the problem, then to the stops."""
+
+    def function(numbers):
+        numbers, stops = numbers
+        return chained(path, eqx.combine(numbers, problem), stops)
+
+    return jacobian(function, (problem.numbers(), stops))
 
 
 def event_slopes(problem: Problem, path: Path) -> Events:
@@ -49,19 +73,33 @@ def spring_slopes(scene: Scene, bases: Bases, control: Float[Array, " steps"]) -
 
 
 state_slopes_now, spring_slopes_now = Program(state_slopes), Program(spring_slopes)
-event_slopes_now = Program(event_slopes, quick=True)
+event_slopes_now, chain_slopes_now = Program(event_slopes, quick=True), Program(chain_slopes, quick=True)
 
 
 def state_tangents(args, args_dot):
     """The tangent rule of `states`."""
     problem, control, solutions = args
-    problem_dot, control_dot, _ = args_dot
+    problem_dot, control_dot, solutions_dot = args_dot
     numbers = problem.numbers()
-    if not are_few(numbers) or problem.friction_angle is not None:
-        return NotImplemented  # with friction, states also depend on where contacts began to stick
+    if not are_few(numbers):
+        return NotImplemented
     slopes = state_slopes_now(problem, control, solutions)
     direction = direction_of(numbers, problem_dot.numbers())
-    return _along_each(slopes, direction, direction_of([control], [control_dot])), None
+    places, dots = jax.tree.leaves(_places(solutions)), None if solutions_dot is None else _places(solutions_dot)
+    dots = [None] * len(places) if dots is None else [dots[name] for name in sorted(dots)]
+    return _along_each(slopes, direction, direction_of([control, *places], [control_dot, *dots])), None
+
+
+def remembered_tangents(args, args_dot):
+    """The tangent rule of `remembered`."""
+    path, problem, stops = args
+    _, problem_dot, stops_dot = args_dot
+    numbers = problem.numbers()
+    if not are_few(numbers):
+        return NotImplemented
+    direction = direction_of((numbers, stops), (problem_dot.numbers(), stops_dot))
+    none = jax.tree.map(lambda _: None, path)
+    return with_memory(none, *along(chain_slopes_now(path, problem, stops), direction))
 
 
 def spring_tangents(args, args_dot):
