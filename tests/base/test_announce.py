@@ -115,3 +115,21 @@ def test_a_failed_compilation_ends_the_announcement(terminal, monkeypatch):
         Program(fail)(jnp.asarray(3.0))
     time.sleep(0.4)
     assert terminal.getvalue() == ""
+
+
+def test_a_long_search_shows_its_progress(terminal, monkeypatch):
+    monkeypatch.setattr(announce, "REFRESH", 0.0)
+    with announce.progress("fitting") as report:
+        for misfit in (7.0, 3.0, 5.0):
+            time.sleep(0.01)
+            report(misfit)
+    lines = terminal.getvalue().split("\r")
+    assert "fitting, 3 scans" in lines[3] and "misfit 3" in lines[3]
+    assert lines[-2].strip() == "" and lines[-1] == ""  # the line is erased
+
+
+def test_a_short_search_shows_nothing(terminal, monkeypatch):
+    monkeypatch.setattr(announce, "PATIENCE", 60.0)
+    with announce.progress("fitting") as report:
+        report(1.0)
+    assert terminal.getvalue() == ""

@@ -148,3 +148,12 @@ def test_units_of_the_tables_follow_the_option(monkeypatch, capsys):
     for units, words in (("auto", "fx (mN)"), ("SI", "mz (mN mm)"), ("dimensionless", "fx (EI/L^2)")):
         assert cli.main(["scan", "--units", units]) == cli.OK
         assert words in capsys.readouterr().out
+
+
+def test_friction_and_detection_are_options(capsys):
+    argv = ["scan", "--model", "FBFBR", "--friction", "0.3", "--detect", "crossing", "--step", "0.05"]
+    assert cli.main(argv) == cli.NOT_ALL_OK  # the whiskers cross
+    out = capsys.readouterr().out
+    assert "friction 0.3, detects crossing" in out and " crossing" in out.splitlines()[-1]
+    assert cli.main(["scan", "--friction", "-1"]) == cli.USAGE
+    assert "`friction`" in capsys.readouterr().err

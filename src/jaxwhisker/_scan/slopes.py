@@ -26,12 +26,12 @@ def state_slopes(problem: Problem, control: Float[Array, " steps"], solutions: S
 
     These are its control and, with friction, the places where its contacts stick.
     """
-    known = _places(solutions)
+    known, friction = _places(solutions), solutions.friction
 
     def function(numbers):
         numbers, moved, shifted = numbers
         places = jax.tree.map(lambda place, shift: place + shift, known, shifted)
-        steps = solutions if known is None else solutions._replace(friction=solutions.friction._replace(**places))
+        steps = solutions if friction is None else solutions._replace(friction=friction._replace(**places))
         return states(eqx.combine(numbers, problem), control + moved, steps)[0]
 
     still = jax.tree.map(lambda place: jnp.zeros(place.shape[1:]), known)
