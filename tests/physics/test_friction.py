@@ -226,3 +226,12 @@ def test_without_friction_there_are_no_fields_of_friction():
     result = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2)), np.linspace(0.9, 0.5, 4))
     assert result.slip is None and result.normal_force is None and result.friction_force is None
     assert result.events.before.slip is None
+
+
+def test_batches_of_derivatives_are_those_of_single_scans():
+    def signal(p):
+        return reversing(p, "clamped").mz[:, 0]
+
+    slopes = jax.vmap(jax.jacfwd(signal))(jnp.stack([P, P.at[2].set(0.4)]))
+    np.testing.assert_allclose(slopes[0], jax.jacfwd(signal)(P), rtol=LIMIT, atol=LIMIT)
+    assert np.max(np.abs(slopes[1] - slopes[0])) > 0.1
