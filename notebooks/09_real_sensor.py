@@ -192,7 +192,7 @@ assert frictions == sorted(frictions)
 assert max(misses.values()) < 0.02
 
 # %% [markdown]
-# ## Try
+# ## Something to try
 #
 # - Fit one distance for all coatings: leave `distance` out of `individual`. Where does
 #   the misfit grow most?
