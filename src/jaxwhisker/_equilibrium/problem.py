@@ -81,7 +81,7 @@ class Problem(eqx.Module):
     valid: Bool[Array, ""]
     unit: Units
     friction_angle: Scalar | None  # arctan of the friction coefficient; None without friction
-    detect: tuple[str, ...] = eqx.field(static=True)  # of `Scene.detect`, what can happen
+    detect: tuple[str, ...] = eqx.field(static=True)  # of `Scene.detects`, what can happen
 
     axes: eqx.AbstractClassVar[int]  # number of coordinates of a base
     frames_move: eqx.AbstractClassVar[bool]  # whether these refer to a frame that moves with the control
@@ -346,7 +346,7 @@ def _detectable(scene: Scene) -> tuple[str, ...]:
         "second_contact": scene.friction is not None or not all(whisker.uniform for whisker in scene.whiskers),
         "crossing": len(scene.whiskers) > 1,
     }
-    return tuple(name for name in scene.detect if possible[name])
+    return tuple(name for name in scene.detects if possible[name])
 
 
 def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict[str, Any]:

@@ -57,7 +57,7 @@ class Scene(eqx.Module):
         friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
         detect: contacts that are not modelled, at which a scan ends with the status of this name: "second_contact" (a
             whisker meets the object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
-            tuple of both. Default: they are not detected.
+            tuple of these; () detects nothing. Default: "second_contact" with friction, otherwise nothing.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
@@ -74,7 +74,7 @@ class Scene(eqx.Module):
     rod: AbstractRod = Shooting()
     motion: AbstractMotion = Translation()
     friction: Scalar | None = None
-    detect: str | tuple[str, ...] = eqx.field(static=True, default=(), converter=_as_names)
+    detect: str | tuple[str, ...] | None = eqx.field(static=True, default=None, converter=_as_names)
 
     def __check_init__(self):
         allowed = "a Parabola, Circle, Ellipse, Graph, Contour or Tilted"
@@ -83,7 +83,8 @@ class Scene(eqx.Module):
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):
             checks.fail("rod", "Shooting() for whiskers that are curved or not uniform", "ClosedForm()")
-        if not isinstance(self.detect, tuple) or any(name not in DETECTABLE for name in self.detect):
+        known = isinstance(self.detect, tuple) and all(name in DETECTABLE for name in self.detect)
+        if self.detect is not None and not known:
             allowed = f"{' or '.join(map(repr, DETECTABLE))}, or a tuple of these"
             checks.fail("detect", allowed, repr(self.detect))
 
@@ -92,13 +93,20 @@ class Scene(eqx.Module):
         """One Whisker per base."""
         return _each_whisker(self.whisker, self.support)
 
+    @property
+    def detects(self) -> tuple[str, ...]:
+        """The contacts that are not modelled, at which a scan ends."""
+        # A whisker that sticks to the object may be wound around it.
+        default = () if self.friction is None else ("second_contact",)
+        return default if self.detect is None else tuple(self.detect)
+
     def __str__(self) -> str:
         n, springs = self.support.whiskers, len(self.support.springs)
         counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
         rods = "" if self.rod == Shooting() else f", {self.rod}"
         motion = "" if isinstance(self.motion, Translation) and self.motion.onwards < 0 else f", {self.motion}"
         friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
-        detect = ", detects " * bool(self.detect) + " and ".join(self.detect).replace("_", " ")
+        detect = ", detects " * bool(self.detect) + " and ".join(self.detect or ()).replace("_", " ")
         details = f"{self.profile}{_whisker_text(self.whiskers[0])}{friction}{rods}{motion}{detect}"
         return f"{self.support.name}: {', '.join(counted)}, {details}"
 

@@ -144,8 +144,8 @@ def add_friction(add: Callable, kind: Callable = parse_number) -> None:
 
 def add_detect(command: argparse.ArgumentParser) -> None:
     """Add the option that ends scans at contacts that are not modelled."""
-    text = f"end a scan where this happens: {' or '.join(DETECTABLE)}; may be repeated (default: not detected)"
-    command.add_argument("--detect", action="append", choices=DETECTABLE, default=[], help=text)
+    text = f"end a scan where this happens (default: second_contact with friction): {' or '.join(DETECTABLE)}; repeatable"
+    command.add_argument("--detect", action="append", choices=DETECTABLE, help=text)
 
 
 def add_drive(command: argparse.ArgumentParser) -> None:
@@ -223,7 +223,7 @@ def make_scene(args: argparse.Namespace, rod: AbstractRod | None = None, /, **va
     kind, shape = PROFILES[args.profile]
     profile = kind(**{name: values[name] for name in ("distance", "position", *shape)})
     whisker = Whisker(values["length"], values["bending_stiffness"])
-    more = {"friction": values.get("friction"), "detect": tuple(getattr(args, "detect", ()))}
+    more = {"friction": values.get("friction"), "detect": getattr(args, "detect", None)}
     return Scene(whisker, profile, support_of(args, values), rod or Shooting(), **more)
 
 
