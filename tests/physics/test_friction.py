@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import jaxwhisker as jw
 from scenes import all_ok
@@ -179,6 +180,70 @@ def test_without_any_friction_slips_turn_back_at_once():
     assert all_ok(result) and set(np.asarray(result.slip)[:, 0].tolist()) == {-1, 1}
     for name in COLUMNS:
         np.testing.assert_allclose(getattr(result, name), getattr(plain, name), atol=LIMIT)
+
+
+def hooked(curvature=0.58, friction=0.77, distance=0.48, stiffness=31.7):
+    """A whisker that is curved towards the object, on which its tip sticks from the first touch."""
+    whisker = jw.Whisker(1.0, 1.0, intrinsic_curvature=curvature)
+    return jw.Scene(whisker, jw.Parabola(distance), jw.Support.fb(stiffness, 0.0), friction=friction)
+
+
+HOOKED_CONTROL = jnp.linspace(0.97, -1.0, 41)
+
+
+def test_a_hooked_whisker_sticks_from_its_first_touch():
+    result = jw.scan(hooked(), HOOKED_CONTROL)
+    assert all_ok(result)
+    touch, stick, slip, snap, rest = list(result.events)[:5]
+    kinds = [jw.EventKind.touch, jw.EventKind.stick, jw.EventKind.slip, jw.EventKind.snap_through, jw.EventKind.stick]
+    assert [e.kind for e in (touch, stick, slip, snap, rest)] == kinds
+    assert abs(touch.control - stick.control) < EVENT
+    control, sticks = np.asarray(HOOKED_CONTROL), np.asarray(result.slip)[:, 0] == 0
+    first = (control < touch.control) & (control > slip.control)
+    assert np.all(sticks[first])
+    # The tip stays where it touched, and the force within the cone of friction.
+    for name in ("contact_x", "contact_y"):
+        np.testing.assert_allclose(np.asarray(getattr(result, name))[first], getattr(touch.before, name), atol=ROLLING)
+    assert np.all((np.abs(result.friction_force) < 0.77 * result.normal_force)[first])
+    # The support's reactions alone bend the whisker so that it ends there, with no moment left.
+    for k in np.flatnonzero(first):
+        x, y, _, moment = tip_of(0.58, result.base_x[k, 0], result.fx[k, 0], result.fy[k, 0], result.mz[k, 0])
+        assert np.hypot(x - result.contact_x[k, 0], y - result.contact_y[k, 0]) < SIGNAL and abs(moment) < SIGNAL
+
+
+def tip_of(curvature, base_x, fx, fy, mz):
+    """Position, angle and moment at the tip of a rod that starts upright with this reaction of its support."""
+
+    def rates(_, state):
+        x, y, angle = state
+        bend = -mz + fx * y - fy * (x - base_x)
+        return np.cos(angle), np.sin(angle), bend + curvature
+
+    x, y, angle = solve_ivp(rates, (0, 1), (base_x, 0, np.pi / 2), method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+    return x, y, angle, -mz + fx * y - fy * (x - base_x)
+
+
+def test_derivatives_where_a_contact_sticks_from_its_touch_and_where_it_comes_to_rest():
+    def values(p):
+        result = jw.scan(hooked(*p), HOOKED_CONTROL)
+        return jnp.concatenate([result.fx[:, 0], result.mz[:, 0], result.events.control[:8]])
+
+    p = jnp.array([0.58, 0.77, 0.48, 31.7])
+    slopes = jax.jacfwd(values)(p)
+    for k, size in enumerate((1.0, 1.0, 1.0, 30.0)):
+        step = STEP * size * jnp.eye(4)[k]
+        differences = (values(p + step) - values(p - step)) / (2 * STEP * size)
+        np.testing.assert_allclose(slopes[:, k], differences, atol=DIFFERENCE, rtol=DIFFERENCE)
+
+
+def test_whiskers_that_stick_cannot_be_wound_around_the_object():
+    # The tip sticks to the left flank, and the drive goes back until the shaft lies against the vertex.
+    support = jw.Support.fb(11702.0, 0.344)
+    scene = jw.Scene(jw.Whisker(), jw.Parabola(0.01124, 2.6207), support, jw.ClosedForm(), friction=0.8586)
+    control = jnp.array([0.5, -0.16907, 0.00869, -1.33126, -0.02964])
+    result = jw.scan(scene, control)
+    assert int(result.status[3]) == jw.Status.ok
+    assert int(result.status[-1]) == jw.Status.second_contact
 
 
 def test_mirrored_scenes_give_mirrored_signals():

@@ -88,6 +88,15 @@ def slip_by_contact(problem: Problem, z: Contacts, mode: Mode) -> Contacts:
     return jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(mode.side, mode.phase)], axis=1)
 
 
+LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is unknown
+
+
+def is_light(mode: Mode, z: Contacts) -> Bool[Array, " whiskers"]:
+    """Whether contacts stick whose force is too small for its lean to be known."""
+    assert mode.friction is not None
+    return (mode.phase != Phase.free) & (mode.friction.slip == 0) & (z[:, 0] <= LIGHT)
+
+
 def with_slips(problem: Problem, z: Contacts, mode: Mode, slip: Int[Array, " whiskers"]) -> tuple[Contacts, Friction]:
     """The same contacts, which from here on slip in these directions or stick (0)."""
     assert mode.friction is not None and problem.friction_angle is not None
@@ -100,7 +109,9 @@ def with_slips(problem: Problem, z: Contacts, mode: Mode, slip: Int[Array, " whi
         jnp.where(begins, contact.beyond(z[:, 2], mode.phase), old.beyond),
     )
     leans = jnp.clip(jnp.where(old.slip == 0, z[:, 1], old.slip * limit), -limit, limit)
-    return z.at[:, 1].set(jnp.where(slip == 0, leans, at)), friction
+    light = begins & (z[:, 0] <= LIGHT)
+    leans = jnp.where(light, 0.0, leans)  # a first guess
+    return jnp.stack([jnp.where(light, LIGHT, z[:, 0]), jnp.where(slip == 0, leans, at), z[:, 2]], axis=1), friction
 
 
 class Condensed(NamedTuple):

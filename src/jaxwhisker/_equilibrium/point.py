@@ -56,6 +56,12 @@ def at_control(u: Scalar, like: Contacts) -> Row:
     return Row(none, none, jnp.asarray(1.0), u, none[:, 0])
 
 
+def at_force(whiskers: Bool[Array, " whiskers"], at: Contacts) -> Row:
+    """The row that selects the point at which the forces of these whiskers have the sum that they have in `at`."""
+    none = jnp.zeros_like(at)
+    return Row(none.at[:, 0].set(whiskers), at, jnp.asarray(0.0), jnp.asarray(0.0), none[:, 0])
+
+
 def at_arc_length(point: Point, tangent: Point, distance: Scalar) -> Row:
     """The row that selects the point in the plane normal to the tangent, at a distance ahead (pseudo-arclength)."""
     scale = scale_of(point.z)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import slip_by_contact, slope_sines, with_slips
+from jaxwhisker._equilibrium.newton import LIGHT, is_light, slip_by_contact, slope_sines, with_slips
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path import snap_flow
@@ -21,7 +21,7 @@ from jaxwhisker._path.path import MARGIN_NOISE, NO_EVENT, STOP, EventKind, Node,
 
 ARRIVAL_MISS = 0.1  # the equilibrium at which a flow ends is nearer than this
 SLIP_NOISE = 1e-9  # rate of slip, per length of the path, that rounding may cause
-FIRM = 1e-6  # a contact with a smaller force cannot stick: the lean of no force is unknown
+LEAN_NOISE = 1e-6  # a lean beyond its limit that is no rounding, not even where the force is smallest
 
 
 def after_arrive(
@@ -56,6 +56,11 @@ def after_arrive(
     )
     falls = (state.turn(tangent) <= 0) | ~trial.stable
     moved = Point(point.z - state.point.z, point.u - state.point.u)
+    if state.mode.friction is not None:
+        # The lean of a contact that sticks from its first touch is not known beforehand.
+        starts = is_light(state.mode, state.point.z)
+        moved = moved._replace(z=moved.z.at[:, 1].multiply(~starts))
+        node = node._replace(travel=node.travel + direction * moved.u)
     near = trial.solution.converged & (dot(moved, moved, scale_of(state.point.z)) < ARRIVAL_MISS**2)
     # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
     there = trial.there
@@ -73,7 +78,7 @@ def after_arrive(
     ]
     write = near & ~early
     if state.tries is not None:
-        changed, slip = _changed_slips(problem, state, point, tangent)
+        changed, slip = _changed_slips(problem, state, point, tangent, falls)
         first = state.tries == 0
         retry = with_changed_slips(problem, onwards, node, slip, trial.tangent, rest=False)
         undetermined = state.stopped(Status.undetermined)
@@ -88,17 +93,20 @@ def after_arrive(
 
 
 def _changed_slips(
-    problem: Problem, state: MarchState, point: Point, tangent: Point
+    problem: Problem, state: MarchState, point: Point, tangent: Point, falls: Bool[Array, ""]
 ) -> tuple[Bool[Array, ""], Int[Array, " whiskers"]]:
     """Whether a contact breaks a law of friction along the tangent, and the slips after the first one is changed."""
     friction, limit = state.mode.friction, problem.friction_angle
     onwards = slips_on(problem, state.mode, point.z, tangent.z)
-    assert friction is not None and limit is not None and onwards is not None
+    assert friction is not None and limit is not None and onwards is not None and state.tries is not None
     slip, (force, leans, _) = friction.slip, point.z.T
-    backwards = onwards < -SLIP_NOISE
+    # A contact that has just begun may slip either way or, if neither presses on, stick.
+    unloaded = (slip != 0) & (force <= LIGHT)
+    backwards = (onwards < -SLIP_NOISE) | ((state.mode.phase != Phase.free) & unloaded & falls & (limit > 0))
     sticks = (state.mode.phase != Phase.free) & (slip == 0)
-    exceeds = sticks & (jnp.abs(leans) > limit - SLIP_NOISE) & (jnp.sign(leans) * tangent.z[:, 1] > SLIP_NOISE)
-    can_stick = (force > FIRM) & (limit > 0)
+    exceeds = (jnp.abs(leans) > limit - SLIP_NOISE) & (jnp.sign(leans) * tangent.z[:, 1] > SLIP_NOISE)
+    exceeds = sticks & (exceeds | (jnp.abs(leans) > limit + LEAN_NOISE))
+    can_stick = (~unloaded | (state.tries > 0)) & (limit > 0)
     changed = jnp.where(exceeds, jnp.sign(leans).astype(int), jnp.where(can_stick, 0, -slip))
     wrong = backwards | exceeds
     first = wrong & (jnp.cumsum(wrong) == 1)
@@ -143,6 +151,8 @@ def with_changed_slips(
         corner=jnp.asarray(True),
     )
     inwards = jnp.zeros_like(z).at[:, 1].set(-before.slip.astype(float))
+    starts = is_light(state.mode._replace(friction=friction), z)[:, None]
+    inwards = jnp.where(starts, jnp.zeros_like(z).at[:, 0].set(1.0), inwards)
     ahead = friction.slip[:, None] * slip_by_contact(problem, z, state.mode._replace(friction=friction))
     lead = jnp.where((slip == 0)[:, None], inwards, ahead)
     weights = Lead(jnp.where(changes[:, None], lead, 0.0), jnp.zeros_like(state.pose), jnp.asarray(0.0))

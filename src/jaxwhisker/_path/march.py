@@ -22,8 +22,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.friction import newly_slipping, slipping_from
-from jaxwhisker._equilibrium.newton import solve_point
-from jaxwhisker._equilibrium.point import Mode, Point, Row, along, at_arc_length, at_control, at_event
+from jaxwhisker._equilibrium.newton import is_light, solve_point
+from jaxwhisker._equilibrium.point import Mode, Point, Row, along, at_arc_length, at_control, at_event, at_force
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
@@ -65,6 +65,10 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     guess = select(flowing, Point(flow.guess, state.point.u), guess)
     onwards = at_arc_length(state.point, state.tangent, state.step)
     fixed = at_control(state.point.u, guess.z)
+    if state.mode.friction is not None:
+        # A contact that sticks from its first touch is solved for where its force first has a direction.
+        starts = is_light(state.mode, guess.z) & (state.task == Task.arrive)
+        fixed = select(jnp.any(starts), at_force(starts, guess.z), fixed)
     row = select(state.task == Task.advance, onwards, select(at_target, _target_row(state, stop_u), fixed))
     # A touch begins a contact and is solved for as a contact.
     target = state.target

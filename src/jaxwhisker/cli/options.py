@@ -144,7 +144,7 @@ def add_friction(add: Callable, kind: Callable = parse_number) -> None:
 
 def add_detect(command: argparse.ArgumentParser) -> None:
     """Add the option that ends scans at contacts that are not modelled."""
-    text = f"end a scan where this happens (default: second_contact with friction): {' or '.join(DETECTABLE)}; repeatable"
+    text = f"end a scan where this happens (default: second_contact with friction): {' or '.join(DETECTABLE)}"
     command.add_argument("--detect", action="append", choices=DETECTABLE, help=text)
 
 
