@@ -145,9 +145,11 @@ def test_uniform_straight_whiskers_stay_on_one_side_of_the_tangent():
 
 
 @pytest.mark.parametrize(
-    ("name", "rest_length", "crossing"), [("FBFBR", 0.2, True), ("FBFBR", 1.0, False), ("FBFBFBR", 0.2, True)]
+    ("name", "rest_length", "crossing"),
+    [("FBFBR", 0.2, True), ("FBFBR", 0.05, True), ("FBFBR", 1.0, False), ("FBFBFBR", 0.2, True)],
 )
 def test_a_crossing_ends_the_scan_where_polylines_cross(name, rest_length, crossing):
+    # With a rest length of 0.05, the tips pass within 0.002 L of each other on the object before the shafts cross.
     scene = model(name, rest_length=rest_length)
     plain, result = jw.scan(scene, CONTROL), jw.scan(detecting(scene, *BOTH), CONTROL)
     assert all_ok(plain)
@@ -231,13 +233,17 @@ def rotating(scene, distance, radius, *names):
     return jw.Scene(scene.whisker, profile, scene.support, motion=jw.Rotation((0.0, -1.0), radius), detect=names)
 
 
+# The second whisker is so short that it is still free, and turns with the drive, when the first one crosses it.
+SHORT = jw.Scene((jw.Whisker(), jw.Whisker(0.7)), jw.Parabola(0.3), jw.Support.fbfbr(70.0, 0.1))
+
+
 @pytest.mark.parametrize(
     ("name", "scene"),
-    [("second_contact", MEETING["with its base, a sharp object"][0]), ("crossing", model("FBFBR"))],
+    [("second_contact", MEETING["with its base, a sharp object"][0]), ("crossing", SHORT)],
     ids=BOTH,
 )
 def test_a_drive_that_rotates_and_derivatives_backwards(name, scene):
-    at = (0.2, 1.0)
+    at = (scene.profile.distance, 1.0)
 
     def signal(distance, radius):
         return jw.scan(rotating(scene, distance, radius, *BOTH), ANGLES).mz[:, 0]
