@@ -19,6 +19,8 @@ BOTH = ("second_contact", "crossing")
 FINE = 600  # points of a polyline, whose chords are off by less than 1e-5 L
 STEPS = 1  # by which the onset may differ: a gap may pass the tolerance, or shafts may touch, right at a step
 CONTROL = np.linspace(1.2, -1.6, 281)
+ANGLES = np.linspace(-1.4, 1.4, 141)  # of a drive that rotates
+BY_DIFFERENCE = 1e-6  # relative error of central differences of sums of signals; they agree to 3e-8
 DENSE = np.linspace(-3.0, 3.0, 120_001)  # abscissae of the object's points
 
 
@@ -143,9 +145,11 @@ def test_uniform_straight_whiskers_stay_on_one_side_of_the_tangent():
 
 
 @pytest.mark.parametrize(
-    ("name", "rest_length", "crossing"), [("FBFBR", 0.2, True), ("FBFBR", 1.0, False), ("FBFBFBR", 0.2, True)]
+    ("name", "rest_length", "crossing"),
+    [("FBFBR", 0.2, True), ("FBFBR", 0.05, True), ("FBFBR", 1.0, False), ("FBFBFBR", 0.2, True)],
 )
 def test_a_crossing_ends_the_scan_where_polylines_cross(name, rest_length, crossing):
+    # With a rest length of 0.05, the tips pass within 0.002 L of each other on the object before the shafts cross.
     scene = model(name, rest_length=rest_length)
     plain, result = jw.scan(scene, CONTROL), jw.scan(detecting(scene, *BOTH), CONTROL)
     assert all_ok(plain)
@@ -205,14 +209,15 @@ def test_derivatives_and_transformations_are_those_of_plain_scans():
         result = jw.scan(detecting(model("FBFBR", distance=distance), *detect), control)
         return result.mz, result.status
 
-    def slope(distance, detect):
-        return jax.jacfwd(lambda distance: signals(distance, detect)[0])(distance)
+    def slope(distance, detect, jacobian=jax.jacfwd):
+        return jacobian(lambda distance: signals(distance, detect)[0])(distance)
 
     (mz, status), plain = signals(0.2, BOTH), signals(0.2, ())[0]
     assert list(status) == [0, 0, 0, jw.Status.crossing]
     np.testing.assert_array_equal(mz[:3], plain[:3])
     np.testing.assert_allclose(slope(0.2, BOTH)[:3], slope(0.2, ())[:3], rtol=1e-12)
     assert np.all(slope(0.2, BOTH)[3] == 0)
+    np.testing.assert_allclose(slope(0.2, BOTH, jax.jacrev), slope(0.2, BOTH), rtol=1e-12)
     # One lane of a batch crosses, the other does not reach the object; a jit gives the same.
     many = jax.vmap(lambda distance: signals(distance, BOTH))(jnp.array([0.2, 2.0]))
     np.testing.assert_allclose(many[0][0], mz, rtol=1e-9)
@@ -220,6 +225,45 @@ def test_derivatives_and_transformations_are_those_of_plain_scans():
     staged = jax.jit(lambda distance: signals(distance, BOTH))(jnp.asarray(0.2))
     np.testing.assert_allclose(staged[0], mz, rtol=1e-9)
     np.testing.assert_array_equal(staged[1], status)
+
+
+def rotating(scene, distance, radius, *names):
+    """A scene whose drive rotates about a pivot at height -1."""
+    profile = jw.Parabola(distance, scene.profile.a)
+    return jw.Scene(scene.whisker, profile, scene.support, motion=jw.Rotation((0.0, -1.0), radius), detect=names)
+
+
+# The second whisker is so short that it is still free, and turns with the drive, when the first one crosses it.
+SHORT = jw.Scene((jw.Whisker(), jw.Whisker(0.7)), jw.Parabola(0.3), jw.Support.fbfbr(70.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    [("second_contact", MEETING["with its base, a sharp object"][0]), ("crossing", SHORT)],
+    ids=BOTH,
+)
+def test_a_drive_that_rotates_and_derivatives_backwards(name, scene):
+    at = (scene.profile.distance, 1.0)
+
+    def signal(distance, radius):
+        return jw.scan(rotating(scene, distance, radius, *BOTH), ANGLES).mz[:, 0]
+
+    plain, result = jw.scan(rotating(scene, *at), ANGLES), jw.scan(rotating(scene, *at, *BOTH), ANGLES)
+    assert all_ok(plain)
+    bad = depths(plain) > DEPTH if name == "second_contact" else [crosses(*shapes) for shapes in lines(plain)]
+    found = first(np.asarray(result.status))
+    assert 20 < found < ANGLES.size and abs(found - first(bad)) <= STEPS
+    assert np.all(np.asarray(result.status)[found:] == jw.Status[name])
+
+    # The steps that failed hold NaN and contribute nothing to a gradient, with any weight.
+    mz, backwards = jax.vjp(signal, *at)
+    gradient = np.array(backwards(np.ones(ANGLES.size)))
+    np.testing.assert_array_equal(mz[:found], plain.mz[:found, 0])
+    forwards = jax.jacfwd(signal, argnums=(0, 1))(*at)
+    np.testing.assert_allclose(gradient, [np.sum(slope) for slope in forwards], rtol=1e-10)
+    for k, slope in enumerate(gradient):
+        there, here = (signal(*(x + h * (i == k) for i, x in enumerate(at))) for h in (1e-4, -1e-4))
+        np.testing.assert_allclose(slope, np.sum(there[:found] - here[:found]) / 2e-4, rtol=BY_DIFFERENCE)
 
 
 @pytest.mark.unchecked

@@ -230,6 +230,7 @@ class TestErrors:
             (dict(derivatives="radius"), "`derivatives` must be among stiffness, distance, got 'radius'"),
             (dict(control=[]), "`control` must be a non-empty"),
             (dict(control=[0.0, np.nan]), "`control` must be"),
+            (dict(summary="fx"), "`summary` must be True or False, got 'fx'"),
             (dict(memory=-1.0), "`memory` must be a positive number"),
             (dict(client=3), "`client` must be a dask.distributed.Client, got 3"),
             (dict(store=3), "`store` must be the path of a folder, got 3"),

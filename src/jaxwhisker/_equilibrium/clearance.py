@@ -162,11 +162,13 @@ def cross(one: Shaft, other: Shaft) -> Bool[Array, ""]:
 
     at = jax.lax.fori_loop(0, CROSSING_STEPS, newton, jnp.stack([t[a, b], r[a, b]]))
     miss = one_cell.at(at[0])[0] - other_cell.at(at[1])[0]
-    inside = _inside(at[0], a, off_middle.shape[0]) & _inside(at[1], b, off_middle.shape[1])
+    inside = _inside(at[0], a, first) & _inside(at[1], b, second)
     return inside & (jnp.sum(miss**2) < CROSSING_ERROR**2)
 
 
-def _inside(t: Scalar, cell: Scalar, cells: int) -> Bool[Array, ""]:
+def _inside(t: Scalar, cell: Scalar, cells: _Cells) -> Bool[Array, ""]:
     """Whether a place is on the shaft, at most `OUTSIDE` away from its cell."""
-    low, high = jnp.where(cell == 0, 0.0, -OUTSIDE), jnp.where(cell == cells - 1, 1.0, 1 + OUTSIDE)
-    return jnp.logical_and(t >= low, t <= high)
+    # The cells beyond a contact at the tip have no length: the last cell need not be the one that ends at the tip.
+    size = jnp.sqrt(jnp.sum(cells.leaving**2, axis=-1))
+    place = jnp.sum(jnp.where(jnp.arange(size.size) < cell, size, 0.0)) + t * size[cell]
+    return (jnp.abs(t - 0.5) <= 0.5 + OUTSIDE) & (place >= 0) & (place <= jnp.sum(size))

@@ -102,6 +102,8 @@ def identify(
     checks.float64_mode()
     guess = parameters.read_parameters("guess", guess)
     checks.count("starts", starts, least=0)
+    for name, value in {"offsets": offsets, "gains": gains, "shift": shift, "near": near}.items():
+        checks.instance(name, value, bool, "True or False")
     own = arguments_of(channels)
     scene = parameters.build_scene("guess", build, {name: v for name, v in guess.items() if name not in own})
     measures, values = channels_from(channels, scene, guess)

@@ -84,6 +84,7 @@ def study(
     """
     checks.float64_mode()
     _check_packages(store, client)
+    checks.instance("summary", summary, bool, "True or False")
     checks.number("memory", memory, positive=True, finite=False)
     parameters = parameters_of(build, points, axes, OPTIONS)
     derivatives = _checked_derivatives(derivatives, parameters)
