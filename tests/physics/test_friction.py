@@ -218,11 +218,11 @@ def tip_of(curvature, base_x, fx, fy, mz):
 
     def rates(_, state):
         x, y, angle = state
-        bend = -mz + fx * y - fy * (x - base_x)
+        bend = -mz - fx * y + fy * (x - base_x)
         return np.cos(angle), np.sin(angle), bend + curvature
 
     x, y, angle = solve_ivp(rates, (0, 1), (base_x, 0, np.pi / 2), method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
-    return x, y, angle, -mz + fx * y - fy * (x - base_x)
+    return x, y, angle, -mz - fx * y + fy * (x - base_x)
 
 
 def test_derivatives_where_a_contact_sticks_from_its_touch_and_where_it_comes_to_rest():
