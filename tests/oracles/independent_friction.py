@@ -105,7 +105,7 @@ def laws_of_states(scenes: Mechanics, friction: np.ndarray, control: np.ndarray,
                 ok[..., None], balance / (length[..., :1] + np.max(np.abs(r["base_x"]), -1, keepdims=True))
             ),
             "free whiskers carry nothing": where(free, np.abs(fx) + np.abs(fy) + np.abs(moment)),
-            "free whiskers are clear": where(free, np.minimum(height_of(scenes.kind, profile, base_x) - 1, 0.0)),
+            "free whiskers are clear": where(free, _intrusion(scenes.kind, profile, base_x)),
         }
     return Laws(missed, np.where(np.cos(angle - slope) < 0, -1.0, 1.0))
 
@@ -117,6 +117,16 @@ def in_lengths(scenes: Mechanics, length: np.ndarray) -> dict[str, np.ndarray]:
         name: value[:, None, None] * (length if name in curved else 1 / length)
         for name, value in scenes.profile.items()
     }
+
+
+def _intrusion(kind: str, p: dict[str, np.ndarray], x: np.ndarray) -> np.ndarray:
+    """Depth by which an upright whisker at x is inside the object: the shorter of the ways down and sideways."""
+    if kind == "parabola":
+        width = np.sqrt(np.maximum(1 - p["distance"], 0.0) / p["a"])
+    else:
+        a, b = (p["radius"], p["radius"]) if kind == "circle" else (p["a"], p["b"])
+        width = a * np.sqrt(1 - np.clip(1 - (1 - p["distance"]) / b, 0.0, 1.0) ** 2)
+    return np.maximum(np.minimum(1 - height_of(kind, p, x), width - np.abs(x)), 0.0)
 
 
 def _shape(force, psi, moment, arc, x, y):
