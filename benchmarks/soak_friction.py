@@ -15,16 +15,17 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
+import jax.numpy as jnp
 import numpy as np
 from independent_friction import all_laws
 
 import jaxwhisker as jw
 from common import write
-from random_scenes import LEG, NETWORKS, PROFILES, Drawn, mechanics, reversing, scans, scene_of
+from random_scenes import LEG, NETWORKS, PROFILES, Drawn, mechanics, reversing, scene_of
 
 # Relative number of scenes of each network: scenes with more whiskers take longer.
 SHARES = {"clamped": 10, "FB": 12, "FBFB": 4, "FBFBR": 2}
-BLOCK = 16  # scenes per batch; a batch takes as long as its slowest scene
+BLOCK = 16  # scenes per batch
 LEVEL = 1  # of XLA's optimisation: more takes longer to compile than it saves
 TOLERANCE = 1e-7  # largest relative residual of a correct state
 LISTED = 3  # laws that are listed for a wrong scene, worst first
@@ -36,6 +37,17 @@ def batch_of(network: str, profile: str, batch: int) -> Drawn:
     return reversing(network, profile, BLOCK, np.random.default_rng(seed))
 
 
+def scans(network: str, profile: str):
+    """Compiled function: all scans of drawn parameters, one after the other."""
+
+    # Under vmap, all would wait for the few that run into a limit, which take a hundred times as long as the others.
+    def one(p: Drawn):
+        return jw.scan(scene_of(network, profile, p, jw.ClosedForm()), p.control)
+
+    options = {"xla_backend_optimization_level": LEVEL}
+    return jax.jit(lambda p: jax.lax.map(one, jax.tree.map(jnp.asarray, p)), compiler_options=options)
+
+
 def laws(network: str, profile: str, p: Drawn, result: jw.Result) -> dict[str, np.ndarray]:
     """Residual of each law, (scenes, states)."""
     assert p.friction is not None
@@ -44,7 +56,7 @@ def laws(network: str, profile: str, p: Drawn, result: jw.Result) -> dict[str, n
 
 def soaked(network: str, profile: str, scenes: int) -> dict:
     """Scan random scenes of one kind; return a row of the table."""
-    run = scans(network, profile, jw.ClosedForm(), LEVEL)
+    run = scans(network, profile)
     statuses, worst, broken, wrong, seconds = Counter(), {}, Counter(), 0, 0.0
     events = Counter()
     for batch in range(-(-scenes // BLOCK)):

@@ -104,12 +104,12 @@ def scene_of(network: str, profile: str, p: Drawn, rod: jw.AbstractRod) -> jw.Sc
     return jw.Scene(whiskers, make(**p.profile), jw.Support(springs), rod, friction=p.friction)
 
 
-def scans(network: str, profile: str, rod: jw.AbstractRod, level: int = 3):
+def scans(network: str, profile: str, rod: jw.AbstractRod):
     """Compiled function: all scans of drawn parameters."""
 
     def one(p: Drawn):
         return jw.scan(scene_of(network, profile, p, rod), p.control)
 
     # Optimised, because this computes for longer than it compiles, also where tests are not optimised otherwise.
-    options = {"xla_backend_optimization_level": level}
+    options = {"xla_backend_optimization_level": 3}
     return jax.jit(lambda p: jax.vmap(one)(jax.tree.map(jnp.asarray, p)), compiler_options=options)
