@@ -17,10 +17,14 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp
 import numpy as np
-from independent_friction import all_laws
 
 import jaxwhisker as jw
 from common import write
+
+# isort: split
+# After common, which puts the oracles on the search path.
+from independent_friction import all_laws
+
 from random_scenes import LEG, NETWORKS, PROFILES, Drawn, mechanics, reversing, scene_of
 
 # Relative number of scenes of each network: scenes with more whiskers take longer.
