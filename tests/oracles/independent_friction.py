@@ -177,7 +177,7 @@ def laws_of_motion(scenes: Mechanics, control: np.ndarray, result: jw.Result, si
     x, y, arc = (np.asarray(getattr(result, name)) / length for name in ("contact_x", "contact_y", "contact_arc"))
     slip, ok = np.asarray(result.slip), np.asarray(result.status) == jw.Status.ok
     touching = np.asarray(result.phase) != jw.Phase.free
-    apart, event_before = _event_between(scenes, control, result)
+    apart, at_a_step = _event_between(scenes, control, result)
     known = ok[:, :-1] & ok[:, 1:] & ~apart
     both = touching[:, :-1] & touching[:, 1:] & known[..., None]
     there = arc_on_object(scenes.kind, in_lengths(scenes, length), x, y)
@@ -189,7 +189,7 @@ def laws_of_motion(scenes: Mechanics, control: np.ndarray, result: jw.Result, si
     missed = {
         "contacts that stick roll": np.where(both & (now == 0), slipped, 0.0),
         "slip has its direction": np.where(both & (now != 0), np.minimum(slipped * now, 0.0), 0.0),
-        "changes are events": np.where(changes & (known & ~event_before)[..., None], 1.0, 0.0),
+        "changes are events": np.where(changes & (known & ~at_a_step)[..., None], 1.0, 0.0),
     }
     return {law: np.max(np.where(np.isnan(value), np.inf, np.abs(value)), axis=-1) for law, value in missed.items()}
 
@@ -206,7 +206,7 @@ def _filled(result: jw.Result) -> np.ndarray:
 
 
 def _event_between(scenes: Mechanics, control: np.ndarray, result: jw.Result) -> tuple[np.ndarray, np.ndarray]:
-    """Whether an event separates a step and the next one, and whether one is at the next step; (scenes, steps - 1)."""
+    """Whether an event separates a step and the next one, and whether one is at either step; (scenes, steps - 1)."""
     travel, near = _travel(control), SAME_TRAVEL * scenes.length[:, :1]
     at, snaps = np.asarray(result.events.travel), np.isin(result.events.kind, SNAPS)
     filled = _filled(result)
@@ -217,8 +217,8 @@ def _event_between(scenes: Mechanics, control: np.ndarray, result: jw.Result) ->
     start, stop = travel[:, :-1, None], travel[:, 1:, None]
     inside = (at > start + near) & (at < stop - near)
     snapping = snaps & (at > start - near) & (at < stop + near)
-    at_end = filled & (np.abs(at - stop) <= near)
-    return np.any(filled & (inside | snapping), axis=-1) | beyond, np.any(at_end, axis=-1)
+    at_a_step = filled & (np.minimum(np.abs(at - start), np.abs(at - stop)) <= near)
+    return np.any(filled & (inside | snapping), axis=-1) | beyond, np.any(at_a_step, axis=-1)
 
 
 def laws_of_events(
