@@ -1,6 +1,6 @@
 """Soak test of friction: random scenes with reversals, checked by laws that share no code with the package.
 
-python benchmarks/soak_friction.py [scenes]     default 20,000; about forty minutes on one core
+python benchmarks/soak_friction.py [scenes]     default 20,000; an estimated half an hour on one core
 python benchmarks/soak_friction.py NETWORK PROFILE BATCH SCENE     scans one of these scenes again, and shows it
 
 Coefficients are log-uniform from 0.01 to 2. The drive reverses four times. Wrong and failed scenes are listed with the
@@ -60,13 +60,12 @@ def laws(network: str, profile: str, p: Drawn, result: jw.Result) -> dict[str, n
 
 def soaked(network: str, profile: str, scenes: int) -> dict:
     """Scan random scenes of one kind; return a row of the table."""
-    run = scans(network, profile)
+    run = scans(network, profile).lower(batch_of(network, profile, 0)).compile()
     statuses, worst, broken, wrong, seconds = Counter(), {}, Counter(), 0, 0.0
     events = Counter()
     for batch in range(-(-scenes // BLOCK)):
         p = batch_of(network, profile, batch)
-        if batch == 0:
-            run = run.lower(p).compile()
+        assert p.friction is not None
         start = time.perf_counter()
         result = jax.block_until_ready(run(p))
         seconds += time.perf_counter() - start
@@ -138,6 +137,6 @@ def main(scenes: int) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) > 2:
-        show(*sys.argv[1:3], *map(int, sys.argv[3:5]))
+        show(sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
     else:
         main(int(sys.argv[1]) if len(sys.argv) > 1 else 20_000)

@@ -67,7 +67,7 @@ def drawn(network: str, profile: str, count: int, rng: np.random.Generator) -> D
 def reversing(network: str, profile: str, count: int, rng: np.random.Generator) -> Drawn:
     """Random parameters with coefficients of friction, log-uniform, and a drive that reverses four times."""
     p = drawn(network, profile, count, rng)
-    friction = np.exp(rng.uniform(*np.log(COEFFICIENTS), count))
+    friction = np.exp(rng.uniform(np.log(COEFFICIENTS[0]), np.log(COEFFICIENTS[1]), count))
     ends = [np.zeros(count)]
     for way in (1, -1, 1, -1, 3):
         ends.append(np.clip(ends[-1] + way * rng.uniform(0.02, 0.6, count), 0, 1))
@@ -101,7 +101,8 @@ def scene_of(network: str, profile: str, p: Drawn, rod: jw.AbstractRod) -> jw.Sc
     make = {"parabola": jw.Parabola, "circle": jw.Circle, "ellipse": jw.Ellipse}[profile]
     whiskers = tuple(jw.Whisker(p.length[i], p.bending_stiffness[i]) for i in range(p.length.shape[0]))
     springs = tuple(jw.Spring(ends, p.stiffness[i], p.rest_length[i]) for i, ends in enumerate(NETWORKS[network]))
-    return jw.Scene(whiskers, make(**p.profile), jw.Support(springs), rod, friction=p.friction)
+    friction = None if p.friction is None else jnp.asarray(p.friction)
+    return jw.Scene(whiskers, make(**p.profile), jw.Support(springs), rod, friction=friction)
 
 
 def scans(network: str, profile: str, rod: jw.AbstractRod):
