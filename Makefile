@@ -57,8 +57,8 @@ bench-inverse: $(VENV)/installed-dev ## measure fits, contours and required prio
 extremes: $(VENV)/installed-dev ## scan scenes at the limits of every parameter's range
 	@$(call run,extremes report) && $(draw)
 
-soak: $(VENV)/installed-dev ## check 100,000 random scenes (half an hour on two cores)
-	@$(call run,soak soak_supports report)
+soak: $(VENV)/installed-dev ## check 120,000 random scenes (an hour on two cores)
+	@$(call run,soak soak_supports soak_friction report)
 
 # Everything that a scan rests on, without the tests that need further programs.
 CORE_TESTS := tests/equilibrium tests/path tests/physics/test_reference_scans.py \

@@ -318,7 +318,7 @@ def sliders() -> str:
 
 
 WHOLE = (
-    *("roofline", "ladder", "cold_start", "extremes", "soak", "soak_supports"),
+    *("roofline", "ladder", "cold_start", "extremes", "soak", "soak_supports", "soak_friction"),
     *("identify_guesses", "identify_noise", "reconstruct"),
 )
 SELECTED = (in_short, work_precision, speed_up, models, settings, claims)

@@ -1,5 +1,6 @@
 """Random scenes of every kind, with log-uniform sizes, and their scans; checked by independent.py."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -10,6 +11,8 @@ from independent import Mechanics
 import jaxwhisker as jw
 
 STEPS = 64
+LEG = 16  # steps between two reversals
+COEFFICIENTS = 0.01, 2.0  # range of coefficients of friction
 NETWORKS = {
     "clamped": (),
     "FB": ((0, 1),),
@@ -30,6 +33,7 @@ class Drawn(NamedTuple):
     length: np.ndarray  # (scenes, whiskers)
     bending_stiffness: np.ndarray
     control: np.ndarray  # (scenes, steps)
+    friction: np.ndarray | None = None  # coefficients
 
 
 def drawn(network: str, profile: str, count: int, rng: np.random.Generator) -> Drawn:
@@ -60,6 +64,19 @@ def drawn(network: str, profile: str, count: int, rng: np.random.Generator) -> D
     )
 
 
+def reversing(network: str, profile: str, count: int, rng: np.random.Generator) -> Drawn:
+    """Random parameters with coefficients of friction, log-uniform, and a drive that reverses four times."""
+    p = drawn(network, profile, count, rng)
+    friction = np.exp(rng.uniform(np.log(COEFFICIENTS[0]), np.log(COEFFICIENTS[1]), count))
+    ends = [np.zeros(count)]
+    for way in (1, -1, 1, -1, 3):
+        ends.append(np.clip(ends[-1] + way * rng.uniform(0.02, 0.6, count), 0, 1))
+    legs = [a + (b - a) * np.arange(1, LEG + 1)[:, None] / LEG for a, b in pairwise(ends)]
+    share = np.concatenate([ends[0][None], *legs]).T
+    first, last = p.control[:, :1], p.control[:, -1:]
+    return p._replace(control=first + (last - first) * share, friction=friction)
+
+
 def mechanics(network: str, profile: str, p: Drawn) -> Mechanics:
     """The mechanics for independent.py, with flexibility and rest positions from the energy of the springs."""
     springs = NETWORKS[network]
@@ -79,14 +96,20 @@ def mechanics(network: str, profile: str, p: Drawn) -> Mechanics:
     return Mechanics(profile, p.profile, p.length, p.bending_stiffness, flexibility, offset)
 
 
+def scene_of(network: str, profile: str, p: Drawn, rod: jw.AbstractRod) -> jw.Scene:
+    """The scene of one element of drawn parameters."""
+    make = {"parabola": jw.Parabola, "circle": jw.Circle, "ellipse": jw.Ellipse}[profile]
+    whiskers = tuple(jw.Whisker(p.length[i], p.bending_stiffness[i]) for i in range(p.length.shape[0]))
+    springs = tuple(jw.Spring(ends, p.stiffness[i], p.rest_length[i]) for i, ends in enumerate(NETWORKS[network]))
+    friction = None if p.friction is None else jnp.asarray(p.friction)
+    return jw.Scene(whiskers, make(**p.profile), jw.Support(springs), rod, friction=friction)
+
+
 def scans(network: str, profile: str, rod: jw.AbstractRod):
     """Compiled function: all scans of drawn parameters."""
-    make = {"parabola": jw.Parabola, "circle": jw.Circle, "ellipse": jw.Ellipse}[profile]
 
     def one(p: Drawn):
-        whiskers = tuple(jw.Whisker(p.length[i], p.bending_stiffness[i]) for i in range(p.length.shape[0]))
-        springs = tuple(jw.Spring(ends, p.stiffness[i], p.rest_length[i]) for i, ends in enumerate(NETWORKS[network]))
-        return jw.scan(jw.Scene(whiskers, make(**p.profile), jw.Support(springs), rod), p.control)
+        return jw.scan(scene_of(network, profile, p, rod), p.control)
 
     # Optimised, because this computes for longer than it compiles, also where tests are not optimised otherwise.
     options = {"xla_backend_optimization_level": 3}

@@ -1,0 +1,72 @@
+"""Random scenes with friction, checked by laws that share no code with the package (benchmarks/soak_friction.py)."""
+
+from functools import cache
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from independent_friction import all_laws
+
+import jaxwhisker as jw
+from random_scenes import mechanics, reversing, scans
+
+KIND = ("FB", "parabola")
+SCENES = 24
+SOUND = 1e-7  # largest relative residual of a law
+REFUSED = 0.1  # largest share of scenes that end with a status; about 0.02 do
+
+
+@cache
+def scanned():
+    p = reversing(*KIND, SCENES, np.random.default_rng(1))
+    # As numbers, because tests replace some of them.
+    return p, jax.tree.map(np.asarray, jax.block_until_ready(scans(*KIND, jw.ClosedForm())(p)))
+
+
+def residuals(p, result):
+    missed = all_laws(mechanics(*KIND, p), p.friction, p.control, result)
+    return {law: np.max(amount) for law, amount in missed.items()}
+
+
+def test_scans_satisfy_all_laws():
+    p, result = scanned()
+    assert np.mean(np.any(result.status != jw.Status.ok, axis=1)) < REFUSED
+    touching = result.phase != jw.Phase.free
+    assert all(np.sum(touching & (result.slip == way)) > SCENES for way in (-1, 0, 1))
+    for law, amount in residuals(p, result).items():
+        assert amount < SOUND, law
+
+
+WRONG = {
+    "slip": (lambda r: -r.slip, "slip has its direction"),
+    "friction_force": (lambda r: r.friction_force * (1 + 1e-5), "force of slip"),
+    "normal_force": (lambda r: r.normal_force * (1 - 1e-5), "cone of friction"),
+    "fx": (lambda r: r.fx * (1 + 1e-5), "reaction balances the force, x"),
+    "mz": (lambda r: r.mz * (1 + 1e-5), "arc of the elastica"),
+    "base_x": (lambda r: r.base_x + 1e-5 * np.max(np.abs(r.base_x)), "base under the contact, x"),
+    "contact_x": (lambda r: r.contact_x * (1 + 1e-5), "contacts that stick roll"),
+    "contact_arc": (lambda r: r.contact_arc * (1 - 1e-5), "contacts that stick roll"),
+}
+
+
+@pytest.mark.parametrize("field", WRONG)
+def test_wrong_fields_violate_their_law(field):
+    p, result = scanned()
+    change, law = WRONG[field]
+    assert residuals(p, eqx.tree_at(lambda r: getattr(r, field), result, change(result)))[law] > SOUND
+
+
+def test_events_at_other_places_violate_a_law():
+    p, result = scanned()
+    control = result.events.control + 1e-5 * p.length
+    wrong = eqx.tree_at(lambda r: r.events.control, result, control)
+    assert residuals(p, wrong)["balance of bases, before an event"] > SOUND
+
+
+def test_a_snap_that_gains_energy_violates_a_law():
+    p, result = scanned()
+    assert np.any(result.events.kind == jw.EventKind.snap_off)
+    events = result.events
+    swapped = eqx.tree_at(lambda r: (r.events.before, r.events.after), result, (events.after, events.before))
+    assert residuals(p, swapped)["snaps lose energy"] > SOUND
