@@ -16,11 +16,14 @@ jax.config.update("jax_enable_x64", True)
 
 import matplotlib as mpl
 import numpy as np
-from exact import clamped_branch, parabola
 from scipy.optimize import minimize_scalar
 
 import jaxwhisker as jw
 from common import write
+
+# isort: split
+# After common, which puts the oracles on the search path.
+from exact import clamped_branch, parabola
 
 mpl.use("Agg")
 from matplotlib import pyplot

@@ -15,8 +15,6 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp
 import numpy as np
-from exact import CLAMP, _Network
-from independent import Mechanics, violations
 
 import jaxwhisker as jw
 from common import write
@@ -28,6 +26,11 @@ from jaxwhisker._scan.route import across, route_of
 from jaxwhisker._scan.scan import follow_path_now, problem_now
 from jaxwhisker._scan.steps import interpolate
 from jaxwhisker._study.critical import steepest
+
+# isort: split
+# After common, which puts the oracles on the search path.
+from exact import CLAMP, _Network
+from independent import Mechanics, violations
 
 RODS = {"integrated": jw.Shooting(), "closed form": jw.ClosedForm()}
 STEPS = 400  # of the control, unless the case sets it

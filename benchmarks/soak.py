@@ -12,11 +12,14 @@ from multiprocessing import get_context
 
 import jax
 import numpy as np
-from independent import violations
 
 import jaxwhisker as jw
 from common import write
 from random_scenes import NETWORKS, PROFILES, drawn, mechanics, scans
+
+# isort: split
+# After common, which puts the oracles on the search path.
+from independent import violations
 
 jax.config.update("jax_enable_x64", True)
 

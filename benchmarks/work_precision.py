@@ -22,13 +22,16 @@ jax.config.update("jax_enable_x64", True)
 import diffrax
 import jax.numpy as jnp
 import numpy as np
-from exact import circle, clamped_branch, exact_scan, parabola
 from scipy.optimize.elementwise import find_root
 
 import jaxwhisker as jw
 from common import summary, write
 from peers import bvp, cosserat_rod, hinge_chain, stock, thesis
 from peers.scene import Circle, Scene
+
+# isort: split
+# After common, which puts the oracles on the search path.
+from exact import circle, clamped_branch, exact_scan, parabola
 
 PARABOLA, CIRCLE = Scene(), Circle()
 PROFILES = {PARABOLA: parabola(PARABOLA.distance), CIRCLE: circle(CIRCLE.distance, CIRCLE.radius)}
