@@ -52,7 +52,9 @@ def newly_slipping(
 _GAUSS = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
 POINTS = ((np.arange(16)[:, None] + _GAUSS) / 16).ravel()
 WEIGHTS = np.tile([5 / 288, 8 / 288, 5 / 288], 16)
-STEPS = 32  # by which a rolling contact is followed: errors of 1e-9 for a distance of ten radii of curvature
+FIRST_SHARE = 1 / 8  # of the distance, in which a rolling contact is followed at first
+ROLLED = 1e-13  # error of the parameter in one step, for which a step is halved: a sharp end of the object may be near
+SHORTEST_SHARE = 1e-9  # of the distance; if no longer step is accurate, the object is not smooth
 
 
 def speed(profile: AbstractProfile, parameter: Scalar) -> Scalar:
@@ -73,13 +75,22 @@ def rolled(profile: AbstractProfile, start: Scalar, distance: Scalar) -> Float[A
     term = diffrax.ODETerm(lambda t, parameter, args: distance / speed(profile, parameter))
     start = jnp.asarray(start, dtype=float)
 
-    def step(k, carry):
-        parameter, memory = carry
-        parameter, _, _, memory, _ = solver.step(term, k / STEPS, (k + 1) / STEPS, parameter, None, memory, no)
-        return parameter, memory
+    def step(carry):
+        at, share, parameter = carry
+        end = jnp.minimum(at + share, 1.0)
+        memory = solver.init(term, at, end, parameter, None)
+        there, error, _, _, _ = solver.step(term, at, end, parameter, None, memory, no)
+        good = jnp.abs(error) < ROLLED
+        share = jnp.where(good, 2 * share, share / 2)
+        return jnp.where(good, end, at), share, jnp.where(good, there, parameter)
 
-    carry = start, solver.init(term, 0.0, 1.0 / STEPS, start, None)
-    return jax.lax.fori_loop(0, jnp.where(distance == 0, 0, STEPS), step, carry)[0]
+    def goes_on(carry):
+        at, share, _ = carry
+        return (at < 1) & (share > SHORTEST_SHARE)
+
+    at = jnp.where(distance == 0, 1.0, 0.0)
+    at, _, stop = jax.lax.while_loop(goes_on, step, (at, jnp.asarray(FIRST_SHARE), start))
+    return jnp.where(at < 1, jnp.nan, stop)
 
 
 @rolled.def_jvp
