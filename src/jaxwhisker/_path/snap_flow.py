@@ -43,6 +43,7 @@ ITERATIONS = 3000
 TOUCH = 1e-8  # tolerance for the position of a base where its whisker touches, and thus for the force of a new contact
 SLIPPED = 1e-12  # distance that a contact may slip back before it sticks
 LEANING = 1e-12  # angle by which a contact that sticks may lean too far before it slips
+OVERSHOOT = 1e-3  # a step in which one leans too far by a larger angle is too long
 LANDED = 1e-6  # tolerance for the base position at which a slipped whisker's slide or landing ends
 
 
@@ -254,6 +255,14 @@ def _slips(problem: Problem, mode: Mode, previous: Contacts, z: Contacts) -> Int
     backwards = jnp.where(problem.friction_angle > 0, 0, -slip)
     slips = jnp.where(jnp.abs(lean) > problem.friction_angle + LEANING, jnp.sign(lean).astype(int), 0)
     return jnp.where(slip == 0, slips, jnp.where(slipped < -SLIPPED, backwards, slip))
+
+
+def overshoots(problem: Problem, mode: Mode, z: Contacts) -> Bool[Array, ""]:
+    """Whether contacts that stick lean too far after a step, so that they began to slip well before its end."""
+    if mode.friction is None or problem.friction_angle is None:
+        return jnp.asarray(False)
+    sticks = (mode.phase != Phase.free) & (mode.friction.slip == 0)
+    return jnp.any(sticks & (jnp.abs(z[:, 1]) > problem.friction_angle + OVERSHOOT))
 
 
 def shortened(flow: Flow) -> Flow:
