@@ -1,7 +1,7 @@
 """Scans with Coulomb friction: against exact states by elliptic integrals, and by laws."""
 
 import json
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import jax
@@ -244,8 +244,19 @@ def test_whiskers_that_stick_cannot_be_wound_around_the_object():
     scene = jw.Scene(jw.Whisker(), jw.Parabola(0.01124, 2.6207), support, jw.ClosedForm(), friction=0.8586)
     control = jnp.array([0.5, -0.16907, 0.00869, -1.33126, -0.02964])
     result = jw.scan(scene, control)
-    assert int(result.status[3]) == jw.Status.ok
-    assert int(result.status[-1]) == jw.Status.second_contact
+    assert result.status.tolist() == [*[jw.Status.ok] * 4, jw.Status.second_contact]
+
+
+def test_no_snap_gains_energy():
+    # With the second contact neglected, the whisker would snap to a state of much higher energy.
+    support = jw.Support.fb(11702.0, 0.344)
+    make = partial(jw.Scene, jw.Whisker(), jw.Parabola(0.01124, 2.6207), support, jw.ClosedForm(), friction=0.8586)
+    result = jw.scan(make(detect=()), jnp.array([0.5, -0.16907, 0.00869, -1.33126, -0.02964]))
+    assert result.status.tolist() == [*[jw.Status.ok] * 4, jw.Status.unsettled]
+    energies = [
+        (jw.stored_energy(result.scene, e.before), jw.stored_energy(result.scene, e.after)) for e in result.events
+    ]
+    assert all(after < (1 + SAME) * before for before, after in energies)
 
 
 def test_mirrored_scenes_give_mirrored_signals():

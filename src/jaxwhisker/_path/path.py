@@ -25,7 +25,7 @@ class Status(IntEnum):
     ok = 0
     invalid = 1  # a parameter is outside its domain
     lost = 2  # the path could not be followed further: no equilibrium was found near the last one
-    unsettled = 3  # after a loss of stability the bases did not come to rest
+    unsettled = 3  # after a loss of stability the bases did not come to rest, or only at a higher energy
     not_convex = 4  # the profile is not convex where a whisker touches it
     too_long = 5  # more nodes, iterations or (for a traced control) turning points than there is room for
     inexact = 6  # this step's equations are not satisfied to tolerance

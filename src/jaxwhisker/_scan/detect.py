@@ -3,8 +3,11 @@
 The path, which chooses its steps itself, is searched for the first such state, and ends there. What is found therefore
 depends on the caller's control no more than stability and snaps do. Later states are unknown even if the shafts come
 apart again: the missing force decides what they are.
+
+With friction, a path also ends at a snap to a state of higher energy, which no motion reaches.
 """
 
+from functools import partial
 from itertools import combinations
 from typing import NamedTuple
 
@@ -20,11 +23,14 @@ from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.point import Mode, Point
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
-from jaxwhisker._path.path import NO_EVENT, Path, Status
+from jaxwhisker._path.path import NO_EVENT, Path, Status, is_snap
+from jaxwhisker._scan.signals import event_room
 from jaxwhisker._scan.steps import interpolate
 
 SHARES = 2  # states examined from one node of the path to the next; a contact that lasts less than that is overlooked
 BATCH = 32  # states examined at once
+GAIN = 1e-6  # relative gain of energy in a snap that is no rounding
+JUST_BEFORE = 1e-9  # distance from the end of a path to the snap that ends it, in nodes
 REFINEMENTS = 3  # each divides the distance to the first contact on the path by the size of a batch
 
 
@@ -126,6 +132,37 @@ def _control_at(path: Path, place: Scalar) -> tuple[Int[Array, ""], Scalar]:
     controls = jnp.asarray(path.nodes.point.u)
     u, there = controls[index], controls[jnp.minimum(index + 1, path.count - 1)]
     return index, u + (place - index) * (there - u)
+
+
+def without_gains(problem: Problem, path: Path) -> Path:
+    """The path up to the first snap with friction that gains energy; whiskers that are not uniform are not checked."""
+    if problem.friction_angle is None or problem.section is not None:
+        return path
+    nodes = path.nodes
+    room, n = nodes.phase.shape
+    snaps = is_snap(nodes.kind) & (jnp.arange(room) < path.count)
+    index = jnp.nonzero(snaps, size=event_room(n), fill_value=room - 1)[0]
+    node = jax.tree.map(lambda leaf: leaf[index], nodes)
+    energy = jax.vmap(partial(_energy, problem))
+    before = energy(Point(node.z_before, node.point.u), jax.vmap(lambda at: at.mode_before)(node))
+    after = energy(node.point, jax.vmap(lambda at: at.mode)(node))
+    gains = snaps[index] & (after - before > GAIN * (after + before))
+    place = index[jnp.argmax(gains)] - JUST_BEFORE
+    return _cut(path, place, jnp.where(jnp.any(gains), Status.unsettled, Status.ok))
+
+
+def _energy(problem: Problem, point: Point, mode: Mode) -> Scalar:
+    """Elastic energy of uniform whiskers and of springs (see energy.py), dimensionless."""
+    touching = mode.phase != Phase.free
+    z, phase = with_dummy_contacts(problem, point.z, mode.phase)
+    bodies = problem.bodies(point.u)
+    base = of_each(bodies, contact.base, z, phase, mode.side, mode.friction)
+    s = of_each(bodies, contact.arc, z[:, 2], phase)
+    density = base.bend**2 / (2 * problem.bending_stiffness) + base.force_x * base.cos + base.force_y * base.sin
+    way = base.force_x * (base.contact_x - base.x) + base.force_y * (base.contact_y - base.y)
+    in_frame = jax.vmap(contact.in_base_frame, in_axes=(0, None if bodies.frame is None else 0))
+    load = jnp.where(touching[:, None], newton.load_of(in_frame(base, bodies.frame), problem.axes), 0.0)
+    return jnp.sum(jnp.where(touching, density * s - way, 0.0)) + jnp.sum(load * problem.displacement(load)) / 2
 
 
 def _cut(path: Path, place: Scalar, status: Int[Array, ""]) -> Path:

@@ -28,7 +28,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import march
 from jaxwhisker._path.path import Path, Status
-from jaxwhisker._scan.detect import detect
+from jaxwhisker._scan.detect import detect, without_gains
 from jaxwhisker._scan.memory import places_of, remembered, with_places
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
@@ -248,7 +248,7 @@ def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
     path = march(problem, stops, jnp.asarray(last), capacity=_capacity(problem, stops.shape[0]))
     path, start, stop = approach.crop(path, whole, limits)
-    path = detect(problem, path)
+    path = detect(problem, without_gains(problem, path))
     return ScanPath(path, jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control))
 
 
