@@ -162,9 +162,9 @@ def _singularity(
         assert turning.slip is not None
         return jnp.sum(jnp.where(turning.slip[:, None], slip_by_contact(problem, z, mode) * z_rate, 0.0))
 
-    by_z = jnp.zeros_like(here.z)
+    by_z = None
     if turning.slip is not None:
-        by_z = jax.grad(slip, argnums=2)(here.z, problem, by_z)
+        by_z = jax.grad(slip, argnums=2)(here.z, problem, jnp.zeros_like(here.z))
         by_steps = jnp.append(jnp.ravel(jnp.sum(by_z[:, :, None] * linear.at.basis, axis=1)), 0.0)
         by_network = -jnp.sum(by_steps[:, None] * linear.inverse, axis=0)[:-1]
         left = jnp.where(jnp.any(turning.slip), by_network, left)
@@ -178,7 +178,8 @@ def _singularity(
             value = evaluate(problem, Point(contacts, point.u), mode._replace(phase=phase, friction=friction))
             at = condense(problem, here.z, mode, value, linear.gradient, linear.by_u)
             network = at.pose - problem.rest(point.u) - problem.displacement(at.load)
-            return jnp.sum(jnp.where(touching, left * network, 0.0)) + jnp.sum(by_z * at.particular)
+            pull = jnp.sum(jnp.where(touching, left * network, 0.0))
+            return pull if by_z is None else pull + jnp.sum(by_z * at.particular)
 
         rate = jax.jvp(equations, (point.z,), (linear.tangent.z,))[1]
         return rate if turning.slip is None else rate + slip(point.z, problem, linear.tangent.z)

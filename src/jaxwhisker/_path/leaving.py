@@ -60,7 +60,7 @@ def after_arrive(
         # The lean of a contact that sticks from its first touch is not known beforehand.
         starts = is_light(state.mode, state.point.z)
         moved = moved._replace(z=moved.z.at[:, 1].multiply(~starts))
-        node = node._replace(travel=node.travel + direction * moved.u)
+        node = node._replace(travel=node.travel + jnp.where(jnp.any(starts), direction * moved.u, 0.0))
     near = trial.solution.converged & (dot(moved, moved, scale_of(state.point.z)) < ARRIVAL_MISS**2)
     # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
     there = trial.there

@@ -257,12 +257,13 @@ def _slips(problem: Problem, mode: Mode, previous: Contacts, z: Contacts) -> Int
     return jnp.where(slip == 0, slips, jnp.where(slipped < -SLIPPED, backwards, slip))
 
 
-def overshoots(problem: Problem, mode: Mode, z: Contacts) -> Bool[Array, ""]:
-    """Whether contacts that stick lean too far after a step, so that they began to slip well before its end."""
+def follows(problem: Problem, mode: Mode, solution: Solution) -> Bool[Array, ""]:
+    """Whether all whiskers can follow a step, and no contact that sticks began to slip well before its end."""
     if mode.friction is None or problem.friction_angle is None:
-        return jnp.asarray(False)
+        return solution.converged
     sticks = (mode.phase != Phase.free) & (mode.friction.slip == 0)
-    return jnp.any(sticks & (jnp.abs(z[:, 1]) > problem.friction_angle + OVERSHOOT))
+    leans = jnp.abs(solution.point.z[:, 1])
+    return solution.converged & ~jnp.any(sticks & (leans > problem.friction_angle + OVERSHOOT))
 
 
 def shortened(flow: Flow) -> Flow:

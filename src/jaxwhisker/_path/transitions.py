@@ -369,7 +369,7 @@ def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, so
         lead=Lead(none, jnp.zeros_like(flow.pose), state.direction),
     )
     shorter = state._replace(flow=snap_flow.shortened(state.flow))
-    followed = solution.converged & ~snap_flow.overshoots(problem, state.mode, solution.point.z)
+    followed = snap_flow.follows(problem, state.mode, solution)
     new = first_case(
         (jnp.where(followed, flow.exhausted, shorter.flow.exhausted), state.stopped(Status.unsettled)),
         (~followed, shorter),
