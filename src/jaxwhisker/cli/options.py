@@ -223,8 +223,8 @@ def make_scene(args: argparse.Namespace, rod: AbstractRod | None = None, /, **va
     kind, shape = PROFILES[args.profile]
     profile = kind(**{name: values[name] for name in ("distance", "position", *shape)})
     whisker = Whisker(values["length"], values["bending_stiffness"])
-    more = {"friction": values.get("friction"), "detect": getattr(args, "detect", None)}
-    return Scene(whisker, profile, support_of(args, values), rod or Shooting(), **more)
+    friction, detect = values.get("friction"), getattr(args, "detect", None)
+    return Scene(whisker, profile, support_of(args, values), rod or Shooting(), friction=friction, detect=detect)
 
 
 def scene_of(args: argparse.Namespace) -> Scene:
