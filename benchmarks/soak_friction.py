@@ -1,6 +1,6 @@
 """Soak test of friction: random scenes with reversals, checked by laws that share no code with the package.
 
-python benchmarks/soak_friction.py [scenes]     default 20,000; an estimated half an hour on one core
+python benchmarks/soak_friction.py [scenes]     default 20,000; about 20 minutes on one core
 python benchmarks/soak_friction.py NETWORK PROFILE BATCH SCENE     scans one of these scenes again, and shows it
 
 Coefficients are log-uniform from 0.01 to 2. The drive reverses four times. Wrong and failed scenes are listed with the

@@ -31,8 +31,8 @@ class Status(IntEnum):
     inexact = 6  # this step's equations are not satisfied to tolerance
     unstable = 7  # this step's equilibrium is not stable
     undetermined = 8  # friction lets the contacts move on in no way, or in more than one
-    second_contact = 9  # a whisker has met the object in a second place; only with `Scene(detect="second_contact")`
-    crossing = 10  # two whiskers have crossed; only with `Scene(detect="crossing")`
+    second_contact = 9  # a whisker has met the object in a second place; see `Scene.detects`
+    crossing = 10  # two whiskers have crossed; see `Scene.detects`
 
 
 class EventKind(IntEnum):
