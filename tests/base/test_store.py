@@ -20,7 +20,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._base import linear_algebra, program, store
 from jaxwhisker._base.program import Program
-from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from program_child import SIZES, solved
 
 CHILD = Path(__file__).parents[1] / "program_child.py"

@@ -9,9 +9,10 @@ import pytest
 import jaxwhisker as jw
 from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
-from jaxwhisker._equilibrium.problem import AlongX, InPlane, Stance, problem_of
+from jaxwhisker._equilibrium.problem import AlongX, InPlane, Stance
 from jaxwhisker._equilibrium.stability import load_slopes
 from jaxwhisker._equilibrium.touch import Touch
 

@@ -12,9 +12,9 @@ import jaxwhisker as jw
 from exact_contacts import branch, contacts, fb_control, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
-from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._equilibrium.stability import is_stable, load_slopes, network_is_stable, on_stable_branch
 
 SLOPE = 1e-8  # relative, of the clamped force's slope: a derivative of Chebyshev series that are good to 1e-12

@@ -9,8 +9,8 @@ import jaxwhisker as jw
 from exact_contacts import DISTANCE, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Mode, Point
-from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._path.approach import FAR, FIRST_STEP, GLANCES, HIGHEST_FORCE, MARGIN, Bounded, FromAfar, approach_of
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, Status
 

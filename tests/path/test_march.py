@@ -13,9 +13,9 @@ import jaxwhisker as jw
 from exact_contacts import Q, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control, scale_of
-from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._path.march import march, no_path
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Status
 

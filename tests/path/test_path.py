@@ -9,8 +9,8 @@ import jaxwhisker as jw
 from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Mode, Point
-from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._path.path import EventKind, Status, first_case, margin_rates, margins, select
 
 DIFFERENCE = 1e-9  # margins are linear in point and pose: central differences are exact to rounding

@@ -12,10 +12,10 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._base.checks import as_float
 from jaxwhisker._base.program import compilations
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
-from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._scan.route import across
 from jaxwhisker._scan.scan import BLOCK, events_now, follow_path_now, problem_now, solve_steps_now, states_now
 from jaxwhisker._scan.slopes import event_slopes_now, state_slopes_now

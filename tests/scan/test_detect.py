@@ -9,8 +9,8 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.clearance import DEPTH
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Mode, Point
-from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._scan import detect
 from operations import operations, traced
 from scenes import all_ok, cone, model

@@ -8,8 +8,8 @@ import jaxwhisker as jw
 from exact_contacts import contacts, fbfb_at
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Mode
-from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.state import FRICTION
 

@@ -9,8 +9,8 @@ import pytest
 import jaxwhisker as jw
 from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Point, scale_of
-from jaxwhisker._equilibrium.problem import problem_of
 from jaxwhisker._path.path import NO_EVENT, Node, Path
 from jaxwhisker._scan.steps import interpolate, solve_steps, states
 

@@ -6,6 +6,9 @@ tangential contact the slack is positive: the arc length of the whisker beyond t
 negative: minus the angle between whisker and object. Both phases share one system of equations, smooth within each
 phase and regular at first touch (f = 0) and at a change of phase. The rod is integrated in the frame of the contact
 force. A whisker that approaches from the left (side = -1) bends the other way: it is computed as a mirror image.
+
+Springs on its shaft may bend a free whisker. It is then described by the pose of its tip in the drive's frame: position
+x, y, and the angle to the upright.
 """
 
 import dataclasses
@@ -22,10 +25,11 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.program import is_array
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.friction import Friction, contact_parameter, lean
+from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, base_of_walk, bend
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
-from jaxwhisker._rod.rod import Section
+from jaxwhisker._rod.rod import Material, RodState, Section
 
 
 class Phase(IntEnum):
@@ -47,6 +51,19 @@ class Body(NamedTuple):
     frame: Frame | None = None  # of the base's mount on the drive; None if bases stay upright and move along x only
     frame_rate: Frame | None = None  # derivative of the frame with respect to the control
     friction_angle: Float[Array, "*batch"] | None = None  # None without friction
+    sprung: "Sprung | None" = None  # None without springs on any shaft
+    laws: Laws = ()  # of such springs, for all whiskers
+
+
+class Sprung(NamedTuple):
+    """What a whisker with springs on its shaft needs to know."""
+
+    springs: ShaftSprings
+    drive: Frame
+    drive_rate: Frame  # derivative with respect to the control
+    held: Float[Array, "*batch axes axes"]  # stiffness of the network that the support does not have
+    offset: Float[Array, "*batch axes"]  # coordinates at which it is unstrained
+    nowhere: Float[Array, "*batch"]  # any parameter of the profile, for free whiskers
 
 
 class Base(NamedTuple):
@@ -56,7 +73,7 @@ class Base(NamedTuple):
     y: Float[Array, "*batch"]
     cos: Float[Array, "*batch"]  # direction of the whisker at its base
     sin: Float[Array, "*batch"]
-    force_x: Float[Array, "*batch"]  # of the object on the whisker
+    force_x: Float[Array, "*batch"]  # of the object, and of springs on the shaft, on the whisker
     force_y: Float[Array, "*batch"]
     bend: Float[Array, "*batch"]  # EI (kappa - kappa0) at the base
     slope_sin: Float[Array, "*batch"]  # of the object at the contact
@@ -74,7 +91,7 @@ class BaseEquations(NamedTuple):
     x: Float[Array, "*batch"]  # pose of the base
     y: Float[Array, "*batch"]
     turn: Float[Array, "*batch"]  # angle to the frame's y axis, counter-clockwise
-    force_x: Float[Array, "*batch"]  # of the object on the whisker, and its moment about the base
+    force_x: Float[Array, "*batch"]  # on the base by all but the network, and moment about the base
     force_y: Float[Array, "*batch"] | None  # None where the scene does not need it
     moment: Float[Array, "*batch"] | None
     slope_sin: Float[Array, "*batch"]  # of the object at the contact, in the scene
@@ -132,12 +149,10 @@ def base(
     rates: AbstractRod | None = None,
 ) -> Base:
     """Pose of the base and load on it for the contact z; the rod method `rates` computes the derivatives."""
-    angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
-    at = body.profile.point(parameter(body.profile, z, phase, side, friction))
-    leans = lean(z[1], friction, body.friction_angle)
-    if leans is not None:
-        angle = angle + side * leans
     rates = body.rod.for_rates() if rates is None else rates
+    if body.sprung is not None:
+        return _sprung_base(body, body.sprung, z, phase, side, friction, rates)
+    at, leans, angle = contact_of(body, z, phase, side, friction)
     s = arc(body, z[2], phase)
     if body.section is None:
         end = rod_end(z[0] / body.bending_stiffness, s, angle, body.rod, rates)
@@ -148,12 +163,67 @@ def base(
     return in_scene(at, leans, end, z[0], side)
 
 
-def in_base_frame(b: Base, frame: Frame | None) -> BaseEquations:
+def contact_of(
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+) -> tuple[ContactPoint, Float[Array, ""] | None, Float[Array, ""]]:
+    """The contact point, the lean of the force, and the angle of the whisker to the normal of the force there."""
+    angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
+    p = parameter(body.profile, z, phase, side, friction)
+    if body.sprung is not None:
+        p = jnp.where(phase == Phase.free, body.sprung.nowhere, p)
+    leans = lean(z[1], friction, body.friction_angle)
+    return body.profile.point(p), leans, angle if leans is None else angle + side * leans
+
+
+def material_of(body: Body) -> Material:
+    """The material of a whisker in the scene."""
+    assert not isinstance(body.section, tuple)  # of one whisker
+    return body.bending_stiffness if body.section is None else body.section
+
+
+def start_of(
+    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+) -> tuple[RodState, tuple[Scalar, Scalar], Base]:
+    """State of the rod, and the force on it, at the contact or at the tip of a free whisker; and the contact."""
+    assert body.sprung is not None
+    at, leans, angle = contact_of(body, z, phase, side, friction)
+    zero, free, drive = jnp.zeros_like(z[0]), phase == Phase.free, body.sprung.drive
+    placed = in_scene(at, leans, jnp.stack([zero, zero, jnp.cos(angle), jnp.sin(angle)]), z[0], side)
+    cos, sin = -jnp.sin(z[2]), jnp.cos(z[2])
+    tip = (
+        drive.x + z[0] * drive.cos - z[1] * drive.sin,
+        drive.y + z[0] * drive.sin + z[1] * drive.cos,
+        cos * drive.cos - sin * drive.sin,
+        cos * drive.sin + sin * drive.cos,
+    )
+    start = (placed.x, placed.y, placed.cos, placed.sin)
+    x, y, cos, sin = (jnp.where(free, a, b) for a, b in zip(tip, start, strict=True))
+    return (x, y, cos, sin), (jnp.where(free, 0.0, placed.force_x), jnp.where(free, 0.0, placed.force_y)), placed
+
+
+def _sprung_base(
+    body: Body,
+    sprung: Sprung,
+    z: Float[Array, "3"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None,
+    rates: AbstractRod,
+) -> Base:
+    start, force, placed = start_of(body, z, phase, side, friction)
+    s = arc(body, z[2], phase)
+    walked = base_of_walk(start, force, s, material_of(body), sprung.springs, body.laws, sprung.drive, body.rod, rates)
+    (x, y, cos, sin), load = walked
+    return placed._replace(x=x, y=y, cos=cos, sin=sin, force_x=load.force_x, force_y=load.force_y, bend=bend(walked))
+
+
+def in_base_frame(body: Body, b: Base) -> BaseEquations:
     """Pose of a base and load on it, in its frame."""
+    frame = body.frame
     if frame is None:
         return BaseEquations(b.x, b.y, -b.cos, b.force_x, None, None, b.slope_sin)
     x, y, cos, sin = b.x - frame.x, b.y - frame.y, frame.cos, frame.sin
-    return BaseEquations(
+    values = BaseEquations(
         x=x * cos + y * sin,
         y=y * cos - x * sin,
         turn=jnp.arctan2(-b.cos * cos - b.sin * sin, b.sin * cos - b.cos * sin),
@@ -162,13 +232,19 @@ def in_base_frame(b: Base, frame: Frame | None) -> BaseEquations:
         moment=b.bend,
         slope_sin=b.slope_sin,
     )
+    if body.sprung is None:
+        return values
+    # What the network holds without the support is taken off the load: neither changes the equilibrium.
+    moved = jnp.stack([values.x, values.y, values.turn]) - body.sprung.offset
+    force_x, force_y, moment = jnp.stack(values[3:6]) + jnp.sum(body.sprung.held * moved, axis=-1)
+    return values._replace(force_x=force_x, force_y=force_y, moment=moment)
 
 
 def equations(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
 ) -> BaseEquations:
     """Quantities that enter the equations, for the contact z."""
-    return in_base_frame(base(body, z, phase, side, friction), body.frame)
+    return in_base_frame(body, base(body, z, phase, side, friction))
 
 
 def linearise(
@@ -185,16 +261,35 @@ def linearise(
     The derivatives with respect to the control are None if the frame does not move.
     """
 
-    def value_and_value(z):
+    def value_and_value(z, body=body):
         b = base(body, z, phase, side, friction, rates=rates)
-        value = in_base_frame(b, body.frame)
-        return value, (value, None if body.frame is None else b)
+        value = in_base_frame(body, b)
+        return value, (value, b)
 
+    if body.sprung is not None:
+        # The load depends on the control, too.
+        gradient, (value, _) = jax.jacfwd(lambda z: value_and_value(z[:3], _moved(body, z[3])), has_aux=True)(
+            jnp.append(z, 0.0)
+        )
+        return value, *(jax.tree.map(lambda leaf, part=part: leaf[part], gradient) for part in (slice(3), 3))
     gradient, (value, b) = jax.jacfwd(value_and_value, has_aux=True)(z)
-    if b is None or body.frame_rate is None:
+    if body.frame_rate is None:
         return value, gradient, None
-    _, by_control = jax.jvp(lambda frame: in_base_frame(b, frame), (body.frame,), (body.frame_rate,))
+    _, by_control = jax.jvp(
+        lambda frame: in_base_frame(body._replace(frame=frame), b), (body.frame,), (body.frame_rate,)
+    )
     return value, gradient, by_control
+
+
+def _moved(body: Body, step: Scalar) -> Body:
+    """The body after a change of the control, to first order."""
+    assert body.sprung is not None
+
+    def ahead(frame: Frame | None, rate: Frame | None) -> Frame | None:
+        return jax.tree.map(lambda a, b: a + step * b, frame, rate)
+
+    drive = ahead(body.sprung.drive, body.sprung.drive_rate)
+    return body._replace(frame=ahead(body.frame, body.frame_rate), sprung=body.sprung._replace(drive=drive))
 
 
 def of_each(bodies: Body, function: Callable, *args, in_turn: bool = False):
@@ -209,22 +304,22 @@ def of_each(bodies: Body, function: Callable, *args, in_turn: bool = False):
     """
     section = bodies.section
     if not isinstance(section, tuple):
-        own, own_rest = eqx.partition((bodies._replace(profile=None, rod=None), args), is_array)
-        shared, shared_rest = eqx.partition((bodies.profile, bodies.rod), is_array)
+        own, own_rest = eqx.partition((bodies._replace(profile=None, rod=None, laws=()), args), is_array)
+        shared, shared_rest = eqx.partition((bodies.profile, bodies.rod, bodies.laws), is_array)
 
         def one(own, shared):
             body, rest = eqx.combine(own, own_rest)
-            profile, rod = eqx.combine(shared, shared_rest)
-            return function(body._replace(profile=profile, rod=rod), *rest)
+            profile, rod, laws = eqx.combine(shared, shared_rest)
+            return function(body._replace(profile=profile, rod=rod, laws=laws), *rest)
 
         each = jax.vmap(one, in_axes=(0, None))
         return (_in_turn(one, each) if in_turn and bodies.length.shape[0] > 1 else each)(own, shared)
     # Whiskers of different kinds cannot be batched: each is computed separately.
     values = []
     for k, own in enumerate(section):
-        shared = bodies._replace(profile=None, rod=None, section=None)
+        shared = bodies._replace(profile=None, rod=None, section=None, laws=())
         body = jax.tree.map(lambda leaf, k=k: leaf[k], shared)
-        body = body._replace(profile=bodies.profile, rod=bodies.rod, section=own)
+        body = body._replace(profile=bodies.profile, rod=bodies.rod, section=own, laws=bodies.laws)
         values.append(function(body, *jax.tree.map(lambda leaf, k=k: leaf[k], args)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *values)
 

@@ -120,8 +120,8 @@ def _implicit_step(here: Point, known: Known, mode: Mode, row: Row, known_dot, r
     # Residuals are linear in the values, and so are their tangents in those of the values.
     dot = condense(problem, here.z, mode, differential(known_dot, None, None), gradient, by_u)
     yielding_dot = _tangent(lambda problem: problem.rest(here.u) + problem.displacement(at.load), problem, problem_dot)
-    touching = (mode.phase != Phase.free)[:, None]
-    network_dot = jnp.where(touching, dot.pose - yielding_dot - problem.displacement(dot.load), 0.0)
+    solves = problem.solved(mode.phase)[:, None]
+    network_dot = jnp.where(solves, dot.pose - yielding_dot - problem.displacement(dot.load), 0.0)
     row_dot = 0.0 if row_dot is None else _tangent(lambda row: row.residual(here, at.slope_sin), row, row_dot)
     slope_sin_dot = dot.slope_sin + jnp.sum(dot.slope_sin_gradient * dot.particular, axis=-1)
     row_dot += jnp.sum(row.weight_z * dot.particular) + jnp.sum(row.vertex * slope_sin_dot)
@@ -154,7 +154,7 @@ def _singularity(
     At a turning point, the Jacobian M of the equations and of the quantity that turns has a null vector t, the path's
     tangent, and a left null vector w. To first order, a change of w M t does not depend on the changes of w and t.
     """
-    touching = (mode.phase != Phase.free)[:, None]
+    solves = problem.solved(mode.phase)[:, None]
     left = linear.inverse[-1, :-1]
 
     def slip(z: Contacts, problem: Problem, z_rate: Contacts) -> Scalar:
@@ -178,7 +178,7 @@ def _singularity(
             value = evaluate(problem, Point(contacts, point.u), mode._replace(phase=phase, friction=friction))
             at = condense(problem, here.z, mode, value, linear.gradient, linear.by_u)
             network = at.pose - problem.rest(point.u) - problem.displacement(at.load)
-            pull = jnp.sum(jnp.where(touching, left * network, 0.0))
+            pull = jnp.sum(jnp.where(solves, left * network, 0.0))
             return pull if by_z is None else pull + jnp.sum(by_z * at.particular)
 
         rate = jax.jvp(equations, (point.z,), (linear.tangent.z,))[1]

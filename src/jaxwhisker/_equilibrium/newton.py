@@ -43,6 +43,8 @@ def with_dummy_contacts(
     Free whiskers are computed like the others. A contact of zeros would be singular, and its NaN derivatives would
     reach all parameters through a product with zero.
     """
+    if problem.attached is not None:
+        return z, phase
     touch = jax.lax.stop_gradient(problem.touch_right.parameter)
     dummy = jnp.stack([jnp.ones_like(touch), jnp.where(jnp.isfinite(touch), touch, 0.0), -jnp.ones_like(touch)], axis=1)
     free = phase == Phase.free
@@ -145,7 +147,7 @@ def condense(
 ) -> Condensed:
     """Eliminate each whisker's own equations."""
     axes = problem.axes
-    touching = mode.phase != Phase.free
+    touching, solved = mode.phase != Phase.free, problem.solved(mode.phase)
     scale = scale_of(z)
     y, turn = gradient.y * scale, gradient.turn * scale
     normal = jnp.cross(turn, y)
@@ -160,11 +162,11 @@ def condense(
         own = tuple(jnp.where(mode.separate, actual - wanted, 0.0) for actual, wanted in zip(own, held, strict=True))
     particular = -(own[0][:, None] * by_y + own[1][:, None] * by_turn) / length
 
-    def if_touching(array, otherwise: float | Array = 0.0):
-        return jnp.where(jnp.reshape(touching, (-1, *[1] * (array.ndim - 1))), array, otherwise)
+    def if_solved(array, otherwise: float | Array = 0.0):
+        return jnp.where(jnp.reshape(solved, (-1, *[1] * (array.ndim - 1))), array, otherwise)
 
-    basis = if_touching(jnp.stack(columns, axis=-1) * scale[:, :, None])
-    particular = if_touching(particular * scale)
+    basis = if_solved(jnp.stack(columns, axis=-1) * scale[:, :, None])
+    particular = if_solved(particular * scale)
     pose_gradient, load_gradient = pose_of(gradient, axes), load_of(gradient, axes)  # (whiskers, axes, 3)
 
     def by_steps(gradient):
@@ -177,14 +179,14 @@ def condense(
         particular,
         basis,
         pose=moved(pose_of(value, axes), pose_gradient),
-        load=if_touching(moved(load_of(value, axes), load_gradient)),
-        pose_by=if_touching(by_steps(pose_gradient), jnp.eye(axes)),
-        load_by=if_touching(by_steps(load_gradient)),
-        pose_by_u=None if by_u is None else if_touching(pose_of(by_u, axes)),
-        load_by_u=None if by_u is None else if_touching(load_of(by_u, axes)),
-        slope_sin=if_touching(value.slope_sin),
-        slope_sin_gradient=if_touching(gradient.slope_sin),
-        own=jnp.concatenate([if_touching(part) for part in own]),
+        load=if_solved(moved(load_of(value, axes), load_gradient)),
+        pose_by=if_solved(by_steps(pose_gradient), jnp.eye(axes)),
+        load_by=if_solved(by_steps(load_gradient)),
+        pose_by_u=None if by_u is None else if_solved(pose_of(by_u, axes)),
+        load_by_u=None if by_u is None else if_solved(load_of(by_u, axes)),
+        slope_sin=jnp.where(touching, value.slope_sin, 0.0),
+        slope_sin_gradient=jnp.where(touching[:, None], gradient.slope_sin, 0.0),
+        own=jnp.concatenate([if_solved(part) for part in own]),
     )
 
 
@@ -210,8 +212,8 @@ def newton_step(
 
 def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Condensed) -> NewtonStep:
     """Solve the linearised equations of the network and the row for condensed whiskers."""
-    touching = (mode.phase != Phase.free)[:, None]
-    coupled = touching & ~mode.separate
+    solved = problem.solved(mode.phase)[:, None]
+    coupled = solved & ~mode.separate
     network = jnp.where(coupled, at.pose - problem.rest(point.u) - problem.displacement(at.load), 0.0)
     slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
     row_residual = row.residual(Point(point.z + at.particular, point.u), slope_sin)
@@ -228,11 +230,9 @@ def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Cond
         tangent,
         at,
         residual=jnp.max(jnp.abs(jnp.concatenate([at.own, jnp.ravel(network), row_residual[None]]))),
-        pose=jnp.where(touching, at.pose + pose, problem.rest(point.u + step.u) + problem.displacement(load)),
+        pose=jnp.where(solved, at.pose + pose, problem.rest(point.u + step.u) + problem.displacement(load)),
         load=load,
-        tangent_pose=jnp.where(
-            touching, tangent_pose, problem.rest_rate(tangent.u) + problem.displacement(tangent_load)
-        ),
+        tangent_pose=jnp.where(solved, tangent_pose, problem.rest_rate(tangent.u) + problem.displacement(tangent_load)),
     )
 
 
@@ -256,15 +256,15 @@ def linear_system(problem: Problem, mode: Mode, row: Row, at: Condensed) -> Floa
     are left out.
     """
     n, axes = at.load.shape
-    touching, size = (mode.phase != Phase.free)[:, None], n * axes
+    solved, size = problem.solved(mode.phase)[:, None], n * axes
     coupling = block_diagonal(at.pose_by)
     if problem.flexibility is not None:
         yields = times_block_diagonal(problem.flexibility.matrix, at.load_by)
-        coupling = coupling - jnp.where(jnp.repeat(touching, axes, axis=0), yields, 0.0)
+        coupling = coupling - jnp.where(jnp.repeat(solved, axes, axis=0), yields, 0.0)
     if at.pose_by_u is None or at.load_by_u is None:
-        by_control = jnp.where(touching, -1.0, 0.0)
+        by_control = jnp.where(solved, -1.0, 0.0)
     else:
-        by_control = jnp.where(touching, at.pose_by_u - problem.displacement(at.load_by_u), 0.0)
+        by_control = jnp.where(solved, at.pose_by_u - problem.displacement(at.load_by_u), 0.0)
     weight = row.weight_z + row.vertex[:, None] * at.slope_sin_gradient
     along = jnp.ravel(jnp.sum(weight[:, :, None] * at.basis, axis=1))
     apart = mode.separate

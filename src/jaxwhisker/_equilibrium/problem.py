@@ -6,7 +6,7 @@ profile and motion; coordinates of the bases) share their compiled programs, no 
 
 There are two kinds of problems, which differ in the coordinates of the bases. In `AlongX` the bases stay upright at
 height 0, and their only coordinate is x. In `InPlane` a base has three coordinates, x, y and angle, in its own frame:
-the pose that its mount on the drive gives it. Everything that depends on the coordinates is a method of these two
+the pose that its mount on the drive gives it. Springs on shafts need all three. Everything that depends on the coordinates is a method of these two
 classes.
 """
 
@@ -16,24 +16,26 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base import checks
-from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
-from jaxwhisker._equilibrium.contact import Base, Body
+from jaxwhisker._equilibrium.bent import free_contact, outline_of
+from jaxwhisker._equilibrium.contact import Base, Body, Phase, Sprung, of_each
+from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings
 from jaxwhisker._equilibrium.touch import Outline, Touch
-from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, frame_and_rate
+from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, frame_and_rate, mounted
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.scene import Scene, Units, moves_along_x, units
-from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._model.scene import Units
 from jaxwhisker._rod.elastica import AbstractRod
 from jaxwhisker._rod.rod import Section
 
 PerWhisker = Float[Array, " whiskers"]
 Poses = Float[Array, "whiskers axes"]
+
+
+NOWHERE = Pose(0.0, 0.0, 0.0)
 
 
 class ScenePose(NamedTuple):
@@ -50,10 +52,16 @@ class Stance(NamedTuple):
     x: PerWhisker
     right: Touch  # in an approach from the right
     left: Touch
+    free: Float[Array, "whiskers 3"] | None = None  # their contacts if they are free (contact.py); None if unbent
 
     def first(self, side: PerWhisker) -> Touch:
         """First touches of whiskers that approach from these sides (+1 right, -1 left)."""
         return jax.tree.map(lambda right, left: jnp.where(side > 0, right, left), self.right, self.left)
+
+    @property
+    def contact_if_free(self) -> Float[Array, "whiskers 3"] | float:
+        """Contacts (see contact.py) of the whiskers if they are free."""
+        return 0.0 if self.free is None else self.free
 
     @property
     def clear(self) -> Bool[Array, " whiskers"]:
@@ -64,6 +72,16 @@ class Stance(NamedTuple):
     def side(self) -> PerWhisker:
         """The side of the object on which a whisker stands, or the nearer side: +1 right, -1 left."""
         return jnp.where(self.x - self.right.x >= self.left.x - self.x, 1.0, -1.0)
+
+
+class Attached(NamedTuple):
+    """Springs on the shafts of all whiskers, and the whiskers before any contact."""
+
+    springs: ShaftSprings  # (whiskers, springs)
+    laws: Laws
+    held: Float[Array, "whiskers axes axes"]  # see contact.Sprung
+    contact: Float[Array, "whiskers 3"]  # of unloaded whiskers
+    pose: Poses  # of their bases, from `Problem.rest`
 
 
 class Problem(eqx.Module):
@@ -82,6 +100,7 @@ class Problem(eqx.Module):
     unit: Units
     friction_angle: Scalar | None  # arctan of the friction coefficient; None without friction
     detect: tuple[str, ...] = eqx.field(static=True)  # of `Scene.detects`, what can happen
+    attached: Attached | None = eqx.field(default=None, kw_only=True)  # None without springs on any shaft
 
     axes: eqx.AbstractClassVar[int]  # number of coordinates of a base
     frames_move: eqx.AbstractClassVar[bool]  # whether these refer to a frame that moves with the control
@@ -142,6 +161,20 @@ class Problem(eqx.Module):
         """All whiskers, stacked, at a control."""
         angle = None if self.friction_angle is None else jnp.full_like(self.length, self.friction_angle)
         return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle)
+
+    def solved(self, phase: Int[Array, " whiskers"]) -> Bool[Array, " whiskers"]:
+        """The whiskers whose equations are solved; free ones are known unless springs on their shafts bend them."""
+        return phase != Phase.free
+
+    def bends_from(self, phase: Int[Array, " whiskers"], side: PerWhisker) -> PerWhisker:
+        """Sides that decide the direction of the whiskers' branches; for free whiskers, it is that of the right."""
+        del phase
+        return side
+
+    def unloaded(self, u: Scalar) -> tuple[Float[Array, "whiskers 3"], Poses]:
+        """Contacts (see contact.py) and base coordinates of whiskers before any contact."""
+        rest = self.rest(u)
+        return jnp.zeros((rest.shape[0], 3)), rest
 
     def numbers(self) -> "Problem":
         """The numbers that equilibria depend on, and None for everything else."""
@@ -222,13 +255,14 @@ class InPlane(Problem):
     """A problem whose bases move and turn in the plane, or whose drive does not just move along x."""
 
     mount: Pose  # of every whisker on the drive
-    outline: Outline  # of the unloaded whiskers
+    outline: Outline  # of the unloaded whiskers, if no spring bends them
 
     axes: ClassVar[int] = 3
     frames_move: ClassVar[bool] = True
 
     def _decisive(self, tree):
-        return [*super()._decisive(tree), tree.outline]
+        unloaded = [] if self.attached is None else [tree.attached.contact, tree.attached.pose]
+        return [*super()._decisive(tree), tree.outline, *unloaded]
 
     def drive(self, u: Scalar) -> Pose:
         """The pose of the drive's frame."""
@@ -237,6 +271,30 @@ class InPlane(Problem):
 
     def frames(self, u):
         return frame_and_rate(self.drive, self.mount, u)
+
+    def bodies(self, u):
+        bodies = super().bodies(u)
+        if self.attached is None:
+            return bodies
+
+        def drive(u):
+            return jax.tree.map(lambda part: jnp.full_like(self.length, part), mounted(self.drive(u), NOWHERE))
+
+        nowhere = jax.lax.stop_gradient(self.touch_right.parameter)
+        nowhere = jnp.where(jnp.isfinite(nowhere), nowhere, 0.0)
+        frames, (springs, laws, held, _, _) = jax.jvp(drive, (u,), (jnp.ones_like(u),)), self.attached
+        return bodies._replace(sprung=Sprung(springs, *frames, held, self.offset, nowhere), laws=laws)
+
+    def solved(self, phase):
+        return super().solved(phase) if self.attached is None else jnp.ones_like(phase, bool)
+
+    def bends_from(self, phase, side):
+        return side if self.attached is None else jnp.where(phase == Phase.free, 1.0, side)
+
+    def unloaded(self, u):
+        if self.attached is None:
+            return super().unloaded(u)
+        return self.attached.contact, self.rest(u) + self.attached.pose
 
     def rest(self, u):
         del u
@@ -256,12 +314,16 @@ class InPlane(Problem):
         )
 
     def stance(self, u, pose):
-        at = self.in_scene(u, pose)
+        at, outline, free = self.in_scene(u, pose), self.outline, None
+        if self.attached is not None:
+            bodies, (unloaded, start) = self.bodies(u), self.unloaded(u)
+            free = of_each(bodies, free_contact, unloaded, pose - start, pose)
+            outline = of_each(bodies, outline_of, free)
 
         def both(*own):
             return touch.first_touches(self.profile, *own)
 
-        return Stance(at.x, *jax.vmap(both)(self.length, self.outline, at.y, at.angle))
+        return Stance(at.x, *jax.vmap(both)(self.length, outline, at.y, at.angle), free)
 
     def stances(self, *at):
         # As one batch, the search for a touch is compiled only once.
@@ -292,112 +354,3 @@ class InPlane(Problem):
     def if_defined(self, residual, pose):
         # Free whiskers contribute no residual, so the pose itself is checked.
         return jnp.where(jnp.all(jnp.isfinite(jnp.stack(pose))), residual, jnp.inf)
-
-
-def problem_of(scene: Scene) -> Problem:
-    """The dimensionless problem of a scene, differentiable with respect to all numbers of the scene."""
-    valid = _valid(scene)
-    scene = safe_placeholder(scene, valid)
-    unit = jax.tree.map(checks.as_float, units(scene))
-    length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
-    stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])
-    section = sections(scene.whiskers, unit.length, unit.moment * unit.length)
-    flexibility = scene.support.flexibility()
-    if flexibility is not None:
-        valid &= flexibility.consistent
-    common: dict[str, Any] = {
-        "length": length,
-        "bending_stiffness": stiffness / (unit.moment * unit.length),
-        "section": section,
-        "profile": scene.profile.in_unit(unit.length),
-        "rod": scene.rod,
-        "motion": scene.motion,
-        "unit": unit,
-        "friction_angle": None if scene.friction is None else jnp.arctan(jnp.asarray(scene.friction, dtype=float)),
-        "detect": _detectable(scene),
-    }
-    curved = any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers)
-    if moves_along_x(scene):
-        flexibility = None if flexibility is None else flexibility.in_unit(unit.length, unit.force)
-        if curved:
-            upright = jnp.zeros_like(length)
-            outline = outlines(scene.whiskers, length, section)
-            touches, single = _first_touches(common["profile"], outline, length, upright, upright, curved)
-        else:
-            touches, single = _first_touches_upright(common["profile"], length), True
-        return AlongX(**common, **touches, flexibility=flexibility, valid=valid & single)
-    mounts = zip(*((mount.x, mount.y, mount.angle) for mount in scene.support.mounts), strict=True)
-    x, y, angle = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in mounts)
-    mount = Pose(x / unit.length, y / unit.length, angle)
-    flexibility = None if flexibility is None else flexibility.in_frames(angle, unit.length, unit.force)
-    outline = outlines(scene.whiskers, length, section)
-    touches, single = _first_touches(common["profile"], outline, length, y / unit.length, angle, curved)
-    return InPlane(**common, **touches, flexibility=flexibility, valid=valid & single, mount=mount, outline=outline)
-
-
-def _detectable(scene: Scene) -> tuple[str, ...]:
-    """What a scene is to detect, without what cannot happen.
-
-    Without friction, a uniform straight whisker stays on the outer side of the object's tangent at its contact, which a
-    convex object does not cross. Let theta be the angle from the tangent to the whisker, theta1 its value at the
-    contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >= sin theta1 >= 0 along the shaft.
-    """
-    possible = {
-        "second_contact": scene.friction is not None or not all(whisker.uniform for whisker in scene.whiskers),
-        "crossing": len(scene.whiskers) > 1,
-    }
-    return tuple(name for name in scene.detects if possible[name])
-
-
-def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict[str, Any]:
-    """First touches of straight whiskers that stand upright at height 0."""
-    right, left = (jax.vmap(lambda h, s=s: touch.first_touch_upright(profile, h, s))(length) for s in (1.0, -1.0))
-    return {"touch_right": right, "touch_left": left}
-
-
-def _first_touches(
-    profile: AbstractProfile, outline: Outline, length: PerWhisker, height: PerWhisker, angle: PerWhisker, curved: bool
-) -> tuple[dict[str, Any], Bool[Array, ""] | bool]:
-    """First touches of whiskers with these outlines, and whether each touches the object in one place only."""
-    right, left = jax.vmap(lambda *own: touch.first_touches(profile, *own))(length, outline, height, angle)
-    touches = {"touch_right": right, "touch_left": left}
-    if not curved:
-        return touches, True
-    return touches, ~jnp.any(jax.vmap(lambda *own: touch.in_two_places(profile, *own))(outline, height, angle))
-
-
-def outlines(
-    whiskers: tuple[Whisker, ...], length: PerWhisker, section: Section | tuple[Section, ...] | None
-) -> Outline:
-    """Outlines of all unloaded whiskers, stacked."""
-    if isinstance(section, tuple):
-        each = [touch.outline(length[k], own) for k, own in enumerate(section)]
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
-    straight = all(whisker.intrinsic_curvature is None for whisker in whiskers)
-    if section is None or straight:
-        return jax.vmap(lambda length: touch.outline(length, None))(length)
-    return jax.vmap(touch.outline)(length, section)
-
-
-def sections(
-    whiskers: tuple[Whisker, ...], length_unit: Scalar, stiffness_unit: Scalar
-) -> Section | tuple[Section, ...] | None:
-    """Sections of all whiskers: None if all are uniform, stacked if they differ in numbers only, otherwise a tuple."""
-    if all(whisker.uniform for whisker in whiskers):
-        return None
-    whiskers = jax.tree.map(checks.as_float, whiskers)
-    length, stiffness = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit))
-    each = tuple(whisker.section(length, stiffness) for whisker in whiskers)
-    kinds = [(jax.tree.structure(section), [leaf.shape for leaf in jax.tree.leaves(section)]) for section in each]
-    if any(kind != kinds[0] for kind in kinds):
-        return each
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
-
-
-def _valid(scene: Scene) -> Bool[Array, ""]:
-    """Whether traced parameters are in the domains that the constructors check for concrete ones."""
-    whiskers = jnp.all(jnp.stack([whisker.valid() for whisker in scene.whiskers]))
-    valid = scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers
-    if scene.friction is None:
-        return valid
-    return valid & (scene.friction >= 0) & jnp.isfinite(scene.friction)

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import eigenvalues_are_positive, positive_definite, times_block_diagonal
-from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import Condensed
 from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import PerWhisker, Problem
@@ -20,13 +19,13 @@ from jaxwhisker._equilibrium.problem import PerWhisker, Problem
 BRANCH_SIGN = -1.0
 
 
-def load_slopes(mode: Mode, at: Condensed) -> Float[Array, "whiskers axes axes"]:
-    """Slope d load / d pose of a touching whisker's base; symmetric without friction."""
+def load_slopes(problem: Problem, mode: Mode, at: Condensed) -> Float[Array, "whiskers axes axes"]:
+    """Slope d load / d pose of a whisker's base; symmetric without friction."""
     by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
     along = at.load_by[:, :, 0] / by_x
     columns = [along]
     columns += [at.load_by[:, :, k] - along * at.pose_by[:, :1, k] for k in range(1, at.load.shape[-1])]
-    return jnp.where((mode.phase != Phase.free)[:, None, None], jnp.stack(columns, axis=-1), 0.0)
+    return jnp.where(problem.solved(mode.phase)[:, None, None], jnp.stack(columns, axis=-1), 0.0)
 
 
 def network_is_stable(problem: Problem, slope: Float[Array, "whiskers axes axes"]) -> Bool[Array, ""]:
@@ -43,16 +42,16 @@ def network_is_stable(problem: Problem, slope: Float[Array, "whiskers axes axes"
     return positive(jnp.eye(root.shape[0]) - pull)
 
 
-def on_stable_branch(mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
+def on_stable_branch(problem: Problem, mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
     """Whether whiskers are on the stable part of their clamped branch.
 
     There the base moves along the branch in the same direction as just after first touch; between two folds it moves
     back.
     """
-    return mode.side * by_x * BRANCH_SIGN > 0
+    return problem.bends_from(mode.phase, mode.side) * by_x * BRANCH_SIGN > 0
 
 
 def is_stable(problem: Problem, mode: Mode, at: Condensed) -> Bool[Array, ""]:
-    """Whether every touching whisker is on the stable part of its clamped branch and the network is stable."""
-    own = jnp.all((mode.phase == Phase.free) | on_stable_branch(mode, at.by_x))
-    return own & network_is_stable(problem, load_slopes(mode, at)) if problem.flexibility is not None else own
+    """Whether every whisker is on the stable part of its clamped branch and the network is stable."""
+    own = jnp.all(~problem.solved(mode.phase) | on_stable_branch(problem, mode, at.by_x))
+    return own & network_is_stable(problem, load_slopes(problem, mode, at)) if problem.flexibility is not None else own

@@ -23,7 +23,8 @@ from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.problem import Problem, problem_of
+from jaxwhisker._equilibrium.dimensionless import problem_of
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._inverse.channels import Channels, channels_and_slopes_now
 from jaxwhisker._inverse.parameters import hashable
 from jaxwhisker._model.scene import Scene

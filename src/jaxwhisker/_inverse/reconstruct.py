@@ -21,7 +21,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.problem import sections
+from jaxwhisker._equilibrium.dimensionless import sections
 from jaxwhisker._inverse.inverse_rod import REACTION, LocatedContact, each_whisker, locate
 from jaxwhisker._inverse.observations import read_observations
 from jaxwhisker._inverse.parameters import check_traceable, read_parameters

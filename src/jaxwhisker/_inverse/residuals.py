@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.problem import problem_of
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._inverse.channels import result_of
 from jaxwhisker._inverse.features import JUMPS, Features
 from jaxwhisker._inverse.linearised import EventTable, event_table

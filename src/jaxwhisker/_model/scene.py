@@ -205,6 +205,6 @@ def units_of(first: Whisker, motion: AbstractMotion) -> Units:
 
 
 def moves_along_x(scene: Scene) -> bool:
-    """Whether all bases stay upright at height 0 and move along x only, which needs a single axis."""
+    """Whether a single axis suffices: bases stay upright at height 0, move along x only, and hold all springs."""
     along_x = isinstance(scene.motion, Translation) and scene.support.axes in ((), ("x",))
-    return along_x and scene.support.mount is None
+    return along_x and scene.support.mount is None and not scene.support.attached

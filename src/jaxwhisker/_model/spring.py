@@ -1,4 +1,7 @@
-"""A spring between the drive and a base, or between two bases."""
+"""A spring between the drive and a whisker, or between the bases of two whiskers."""
+
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -6,46 +9,65 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import number_or_function
 from jaxwhisker._base.types import Scalar
 
 AXES = ("x", "y", "phi")
+ONE_SIDED = ("tension", "compression")
 
 
 class Spring(eqx.Module):
-    """A linear spring between two ends, each of them the drive or a base.
+    """A spring between two ends, each of them the drive or a whisker.
 
-    Its tension is stiffness * (length - rest_length), with length = x_second - x_first (or y, or the angle).
+    Its tension is stiffness * (length - rest_length), with length = x_second - x_first (or y, or the angle), or the
+    distance of its ends if it is axial.
+
+    A spring that is attached to the shaft, or whose tension is not proportional to its extension, connects the drive to
+    one whisker. The drive's end is where the attachment is in the drive's frame if all rest lengths are 0 and nothing
+    is loaded. If the springs do not agree with that, they bend the whisker before it touches anything.
 
     Args:
-        between: (first, second): 0 is the drive, 1 to N are the bases.
-        stiffness: c, force per length, or moment per rad for a torsion spring; positive, `jnp.inf` for a rigid link.
+        between: (first, second): 0 is the drive, 1 to N are the whiskers.
+        stiffness: c, force per length, or moment per rad for a torsion spring; positive, `jnp.inf` for a rigid link
+            between bases. Or a function of the extension, length - rest_length, that returns the tension; it is called
+            with one traced number, and the parameters of an `equinox.Module` are differentiable.
         rest_length: lambda, a length, or an angle in rad for a torsion spring: position of `second` relative to
-            `first` at rest; may be negative.
-        axis: "x" or "y", across or along the upright whisker in the frame of the drive, or "phi" for a torsion spring.
-            Lengths and angles are positive along +x, +y and counter-clockwise.
+            `first` at rest; may be negative, but not for an axial spring.
+        axis: "x" or "y", across or along the upright whisker in the frame of the drive, "phi" for a torsion spring, or
+            "axial" for a spring along the line between its ends, whichever way that turns. Lengths and angles are
+            positive along +x, +y and counter-clockwise.
         compliance: 1/c, not negative, an alternative to `stiffness`; 0 for a rigid link. Unlike derivatives with
             respect to an infinite stiffness, those with respect to a compliance of 0 do not vanish.
+        at: arc length from the base to where the spring is attached to the shaft; negative on a rigid follicle that
+            extends the whisker straight below its base. Default: the base.
+        anchor: (x, y) of the drive's end in the drive's frame, instead of the place described above.
+        one_sided: "tension" if the spring only pulls, "compression" if it only pushes, like an end stop.
 
     Raises:
-        ValueError: if a value is out of its domain, or if not exactly one of stiffness and compliance is given.
+        ValueError: if a value is out of its domain, if not exactly one of stiffness and compliance is given, or if a
+            spring on a shaft is not between the drive and a whisker, or is rigid.
 
     Examples:
         >>> spring = jw.Spring(between=(0, 1), stiffness=70.0, rest_length=0.2)
         >>> support = jw.Support((spring, jw.Spring((1, 2), compliance=0.01)))
         >>> support.name, support.whiskers
         ('FBFB', 2)
+        >>> above = jw.Spring((0, 1), stiffness=70.0, rest_length=0.2, axis="axial", at=0.1)
     """
 
     between: tuple[int, int] = eqx.field(static=True)
-    stiffness: Scalar | None = None
+    stiffness: Scalar | Callable[[Any], Any] | None = eqx.field(default=None, converter=number_or_function("stiffness"))
     rest_length: Scalar = 0.0
     axis: str = eqx.field(static=True, default="x")
     compliance: Scalar | None = eqx.field(default=None, kw_only=True)
+    at: Scalar | None = eqx.field(default=None, kw_only=True)
+    anchor: tuple[Scalar, Scalar] | None = eqx.field(default=None, kw_only=True)
+    one_sided: str | None = eqx.field(static=True, default=None, kw_only=True)
 
     def __check_init__(self):
         ends = self.between
         if not (isinstance(ends, tuple) and len(ends) == 2 and all(isinstance(e, int) and e >= 0 for e in ends)):
-            checks.fail("between", "a pair of ints, 0 for the drive or 1 to N for a base", repr(ends))
+            checks.fail("between", "a pair of ints, 0 for the drive or 1 to N for a whisker", repr(ends))
         if ends[0] == ends[1]:
             checks.fail("between", "two different ends", repr(ends))
         if (self.stiffness is None) == (self.compliance is None):
@@ -53,13 +75,36 @@ class Spring(eqx.Module):
                 "Exactly one of `stiffness` and `compliance` must be given, got "
                 f"{self.stiffness!r} and {self.compliance!r}."
             )
-        if self.stiffness is not None:
+        if self.stiffness is not None and not callable(self.stiffness):
             checks.number("stiffness", self.stiffness, positive=True, finite=False)
         if self.compliance is not None:
             checks.number("compliance", self.compliance, non_negative=True)
-        checks.number("rest_length", self.rest_length)
-        if self.axis not in AXES:
-            checks.fail("axis", f"one of {', '.join(AXES)}", repr(self.axis))
+        checks.number("rest_length", self.rest_length, non_negative=self.axis == "axial")
+        if self.axis not in (*AXES, "axial"):
+            checks.fail("axis", f"one of {', '.join(AXES)}, axial", repr(self.axis))
+        if self.at is not None:
+            checks.number("at", self.at)
+        if self.anchor is not None:
+            checks.pair("anchor", self.anchor)
+        if self.one_sided not in (None, *ONE_SIDED):
+            checks.fail("one_sided", " or ".join(map(repr, ONE_SIDED)), repr(self.one_sided))
+        if not self.linear:
+            self._check_attached()
+
+    def _check_attached(self) -> None:
+        if self.between[0] != 0:
+            allowed = "(0, k), the drive and a whisker, for a spring on a shaft or one that is not linear"
+            checks.fail("between", allowed, repr(self.between))
+        if not callable(self.stiffness) and not checks.is_traced(self.softness) and self.is_rigid():
+            name = "stiffness" if self.compliance is None else "compliance"
+            allowed = f"{'finite' if self.compliance is None else 'positive'} for a spring on a shaft"
+            checks.fail(name, allowed, getattr(self, name))
+
+    @property
+    def linear(self) -> bool:
+        """Whether it is one of the linear springs along the coordinates of the bases, which form the network."""
+        plain = self.axis != "axial" and self.at is None and self.anchor is None
+        return plain and self.one_sided is None and not callable(self.stiffness)
 
     @property
     def softness(self) -> Float[Array, ""]:
@@ -70,9 +115,18 @@ class Spring(eqx.Module):
 
     def is_rigid(self) -> bool:
         """Whether the stiffness of a concrete spring is infinite."""
+        if callable(self.stiffness):
+            return False
         return bool(np.isinf(np.asarray(self.stiffness)) if self.compliance is None else self.compliance == 0)
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructor checks."""
+        valid = checks.all_finite((self.rest_length, self.at, self.anchor))
+        if self.axis == "axial":
+            valid &= jnp.asarray(self.rest_length) >= 0
+        if callable(self.stiffness):
+            return valid & checks.all_finite(self.stiffness)
         positive = self.softness >= 0 if self.stiffness is None else jnp.asarray(self.stiffness) > 0
-        return positive & jnp.isfinite(self.softness) & jnp.isfinite(self.rest_length)
+        if not self.linear:
+            positive &= self.softness > 0
+        return valid & positive & jnp.isfinite(self.softness)

@@ -57,14 +57,16 @@ _NAMED = {
 
 
 class Support(eqx.Module):
-    """Springs between the drive and the bases; without springs, the bases are clamped to the drive.
+    """Springs that hold the whiskers; without springs, the bases are clamped to the drive.
 
-    A base is rigidly connected to the drive along every axis that has no springs.
+    A base is rigidly connected to the drive along every axis that has no springs. An axial spring frees a base along x.
 
     Args:
         springs: any network; every base from 1 to N must occur in it.
         mount: a Mount for all whiskers, or a tuple with one per base, which also sets the number of whiskers if there
             are no springs. Default: upright at height 0.
+        free: further axes ("x", "y", "phi") along which bases with springs on their shafts are free, although no spring
+            acts along these axes. Example: two springs along x at different heights hold the angle, too.
 
     Raises:
         ValueError: if an argument has the wrong type, springs along an axis do not connect all bases to the drive, or
@@ -80,10 +82,13 @@ class Support(eqx.Module):
 
     springs: tuple[Spring, ...] = ()
     mount: Mount | tuple[Mount, ...] | None = None
+    free: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
 
     def __check_init__(self):
         if not isinstance(self.springs, tuple) or not all(isinstance(s, Spring) for s in self.springs):
             checks.fail("springs", "a tuple of Spring", repr(self.springs))
+        if not isinstance(self.free, tuple) or not set(self.free) <= set(AXES):
+            checks.fail("free", f"a tuple of names out of {', '.join(AXES)}", repr(self.free))
         self._check_mounts()
         self._check_connected()
         self._check_rigid_loops()
@@ -98,31 +103,77 @@ class Support(eqx.Module):
     def _check_connected(self) -> None:
         ends = {end for spring in self.springs for end in spring.between}
         for axis in self.axes:
-            springs = self.along(axis)
-            loose = {end for s in springs for end in s.between} - connected(springs)
-            missing = loose | (set(range(1, self.whiskers + 1)) - ends)
+            held = self._held(axis)
+            missing = {base for base in held if base not in self._attached} | (set(range(1, self.whiskers + 1)) - ends)
             if missing:
                 raise ValueError(
                     f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, got no connection of "
-                    f"base {min(missing)} along {axis} (springs between {[s.between for s in springs]})."
+                    f"base {min(missing)} along {axis} (springs between {[s.between for s in self.springs]})."
                 )
+        if self.free and not self._attached:
+            checks.fail("free", "() without springs on a shaft", repr(self.free))
 
     def _check_rigid_loops(self) -> None:
         if checks.is_traced(self.springs) or not any(s.is_rigid() for s in self.springs):
             return
         with jax.ensure_compile_time_eval():  # concrete values are checked inside jit, too
-            if not all(flexibility(self.along(a), self.whiskers).consistent for a in self.axes):
+            if not all(flexibility(self._network(a), self.whiskers).consistent for a in self.axes):
                 lengths = [float(s.rest_length) for s in self.springs]
                 checks.fail("rest_length", "the same along all paths of infinitely stiff springs", lengths)
 
     def along(self, axis: str) -> tuple[Spring, ...]:
-        """The springs along an axis."""
-        return tuple(spring for spring in self.springs if spring.axis == axis)
+        """The linear springs between bases along an axis."""
+        return tuple(spring for spring in self.springs if spring.linear and spring.axis == axis)
+
+    @property
+    def attached(self) -> tuple[Spring, ...]:
+        """The springs that do not belong to the linear network of the bases: on shafts, or not linear."""
+        return tuple(spring for spring in self.springs if not spring.linear)
+
+    @property
+    def _attached(self) -> set[int]:
+        """The whiskers that such springs hold."""
+        return {spring.between[1] for spring in self.attached}
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The axes that have springs."""
-        return tuple(axis for axis in AXES if self.along(axis))
+        """The axes along which bases are free, at least some."""
+        return tuple(axis for axis in AXES if self._freed(axis) - {0})
+
+    def _freed(self, axis: str) -> set[int]:
+        """The bases that are free along an axis."""
+        freed = {end for spring in self.springs for end in spring.between if spring.axis in _acting(axis)}
+        return freed | (self._attached if axis in self.free else set())
+
+    def _held(self, axis: str) -> list[int]:
+        """A base of each part of the network that is free along an axis, but not connected to the drive along it."""
+        held: list[int] = []
+        while loose := self._freed(axis) - connected((*self.along(axis), *(Spring((0, k), 1.0) for k in held))):
+            # If the part has none with a spring on its shaft, nothing holds it at all.
+            held.append(min(loose & self._attached or loose))
+        return held
+
+    def _network(self, axis: str, stiffness: Scalar = 1.0) -> tuple[Spring, ...]:
+        """The linear springs along an axis, and one of this stiffness at every base that only shaft springs hold."""
+
+        def rest_length(base: int) -> Scalar:
+            """Where the first of these springs would have the base."""
+            acting = [s for s in self.attached if s.between[1] == base and s.axis in _acting(axis)]
+            first = acting[0].rest_length if acting else 0.0
+            if not acting or acting[0].anchor is None or axis == "phi":
+                return first
+            mount, anchor = self.mounts[base - 1], acting[0].anchor
+            return first + (anchor[0] - mount.x if axis == "x" else anchor[1] - mount.y)
+
+        held = (Spring((0, base), stiffness, rest_length(base), axis=axis) for base in self._held(axis))
+        return (*self.along(axis), *held)
+
+    def held(self) -> Bool[np.ndarray, "whiskers axes"]:
+        """Bases and axes at which `flexibility` contains a spring that the support does not have."""
+        held = np.zeros((self.whiskers, len(AXES)), bool)
+        for k, axis in enumerate(AXES):
+            held[np.array(self._held(axis), dtype=int) - 1, k] = True
+        return held
 
     @property
     def mounts(self) -> tuple[Mount, ...]:
@@ -138,8 +189,10 @@ class Support(eqx.Module):
 
     @property
     def name(self) -> str:
-        """The name of the model in the thesis, or `clamped`, `follicle`, or `network`."""
+        """The name of the model in the thesis, or `clamped`, `follicle`, `shaft`, or `network`."""
         between = tuple(s.between for s in self.springs)
+        if self.attached:
+            return "shaft" if self.whiskers == 1 else "network"
         if self.axes in ((), ("x",)):
             return next((name for name, ends in _NAMED.items() if ends == between), "network" if between else "clamped")
         return "follicle" if set(between) == {(0, 1)} else "network"
@@ -215,31 +268,44 @@ class Support(eqx.Module):
         rest_lengths = _per_spring("rest_length", rest_length, [second - first for first, second in ends])
         return cls(tuple(map(Spring, ends, stiffnesses, rest_lengths)))
 
-    def flexibility(self) -> Flexibility | None:
+    def flexibility(self, hold: Scalar = 1.0, hold_angle: Scalar = 1.0) -> Flexibility | None:
         """Flexibility of the bases in the drive's frame; None without springs.
 
         If all springs act along x, there is one row per base; otherwise three: x, y, angle of base 1, then of base 2.
+        Bases that only springs on shafts connect to the drive have no flexibility of their own. They are held by a
+        further spring, which is not part of the support: see `held`.
+
+        Args:
+            hold: stiffness of such a spring along x or y.
+            hold_angle: its torsional stiffness.
         """
         if not self.springs:
             return None
-        parts = {axis: flexibility(self.along(axis), self.whiskers) for axis in self.axes}
+        stiffness = {"x": hold, "y": hold, "phi": hold_angle}
+        parts = {axis: flexibility(self._network(axis, stiffness[axis]), self.whiskers) for axis in self.axes}
         return parts["x"] if self.axes == ("x",) else along_all_axes(parts)
 
     def spring_length(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
-        """Length of every spring, or angle of a torsion spring, from the bases' positions relative to the drive.
+        """Length of every linear spring, or angle of a torsion spring, from the bases' positions relative to the drive.
 
         Positions have one axis (x) or three, as in `flexibility`.
         """
+        linear = [spring for spring in self.springs if spring.linear]
         still = jnp.zeros_like(displacement[..., :1, :])
         nodes = jnp.concatenate([still, displacement], axis=-2)
-        first, second = np.reshape([spring.between for spring in self.springs], (-1, 2)).astype(int).T
-        axis = np.array([AXES.index(spring.axis) for spring in self.springs], dtype=int)
+        first, second = np.reshape([spring.between for spring in linear], (-1, 2)).astype(int).T
+        axis = np.array([AXES.index(spring.axis) for spring in linear], dtype=int)
         return nodes[..., second, axis] - nodes[..., first, axis]
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructors check."""
         parts = (*self.springs, *(() if self.mount is None else self.mounts))
         return jnp.all(jnp.array([part.valid() for part in parts], dtype=bool))
+
+
+def _acting(axis: str) -> tuple[str, ...]:
+    """Axes of springs that free a base along an axis."""
+    return (axis, "axial") if axis == "x" else (axis,)
 
 
 def _per_spring(name: str, value: Any, shares: list[int]) -> list:

@@ -75,7 +75,7 @@ class FromAfar(AbstractApproach):
     def first_touch(self) -> Scalar:
         """The control at which the first whisker touches; infinite, in the direction of motion, if none ever does."""
         problem, zero = self.problem, jnp.asarray(0.0)
-        at = problem.stance(zero, problem.rest(zero))
+        at = problem.stance(zero, problem.unloaded(zero)[1])
         first = at.right if self.onwards < 0 else at.left
         ahead = jnp.where(first.reaches, -self.onwards * (first.x - at.x), -jnp.inf)
         return -self.onwards * jnp.max(ahead)
@@ -97,7 +97,7 @@ class FromAfar(AbstractApproach):
 
     def limits(self):
         problem, zero = self.problem, jnp.asarray(0.0)
-        unloaded = problem.in_scene(zero, problem.rest(zero))
+        unloaded = problem.in_scene(zero, problem.unloaded(zero)[1])
         middle, first = problem.profile.vertex()[0] - jnp.mean(unloaded.x), self.first_touch()
         start = jnp.where(jnp.isfinite(first), first, middle - self.onwards) - self.onwards * MARGIN
         hardest = jnp.zeros((problem.length.size, problem.axes)).at[:, 0].set(HIGHEST_FORCE)

@@ -99,13 +99,12 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
 def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
     n, onwards = problem.length.shape[0], problem.motion.onwards
     u = approach_of(problem).start(stops[0])
-    pose = problem.rest(u)
-    side = problem.stance(u, pose).side
-    z, none = jnp.zeros((n, 3)), jnp.zeros(n)
+    z, pose = problem.unloaded(u)
+    side, none = problem.stance(u, pose).side, jnp.zeros(n)
     friction = None if problem.friction_angle is None else slipping_from(side)
     mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False), friction=friction)
     point = Point(z, u)
-    still = Point(z, jnp.asarray(float(onwards)))
+    still = Point(jnp.zeros_like(z), jnp.asarray(float(onwards)))
     pending = Node(
         point, z, still, still, mode.phase, mode.side, -jnp.abs(u - stops[0]), jnp.asarray(NO_EVENT),
         jnp.zeros(n, bool), mode.phase, mode.side, friction, friction,
@@ -126,7 +125,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         target=Target(
             jnp.asarray(0), jnp.zeros(n, bool), zero, z, mode.phase, mode.side, None if friction is None else none
         ),
-        lead=Lead(z, jnp.zeros_like(pose), still.u),
+        lead=Lead(still.z, jnp.zeros_like(pose), still.u),
         before_vertex=none + 1.0,
         goal=jnp.asarray(0),
         direction=still.u,

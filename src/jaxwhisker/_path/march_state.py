@@ -123,10 +123,10 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
     tangent, tangent_pose = Point(ahead * length * tangent.z, ahead * length * tangent.u), ahead * newton.tangent_pose
     # A touch is solved for as a contact, but the path arrives without it.
     touches = (state.task == Task.event) & (state.target.kind == TOUCH)
-    arriving = _direction_of_parabola(state, solution, free)
+    here, there = problem.stances((state.point.u, state.pose), (solution.point.u, newton.pose))
+    arriving = _direction_of_parabola(state, solution, free, there)
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
-    here, there = problem.stances((state.point.u, state.pose), (solution.point.u, newton.pose))
     margins_there = _margins_at(problem, state, solution.point, there, stop_u)
     # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
     touching = touches & state.target.whisker
@@ -156,10 +156,12 @@ def slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> Per
 
 
 def _direction_of_parabola(
-    state: MarchState, solution: Solution, free: Bool[Array, " whiskers"]
+    state: MarchState, solution: Solution, free: Bool[Array, " whiskers"], at: Stance
 ) -> tuple[Point, Poses]:
-    """Direction at the end of a step along a parabola that starts along the tangent; free whiskers do not count."""
-    chord = Point(jnp.where(free[:, None], 0.0, solution.point.z - state.point.z), solution.point.u - state.point.u)
+    """Direction at the end of a step, up to which whiskers are free, along a parabola that starts along the tangent."""
+    change = 0.0 if at.free is None else at.free - state.point.z
+    change = jnp.where(free[:, None], change, solution.point.z - state.point.z)
+    chord = Point(change, solution.point.u - state.point.u)
     distance = dot(state.tangent, chord, scale_of(state.point.z))
     known = distance > SHORTEST_CHORD
     twice = jnp.where(known, 2 / jnp.where(known, distance, 1.0), 0.0)

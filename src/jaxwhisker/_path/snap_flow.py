@@ -117,7 +117,7 @@ def _steps(flow: Flow, displacement: Poses) -> Poses:
 
 def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     """Propose the next step of the bases, and a guess for the contacts that it leads to."""
-    free = mode.phase == Phase.free
+    free, loose = mode.phase == Phase.free, ~problem.solved(mode.phase)
     axes = flow.pose.shape[1]
     pull = problem.rest(point.u) + problem.displacement(flow.load) - flow.pose
     # The system must be stable even with half of the damping, or it would be badly conditioned.
@@ -127,18 +127,18 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     # A slip takes no time: the other whiskers wait until it ends.
     slipping = flow.sliding | flow.landing
     slipping_now = jnp.any(slipping)
-    steps = jnp.where(free[:, None], 0.0, _steps(flow, moves))
+    steps = jnp.where(loose[:, None], 0.0, _steps(flow, moves))
     # A free base may move half-way to where its whisker would touch.
     reach = (flow.step + 0.5 * flow.gap)[:, None]
-    size = jnp.max(jnp.where(free[:, None], jnp.abs(moves) / reach, jnp.abs(steps) / flow.step))
+    size = jnp.max(jnp.maximum(jnp.where(free[:, None], jnp.abs(moves) / reach, 0.0), jnp.abs(steps) / flow.step))
     share = jnp.minimum(1.0, 1 / jnp.maximum(size, 1e-300))
-    to_land = jnp.zeros_like(steps).at[:, 0].set(_step_to_landing(flow, mode))
+    to_land = jnp.zeros_like(steps).at[:, 0].set(_step_to_landing(problem, flow, mode))
     steps = jnp.where(slipping_now, jnp.where(slipping[:, None], to_land, 0.0), share * steps)
     moves = jnp.where(slipping_now, 0.0, share * moves)
     longer = jnp.where(resolved, jnp.where(share < 1, 0.7, 1.4), 0.25)
     # Across the branches, bases are held where the flow puts them; along the branches, they follow the contacts. A base
     # whose branch is not known yet waits.
-    moved = free[:, None] | (_branch_known(flow)[:, None] & (jnp.arange(axes) > 0))
+    moved = loose[:, None] | (_branch_known(flow)[:, None] & (jnp.arange(axes) > 0))
     return flow._replace(
         guess=point.z + jnp.sum(flow.basis * steps[:, None, :], axis=-1),
         pose=flow.pose + jnp.where(moved, moves, 0.0),
@@ -146,11 +146,11 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     )
 
 
-def _step_to_landing(flow: Flow, mode: Mode) -> PerWhisker:
+def _step_to_landing(problem: Problem, flow: Flow, mode: Mode) -> PerWhisker:
     """Step along the branch of a slipping whisker towards the base position at which its slip ends."""
     by_x = flow.pose_by[:, 0, 0]
     to_land = jnp.clip((flow.landing_x - flow.pose[:, 0]) / _nonzero(by_x), -flow.step, flow.step)
-    return jnp.where(flow.sliding & ~on_stable_branch(mode, by_x), flow.step, to_land)
+    return jnp.where(flow.sliding & ~on_stable_branch(problem, mode, by_x), flow.step, to_land)
 
 
 def _branch_known(flow: Flow) -> Bool[Array, " whiskers"]:
@@ -173,7 +173,7 @@ def _slip(
 ) -> _Slip:
     """Apply the snap rule, points 1 to 3 above."""
     free, by_x = mode.phase == Phase.free, condensed.by_x
-    slipping, holds = flow.sliding | flow.landing, on_stable_branch(mode, by_x)
+    slipping, holds = flow.sliding | flow.landing, on_stable_branch(problem, mode, by_x)
     force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
     ends = ~free & ~slipping & (z[:, 0] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
@@ -198,7 +198,7 @@ def advance(
     """Accept the solved step from the previous contacts: phases change, contacts end or begin, whiskers slip."""
     newton, z, u = solution.newton, solution.point.z, solution.point.u
     free = mode.phase == Phase.free
-    pose = jnp.where(free[:, None], flow.pose, newton.pose)
+    pose = jnp.where(problem.solved(mode.phase)[:, None], newton.pose, flow.pose)
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
     friction, turned = mode.friction, (phase != mode.phase) & ~free
     if friction is not None:
@@ -212,7 +212,7 @@ def advance(
     if friction is not None:
         z = stuck
     side = jnp.where(slip.freed, at.side, jnp.where(slip.lands, -mode.side, mode.side))
-    z, phase = jnp.where(slip.freed[:, None], 0.0, z), jnp.where(slip.freed, Phase.free, phase)
+    z, phase = jnp.where(slip.freed[:, None], at.contact_if_free, z), jnp.where(slip.freed, Phase.free, phase)
     fresh = slip.begins | slip.lands
     touched, touched_phase, touched_side = touching(at, side)
     z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, touched_phase, phase)
@@ -229,9 +229,9 @@ def advance(
     flow = flow._replace(
         pose=pose,
         # The direction of the branch in a phase that has just begun is unknown until a point in it has been solved for.
-        basis=jnp.where((fresh | turned)[:, None, None], 0.0, newton.condensed.basis),
+        basis=jnp.where((fresh | slip.freed | turned)[:, None, None], 0.0, newton.condensed.basis),
         pose_by=jnp.where(no_branch[:, :, None], jnp.eye(pose.shape[1]), newton.condensed.pose_by),
-        slope=jnp.where(no_branch[:, :, None], 0.0, load_slopes(mode, newton.condensed)),
+        slope=jnp.where(no_branch[:, :, None], 0.0, load_slopes(problem, mode, newton.condensed)),
         load=jnp.where(no_branch, 0.0, newton.load),
         gap=jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf),
         slipped=flow.slipped | slip.slips,
@@ -274,15 +274,15 @@ def shortened(flow: Flow) -> Flow:
 
 def at_rest(problem: Problem, flow: Flow, mode: Mode, u: Scalar) -> Bool[Array, ""]:
     """Whether a stable equilibrium is near enough for Newton's method to take over."""
-    free = mode.phase == Phase.free
-    known = jnp.all(free | _branch_known(flow))
-    slope = jnp.where(free[:, None, None], 0.0, flow.slope)
+    loose = ~problem.solved(mode.phase)
+    known = jnp.all(loose | _branch_known(flow))
+    slope = jnp.where(loose[:, None, None], 0.0, flow.slope)
     pull = problem.rest(u) + problem.displacement(flow.load) - flow.pose
     moves = _implicit_displacement(problem, pull, slope, jnp.asarray(0.0))
-    steps = jnp.where(free[:, None], 0.0, _steps(flow, moves))
+    steps = jnp.where(loose[:, None], 0.0, _steps(flow, moves))
     near = jnp.max(jnp.maximum(jnp.abs(moves), jnp.abs(steps))) < flow.near
     settled = near & known & ~jnp.any(flow.sliding | flow.landing)
-    own = jnp.all(free | on_stable_branch(mode, flow.pose_by[:, 0, 0]))
+    own = jnp.all(loose | on_stable_branch(problem, mode, flow.pose_by[:, 0, 0]))
     return settled & own & network_is_stable(problem, slope)
 
 

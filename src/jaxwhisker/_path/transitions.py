@@ -229,7 +229,8 @@ def after_event(problem: Problem, state: MarchState, trial: Trial):
     """Handle the point where a margin vanishes: change to the mode that holds from here on."""
     solution, target = trial.solution, state.target
     change = _Change(*(target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE, SLIP)))
-    z_before = jnp.where(change.touches[:, None], state.point.z, solution.point.z)
+    before = state.point.z if trial.stance.free is None else trial.stance.free
+    z_before = jnp.where(change.touches[:, None], before, solution.point.z)
     good, distance = _reached(problem, state, trial, z_before)
 
     violated, earlier = first_violated(state, trial, distance)
@@ -278,7 +279,7 @@ def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Chan
     solution, target, mode = trial.solution, state.target, state.mode
     phase = jnp.where(change.touches, target.phase, mode.phase)
     side = jnp.where(change.touches, target.side, jnp.where(change.released, trial.stance.side, mode.side))
-    z = jnp.where(change.released[:, None], 0.0, solution.point.z)
+    z = jnp.where(change.released[:, None], trial.stance.contact_if_free, solution.point.z)
     phase = jnp.where(change.released, Phase.free, phase)
     phase = jnp.where(change.phase, jnp.where(mode.phase == Phase.tip, Phase.tangential, Phase.tip), phase)
     z = z.at[:, 2].set(jnp.where(change.phase, 0.0, z[:, 2]))
@@ -287,7 +288,7 @@ def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Chan
         now = Mode(phase, side, mode.separate, friction=friction)
         slip = jnp.where(change.slips, jnp.sign(target.lean).astype(int), friction.slip)
         z, friction = with_slips(problem, z, now, slip)
-        z = jnp.where(change.released[:, None], 0.0, z)
+        z = jnp.where(change.released[:, None], trial.stance.contact_if_free, z)
     node = _node(state, trial)
     at_first = (target.kind == AT_STOP) & (state.goal == 0)
     return node._replace(

@@ -46,13 +46,13 @@ def _shafts(problem: Problem, point: Point, mode: Mode) -> Shaft:
     """The shafts of all whiskers, stacked."""
     free = mode.phase == Phase.free
     z, phase = with_dummy_contacts(problem, point.z, mode.phase)
-    z = z.at[:, 0].set(jnp.where(free, 0.0, z[:, 0]))
     bodies = problem.bodies(point.u)
+    if problem.attached is None:
+        z = z.at[:, 0].set(jnp.where(free, 0.0, z[:, 0]))
     shafts = of_each(bodies, shaft, z, phase, mode.side, mode.friction)
-    if "crossing" not in problem.detect:  # no need to know where free whiskers are
+    if "crossing" not in problem.detect or problem.attached is not None:  # no need to know where free whiskers are
         return shafts
-    in_frame = jax.vmap(contact.in_base_frame, in_axes=(0, None if bodies.frame is None else 0))
-    load = newton.load_of(in_frame(shafts.base, bodies.frame), problem.axes)
+    load = newton.load_of(of_each(bodies, contact.in_base_frame, shafts.base), problem.axes)
     load = jnp.where(free[:, None], 0.0, load)
     at = problem.in_scene(point.u, problem.rest(point.u) + problem.displacement(load))
     unloaded = jax.vmap(moved)(shafts, *at)
@@ -136,7 +136,7 @@ def _control_at(path: Path, place: Scalar) -> tuple[Int[Array, ""], Scalar]:
 
 def without_gains(problem: Problem, path: Path) -> Path:
     """The path up to the first snap with friction that gains energy; whiskers that are not uniform are not checked."""
-    if problem.friction_angle is None or problem.section is not None:
+    if problem.friction_angle is None or problem.section is not None or problem.attached is not None:
         return path
     nodes = path.nodes
     room, n = nodes.phase.shape
@@ -160,8 +160,8 @@ def _energy(problem: Problem, point: Point, mode: Mode) -> Scalar:
     s = of_each(bodies, contact.arc, z[:, 2], phase)
     density = base.bend**2 / (2 * problem.bending_stiffness) + base.force_x * base.cos + base.force_y * base.sin
     way = base.force_x * (base.contact_x - base.x) + base.force_y * (base.contact_y - base.y)
-    in_frame = jax.vmap(contact.in_base_frame, in_axes=(0, None if bodies.frame is None else 0))
-    load = jnp.where(touching[:, None], newton.load_of(in_frame(base, bodies.frame), problem.axes), 0.0)
+    load = newton.load_of(of_each(bodies, contact.in_base_frame, base), problem.axes)
+    load = jnp.where(touching[:, None], load, 0.0)
     return jnp.sum(jnp.where(touching, density * s - way, 0.0)) + jnp.sum(load * problem.displacement(load)) / 2
 
 

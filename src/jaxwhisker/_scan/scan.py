@@ -23,7 +23,8 @@ from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control
-from jaxwhisker._equilibrium.problem import Problem, problem_of
+from jaxwhisker._equilibrium.dimensionless import problem_of
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import march

@@ -26,15 +26,15 @@ Bases = tuple[Float[Array, "steps whiskers"], Float[Array, "steps whiskers"], Fl
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
     """State of an equilibrium in the scene's units, and its largest residual."""
-    touching, bodies = mode.phase != Phase.free, problem.bodies(u)
+    solved, bodies = problem.solved(mode.phase)[:, None], problem.bodies(u)
     contacts = with_dummy_contacts(problem, z, mode.phase)
     base = of_each(bodies, contact.base, *contacts, mode.side, mode.friction)
     arc = of_each(bodies, contact.arc, z[:, 2], mode.phase)
-    in_frame = jax.vmap(contact.in_base_frame, in_axes=(0, None if bodies.frame is None else 0))(base, bodies.frame)
-    load = jnp.where(touching[:, None], newton.load_of(in_frame, problem.axes), 0.0)
+    in_frame = of_each(bodies, contact.in_base_frame, base)
+    load = jnp.where(solved, newton.load_of(in_frame, problem.axes), 0.0)
     wanted = problem.rest(u) + problem.displacement(load)
     pose = newton.pose_of(in_frame, 3)
-    here = problem.in_scene(u, jnp.where(touching[:, None], pose[:, : problem.axes], wanted))
+    here = problem.in_scene(u, jnp.where(solved, pose[:, : problem.axes], wanted))
     residual = _residual(problem, z, u, mode, base, pose, wanted, here)
     return _state(problem, z, mode, base, arc, here), residual
 
@@ -49,7 +49,7 @@ def _residual(
     wanted: Poses,
     here: ScenePose,
 ) -> Scalar:
-    """Largest residual of any equation or inequality of the touching whiskers."""
+    """Largest residual of any equation or inequality of the whiskers that are solved for."""
     touching = mode.phase != Phase.free
     # Coordinates that are not part of the network must be zero.
     apart = pose - jnp.concatenate([wanted, jnp.zeros((touching.size, 3 - problem.axes))], axis=1)
@@ -62,8 +62,9 @@ def _residual(
     if leans is not None and problem.friction_angle is not None:
         # The lean of a small force is not known to the same accuracy.
         inequalities += [(jnp.abs(leans) - problem.friction_angle) * jnp.minimum(z[:, 0], 1.0)]
-    residuals = jnp.concatenate([jnp.abs(jnp.stack(equalities)), jnp.maximum(jnp.stack(inequalities), 0.0)])
-    return problem.if_defined(jnp.max(jnp.where(touching, residuals, 0.0)), here)
+    equal, excess = jnp.abs(jnp.stack(equalities)), jnp.maximum(jnp.stack(inequalities), 0.0)
+    parts = [jnp.where(problem.solved(mode.phase), equal, 0.0), jnp.where(touching, excess, 0.0)]
+    return problem.if_defined(jnp.max(jnp.concatenate(parts)), here)
 
 
 def _state(problem: Problem, z: Contacts, mode: Mode, base: Base, arc: PerWhisker, here: ScenePose) -> State:
@@ -72,13 +73,16 @@ def _state(problem: Problem, z: Contacts, mode: Mode, base: Base, arc: PerWhiske
     def if_touching(values: PerWhisker) -> PerWhisker:
         return jnp.where(touching, values, 0.0)
 
+    def if_solved(values: PerWhisker) -> PerWhisker:
+        return jnp.where(problem.solved(mode.phase), values, 0.0)
+
     return State(
         base_x=here.x * unit.length,
         base_y=here.y * unit.length,
         base_angle=here.angle,
-        fx=if_touching(-base.force_x) * unit.force,
-        fy=if_touching(-base.force_y) * unit.force,
-        mz=if_touching(-base.bend) * unit.moment,
+        fx=if_solved(-base.force_x) * unit.force,
+        fy=if_solved(-base.force_y) * unit.force,
+        mz=if_solved(-base.bend) * unit.moment,
         contact_force=if_touching(z[:, 0]) * unit.force,
         contact_slope=if_touching(jnp.arctan2(base.slope_sin, base.slope_cos)),
         contact_arc=if_touching(arc) * unit.length,

@@ -88,7 +88,7 @@ def _solve(
     accepted = (status == Status.ok)[:, None]
     # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see `safe_placeholder`).
     phase = jnp.where(accepted, mode.phase, Phase.free)
-    z = jnp.where(accepted[:, None], z, 0.0)
+    z = jnp.where(accepted[:, None], z, problem.unloaded(jnp.zeros(()))[0])
     if friction is None:
         return Solutions(z, phase, mode.side, status)
     friction = newly_slipping(friction, ~accepted & jnp.ones_like(phase, bool), mode.side)

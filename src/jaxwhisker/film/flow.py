@@ -17,10 +17,11 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import newton_step, solve_point
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, dot, scale_of, unit
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, problem_of
+from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import Node, select
@@ -117,7 +118,7 @@ def _state_in_scene(problem: Problem, u: Scalar, kept: _Kept) -> State:
     """State in the scene's units; bases of free whiskers have the pose of the flow."""
     mode = Mode(kept.phase, kept.side, jnp.asarray(False), friction=kept.friction)
     state, _ = signals(problem, kept.z, u, mode)
-    here, free = problem.in_scene(u, kept.pose), kept.phase == Phase.free
+    here, free = problem.in_scene(u, kept.pose), ~problem.solved(kept.phase)
     return dataclasses.replace(
         state,
         base_x=jnp.where(free, here.x * problem.unit.length, state.base_x),

@@ -16,7 +16,8 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.problem import Problem, problem_of
+from jaxwhisker._equilibrium.dimensionless import problem_of
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.motion import Pose, Rotation
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.spring import AXES, Spring

@@ -1,0 +1,151 @@
+"""Springs on shafts in the dimensionless problem, and the whiskers that they hold before any contact."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.friction import slipping_from
+from jaxwhisker._equilibrium.newton import solve_point
+from jaxwhisker._equilibrium.point import Mode, Point, at_control
+from jaxwhisker._equilibrium.problem import NOWHERE, Attached, InPlane, Poses
+from jaxwhisker._equilibrium.shaft_springs import AXIAL, Laws, ShaftSprings
+from jaxwhisker._model.motion import Pose, mounted
+from jaxwhisker._model.scene import Scene, Units
+from jaxwhisker._model.spring import AXES, Spring
+from jaxwhisker._rod import rod
+from jaxwhisker._rod.rod import Section
+
+SHARES = np.linspace(0.0, 1.0, 9)[1:]  # of the springs' tensions, which grow until they are the given ones
+
+
+class _Law(eqx.Module):
+    """A user-defined law of tension in the dimensionless problem."""
+
+    law: Any
+    length: Scalar  # unit of the extension
+    tension: Scalar  # unit of the tension
+
+    def __call__(self, extension: Scalar) -> Scalar:
+        return self.law(extension * self.length) / self.tension
+
+
+def attached(scene: Scene, section: Any, unit: Units) -> tuple[ShaftSprings, Laws] | None:
+    """Dimensionless springs on the shafts of all whiskers; None without such springs."""
+    springs, laws = scene.support.attached, []
+    if not springs:
+        return None
+    each: list[list[ShaftSprings]] = [[] for _ in scene.whiskers]
+    for spring in springs:
+        if callable(spring.stiffness):
+            turns = spring.axis == "phi"
+            laws.append(_Law(spring.stiffness, 1.0 if turns else unit.length, unit.moment if turns else unit.force))
+        k = spring.between[1] - 1
+        own = section[k] if isinstance(section, tuple) else jax.tree.map(lambda leaf, k=k: leaf[k], section)
+        mount = scene.support.mounts[k]
+        mounted = Pose(mount.x / unit.length, mount.y / unit.length, mount.angle)
+        each[k].append(_dimensionless(spring, own, mounted, unit, len(laws)))
+    none = jax.tree.map(jnp.zeros_like, next(one[0] for one in each if one))
+    room = 1 + max(map(len, each))
+    stacked = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *one, *[none] * (room - len(one))) for one in each]
+    return jax.vmap(_sorted)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)), tuple(laws)
+
+
+def _sorted(springs: ShaftSprings) -> ShaftSprings:
+    return springs.with_places(jnp.zeros(0))[0]
+
+
+def _dimensionless(spring: Spring, section: Section | None, mount: Pose, unit: Units, law: int) -> ShaftSprings:
+    at = jnp.asarray(0.0 if spring.at is None else spring.at, dtype=float) / unit.length
+    x, y, angle = _on_unloaded(at, section)
+    cos, sin = jnp.cos(mount.angle), jnp.sin(mount.angle)
+    x, y = mount.x + x * cos - y * sin, mount.y + x * sin + y * cos
+    if spring.anchor is not None:
+        x, y = (jnp.asarray(part, dtype=float) / unit.length for part in spring.anchor)
+    turns, own = spring.axis == "phi", callable(spring.stiffness)
+    stiffness = unit.moment if turns else unit.force / unit.length
+    return ShaftSprings(
+        at,
+        x,
+        y,
+        mount.angle + angle,
+        jnp.asarray(0.0) if own else 1 / (spring.softness * stiffness),
+        jnp.asarray(spring.rest_length, dtype=float) / (1.0 if turns else unit.length),
+        jnp.asarray(AXIAL if spring.axis == "axial" else AXES.index(spring.axis)),
+        jnp.asarray({"tension": 1.0, "compression": -1.0, None: 0.0}[spring.one_sided]),
+        jnp.asarray(law if own else 0),
+        jnp.asarray(1.0),
+    )
+
+
+def _on_unloaded(at: Scalar, section: Section | None) -> tuple[Scalar, Scalar, Scalar]:
+    """Position and angle to the upright of a point of an unloaded whisker whose base is upright at the origin."""
+    zero = jnp.zeros_like(at)
+    if section is None or section.intrinsic_curvature is None:
+        return zero, at, zero
+    start, nothing = (zero, zero, zero, zero + 1.0), rod.Load(None, zero, None)
+    above = jnp.maximum(at, 0.0)
+    x, y, cos, sin = rod.integrate(start, -above, nothing, section, steps=16, from_base=zero)
+    return x, y + jnp.minimum(at, 0.0), jnp.arctan2(-cos, sin)
+
+
+class _Unloaded(NamedTuple):
+    problem: InPlane
+    found: Bool[Array, ""]
+
+
+def with_unloaded(problem: InPlane, springs: ShaftSprings, laws: Laws, held: Float[Array, "whiskers 3 3"]) -> _Unloaded:
+    """The problem with springs on shafts, and whether its unloaded whiskers are in equilibrium.
+
+    Args:
+        problem: the problem without these springs.
+        springs: see `Attached`.
+        laws: see `Attached`.
+        held: see `Attached`.
+    """
+    still = jax.lax.stop_gradient((problem, springs, laws, held))
+
+    def with_springs(problem, springs, laws, held, contact, pose) -> InPlane:
+        attached = Attached(springs, laws, held, contact, pose)
+        return eqx.tree_at(lambda p: p.attached, problem, attached, is_leaf=lambda leaf: leaf is None)
+
+    contact, pose = _found(*still, with_springs)
+    contact, pose = jax.lax.stop_gradient((contact, pose))
+    found = jnp.all(jnp.isfinite(contact)) & jnp.all(jnp.isfinite(pose))
+    contact, pose = (jnp.where(found, value, 0.0) for value in (contact, pose))
+    return _Unloaded(with_springs(problem, springs, laws, held, contact, pose), found)
+
+
+def _found(problem, springs, laws, held, with_springs) -> tuple[Float[Array, "whiskers 3"], Poses]:
+    """Contacts and coordinates of the unloaded whiskers; NaN if they are not found."""
+    ends = problem.motion.ends
+    u = jnp.asarray(0.0 if ends is None else ends[0] / problem.unit.control, dtype=float)
+    side = jnp.ones_like(problem.length)
+    friction = None if problem.friction_angle is None else slipping_from(side)
+    mode = Mode(jnp.zeros(side.size, int), side, jnp.asarray(False), friction=friction)
+    unbent, none = _unbent(problem, u), jnp.zeros_like(problem.rest(u))
+
+    def grown(carry, share):
+        contact, _, _ = carry
+        part = springs._replace(share=share * springs.share)
+        problem_then = with_springs(problem, part, laws, share * held, contact, none)
+        solution = solve_point(problem_then, mode, at_control(u, contact), Point(contact, u))
+        return (solution.point.z, solution.newton.pose, solution.converged), None
+
+    start = unbent, none, jnp.asarray(False)
+    (contact, pose, found), _ = jax.lax.scan(grown, start, SHARES)
+    return jnp.where(found, contact, jnp.nan), pose - problem.rest(u)
+
+
+def _unbent(problem: InPlane, u: Scalar) -> Float[Array, "whiskers 3"]:
+    """Contacts of free whiskers that no spring bends, with their bases at rest."""
+    base, drive = problem.in_scene(u, problem.rest(u)), mounted(problem.drive(u), NOWHERE)
+    x, y, cos, sin = (values[:, -1] for values in problem.outline)
+    turn_cos, turn_sin = jnp.cos(base.angle), jnp.sin(base.angle)
+    right, up = base.x + x * turn_cos - y * turn_sin - drive.x, base.y + x * turn_sin + y * turn_cos - drive.y
+    angle = base.angle + jnp.arctan2(-cos, sin) - jnp.arctan2(drive.sin, drive.cos)
+    return jnp.stack([right * drive.cos + up * drive.sin, up * drive.cos - right * drive.sin, angle], axis=1)

@@ -1,0 +1,146 @@
+"""From a scene to its dimensionless problem."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import safe_placeholder
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium import touch
+from jaxwhisker._equilibrium.attach import attached, with_unloaded
+from jaxwhisker._equilibrium.problem import AlongX, InPlane, PerWhisker, Problem
+from jaxwhisker._equilibrium.touch import Outline
+from jaxwhisker._model.motion import Pose
+from jaxwhisker._model.profile import AbstractProfile
+from jaxwhisker._model.scene import Scene, moves_along_x, units
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod.rod import Section
+
+
+def problem_of(scene: Scene) -> Problem:
+    """The dimensionless problem of a scene, differentiable with respect to all numbers of the scene."""
+    valid = _valid(scene)
+    scene = safe_placeholder(scene, valid)
+    unit = jax.tree.map(checks.as_float, units(scene))
+    length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
+    stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])
+    section = sections(scene.whiskers, unit.length, unit.moment * unit.length)
+    flexibility = scene.support.flexibility(unit.force / unit.length, unit.moment)
+    if flexibility is not None:
+        valid &= flexibility.consistent
+    common: dict[str, Any] = {
+        "length": length,
+        "bending_stiffness": stiffness / (unit.moment * unit.length),
+        "section": section,
+        "profile": scene.profile.in_unit(unit.length),
+        "rod": scene.rod,
+        "motion": scene.motion,
+        "unit": unit,
+        "friction_angle": None if scene.friction is None else jnp.arctan(jnp.asarray(scene.friction, dtype=float)),
+        "detect": _detectable(scene),
+    }
+    curved = any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers)
+    if moves_along_x(scene):
+        flexibility = None if flexibility is None else flexibility.in_unit(unit.length, unit.force)
+        if curved:
+            upright = jnp.zeros_like(length)
+            outline = outlines(scene.whiskers, length, section)
+            touches, single = _first_touches(common["profile"], outline, length, upright, upright, curved)
+        else:
+            touches, single = _first_touches_upright(common["profile"], length), True
+        return AlongX(**common, **touches, flexibility=flexibility, valid=valid & single)
+    mounts = zip(*((mount.x, mount.y, mount.angle) for mount in scene.support.mounts), strict=True)
+    x, y, angle = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in mounts)
+    mount = Pose(x / unit.length, y / unit.length, angle)
+    flexibility = None if flexibility is None else flexibility.in_frames(angle, unit.length, unit.force)
+    outline = outlines(scene.whiskers, length, section)
+    touches, single = _first_touches(common["profile"], outline, length, y / unit.length, angle, curved)
+    valid &= single
+    problem = InPlane(**common, **touches, flexibility=flexibility, valid=valid, mount=mount, outline=outline)
+    springs = attached(scene, section, unit)
+    if springs is None:
+        return problem
+    held = jax.vmap(_turned)(angle, jnp.asarray(scene.support.held(), dtype=float))
+    problem, found = with_unloaded(problem, *springs, held)
+    return eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)
+
+
+def _turned(angle: Scalar, stiffness: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Stiffnesses along the drive's axes, in a frame at this angle to it."""
+    cos, sin, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
+    turn = jnp.stack([cos, sin, zero, -sin, cos, zero, zero, zero, zero + 1.0]).reshape(3, 3)
+    return jnp.sum(turn[:, None, :] * stiffness * turn[None, :, :], axis=-1)
+
+
+def _detectable(scene: Scene) -> tuple[str, ...]:
+    """What a scene is to detect, without what cannot happen.
+
+    Without friction, a uniform straight whisker stays on the outer side of the object's tangent at its contact, which a
+    convex object does not cross. Let theta be the angle from the tangent to the whisker, theta1 its value at the
+    contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >= sin theta1 >= 0 along the shaft.
+    """
+    possible = {
+        "second_contact": scene.friction is not None
+        or bool(scene.support.attached)
+        or not all(whisker.uniform for whisker in scene.whiskers),
+        "crossing": len(scene.whiskers) > 1,
+    }
+    return tuple(name for name in scene.detects if possible[name])
+
+
+def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict[str, Any]:
+    """First touches of straight whiskers that stand upright at height 0."""
+    right, left = (jax.vmap(lambda h, s=s: touch.first_touch_upright(profile, h, s))(length) for s in (1.0, -1.0))
+    return {"touch_right": right, "touch_left": left}
+
+
+def _first_touches(
+    profile: AbstractProfile, outline: Outline, length: PerWhisker, height: PerWhisker, angle: PerWhisker, curved: bool
+) -> tuple[dict[str, Any], Bool[Array, ""] | bool]:
+    """First touches of whiskers with these outlines, and whether each touches the object in one place only."""
+    right, left = jax.vmap(lambda *own: touch.first_touches(profile, *own))(length, outline, height, angle)
+    touches = {"touch_right": right, "touch_left": left}
+    if not curved:
+        return touches, True
+    return touches, ~jnp.any(jax.vmap(lambda *own: touch.in_two_places(profile, *own))(outline, height, angle))
+
+
+def outlines(
+    whiskers: tuple[Whisker, ...], length: PerWhisker, section: Section | tuple[Section, ...] | None
+) -> Outline:
+    """Outlines of all unloaded whiskers, stacked."""
+    if isinstance(section, tuple):
+        each = [touch.outline(length[k], own) for k, own in enumerate(section)]
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    straight = all(whisker.intrinsic_curvature is None for whisker in whiskers)
+    if section is None or straight:
+        return jax.vmap(lambda length: touch.outline(length, None))(length)
+    return jax.vmap(touch.outline)(length, section)
+
+
+def sections(
+    whiskers: tuple[Whisker, ...], length_unit: Scalar, stiffness_unit: Scalar
+) -> Section | tuple[Section, ...] | None:
+    """Sections of all whiskers: None if all are uniform, stacked if they differ in numbers only, otherwise a tuple."""
+    if all(whisker.uniform for whisker in whiskers):
+        return None
+    whiskers = jax.tree.map(checks.as_float, whiskers)
+    length, stiffness = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit))
+    each = tuple(whisker.section(length, stiffness) for whisker in whiskers)
+    kinds = [(jax.tree.structure(section), [leaf.shape for leaf in jax.tree.leaves(section)]) for section in each]
+    if any(kind != kinds[0] for kind in kinds):
+        return each
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+
+
+def _valid(scene: Scene) -> Bool[Array, ""]:
+    """Whether traced parameters are in the domains that the constructors check for concrete ones."""
+    whiskers = jnp.all(jnp.stack([whisker.valid() for whisker in scene.whiskers]))
+    valid = scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers
+    if scene.friction is None:
+        return valid
+    return valid & (scene.friction >= 0) & jnp.isfinite(scene.friction)

@@ -1,0 +1,182 @@
+"""Springs on the shaft of one whisker, between the drive and points of the whisker.
+
+The rod is integrated from the contact, or from the tip of a free whisker, towards the base. Position and direction are
+known when the integration gets to a spring, and so is the force of the spring. The load on the rod changes there, but
+it stays an affine function of position. Below the base, the whisker continues as a rigid follicle.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.motion import Frame
+from jaxwhisker._model.spring import AXES
+from jaxwhisker._rod.elastica import AbstractRod
+from jaxwhisker._rod.rod import Load, Material, RodState, moment
+
+AXIAL = len(AXES)  # in addition to the indices into AXES
+
+Laws: TypeAlias = tuple[Callable[[Any], Any], ...]  # tension by extension; number 0 is the linear law
+
+
+class ShaftSprings(NamedTuple):
+    """Springs on the shaft of a whisker, from the tip to the base; or those of all whiskers, stacked.
+
+    The last place is at the base or below it.
+    """
+
+    at: Float[Array, "*batch springs"]  # arc length from the base; negative below it
+    anchor_x: Float[Array, "*batch springs"]  # end on the drive, in the drive's frame
+    anchor_y: Float[Array, "*batch springs"]
+    anchor_angle: Float[Array, "*batch springs"]
+    stiffness: Float[Array, "*batch springs"]
+    rest_length: Float[Array, "*batch springs"]
+    axis: Int[Array, "*batch springs"]  # index into AXES, or AXIAL
+    one_sided: Float[Array, "*batch springs"]  # +1 pulls only, -1 pushes only, 0 both
+    law: Int[Array, "*batch springs"]
+    share: Float[Array, "*batch springs"]  # of the tension that acts: 1; 0 for places without a spring
+
+    def with_places(self, at: Float[Array, " places"]) -> tuple["ShaftSprings", Int[Array, " places"]]:
+        """The springs of a whisker and further places without a spring, and the indices of these places."""
+        more = jax.tree.map(lambda leaf: jnp.zeros_like(leaf, shape=at.shape), self)._replace(at=at)
+        both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), self, more)
+        order = jnp.argsort(-jax.lax.stop_gradient(both.at), stable=True)
+        places = jnp.argsort(order)[self.at.size :]
+        return jax.tree.map(lambda leaf: leaf[order], both), places
+
+
+class Walk(NamedTuple):
+    """The end of a rod at its base, and the rod at the springs on the way."""
+
+    base: RodState
+    load: Load  # on the base, by all that acts on the whisker above it and on its follicle
+    passed: RodState  # at each spring, before its force acts
+
+
+def _tension(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
+    extension = length - spring.rest_length
+    each = [lambda: spring.stiffness * extension, *(lambda law=law: jnp.asarray(law(extension)) for law in laws)]
+    tension = jax.lax.switch(spring.law, each) if laws else each[0]()
+    sign = spring.one_sided
+    return spring.share * jnp.where(sign == 0, tension, sign * jnp.maximum(sign * tension, 0.0))
+
+
+def _end(spring: ShaftSprings, state: RodState) -> tuple[Scalar, Scalar]:
+    """The spring's end on the whisker; at or below the base, for the state of the base."""
+    x, y, cos, sin = state
+    below = jnp.minimum(spring.at, 0.0)
+    return x + below * cos, y + below * sin
+
+
+def stretched(spring: ShaftSprings, state: RodState, drive: Frame) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Length of a spring, and its derivatives by position (x, y) of its end and by the angle of the whisker there."""
+    x, y = _end(spring, state)
+    right, up, (_, _, cos, sin) = x - drive.x, y - drive.y, state
+    across = right * drive.cos + up * drive.sin - spring.anchor_x
+    along = up * drive.cos - right * drive.sin - spring.anchor_y
+    turn = jnp.arctan2(-cos * drive.cos - sin * drive.sin, sin * drive.cos - cos * drive.sin) - spring.anchor_angle
+    square = across**2 + along**2
+    apart = square > 0
+    distance = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
+    scale = jnp.where(apart, distance, 1.0)
+    axes = [(across, 1.0, 0.0, 0.0), (along, 0.0, 1.0, 0.0), (turn, 0.0, 0.0, 1.0)]
+    axes.append((distance, across / scale, along / scale, 0.0))
+    length, by_across, by_along, by_turn = (
+        jnp.select([spring.axis == k for k in range(len(axes))], [jnp.asarray(values[j]) for values in axes])
+        for j in range(4)
+    )
+    return length, by_across * drive.cos - by_along * drive.sin, by_across * drive.sin + by_along * drive.cos, by_turn
+
+
+def _with_spring(load: Load, spring: ShaftSprings, laws: Laws, state: RodState, drive: Frame) -> Load:
+    """The load on the rod below a spring."""
+    length, by_x, by_y, by_turn = stretched(spring, state, drive)
+    tension = _tension(spring, laws, length)
+    x, y = _end(spring, state)
+    fx, fy = -tension * by_x, -tension * by_y
+    moment = load.moment + x * fy - y * fx - tension * by_turn  # pyright: ignore[reportOptionalOperand]
+    return Load(load.force_x + fx, load.force_y + fy, moment)  # pyright: ignore[reportOptionalOperand]
+
+
+def walk(
+    start: RodState,
+    force: tuple[Scalar, Scalar],
+    arc: Scalar,
+    material: Material,
+    springs: ShaftSprings,
+    laws: Laws,
+    drive: Frame,
+    along: Callable[..., RodState],
+) -> Walk:
+    """Follow a rod from a point with this force on it, at an arc length from the base, past all springs to the base.
+
+    Args:
+        start: state of the rod there, in the scene.
+        force: on the rod there, along x and y.
+        arc: arc length from the base to that point.
+        material: of the rod.
+        springs: of this whisker, from the tip to the base.
+        laws: of all springs that are not linear.
+        drive: frame of the drive.
+        along: integrates the rod: `AbstractRod.along` of a method.
+    """
+    (x, y, _, _), (fx, fy) = start, force
+
+    def piece(carry, spring):
+        state, load, s = carry
+        stop = jnp.maximum(spring.at, 0.0)
+        state = along(state, s - stop, load, material, s)
+        return (state, _with_spring(load, spring, laws, state, drive), stop), state
+
+    carry = jax.tree.map(jnp.asarray, (start, Load(fx, fy, x * fy - y * fx), arc))
+    (state, load, _), passed = jax.lax.scan(piece, carry, springs)
+    return Walk(state, load, passed)
+
+
+def _base(
+    start: RodState,
+    force: tuple[Scalar, Scalar],
+    arc: Scalar,
+    material: Material,
+    springs: ShaftSprings,
+    laws: Laws,
+    drive: Frame,
+    method: AbstractRod,
+) -> tuple[RodState, Load]:
+    walked = walk(start, force, arc, material, springs, laws, drive, method.along)
+    return walked.base, walked.load
+
+
+@eqx.filter_custom_jvp
+def base_of_walk(
+    start: RodState,
+    force: tuple[Scalar, Scalar],
+    arc: Scalar,
+    material: Material,
+    springs: ShaftSprings,
+    laws: Laws,
+    drive: Frame,
+    method: AbstractRod,
+    for_rates: AbstractRod,
+) -> tuple[RodState, Load]:
+    """State of the rod at its base and the load there, computed by `method`; `for_rates` computes the derivatives."""
+    del for_rates
+    return _base(start, force, arc, material, springs, laws, drive, method)
+
+
+@base_of_walk.def_jvp
+def _(primals, tangents):
+    *at, method, for_rates = primals
+    end, end_dot = eqx.filter_jvp(lambda *at: _base(*at, for_rates), tuple(at), tuple(tangents[:7]))
+    return end if for_rates == method else base_of_walk(*primals), end_dot
+
+
+def bend(walked: tuple[RodState, Load]) -> Scalar:
+    """EI (kappa - kappa0) at the base."""
+    (x, y, _, _), load = walked
+    return jnp.asarray(moment(x, y, load))
