@@ -67,7 +67,7 @@ def test_a_snap_begins_at_the_state_before_it_and_ends_at_the_one_after_it(soft,
             for name in jw.State.__dataclass_fields__:
                 if getattr(state, name) is not None:
                     assert np.array_equal(getattr(shown.state, name)[k], getattr(state, name))
-            line = shapes_of(jax.tree.map(jnp.asarray, state), soft.scene.whiskers, points=64)
+            line = shapes_of(soft.scene, jax.tree.map(jnp.asarray, state), event.control, points=64)
             np.testing.assert_allclose(shown.lines.x[k], line.x, atol=SOLVED)
             np.testing.assert_allclose(shown.lines.y[k], line.y, atol=SOLVED)
 
@@ -123,7 +123,8 @@ def test_a_line_turns_from_one_to_another_and_keeps_its_length():
 def test_a_line_that_would_enter_the_object_is_curled_around_it(stiff):
     event = stiff.events[snaps(stiff)[0]]
     ends = [
-        shapes_of(jax.tree.map(jnp.asarray, s), stiff.scene.whiskers, points=64) for s in (event.before, event.after)
+        shapes_of(stiff.scene, jax.tree.map(jnp.asarray, state), event.control, points=64)
+        for state in (event.before, event.after)
     ]
     nowhere = Silhouette(np.array([-9.0, 9.0]), np.array([9.0, 9.0]))
     parabola = silhouette_of_scan(stiff)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.friction import slipping_from
@@ -15,8 +15,9 @@ from jaxwhisker._equilibrium.point import Mode, Point, at_control
 from jaxwhisker._equilibrium.problem import NOWHERE, Attached, InPlane, Poses
 from jaxwhisker._equilibrium.shaft_springs import AXIAL, Laws, ShaftSprings
 from jaxwhisker._model.motion import Pose, mounted
-from jaxwhisker._model.scene import Scene, Units
+from jaxwhisker._model.scene import Units
 from jaxwhisker._model.spring import AXES, Spring
+from jaxwhisker._model.support import Support
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
@@ -34,29 +35,36 @@ class _Law(eqx.Module):
         return self.law(extension * self.length) / self.tension
 
 
-def attached(scene: Scene, section: Any, unit: Units) -> tuple[ShaftSprings, Laws] | None:
+class OnShafts(NamedTuple):
+    """The springs on the shafts of all whiskers."""
+
+    springs: ShaftSprings  # (whiskers, springs)
+    laws: Laws
+    ranks: Int[Array, "whiskers springs"]  # places of the springs in the order of the support
+
+
+def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
     """Dimensionless springs on the shafts of all whiskers; None without such springs."""
-    springs, laws = scene.support.attached, []
+    springs, laws = support.attached, []
     if not springs:
         return None
-    each: list[list[ShaftSprings]] = [[] for _ in scene.whiskers]
+    each: list[list[ShaftSprings]] = [[] for _ in range(support.whiskers)]
     for spring in springs:
         if callable(spring.stiffness):
             turns = spring.axis == "phi"
             laws.append(_Law(spring.stiffness, 1.0 if turns else unit.length, unit.moment if turns else unit.force))
         k = spring.between[1] - 1
         own = section[k] if isinstance(section, tuple) else jax.tree.map(lambda leaf, k=k: leaf[k], section)
-        mount = scene.support.mounts[k]
+        mount = support.mounts[k]
         mounted = Pose(mount.x / unit.length, mount.y / unit.length, mount.angle)
         each[k].append(_dimensionless(spring, own, mounted, unit, len(laws)))
     none = jax.tree.map(jnp.zeros_like, next(one[0] for one in each if one))
     room = 1 + max(map(len, each))
     stacked = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *one, *[none] * (room - len(one))) for one in each]
-    return jax.vmap(_sorted)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)), tuple(laws)
-
-
-def _sorted(springs: ShaftSprings) -> ShaftSprings:
-    return springs.with_places(jnp.zeros(0))[0]
+    unsorted = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)
+    ordered, _ = jax.vmap(lambda own: own.with_places(jnp.zeros(0)))(unsorted)
+    ranks = jax.vmap(lambda own: jnp.argsort(own.order))(unsorted)
+    return OnShafts(ordered, tuple(laws), ranks)
 
 
 def _dimensionless(spring: Spring, section: Section | None, mount: Pose, unit: Units, law: int) -> ShaftSprings:
@@ -72,7 +80,7 @@ def _dimensionless(spring: Spring, section: Section | None, mount: Pose, unit: U
         at,
         x,
         y,
-        mount.angle + angle,
+        jnp.asarray(mount.angle + angle),
         jnp.asarray(0.0) if own else 1 / (spring.softness * stiffness),
         jnp.asarray(spring.rest_length, dtype=float) / (1.0 if turns else unit.length),
         jnp.asarray(AXIAL if spring.axis == "axial" else AXES.index(spring.axis)),

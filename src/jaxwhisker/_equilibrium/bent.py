@@ -58,14 +58,14 @@ def outline_of(body: Body, z: Float[Array, "3"]) -> Outline:
     """The outline of a free whisker with this contact; without derivatives."""
     body, z = jax.lax.stop_gradient((body, z))
     assert body.sprung is not None
-    start, force, _ = start_of(body, z, *_free(body))
+    start, load, _ = start_of(body, z, *_free(body))
     places, points = body.sprung.springs.with_places(body.length * jnp.linspace(1.0, 0.0, POINTS))
 
     def along(state: rod.RodState, arc: Scalar, load: rod.Load, material: rod.Material, s: Scalar) -> rod.RodState:
         return rod.integrate(state, arc, load, material, steps=1, from_base=s)
 
-    walked = walk(start, force, body.length, material_of(body), places, body.laws, body.sprung.drive, along)
-    x, y, cos, sin = (values[points[::-1]] for values in walked.passed)
+    walked = walk(start, load, body.length, material_of(body), places, body.laws, body.sprung.drive, along)
+    x, y, cos, sin = (jnp.asarray(values)[points[::-1]] for values in walked.passed)
     right, up, across, ahead = x - x[0], y - y[0], cos[0], sin[0]
     return Outline(
         right * ahead - up * across,

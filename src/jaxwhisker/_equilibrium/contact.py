@@ -25,11 +25,11 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.program import is_array
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.friction import Friction, contact_parameter, lean
-from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, base_of_walk, bend
+from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, base_of_walk, bend, pressed
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
-from jaxwhisker._rod.rod import Material, RodState, Section
+from jaxwhisker._rod.rod import Load, Material, RodState, Section
 
 
 class Phase(IntEnum):
@@ -183,8 +183,8 @@ def material_of(body: Body) -> Material:
 
 def start_of(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
-) -> tuple[RodState, tuple[Scalar, Scalar], Base]:
-    """State of the rod, and the force on it, at the contact or at the tip of a free whisker; and the contact."""
+) -> tuple[RodState, Load, Base]:
+    """State of the rod and the load on it, at the contact or at the tip of a free whisker; and the contact."""
     assert body.sprung is not None
     at, leans, angle = contact_of(body, z, phase, side, friction)
     zero, free, drive = jnp.zeros_like(z[0]), phase == Phase.free, body.sprung.drive
@@ -197,8 +197,9 @@ def start_of(
         cos * drive.sin + sin * drive.cos,
     )
     start = (placed.x, placed.y, placed.cos, placed.sin)
-    x, y, cos, sin = (jnp.where(free, a, b) for a, b in zip(tip, start, strict=True))
-    return (x, y, cos, sin), (jnp.where(free, 0.0, placed.force_x), jnp.where(free, 0.0, placed.force_y)), placed
+    start = jax.tree.map(lambda a, b: jnp.where(free, a, b), tip, start)
+    force_x, force_y = (jnp.where(free, 0.0, force) for force in (placed.force_x, placed.force_y))
+    return start, pressed(start[:2], force_x, force_y), placed
 
 
 def _sprung_base(
@@ -210,9 +211,9 @@ def _sprung_base(
     friction: Friction | None,
     rates: AbstractRod,
 ) -> Base:
-    start, force, placed = start_of(body, z, phase, side, friction)
+    start, load, placed = start_of(body, z, phase, side, friction)
     s = arc(body, z[2], phase)
-    walked = base_of_walk(start, force, s, material_of(body), sprung.springs, body.laws, sprung.drive, body.rod, rates)
+    walked = base_of_walk(start, load, s, material_of(body), sprung.springs, body.laws, sprung.drive, body.rod, rates)
     (x, y, cos, sin), load = walked
     return placed._replace(x=x, y=y, cos=cos, sin=sin, force_x=load.force_x, force_y=load.force_y, bend=bend(walked))
 
@@ -236,8 +237,8 @@ def in_base_frame(body: Body, b: Base) -> BaseEquations:
         return values
     # What the network holds without the support is taken off the load: neither changes the equilibrium.
     moved = jnp.stack([values.x, values.y, values.turn]) - body.sprung.offset
-    force_x, force_y, moment = jnp.stack(values[3:6]) + jnp.sum(body.sprung.held * moved, axis=-1)
-    return values._replace(force_x=force_x, force_y=force_y, moment=moment)
+    x, y, turn = jnp.sum(body.sprung.held * moved, axis=-1)
+    return values._replace(force_x=values.force_x + x, force_y=values.force_y + y, moment=values.moment + turn)
 
 
 def equations(

@@ -61,11 +61,11 @@ def problem_of(scene: Scene) -> Problem:
     touches, single = _first_touches(common["profile"], outline, length, y / unit.length, angle, curved)
     valid &= single
     problem = InPlane(**common, **touches, flexibility=flexibility, valid=valid, mount=mount, outline=outline)
-    springs = attached(scene, section, unit)
+    springs = attached(scene.support, section, unit)
     if springs is None:
         return problem
     held = jax.vmap(_turned)(angle, jnp.asarray(scene.support.held(), dtype=float))
-    problem, found = with_unloaded(problem, *springs, held)
+    problem, found = with_unloaded(problem, springs.springs, springs.laws, held)
     return eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)
 
 

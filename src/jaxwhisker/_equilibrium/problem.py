@@ -6,8 +6,8 @@ profile and motion; coordinates of the bases) share their compiled programs, no 
 
 There are two kinds of problems, which differ in the coordinates of the bases. In `AlongX` the bases stay upright at
 height 0, and their only coordinate is x. In `InPlane` a base has three coordinates, x, y and angle, in its own frame:
-the pose that its mount on the drive gives it. Springs on shafts need all three. Everything that depends on the coordinates is a method of these two
-classes.
+the pose that its mount on the drive gives it. Springs on shafts need all three. Everything that depends on the
+coordinates is a method of these two classes.
 """
 
 import abc
@@ -320,10 +320,11 @@ class InPlane(Problem):
             free = of_each(bodies, free_contact, unloaded, pose - start, pose)
             outline = of_each(bodies, outline_of, free)
 
-        def both(*own):
-            return touch.first_touches(self.profile, *own)
+        def both(length, outline, y, angle):
+            return touch.first_touches(self.profile, length, outline, y, angle)
 
-        return Stance(at.x, *jax.vmap(both)(self.length, outline, at.y, at.angle), free)
+        right, left = jax.vmap(both)(self.length, outline, at.y, at.angle)
+        return Stance(at.x, right, left, free)
 
     def stances(self, *at):
         # As one batch, the search for a touch is compiled only once.

@@ -20,6 +20,7 @@ from jaxwhisker._rod.elastica import AbstractRod
 from jaxwhisker._rod.rod import Load, Material, RodState, moment
 
 AXIAL = len(AXES)  # in addition to the indices into AXES
+SHORTEST = 1e-10  # length of an axial spring whose ends meet: it needs a direction
 
 Laws: TypeAlias = tuple[Callable[[Any], Any], ...]  # tension by extension; number 0 is the linear law
 
@@ -45,17 +46,21 @@ class ShaftSprings(NamedTuple):
         """The springs of a whisker and further places without a spring, and the indices of these places."""
         more = jax.tree.map(lambda leaf: jnp.zeros_like(leaf, shape=at.shape), self)._replace(at=at)
         both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), self, more)
-        order = jnp.argsort(-jax.lax.stop_gradient(both.at), stable=True)
-        places = jnp.argsort(order)[self.at.size :]
-        return jax.tree.map(lambda leaf: leaf[order], both), places
+        places = jnp.argsort(both.order)[self.at.size :]
+        return jax.tree.map(lambda leaf: leaf[both.order], both), places
+
+    @property
+    def order(self) -> Int[Array, " springs"]:
+        """Indices of a whisker's springs from the tip to the base."""
+        return jnp.argsort(-jax.lax.stop_gradient(self.at), stable=True)
 
 
 class Walk(NamedTuple):
-    """The end of a rod at its base, and the rod at the springs on the way."""
+    """The end of a rod behind all springs, and the rod at the springs on the way."""
 
-    base: RodState
-    load: Load  # on the base, by all that acts on the whisker above it and on its follicle
-    passed: RodState  # at each spring, before its force acts
+    end: RodState
+    load: Load  # there
+    passed: RodState  # at each spring
 
 
 def _tension(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
@@ -66,7 +71,7 @@ def _tension(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
     return spring.share * jnp.where(sign == 0, tension, sign * jnp.maximum(sign * tension, 0.0))
 
 
-def _end(spring: ShaftSprings, state: RodState) -> tuple[Scalar, Scalar]:
+def end_of(spring: ShaftSprings, state: RodState) -> tuple[Scalar, Scalar]:
     """The spring's end on the whisker; at or below the base, for the state of the base."""
     x, y, cos, sin = state
     below = jnp.minimum(spring.at, 0.0)
@@ -75,87 +80,85 @@ def _end(spring: ShaftSprings, state: RodState) -> tuple[Scalar, Scalar]:
 
 def stretched(spring: ShaftSprings, state: RodState, drive: Frame) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """Length of a spring, and its derivatives by position (x, y) of its end and by the angle of the whisker there."""
-    x, y = _end(spring, state)
+    x, y = end_of(spring, state)
     right, up, (_, _, cos, sin) = x - drive.x, y - drive.y, state
     across = right * drive.cos + up * drive.sin - spring.anchor_x
     along = up * drive.cos - right * drive.sin - spring.anchor_y
     turn = jnp.arctan2(-cos * drive.cos - sin * drive.sin, sin * drive.cos - cos * drive.sin) - spring.anchor_angle
-    square = across**2 + along**2
-    apart = square > 0
-    distance = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
-    scale = jnp.where(apart, distance, 1.0)
-    axes = [(across, 1.0, 0.0, 0.0), (along, 0.0, 1.0, 0.0), (turn, 0.0, 0.0, 1.0)]
-    axes.append((distance, across / scale, along / scale, 0.0))
-    length, by_across, by_along, by_turn = (
-        jnp.select([spring.axis == k for k in range(len(axes))], [jnp.asarray(values[j]) for values in axes])
-        for j in range(4)
-    )
+    distance = jnp.sqrt(across**2 + along**2 + SHORTEST**2)
+    on = [spring.axis == k for k in range(AXIAL + 1)]
+    length = jnp.select(on, [across, along, turn, distance])
+    by_across = jnp.where(on[AXIAL], across / distance, on[0])
+    by_along = jnp.where(on[AXIAL], along / distance, on[1])
+    by_turn = jnp.where(on[2], 1.0, 0.0)
     return length, by_across * drive.cos - by_along * drive.sin, by_across * drive.sin + by_along * drive.cos, by_turn
 
 
-def _with_spring(load: Load, spring: ShaftSprings, laws: Laws, state: RodState, drive: Frame) -> Load:
-    """The load on the rod below a spring."""
+def _past(load: Load, spring: ShaftSprings, laws: Laws, state: RodState, drive: Frame, sign: float) -> Load:
+    """The load on the rod behind a spring, on the way to the base (sign = 1) or away from it (-1)."""
     length, by_x, by_y, by_turn = stretched(spring, state, drive)
-    tension = _tension(spring, laws, length)
-    x, y = _end(spring, state)
-    fx, fy = -tension * by_x, -tension * by_y
-    moment = load.moment + x * fy - y * fx - tension * by_turn  # pyright: ignore[reportOptionalOperand]
-    return Load(load.force_x + fx, load.force_y + fy, moment)  # pyright: ignore[reportOptionalOperand]
+    tension = sign * _tension(spring, laws, length)
+    here = pressed(end_of(spring, state), -tension * by_x, -tension * by_y)
+    turned = jnp.asarray(here.moment) - tension * by_turn
+    return Load(
+        jnp.asarray(load.force_x) + jnp.asarray(here.force_x),
+        load.force_y + here.force_y,
+        turned + jnp.asarray(load.moment),
+    )
 
 
 def walk(
     start: RodState,
-    force: tuple[Scalar, Scalar],
-    arc: Scalar,
+    load: Load,
+    s: Scalar,
     material: Material,
     springs: ShaftSprings,
     laws: Laws,
     drive: Frame,
     along: Callable[..., RodState],
+    *,
+    sign: float = 1.0,
 ) -> Walk:
-    """Follow a rod from a point with this force on it, at an arc length from the base, past all springs to the base.
+    """Follow a rod past all springs.
 
     Args:
-        start: state of the rod there, in the scene.
-        force: on the rod there, along x and y.
-        arc: arc length from the base to that point.
+        start: state of the rod where the walk begins, in the scene.
+        load: on the rod there.
+        s: arc length from the base to that point.
         material: of the rod.
-        springs: of this whisker, from the tip to the base.
+        springs: of this whisker, in the order in which they are passed.
         laws: of all springs that are not linear.
         drive: frame of the drive.
         along: integrates the rod: `AbstractRod.along` of a method.
+        sign: 1 on the way to the base, -1 away from it.
     """
-    (x, y, _, _), (fx, fy) = start, force
 
     def piece(carry, spring):
         state, load, s = carry
         stop = jnp.maximum(spring.at, 0.0)
         state = along(state, s - stop, load, material, s)
-        return (state, _with_spring(load, spring, laws, state, drive), stop), state
+        return (state, _past(load, spring, laws, state, drive, sign), stop), state
 
-    carry = jax.tree.map(jnp.asarray, (start, Load(fx, fy, x * fy - y * fx), arc))
-    (state, load, _), passed = jax.lax.scan(piece, carry, springs)
+    (state, load, _), passed = jax.lax.scan(piece, jax.tree.map(jnp.asarray, (start, load, s)), springs)
     return Walk(state, load, passed)
 
 
-def _base(
-    start: RodState,
-    force: tuple[Scalar, Scalar],
-    arc: Scalar,
-    material: Material,
-    springs: ShaftSprings,
-    laws: Laws,
-    drive: Frame,
-    method: AbstractRod,
-) -> tuple[RodState, Load]:
-    walked = walk(start, force, arc, material, springs, laws, drive, method.along)
-    return walked.base, walked.load
+def pressed(point: tuple[Scalar, Scalar], force_x: Scalar, force_y: Scalar) -> Load:
+    """The load of a force that acts at a point."""
+    x, y = point
+    return Load(force_x, force_y, x * force_y - y * force_x)
+
+
+def _base(start: RodState, load: Load, arc: Scalar, material: Material, *rest: Any) -> tuple[RodState, Load]:
+    springs, laws, drive, method = rest
+    walked = walk(start, load, arc, material, springs, laws, drive, method.along)
+    return walked.end, walked.load
 
 
 @eqx.filter_custom_jvp
 def base_of_walk(
     start: RodState,
-    force: tuple[Scalar, Scalar],
+    load: Load,
     arc: Scalar,
     material: Material,
     springs: ShaftSprings,
@@ -166,7 +169,7 @@ def base_of_walk(
 ) -> tuple[RodState, Load]:
     """State of the rod at its base and the load there, computed by `method`; `for_rates` computes the derivatives."""
     del for_rates
-    return _base(start, force, arc, material, springs, laws, drive, method)
+    return _base(start, load, arc, material, springs, laws, drive, method)
 
 
 @base_of_walk.def_jvp

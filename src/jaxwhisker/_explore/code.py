@@ -94,7 +94,8 @@ class _Writer:
         springs = support.springs
         if support.mount is not None or support.name not in ("FB", "FBFB", "FBFBR", "FBFBFBR"):
             return None
-        stiffness: Any = tuple(float(spring.stiffness) for spring in springs if spring.stiffness is not None)
+        numbers = (spring.stiffness for spring in springs if not callable(spring.stiffness))
+        stiffness: Any = tuple(float(number) for number in numbers if number is not None)
         rest_length: Any = tuple(float(spring.rest_length) for spring in springs)
         if len(stiffness) < len(springs):  # a spring has a compliance instead
             return None

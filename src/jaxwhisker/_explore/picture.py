@@ -46,7 +46,7 @@ class Picture(NamedTuple):
 def picture_of(scene: Scene) -> Picture:
     """Scan a scene; scenes with the same structure share the programs."""
     result = scan_across(scene, SCAN_STEPS)
-    lines = shapes_of(state_of(result), scene.whiskers, points=PAGE_LINE_POINTS)
+    lines = shapes_of(scene, state_of(result), result.control, points=PAGE_LINE_POINTS)
     return Picture(result, lines, *_around(scene, result.control))
 
 

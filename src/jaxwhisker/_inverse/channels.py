@@ -16,7 +16,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.signals import spring_lengths
+from jaxwhisker._scan.signals import bases_of, spring_lengths
 from jaxwhisker._scan.state import FRICTION, State
 
 EXAMPLE_STEPS = 2  # with which a function is tried before it is compiled
@@ -126,11 +126,10 @@ def _columns(signals: Any, steps: int) -> dict[str, Array]:
 
 def result_of(scene: Scene, state: State, control: Float[Array, " steps"]) -> Result:
     """The result of a scan from its states, for a user's function; without events."""
-    bases = state.base_x, state.base_y, state.base_angle
     return Result(
         **{name: getattr(state, name) for name in State.__dataclass_fields__},
         control=control,
-        spring_length=spring_lengths(scene, bases, control),
+        spring_length=spring_lengths(scene, bases_of(scene, state), control),
         status=jnp.where(jnp.isfinite(state.base_x[:, 0]), Status.ok, Status.lost),
         deferred_events=_WithoutEvents(tuple),
         scene=scene,

@@ -93,9 +93,8 @@ def _whisker_energy(whisker: Whisker, state: State) -> Float[Array, "*steps"]:
         return density * state.contact_arc + state.fx * way_x + state.fy * way_y
 
     def integral(state: State):
-        x, y, _, _ = outwards(
-            whisker, base_of(state), state.fx, state.fy, state.mz, state.contact_arc, count=INTERVALS + 1
-        )
+        reaction = state.fx, state.fy, state.mz
+        x, y, _, _ = outwards(whisker, base_of(state), reaction, state.contact_arc, count=INTERVALS + 1)
         moment = (x - state.contact_x) * state.fy - (y - state.contact_y) * state.fx
         s = state.contact_arc * np.linspace(0.0, 1.0, INTERVALS + 1)
         stiffness = jax.vmap(whisker.stiffness_at)(s)

@@ -33,7 +33,7 @@ from jaxwhisker._scan.detect import detect, without_gains
 from jaxwhisker._scan.memory import places_of, remembered, with_places
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
-from jaxwhisker._scan.signals import events, spring_lengths
+from jaxwhisker._scan.signals import bases_of, events, spring_lengths
 from jaxwhisker._scan.slopes import event_tangents, remembered_tangents, spring_tangents, state_tangents
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps, states
@@ -124,7 +124,7 @@ def _in_blocks(
     def block(control, travel):
         solutions = with_places(solve_steps_now(problem, path, control, travel), places_of(path.nodes.friction))
         state, status = states_now(problem, control, solutions)
-        return state, status, spring_lengths_now(scene, (state.base_x, state.base_y, state.base_angle), control)
+        return state, status, spring_lengths_now(scene, bases_of(scene, state), control)
 
     return in_blocks(block, (route.control, route.travel), BLOCK)
 
@@ -262,7 +262,7 @@ def _staged_result(
         path = remembered(path, problem, jnp.asarray(route.stops))
     solutions = with_places(solve_steps(problem, path, control, travel), places_of(path.nodes.friction))
     state, step_status = states(problem, control, solutions)
-    lengths = spring_lengths(scene, (state.base_x, state.base_y, state.base_angle), control)
+    lengths = spring_lengths(scene, bases_of(scene, state), control)
     return _result(scene, problem, path, control, state, step_status, lengths)
 
 

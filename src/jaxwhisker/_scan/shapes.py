@@ -1,6 +1,6 @@
 """Shapes: the whiskers' centre lines at steps of a scan."""
 
-from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,10 +13,11 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Pose
+from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.result import Result, check_one_scan
-from jaxwhisker._scan.state import State, base_of, material, outwards, state_of
+from jaxwhisker._scan.state import Held, Holds, State, base_of, held, holds, material, outwards, state_of
 
 
 class Shapes(eqx.Module):
@@ -58,31 +59,53 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
         state = jax.tree.map(lambda values: values[index], state)
     else:  # NumPy compiles nothing for a new shape
         state = jax.tree.map(lambda values: jax.device_put(np.asarray(values)[index]), state)
-    whiskers = result.scene.whiskers
-    return shapes_of(state, jax.tree.map(checks.as_float, whiskers), points=points)
+    control = result.control[index] if checks.is_traced(result.control) else np.asarray(result.control)[index]
+    return shapes_of(result.scene, state, control, points=points)
+
+
+def shapes_of(scene: Scene, state: State, control: Any, *, points: int) -> Shapes:
+    """Centre lines of whiskers in a state at a control, or in several states of this scene."""
+    whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, holds(scene)))
+    return _shapes_of(state, whiskers, by, None if by is None else jnp.asarray(control, dtype=float), points=points)
 
 
 @Program
-def shapes_of(state: State, whiskers: tuple[Whisker, ...], *, points: int) -> Shapes:
-    """Centre lines of whiskers in one or more states."""
-    fields = base_of(state), state.fx, state.fy, state.mz, state.contact_arc, state.phase == Phase.free
-    lines = []
-    for k, whisker in enumerate(whiskers):
-        line = partial(_line, whisker, points)
-        for _ in range(state.base_x.ndim - 1):
-            line = jax.vmap(line)
-        lines.append(line(*jax.tree.map(lambda field, k=k: field[..., k], fields)))
-    x, y = (jnp.stack(coordinates, axis=-2) for coordinates in zip(*lines, strict=True))
+def _shapes_of(
+    state: State,
+    whiskers: tuple[Whisker, ...],
+    by: Holds | None,
+    control: Float[Array, "*steps"] | None,
+    *,
+    points: int,
+) -> Shapes:
+    def lines(state: State, control: Scalar | None) -> list[tuple[rod.Along, rod.Along]]:
+        each = [None] * len(whiskers) if by is None or control is None else held(by, whiskers, control)[0]
+        found = []
+        for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
+            at = jax.tree.map(lambda field, k=k: field[k], state)
+            reaction, free = (at.fx, at.fy, at.mz), at.phase == Phase.free
+            found.append(_line(whisker, points, base_of(at), reaction, at.contact_arc, free, own))
+        return found
+
+    for _ in range(state.base_x.ndim - 1):
+        lines = jax.vmap(lines, in_axes=(0, None if by is None else 0))
+    x, y = (jnp.stack(coordinates, axis=-2) for coordinates in zip(*lines(state, control), strict=True))
     return Shapes(x, y)
 
 
 def _line(
-    whisker: Whisker, points: int, base: Pose, fx: Scalar, fy: Scalar, mz: Scalar, arc: Scalar, free: Bool[Array, ""]
+    whisker: Whisker,
+    points: int,
+    base: Pose,
+    reaction: tuple[Scalar, Scalar, Scalar],
+    arc: Scalar,
+    free: Bool[Array, ""],
+    held: Held | None,
 ) -> tuple[rod.Along, rod.Along]:
     """x and y of one whisker from base to tip."""
     arc = jnp.where(free, whisker.length, arc)
     loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
-    x, y, cos, sin = outwards(whisker, base, fx, fy, mz, arc, count=loaded)
+    x, y, cos, sin = outwards(whisker, base, reaction, arc, held, count=loaded)
     # Beyond the contact the whisker is unloaded. If it is straight there, one more point suffices.
     end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
     tip_x, tip_y, _, _ = rod.points(

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import newton_step, solve_point

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.silhouette import silhouette_of
 from jaxwhisker._path.path import SNAPS
 from jaxwhisker._scan.result import Event, Result
@@ -69,7 +69,8 @@ def frames(result: Result, count: int) -> tuple[Frames, list[tuple[int, Event]]]
     of_scan = jax.tree.map(lambda leaf: np.asarray(leaf)[shown], state_of(result))
     snaps = [k for k, event in enumerate(events) if event.kind in SNAPS]
     groups = [of_scan, *map(_with_ends, [events[k] for k in snaps], flows(result, snaps))]
-    lines = lines_of(groups, result)
+    at_snaps = [np.full(group.phase.shape[0], events[k].control) for k, group in zip(snaps, groups[1:], strict=True)]
+    lines = lines_of(result.scene, groups, [control[shown], *at_snaps])
     scan = Frames(shown, control[shown], of_scan, lines[0], np.zeros(count, bool))
     begin = _first_steps(result)
     of_snap = {
@@ -111,12 +112,13 @@ def _with_ends(event: Event, flow: State) -> State:
     return _merged(np.concatenate, [before, flow, after])
 
 
-def lines_of(groups: Sequence[State], result: Result) -> list[Shapes]:
-    """Centre lines of each group of states."""
+def lines_of(scene: Scene, groups: Sequence[State], controls: Sequence[np.ndarray]) -> list[Shapes]:
+    """Centre lines of each group of states, at these controls."""
     sizes = np.array([group.phase.shape[0] for group in groups])
     states = _merged(np.concatenate, groups)
-    padded = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, [(0, -sizes.sum() % PADDING), (0, 0)])), states)
-    lines = shapes_of(padded, jax.tree.map(checks.as_float, result.scene.whiskers), points=FILMED_POINTS)
+    room = (0, -sizes.sum() % PADDING)
+    padded = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, [room, (0, 0)])), states)
+    lines = shapes_of(scene, padded, np.pad(np.concatenate(controls), [room]), points=FILMED_POINTS)
     lines = jax.tree.map(np.asarray, lines)
     return [_at(lines, slice(end - size, end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
 

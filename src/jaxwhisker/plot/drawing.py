@@ -17,6 +17,8 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
+from jaxwhisker._equilibrium.friction import slipping_from
+from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.motion import Pose, Rotation
 from jaxwhisker._model.scene import Scene, units
@@ -25,7 +27,8 @@ from jaxwhisker._path.approach import FromAfar
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import problem_now
 from jaxwhisker._scan.shapes import shapes_of
-from jaxwhisker._scan.state import FRICTION, State, state_of
+from jaxwhisker._scan.signals import signals
+from jaxwhisker._scan.state import FRICTION, State, base_of, holds, on_shafts, state_of
 
 # Lengths are in L of the first whisker.
 LINE_POINTS = 64  # per centre line
@@ -108,8 +111,7 @@ def drawing(scene: Scene, control: float, state: State, *, largest: float | None
         largest: contact force with the longest arrow; by default the largest one of the state.
     """
     size = float(units(scene).length)
-    whiskers = jax.tree.map(checks.as_float, scene.whiskers)
-    lines = shapes_of(jax.tree.map(np.asarray, state), whiskers, points=LINE_POINTS)
+    lines = shapes_of(scene, jax.tree.map(np.asarray, state), control, points=LINE_POINTS)
     bases = Line(np.asarray(state.base_x) / size, np.asarray(state.base_y) / size)
     drive, arm = drive_pose(scene, control), None
     forces = np.nan_to_num(np.asarray(state.contact_force))
@@ -122,7 +124,7 @@ def drawing(scene: Scene, control: float, state: State, *, largest: float | None
         arm,
         tuple(Line(*line) for line in zip(np.asarray(lines.x) / size, np.asarray(lines.y) / size, strict=True)),
         bases,
-        spring_lines(scene, drive, bases, np.asarray(state.base_angle)),
+        spring_lines(scene, drive, bases, np.asarray(state.base_angle), ends_on_shafts(scene, state, control)),
         tuple(force_arrow(state, k, most, size) for k in range(forces.size)),
     )
 
@@ -157,7 +159,7 @@ def _first_touch(problem: Problem) -> Scalar:
 @Program
 def _clear(problem: Problem, controls: Float[Array, " controls"]) -> Bool[Array, " controls"]:
     """Whether all unloaded whiskers are clear of the object, at each control."""
-    return jax.vmap(lambda u: jnp.all(problem.stance(u, problem.rest(u)).clear))(controls)
+    return jax.vmap(lambda u: jnp.all(problem.stance(u, problem.unloaded(u)[1]).clear))(controls)
 
 
 def rest_state(scene: Scene, control: float) -> State:
@@ -169,6 +171,11 @@ def rest_state(scene: Scene, control: float) -> State:
 def _rest_state(scene: Scene, control: Scalar) -> State:
     problem = problem_of(scene)
     u = control / problem.unit.control
+    if problem.attached is not None:
+        side = jnp.ones(scene.support.whiskers)
+        friction = None if problem.friction_angle is None else slipping_from(side)
+        free = Mode(jnp.zeros(side.size, int), side, jnp.asarray(False), friction=friction)
+        return signals(problem, problem.unloaded(u)[0], u, free)[0]
     at, size = problem.in_scene(u, problem.rest(u)), problem.unit.length
     none = jnp.zeros(scene.support.whiskers)
     fields = {name: none for name in State.__dataclass_fields__ if name not in FRICTION} | {"phase": none.astype(int)}
@@ -202,7 +209,26 @@ def force_arrow(state: State, whisker: int, largest: float, size: float = 1.0) -
     return Arrow((x - length * np.sin(slope), y + length * np.cos(slope)), (x, y))
 
 
-def spring_lines(scene: Scene, drive: Pose, bases: Line, angle: Float[np.ndarray, " whiskers"]) -> tuple[Line, ...]:
+Place = tuple[float, float]
+Ends = Sequence[tuple[Place, Place]]  # on the drive and on the whisker
+
+
+def ends_on_shafts(scene: Scene, state: State, control: float) -> Ends:
+    """Ends of the springs on shafts, in the order of the support, in lengths of the first whisker."""
+    by, size = holds(scene), float(units(scene).length)
+    if by is None:
+        return ()
+    given = jax.tree.map(checks.as_float, (by, scene.whiskers, base_of(state), (state.fx, state.fy, state.mz), control))
+    every = jax.tree.map(lambda end: float(end) / size, _on_shafts(*given))
+    return [((one.anchor_x, one.anchor_y), (one.x, one.y)) for one in every]
+
+
+_on_shafts = Program(on_shafts)
+
+
+def spring_lines(
+    scene: Scene, drive: Pose, bases: Line, angle: Float[np.ndarray, " whiskers"], on_shafts: Ends
+) -> tuple[Line, ...]:
     """Springs of the support for given poses of the drive and of the bases; angles are measured from the upright.
 
     Springs along x and y have their true length. Springs with a rest length near zero (below NO_LENGTH) start at a wall
@@ -218,7 +244,11 @@ def spring_lines(scene: Scene, drive: Pose, bases: Line, angle: Float[np.ndarray
     poses = np.column_stack([(ends - origin) @ turn, angle - drive.angle])
     poses = np.concatenate([np.zeros((1, 3)), poses])
     mounts = np.array([(0.0, 0.0, 0.0), *((m.x / size, m.y / size, m.angle) for m in scene.support.mounts)])
+    attached = iter(on_shafts)
     for spring, depth in zip(springs, _depths(springs), strict=True):
+        if not spring.linear:
+            lines.append(_between(*next(attached)))
+            continue
         first, second = spring.between
         here, there, offset = poses[first], poses[second], mounts[second] - mounts[first]
         rigid = float(spring.softness) == 0
@@ -238,10 +268,26 @@ def _depths(springs: Sequence[Spring]) -> list[int]:
     depths, drawn = [], set()
     for spring in springs:
         first, second = spring.between
-        hangs = spring.axis == "x" and (abs(second - first) > 1 or spring.between in drawn)
+        hangs = spring.linear and spring.axis == "x" and (abs(second - first) > 1 or spring.between in drawn)
         depths.append(1 + max(depths, default=0) if hangs else 0)
-        drawn |= {spring.between} if spring.axis == "x" else set()
+        drawn |= {spring.between} if spring.linear and spring.axis == "x" else set()
     return depths
+
+
+def _between(start: Place, end: Place) -> Line:
+    """Zigzag from one point to another."""
+    first, way = np.array(start), np.subtract(end, start)
+    length = np.hypot(*way)
+    across = np.array([-way[1], way[0]]) / max(length, 1e-12)
+    turns, swing = _zigzag(rigid=False)
+    return Line(*(first[:, None] + way[:, None] * turns + across[:, None] * swing), width=THIN)
+
+
+def _zigzag(rigid: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of the length, and deflections, of the points of a spring."""
+    # The number of turns is fixed, so a stretched spring looks stretched.
+    turns = np.r_[0.0, 0.2, 0.2 + 0.6 * (np.arange(12) + 0.5) / 12, 0.8, 1.0]
+    return turns, (0.0 if rigid else AMPLITUDE) * np.r_[0.0, 0.0, np.tile([1.0, -1.0], 6), 0.0, 0.0]
 
 
 def _straight(
@@ -249,9 +295,7 @@ def _straight(
 ) -> np.ndarray:
     """Zigzag along one axis of the drive's frame, at a level of the other axis; x and y in rows."""
     start, end = here[along] + offset - STAND * short, there[along]
-    # The number of turns is fixed, so a stretched spring looks stretched.
-    turns = np.r_[0.0, 0.2, 0.2 + 0.6 * (np.arange(12) + 0.5) / 12, 0.8, 1.0]
-    swing = (0.0 if rigid else AMPLITUDE) * np.r_[0.0, 0.0, np.tile([1.0, -1.0], 6), 0.0, 0.0]
+    turns, swing = _zigzag(rigid)
     if short:  # a wall
         head = np.stack([np.full(3, start), level + 2 * AMPLITUDE * np.array([-1.0, 1.0, 0.0])])
     else:
