@@ -11,6 +11,7 @@ from jaxwhisker._inverse.points import PointStatus, Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour
+from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.loads import PointForce, PointMoment
 from jaxwhisker._model.motion import AbstractMotion, Motion, Rotation, Translation
 from jaxwhisker._model.profile import AbstractProfile
@@ -50,6 +51,7 @@ __all__ = [
     "Events",
     "Fit",
     "FitStatus",
+    "Foundation",
     "Graph",
     "Information",
     "Motion",

@@ -13,7 +13,7 @@ from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import solve_point
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
 from jaxwhisker._equilibrium.problem import NOWHERE, Attached, InPlane, Poses
-from jaxwhisker._equilibrium.shaft_springs import AXIAL, Laws, ShaftSprings
+from jaxwhisker._equilibrium.shaft_springs import AXIAL, Attachments, Laws, ShaftSprings, Tissue
 from jaxwhisker._model.motion import Pose, mounted
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.spring import AXES, Spring
@@ -38,7 +38,7 @@ class _Law(eqx.Module):
 class OnShafts(NamedTuple):
     """The springs on the shafts of all whiskers."""
 
-    springs: ShaftSprings  # (whiskers, springs)
+    held_by: Attachments  # fields (whiskers, springs) and (whiskers,)
     laws: Laws
     ranks: Int[Array, "whiskers springs"]  # places of the springs in the order of the support
 
@@ -46,7 +46,7 @@ class OnShafts(NamedTuple):
 def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
     """Dimensionless springs on the shafts of all whiskers; None without such springs."""
     springs, laws = support.attached, []
-    if not springs:
+    if not support.on_shafts:
         return None
     each: list[list[ShaftSprings]] = [[] for _ in range(support.whiskers)]
     for spring in springs:
@@ -58,13 +58,17 @@ def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
         mount = support.mounts[k]
         mounted = Pose(mount.x / unit.length, mount.y / unit.length, mount.angle)
         each[k].append(_dimensionless(spring, own, mounted, unit, len(laws)))
-    none = jax.tree.map(jnp.zeros_like, next(one[0] for one in each if one))
+    none = ShaftSprings(*[jnp.asarray(0 if name in ("axis", "law") else 0.0) for name in ShaftSprings._fields])
+    tissue = _tissue(support, unit)
+    if tissue is not None:
+        for k, own in enumerate(each):
+            own += [none._replace(at=tissue.start[k]), none._replace(at=tissue.stop[k])]
     room = 1 + max(map(len, each))
     stacked = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *one, *[none] * (room - len(one))) for one in each]
     unsorted = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)
     ordered, _ = jax.vmap(lambda own: own.with_places(jnp.zeros(0)))(unsorted)
     ranks = jax.vmap(lambda own: jnp.argsort(own.order))(unsorted)
-    return OnShafts(ordered, tuple(laws), ranks)
+    return OnShafts(Attachments(ordered, tissue), tuple(laws), ranks)
 
 
 def _dimensionless(spring: Spring, section: Section | None, mount: Pose, unit: Units, law: int) -> ShaftSprings:
@@ -90,6 +94,20 @@ def _dimensionless(spring: Spring, section: Section | None, mount: Pose, unit: U
     )
 
 
+def _tissue(support: Support, unit: Units) -> Tissue | None:
+    """Dimensionless foundations of all whiskers; None without any."""
+    if all(one is None for one in support.foundations):
+        return None
+    rows = []
+    for mount, own in zip(support.mounts, support.foundations, strict=True):
+        lengths = (0.0, 0.0, 0.0) if own is None else (own.start, own.stop, own.rest_length)
+        start, stop, rest, x, y = (jnp.asarray(v, dtype=float) / unit.length for v in (*lengths, mount.x, mount.y))
+        stiffness = jnp.asarray(0.0 if own is None else own.stiffness, dtype=float) / (unit.force / unit.length**2)
+        angle = jnp.asarray(mount.angle, dtype=float)
+        rows.append(Tissue(start, stop, stiffness, rest, x, y, jnp.cos(angle), jnp.sin(angle)))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
+
+
 def _on_unloaded(at: Scalar, section: Section | None) -> tuple[Scalar, Scalar, Scalar]:
     """Position and angle to the upright of a point of an unloaded whisker whose base is upright at the origin."""
     zero = jnp.zeros_like(at)
@@ -106,29 +124,29 @@ class _Unloaded(NamedTuple):
     found: Bool[Array, ""]
 
 
-def with_unloaded(problem: InPlane, springs: ShaftSprings, laws: Laws, held: Float[Array, "whiskers 3 3"]) -> _Unloaded:
+def with_unloaded(problem: InPlane, held_by: Attachments, laws: Laws, held: Float[Array, "whiskers 3 3"]) -> _Unloaded:
     """The problem with springs on shafts, and whether its unloaded whiskers are in equilibrium.
 
     Args:
         problem: the problem without these springs.
-        springs: see `Attached`.
+        held_by: see `Attached`.
         laws: see `Attached`.
         held: see `Attached`.
     """
-    still = jax.lax.stop_gradient((problem, springs, laws, held))
+    still = jax.lax.stop_gradient((problem, held_by, laws, held))
 
-    def with_springs(problem, springs, laws, held, contact, pose) -> InPlane:
-        attached = Attached(springs, laws, held, contact, pose)
+    def with_springs(problem, held_by, laws, held, contact, pose) -> InPlane:
+        attached = Attached(held_by, laws, held, contact, pose)
         return eqx.tree_at(lambda p: p.attached, problem, attached, is_leaf=lambda leaf: leaf is None)
 
     contact, pose = _found(*still, with_springs)
     contact, pose = jax.lax.stop_gradient((contact, pose))
     found = jnp.all(jnp.isfinite(contact)) & jnp.all(jnp.isfinite(pose))
     contact, pose = (jnp.where(found, value, 0.0) for value in (contact, pose))
-    return _Unloaded(with_springs(problem, springs, laws, held, contact, pose), found)
+    return _Unloaded(with_springs(problem, held_by, laws, held, contact, pose), found)
 
 
-def _found(problem, springs, laws, held, with_springs) -> tuple[Float[Array, "whiskers 3"], Poses]:
+def _found(problem, held_by, laws, held, with_springs) -> tuple[Float[Array, "whiskers 3"], Poses]:
     """Contacts and coordinates of the unloaded whiskers; NaN if they are not found."""
     ends = problem.motion.ends
     u = jnp.asarray(0.0 if ends is None else ends[0] / problem.unit.control, dtype=float)
@@ -139,7 +157,7 @@ def _found(problem, springs, laws, held, with_springs) -> tuple[Float[Array, "wh
 
     def grown(carry, share):
         contact, _, _ = carry
-        part = springs._replace(share=share * springs.share)
+        part = held_by.weakened(share)
         problem_then = with_springs(problem, part, laws, share * held, contact, none)
         solution = solve_point(problem_then, mode, at_control(u, contact), Point(contact, u))
         return (solution.point.z, solution.newton.pose, solution.converged), None

@@ -5,13 +5,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve
-from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import BaseEquations, Body, Phase, material_of, start_of
 from jaxwhisker._equilibrium.friction import Friction, slipping_from
 from jaxwhisker._equilibrium.shaft_springs import walk
 from jaxwhisker._equilibrium.touch import POINTS, Outline
-from jaxwhisker._rod import rod
 
 STEPS = 12  # of Newton's method at most; three suffice if the base has not moved far
 ACCURACY = 1e-9  # of the tip; convergence is quadratic
@@ -59,12 +57,8 @@ def outline_of(body: Body, z: Float[Array, "3"]) -> Outline:
     body, z = jax.lax.stop_gradient((body, z))
     assert body.sprung is not None
     start, load, _ = start_of(body, z, *_free(body))
-    places, points = body.sprung.springs.with_places(body.length * jnp.linspace(1.0, 0.0, POINTS))
-
-    def along(state: rod.RodState, arc: Scalar, load: rod.Load, material: rod.Material, s: Scalar) -> rod.RodState:
-        return rod.integrate(state, arc, load, material, steps=1, from_base=s)
-
-    walked = walk(start, load, body.length, material_of(body), places, body.laws, body.sprung.drive, along)
+    places, points = body.sprung.held_by.with_places(body.length * jnp.linspace(1.0, 0.0, POINTS))
+    walked = walk(start, load, body.length, material_of(body), places, body.laws, body.sprung.drive, steps=1)
     x, y, cos, sin = (jnp.asarray(values)[points[::-1]] for values in walked.passed)
     right, up, across, ahead = x - x[0], y - y[0], cos[0], sin[0]
     return Outline(

@@ -25,7 +25,7 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.program import is_array
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.friction import Friction, contact_parameter, lean
-from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, base_of_walk, bend, pressed
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, base_of_walk, bend, pressed
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
@@ -58,7 +58,7 @@ class Body(NamedTuple):
 class Sprung(NamedTuple):
     """What a whisker with springs on its shaft needs to know."""
 
-    springs: ShaftSprings
+    held_by: Attachments
     drive: Frame
     drive_rate: Frame  # derivative with respect to the control
     held: Float[Array, "*batch axes axes"]  # stiffness of the network that the support does not have
@@ -213,7 +213,7 @@ def _sprung_base(
 ) -> Base:
     start, load, placed = start_of(body, z, phase, side, friction)
     s = arc(body, z[2], phase)
-    walked = base_of_walk(start, load, s, material_of(body), sprung.springs, body.laws, sprung.drive, body.rod, rates)
+    walked = base_of_walk(start, load, s, material_of(body), sprung.held_by, body.laws, sprung.drive, body.rod, rates)
     (x, y, cos, sin), load = walked
     return placed._replace(x=x, y=y, cos=cos, sin=sin, force_x=load.force_x, force_y=load.force_y, bend=bend(walked))
 

@@ -65,7 +65,7 @@ def problem_of(scene: Scene) -> Problem:
     if springs is None:
         return problem
     held = jax.vmap(_turned)(angle, jnp.asarray(scene.support.held(), dtype=float))
-    problem, found = with_unloaded(problem, springs.springs, springs.laws, held)
+    problem, found = with_unloaded(problem, springs.held_by, springs.laws, held)
     return eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)
 
 
@@ -85,7 +85,7 @@ def _detectable(scene: Scene) -> tuple[str, ...]:
     """
     possible = {
         "second_contact": scene.friction is not None
-        or bool(scene.support.attached)
+        or scene.support.on_shafts
         or not all(whisker.uniform for whisker in scene.whiskers),
         "crossing": len(scene.whiskers) > 1,
     }

@@ -22,7 +22,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.bent import free_contact, outline_of
 from jaxwhisker._equilibrium.contact import Base, Body, Phase, Sprung, of_each
-from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws
 from jaxwhisker._equilibrium.touch import Outline, Touch
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, frame_and_rate, mounted
 from jaxwhisker._model.network import Flexibility
@@ -77,7 +77,7 @@ class Stance(NamedTuple):
 class Attached(NamedTuple):
     """Springs on the shafts of all whiskers, and the whiskers before any contact."""
 
-    springs: ShaftSprings  # (whiskers, springs)
+    held_by: Attachments  # fields (whiskers, springs) and (whiskers,)
     laws: Laws
     held: Float[Array, "whiskers axes axes"]  # see contact.Sprung
     contact: Float[Array, "whiskers 3"]  # of unloaded whiskers
@@ -282,8 +282,9 @@ class InPlane(Problem):
 
         nowhere = jax.lax.stop_gradient(self.touch_right.parameter)
         nowhere = jnp.where(jnp.isfinite(nowhere), nowhere, 0.0)
-        frames, (springs, laws, held, _, _) = jax.jvp(drive, (u,), (jnp.ones_like(u),)), self.attached
-        return bodies._replace(sprung=Sprung(springs, *frames, held, self.offset, nowhere), laws=laws)
+        frame, rate = jax.jvp(drive, (u,), (jnp.ones_like(u),))
+        held_by, laws, held, _, _ = self.attached
+        return bodies._replace(sprung=Sprung(held_by, frame, rate, held, self.offset, nowhere), laws=laws)
 
     def solved(self, phase):
         return super().solved(phase) if self.attached is None else jnp.ones_like(phase, bool)

@@ -1,4 +1,4 @@
-"""Springs on the shaft of one whisker, between the drive and points of the whisker.
+"""Springs and tissue on the shaft of one whisker, between the drive and points of the whisker.
 
 The rod is integrated from the contact, or from the tip of a free whisker, towards the base. Position and direction are
 known when the integration gets to a spring, and so is the force of the spring. The load on the rod changes there, but
@@ -6,8 +6,10 @@ it stays an affine function of position. Below the base, the whisker continues a
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,8 +18,9 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.spring import AXES
-from jaxwhisker._rod.elastica import AbstractRod
-from jaxwhisker._rod.rod import Load, Material, RodState, moment
+from jaxwhisker._rod.elastica import Shooting
+from jaxwhisker._rod.foundation import integrate_on
+from jaxwhisker._rod.rod import Load, Material, RodState, Section, integrate, moment
 
 AXIAL = len(AXES)  # in addition to the indices into AXES
 SHORTEST = 1e-10  # length of an axial spring whose ends meet: it needs a direction
@@ -53,6 +56,51 @@ class ShaftSprings(NamedTuple):
     def order(self) -> Int[Array, " springs"]:
         """Indices of a whisker's springs from the tip to the base."""
         return jnp.argsort(-jax.lax.stop_gradient(self.at), stable=True)
+
+
+class Tissue(NamedTuple):
+    """The foundation of a whisker; the unloaded whisker is a straight line in the drive's frame."""
+
+    start: Float[Array, "*batch"]  # arc lengths from the base
+    stop: Float[Array, "*batch"]
+    stiffness: Float[Array, "*batch"]  # 0 without a foundation
+    rest_length: Float[Array, "*batch"]
+    x: Float[Array, "*batch"]  # base of the line
+    y: Float[Array, "*batch"]
+    cos: Float[Array, "*batch"]  # direction across the line
+    sin: Float[Array, "*batch"]
+
+    def share(self, s: Scalar) -> Float[Array, ""]:
+        """1 on the foundation, 0 elsewhere."""
+        return jnp.where((s > self.start) & (s < self.stop), 1.0, 0.0)
+
+    def density(self, drive: Frame, x: Scalar, y: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
+        """Force on the rod per length, along x and y of the scene."""
+        right, up = x - drive.x, y - drive.y
+        across = right * drive.cos + up * drive.sin - self.x + s * self.sin
+        along = up * drive.cos - right * drive.sin - self.y - s * self.cos
+        push = -self.stiffness * (across * self.cos + along * self.sin - self.rest_length)
+        across, along = push * self.cos, push * self.sin
+        return across * drive.cos - along * drive.sin, across * drive.sin + along * drive.cos
+
+
+class Attachments(NamedTuple):
+    """What holds the shaft of a whisker. There is a place among the springs at both ends of the foundation."""
+
+    springs: ShaftSprings
+    tissue: Tissue | None = None  # None without any foundation
+
+    def with_places(self, at: Float[Array, " places"]) -> tuple["Attachments", Int[Array, " places"]]:
+        """The same with further places: see `ShaftSprings.with_places`."""
+        springs, places = self.springs.with_places(at)
+        return self._replace(springs=springs), places
+
+    def weakened(self, share: Scalar) -> "Attachments":
+        """The same with this share of all forces."""
+        springs = self.springs._replace(share=share * self.springs.share)
+        if self.tissue is None:
+            return Attachments(springs)
+        return Attachments(springs, self.tissue._replace(stiffness=share * self.tissue.stiffness))
 
 
 class Walk(NamedTuple):
@@ -112,11 +160,12 @@ def walk(
     load: Load,
     s: Scalar,
     material: Material,
-    springs: ShaftSprings,
+    held: Attachments,
     laws: Laws,
     drive: Frame,
-    along: Callable[..., RodState],
     *,
+    steps: int,
+    solver: diffrax.AbstractSolver | None = None,
     sign: float = 1.0,
 ) -> Walk:
     """Follow a rod past all springs.
@@ -126,20 +175,29 @@ def walk(
         load: on the rod there.
         s: arc length from the base to that point.
         material: of the rod.
-        springs: of this whisker, in the order in which they are passed.
+        held: what holds this whisker, with springs in the order in which they are passed.
         laws: of all springs that are not linear.
         drive: frame of the drive.
-        along: integrates the rod: `AbstractRod.along` of a method.
+        steps: number of integration steps from one spring to the next.
+        solver: any diffrax solver, for rods without a foundation. Default: see `rod.integrate`.
         sign: 1 on the way to the base, -1 away from it.
     """
+    tissue = held.tissue
 
     def piece(carry, spring):
         state, load, s = carry
         stop = jnp.maximum(spring.at, 0.0)
-        state = along(state, s - stop, load, material, s)
+        if tissue is None:
+            state = integrate(state, s - stop, load, material, steps=steps, solver=solver, from_base=s)
+        else:
+            # All of the piece lies on the foundation, or nothing of it.
+            on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
+            density = partial(on.density, drive)
+            state, load = integrate_on(state, load, s - stop, material, density, steps=steps, from_base=s)
         return (state, _past(load, spring, laws, state, drive, sign), stop), state
 
-    (state, load, _), passed = jax.lax.scan(piece, jax.tree.map(jnp.asarray, (start, load, s)), springs)
+    carry = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load, s))
+    (state, load, _), passed = jax.lax.scan(piece, carry, held.springs)
     return Walk(state, load, passed)
 
 
@@ -149,9 +207,18 @@ def pressed(point: tuple[Scalar, Scalar], force_x: Scalar, force_y: Scalar) -> L
     return Load(force_x, force_y, x * force_y - y * force_x)
 
 
-def _base(start: RodState, load: Load, arc: Scalar, material: Material, *rest: Any) -> tuple[RodState, Load]:
-    springs, laws, drive, method = rest
-    walked = walk(start, load, arc, material, springs, laws, drive, method.along)
+def _base(
+    start: RodState,
+    load: Load,
+    arc: Scalar,
+    material: Material,
+    held: Attachments,
+    laws: Laws,
+    drive: Frame,
+    method: Shooting,
+) -> tuple[RodState, Load]:
+    steps = 2 * method.steps if isinstance(material, Section) else method.steps
+    walked = walk(start, load, arc, material, held, laws, drive, steps=steps, solver=method.solver)
     return walked.end, walked.load
 
 
@@ -161,21 +228,22 @@ def base_of_walk(
     load: Load,
     arc: Scalar,
     material: Material,
-    springs: ShaftSprings,
+    held: Attachments,
     laws: Laws,
     drive: Frame,
-    method: AbstractRod,
-    for_rates: AbstractRod,
+    method: Shooting,
+    for_rates: Shooting,
 ) -> tuple[RodState, Load]:
     """State of the rod at its base and the load there, computed by `method`; `for_rates` computes the derivatives."""
     del for_rates
-    return _base(start, load, arc, material, springs, laws, drive, method)
+    return _base(start, load, arc, material, held, laws, drive, method)
 
 
 @base_of_walk.def_jvp
 def _(primals, tangents):
     *at, method, for_rates = primals
-    end, end_dot = eqx.filter_jvp(lambda *at: _base(*at, for_rates), tuple(at), tuple(tangents[:7]))
+    rates = partial(_base, method=for_rates)
+    end, end_dot = eqx.filter_jvp(rates, tuple(at), tuple(tangents[:7]))
     return end if for_rates == method else base_of_walk(*primals), end_dot
 
 

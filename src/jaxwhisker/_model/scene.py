@@ -83,6 +83,12 @@ class Scene(eqx.Module):
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):
             checks.fail("rod", "Shooting() for whiskers that are curved or not uniform", "ClosedForm()")
+        if self.support.on_shafts and not isinstance(self.rod, Shooting):
+            allowed = "Shooting() for springs on shafts, which change the load along the whisker"
+            checks.fail("rod", allowed, f"{type(self.rod).__name__}()")
+        tissue = any(one is not None for one in self.support.foundations)
+        if tissue and any(w.intrinsic_curvature is not None for w in self.whiskers):
+            checks.fail("whisker", "straight on a Foundation", "one with an intrinsic curvature")
         known = isinstance(self.detect, tuple) and all(name in DETECTABLE for name in self.detect)
         if self.detect is not None and not known:
             allowed = f"{' or '.join(map(repr, DETECTABLE))}, or a tuple of these"
@@ -207,4 +213,4 @@ def units_of(first: Whisker, motion: AbstractMotion) -> Units:
 def moves_along_x(scene: Scene) -> bool:
     """Whether a single axis suffices: bases stay upright at height 0, move along x only, and hold all springs."""
     along_x = isinstance(scene.motion, Translation) and scene.support.axes in ((), ("x",))
-    return along_x and scene.support.mount is None and not scene.support.attached
+    return along_x and scene.support.mount is None and not scene.support.on_shafts

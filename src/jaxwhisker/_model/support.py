@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import PerSpring, Scalar
+from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.network import Flexibility, along_all_axes, connected, flexibility
 from jaxwhisker._model.spring import AXES, Spring
 
@@ -65,6 +66,8 @@ class Support(eqx.Module):
         springs: any network; every base from 1 to N must occur in it.
         mount: a Mount for all whiskers, or a tuple with one per base, which also sets the number of whiskers if there
             are no springs. Default: upright at height 0.
+        foundation: a Foundation for all whiskers, or a tuple with one or None per base, which also sets the number of
+            whiskers if there are neither springs nor several mounts. Default: none.
         free: further axes ("x", "y", "phi") along which bases with springs on their shafts are free, although no spring
             acts along these axes. Example: two springs along x at different heights hold the angle, too.
 
@@ -82,6 +85,7 @@ class Support(eqx.Module):
 
     springs: tuple[Spring, ...] = ()
     mount: Mount | tuple[Mount, ...] | None = None
+    foundation: Foundation | tuple[Foundation | None, ...] | None = eqx.field(default=None, kw_only=True)
     free: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
 
     def __check_init__(self):
@@ -90,6 +94,7 @@ class Support(eqx.Module):
         if not isinstance(self.free, tuple) or not set(self.free) <= set(AXES):
             checks.fail("free", f"a tuple of names out of {', '.join(AXES)}", repr(self.free))
         self._check_mounts()
+        self._check_foundations()
         self._check_connected()
         self._check_rigid_loops()
 
@@ -100,10 +105,18 @@ class Support(eqx.Module):
         if isinstance(self.mount, tuple) and self.springs and len(mounts) != self.whiskers:
             checks.fail("mount", f"one Mount or one per base ({self.whiskers})", f"{len(mounts)} of them")
 
+    def _check_foundations(self) -> None:
+        each = self.foundation if isinstance(self.foundation, tuple) else (self.foundation,)
+        if not (each and all(one is None or isinstance(one, Foundation) for one in each)):
+            checks.fail("foundation", "a Foundation or a tuple of them", repr(self.foundation))
+        if isinstance(self.foundation, tuple) and len(each) != self.whiskers:
+            checks.fail("foundation", f"one Foundation or one per base ({self.whiskers})", f"{len(each)} of them")
+
     def _check_connected(self) -> None:
         ends = {end for spring in self.springs for end in spring.between}
         for axis in self.axes:
             held = self._held(axis)
+            ends |= self._attached
             missing = {base for base in held if base not in self._attached} | (set(range(1, self.whiskers + 1)) - ends)
             if missing:
                 raise ValueError(
@@ -111,7 +124,7 @@ class Support(eqx.Module):
                     f"base {min(missing)} along {axis} (springs between {[s.between for s in self.springs]})."
                 )
         if self.free and not self._attached:
-            checks.fail("free", "() without springs on a shaft", repr(self.free))
+            checks.fail("free", "() without springs or a foundation on a shaft", repr(self.free))
 
     def _check_rigid_loops(self) -> None:
         if checks.is_traced(self.springs) or not any(s.is_rigid() for s in self.springs):
@@ -132,8 +145,9 @@ class Support(eqx.Module):
 
     @property
     def _attached(self) -> set[int]:
-        """The whiskers that such springs hold."""
-        return {spring.between[1] for spring in self.attached}
+        """The whiskers that such springs or a foundation hold."""
+        tissue = {base for base, one in enumerate(self.foundations, 1) if one is not None}
+        return {spring.between[1] for spring in self.attached} | tissue
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -143,6 +157,8 @@ class Support(eqx.Module):
     def _freed(self, axis: str) -> set[int]:
         """The bases that are free along an axis."""
         freed = {end for spring in self.springs for end in spring.between if spring.axis in _acting(axis)}
+        if axis == "x":
+            freed |= {base for base, one in enumerate(self.foundations, 1) if one is not None}
         return freed | (self._attached if axis in self.free else set())
 
     def _held(self, axis: str) -> list[int]:
@@ -159,6 +175,9 @@ class Support(eqx.Module):
         def rest_length(base: int) -> Scalar:
             """Where the first of these springs would have the base."""
             acting = [s for s in self.attached if s.between[1] == base and s.axis in _acting(axis)]
+            tissue = self.foundations[base - 1]
+            if not acting and axis == "x" and tissue is not None:
+                return tissue.rest_length
             first = acting[0].rest_length if acting else 0.0
             if not acting or acting[0].anchor is None or axis == "phi":
                 return first
@@ -181,17 +200,28 @@ class Support(eqx.Module):
         return self.mount if isinstance(self.mount, tuple) else (self.mount or Mount(),) * self.whiskers
 
     @property
+    def foundations(self) -> tuple[Foundation | None, ...]:
+        """The foundation of each base, or None."""
+        return self.foundation if isinstance(self.foundation, tuple) else (self.foundation,) * self.whiskers
+
+    @property
+    def on_shafts(self) -> bool:
+        """Whether springs or foundations hold the shaft of any whisker."""
+        return bool(self._attached)
+
+    @property
     def whiskers(self) -> int:
         """N, the number of bases."""
         if not self.springs:
-            return len(self.mount) if isinstance(self.mount, tuple) else 1
+            several = (each for each in (self.mount, self.foundation) if isinstance(each, tuple))
+            return max(map(len, several), default=1)
         return max(b for s in self.springs for b in s.between)
 
     @property
     def name(self) -> str:
         """The name of the model in the thesis, or `clamped`, `follicle`, `shaft`, or `network`."""
         between = tuple(s.between for s in self.springs)
-        if self.attached:
+        if self.on_shafts:
             return "shaft" if self.whiskers == 1 else "network"
         if self.axes in ((), ("x",)):
             return next((name for name, ends in _NAMED.items() if ends == between), "network" if between else "clamped")
@@ -279,7 +309,7 @@ class Support(eqx.Module):
             hold: stiffness of such a spring along x or y.
             hold_angle: its torsional stiffness.
         """
-        if not self.springs:
+        if not self.axes:
             return None
         stiffness = {"x": hold, "y": hold, "phi": hold_angle}
         parts = {axis: flexibility(self._network(axis, stiffness[axis]), self.whiskers) for axis in self.axes}
@@ -299,7 +329,8 @@ class Support(eqx.Module):
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructors check."""
-        parts = (*self.springs, *(() if self.mount is None else self.mounts))
+        tissue = (one for one in self.foundations if one is not None)
+        parts = (*self.springs, *(() if self.mount is None else self.mounts), *tissue)
         return jnp.all(jnp.array([part.valid() for part in parts], dtype=bool))
 
 

@@ -22,7 +22,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.jacobi import jacobi
-from jaxwhisker._rod.rod import Load, Material, RodState, Section
+from jaxwhisker._rod.rod import Section
 
 End = Float[Array, "4"]  # x, y, cos phi, sin phi at the base
 
@@ -51,15 +51,6 @@ class AbstractRod(eqx.Module):
         Returns:
             Position x, y (lengths) and direction cos phi, sin phi of the rod at its base, shape (4,).
         """
-
-    def along(self, start: RodState, arc: Scalar, load: Load, material: Material, from_base: Scalar) -> RodState:
-        """State of a rod under any load, at an arc length `arc` from `start` towards the base: see `rod.integrate`.
-
-        Raises:
-            ValueError: if the method computes only rods that are free of moment at the start; `Scene` excludes that.
-        """
-        del start, arc, load, material, from_base
-        checks.fail("rod", "a method for any load, such as Shooting()", str(self))
 
     def for_rates(self) -> "AbstractRod":
         """Method for derivatives that users take: they can exceed the values and need a smaller relative error."""
@@ -103,10 +94,6 @@ class Shooting(AbstractRod):
         steps = self.steps if section is None else 2 * self.steps
         end = rod.integrate(start, arc, load, section, steps=steps, solver=self.solver, from_base=arc)
         return jnp.stack(end)
-
-    def along(self, start, arc, load, material, from_base):
-        steps = 2 * self.steps if isinstance(material, Section) else self.steps
-        return rod.integrate(start, arc, load, material, steps=steps, solver=self.solver, from_base=from_base)
 
     def for_rates(self):
         return dataclasses.replace(self, steps=self.steps + -(-self.steps // 2))

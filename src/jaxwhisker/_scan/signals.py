@@ -121,7 +121,7 @@ def spring_lengths(scene: Scene, bases: Bases, control: Float[Array, " steps"]) 
 def spring_length(scene: Scene, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
     """Length of each spring, in the drive's frame, in one state."""
     linear, by = _linear_lengths(scene, base[:3], u), holds(scene)
-    if by is None:
+    if by is None or not scene.support.attached:
         return linear
     attached = (one.length for one in on_shafts(by, scene.whiskers, Pose(*base[:3]), (base[3], base[4], base[5]), u))
     network = iter(linear)

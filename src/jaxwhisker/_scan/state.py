@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.attach import OnShafts, attached
 from jaxwhisker._equilibrium.dimensionless import sections
-from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, end_of, stretched, walk
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, end_of, stretched, walk
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, mounted
 from jaxwhisker._model.scene import Scene, Units
 from jaxwhisker._model.support import Support
@@ -74,14 +74,14 @@ class Holds(eqx.Module):
 class Held(NamedTuple):
     """The springs on the shaft of one whisker, and the frame of the drive, in the scene's units."""
 
-    springs: ShaftSprings
+    held_by: Attachments
     laws: Laws
     drive: Frame
 
 
 def holds(scene: Scene) -> Holds | None:
     """What holds the whiskers of a scene by springs on their shafts; None without such springs."""
-    return Holds(scene.support, scene.motion) if scene.support.attached else None
+    return Holds(scene.support, scene.motion) if scene.support.on_shafts else None
 
 
 def held(by: Holds, whiskers: tuple[Whisker, ...], control: Scalar) -> tuple[list[Held], OnShafts]:
@@ -91,7 +91,7 @@ def held(by: Holds, whiskers: tuple[Whisker, ...], control: Scalar) -> tuple[lis
     springs = attached(by.support, sections(whiskers, 1.0, 1.0), Units(*ones))
     assert springs is not None
     drive = mounted(Pose(*(jnp.asarray(part, dtype=float) for part in by.motion.pose(control))), Pose(0.0, 0.0, 0.0))
-    each = [jax.tree.map(lambda leaf, k=k: leaf[k], springs.springs) for k in range(len(whiskers))]
+    each = [jax.tree.map(lambda leaf, k=k: leaf[k], springs.held_by) for k in range(len(whiskers))]
     return [Held(own, springs.laws, drive) for own in each], springs
 
 
@@ -103,8 +103,8 @@ def outwards(
     if held is None:
         # A negative arc integrates away from the base.
         return rod.points(start, -arc, load, material(whisker), count=count, from_base=zero)
-    springs, points = held.springs.with_places(arc * jnp.linspace(1.0, 0.0, count))
-    passed = _walk(whisker, start, load, held._replace(springs=springs), steps=1)
+    springs, points = held.held_by.with_places(arc * jnp.linspace(1.0, 0.0, count))
+    passed = _walk(whisker, start, load, held._replace(held_by=springs), steps=1)
     x, y, cos, sin = (jnp.asarray(values)[points[::-1]] for values in passed)
     return x, y, cos, sin
 
@@ -118,14 +118,10 @@ def _at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
 
 def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> rod.RodState:
     """States of the rod at all springs, from the tip to the base, on a walk from the base."""
-
-    def along(state: rod.RodState, arc: Scalar, load: rod.Load, material: rod.Material, s: Scalar) -> rod.RodState:
-        return rod.integrate(state, arc, load, material, steps=steps, from_base=s)
-
-    backwards = jax.tree.map(lambda leaf: leaf[::-1], held.springs)
-    zero = jnp.zeros_like(backwards.at[0])
-    passed = walk(start, load, zero, material(whisker), backwards, held.laws, held.drive, along, sign=-1.0).passed
-    return jax.tree.map(lambda leaf: leaf[::-1], passed)
+    springs = jax.tree.map(lambda leaf: leaf[::-1], held.held_by.springs)
+    backwards, zero = held.held_by._replace(springs=springs), jnp.zeros_like(springs.at[0])
+    given = start, load, zero, material(whisker), backwards, held.laws, held.drive
+    return jax.tree.map(lambda leaf: leaf[::-1], walk(*given, steps=steps, sign=-1.0).passed)
 
 
 class Stretched(NamedTuple):
@@ -147,7 +143,7 @@ def on_shafts(
     for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
         base, reaction = jax.tree.map(lambda leaf, k=k: leaf[k], (bases, reactions))
         passed = _walk(whisker, *_at_base(base, reaction), own, steps=WALK_STEPS)
-        every.append(jax.vmap(partial(_stretched, own.drive))(own.springs, passed))
+        every.append(jax.vmap(partial(_stretched, own.drive))(own.held_by.springs, passed))
     counted, ordered = [0] * len(whiskers), []
     for spring in by.support.attached:
         k = spring.between[1] - 1
