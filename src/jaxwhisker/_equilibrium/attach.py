@@ -58,7 +58,7 @@ def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
         mount = support.mounts[k]
         mounted = Pose(mount.x / unit.length, mount.y / unit.length, mount.angle)
         each[k].append(_dimensionless(spring, own, mounted, unit, len(laws)))
-    none = ShaftSprings(*[jnp.asarray(0 if name in ("axis", "law") else 0.0) for name in ShaftSprings._fields])
+    none = ShaftSprings(*[jnp.zeros((), int if name in ("axis", "law") else float) for name in ShaftSprings._fields])
     tissue = _tissue(support, unit)
     if tissue is not None:
         for k, own in enumerate(each):
@@ -78,19 +78,20 @@ def _dimensionless(spring: Spring, section: Section | None, mount: Pose, unit: U
     x, y = mount.x + x * cos - y * sin, mount.y + x * sin + y * cos
     if spring.anchor is not None:
         x, y = (jnp.asarray(part, dtype=float) / unit.length for part in spring.anchor)
-    turns, own = spring.axis == "phi", callable(spring.stiffness)
+    turns, own, axial = spring.axis == "phi", callable(spring.stiffness), spring.axis == "axial"
+    rest_length = jnp.asarray(spring.rest_length, dtype=float)
     stiffness = unit.moment if turns else unit.force / unit.length
     return ShaftSprings(
         at,
         x,
         y,
         jnp.asarray(mount.angle + angle),
-        jnp.asarray(0.0) if own else 1 / (spring.softness * stiffness),
-        jnp.asarray(spring.rest_length, dtype=float) / (1.0 if turns else unit.length),
-        jnp.asarray(AXIAL if spring.axis == "axial" else AXES.index(spring.axis)),
-        jnp.asarray({"tension": 1.0, "compression": -1.0, None: 0.0}[spring.one_sided]),
-        jnp.asarray(law if own else 0),
-        jnp.asarray(1.0),
+        jnp.zeros(()) if own else 1 / (spring.softness * stiffness),
+        (jnp.abs(rest_length) if axial else rest_length) / (1.0 if turns else unit.length),
+        jnp.asarray(AXIAL if axial else AXES.index(spring.axis), dtype=int),
+        jnp.asarray({"tension": 1.0, "compression": -1.0, None: 0.0}[spring.one_sided], dtype=float),
+        jnp.asarray(law if own else 0, dtype=int),
+        jnp.ones(()),
     )
 
 

@@ -59,7 +59,7 @@ def outline_of(body: Body, z: Float[Array, "3"]) -> Outline:
     start, load, _ = start_of(body, z, *_free(body))
     places, points = body.sprung.held_by.with_places(body.length * jnp.linspace(1.0, 0.0, POINTS))
     walked = walk(start, load, body.length, material_of(body), places, body.laws, body.sprung.drive, steps=1)
-    x, y, cos, sin = (jnp.asarray(values)[points[::-1]] for values in walked.passed)
+    x, y, cos, sin = (values[points[::-1]] for values in walked.passed)
     right, up, across, ahead = x - x[0], y - y[0], cos[0], sin[0]
     return Outline(
         right * ahead - up * across,

@@ -13,8 +13,9 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import Base, Body, Phase
+from jaxwhisker._equilibrium.contact import Base, Body, Phase, Sprung
 from jaxwhisker._equilibrium.friction import Friction, lean
+from jaxwhisker._equilibrium.shaft_springs import walk
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Along, Load, Section
 
@@ -45,6 +46,8 @@ def shaft(
     body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
 ) -> Shaft:
     """The shaft of a whisker with the contact z, which is the dummy contact, without force, of a free whisker."""
+    if body.sprung is not None:
+        return _sprung_shaft(body, body.sprung, z, phase, side, friction)
     p = contact.parameter(body.profile, z, phase, side, friction)
     at, leans = body.profile.point(p), lean(z[1], friction, body.friction_angle)
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0) + (0.0 if leans is None else side * leans)
@@ -69,6 +72,23 @@ def shaft(
     to_base, to_tip = line(arc, z[0], CELLS), line(arc - body.length, jnp.zeros_like(z[0]), cells_beyond)
     base = contact.in_scene(at, leans, to_base[0][:, -1], z[0], side)
     return Shaft(in_scene(*to_base), in_scene(*to_tip), p, base)
+
+
+def _sprung_shaft(
+    body: Body, sprung: Sprung, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+) -> Shaft:
+    """The shaft of a whisker that springs hold."""
+    start, load, _ = contact.start_of(body, z, phase, side, friction)
+    arc, material = contact.arc(body, z[2], phase), contact.material_of(body)
+    places, _ = sprung.held_by.with_places(arc * jnp.linspace(1.0, 0.0, CELLS + 1))
+    walked = walk(start, load, arc, material, places, body.laws, sprung.drive, steps=1)
+    nothing = Load(None, jnp.zeros_like(arc), None)
+    beyond = rod.points(start, arc - body.length, nothing, material, count=CELLS_BEYOND + 1, from_base=arc)
+    to_base = Line(*walked.passed, jnp.diff(jnp.maximum(places.springs.at, 0.0)))
+    to_tip = Line(*beyond, jnp.full(CELLS_BEYOND, (body.length - arc) / CELLS_BEYOND))
+    p = contact.parameter(body.profile, z, phase, side, friction)
+    p = jnp.where(phase == Phase.free, sprung.nowhere, p)
+    return Shaft(to_base, to_tip, p, contact.base(body, z, phase, side, friction))
 
 
 def moved(own: Shaft, x: Scalar, y: Scalar, angle: Scalar) -> Shaft:

@@ -20,7 +20,7 @@ from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.spring import AXES
 from jaxwhisker._rod.elastica import Shooting
 from jaxwhisker._rod.foundation import integrate_on
-from jaxwhisker._rod.rod import Load, Material, RodState, Section, integrate, moment
+from jaxwhisker._rod.rod import Load, Material, RodState, RodStates, Section, integrate, moment
 
 AXIAL = len(AXES)  # in addition to the indices into AXES
 SHORTEST = 1e-10  # length of an axial spring whose ends meet: it needs a direction
@@ -95,6 +95,11 @@ class Attachments(NamedTuple):
         springs, places = self.springs.with_places(at)
         return self._replace(springs=springs), places
 
+    @property
+    def top(self) -> Float[Array, "*batch"]:
+        """Arc length from the base to the uppermost spring."""
+        return jnp.max(self.springs.at, axis=-1)
+
     def weakened(self, share: Scalar) -> "Attachments":
         """The same with this share of all forces."""
         springs = self.springs._replace(share=share * self.springs.share)
@@ -108,7 +113,7 @@ class Walk(NamedTuple):
 
     end: RodState
     load: Load  # there
-    passed: RodState  # at each spring
+    passed: RodStates  # at each spring
 
 
 def _tension(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
@@ -197,8 +202,8 @@ def walk(
         return (state, _past(load, spring, laws, state, drive, sign), stop), state
 
     carry = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load, s))
-    (state, load, _), passed = jax.lax.scan(piece, carry, held.springs)
-    return Walk(state, load, passed)
+    (state, load, _), (x, y, cos, sin) = jax.lax.scan(piece, carry, held.springs)
+    return Walk(state, load, (x, y, cos, sin))
 
 
 def pressed(point: tuple[Scalar, Scalar], force_x: Scalar, force_y: Scalar) -> Load:

@@ -51,7 +51,22 @@ def on_stable_branch(problem: Problem, mode: Mode, by_x: PerWhisker) -> Bool[Arr
     return problem.bends_from(mode.phase, mode.side) * by_x * BRANCH_SIGN > 0
 
 
-def is_stable(problem: Problem, mode: Mode, at: Condensed) -> Bool[Array, ""]:
-    """Whether every whisker is on the stable part of its clamped branch and the network is stable."""
-    own = jnp.all(~problem.solved(mode.phase) | on_stable_branch(problem, mode, at.by_x))
-    return own & network_is_stable(problem, load_slopes(problem, mode, at)) if problem.flexibility is not None else own
+def is_stable(
+    problem: Problem, mode: Mode, at: Condensed, begins: Bool[Array, " whiskers"] | None = None
+) -> Bool[Array, ""]:
+    """Whether every whisker is on the stable part of its clamped branch and the network is stable.
+
+    Args:
+        problem: the problem.
+        mode: the mode of the state.
+        at: the linearised whiskers.
+        begins: whiskers that are linearised as the contacts that they are about to begin, and are not judged.
+    """
+    unknown = ~problem.solved(mode.phase)
+    unknown = unknown if begins is None else unknown | begins
+    own = jnp.all(unknown | on_stable_branch(problem, mode, at.by_x))
+    if problem.flexibility is None:
+        return own
+    slopes = load_slopes(problem, mode, at)
+    slopes = slopes if begins is None else jnp.where(begins[:, None, None], 0.0, slopes)
+    return own & network_is_stable(problem, slopes)

@@ -32,7 +32,8 @@ class Spring(eqx.Module):
             between bases. Or a function of the extension, length - rest_length, that returns the tension; it is called
             with one traced number, and the parameters of an `equinox.Module` are differentiable.
         rest_length: lambda, a length, or an angle in rad for a torsion spring: position of `second` relative to
-            `first` at rest; may be negative, but not for an axial spring.
+            `first` at rest; may be negative. That of an axial spring is its absolute value, and its sign tells on which
+            side of the drive the whisker is, along x, before any contact.
         axis: "x" or "y", across or along the upright whisker in the frame of the drive, "phi" for a torsion spring, or
             "axial" for a spring along the line between its ends, whichever way that turns. Lengths and angles are
             positive along +x, +y and counter-clockwise.
@@ -79,7 +80,7 @@ class Spring(eqx.Module):
             checks.number("stiffness", self.stiffness, positive=True, finite=False)
         if self.compliance is not None:
             checks.number("compliance", self.compliance, non_negative=True)
-        checks.number("rest_length", self.rest_length, non_negative=self.axis == "axial")
+        checks.number("rest_length", self.rest_length)
         if self.axis not in (*AXES, "axial"):
             checks.fail("axis", f"one of {', '.join(AXES)}, axial", repr(self.axis))
         if self.at is not None:
@@ -122,8 +123,6 @@ class Spring(eqx.Module):
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructor checks."""
         valid = checks.all_finite((self.rest_length, self.at, self.anchor))
-        if self.axis == "axial":
-            valid &= jnp.asarray(self.rest_length) >= 0
         if callable(self.stiffness):
             return valid & checks.all_finite(self.stiffness)
         positive = self.softness >= 0 if self.stiffness is None else jnp.asarray(self.stiffness) > 0

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact import Phase, beyond
 from jaxwhisker._equilibrium.newton import Solution, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
@@ -89,9 +89,9 @@ class MarchState(NamedTuple):
         """du/ds along a tangent, positive while the drive moves towards its stop."""
         return self.direction * tangent.u
 
-    def stopped(self, status: Status) -> "MarchState":
+    def stopped(self, status: Status | Int[Array, ""]) -> "MarchState":
         """The state after the march has ended with this status."""
-        return self._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(int(status)))
+        return self._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(status, dtype=int))
 
 
 SHORTEST_CHORD = 1e-6  # shortest chord that determines a direction; for a shorter one the path keeps its direction
@@ -105,7 +105,7 @@ class Trial(NamedTuple):
     tangent: Point
     tangent_pose: Poses
     stable: Bool[Array, ""]
-    convex: Bool[Array, ""]  # whether the profile is convex at all contacts
+    status: Int[Array, ""]  # what is wrong with a contact there
     here: Margins  # at the start of the step
     there: Margins  # at its end
     stance: Stance  # at its end
@@ -135,8 +135,8 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         solution,
         tangent,
         tangent_pose,
-        is_stable(problem, state.mode, newton.condensed),
-        jnp.all(convex | free),
+        is_stable(problem, state.mode, newton.condensed, None if problem.attached is None else touching),
+        _contact_status(problem, convex | free, solution.point.z, state.mode.phase),
         here=_margins_at(problem, state, state.point, here, stop_u),
         there=margins_there,
         stance=there,
@@ -144,6 +144,18 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         slips_on=slips_on(problem, state.mode, solution.point.z, tangent.z),
         friction_angle=problem.friction_angle,
     )
+
+
+def _contact_status(
+    problem: Problem, convex: Bool[Array, " whiskers"], z: Contacts, phase: Int[Array, " whiskers"]
+) -> Int[Array, ""]:
+    """What is wrong with contacts, if anything."""
+    status = jnp.where(jnp.all(convex), int(Status.ok), int(Status.not_convex))
+    if problem.attached is None:
+        return status
+    touching = phase != Phase.free
+    arcs = problem.length - beyond(z[:, 2], phase)
+    return jnp.where(jnp.any(touching & (arcs < problem.attached.held_by.top)), int(Status.at_spring), status)
 
 
 def slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> PerWhisker | None:

@@ -33,6 +33,7 @@ class Status(IntEnum):
     undetermined = 8  # friction lets the contacts move on in no way, or in more than one
     second_contact = 9  # a whisker has met the object in a second place; see `Scene.detects`
     crossing = 10  # two whiskers have crossed; see `Scene.detects`
+    at_spring = 11  # a contact has reached a spring or a foundation on its shaft
 
 
 class EventKind(IntEnum):

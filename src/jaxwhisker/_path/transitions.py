@@ -154,11 +154,11 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
         (violated, to_event),
         (~holds & ~located, closer),
         (~holds, turned),
-        (~trial.convex, state.stopped(Status.not_convex)),
+        (trial.status != Status.ok, state.stopped(trial.status)),
         (at_fold, turned),
         otherwise=_onwards(problem, state, moved, trial, error, scale),
     )
-    return new, good & ~violated & (holds | located) & trial.convex, node
+    return new, good & ~violated & (holds | located) & (trial.status == Status.ok), node
 
 
 def _lowest(turn: Scalar, slips_on: PerWhisker | None) -> Scalar:

@@ -26,6 +26,7 @@ from jaxwhisker._base.types import Scalar
 
 RodState: TypeAlias = tuple[Scalar, Scalar, Scalar, Scalar]  # x, y, cos phi, sin phi
 Along: TypeAlias = Float[Array, " points"]  # one value per point of the rod
+RodStates: TypeAlias = tuple[Along, Along, Along, Along]  # the same at several points
 AlongRod: TypeAlias = Scalar | Callable[[Any], Any]  # a number, or a function of the arc length from the base
 
 
@@ -301,7 +302,7 @@ def points(
     at: Along | None = None,
     solver: diffrax.AbstractSolver | None = None,
     from_base: Scalar | None = None,
-) -> tuple[Along, Along, Along, Along]:
+) -> RodStates:
     """States x, y, cos phi, sin phi at points from `start` on, over `arc` towards the base.
 
     They are `count` equidistant points, or those at the fractions `at` of the arc, which begin with 0. Other arguments

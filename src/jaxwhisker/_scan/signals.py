@@ -123,7 +123,7 @@ def spring_length(scene: Scene, base: tuple[PerWhisker, ...], u: Scalar) -> Floa
     linear, by = _linear_lengths(scene, base[:3], u), holds(scene)
     if by is None or not scene.support.attached:
         return linear
-    attached = (one.length for one in on_shafts(by, scene.whiskers, Pose(*base[:3]), (base[3], base[4], base[5]), u))
+    attached = (one.length for one in on_shafts(by, scene.whiskers, Pose(*base[:3]), base[3:], u))
     network = iter(linear)
     return jnp.stack([next(network if spring.linear else attached) for spring in scene.support.springs])
 

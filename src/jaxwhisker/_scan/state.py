@@ -61,7 +61,8 @@ def base_of(state: State) -> Pose:
     return Pose(state.base_x, state.base_y, state.base_angle)
 
 
-Reaction = tuple[Scalar, Scalar, Scalar]  # fx, fy, mz
+PerWhisker = Float[Array, " whiskers"]
+Reaction = tuple[Scalar, ...]  # fx, fy, mz
 
 
 class Holds(eqx.Module):
@@ -97,7 +98,7 @@ def held(by: Holds, whiskers: tuple[Whisker, ...], control: Scalar) -> tuple[lis
 
 def outwards(
     whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held | None = None, *, count: int
-) -> tuple[rod.Along, rod.Along, rod.Along, rod.Along]:
+) -> rod.RodStates:
     """States of the rod at `count` equidistant points from the base up to `arc`, under the reaction at the base."""
     start, load, zero = *_at_base(base, reaction), jnp.zeros_like(arc)
     if held is None:
@@ -105,7 +106,7 @@ def outwards(
         return rod.points(start, -arc, load, material(whisker), count=count, from_base=zero)
     springs, points = held.held_by.with_places(arc * jnp.linspace(1.0, 0.0, count))
     passed = _walk(whisker, start, load, held._replace(held_by=springs), steps=1)
-    x, y, cos, sin = (jnp.asarray(values)[points[::-1]] for values in passed)
+    x, y, cos, sin = (values[points[::-1]] for values in passed)
     return x, y, cos, sin
 
 
@@ -116,7 +117,7 @@ def _at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
     return start, rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
 
 
-def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> rod.RodState:
+def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> rod.RodStates:
     """States of the rod at all springs, from the tip to the base, on a walk from the base."""
     springs = jax.tree.map(lambda leaf: leaf[::-1], held.held_by.springs)
     backwards, zero = held.held_by._replace(springs=springs), jnp.zeros_like(springs.at[0])
@@ -135,7 +136,7 @@ class Stretched(NamedTuple):
 
 
 def on_shafts(
-    by: Holds, whiskers: tuple[Whisker, ...], bases: Pose, reactions: Reaction, control: Scalar
+    by: Holds, whiskers: tuple[Whisker, ...], bases: Pose, reactions: tuple[PerWhisker, ...], control: Scalar
 ) -> list[Stretched]:
     """The springs on shafts, in the order of the support, in one state; fields have shape (whiskers,)."""
     each, springs = held(by, whiskers, control)
