@@ -13,12 +13,12 @@ from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.loads import PointForce, PointMoment
-from jaxwhisker._model.motion import AbstractMotion, Motion, Rotation, Translation
+from jaxwhisker._model.motion import AbstractMotion, Motion, Mount, Rotation, Translation
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.profiles import Circle, Ellipse, Graph, Parabola, Tilted
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.spring import Spring
-from jaxwhisker._model.support import Mount, Support
+from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting

@@ -46,7 +46,7 @@ def _along(state, load, arc):
 
 
 def walk(held: Held, control: np.ndarray, result: jw.Result):
-    """States (x, y, phi) at the contact or at the tip of free whiskers, loads there, and lengths of the springs."""
+    """States (x, y, phi) at the contact or the tip, loads there, lengths of springs, and forces fx at or below the base."""
     r = {
         name: np.asarray(getattr(result, name))[..., 0] for name in ("base_x", "base_y", "base_angle", "fx", "fy", "mz")
     }
@@ -56,7 +56,7 @@ def walk(held: Held, control: np.ndarray, result: jw.Result):
     stop = np.where(free, 1.0, np.asarray(result.contact_arc)[..., 0])
     lengths, s = np.zeros((*control.shape, held.at.shape[1])), np.zeros_like(stop)
     kinds = np.array(held.axis)
-    order = np.argsort(held.at, axis=1)
+    order, below_base = np.argsort(held.at, axis=1), np.zeros_like(s)
     for rank in range(held.at.shape[1]):
         k = order[:, rank]
         at, ax, ay, c, rest = (
@@ -76,10 +76,12 @@ def walk(held: Held, control: np.ndarray, result: jw.Result):
         fx = -tension * np.select([kind == "axial", kind == "x"], [right / np.maximum(away, 1e-300), 1.0], 0.0)
         fy = -tension * np.select([kind == "axial", kind == "y"], [up / np.maximum(away, 1e-300), 1.0], 0.0)
         turn = -tension * (kind == "phi")
-        # Above the spring, its force is no longer part of the load.
-        load = load - np.stack([fx, fy, x * fy - y * fx + turn])
+        # Above the spring, its force is no longer part of the load; the reaction contains those at the base and below.
+        above = at > 0
+        load = load - np.where(above, np.stack([fx, fy, x * fy - y * fx + turn]), 0.0)
+        below_base = below_base + np.where(above, 0.0, fx)
         np.put_along_axis(lengths, np.broadcast_to(k[:, None, None], (*control.shape, 1)), length[..., None], 2)
-    return _along(state, load, stop - s), load, lengths
+    return _along(state, load, stop - s), load, lengths, below_base
 
 
 def violations(held: Held, control: np.ndarray, result: jw.Result) -> dict[str, np.ndarray]:
@@ -91,7 +93,7 @@ def violations(held: Held, control: np.ndarray, result: jw.Result) -> dict[str, 
     }
     ok = np.asarray(result.status) == jw.Status.ok
     free, tip = r["phase"] == jw.Phase.free, r["phase"] == jw.Phase.tip
-    (x, y, phi), (fx, fy, about), lengths = walk(held, control, result)
+    (x, y, phi), (fx, fy, about), lengths, below = walk(held, control, result)
     force, slope = r["contact_force"], r["contact_slope"]
     q, a = held.distance[:, None], held.a[:, None]
     scale = 1 + np.abs(force) + np.abs(r["fx"]) + np.abs(r["fy"]) + np.abs(r["mz"])
@@ -111,7 +113,7 @@ def violations(held: Held, control: np.ndarray, result: jw.Result) -> dict[str, 
         "tangential contact is tangential": np.where(~free & ~tip & (force > UNLOADED), np.sin(phi - slope), 0.0),
         "contact from below": np.where(tip & (force > UNLOADED), np.minimum(np.sin(phi - slope), 0.0), 0.0),
         "contact above the springs": np.where(free, 0.0, np.minimum(r["contact_arc"] - held.at.max(1)[:, None], 0.0)),
-        "base spring": (r["fx"] + drawn) / scale,
+        "springs at and below the base": (r["fx"] + drawn - below) / scale,
         "base upright at height 0": np.abs(r["base_y"]) + np.abs(r["base_angle"]),
         "spring lengths": np.max(np.abs(given - lengths), axis=-1),
         "free whiskers are clear": np.where(free, np.minimum(q + a * x**2 - y, 0.0), 0.0),

@@ -57,11 +57,9 @@ def test_a_spring_at_the_base_is_a_base_spring():
     for axis in ("axial", "x"):
         result = jw.scan(scene(jw.Spring((0, 1), 70.0, 0.2, axis=axis, at=0.0)), control)
         assert all_ok(result)
-        for name in set(SIGNALS) - {"fx"}:
+        for name in SIGNALS:
             np.testing.assert_allclose(getattr(result, name), getattr(expected, name), atol=SAME, err_msg=name)
-        # The force of the spring is not part of the reaction at the base.
-        np.testing.assert_allclose(result.fx, 0.0, atol=SAME)
-        np.testing.assert_allclose(70.0 * (result.spring_length - 0.2), -np.asarray(expected.fx), atol=100 * SAME)
+        np.testing.assert_allclose(result.spring_length, expected.spring_length, atol=SAME)
         kinds = [(event.kind, event.whiskers) for event in result.events]
         assert kinds == [(event.kind, event.whiskers) for event in expected.events]
         controls = [event.control for event in expected.events]
@@ -89,7 +87,7 @@ def test_random_scenes_satisfy_all_laws():
 
 
 WRONG = {
-    "fx": "base spring",
+    "fx": "springs at and below the base",
     "fy": "force at the end, y",
     "mz": "no moment at the end",
     "base_x": "contact point, x",
@@ -111,9 +109,6 @@ def test_springs_that_disagree_bend_a_whisker_before_it_touches():
     free = np.all(result.phase[:, 0] == jw.Phase.free, axis=1)
     bent = free & (np.abs(result.mz[:, 0, 0]) > 0.05)
     assert np.sum(bent) > SCENES / 4
-    # Such a whisker is in equilibrium with its base spring.
-    drawn_by = held.base_stiffness * (result.base_x[:, 0, 0] - CONTROL[0] - held.base_rest)
-    np.testing.assert_allclose(result.fx[bent, 0, 0], -drawn_by[bent], atol=SOUND)
 
 
 PARAMETERS = {"stiffness": 70.0, "rest": 0.2, "at": 0.1, "anchor_x": 0.02, "anchor_y": 0.07, "base": 40.0}

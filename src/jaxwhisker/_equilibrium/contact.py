@@ -25,11 +25,11 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.program import is_array
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.friction import Friction, contact_parameter, lean
-from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, base_of_walk, bend, pressed
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, base_of_walk, pressed
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
-from jaxwhisker._rod.rod import Load, Material, RodState, Section
+from jaxwhisker._rod.rod import Load, Material, RodState, Section, moment
 
 
 class Phase(IntEnum):
@@ -73,13 +73,15 @@ class Base(NamedTuple):
     y: Float[Array, "*batch"]
     cos: Float[Array, "*batch"]  # direction of the whisker at its base
     sin: Float[Array, "*batch"]
-    force_x: Float[Array, "*batch"]  # of the object, and of springs on the shaft, on the whisker
+    force_x: Float[Array, "*batch"]  # of the object, and of springs on the shaft above the base, on the whisker
     force_y: Float[Array, "*batch"]
     bend: Float[Array, "*batch"]  # EI (kappa - kappa0) at the base
     slope_sin: Float[Array, "*batch"]  # of the object at the contact
     slope_cos: Float[Array, "*batch"]
     contact_x: Float[Array, "*batch"]  # contact point
     contact_y: Float[Array, "*batch"]
+    # Force x, y and moment about the base of springs at the base and on the follicle; None without springs on shafts.
+    below: tuple[Float[Array, "*batch"], Float[Array, "*batch"], Float[Array, "*batch"]] | None = None
 
 
 class BaseEquations(NamedTuple):
@@ -213,9 +215,13 @@ def _sprung_base(
 ) -> Base:
     start, load, placed = start_of(body, z, phase, side, friction)
     s = arc(body, z[2], phase)
-    walked = base_of_walk(start, load, s, material_of(body), sprung.held_by, body.laws, sprung.drive, body.rod, rates)
-    (x, y, cos, sin), load = walked
-    return placed._replace(x=x, y=y, cos=cos, sin=sin, force_x=load.force_x, force_y=load.force_y, bend=bend(walked))
+    given = start, load, s, material_of(body), sprung.held_by, body.laws, sprung.drive, body.rod, rates
+    (x, y, cos, sin), total, above = base_of_walk(*given)
+    below = jax.tree.map(jnp.subtract, total, above)
+    carried = above.force_x, above.force_y, moment(x, y, above)
+    fx, fy, bend = map(jnp.asarray, carried)
+    below = jnp.asarray(below.force_x), jnp.asarray(below.force_y), jnp.asarray(moment(x, y, below))
+    return placed._replace(x=x, y=y, cos=cos, sin=sin, force_x=fx, force_y=fy, bend=bend, below=below)
 
 
 def in_base_frame(body: Body, b: Base) -> BaseEquations:
@@ -233,12 +239,17 @@ def in_base_frame(body: Body, b: Base) -> BaseEquations:
         moment=b.bend,
         slope_sin=b.slope_sin,
     )
-    if body.sprung is None:
+    if body.sprung is None or b.below is None:
         return values
     # What the network holds without the support is taken off the load: neither changes the equilibrium.
     moved = jnp.stack([values.x, values.y, values.turn]) - body.sprung.offset
-    x, y, turn = jnp.sum(body.sprung.held * moved, axis=-1)
-    return values._replace(force_x=values.force_x + x, force_y=values.force_y + y, moment=values.moment + turn)
+    held_x, held_y, held_turn = jnp.sum(body.sprung.held * moved, axis=-1)
+    below_x, below_y, below_turn = b.below
+    return values._replace(
+        force_x=values.force_x + below_x * cos + below_y * sin + held_x,
+        force_y=values.force_y + below_y * cos - below_x * sin + held_y,
+        moment=values.moment + below_turn + held_turn,
+    )
 
 
 def equations(

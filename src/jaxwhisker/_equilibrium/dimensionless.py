@@ -29,7 +29,9 @@ def problem_of(scene: Scene) -> Problem:
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])
     section = sections(scene.whiskers, unit.length, unit.moment * unit.length)
-    flexibility = scene.support.flexibility(unit.force / unit.length, unit.moment)
+    spring, torsion = unit.force / unit.length, unit.moment
+    hold = scene.support.hold(spring, torsion) if scene.support.on_shafts else None
+    flexibility = scene.support.flexibility(hold)
     if flexibility is not None:
         valid &= flexibility.consistent
     common: dict[str, Any] = {
@@ -62,9 +64,9 @@ def problem_of(scene: Scene) -> Problem:
     valid &= single
     problem = InPlane(**common, **touches, flexibility=flexibility, valid=valid, mount=mount, outline=outline)
     springs = attached(scene.support, section, unit)
-    if springs is None:
+    if springs is None or hold is None:
         return problem
-    held = jax.vmap(_turned)(angle, jnp.asarray(scene.support.held(), dtype=float))
+    held = jax.vmap(_turned)(angle, hold / jnp.stack([spring, spring, torsion]))
     problem, found = with_unloaded(problem, springs.held_by, springs.laws, held)
     return eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)
 

@@ -20,7 +20,7 @@ from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.spring import AXES
 from jaxwhisker._rod.elastica import Shooting
 from jaxwhisker._rod.foundation import integrate_on
-from jaxwhisker._rod.rod import Load, Material, RodState, RodStates, Section, integrate, moment
+from jaxwhisker._rod.rod import Load, Material, RodState, RodStates, Section, integrate
 
 AXIAL = len(AXES)  # in addition to the indices into AXES
 SHORTEST = 1e-10  # length of an axial spring whose ends meet: it needs a direction
@@ -113,6 +113,7 @@ class Walk(NamedTuple):
 
     end: RodState
     load: Load  # there
+    above: Load  # by all springs above the base, which the shaft carries at its base
     passed: RodStates  # at each spring
 
 
@@ -190,7 +191,7 @@ def walk(
     tissue = held.tissue
 
     def piece(carry, spring):
-        state, load, s = carry
+        state, load, above, s = carry
         stop = jnp.maximum(spring.at, 0.0)
         if tissue is None:
             state = integrate(state, s - stop, load, material, steps=steps, solver=solver, from_base=s)
@@ -199,11 +200,13 @@ def walk(
             on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
             density = partial(on.density, drive)
             state, load = integrate_on(state, load, s - stop, material, density, steps=steps, from_base=s)
-        return (state, _past(load, spring, laws, state, drive, sign), stop), state
+        below, passed = _past(load, spring, laws, state, drive, sign), tuple(map(jnp.asarray, state))
+        above = jax.tree.map(lambda a, b: jnp.where(spring.at > 0, a, b), below, above)
+        return (state, below, above, stop), passed
 
-    carry = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load, s))
-    (state, load, _), (x, y, cos, sin) = jax.lax.scan(piece, carry, held.springs)
-    return Walk(state, load, (x, y, cos, sin))
+    carry = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load, load, s))
+    (state, load, above, _), (x, y, cos, sin) = jax.lax.scan(piece, carry, held.springs)
+    return Walk(state, load, above, (x, y, cos, sin))
 
 
 def pressed(point: tuple[Scalar, Scalar], force_x: Scalar, force_y: Scalar) -> Load:
@@ -221,10 +224,10 @@ def _base(
     laws: Laws,
     drive: Frame,
     method: Shooting,
-) -> tuple[RodState, Load]:
+) -> tuple[RodState, Load, Load]:
     steps = 2 * method.steps if isinstance(material, Section) else method.steps
     walked = walk(start, load, arc, material, held, laws, drive, steps=steps, solver=method.solver)
-    return walked.end, walked.load
+    return walked.end, walked.load, walked.above
 
 
 @eqx.filter_custom_jvp
@@ -238,8 +241,11 @@ def base_of_walk(
     drive: Frame,
     method: Shooting,
     for_rates: Shooting,
-) -> tuple[RodState, Load]:
-    """State of the rod at its base and the load there, computed by `method`; `for_rates` computes the derivatives."""
+) -> tuple[RodState, Load, Load]:
+    """State of the rod at its base, the load on it, and that above springs at the base or below, by `method`.
+
+    Derivatives are computed by `for_rates`.
+    """
     del for_rates
     return _base(start, load, arc, material, held, laws, drive, method)
 
@@ -250,9 +256,3 @@ def _(primals, tangents):
     rates = partial(_base, method=for_rates)
     end, end_dot = eqx.filter_jvp(rates, tuple(at), tuple(tangents[:7]))
     return end if for_rates == method else base_of_walk(*primals), end_dot
-
-
-def bend(walked: tuple[RodState, Load]) -> Scalar:
-    """EI (kappa - kappa0) at the base."""
-    (x, y, _, _), load = walked
-    return jnp.asarray(moment(x, y, load))

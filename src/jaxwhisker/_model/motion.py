@@ -1,4 +1,4 @@
-"""The motion of the drive, which carries the bases, as a function of the control."""
+"""The motion of the drive as a function of the control, and the mounts of the whiskers on the drive."""
 
 import abc
 from collections.abc import Callable
@@ -188,6 +188,40 @@ class Motion(_AbstractDirected):
 
     def __str__(self):
         return f"motion {name_of(self.function)}(u)"
+
+
+class Mount(eqx.Module):
+    """Mount of a whisker: where its base is in the drive's frame when all rest lengths are 0, and at which angle.
+
+    The angle turns the whisker about its root.
+
+    Args:
+        x: offset along x, a length.
+        y: height of the base, a length.
+        angle: angle between the root of the unloaded whisker and the upright, rad, positive counter-clockwise (towards
+            -x); less than a right angle.
+
+    Raises:
+        ValueError: if a value is not a finite number, or the angle is not less than a right angle.
+
+    Examples:
+        >>> leaning = jw.Mount(y=0.05, angle=-0.2)
+        >>> jw.Support.follicle(phi=3.0, mount=leaning).mounts[0].angle
+        -0.2
+    """
+
+    x: Scalar = 0.0
+    y: Scalar = 0.0
+    angle: Scalar = 0.0
+
+    def __check_init__(self):
+        checks.number("x", self.x)
+        checks.number("y", self.y)
+        checks.acute_angle("angle", self.angle)
+
+    def valid(self) -> Bool[Array, ""]:
+        """Whether traced parameters are in the domain that the constructor checks."""
+        return checks.all_finite(self) & (jnp.abs(jnp.asarray(self.angle)) < checks.RIGHT_ANGLE)
 
 
 class Frame(NamedTuple):

@@ -1,4 +1,4 @@
-"""The support: springs between the drive (0) and the bases (1 to N), and the mounts of the whiskers."""
+"""The support: springs between the drive (0) and the whiskers (1 to N), and the mounts of the whiskers."""
 
 from typing import Any
 
@@ -11,43 +11,10 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import PerSpring, Scalar
 from jaxwhisker._model.foundation import Foundation
+from jaxwhisker._model.motion import Mount
 from jaxwhisker._model.network import Flexibility, along_all_axes, connected, flexibility
+from jaxwhisker._model.published import Published
 from jaxwhisker._model.spring import AXES, Spring
-
-
-class Mount(eqx.Module):
-    """Mount of a whisker: where its base is in the drive's frame when all rest lengths are 0, and at which angle.
-
-    The angle turns the whisker about its root.
-
-    Args:
-        x: offset along x, a length.
-        y: height of the base, a length.
-        angle: angle between the root of the unloaded whisker and the upright, rad, positive counter-clockwise (towards
-            -x); less than a right angle.
-
-    Raises:
-        ValueError: if a value is not a finite number, or the angle is not less than a right angle.
-
-    Examples:
-        >>> leaning = jw.Mount(y=0.05, angle=-0.2)
-        >>> jw.Support.follicle(phi=3.0, mount=leaning).mounts[0].angle
-        -0.2
-    """
-
-    x: Scalar = 0.0
-    y: Scalar = 0.0
-    angle: Scalar = 0.0
-
-    def __check_init__(self):
-        checks.number("x", self.x)
-        checks.number("y", self.y)
-        checks.acute_angle("angle", self.angle)
-
-    def valid(self) -> Bool[Array, ""]:
-        """Whether traced parameters are in the domain that the constructor checks."""
-        return checks.all_finite(self) & (jnp.abs(jnp.asarray(self.angle)) < checks.RIGHT_ANGLE)
-
 
 _NAMED = {
     "FB": ((0, 1),),
@@ -57,7 +24,7 @@ _NAMED = {
 }
 
 
-class Support(eqx.Module):
+class Support(Published):
     """Springs that hold the whiskers; without springs, the bases are clamped to the drive.
 
     A base is rigidly connected to the drive along every axis that has no springs. An axial spring frees a base along x.
@@ -130,7 +97,7 @@ class Support(eqx.Module):
         if checks.is_traced(self.springs) or not any(s.is_rigid() for s in self.springs):
             return
         with jax.ensure_compile_time_eval():  # concrete values are checked inside jit, too
-            if not all(flexibility(self._network(a), self.whiskers).consistent for a in self.axes):
+            if not all(flexibility(self._network(a, self.hold(1.0, 1.0)), self.whiskers).consistent for a in self.axes):
                 lengths = [float(s.rest_length) for s in self.springs]
                 checks.fail("rest_length", "the same along all paths of infinitely stiff springs", lengths)
 
@@ -169,8 +136,8 @@ class Support(eqx.Module):
             held.append(min(loose & self._attached or loose))
         return held
 
-    def _network(self, axis: str, stiffness: Scalar = 1.0) -> tuple[Spring, ...]:
-        """The linear springs along an axis, and one of this stiffness at every base that only shaft springs hold."""
+    def _network(self, axis: str, hold: Float[Array, "whiskers axes"]) -> tuple[Spring, ...]:
+        """The linear springs along an axis, and one at every base that only shaft springs hold."""
 
         def rest_length(base: int) -> Scalar:
             """Where the first of these springs would have the base."""
@@ -184,15 +151,29 @@ class Support(eqx.Module):
             mount, anchor = self.mounts[base - 1], acting[0].anchor
             return first + (anchor[0] - mount.x if axis == "x" else anchor[1] - mount.y)
 
-        held = (Spring((0, base), stiffness, rest_length(base), axis=axis) for base in self._held(axis))
+        stiffness = hold[:, AXES.index(axis)]
+        held = (Spring((0, base), stiffness[base - 1], rest_length(base), axis=axis) for base in self._held(axis))
         return (*self.along(axis), *held)
 
-    def held(self) -> Bool[np.ndarray, "whiskers axes"]:
-        """Bases and axes at which `flexibility` contains a spring that the support does not have."""
-        held = np.zeros((self.whiskers, len(AXES)), bool)
+    def hold(self, stiffness: Scalar, torsion: Scalar) -> Float[Array, "whiskers axes"]:
+        """Stiffnesses of the springs that `flexibility` contains but the support does not have; 0 where there is none.
+
+        Args:
+            stiffness: least stiffness of such a spring along x or y. It is as stiff as the springs on the shaft, so
+                that displacements and forces are solved for to the same accuracy.
+            torsion: its least torsional stiffness.
+        """
+        hold = jnp.zeros((self.whiskers, len(AXES)))
         for k, axis in enumerate(AXES):
-            held[np.array(self._held(axis), dtype=int) - 1, k] = True
-        return held
+            for base in self._held(axis):
+                own = torsion if axis == "phi" else stiffness
+                for spring in self.attached:
+                    if spring.between[1] == base and not callable(spring.stiffness):
+                        turns, at = spring.axis == "phi", 0.0 if spring.at is None else spring.at
+                        arm = at**2 if axis == "phi" else 1.0
+                        own += (turns == (axis == "phi")) / spring.softness if turns else arm / spring.softness
+                hold = hold.at[base - 1, k].set(own)
+        return jax.lax.stop_gradient(hold)
 
     @property
     def mounts(self) -> tuple[Mount, ...]:
@@ -298,21 +279,17 @@ class Support(eqx.Module):
         rest_lengths = _per_spring("rest_length", rest_length, [second - first for first, second in ends])
         return cls(tuple(map(Spring, ends, stiffnesses, rest_lengths)))
 
-    def flexibility(self, hold: Scalar = 1.0, hold_angle: Scalar = 1.0) -> Flexibility | None:
+    def flexibility(self, hold: Float[Array, "whiskers axes"] | None = None) -> Flexibility | None:
         """Flexibility of the bases in the drive's frame; None without springs.
 
         If all springs act along x, there is one row per base; otherwise three: x, y, angle of base 1, then of base 2.
         Bases that only springs on shafts connect to the drive have no flexibility of their own. They are held by a
-        further spring, which is not part of the support: see `held`.
-
-        Args:
-            hold: stiffness of such a spring along x or y.
-            hold_angle: its torsional stiffness.
+        further spring, which is not part of the support, with the stiffness `hold`.
         """
         if not self.axes:
             return None
-        stiffness = {"x": hold, "y": hold, "phi": hold_angle}
-        parts = {axis: flexibility(self._network(axis, stiffness[axis]), self.whiskers) for axis in self.axes}
+        hold = self.hold(1.0, 1.0) if hold is None else hold
+        parts = {axis: flexibility(self._network(axis, hold), self.whiskers) for axis in self.axes}
         return parts["x"] if self.axes == ("x",) else along_all_axes(parts)
 
     def spring_length(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:

@@ -120,6 +120,8 @@ def _at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
 def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> rod.RodStates:
     """States of the rod at all springs, from the tip to the base, on a walk from the base."""
     springs = jax.tree.map(lambda leaf: leaf[::-1], held.held_by.springs)
+    # The reaction is that of everything at the base and below.
+    springs = springs._replace(share=jnp.where(springs.at > 0, springs.share, 0.0))
     backwards, zero = held.held_by._replace(springs=springs), jnp.zeros_like(springs.at[0])
     given = start, load, zero, material(whisker), backwards, held.laws, held.drive
     return jax.tree.map(lambda leaf: leaf[::-1], walk(*given, steps=steps, sign=-1.0).passed)

@@ -1,0 +1,190 @@
+"""Supports that were published for the whiskers of rats, in SI units."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.foundation import Foundation
+from jaxwhisker._model.motion import Mount
+from jaxwhisker._model.spring import Spring
+
+MM = 1e-3
+# Simony et al.: stiffness (N/m) of each spring at skin and plate, and of the one below, for small and large angles.
+SMALL, LARGE = (0.3, 0.3, 1.0), (0.2, 0.2, 0.6)
+HILL_TIME, HILL_DAMPING = 0.027, 2.0  # s, and damping ratio
+REST_ANGLE = np.radians(20.0)  # of Hill et al., to the normal of the pad
+HILL_GUIDE = 1e3  # N/m: of the centre of mass, which the model holds at a constant height
+
+
+class Published(eqx.Module):
+    """Constructors of published supports. The drive is the skull; the pad lies along x, the follicle below y = 0.
+
+    The base of the whisker is where it enters the skin. Below, the follicle is rigid, and springs hold it there. The
+    angle of the mount is that of the resting whisker to the normal of the pad; a scan towards -x protracts it.
+    """
+
+    @classmethod
+    def simony(cls: Any, *, large_angles: bool = False, angle: Scalar | None = None, follicle: Scalar = 4 * MM) -> Any:
+        """One whisker: two springs along the pad at the skin, two at the plate, and one below the plate.
+
+        Each level has an anchor 1 mm to either side. All springs are unstrained at rest.
+
+        Args:
+            large_angles: whether to use the parameters for large angles: 0.2, 0.2 and 0.6 N/m instead of 0.3, 0.3 and
+                1.0 N/m for each spring at the skin, at the plate and below it, and a rest angle of 75 instead of 65
+                degrees to the pad.
+            angle: angle of the resting whisker to the normal of the pad, rad. Default: 25 degrees, or 15 for large
+                angles.
+            follicle: length of the follicle, m.
+
+        Raises:
+            ValueError: if the angle is not less than a right angle, or the length is not positive.
+
+        Examples:
+            >>> support = jw.Support.simony()
+            >>> len(support.springs), support.axes
+            (5, ('x', 'y', 'phi'))
+
+        Source: Simony, Bagdasarian, Herfst, Brecht, Ahissar and Golomb (2010), J. Neurosci. 30, 8935; stiffnesses,
+        anchors and angles as in their program (ModelDB 127512).
+        """
+        checks.number("follicle", follicle, positive=True)
+        skin, plate, below = LARGE if large_angles else SMALL
+        tilt: Any = np.radians(15.0 if large_angles else 25.0) if angle is None else angle
+        x, y = follicle * jnp.sin(tilt), -follicle * jnp.cos(tilt)
+        half = MM  # from a spring's end on the follicle to its anchor
+        places: list[Any] = [(skin, 0.0, (-half, 0.0)), (skin, 0.0, (half, 0.0))]
+        places += [
+            (plate, -follicle, (x - half, y)),
+            (plate, -follicle, (x + half, y)),
+            (below, -follicle, (x, y - half)),
+        ]
+        springs = (Spring((0, 1), c, half, axis="axial", at=at, anchor=anchor) for c, at, anchor in places)
+        return cls(tuple(springs), Mount(angle=tilt), free=("y", "phi"))
+
+    @classmethod
+    def hill(
+        cls: Any,
+        *,
+        angle: Scalar = REST_ANGLE,
+        follicle: Scalar = 4 * MM,
+        pad: Scalar = 20 * MM,
+        mass: Scalar = 10.5e-6,
+    ) -> Any:
+        """One whisker in the middle of the pad, between two springs at the skin and two at the plate, to its walls.
+
+        A spring's stiffness is S divided by its rest length, S = pad mass omega^2 / 2, where omega =
+        1 / ((r - sqrt(r^2 - 1)) tau), tau = 27 ms and r = 2 follow from the time in which the pad relaxes. The centre
+        of mass of the follicle, 1.43 mm below the skin, keeps its height.
+
+        Args:
+            angle: angle of the resting whisker to the normal of the pad, rad; 20 degrees.
+            follicle: length of the follicle, m.
+            pad: width of the pad, m.
+            mass: of follicle and whisker, kg.
+
+        Raises:
+            ValueError: if the angle is not less than a right angle, or a length or mass is not positive.
+
+        Examples:
+            >>> support = jw.Support.hill()
+            >>> print(f"{2 * support.springs[0].stiffness:.3f} N/m at the skin")
+            0.401 N/m at the skin
+
+        Source: Hill, Bermejo, Zeigler and Kleinfeld (2008), J. Neurosci. 28, 3438: follicle and pad; masses, times and
+        the law of stiffness as in their program whisker_sim.
+        """
+        checks.number("follicle", follicle, positive=True)
+        checks.number("pad", pad, positive=True)
+        checks.number("mass", mass, positive=True)
+        omega = 1 / ((HILL_DAMPING - np.sqrt(HILL_DAMPING**2 - 1)) * HILL_TIME)
+        strength = pad / 2 * mass * omega**2
+        half, springs = pad / 2, []
+        for at in (0.0, -follicle):
+            x, y = -at * jnp.sin(angle), at * jnp.cos(angle)
+            for side in (-1, 1):
+                rest = half - side * x
+                springs.append(Spring((0, 1), strength / rest, rest, axis="axial", at=at, anchor=(side * half, y)))
+        springs.append(Spring((0, 1), HILL_GUIDE, axis="y", at=-1.43 * MM))
+        return cls(tuple(springs), Mount(angle=angle), free=("phi",))
+
+    @classmethod
+    def berg(cls: Any, skin: Scalar, deep: Scalar, follicle: Scalar, *, mount: Mount | None = None) -> Any:
+        """One whisker: a spring along the pad at the skin, and one at the lower end of the follicle.
+
+        The paper shows this arrangement in a drawing and gives no stiffness. Intrinsic muscles turn the follicle about
+        the skin; extrinsic ones shift the pad.
+
+        Args:
+            skin: stiffness at the skin, N/m; positive.
+            deep: stiffness at the lower end, N/m; positive.
+            follicle: length of the follicle, m; positive.
+            mount: the mount of the whisker. Default: upright.
+
+        Raises:
+            ValueError: if a value is out of its domain.
+
+        Source: Berg and Kleinfeld (2003), J. Neurophysiol. 89, 104.
+        """
+        return cls._two_levels(skin, deep, follicle, mount)
+
+    @classmethod
+    def schaefer(cls: Any, skin: Scalar, follicle_end: Scalar, follicle: Scalar, *, mount: Mount | None = None) -> Any:
+        """One whisker on elastic supports at the skin and at the lower end of its follicle, without their dampers.
+
+        Args:
+            skin: stiffness at the skin, N/m; positive.
+            follicle_end: stiffness at the lower end of the follicle-sinus complex, N/m; positive.
+            follicle: length of the follicle, m; positive.
+            mount: the mount of the whisker. Default: upright.
+
+        Raises:
+            ValueError: if a value is out of its domain.
+
+        Source: the model of the follicle-sinus complex that the thesis reviews in its chapter 3, after Schaefer,
+        Schmitz, Will and Behn (2011), 56th International Scientific Colloquium, TU Ilmenau.
+        """
+        return cls._two_levels(skin, follicle_end, follicle, mount)
+
+    @classmethod
+    def _two_levels(cls: Any, skin: Scalar, deep: Scalar, follicle: Scalar, mount: Mount | None) -> Any:
+        checks.number("follicle", follicle, positive=True)
+        springs = Spring((0, 1), skin, at=0.0), Spring((0, 1), deep, at=-follicle)
+        return cls(springs, mount, free=("phi",))
+
+    @classmethod
+    def luo(
+        cls: Any,
+        superficial: Scalar,
+        deep: Scalar,
+        superficial_at: Scalar,
+        deep_at: Scalar,
+        *,
+        tissue: Foundation | None = None,
+        mount: Mount | None = None,
+    ) -> Any:
+        """One whisker as a beam inside its follicle, which bends there into an S.
+
+        The base is the lower end of the whisker in its follicle. Springs across it act at two heights, and the tissue
+        of the sinus along a stretch between them. The paper ranks the stiffnesses and gives no values that could serve
+        as defaults.
+
+        Args:
+            superficial: stiffness of the upper spring, N/m; positive.
+            deep: stiffness of the lower spring, N/m; positive.
+            superficial_at: height of the upper spring above the base, along the whisker, m.
+            deep_at: height of the lower spring, m.
+            tissue: the tissue around the shaft. Default: none.
+            mount: the mount of the whisker. Default: upright.
+
+        Raises:
+            ValueError: if a value is out of its domain.
+
+        Source: Luo, Bresee, Rudnicki and Hartmann (2021), PLoS Comput. Biol. 17, e1007887.
+        """
+        springs = Spring((0, 1), superficial, at=superficial_at), Spring((0, 1), deep, at=deep_at)
+        return cls(springs, mount, foundation=tissue, free=("phi",))
