@@ -30,6 +30,8 @@ P = (
 )  # along the clamped branch: tip, tangential and tip contacts, before and behind the vertex
 TIP, TANGENTIAL = jnp.asarray(int(Phase.tip)), jnp.asarray(int(Phase.tangential))
 
+VALUES = contact.Base._fields[:-1]  # the last one is None without springs on the shaft
+
 
 def body(rod: AbstractRod = CLOSED, position=0.0):
     one = jnp.asarray(1.0)
@@ -80,14 +82,14 @@ def test_a_whisker_on_the_far_side_is_the_mirror_image(exactly):
     right = bases(body(position=0.3), z, phase, one)
     left = bases(body(position=-0.3), z * jnp.array([1.0, -1.0, 1.0]), phase, -one)
     odd = {"x", "cos", "force_x", "bend", "slope_sin", "contact_x"}
-    for name in right._fields:
+    for name in VALUES:
         sign = -1.0 if name in odd else 1.0
         np.testing.assert_allclose(getattr(left, name), sign * getattr(right, name), atol=EXACT, err_msg=name)
 
 
 def test_closed_form_and_integrated_rod_agree(exactly, ours):
     shot = bases(body(Shooting()), jnp.asarray(exactly.z), jnp.asarray(exactly.phase), jnp.ones(len(P)))
-    for name in ours._fields:
+    for name in VALUES:
         size = max(1.0, float(np.max(np.abs(getattr(ours, name)))))
         np.testing.assert_allclose(getattr(shot, name), getattr(ours, name), atol=SHOOTING * size, err_msg=name)
 
@@ -95,7 +97,7 @@ def test_closed_form_and_integrated_rod_agree(exactly, ours):
 def test_both_phases_meet_at_zero_slack():
     z, phases = jnp.array([[1.07, 0.9, 0.0], [1.07, 0.9, 0.0]]), jnp.stack([TIP, TANGENTIAL])
     both = bases(body(), z, phases, jnp.ones(2))
-    for values in both:
+    for values in both[: len(VALUES)]:
         assert values[0] == values[1]
     # On its two sides slack is an angle and an arc length: the same force then bends other whiskers.
     beyond = bases(body(), z.at[:, 2].set([-0.1, 0.1]), phases, jnp.ones(2))
@@ -112,7 +114,7 @@ def frame_at(u):
 def test_a_base_in_its_frame(ours):
     one = jax.tree.map(lambda leaf: leaf[0], ours)
     frame = frame_at(0.4)
-    inside = contact.in_base_frame(one, frame)
+    inside = contact.in_base_frame(body()._replace(frame=frame), one)
     assert inside.force_y is not None and inside.moment is not None
     # Lengths do not depend on the frame; the upright whisker is turned back by the frame's angle.
     np.testing.assert_allclose(np.hypot(inside.x, inside.y), np.hypot(one.x - frame.x, one.y - frame.y), rtol=EXACT)
@@ -124,7 +126,7 @@ def test_a_base_in_its_frame(ours):
     )
     np.testing.assert_allclose(back, (one.x, one.force_y), atol=EXACT)
     assert inside.moment == one.bend and inside.slope_sin == one.slope_sin
-    upright = contact.in_base_frame(one, None)
+    upright = contact.in_base_frame(body(), one)
     assert upright.force_y is None and upright.moment is None
     assert (upright.x, upright.y, upright.turn) == (one.x, one.y, -one.cos)
 
@@ -163,7 +165,7 @@ def test_whiskers_of_different_kinds_are_computed_one_by_one(exactly):
     args = jnp.asarray(exactly.z[:2]), jnp.asarray(exactly.phase[:2]), jnp.array([1.0, -1.0])
     batch = Program(lambda bodies, *args: of_each(bodies, contact.base, *args))
     together, apart = batch(bodies, *args), batch(bodies._replace(section=(section, section)), *args)
-    for name in together._fields:
+    for name in VALUES:
         np.testing.assert_allclose(getattr(apart, name), getattr(together, name), atol=EXACT, err_msg=name)
     # On the far side, the whisker is the mirror image of one that is curved the other way.
     straightened = bodies._replace(section=(section, Section(1.0, -0.3, one, one, one)))

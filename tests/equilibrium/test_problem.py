@@ -147,7 +147,7 @@ def test_a_base_in_the_plane_that_yields_along_x_only_has_the_equations_of_a_bas
     @Program
     def step(problem):
         newton = newton_step(problem, mode, at_control(u, z), Point(z, jnp.asarray(u)))
-        return newton, load_slopes(mode, newton.condensed), problem.in_scene(jnp.asarray(u), newton.pose).x
+        return newton, load_slopes(problem, mode, newton.condensed), problem.in_scene(jnp.asarray(u), newton.pose).x
 
     (one, slope, x), (other, slopes, in_scene_x) = step(alone), step(plane)
     assert one.residual < CLOSED_FORM and other.residual < CLOSED_FORM

@@ -30,7 +30,7 @@ def linearised(problem, z, phase, side, u):
     """Everything that stability is judged by, at a contact."""
     mode = Mode(phase, side, jnp.asarray(False))
     at = newton_step(problem, mode, at_control(u, z), Point(z, u)).condensed
-    return at, load_slopes(mode, at), on_stable_branch(mode, at.by_x), is_stable(problem, mode, at)
+    return at, load_slopes(problem, mode, at), on_stable_branch(problem, mode, at.by_x), is_stable(problem, mode, at)
 
 
 def fb(p, stiffness=70.0, side=1.0):

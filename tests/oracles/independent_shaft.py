@@ -46,7 +46,7 @@ def _along(state, load, arc):
 
 
 def walk(held: Held, control: np.ndarray, result: jw.Result):
-    """States (x, y, phi) at the contact or the tip, loads there, lengths of springs, and forces fx at or below the base."""
+    """States (x, y, phi) at the contact or the tip, loads there, lengths of springs, forces fx at or below the base."""
     r = {
         name: np.asarray(getattr(result, name))[..., 0] for name in ("base_x", "base_y", "base_angle", "fx", "fy", "mz")
     }

@@ -13,6 +13,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import Solution, newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control, scale_of
+from jaxwhisker._equilibrium.problem import Stance
 from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import (
     Task,
@@ -30,6 +31,8 @@ FB = scene(jw.Support.fb(70.0))
 FBFB = scene(jw.Support.fbfb(70.0))
 problem_now = Program(problem_of)
 started = Program(_start)
+
+STANCE = Stance(jnp.zeros(2), None, None)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.fixture(scope="module")
@@ -126,13 +129,13 @@ def test_the_direction_at_the_end_of_a_parabola(two):
     newton = Newton()
     newton.pose = pose  # pyright: ignore[reportAttributeAccessIssue]
     solution = Solution(end, newton, jnp.asarray(True), jnp.asarray(1))  # pyright: ignore[reportArgumentType]
-    tangent, tangent_pose = _direction_of_parabola(state, solution, state.mode.phase == Phase.free)
+    tangent, tangent_pose = _direction_of_parabola(state, solution, state.mode.phase == Phase.free, STANCE)
     np.testing.assert_allclose(tangent.z[0], d + distance * b, atol=ROUNDING)
     np.testing.assert_allclose(tangent.u, -0.8, rtol=ROUNDING)
     np.testing.assert_allclose(tangent_pose[:, 0], [-0.3, -0.5], atol=ROUNDING)
     # A chord of no length has no direction: that of the path is kept.
     none = solution._replace(point=state.point)
-    tangent, _ = _direction_of_parabola(state, none, state.mode.phase == Phase.free)
+    tangent, _ = _direction_of_parabola(state, none, state.mode.phase == Phase.free, STANCE)
     np.testing.assert_allclose(tangent.z, along.z, atol=ROUNDING)
 
 
@@ -149,7 +152,7 @@ def test_a_trial_is_judged_by_its_solution():
         ahead = Point(sign * newton.tangent.z, sign * newton.tangent.u)
         state = state._replace(mode=mode, point=Point(z, u + 0.01), tangent=ahead, pose=newton.pose + 0.01)
         solution = Solution(Point(z, u), newton, jnp.asarray(True), jnp.asarray(1))
-        return evaluate_trial(problem, state, solution, u - 0.25), slope_sines(problem, z, mode)
+        return evaluate_trial(problem, state, solution, u - 0.25, newton.pose), slope_sines(problem, z, mode)
 
     results = {sign: judged(problem, z, u, jnp.asarray(sign)) for sign in (1.0, -1.0)}
     for sign, (trial, sines) in results.items():
@@ -157,7 +160,7 @@ def test_a_trial_is_judged_by_its_solution():
         length = np.sum((trial.tangent.z / scale_of(z)) ** 2) + trial.tangent.u**2
         np.testing.assert_allclose(length, 1.0, rtol=ROUNDING)
         assert np.sign(trial.tangent.u) == sign
-        assert trial.stable and trial.convex
+        assert trial.stable and trial.sound
         np.testing.assert_allclose(sines, np.sin(at.z[:, 1]), rtol=ROUNDING)
         np.testing.assert_allclose(trial.there.vertex, np.sin(at.z[:, 1]), rtol=ROUNDING)
         np.testing.assert_allclose([trial.there.stop[0], trial.here.stop[0]], [0.25, 0.26], rtol=ROUNDING)

@@ -41,8 +41,8 @@ def test_leaves_that_both_trees_share_are_not_selected():
 def test_numbers_of_status_and_kinds_are_those_that_files_hold():
     # Stored results hold these numbers.
     names = ["ok", "invalid", "lost", "unsettled", "not_convex", "too_long", "inexact", "unstable"]
-    names += ["undetermined", "second_contact", "crossing"]
-    assert [status.name for status in Status] == names and list(Status) == list(range(11))
+    names += ["undetermined", "second_contact", "crossing", "at_spring"]
+    assert [status.name for status in Status] == names and list(Status) == list(range(12))
     kinds = ["touch", "tip_to_tangential", "vertex", "tangential_to_tip", "release", "snap_through", "snap_off"]
     kinds += ["stick", "slip"]
     assert [kind.name for kind in EventKind] == kinds and list(EventKind) == list(range(9))

@@ -85,7 +85,8 @@ def iterate(problem, flow, mode, point, tangent, tangent_pose, first):
     flow = jax.tree.map(lambda a, b: jnp.where(first, a, b), kicked, proposed)
     apart = mode._replace(separate=jnp.asarray(True), held=problem.across(flow.pose))
     solution = solve_point(problem, apart, at_control(point.u, flow.guess), Point(flow.guess, point.u))
-    flow, mode, z = snap_flow.advance(problem, flow, mode, point.z, solution)
+    pose = jnp.where(problem.solved(mode.phase)[:, None], solution.newton.pose, flow.pose)
+    flow, mode, z = snap_flow.advance(problem, flow, mode, point.z, solution, problem.stance(point.u, pose))
     return flow, mode, Point(z, point.u), solution.converged, snap_flow.at_rest(problem, flow, mode, point.u)
 
 

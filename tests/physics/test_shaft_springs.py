@@ -105,7 +105,7 @@ def test_wrong_values_violate_a_law(name):
 
 
 def test_springs_that_disagree_bend_a_whisker_before_it_touches():
-    held, result = scanned()
+    _, result = scanned()
     free = np.all(result.phase[:, 0] == jw.Phase.free, axis=1)
     bent = free & (np.abs(result.mz[:, 0, 0]) > 0.05)
     assert np.sum(bent) > SCENES / 4

@@ -243,13 +243,10 @@ def in_base_frame(body: Body, b: Base) -> BaseEquations:
         return values
     # What the network holds without the support is taken off the load: neither changes the equilibrium.
     moved = jnp.stack([values.x, values.y, values.turn]) - body.sprung.offset
-    held_x, held_y, held_turn = jnp.sum(body.sprung.held * moved, axis=-1)
-    below_x, below_y, below_turn = b.below
-    return values._replace(
-        force_x=values.force_x + below_x * cos + below_y * sin + held_x,
-        force_y=values.force_y + below_y * cos - below_x * sin + held_y,
-        moment=values.moment + below_turn + held_turn,
-    )
+    below_x, below_y, turn = b.below
+    below = jnp.stack([below_x * cos + below_y * sin, below_y * cos - below_x * sin, turn])
+    load = jnp.stack(values[3:6]) + below + jnp.sum(body.sprung.held * moved, axis=-1)  # pyright: ignore
+    return values._replace(force_x=load[0], force_y=load[1], moment=load[2])
 
 
 def equations(

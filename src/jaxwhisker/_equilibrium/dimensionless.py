@@ -13,8 +13,8 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.attach import attached, with_unloaded
 from jaxwhisker._equilibrium.problem import AlongX, InPlane, PerWhisker, Problem
-from jaxwhisker._equilibrium.touch import Outline
-from jaxwhisker._model.motion import Pose
+from jaxwhisker._equilibrium.touch import Outline, Touch
+from jaxwhisker._model.motion import Pose, Translation
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, moves_along_x, units
 from jaxwhisker._model.whisker import Whisker
@@ -50,25 +50,36 @@ def problem_of(scene: Scene) -> Problem:
         flexibility = None if flexibility is None else flexibility.in_unit(unit.length, unit.force)
         if curved:
             upright = jnp.zeros_like(length)
-            outline = outlines(scene.whiskers, length, section)
-            touches, single = _first_touches(common["profile"], outline, length, upright, upright, curved)
+            own = outlines(scene.whiskers, length, section), upright, upright
+            right, left = _first_touches(common["profile"], length, *own)
+            valid &= _touches_once(common["profile"], *own)
         else:
-            touches, single = _first_touches_upright(common["profile"], length), True
-        return AlongX(**common, **touches, flexibility=flexibility, valid=valid & single)
+            right, left = _first_touches_upright(common["profile"], length)
+        return AlongX(**common, touch_right=right, touch_left=left, flexibility=flexibility, valid=valid)
     mounts = zip(*((mount.x, mount.y, mount.angle) for mount in scene.support.mounts), strict=True)
     x, y, angle = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in mounts)
-    mount = Pose(x / unit.length, y / unit.length, angle)
+    height = y / unit.length
+    mount = Pose(x / unit.length, height, angle)
     flexibility = None if flexibility is None else flexibility.in_frames(angle, unit.length, unit.force)
     outline = outlines(scene.whiskers, length, section)
-    touches, single = _first_touches(common["profile"], outline, length, y / unit.length, angle, curved)
-    valid &= single
-    problem = InPlane(**common, **touches, flexibility=flexibility, valid=valid, mount=mount, outline=outline)
+    if curved:
+        valid &= _touches_once(common["profile"], outline, height, angle)
+    none = jnp.zeros_like(length)
+    somewhere = Touch(none + sum(common["profile"].ends()) / 2, none, none, none, none > 0)
+    common |= {"flexibility": flexibility, "valid": valid, "touch_right": somewhere, "touch_left": somewhere}
+    problem = InPlane(**common, mount=mount, outline=outline)
     springs = attached(scene.support, section, unit)
-    if springs is None or hold is None:
-        return problem
-    held = jax.vmap(_turned)(angle, hold / jnp.stack([spring, spring, torsion]))
-    problem, found = with_unloaded(problem, springs.held_by, springs.laws, held)
-    return eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)
+    if springs is not None and hold is not None:
+        held = jax.vmap(_turned)(angle, hold / jnp.stack([spring, spring, torsion]))
+        problem, found = with_unloaded(problem, springs.held_by, springs.laws, held)
+        problem = eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)
+    if isinstance(scene.motion, Translation):
+        zero = jnp.zeros(())
+        stance = problem.stance(zero, problem.unloaded(zero)[1])
+        right, left = stance.right, stance.left
+    else:  # on its way, whiskers touch in other places
+        right, left = _first_touches(common["profile"], length, outline, height, angle)
+    return eqx.tree_at(lambda p: (p.touch_right, p.touch_left), problem, (right, left))
 
 
 def _turned(angle: Scalar, stiffness: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -94,21 +105,22 @@ def _detectable(scene: Scene) -> tuple[str, ...]:
     return tuple(name for name in scene.detects if possible[name])
 
 
-def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> dict[str, Any]:
-    """First touches of straight whiskers that stand upright at height 0."""
+def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> tuple[Touch, Touch]:
+    """First touches of straight whiskers that stand upright at height 0, from the right and from the left."""
     right, left = (jax.vmap(lambda h, s=s: touch.first_touch_upright(profile, h, s))(length) for s in (1.0, -1.0))
-    return {"touch_right": right, "touch_left": left}
+    return right, left
 
 
 def _first_touches(
-    profile: AbstractProfile, outline: Outline, length: PerWhisker, height: PerWhisker, angle: PerWhisker, curved: bool
-) -> tuple[dict[str, Any], Bool[Array, ""] | bool]:
-    """First touches of whiskers with these outlines, and whether each touches the object in one place only."""
-    right, left = jax.vmap(lambda *own: touch.first_touches(profile, *own))(length, outline, height, angle)
-    touches = {"touch_right": right, "touch_left": left}
-    if not curved:
-        return touches, True
-    return touches, ~jnp.any(jax.vmap(lambda *own: touch.in_two_places(profile, *own))(outline, height, angle))
+    profile: AbstractProfile, length: PerWhisker, outline: Outline, height: PerWhisker, angle: PerWhisker
+) -> tuple[Touch, Touch]:
+    """First touches of whiskers with these outlines, from the right and from the left."""
+    return jax.vmap(lambda *own: touch.first_touches(profile, *own))(length, outline, height, angle)
+
+
+def _touches_once(profile: AbstractProfile, outline: Outline, height: PerWhisker, angle: PerWhisker) -> Bool[Array, ""]:
+    """Whether each unloaded whisker touches the object in one place only."""
+    return ~jnp.any(jax.vmap(lambda *own: touch.in_two_places(profile, *own))(outline, height, angle))
 
 
 def outlines(

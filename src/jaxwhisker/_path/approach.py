@@ -42,6 +42,10 @@ class AbstractApproach(abc.ABC):
         """A control, at or before the first stop, at which all whiskers are free."""
 
     @abc.abstractmethod
+    def unloaded(self, u: Scalar) -> Stance:
+        """Stance of the unloaded whiskers at a control."""
+
+    @abc.abstractmethod
     def starts_clear(self, u: Scalar, pose: Poses) -> Bool[Array, ""]:
         """Whether whiskers at the start are clear of the object."""
 
@@ -74,8 +78,7 @@ class FromAfar(AbstractApproach):
 
     def first_touch(self) -> Scalar:
         """The control at which the first whisker touches; infinite, in the direction of motion, if none ever does."""
-        problem, zero = self.problem, jnp.asarray(0.0)
-        at = problem.stance(zero, problem.unloaded(zero)[1])
+        at = self.unloaded(jnp.asarray(0.0))
         first = at.right if self.onwards < 0 else at.left
         ahead = jnp.where(first.reaches, -self.onwards * (first.x - at.x), -jnp.inf)
         return -self.onwards * jnp.max(ahead)
@@ -83,6 +86,12 @@ class FromAfar(AbstractApproach):
     def start(self, first_stop):
         first = self.first_touch()
         return jnp.where(-self.onwards * (first_stop - first) > 0, first_stop, first - self.onwards * FIRST_STEP)
+
+    def unloaded(self, u):
+        # All that changes on the way is x.
+        problem = self.problem
+        at = problem.in_scene(u, problem.unloaded(u)[1])
+        return Stance(at.x, problem.touch_right, problem.touch_left)
 
     def starts_clear(self, u, pose):
         del u, pose
@@ -120,6 +129,9 @@ class Bounded(AbstractApproach):
     def start(self, first_stop):
         start, _ = self._ends()
         return jnp.where(-self.onwards * (first_stop - start) > 0, first_stop, start)
+
+    def unloaded(self, u):
+        return self.problem.stance(u, self.problem.unloaded(u)[1])
 
     def starts_clear(self, u, pose):
         return jnp.all(self.problem.stance(u, pose).clear)

@@ -82,7 +82,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     )
     guess = guess._replace(z=jnp.where(begins[:, None], target.contact, guess.z))
     solution = solve_point(problem, mode, row, guess)
-    trial = evaluate_trial(problem, state, solution, stop_u)
+    trial = evaluate_trial(problem, state, solution, stop_u, select(flowing, flow.pose, solution.newton.pose))
     new, write, node = jax.lax.switch(
         jnp.minimum(state.task, Task.kick),
         [
@@ -90,7 +90,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
             lambda: after_event(problem, state, trial),
             lambda: after_arrive(problem, state, trial, stops, last),
             lambda: (state, jnp.asarray(False), state.pending),
-            lambda: after_flow(problem, state, flow, solution),
+            lambda: after_flow(problem, state, flow, trial),
         ],
     )
     return new._replace(count=new.count + write), (jnp.where(write, state.count, -1), node)
@@ -100,7 +100,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
     n, onwards = problem.length.shape[0], problem.motion.onwards
     u = approach_of(problem).start(stops[0])
     z, pose = problem.unloaded(u)
-    side, none = problem.stance(u, pose).side, jnp.zeros(n)
+    side, none = approach_of(problem).unloaded(u).side, jnp.zeros(n)
     friction = None if problem.friction_angle is None else slipping_from(side)
     mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False), friction=friction)
     point = Point(z, u)

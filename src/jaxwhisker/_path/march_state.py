@@ -91,7 +91,9 @@ class MarchState(NamedTuple):
 
     def stopped(self, status: Status | Int[Array, ""]) -> "MarchState":
         """The state after the march has ended with this status."""
-        return self._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(status, dtype=int))
+        return self._replace(
+            task=jnp.asarray(int(Task.done)), status=jnp.asarray(int(status) if isinstance(status, Status) else status)
+        )
 
 
 SHORTEST_CHORD = 1e-6  # shortest chord that determines a direction; for a shorter one the path keeps its direction
@@ -105,7 +107,8 @@ class Trial(NamedTuple):
     tangent: Point
     tangent_pose: Poses
     stable: Bool[Array, ""]
-    status: Int[Array, ""]  # what is wrong with a contact there
+    sound: Bool[Array, ""]  # whether all contacts are as the equations assume
+    reason: Status | Int[Array, ""]  # the status if they are not
     here: Margins  # at the start of the step
     there: Margins  # at its end
     stance: Stance  # at its end
@@ -114,8 +117,16 @@ class Trial(NamedTuple):
     friction_angle: Scalar | None = None
 
 
-def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop_u: Scalar) -> Trial:
-    """Evaluate the solved end of a step: direction of the path, stability, convexity, margins."""
+def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
+    """Evaluate the solved end of a step: direction of the path, stability, convexity, margins.
+
+    Args:
+        problem: the problem.
+        state: the state before the step.
+        solution: its solved end.
+        stop_u: control of the next stop.
+        free_pose: coordinates, at the end, of bases that are not solved for.
+    """
     newton = solution.newton
     free = state.mode.phase == Phase.free
     tangent, length = unit(newton.tangent, solution.point.z)
@@ -123,7 +134,8 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
     tangent, tangent_pose = Point(ahead * length * tangent.z, ahead * length * tangent.u), ahead * newton.tangent_pose
     # A touch is solved for as a contact, but the path arrives without it.
     touches = (state.task == Task.event) & (state.target.kind == TOUCH)
-    here, there = problem.stances((state.point.u, state.pose), (solution.point.u, newton.pose))
+    pose = jnp.where(problem.solved(state.mode.phase)[:, None], newton.pose, free_pose)
+    here, there = problem.stances((state.point.u, state.pose), (solution.point.u, pose))
     arriving = _direction_of_parabola(state, solution, free, there)
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
@@ -136,7 +148,7 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         tangent,
         tangent_pose,
         is_stable(problem, state.mode, newton.condensed, None if problem.attached is None else touching),
-        _contact_status(problem, convex | free, solution.point.z, state.mode.phase),
+        *_soundness(problem, convex | free, solution.point.z, state.mode.phase),
         here=_margins_at(problem, state, state.point, here, stop_u),
         there=margins_there,
         stance=there,
@@ -146,16 +158,15 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
     )
 
 
-def _contact_status(
+def _soundness(
     problem: Problem, convex: Bool[Array, " whiskers"], z: Contacts, phase: Int[Array, " whiskers"]
-) -> Int[Array, ""]:
-    """What is wrong with contacts, if anything."""
-    status = jnp.where(jnp.all(convex), int(Status.ok), int(Status.not_convex))
+) -> tuple[Bool[Array, ""], Status | Int[Array, ""]]:
+    """Whether contacts lie on a convex part of the profile and above all springs, and the status if they do not."""
     if problem.attached is None:
-        return status
-    touching = phase != Phase.free
+        return jnp.all(convex), Status.not_convex
     arcs = problem.length - beyond(z[:, 2], phase)
-    return jnp.where(jnp.any(touching & (arcs < problem.attached.held_by.top)), int(Status.at_spring), status)
+    above = jnp.all((phase == Phase.free) | (arcs >= problem.attached.held_by.top))
+    return jnp.all(convex) & above, jnp.where(above, int(Status.not_convex), int(Status.at_spring))
 
 
 def slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> PerWhisker | None:

@@ -193,9 +193,12 @@ def _slip(
 
 
 def advance(
-    problem: Problem, flow: Flow, mode: Mode, previous: Contacts, solution: Solution
+    problem: Problem, flow: Flow, mode: Mode, previous: Contacts, solution: Solution, at: Stance
 ) -> tuple[Flow, Mode, Contacts]:
-    """Accept the solved step from the previous contacts: phases change, contacts end or begin, whiskers slip."""
+    """Accept the solved step from the previous contacts: phases change, contacts end or begin, whiskers slip.
+
+    The stance is that of the bases at the end of the step, those of free whiskers where the flow puts them.
+    """
     newton, z, u = solution.newton, solution.point.z, solution.point.u
     free = mode.phase == Phase.free
     pose = jnp.where(problem.solved(mode.phase)[:, None], newton.pose, flow.pose)
@@ -206,7 +209,6 @@ def advance(
         turned |= (directions != friction.slip) & ~free
         stuck, friction = with_slips(problem, z, mode, directions)
     by_x = newton.condensed.by_x
-    at = problem.stance(u, pose)
     slip = _slip(problem, flow, mode, z, u, pose, at, newton.condensed)
 
     if friction is not None:

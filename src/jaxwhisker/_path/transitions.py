@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import newly_slipping
-from jaxwhisker._equilibrium.newton import Condensed, Solution, slip_by_contact, slope_sines, with_slips
+from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, slope_sines, with_slips
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
 from jaxwhisker._path import snap_flow
@@ -154,11 +154,11 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
         (violated, to_event),
         (~holds & ~located, closer),
         (~holds, turned),
-        (trial.status != Status.ok, state.stopped(trial.status)),
+        (~trial.sound, state.stopped(trial.reason)),
         (at_fold, turned),
         otherwise=_onwards(problem, state, moved, trial, error, scale),
     )
-    return new, good & ~violated & (holds | located) & (trial.status == Status.ok), node
+    return new, good & ~violated & (holds | located) & trial.sound, node
 
 
 def _lowest(turn: Scalar, slips_on: PerWhisker | None) -> Scalar:
@@ -344,9 +344,10 @@ def _pulling(at: Condensed) -> tuple[Poses, PerWhisker]:
     return weight, jnp.zeros_like(by_x[:, 0]) if at.pose_by_u is None else -jnp.sum(weight * at.pose_by_u, axis=1)
 
 
-def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, solution: Solution):
+def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, trial: Trial):
     """Handle a step of the overdamped bases."""
-    flow, mode, z = snap_flow.advance(problem, proposed, state.mode, state.point.z, solution)
+    solution, at = trial.solution, trial.stance
+    flow, mode, z = snap_flow.advance(problem, proposed, state.mode, state.point.z, solution, at)
     rested = snap_flow.at_rest(problem, flow, mode, state.point.u)
     freed = flow.slipped & (mode.phase == Phase.free)
     kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)

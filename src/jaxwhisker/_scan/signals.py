@@ -27,17 +27,18 @@ Bases = tuple[Float[Array, "steps whiskers"], ...]  # x, y, angle of bases; with
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
     """State of an equilibrium in the scene's units, and its largest residual."""
-    solved, bodies = problem.solved(mode.phase)[:, None], problem.bodies(u)
+    touching, bodies = mode.phase != Phase.free, problem.bodies(u)
+    loaded = touching if problem.attached is None else problem.solved(mode.phase)
     contacts = with_dummy_contacts(problem, z, mode.phase)
     base = of_each(bodies, contact.base, *contacts, mode.side, mode.friction)
     arc = of_each(bodies, contact.arc, z[:, 2], mode.phase)
     in_frame = of_each(bodies, contact.in_base_frame, base)
-    load = jnp.where(solved, newton.load_of(in_frame, problem.axes), 0.0)
+    load = jnp.where(loaded[:, None], newton.load_of(in_frame, problem.axes), 0.0)
     wanted = problem.rest(u) + problem.displacement(load)
     pose = newton.pose_of(in_frame, 3)
-    here = problem.in_scene(u, jnp.where(solved, pose[:, : problem.axes], wanted))
+    here = problem.in_scene(u, jnp.where(loaded[:, None], pose[:, : problem.axes], wanted))
     residual = _residual(problem, z, u, mode, base, pose, wanted, here)
-    return _state(problem, z, mode, base, arc, here), residual
+    return _state(problem, z, mode, base, arc, here, loaded), residual
 
 
 def _residual(
@@ -64,26 +65,36 @@ def _residual(
         # The lean of a small force is not known to the same accuracy.
         inequalities += [(jnp.abs(leans) - problem.friction_angle) * jnp.minimum(z[:, 0], 1.0)]
     equal, excess = jnp.abs(jnp.stack(equalities)), jnp.maximum(jnp.stack(inequalities), 0.0)
-    parts = [jnp.where(problem.solved(mode.phase), equal, 0.0), jnp.where(touching, excess, 0.0)]
-    return problem.if_defined(jnp.max(jnp.concatenate(parts)), here)
+    if problem.attached is not None:
+        return problem.if_defined(jnp.maximum(jnp.max(equal), jnp.max(jnp.where(touching, excess, 0.0))), here)
+    residuals = jnp.where(touching, jnp.concatenate([equal, excess]), 0.0)
+    return problem.if_defined(jnp.max(residuals), here)
 
 
-def _state(problem: Problem, z: Contacts, mode: Mode, base: Base, arc: PerWhisker, here: ScenePose) -> State:
+def _state(
+    problem: Problem,
+    z: Contacts,
+    mode: Mode,
+    base: Base,
+    arc: PerWhisker,
+    here: ScenePose,
+    loaded: Bool[Array, " whiskers"],
+) -> State:
     touching, unit = mode.phase != Phase.free, problem.unit
 
     def if_touching(values: PerWhisker) -> PerWhisker:
         return jnp.where(touching, values, 0.0)
 
-    def if_solved(values: PerWhisker) -> PerWhisker:
-        return jnp.where(problem.solved(mode.phase), values, 0.0)
+    def if_loaded(values: PerWhisker) -> PerWhisker:
+        return jnp.where(loaded, values, 0.0)
 
     return State(
         base_x=here.x * unit.length,
         base_y=here.y * unit.length,
         base_angle=here.angle,
-        fx=if_solved(-base.force_x) * unit.force,
-        fy=if_solved(-base.force_y) * unit.force,
-        mz=if_solved(-base.bend) * unit.moment,
+        fx=if_loaded(-base.force_x) * unit.force,
+        fy=if_loaded(-base.force_y) * unit.force,
+        mz=if_loaded(-base.bend) * unit.moment,
         contact_force=if_touching(z[:, 0]) * unit.force,
         contact_slope=if_touching(jnp.arctan2(base.slope_sin, base.slope_cos)),
         contact_arc=if_touching(arc) * unit.length,
