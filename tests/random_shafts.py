@@ -1,5 +1,7 @@
 """Random scenes of a whisker with springs on its shaft, and their scans; checked by independent_shaft.py."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -46,19 +48,13 @@ def drawn(count: int, rng: np.random.Generator) -> Held:
 
 def scene_of(held: Held) -> jw.Scene:
     """The scene of one element of a batch."""
-    attached = tuple(
-        jw.Spring(
-            (0, 1),
-            held.stiffness[k],
-            held.rest_length[k],
-            axis=axis,
-            at=held.at[k],
-            anchor=(held.anchor_x[k], held.anchor_y[k]),
-        )
-        for k, axis in enumerate(held.axis)
-    )
-    support = jw.Support((*attached, jw.Spring((0, 1), held.base_stiffness, held.base_rest)))
-    return jw.Scene(jw.Whisker(), jw.Parabola(held.distance, held.a), support, detect="second_contact")
+    given: Any = held  # numbers, not arrays of many scenes
+    springs = [jw.Spring((0, 1), given.base_stiffness, given.base_rest)]
+    for k, axis in enumerate(held.axis):
+        anchor, numbers = (given.anchor_x[k], given.anchor_y[k]), (given.stiffness[k], given.rest_length[k])
+        springs.insert(k, jw.Spring((0, 1), *numbers, axis=axis, at=given.at[k], anchor=anchor))
+    profile = jw.Parabola(given.distance, given.a)
+    return jw.Scene(jw.Whisker(), profile, jw.Support(tuple(springs)), detect="second_contact")
 
 
 def scans():

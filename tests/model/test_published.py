@@ -33,8 +33,8 @@ def stiffness(support):
 def levels(support, spring_x, at):
     """Stiffness of springs along x at these heights, in the pad's frame."""
     cos = np.cos(support.mounts[0].angle)
-    rows = [c * np.outer([1.0, -h * cos], [1.0, -h * cos]) for c, h in zip(spring_x, at, strict=True)]
-    return sum(rows)
+    arms = np.stack([np.ones(len(at)), -cos * np.array(at)])
+    return (np.array(spring_x) * arms) @ arms.T
 
 
 def test_simony_has_two_springs_at_each_level_and_one_below():

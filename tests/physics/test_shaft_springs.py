@@ -174,7 +174,7 @@ def test_a_contact_that_reaches_a_spring_ends_the_scan():
         (lambda: jw.Spring((1, 2), 70.0, at=0.1), "between"),
         (lambda: axial(jnp.inf), "stiffness"),
         (lambda: jw.Spring((0, 1), compliance=0.0, at=0.1), "compliance"),
-        (lambda: jw.Spring((0, 1), 70.0, anchor=0.1), "anchor"),
+        (lambda: jw.Spring((0, 1), 70.0, anchor=0.1), "anchor"),  # pyright: ignore[reportArgumentType]
         (lambda: jw.Spring((0, 1), 70.0, one_sided="pull"), "one_sided"),
         (lambda: jw.Spring((0, 1), 70.0, axis="z"), "axis"),
         (lambda: jw.Spring((0, 1), lambda: 1.0), "stiffness"),

@@ -108,13 +108,13 @@ class Trial(NamedTuple):
     tangent_pose: Poses
     stable: Bool[Array, ""]
     sound: Bool[Array, ""]  # whether all contacts are as the equations assume
-    reason: Status | Int[Array, ""]  # the status if they are not
     here: Margins  # at the start of the step
     there: Margins  # at its end
     stance: Stance  # at its end
     side: PerWhisker  # at its end
     slips_on: PerWhisker | None = None  # rate of slip in the direction of slip; infinite for contacts that stick
     friction_angle: Scalar | None = None
+    reason: Status | Int[Array, ""] = Status.not_convex  # the status if contacts are not sound
 
 
 def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
@@ -139,6 +139,7 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
     arriving = _direction_of_parabola(state, solution, free, there)
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
+    sound, reason = _soundness(problem, convex | free, solution.point.z, state.mode.phase)
     margins_there = _margins_at(problem, state, solution.point, there, stop_u)
     # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
     touching = touches & state.target.whisker
@@ -148,13 +149,14 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         tangent,
         tangent_pose,
         is_stable(problem, state.mode, newton.condensed, None if problem.attached is None else touching),
-        *_soundness(problem, convex | free, solution.point.z, state.mode.phase),
+        sound,
         here=_margins_at(problem, state, state.point, here, stop_u),
         there=margins_there,
         stance=there,
         side=problem.updated_side(free, state.mode.side, there),
         slips_on=slips_on(problem, state.mode, solution.point.z, tangent.z),
         friction_angle=problem.friction_angle,
+        reason=reason,
     )
 
 
