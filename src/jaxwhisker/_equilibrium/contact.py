@@ -47,6 +47,7 @@ class Body(NamedTuple):
     frame: Frame | None = None  # of the base's mount on the drive; None if bases stay upright and move along x only
     frame_rate: Frame | None = None  # derivative of the frame with respect to the control
     friction_angle: Float[Array, "*batch"] | None = None  # None without friction
+    piece: Int[Array, "*batch"] | None = None  # of the profile at the contact; None without edges
 
 
 class Base(NamedTuple):
@@ -133,7 +134,7 @@ def base(
 ) -> Base:
     """Pose of the base and load on it for the contact z; the rod method `rates` computes the derivatives."""
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
-    at = body.profile.point(parameter(body.profile, z, phase, side, friction))
+    at = body.profile.point_on(body.piece, parameter(body.profile, z, phase, side, friction))
     leans = lean(z[1], friction, body.friction_angle)
     if leans is not None:
         angle = angle + side * leans

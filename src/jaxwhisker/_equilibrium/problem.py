@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import safe_placeholder
@@ -138,10 +138,10 @@ class Problem(eqx.Module):
     def if_defined(self, residual: Scalar, pose: ScenePose) -> Scalar:
         """The residual, or infinity if the motion of the drive is not defined here (its pose is not finite)."""
 
-    def bodies(self, u: Scalar) -> Body:
-        """All whiskers, stacked, at a control."""
+    def bodies(self, u: Scalar, piece: Int[Array, " whiskers"] | None = None) -> Body:
+        """All whiskers, stacked, at a control; `piece` is that of the profile at each contact."""
         angle = None if self.friction_angle is None else jnp.full_like(self.length, self.friction_angle)
-        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle)
+        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle, piece)
 
     def numbers(self) -> "Problem":
         """The numbers that equilibria depend on, and None for everything else."""

@@ -26,7 +26,7 @@ Bases = tuple[Float[Array, "steps whiskers"], Float[Array, "steps whiskers"], Fl
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
     """State of an equilibrium in the scene's units, and its largest residual."""
-    touching, bodies = mode.phase != Phase.free, problem.bodies(u)
+    touching, bodies = mode.phase != Phase.free, problem.bodies(u, mode.piece)
     contacts = with_dummy_contacts(problem, z, mode.phase)
     base = of_each(bodies, contact.base, *contacts, mode.side, mode.friction)
     arc = of_each(bodies, contact.arc, z[:, 2], mode.phase)
