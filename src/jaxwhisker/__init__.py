@@ -11,8 +11,10 @@ from jaxwhisker._inverse.points import PointStatus, Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour
+from jaxwhisker._model.cut import Cut
 from jaxwhisker._model.loads import PointForce, PointMoment
 from jaxwhisker._model.motion import AbstractMotion, Motion, Rotation, Translation
+from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.profiles import Circle, Ellipse, Graph, Parabola, Tilted
 from jaxwhisker._model.scene import Scene, Sensor
@@ -38,10 +40,12 @@ __all__ = [
     "AbstractMotion",
     "AbstractProfile",
     "AbstractRod",
+    "Box",
     "Circle",
     "ClosedForm",
     "Contour",
     "ContourFit",
+    "Cut",
     "Deflection",
     "Ellipse",
     "EnergyBalance",
@@ -59,6 +63,7 @@ __all__ = [
     "PointForce",
     "PointMoment",
     "PointStatus",
+    "Polygon",
     "ProfileFit",
     "Reconstruction",
     "Result",

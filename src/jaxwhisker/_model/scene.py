@@ -77,9 +77,14 @@ class Scene(eqx.Module):
     detect: str | tuple[str, ...] | None = eqx.field(static=True, default=None, converter=_as_names)
 
     def __check_init__(self):
-        allowed = "a Parabola, Circle, Ellipse, Graph, Contour or Tilted"
+        allowed = "a Parabola, Circle, Ellipse, Graph, Contour, Polygon, Box, Cut or Tilted"
         checks.instance("profile", self.profile, AbstractProfile, allowed)
         _check_sensor(self.whisker, self.support, self.motion, self.friction)
+        if self.friction is not None and self.profile.has_edges:
+            raise ValueError(
+                "`friction` must be None for an object with edges: how a contact slips over an edge is not modelled, got "
+                f"friction {as_text(self.friction)} and {self.profile}."
+            )
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):
             checks.fail("rod", "Shooting() for whiskers that are curved or not uniform", "ClosedForm()")

@@ -12,12 +12,14 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import Solution, slip_by_contact, slope_sines
+from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import (
     AT_STOP,
+    LOW,
     MARGIN_NOISE,
     TOUCH,
     Margins,
@@ -49,7 +51,10 @@ class Target(NamedTuple):
     contact: Contacts  # first contacts of whiskers that may touch
     phase: Int[Array, " whiskers"]
     side: PerWhisker
-    lean: PerWhisker | None = None  # at which sticking contacts begin to slip; None without friction
+    # The lean at which sticking contacts begin to slip, or the parameter at which contacts leave their piece; None
+    # without friction and edges.
+    lean: PerWhisker | None = None
+    piece: Int[Array, " whiskers"] | None = None  # of first contacts, and onto which contacts pass; None without edges
 
 
 class Lead(NamedTuple):
@@ -112,6 +117,7 @@ class Trial(NamedTuple):
     side: PerWhisker  # at its end
     slips_on: PerWhisker | None = None  # rate of slip in the direction of slip; infinite for contacts that stick
     friction_angle: Scalar | None = None
+    ends: tuple[PerWhisker, PerWhisker] | None = None  # of the pieces before; None without edges
 
 
 def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop_u: Scalar) -> Trial:
@@ -143,6 +149,7 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         side=problem.updated_side(free, state.mode.side, there),
         slips_on=slips_on(problem, state.mode, solution.point.z, tangent.z),
         friction_angle=problem.friction_angle,
+        ends=None if state.mode.piece is None else ends_of(problem.profile, state.mode.piece),
     )
 
 
@@ -170,7 +177,8 @@ def _direction_of_parabola(
 
 def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
     ahead = state.before_vertex * slope_sines(problem, point.z, state.mode)
-    return margins(state.mode, point, at, ahead, state.direction * (stop_u - point.u), problem.friction_angle)
+    remaining = state.direction * (stop_u - point.u)
+    return margins(state.mode, point, at, ahead, remaining, problem.friction_angle, problem.profile)
 
 
 def _flat(margins: Margins) -> Float[Array, " margins"]:
@@ -186,20 +194,25 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
     share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
     share = jnp.where(violated, share, jnp.inf)
     first = jnp.argmin(share)
-    contact, phase, side = snap_flow.touching(trial.stance, state.mode.side)
+    contact, phase, side, piece = snap_flow.touching(trial.stance, state.mode.side)
     kinds = np.repeat(np.arange(len(trial.here)), [margin.size for margin in trial.here])
     whiskers = np.concatenate([np.eye(n, dtype=bool)[: m.size] & (k != AT_STOP) for k, m in enumerate(trial.here)])
     lean = None
     if trial.friction_angle is not None:
         lean = jnp.sign(trial.solution.point.z[:, 1]) * trial.friction_angle
+    kind, whisker = jnp.asarray(kinds)[first], jnp.asarray(whiskers)[first]
+    if trial.ends is not None and state.mode.piece is not None:
+        lean = jnp.where(kind == LOW, *trial.ends)
+        piece = jnp.where(kind == TOUCH, piece, state.mode.piece + jnp.where(kind == LOW, -1, 1))
     return jnp.any(violated), Target(
-        jnp.asarray(kinds)[first],
-        jnp.asarray(whiskers)[first],
+        kind,
+        whisker,
         jnp.min(share) * distance,
         contact,
         phase,
         side,
         lean,
+        piece,
     )
 
 

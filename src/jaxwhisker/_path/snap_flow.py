@@ -31,6 +31,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase, parameter
 from jaxwhisker._equilibrium.friction import newly_slipping
 from jaxwhisker._equilibrium.newton import Condensed, Solution, slip_by_contact, with_slips
+from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
@@ -205,6 +206,9 @@ def advance(
         directions = _slips(problem, mode, previous, z)
         turned |= (directions != friction.slip) & ~free
         stuck, friction = with_slips(problem, z, mode, directions)
+    piece = after_step(problem.profile, mode.piece, z[:, 1], free)
+    if piece is not None:
+        turned |= piece != mode.piece
     by_x = newton.condensed.by_x
     at = problem.stance(u, pose)
     slip = _slip(problem, flow, mode, z, u, pose, at, newton.condensed)
@@ -214,8 +218,10 @@ def advance(
     side = jnp.where(slip.freed, at.side, jnp.where(slip.lands, -mode.side, mode.side))
     z, phase = jnp.where(slip.freed[:, None], 0.0, z), jnp.where(slip.freed, Phase.free, phase)
     fresh = slip.begins | slip.lands
-    touched, touched_phase, touched_side = touching(at, side)
+    touched, touched_phase, touched_side, touched_piece = touching(at, side)
     z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, touched_phase, phase)
+    if piece is not None:
+        piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
     landing_x = jnp.where(slip.slides, pose[:, 0], flow.landing_x)
     first = at.first(side)
     pose = pose + jnp.where(fresh[:, None], problem.shift(u, first.x - at.x), 0.0)
@@ -244,7 +250,7 @@ def advance(
         step=jnp.minimum(2 * flow.step, LARGEST_CHANGE),
         time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
     )
-    return flow, Mode(phase, side, jnp.asarray(False), friction=friction), z
+    return flow, Mode(phase, side, jnp.asarray(False), friction=friction, piece=piece), z
 
 
 def _slips(problem: Problem, mode: Mode, previous: Contacts, z: Contacts) -> Int[Array, " whiskers"]:
@@ -286,11 +292,13 @@ def at_rest(problem: Problem, flow: Flow, mode: Mode, u: Scalar) -> Bool[Array, 
     return settled & own & network_is_stable(problem, slope)
 
 
-def touching(at: Stance, side: PerWhisker) -> tuple[Contacts, Int[Array, " whiskers"], PerWhisker]:
-    """Contacts, phases and sides of whiskers at their first touch from a side."""
+def touching(
+    at: Stance, side: PerWhisker
+) -> tuple[Contacts, Int[Array, " whiskers"], PerWhisker, Int[Array, " whiskers"] | None]:
+    """Contacts, phases, sides and pieces of whiskers at their first touch from a side."""
     first = at.first(side)
     z = jnp.stack([jnp.zeros_like(first.slack), first.parameter, first.slack], axis=-1)
-    return z, jnp.where(first.slack > 0, Phase.tangential, Phase.tip), first.side
+    return z, jnp.where(first.slack > 0, Phase.tangential, Phase.tip), first.side, first.piece
 
 
 def _nonzero(x: PerWhisker) -> PerWhisker:

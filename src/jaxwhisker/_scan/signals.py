@@ -14,6 +14,7 @@ from jaxwhisker._equilibrium.contact import Base, Phase, of_each
 from jaxwhisker._equilibrium.friction import lean, slipping_from
 from jaxwhisker._equilibrium.implicit import Sides, Turning, event_control, event_points
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
+from jaxwhisker._equilibrium.pieces import break_between
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
 from jaxwhisker._model.scene import Scene, moves_along_x
@@ -125,6 +126,8 @@ def _event_row(problem: Problem, node: Node) -> Row:
     kind, slips, limit = node.kind, None, None
     if problem.friction_angle is not None:
         slips, limit = kind == EventKind.slip, jnp.sign(node.z_before[:, 1]) * problem.friction_angle
+    if node.piece is not None and node.piece_before is not None:
+        slips, limit = kind == EventKind.edge, break_between(problem.profile, node.piece_before, node.piece)
     return at_event(
         node.whiskers,
         node.z_before,
