@@ -19,6 +19,7 @@ from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import (
     AT_STOP,
+    HIGH,
     LOW,
     MARGIN_NOISE,
     TOUCH,
@@ -202,7 +203,9 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
         lean = jnp.sign(trial.solution.point.z[:, 1]) * trial.friction_angle
     kind, whisker = jnp.asarray(kinds)[first], jnp.asarray(whiskers)[first]
     if trial.ends is not None and state.mode.piece is not None:
-        lean = jnp.where(kind == LOW, *trial.ends)
+        low, high = trial.ends
+        # The outer ends are infinite.
+        lean = jnp.where(whisker & (kind == LOW), low, jnp.where(whisker & (kind == HIGH), high, 0.0))
         piece = jnp.where(kind == TOUCH, piece, state.mode.piece + jnp.where(kind == LOW, -1, 1))
     return jnp.any(violated), Target(
         kind,
