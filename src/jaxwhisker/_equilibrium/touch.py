@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.pieces import ends_of
+from jaxwhisker._equilibrium.pieces import ends_of, first_corner
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch, bisect
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
@@ -17,7 +17,7 @@ POINTS = 65  # along a whisker that is not upright and straight, at which the fi
 SAME_HEIGHT = 1e-6  # dimensionless tolerance for whisker and object at the same height, and for equal distances
 HALVINGS = 20  # of two cells around the point of the whisker that touches first: to within 1e-8 of the length
 NEWTON_STEPS = 8
-SAME_PLACE = 1e-12  # dimensionless: points of a whisker this close to the first touch lie on the same face
+SAME_PLACE = 1e-9  # dimensionless: points of a whisker this close to the first touch touch at the same time
 
 
 class Touch(NamedTuple):
@@ -67,11 +67,6 @@ def first_touch_upright(profile: AbstractProfile, length: Scalar, side: Scalar) 
     return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), reaches, touch.piece)
 
 
-def _between(one: Int[Array, ""], other: Int[Array, ""]) -> Int[Array, ""]:
-    """The edge between two different pieces next to each other or to the same edge; or the one piece."""
-    return jnp.where(one == other, one, 2 * ((one + other + 1) // 4))
-
-
 class _Approach(NamedTuple):
     """Points of a whisker with its base at x = 0, and where each would touch in an approach along x."""
 
@@ -86,7 +81,7 @@ class _Approach(NamedTuple):
 def _approach(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> _Approach:
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     x, y = own.x * cos - own.y * sin, y + own.x * sin + own.y * cos
-    touch = jax.vmap(lambda height: profile.first_touch(height, side))(y)
+    touch = jax.vmap(lambda height: profile.beside(height, side))(y)
     meets = (y > profile.vertex()[1]) & (jnp.abs(touch.y - y) < SAME_HEIGHT)
     ahead = jnp.where(meets, side * (touch.x - x), -jnp.inf)
     return _Approach(x, y, own.cos * cos - own.sin * sin, own.sin * cos + own.cos * sin, touch, ahead)
@@ -115,9 +110,6 @@ def first_touch(
     profile, length, own, y, angle = jax.lax.stop_gradient((profile, length, own, y, angle))
     xs, ys, coses, sines, touch, ahead = _approach(profile, own, y, angle, side)
     k, reaches = jnp.argmax(ahead), jnp.any(jnp.isfinite(ahead))
-    if profile.has_edges:
-        # A straight shaft may lie flat on a face; it touches first where the face begins.
-        k = jnp.argmax(ahead > jnp.max(ahead) - SAME_PLACE)
     at = profile.point(touch.parameter[k])
     # The whisker bends away from the direction in which its base moves across it.
     across = side * (at.sin * jnp.cos(angle) - at.cos * jnp.sin(angle))
@@ -149,7 +141,7 @@ def first_touch(
     def touched(cell):
         """The object's point at the height of a point of the whisker, and whether it lies before the first touch."""
         (_, height), (cos, sin) = whisker(cell)
-        there = profile.first_touch(height, side)
+        there = profile.beside(height, side)
         at = profile.point(there.parameter)
         meets = (height > profile.vertex()[1]) & (jnp.abs(there.y - height) < SAME_HEIGHT)
         return there, jnp.where(meets, sin * at.cos > cos * at.sin, cell < k)
@@ -160,10 +152,11 @@ def first_touch(
     cell = bisect(lambda cell: touched(cell)[1], low, high, steps=HALVINGS)
     point = jnp.stack([touch.parameter[k], k * 1.0])
     starts = jnp.stack([jnp.stack([touched(cell)[0].parameter, cell]), point.at[1].min(POINTS - 1.5)])
-    pieces = None
+    pieces = corner = None
     if touch.piece is not None:
-        after = touched(cell + 2 * (high - low) / 2**HALVINGS)[0]
-        pieces = jnp.stack([_between(touched(cell)[0].piece, after.piece), touch.piece[k]])
+        corner = first_corner(profile, whisker, ys, side)
+        starts = jnp.concatenate([starts, jnp.stack([corner.parameter, corner.cell])[None]])
+        pieces = jnp.stack([touched(cell)[0].piece, touch.piece[k], corner.piece])
 
     def solved(start, piece):
         unknowns = jax.lax.fori_loop(0, NEWTON_STEPS, lambda _, at: newton(piece, at), start)
@@ -178,6 +171,13 @@ def first_touch(
 
     each, found = jax.vmap(solved)(starts, pieces)
     parameter, cell = jnp.where(found[0], each[0], jnp.where(found[1], each[1], point))
+    piece = None
+    if corner is not None and pieces is not None:
+        # A straight shaft that lies flat on a face first touches the corner where the face begins.
+        at_corner = jnp.isfinite(corner.ahead) & (corner.ahead > ahead[k] - SAME_PLACE)
+        parameter, cell = jnp.where(at_corner, each[2], jnp.stack([parameter, cell]))
+        piece = jnp.where(at_corner, pieces[2], jnp.where(~tip & found[0], pieces[0], pieces[1]))
+        tip, reaches = tip & ~at_corner, reaches | at_corner
     at = profile.point(parameter)
     (shaft_x, _), (cos, sin) = whisker(cell)
     along = jnp.where(cos * at.cos + sin * at.sin < 0, -1.0, 1.0)
@@ -188,7 +188,7 @@ def first_touch(
             jnp.where(tip, -tip_angle, length * (1 - cell / (POINTS - 1))),
             jnp.where(tip, bends_to, along),
             reaches,
-            None if pieces is None else jnp.where(~tip & found[0], pieces[0], pieces[1]),
+            piece,
         )
     )
 

@@ -54,6 +54,9 @@ class _AbstractPolygon(AbstractProfile):
     def first_touch(self, height, side):
         return self.chain().first_touch(height, side)
 
+    def beside(self, height, side):
+        return self.chain().beside(height, side)
+
     def vertex(self):
         return self.chain().vertex()
 
@@ -201,6 +204,20 @@ class Chain(AbstractProfile):
         ])  # fmt: skip
         piece = jnp.where(k < n, 2 * k, 2 * (k - n) + 1)
         return FirstTouch(parameters[k], at[k], heights[k], piece)
+
+    def beside(self, height, side):
+        here, there = self.xy, jnp.roll(self.xy, -1, axis=0)
+        (x, y), (across, rise) = here.T, (there - here).T
+        share = (height - y) / jnp.where(rise == 0, 1.0, rise)
+        crosses = (share >= 0) & (share <= 1) & (rise != 0)
+        at = x + share * across
+        k = jnp.argmax(jnp.where(crosses, side * at, -jnp.inf))
+        # The top is no piece: it counts as an end of its corners.
+        is_face, (first, last) = k < x.size - 1, self.ends()
+        on_face = self.start[jnp.minimum(2 * k + 1, self.start.size - 1)] + share[k] * jnp.hypot(across[k], rise[k])
+        parameter = jnp.where(is_face, on_face, jnp.where(side > 0, last, first))
+        piece = jnp.where(is_face, 2 * k + 1, jnp.where(side > 0, 2 * x.size - 2, 0))
+        return FirstTouch(parameter, at[k], jnp.where(crosses[k], height, jnp.min(y)), piece)
 
     def vertex(self):
         x, y = self.xy[jnp.argmin(self.xy[:, 1])]
