@@ -57,7 +57,7 @@ class Scene(eqx.Module):
         friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
         detect: contacts that are not modelled, at which a scan ends with the status of this name: "second_contact" (a
             whisker meets the object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
-            tuple of these; () detects nothing. Default: "second_contact" with friction, otherwise nothing.
+            tuple of these; () detects nothing. Default: "second_contact" with friction or edges, otherwise nothing.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
@@ -101,8 +101,8 @@ class Scene(eqx.Module):
     @property
     def detects(self) -> tuple[str, ...]:
         """The contacts that are not modelled, at which a scan ends."""
-        # A whisker that sticks to the object may be wound around it.
-        default = () if self.friction is None else ("second_contact",)
+        # A whisker that sticks to the object may be wound around it, and a curved one may touch two corners.
+        default = () if self.friction is None and not self.profile.has_edges else ("second_contact",)
         return default if self.detect is None else tuple(self.detect)
 
     def __str__(self) -> str:

@@ -101,6 +101,7 @@ class MarchState(NamedTuple):
 
 
 SHORTEST_CHORD = 1e-6  # shortest chord that determines a direction; for a shorter one the path keeps its direction
+LEVEL = 1e-10  # slope of a face that is level but for rounding: the contact passes the vertex where it leaves this face
 DIP_POINTS = 7  # points within a step at which margins are interpolated
 
 
@@ -178,6 +179,8 @@ def _direction_of_parabola(
 
 def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
     ahead = state.before_vertex * slope_sines(problem, point.z, state.mode)
+    if state.mode.piece is not None:
+        ahead += LEVEL
     remaining = state.direction * (stop_u - point.u)
     return margins(state.mode, point, at, ahead, remaining, problem.friction_angle, problem.profile)
 
