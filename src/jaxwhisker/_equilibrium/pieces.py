@@ -34,11 +34,9 @@ def break_between(profile: AbstractProfile, before: Pieces, after: Pieces) -> Fl
 
 
 def after_step(
-    profile: AbstractProfile, piece: Pieces | None, parameter: Float[Array, " whiskers"], free: Bool[Array, " whiskers"]
-) -> Pieces | None:
+    profile: AbstractProfile, piece: Pieces, parameter: Float[Array, " whiskers"], free: Bool[Array, " whiskers"]
+) -> Pieces:
     """The pieces after contacts have moved to these parameters, perhaps past an end of their piece."""
-    if piece is None:
-        return None
     low, high = ends_of(profile, piece)
     # Exactly at a break, a contact stays on its piece.
     left = (parameter < low - ON_PIECE) | (parameter > high + ON_PIECE)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
@@ -161,7 +162,7 @@ def margins(
     force, lean, slack = point.z.T
     first = at.first(mode.side)
     far = jnp.inf
-    low = high = jnp.zeros(0)
+    low = high = np.zeros(0)
     if mode.piece is not None and profile is not None:
         start, end = ends_of(profile, mode.piece)
         low, high = (jnp.where(free, far, margin) for margin in (lean - start, end - lean))
@@ -180,7 +181,7 @@ def margins(
 def margin_rates(problem: Problem, mode: Mode, point: Point, direction: Point, pose_rate: Poses) -> Margins:
     """Derivatives of the margins along the path; zero for vertex and stop, which are passed only once."""
     free, lean = mode.phase == Phase.free, point.z[:, 1]
-    moves = jnp.zeros(0) if mode.piece is None else jnp.where(free, 0.0, direction.z[:, 1])
+    moves = np.zeros(0) if mode.piece is None else jnp.where(free, 0.0, direction.z[:, 1])
     return Margins(
         touch=jnp.where(free, problem.touch_rate(mode.side, pose_rate), 0.0),
         release=jnp.where(free, 0.0, direction.z[:, 0]),

@@ -206,8 +206,9 @@ def advance(
         directions = _slips(problem, mode, previous, z)
         turned |= (directions != friction.slip) & ~free
         stuck, friction = with_slips(problem, z, mode, directions)
-    piece = after_step(problem.profile, mode.piece, z[:, 1], free)
+    piece = mode.piece
     if piece is not None:
+        piece = after_step(problem.profile, piece, z[:, 1], free)
         turned |= piece != mode.piece
     by_x = newton.condensed.by_x
     at = problem.stance(u, pose)
