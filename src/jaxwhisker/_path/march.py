@@ -52,7 +52,7 @@ CHUNK = 16  # iterations between two checks of whether the whole batch is done
 def _target_row(state: MarchState, stop_u: Scalar) -> Row:
     kind, lean = state.target.kind, None
     if state.target.lean is not None:
-        lean = (kind == SLIP) | (kind == LOW) | (kind == HIGH)
+        lean = kind == SLIP if state.target.piece is None else (kind == LOW) | (kind == HIGH)
     return at_event(
         state.target.whisker,
         state.point.z,
