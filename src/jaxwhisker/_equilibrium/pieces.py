@@ -34,13 +34,13 @@ def break_between(profile: AbstractProfile, before: Pieces, after: Pieces) -> Fl
 
 
 def after_step(
-    profile: AbstractProfile, piece: Pieces, parameter: Float[Array, " whiskers"], free: Bool[Array, " whiskers"]
+    profile: AbstractProfile, piece: Pieces, parameter: Float[Array, " whiskers"], moved: Bool[Array, " whiskers"]
 ) -> Pieces:
-    """The pieces after contacts have moved to these parameters, perhaps past an end of their piece."""
+    """The pieces after some contacts have moved to these parameters, perhaps past an end of their piece."""
     low, high = ends_of(profile, piece)
     # Exactly at a break, a contact stays on its piece.
     left = (parameter < low - ON_PIECE) | (parameter > high + ON_PIECE)
-    return jnp.where(left & ~free, jax.vmap(profile.piece_at)(parameter), piece)
+    return jnp.where(left & moved, jax.vmap(profile.piece_at)(parameter), piece)
 
 
 def where_touching(piece: Pieces | None, touches: Bool[Array, "*batch"]) -> Pieces | None:

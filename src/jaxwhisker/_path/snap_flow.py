@@ -208,7 +208,8 @@ def advance(
         stuck, friction = with_slips(problem, z, mode, directions)
     piece = mode.piece
     if piece is not None:
-        piece = after_step(problem.profile, piece, z[:, 1], free)
+        # The first point on a new piece is solved for from beyond its end, and may lie there.
+        piece = after_step(problem.profile, piece, z[:, 1], ~free & _branch_known(flow))
         turned |= piece != mode.piece
     by_x = newton.condensed.by_x
     at = problem.stance(u, pose)
