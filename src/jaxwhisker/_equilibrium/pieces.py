@@ -15,6 +15,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile
 
 Pieces = Int[Array, " whiskers"]
+Contacts = Float[Array, "whiskers 3"]
 ON_PIECE = 1e-12  # distance of a parameter from its piece that is no more than rounding
 IN_CONE = 1e-9  # rad: a shaft this close to the tangents at a corner touches it
 CELL_STEPS = 3  # of Newton's method for the height of a corner, from linear interpolation
@@ -34,13 +35,18 @@ def break_between(profile: AbstractProfile, before: Pieces, after: Pieces) -> Fl
 
 
 def after_step(
-    profile: AbstractProfile, piece: Pieces, parameter: Float[Array, " whiskers"], moved: Bool[Array, " whiskers"]
-) -> Pieces:
-    """The pieces after some contacts have moved to these parameters, perhaps past an end of their piece."""
+    profile: AbstractProfile, piece: Pieces, previous: Contacts, z: Contacts, moved: Bool[Array, " whiskers"]
+) -> tuple[Pieces, Contacts]:
+    """The pieces and contacts after a step; contacts that have moved past an end of their piece stop there."""
     low, high = ends_of(profile, piece)
+    p, before = z[:, 1], previous[:, 1]
     # Exactly at a break, a contact stays on its piece.
-    left = (parameter < low - ON_PIECE) | (parameter > high + ON_PIECE)
-    return jnp.where(left & moved, jax.vmap(profile.piece_at)(parameter), piece)
+    below, above = moved & (p < low - ON_PIECE), moved & (p > high + ON_PIECE)
+    end, passes = jnp.where(below, low, high), below | above
+    way = jnp.where(passes & (p != before), p - before, 1.0)
+    share = jnp.where(passes, jnp.clip((end - before) / way, 0.0, 1.0), 1.0)
+    z = previous + share[:, None] * (z - previous)
+    return piece + above - below, z.at[:, 1].set(jnp.where(passes, end, z[:, 1]))
 
 
 def where_touching(piece: Pieces | None, touches: Bool[Array, "*batch"]) -> Pieces | None:

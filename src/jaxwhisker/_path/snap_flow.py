@@ -200,16 +200,17 @@ def advance(
     newton, z, u = solution.newton, solution.point.z, solution.point.u
     free = mode.phase == Phase.free
     pose = jnp.where(free[:, None], flow.pose, newton.pose)
+    piece = mode.piece
+    if piece is not None:
+        # The first point on a new piece is solved for from its end, and may lie a little beyond it.
+        piece, z = after_step(problem.profile, piece, previous, z, ~free & _branch_known(flow))
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
     friction, turned = mode.friction, (phase != mode.phase) & ~free
     if friction is not None:
         directions = _slips(problem, mode, previous, z)
         turned |= (directions != friction.slip) & ~free
         stuck, friction = with_slips(problem, z, mode, directions)
-    piece = mode.piece
     if piece is not None:
-        # The first point on a new piece is solved for from beyond its end, and may lie there.
-        piece = after_step(problem.profile, piece, z[:, 1], ~free & _branch_known(flow))
         turned |= piece != mode.piece
     by_x = newton.condensed.by_x
     at = problem.stance(u, pose)
