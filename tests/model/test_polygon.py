@@ -8,10 +8,12 @@ import pytest
 import jaxwhisker as jw
 
 EXACT = 1e-12
+UNCUT = 1e6  # the breaks of a side that is not cut are further away
 WEDGE = [(-0.4, 0.6), (0.1, 0.2), (0.5, 0.6)]
 PROFILES = [
     *(jw.Polygon(WEDGE), jw.Box(0.3, 0.8, 0.5, 0.1), jw.Polygon([(-0.5, 0.4), (0.5, 0.3)])),
-    *(jw.Cut(jw.Parabola(0.2), -0.3, 0.5), jw.Cut(jw.Circle(0.2, 0.5), right=0.3), jw.Tilted(jw.Box(0.3, 0.8, 0.5), 0.3)),
+    *(jw.Cut(jw.Parabola(0.2), -0.3, 0.5), jw.Cut(jw.Circle(0.2, 0.5), right=0.3)),
+    jw.Tilted(jw.Box(0.3, 0.8, 0.5), 0.3),
 ]
 
 
@@ -20,9 +22,9 @@ def test_point_and_slope_are_continuous_from_piece_to_piece(profile):
     profile = profile.in_unit(1.0)
     breaks = np.asarray(profile.breaks())
     assert np.all(np.diff(breaks) > 0)
-    for k, p in enumerate(breaks[np.abs(breaks) < 100]):
-        k = int(np.flatnonzero(breaks == p)[0])
-        before, after = (profile.point_on(jnp.asarray(piece), p) for piece in (k, k + 1))
+    for k in np.flatnonzero(np.abs(breaks) < UNCUT):
+        p = breaks[k]
+        before, after = (profile.point_on(jnp.asarray(piece), p) for piece in (int(k), int(k) + 1))
         np.testing.assert_allclose(before, after, atol=EXACT)
 
 
@@ -31,6 +33,8 @@ def test_arcs_move_along_the_slope_and_edges_turn(profile):
     profile = profile.in_unit(1.0)
     breaks = np.asarray(profile.breaks())
     for piece in range(breaks.size + 1):
+        if piece == 0 and breaks[0] < -UNCUT:
+            continue
         low, high = (breaks[max(piece - 1, 0)], breaks[min(piece, breaks.size - 1)])
         p = jnp.asarray((max(low, -1.0) + min(high, 8.0)) / 2 if piece else low - 0.1)
         at = profile.point_on(jnp.asarray(piece), p)

@@ -16,7 +16,7 @@ CLOSED = 1e-9  # geometry of contacts, balance of forces
 SAME = 1e-9  # two computations of the same state
 MODES = 1e-9  # forward against reverse mode, relative to the sum of sizes
 DIFFERENCE, DIFFERENCES = 1e-6, 1e-6  # step and error of central differences
-ROUNDED = 3.0  # error of a blade with a rounded tip, in its radius, where neither is near its snap-off
+ROUNDED = 1.2 * 3 / 0.2**2  # error of a rounded blade's moment per radius: the whisker below it is a cantilever
 
 CONTROL = np.linspace(0.5, -1.4, 96)
 RIGID = jw.Support.fb(np.inf, 0.0)
@@ -125,7 +125,7 @@ def test_edge_events_lie_at_corners_with_the_slope_of_a_face():
     edges = scanned("five").events.of(jw.EventKind.edge)
     assert len(edges) >= 4
     at = np.array([(e.before.contact_x[0], e.before.contact_y[0], e.before.contact_slope[0]) for e in edges])
-    corner, off, _ = corner_of(FIVE, at[:, 0], at[:, 1])
+    corner, _, _ = corner_of(FIVE, at[:, 0], at[:, 1])
     slopes = np.arctan2(*np.diff(FIVE, axis=0).T[::-1])
     assert np.all(corner >= 0)
     np.testing.assert_allclose(np.abs(at[:, 2, None] - slopes).min(axis=1), 0, atol=CLOSED)
@@ -182,12 +182,14 @@ def test_a_fine_polygon_converges_to_its_circle():
 
 
 def test_the_mirror_image_is_scanned_from_the_other_side():
-    there = scanned("five")
+    support = jw.Support.fb(70.0, 0.0)
+    there = jw.scan(scene(jw.Polygon(FIVE), support), CONTROL)
     mirrored = FIVE[::-1] * np.array([-1.0, 1.0])
-    back = jw.scan(scene(jw.Polygon(mirrored), motion=jw.Translation(direction=1)), -CONTROL)
+    back = jw.scan(scene(jw.Polygon(mirrored), support, motion=jw.Translation(direction=1)), -CONTROL)
     assert all_ok(there) and all_ok(back)
     for name, sign in {"fx": -1, "fy": 1, "mz": -1, "contact_slope": -1, "contact_arc": 1}.items():
         np.testing.assert_allclose(sign * np.asarray(getattr(back, name)), getattr(there, name), atol=EXACT)
+    assert len(event_list(there)) > 5
     assert [e[:2] for e in event_list(there)] == [e[:2] for e in event_list(back)]
     np.testing.assert_allclose([e[2] for e in event_list(there)], [-e[2] for e in event_list(back)], atol=EXACT)
 
@@ -320,7 +322,7 @@ def test_derivatives_by_the_ends_of_a_cut():
         result = jw.scan(scene(cut), CONTROL)
         return jnp.append(result.mz[:, 0], result.events.control[1])
 
-    right = jnp.asarray(0.3)
+    right = jnp.asarray(0.305)  # no step lies at the touch
     _, along, _ = in_both_modes(moment, jnp.asarray(1.0))(right, jnp.ones(CONTROL.size + 1))
     difference = (moment(right + DIFFERENCE) - moment(right - DIFFERENCE)) / (2 * DIFFERENCE)
     assert np.abs(along).max() > 0.1
@@ -328,7 +330,7 @@ def test_derivatives_by_the_ends_of_a_cut():
 
 
 def test_friction_is_not_modelled():
-    with pytest.raises(ValueError, match="`friction` must be None for an object with edges.*got friction 0.3 and box"):
+    with pytest.raises(ValueError, match=r"`friction` must be None for an object with edges.*got friction 0.3 and box"):
         scene(LOW, friction=0.3)
     with pytest.raises(ValueError, match="`friction` must be None"):
         jw.Sensor(jw.Whisker(), friction=0.3).before(LOW)

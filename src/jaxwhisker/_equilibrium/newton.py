@@ -60,7 +60,9 @@ def linearise_all(
 
 def evaluate(problem: Problem, point: Point, mode: Mode) -> BaseEquations:
     """Values of every whisker's equations; free whiskers must have dummy contacts."""
-    return of_each(problem.bodies(point.u, mode.piece), contact.equations, point.z, mode.phase, mode.side, mode.friction)
+    return of_each(
+        problem.bodies(point.u, mode.piece), contact.equations, point.z, mode.phase, mode.side, mode.friction
+    )
 
 
 def slope_sines(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:

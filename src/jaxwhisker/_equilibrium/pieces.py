@@ -21,7 +21,9 @@ IN_CONE = 1e-9  # rad: a shaft this close to the tangents at a corner touches it
 CELL_STEPS = 3  # of Newton's method for the height of a corner, from linear interpolation
 
 
-def ends_of(profile: AbstractProfile, piece: Pieces) -> tuple[Float[Array, " whiskers"], Float[Array, " whiskers"]]:
+def ends_of(
+    profile: AbstractProfile, piece: Int[Array, "*batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Parameters at which these pieces begin and end; infinite for the outer ends of the first and the last piece."""
     far = jnp.full(1, jnp.inf)
     breaks = jnp.concatenate([-far, profile.breaks(), far])
@@ -49,7 +51,7 @@ def after_step(
     return piece + above - below, z.at[:, 1].set(jnp.where(passes, end, z[:, 1]))
 
 
-def where_touching(piece: Pieces | None, touches: Bool[Array, "*batch"]) -> Pieces | None:
+def where_touching(piece: Int[Array, "*batch"] | None, touches: Bool[Array, "*batch"]) -> Int[Array, "*batch"] | None:
     """The pieces of contacts; free whiskers have the first piece, on which any parameter yields a finite point."""
     return None if piece is None else jnp.where(touches, piece, 0)
 
@@ -63,7 +65,9 @@ class CornerTouch(NamedTuple):
     piece: Int[Array, ""]
 
 
-def first_corner(profile: AbstractProfile, whisker: Callable, heights: Float[Array, " points"], side: Scalar):
+def first_corner(
+    profile: AbstractProfile, whisker: Callable, heights: Float[Array, " points"], side: Scalar
+) -> CornerTouch:
     """The first touch of a whisker's shaft with a corner.
 
     Args:

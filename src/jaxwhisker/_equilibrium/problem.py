@@ -141,7 +141,9 @@ class Problem(eqx.Module):
     def bodies(self, u: Scalar, piece: Int[Array, " whiskers"] | None = None) -> Body:
         """All whiskers, stacked, at a control; `piece` is that of the profile at each contact."""
         angle = None if self.friction_angle is None else jnp.full_like(self.length, self.friction_angle)
-        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle, piece)
+        return Body(
+            self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle, piece
+        )
 
     def numbers(self) -> "Problem":
         """The numbers that equilibria depend on, and None for everything else."""

@@ -139,9 +139,7 @@ class Trimmed(AbstractProfile):
         point = self.profile.point(at)
         # Zero along the arc.
         cos, sin = jnp.cos(parameter - at), jnp.sin(parameter - at)
-        return ContactPoint(
-            point.x, point.y, point.cos * cos - point.sin * sin, point.sin * cos + point.cos * sin
-        )
+        return ContactPoint(point.x, point.y, point.cos * cos - point.sin * sin, point.sin * cos + point.cos * sin)
 
     def convex(self, parameter):
         low, high = self._limits()
@@ -204,5 +202,3 @@ def _parameter_at(profile: AbstractProfile, x: Scalar) -> Float[Array, ""]:
 def _has_point(profile: AbstractProfile, x: Scalar):
     at = profile.point(_parameter_at(profile, x))
     return (jnp.abs(at.x - x) < ON_PROFILE * (1 + jnp.abs(x))) & jnp.isfinite(at.y) & (at.cos > 0)
-
-

@@ -58,7 +58,7 @@ class AbstractProfile(eqx.Module):
         """
 
     def beside(self, height: Scalar, side: Scalar) -> FirstTouch:
-        """The object's outermost point at this height, on its right (side = +1) or left (-1); y differs if it has none."""
+        """The object's outermost point at this height, right (side = +1) or left (-1); y differs if it has none."""
         return self.first_touch(height, side)
 
     @abc.abstractmethod

@@ -82,8 +82,8 @@ class Scene(eqx.Module):
         _check_sensor(self.whisker, self.support, self.motion, self.friction)
         if self.friction is not None and self.profile.has_edges:
             raise ValueError(
-                "`friction` must be None for an object with edges: how a contact slips over an edge is not modelled, got "
-                f"friction {as_text(self.friction)} and {self.profile}."
+                "`friction` must be None for an object with edges: how a contact slips over an edge is not modelled, "
+                f"got friction {as_text(self.friction)} and {self.profile}."
             )
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):

@@ -143,9 +143,15 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         unstable_at=jnp.asarray(jnp.inf),
         unstable_turn=zero,
         target=Target(
-            jnp.asarray(0), jnp.zeros(n, bool), zero, z, mode.phase, mode.side,
-            None if friction is None and piece is None else none, piece,
-        ),  # fmt: skip
+            jnp.asarray(0),
+            jnp.zeros(n, bool),
+            zero,
+            z,
+            mode.phase,
+            mode.side,
+            None if friction is None and piece is None else none,
+            piece,
+        ),
         lead=Lead(z, jnp.zeros_like(pose), still.u),
         before_vertex=none + 1.0,
         goal=jnp.asarray(0),
