@@ -156,7 +156,9 @@ def first_touch(
     if touch.piece is not None:
         corner = first_corner(profile, whisker, ys, side)
         starts = jnp.concatenate([starts, jnp.stack([corner.parameter, corner.cell])[None]])
-        pieces = jnp.stack([touched(cell)[0].piece, touch.piece[k], corner.piece])
+        before = touched(cell)[0].piece
+        assert before is not None
+        pieces = jnp.stack([before, touch.piece[k], corner.piece])
 
     def solved(start, piece):
         unknowns = jax.lax.fori_loop(0, NEWTON_STEPS, lambda _, at: newton(piece, at), start)

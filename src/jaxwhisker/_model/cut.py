@@ -101,8 +101,8 @@ class Cut(AbstractProfile):
         return valid
 
     def _positive(self):
-        both = self.left is not None and self.right is not None
-        return [self.vertex()[1], *([self.right - self.left] if both else [])]
+        width = [] if self.left is None or self.right is None else [self.right - self.left]
+        return [self.vertex()[1], *width]
 
     def __str__(self):
         left = "" if self.left is None else f"{as_text(self.left)} < "

@@ -172,6 +172,7 @@ class Chain(AbstractProfile):
         return self.point_on(self.piece_at(parameter), parameter)
 
     def point_on(self, piece, parameter):
+        assert piece is not None
         corner, is_face = piece // 2, piece % 2
         (x, y), slope, way = self.xy[corner], self.slopes[corner + is_face], parameter - self.start[piece]
         turned = slope + jnp.where(is_face, 0.0, way)

@@ -95,7 +95,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
         separate=flowing,
         held=problem.across(flow.pose),
         friction=newly_slipping(state.mode.friction, begins, target.side),
-        piece=None if state.mode.piece is None else jnp.where(begins, target.piece, state.mode.piece),
+        piece=select(begins, target.piece, state.mode.piece),
     )
     guess = guess._replace(z=jnp.where(begins[:, None], target.contact, guess.z))
     solution = solve_point(problem, mode, row, guess)

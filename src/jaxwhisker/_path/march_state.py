@@ -198,18 +198,20 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
     share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
     share = jnp.where(violated, share, jnp.inf)
     first = jnp.argmin(share)
-    contact, phase, side, piece = snap_flow.touching(trial.stance, state.mode.side)
+    contact, phase, side = snap_flow.touching(trial.stance, state.mode.side)
     kinds = np.repeat(np.arange(len(trial.here)), [margin.size for margin in trial.here])
     whiskers = np.concatenate([np.eye(n, dtype=bool)[: m.size] & (k != AT_STOP) for k, m in enumerate(trial.here)])
     lean = None
     if trial.friction_angle is not None:
         lean = jnp.sign(trial.solution.point.z[:, 1]) * trial.friction_angle
+    piece = None
     kind, whisker = jnp.asarray(kinds)[first], jnp.asarray(whiskers)[first]
     if trial.ends is not None and state.mode.piece is not None:
         low, high = trial.ends
         # The outer ends are infinite.
         lean = jnp.where(whisker & (kind == LOW), low, jnp.where(whisker & (kind == HIGH), high, 0.0))
-        piece = jnp.where(kind == TOUCH, piece, state.mode.piece + jnp.where(kind == LOW, -1, 1))
+        touched = trial.stance.first(state.mode.side).piece
+        piece = select(kind == TOUCH, touched, state.mode.piece + jnp.where(kind == LOW, -1, 1))
     return jnp.any(violated), Target(
         kind,
         whisker,

@@ -121,6 +121,9 @@ def first_case(*cases, otherwise):
     return otherwise
 
 
+NOTHING = np.zeros(0)
+
+
 class Margins(NamedTuple):
     """Distance of each whisker from each kind of event; an event occurs where its margin becomes negative."""
 
@@ -130,8 +133,9 @@ class Margins(NamedTuple):
     vertex: PerWhisker
     stop: Float[Array, " 1"]
     slip: Float[Array, " sticking"]  # of sticking contacts; empty without friction
-    low: Float[Array, " touching"]  # distance of the parameter from either end of its piece; empty without edges
-    high: Float[Array, " touching"]
+    # Distances of the parameter from both ends of its piece; empty without edges.
+    low: Float[Array, " touching"] | np.ndarray = NOTHING
+    high: Float[Array, " touching"] | np.ndarray = NOTHING
 
 
 TOUCH, RELEASE, PHASE, VERTEX, AT_STOP, SLIP, LOW, HIGH = range(len(Margins._fields))  # indices into Margins
@@ -162,7 +166,7 @@ def margins(
     force, lean, slack = point.z.T
     first = at.first(mode.side)
     far = jnp.inf
-    low = high = np.zeros(0)
+    low = high = NOTHING
     if mode.piece is not None and profile is not None:
         start, end = ends_of(profile, mode.piece)
         low, high = (jnp.where(free, far, margin) for margin in (lean - start, end - lean))
@@ -181,7 +185,7 @@ def margins(
 def margin_rates(problem: Problem, mode: Mode, point: Point, direction: Point, pose_rate: Poses) -> Margins:
     """Derivatives of the margins along the path; zero for vertex and stop, which are passed only once."""
     free, lean = mode.phase == Phase.free, point.z[:, 1]
-    moves = np.zeros(0) if mode.piece is None else jnp.where(free, 0.0, direction.z[:, 1])
+    moves = NOTHING if mode.piece is None else jnp.where(free, 0.0, direction.z[:, 1])
     return Margins(
         touch=jnp.where(free, problem.touch_rate(mode.side, pose_rate), 0.0),
         release=jnp.where(free, 0.0, direction.z[:, 0]),

@@ -221,9 +221,11 @@ def advance(
     side = jnp.where(slip.freed, at.side, jnp.where(slip.lands, -mode.side, mode.side))
     z, phase = jnp.where(slip.freed[:, None], 0.0, z), jnp.where(slip.freed, Phase.free, phase)
     fresh = slip.begins | slip.lands
-    touched, touched_phase, touched_side, touched_piece = touching(at, side)
+    touched, touched_phase, touched_side = touching(at, side)
     z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, touched_phase, phase)
     if piece is not None:
+        touched_piece = at.first(side).piece
+        assert touched_piece is not None
         piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
     landing_x = jnp.where(slip.slides, pose[:, 0], flow.landing_x)
     first = at.first(side)
@@ -295,13 +297,11 @@ def at_rest(problem: Problem, flow: Flow, mode: Mode, u: Scalar) -> Bool[Array, 
     return settled & own & network_is_stable(problem, slope)
 
 
-def touching(
-    at: Stance, side: PerWhisker
-) -> tuple[Contacts, Int[Array, " whiskers"], PerWhisker, Int[Array, " whiskers"] | None]:
-    """Contacts, phases, sides and pieces of whiskers at their first touch from a side."""
+def touching(at: Stance, side: PerWhisker) -> tuple[Contacts, Int[Array, " whiskers"], PerWhisker]:
+    """Contacts, phases and sides of whiskers at their first touch from a side."""
     first = at.first(side)
     z = jnp.stack([jnp.zeros_like(first.slack), first.parameter, first.slack], axis=-1)
-    return z, jnp.where(first.slack > 0, Phase.tangential, Phase.tip), first.side, first.piece
+    return z, jnp.where(first.slack > 0, Phase.tangential, Phase.tip), first.side
 
 
 def _nonzero(x: PerWhisker) -> PerWhisker:

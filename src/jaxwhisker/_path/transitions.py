@@ -236,7 +236,8 @@ def after_event(problem: Problem, state: MarchState, trial: Trial):
     """Handle the point where a margin vanishes: change to the mode that holds from here on."""
     solution, target = trial.solution, state.target
     passes = None if target.piece is None else target.whisker & ((target.kind == LOW) | (target.kind == HIGH))
-    change = _Change(*(target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE, SLIP)), passes)
+    happens = (target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE, SLIP))
+    change = _Change(*happens, passes=passes)
     z_before = jnp.where(change.touches[:, None], state.point.z, solution.point.z)
     good, distance = _reached(problem, state, trial, z_before)
 
@@ -298,7 +299,7 @@ def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Chan
         z, friction = with_slips(problem, z, now, slip)
         z = jnp.where(change.released[:, None], 0.0, z)
     piece = mode.piece
-    if change.passes is not None and piece is not None:
+    if change.passes is not None and piece is not None and target.piece is not None:
         piece = where_touching(jnp.where(change.touches | change.passes, target.piece, piece), phase != Phase.free)
     node = _node(state, trial)
     at_first = (target.kind == AT_STOP) & (state.goal == 0)
