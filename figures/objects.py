@@ -11,6 +11,7 @@ jax.config.update("jax_enable_x64", True)
 
 import numpy as np
 from matplotlib import pyplot
+from matplotlib.ticker import MultipleLocator
 
 import jaxwhisker as jw
 from jaxwhisker.plot import COLOURS
@@ -43,9 +44,10 @@ def draw() -> None:
             below.plot(x, y, color="black", marker=marker, markersize=8, linestyle="none", label=label)
         below.axhline(0, color="0.6", linewidth=0.6, zorder=0)
         below.invert_xaxis()
+        below.xaxis.set_major_locator(MultipleLocator(0.5))
         below.set_xlabel("drive position $u / L$")
     axs[1, 0].set_ylabel("$m_z L / EI$")
-    axs[1, 0].legend(fontsize=8)
+    axs[1, 0].legend(fontsize=8, loc="lower center")
     figure.savefig(DOCS / "objects_edges.png", dpi=110)
 
 
