@@ -67,6 +67,7 @@ class Flow(NamedTuple):
     near: Scalar  # distance from the equilibrium at which Newton's method takes over
     iterations: Int[Array, ""]
     exhausted: Bool[Array, ""]  # whether the flow has failed to come to rest
+    way: PerWhisker | None = None  # +1 or -1: along its branch, or back, as a whisker slides; None without edges
 
 
 def start(mode: Mode, pose: Poses) -> Flow:
@@ -90,6 +91,7 @@ def start(mode: Mode, pose: Poses) -> Flow:
         near=jnp.asarray(NEAR),
         iterations=jnp.asarray(0),
         exhausted=jnp.asarray(False),
+        way=None if mode.piece is None else none + 1.0,
     )
 
 
@@ -151,7 +153,8 @@ def _step_to_landing(flow: Flow, mode: Mode) -> PerWhisker:
     """Step along the branch of a slipping whisker towards the base position at which its slip ends."""
     by_x = flow.pose_by[:, 0, 0]
     to_land = jnp.clip((flow.landing_x - flow.pose[:, 0]) / _nonzero(by_x), -flow.step, flow.step)
-    return jnp.where(flow.sliding & ~on_stable_branch(mode, by_x), flow.step, to_land)
+    step = flow.step if flow.way is None else flow.way * flow.step
+    return jnp.where(flow.sliding & ~on_stable_branch(mode, by_x), step, to_land)
 
 
 def _branch_known(flow: Flow) -> Bool[Array, " whiskers"]:
@@ -227,6 +230,11 @@ def advance(
         touched_piece = at.first(side).piece
         assert touched_piece is not None
         piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
+    way = flow.way
+    if way is not None:
+        # A tip that slips over a corner at once goes back along its branch, which begins at the corner.
+        moved = jnp.sum(newton.condensed.basis[:, :, 0] * (z - previous) / scale_of(z) ** 2, axis=-1)
+        way = jnp.where(slip.slides & (flow.iterations == 0) & (moved < 0), -1.0, way)
     landing_x = jnp.where(slip.slides, pose[:, 0], flow.landing_x)
     first = at.first(side)
     pose = pose + jnp.where(fresh[:, None], problem.shift(u, first.x - at.x), 0.0)
@@ -249,6 +257,7 @@ def advance(
         sliding=((flow.sliding & (astray | ~slip.holds)) | slip.slides) & ~slip.lands,
         landing=(flow.landing & astray) | slip.lands,
         landing_x=landing_x,
+        way=way,
         iterations=iterations,
         # Too many steps, or the branch on the far side ends before the whisker has landed.
         exhausted=(iterations > ITERATIONS) | missed,
