@@ -293,6 +293,13 @@ def test_first_touches_of_leaning_whiskers(profile, angle, x, phase):
     assert all_ok(result)
 
 
+def test_the_vertex_of_a_level_face_is_where_the_contact_leaves_it():
+    # Rounding alone would decide otherwise: here, before the face.
+    support = follicle(x=70.0, mount=(0.0, 0.0, -LEAN))
+    events = event_list(jw.scan(scene(LOW, support), np.linspace(1.0, -1.2, 13)))
+    assert [name for name, *_ in events] == ["touch", "edge", "edge", "vertex"]
+
+
 def test_a_curved_whisker_that_meets_two_corners_is_detected():
     curved = scene(LOW, whisker=jw.Whisker(intrinsic_curvature=0.5))
     found = jw.scan(curved, CONTROL)
