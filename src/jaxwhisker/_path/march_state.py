@@ -178,7 +178,11 @@ def _direction_of_parabola(
 
 
 def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
-    ahead = state.before_vertex * slope_sines(problem, point.z, state.mode)
+    z = point.z
+    if state.mode.piece is not None:
+        # Beyond its piece, the slope of a contact means nothing.
+        z = z.at[:, 1].set(jnp.clip(z[:, 1], *ends_of(problem.profile, state.mode.piece)))
+    ahead = state.before_vertex * slope_sines(problem, z, state.mode)
     if state.mode.piece is not None:
         ahead += LEVEL
     remaining = state.direction * (stop_u - point.u)
