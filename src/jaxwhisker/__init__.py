@@ -11,9 +11,11 @@ from jaxwhisker._inverse.points import PointStatus, Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour
+from jaxwhisker._model.cut import Cut
 from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.loads import PointForce, PointMoment
 from jaxwhisker._model.motion import AbstractMotion, Motion, Mount, Rotation, Translation
+from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.profiles import Circle, Ellipse, Graph, Parabola, Tilted
 from jaxwhisker._model.scene import Scene, Sensor
@@ -39,10 +41,12 @@ __all__ = [
     "AbstractMotion",
     "AbstractProfile",
     "AbstractRod",
+    "Box",
     "Circle",
     "ClosedForm",
     "Contour",
     "ContourFit",
+    "Cut",
     "Deflection",
     "Ellipse",
     "EnergyBalance",
@@ -61,6 +65,7 @@ __all__ = [
     "PointForce",
     "PointMoment",
     "PointStatus",
+    "Polygon",
     "ProfileFit",
     "Reconstruction",
     "Result",

@@ -19,7 +19,9 @@ def flows_of_soft(soft):
     """Event, states of the flow and centre lines of both snaps."""
     numbers = snaps(soft)
     states = flows(soft, numbers)
-    return list(zip([soft.events[k] for k in numbers], states, lines_of(states, soft), strict=True))
+    events = [soft.events[k] for k in numbers]
+    controls = [np.full(group.phase.shape[0], event.control) for group, event in zip(states, events, strict=True)]
+    return list(zip(events, states, lines_of(soft.scene, states, controls), strict=True))
 
 
 def snaps(result):

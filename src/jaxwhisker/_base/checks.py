@@ -139,6 +139,19 @@ def vector(name: str, value: Any, *, finite: bool = True) -> None:
         fail(name, allowed, f"{array[k]} at index {k}")
 
 
+def rows(name: str, value: Any, *, columns: int, least: int = 1) -> None:
+    """Check that `value` is a two-dimensional array of finite real numbers with so many columns, and enough rows.
+
+    Only the shape and type of a traced value are checked.
+    """
+    allowed = f"an array of finite numbers of shape (n, {columns}), n at least {least}"
+    array = _numbers(value)
+    if array is None or array.ndim != 2 or array.shape[1] != columns or array.shape[0] < least:
+        fail(name, allowed, repr(value) if array is None else f"an array of shape {array.shape}")
+    if not isinstance(array, Tracer) and not np.isfinite(array).all():
+        fail(name, allowed, np.asarray(array).tolist())
+
+
 def count(name: str, value: Any, least: int = 1) -> None:
     """Check that `value` is an int, not a bool, and at least `least`."""
     if not isinstance(value, int) or isinstance(value, bool) or value < least:

@@ -51,6 +51,7 @@ class Body(NamedTuple):
     frame: Frame | None = None  # of the base's mount on the drive; None if bases stay upright and move along x only
     frame_rate: Frame | None = None  # derivative of the frame with respect to the control
     friction_angle: Float[Array, "*batch"] | None = None  # None without friction
+    piece: Int[Array, "*batch"] | None = None  # of the profile at the contact; None without edges
     sprung: "Sprung | None" = None  # None without springs on any shaft
     laws: Laws = ()  # of such springs, for all whiskers
 
@@ -174,7 +175,7 @@ def contact_of(
     if body.sprung is not None:
         p = jnp.where(phase == Phase.free, body.sprung.nowhere, p)
     leans = lean(z[1], friction, body.friction_angle)
-    return body.profile.point(p), leans, angle if leans is None else angle + side * leans
+    return body.profile.point_on(body.piece, p), leans, angle if leans is None else angle + side * leans
 
 
 def material_of(body: Body) -> Material:

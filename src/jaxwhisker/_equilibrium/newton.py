@@ -57,21 +57,23 @@ def linearise_all(
     """Values of every whisker's equations, and their derivatives with respect to its contact and the control."""
     z, phase = with_dummy_contacts(problem, point.z, mode.phase)
     linearised = partial(contact.linearise, rates=rates)
-    return of_each(problem.bodies(point.u), linearised, z, phase, mode.side, mode.friction, in_turn=in_turn)
+    return of_each(problem.bodies(point.u, mode.piece), linearised, z, phase, mode.side, mode.friction, in_turn=in_turn)
 
 
 def evaluate(problem: Problem, point: Point, mode: Mode) -> BaseEquations:
     """Values of every whisker's equations; free whiskers must have dummy contacts."""
-    return of_each(problem.bodies(point.u), contact.equations, point.z, mode.phase, mode.side, mode.friction)
+    return of_each(
+        problem.bodies(point.u, mode.piece), contact.equations, point.z, mode.phase, mode.side, mode.friction
+    )
 
 
 def slope_sines(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
     """sin(alpha) of the object at every contact; free whiskers must have dummy contacts."""
 
-    def slope(*at):
-        return problem.profile.point(contact.parameter(problem.profile, *at)).sin
+    def slope(piece, *at):
+        return problem.profile.point_on(piece, contact.parameter(problem.profile, *at)).sin
 
-    return jax.vmap(slope)(z, mode.phase, mode.side, mode.friction)
+    return jax.vmap(slope)(mode.piece, z, mode.phase, mode.side, mode.friction)
 
 
 def pose_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]:

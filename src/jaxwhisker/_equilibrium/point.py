@@ -27,6 +27,7 @@ class Mode(NamedTuple):
     separate: Bool[Array, ""]  # each whisker keeps its place on its branch; the network's equations are left out
     held: Float[Array, "whiskers 2"] | None = None  # with `separate`: given y and angle of bases; None in `AlongX`
     friction: Friction | None = None
+    piece: Int[Array, " whiskers"] | None = None  # of the profile at each contact, 0 if free; None without edges
 
 
 class Row(NamedTuple):
@@ -89,8 +90,9 @@ def at_event(
         unloaded: whether a contact begins or ends: its force is zero.
         phase: whether tip and tangential contact meet: the slack is zero.
         vertex: whether the contact passes the vertex: its slope is zero.
-        lean: whether a sticking contact begins to slip: the force leans as far as friction lets it.
-        limit: the lean at which it does so.
+        lean: whether a sticking contact begins to slip: the force leans as far as friction lets it. Or, without
+            friction, whether a contact passes an edge's end: the parameter is that of a break.
+        limit: the lean or parameter at which it does so.
         control: whether the point has the control u0 and no event.
         u0: the control.
     """

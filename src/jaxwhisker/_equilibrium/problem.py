@@ -157,10 +157,12 @@ class Problem(eqx.Module):
     def if_defined(self, residual: Scalar, pose: ScenePose) -> Scalar:
         """The residual, or infinity if the motion of the drive is not defined here (its pose is not finite)."""
 
-    def bodies(self, u: Scalar) -> Body:
-        """All whiskers, stacked, at a control."""
+    def bodies(self, u: Scalar, piece: Int[Array, " whiskers"] | None = None) -> Body:
+        """All whiskers, stacked, at a control; `piece` is that of the profile at each contact."""
         angle = None if self.friction_angle is None else jnp.full_like(self.length, self.friction_angle)
-        return Body(self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle)
+        return Body(
+            self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle, piece
+        )
 
     def solved(self, phase: Int[Array, " whiskers"]) -> Bool[Array, " whiskers"]:
         """The whiskers whose equations are solved; free ones are known unless springs on their shafts bend them."""
@@ -272,8 +274,8 @@ class InPlane(Problem):
     def frames(self, u):
         return frame_and_rate(self.drive, self.mount, u)
 
-    def bodies(self, u):
-        bodies = super().bodies(u)
+    def bodies(self, u, piece=None):
+        bodies = super().bodies(u, piece)
         if self.attached is None:
             return bodies
 

@@ -49,7 +49,7 @@ def shaft(
     if body.sprung is not None:
         return _sprung_shaft(body, body.sprung, z, phase, side, friction)
     p = contact.parameter(body.profile, z, phase, side, friction)
-    at, leans = body.profile.point(p), lean(z[1], friction, body.friction_angle)
+    at, leans = body.profile.point_on(body.piece, p), lean(z[1], friction, body.friction_angle)
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0) + (0.0 if leans is None else side * leans)
     start = (jnp.zeros_like(angle), jnp.zeros_like(angle), jnp.cos(angle), jnp.sin(angle))
     # With a step per cell, the error of this method is smaller than that of the cubics.

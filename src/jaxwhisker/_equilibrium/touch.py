@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.pieces import ends_of, first_corner
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch, bisect
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
@@ -16,6 +17,7 @@ POINTS = 65  # along a whisker that is not upright and straight, at which the fi
 SAME_HEIGHT = 1e-6  # dimensionless tolerance for whisker and object at the same height, and for equal distances
 HALVINGS = 20  # of two cells around the point of the whisker that touches first: to within 1e-8 of the length
 NEWTON_STEPS = 8
+SAME_PLACE = 1e-9  # dimensionless: points of a whisker this close to the first touch touch at the same time
 
 
 class Touch(NamedTuple):
@@ -26,6 +28,7 @@ class Touch(NamedTuple):
     slack: Float[Array, "*batch"]  # as in contact.py
     side: Float[Array, "*batch"]  # the side it approaches from or, if it leans past vertical, will bend to
     reaches: Bool[Array, "*batch"]  # whether it is high enough to meet the object; if not, x only tells the nearer side
+    piece: Int[Array, "*batch"] | None = None  # of the profile; None without edges
 
 
 class Outline(NamedTuple):
@@ -61,7 +64,7 @@ def first_touch_upright(profile: AbstractProfile, length: Scalar, side: Scalar) 
     angle = jnp.arctan2(jnp.abs(at.cos), side * at.sin)
     slack = jnp.where(beyond > SHAFT_FIRST * length, beyond, -angle)
     reaches = jnp.asarray(length > profile.vertex()[1])
-    return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), reaches)
+    return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), reaches, touch.piece)
 
 
 class _Approach(NamedTuple):
@@ -78,7 +81,7 @@ class _Approach(NamedTuple):
 def _approach(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> _Approach:
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     x, y = own.x * cos - own.y * sin, y + own.x * sin + own.y * cos
-    touch = jax.vmap(lambda height: profile.first_touch(height, side))(y)
+    touch = jax.vmap(lambda height: profile.beside(height, side))(y)
     meets = (y > profile.vertex()[1]) & (jnp.abs(touch.y - y) < SAME_HEIGHT)
     ahead = jnp.where(meets, side * (touch.x - x), -jnp.inf)
     return _Approach(x, y, own.cos * cos - own.sin * sin, own.sin * cos + own.cos * sin, touch, ahead)
@@ -124,42 +127,59 @@ def first_touch(
         bend, twist = 3 * step - 2 * here[2:] - there[2:], here[2:] + there[2:] - 2 * step
         return here[:2] + t * (here[2:] + t * (bend + t * twist)), here[2:] + t * (2 * bend + 3 * t * twist)
 
-    def residual(unknowns):
-        at = profile.point(unknowns[0])
+    def residual(unknowns, piece):
+        at = profile.point_on(piece, unknowns[0])
         (_, height), (cos, sin) = whisker(unknowns[1])
         return jnp.stack([height - at.y, (cos * at.sin - sin * at.cos) * (POINTS - 1) / length])
 
-    def newton(_, unknowns):
-        (a, b), (c, d) = jax.jacfwd(residual)(unknowns)
-        e, f = residual(unknowns)
+    def newton(piece, unknowns):
+        (a, b), (c, d) = jax.jacfwd(residual)(unknowns, piece)
+        e, f = residual(unknowns, piece)
         step = jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
         return unknowns - jnp.where(jnp.isfinite(step), step, 0.0)
 
     def touched(cell):
         """The object's point at the height of a point of the whisker, and whether it lies before the first touch."""
         (_, height), (cos, sin) = whisker(cell)
-        there = profile.first_touch(height, side)
+        there = profile.beside(height, side)
         at = profile.point(there.parameter)
         meets = (height > profile.vertex()[1]) & (jnp.abs(there.y - height) < SAME_HEIGHT)
-        return there.parameter, jnp.where(meets, sin * at.cos > cos * at.sin, cell < k)
+        return there, jnp.where(meets, sin * at.cos > cos * at.sin, cell < k)
 
     # From the point alone, Newton's method may go astray: the object may be curved as strongly as the whisker. But only
     # from there it finds a touch higher than where the object is widest.
     low, high = jnp.maximum(k - 1.0, 0.0), jnp.minimum(k + 1.0, POINTS - 1.0)
     cell = bisect(lambda cell: touched(cell)[1], low, high, steps=HALVINGS)
     point = jnp.stack([touch.parameter[k], k * 1.0])
-    starts = jnp.stack([jnp.stack([touched(cell)[0], cell]), point.at[1].min(POINTS - 1.5)])
+    starts = jnp.stack([jnp.stack([touched(cell)[0].parameter, cell]), point.at[1].min(POINTS - 1.5)])
+    pieces = corner = None
+    if touch.piece is not None:
+        corner = first_corner(profile, whisker, ys, side)
+        starts = jnp.concatenate([starts, jnp.stack([corner.parameter, corner.cell])[None]])
+        before = touched(cell)[0].piece
+        assert before is not None
+        pieces = jnp.stack([before, touch.piece[k], corner.piece])
 
-    def solved(start):
-        unknowns = jax.lax.fori_loop(0, NEWTON_STEPS, newton, start)
+    def solved(start, piece):
+        unknowns = jax.lax.fori_loop(0, NEWTON_STEPS, lambda _, at: newton(piece, at), start)
         reached = side * (profile.point(unknowns[0]).x - whisker(unknowns[1])[0][0])
         inside = (unknowns[1] >= 0) & (unknowns[1] <= POINTS - 1)
         # No other point touches before the first one.
-        found = jnp.all(jnp.abs(residual(unknowns)) < SAME_HEIGHT) & inside & (reached > ahead[k] - SAME_HEIGHT)
+        found = jnp.all(jnp.abs(residual(unknowns, piece)) < SAME_HEIGHT) & inside & (reached > ahead[k] - SAME_HEIGHT)
+        if piece is not None:
+            start, end = ends_of(profile, piece)
+            found &= (unknowns[0] > start - SAME_HEIGHT) & (unknowns[0] < end + SAME_HEIGHT)
         return unknowns, found
 
-    each, found = jax.vmap(solved)(starts)
+    each, found = jax.vmap(solved)(starts, pieces)
     parameter, cell = jnp.where(found[0], each[0], jnp.where(found[1], each[1], point))
+    piece = None
+    if corner is not None and pieces is not None:
+        # A straight shaft that lies flat on a face first touches the corner where the face begins.
+        at_corner = jnp.isfinite(corner.ahead) & (corner.ahead > ahead[k] - SAME_PLACE)
+        parameter, cell = jnp.where(at_corner, each[2], jnp.stack([parameter, cell]))
+        piece = jnp.where(at_corner, pieces[2], jnp.where(~tip & found[0], pieces[0], pieces[1]))
+        tip, reaches = tip & ~at_corner, reaches | at_corner
     at = profile.point(parameter)
     (shaft_x, _), (cos, sin) = whisker(cell)
     along = jnp.where(cos * at.cos + sin * at.sin < 0, -1.0, 1.0)
@@ -170,6 +190,7 @@ def first_touch(
             jnp.where(tip, -tip_angle, length * (1 - cell / (POINTS - 1))),
             jnp.where(tip, bends_to, along),
             reaches,
+            piece,
         )
     )
 

@@ -1,4 +1,10 @@
-"""The object: a rigid, strictly convex body above its profile, the curve that whiskers touch."""
+"""The object: a rigid, convex body above its profile, the curve that whiskers touch.
+
+A profile with edges consists of pieces, numbered from left to right: edges have even numbers, the smooth arcs between
+them odd ones. Along an arc, the parameter of the profile moves the point. On an edge the point is fixed, and the
+parameter turns the tangent from the slope of one neighbour to that of the other. Point and slope are thus continuous
+functions of one increasing parameter, whose values between two pieces are the profile's breaks.
+"""
 
 import abc
 from collections.abc import Callable
@@ -7,7 +13,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar
@@ -30,10 +36,11 @@ class FirstTouch(NamedTuple):
     parameter: Float[Array, "*batch"]
     x: Float[Array, "*batch"]
     y: Float[Array, "*batch"]
+    piece: Int[Array, "*batch"] | None = None  # None for a profile without edges
 
 
 class AbstractProfile(eqx.Module):
-    """A profile: a smooth curve `point(parameter)`, traversed from left to right.
+    """A profile: a curve `point(parameter)`, traversed from left to right, smooth unless it has edges.
 
     Each profile chooses its parameter (slope angle, eccentric angle, abscissa) such that the curve is smooth and its
     derivative bounded. The contact force acts on the whisker along the outward normal (sin alpha, -cos alpha).
@@ -50,6 +57,10 @@ class AbstractProfile(eqx.Module):
         The result is finite but meaningless if the object's lowest point is not below `height`.
         """
 
+    def beside(self, height: Scalar, side: Scalar) -> FirstTouch:
+        """The object's outermost point at this height, right (side = +1) or left (-1); y differs if it has none."""
+        return self.first_touch(height, side)
+
     @abc.abstractmethod
     def vertex(self) -> tuple[Scalar, Scalar]:
         """The object's lowest point (x, y)."""
@@ -57,6 +68,24 @@ class AbstractProfile(eqx.Module):
     @abc.abstractmethod
     def in_unit(self, length: Scalar) -> "AbstractProfile":
         """The same object with lengths measured in `length`."""
+
+    @property
+    def has_edges(self) -> bool:
+        """Whether the profile consists of pieces."""
+        return False
+
+    def breaks(self) -> Float[Array, " breaks"]:
+        """Parameters at which one piece ends and the next one begins; none without edges."""
+        return jnp.zeros(0)
+
+    def point_on(self, piece: Int[Array, ""] | None, parameter: Scalar) -> ContactPoint:
+        """Point and slope at a parameter of a piece, which is continued smoothly beyond its ends."""
+        assert piece is None
+        return self.point(parameter)
+
+    def piece_at(self, parameter: Scalar) -> Int[Array, ""] | None:
+        """The piece with this parameter; None without edges."""
+        return jnp.sum(parameter >= self.breaks()) if self.has_edges else None
 
     def ends(self) -> tuple[Scalar, Scalar]:
         """Parameters of the profile's two ends; by default slope angles of almost a right angle."""

@@ -293,11 +293,24 @@ class Tilted(AbstractProfile):
         checks.pair("about", self.about)
 
     def point(self, parameter):
-        at, (x, y) = self.profile.point(parameter), self.about
+        return self._turned(self.profile.point(parameter))
+
+    def _turned(self, at: ContactPoint) -> ContactPoint:
+        x, y = self.about
         cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
         right, up = at.x - x, at.y - y
         turned_x, turned_y = x + right * cos - up * sin, y + right * sin + up * cos
         return ContactPoint(turned_x, turned_y, at.cos * cos - at.sin * sin, at.sin * cos + at.cos * sin)
+
+    @property
+    def has_edges(self):
+        return self.profile.has_edges
+
+    def breaks(self):
+        return self.profile.breaks()
+
+    def point_on(self, piece, parameter):
+        return self._turned(self.profile.point_on(piece, parameter))
 
     def convex(self, parameter):
         return self.profile.convex(parameter)
@@ -320,7 +333,7 @@ class Tilted(AbstractProfile):
         p = lowest + side * bisect(lambda way: below(lowest + side * way), 0.0, side * (end - lowest))
         p = jax.lax.stop_gradient(p)
         at = self.point(p)
-        return FirstTouch(p, at.x, at.y)
+        return FirstTouch(p, at.x, at.y, self.piece_at(p))
 
     def vertex(self):
         at = self.point(self.lowest())

@@ -57,7 +57,7 @@ class Scene(eqx.Module):
         friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
         detect: contacts that are not modelled, at which a scan ends with the status of this name: "second_contact" (a
             whisker meets the object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
-            tuple of these; () detects nothing. Default: "second_contact" with friction, otherwise nothing.
+            tuple of these; () detects nothing. Default: "second_contact" with friction or edges, otherwise nothing.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
@@ -77,9 +77,14 @@ class Scene(eqx.Module):
     detect: str | tuple[str, ...] | None = eqx.field(static=True, default=None, converter=_as_names)
 
     def __check_init__(self):
-        allowed = "a Parabola, Circle, Ellipse, Graph, Contour or Tilted"
+        allowed = "a Parabola, Circle, Ellipse, Graph, Contour, Polygon, Box, Cut or Tilted"
         checks.instance("profile", self.profile, AbstractProfile, allowed)
         _check_sensor(self.whisker, self.support, self.motion, self.friction)
+        if self.friction is not None and self.profile.has_edges:
+            raise ValueError(
+                "`friction` must be None for an object with edges: how a contact slips over an edge is not modelled, "
+                f"got friction {as_text(self.friction)} and {self.profile}."
+            )
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):
             checks.fail("rod", "Shooting() for whiskers that are curved or not uniform", "ClosedForm()")
@@ -102,8 +107,8 @@ class Scene(eqx.Module):
     @property
     def detects(self) -> tuple[str, ...]:
         """The contacts that are not modelled, at which a scan ends."""
-        # A whisker that sticks to the object may be wound around it.
-        default = () if self.friction is None else ("second_contact",)
+        # A whisker that sticks to the object may be wound around it, and a curved one may touch two corners.
+        default = () if self.friction is None and not self.profile.has_edges else ("second_contact",)
         return default if self.detect is None else tuple(self.detect)
 
     def __str__(self) -> str:

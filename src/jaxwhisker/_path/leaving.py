@@ -64,7 +64,8 @@ def after_arrive(
     near = trial.solution.converged & (dot(moved, moved, scale_of(state.point.z)) < ARRIVAL_MISS**2)
     # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
     there = trial.there
-    wrong = jnp.any(jnp.concatenate([there.touch, there.release, there.phase, there.slip]) < -MARGIN_NOISE)
+    ends = [there.low, there.high] if there.low.size else []
+    wrong = jnp.any(jnp.concatenate([there.touch, there.release, there.phase, there.slip, *ends]) < -MARGIN_NOISE)
     early = after_snap & (wrong | falls | ~near)
     flowing = state._replace(
         task=jnp.asarray(int(Task.flow)),
@@ -188,6 +189,7 @@ def to_snap(state: MarchState) -> MarchState:
             phase_before=state.mode.phase,
             side_before=state.mode.side,
             friction_before=state.mode.friction,
+            piece_before=state.mode.piece,
             **({} if state.tries is None else {"stop": state.goal, "corner": jnp.asarray(True)}),
         ),
         task=jnp.asarray(int(Task.kick)),

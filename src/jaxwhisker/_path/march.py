@@ -29,14 +29,30 @@ from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
 from jaxwhisker._path.leaving import after_arrive
 from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, evaluate_trial
-from jaxwhisker._path.path import AT_STOP, NO_EVENT, PHASE, RELEASE, SLIP, TOUCH, VERTEX, Node, Path, Status, select
+from jaxwhisker._path.path import (
+    AT_STOP,
+    HIGH,
+    LOW,
+    NO_EVENT,
+    PHASE,
+    RELEASE,
+    SLIP,
+    TOUCH,
+    VERTEX,
+    Node,
+    Path,
+    Status,
+    select,
+)
 from jaxwhisker._path.transitions import after_advance, after_event, after_flow
 
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
 
 def _target_row(state: MarchState, stop_u: Scalar) -> Row:
-    kind = state.target.kind
+    kind, lean = state.target.kind, None
+    if state.target.lean is not None:
+        lean = kind == SLIP if state.target.piece is None else (kind == LOW) | (kind == HIGH)
     return at_event(
         state.target.whisker,
         state.point.z,
@@ -45,7 +61,7 @@ def _target_row(state: MarchState, stop_u: Scalar) -> Row:
         vertex=kind == VERTEX,
         control=kind == AT_STOP,
         u0=stop_u,
-        lean=None if state.target.lean is None else kind == SLIP,
+        lean=lean,
         limit=state.target.lean,
     )
 
@@ -79,6 +95,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
         separate=flowing,
         held=problem.across(flow.pose),
         friction=newly_slipping(state.mode.friction, begins, target.side),
+        piece=select(begins, target.piece, state.mode.piece),
     )
     guess = guess._replace(z=jnp.where(begins[:, None], target.contact, guess.z))
     solution = solve_point(problem, mode, row, guess)
@@ -102,13 +119,15 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
     z, pose = problem.unloaded(u)
     side, none = approach_of(problem).unloaded(u).side, jnp.zeros(n)
     friction = None if problem.friction_angle is None else slipping_from(side)
-    mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False), friction=friction)
+    piece = jnp.zeros(n, int) if problem.profile.has_edges else None
+    mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False), friction=friction, piece=piece)
     point = Point(z, u)
     still = Point(jnp.zeros_like(z), jnp.asarray(float(onwards)))
     pending = Node(
         point, z, still, still, mode.phase, mode.side, -jnp.abs(u - stops[0]), jnp.asarray(NO_EVENT),
         jnp.zeros(n, bool), mode.phase, mode.side, friction, friction,
         *([] if friction is None else [jnp.asarray(0), jnp.asarray(False)]),
+        piece=piece, piece_before=piece,
     )  # fmt: skip
     zero = jnp.asarray(0.0)
     return MarchState(
@@ -123,7 +142,14 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         unstable_at=jnp.asarray(jnp.inf),
         unstable_turn=zero,
         target=Target(
-            jnp.asarray(0), jnp.zeros(n, bool), zero, z, mode.phase, mode.side, None if friction is None else none
+            jnp.asarray(0),
+            jnp.zeros(n, bool),
+            zero,
+            z,
+            mode.phase,
+            mode.side,
+            None if friction is None and piece is None else none,
+            piece,
         ),
         lead=Lead(still.z, jnp.zeros_like(pose), still.u),
         before_vertex=none + 1.0,

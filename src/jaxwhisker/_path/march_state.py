@@ -12,12 +12,15 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase, beyond
 from jaxwhisker._equilibrium.newton import Solution, slip_by_contact, slope_sines
+from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import (
     AT_STOP,
+    HIGH,
+    LOW,
     MARGIN_NOISE,
     TOUCH,
     Margins,
@@ -49,7 +52,10 @@ class Target(NamedTuple):
     contact: Contacts  # first contacts of whiskers that may touch
     phase: Int[Array, " whiskers"]
     side: PerWhisker
-    lean: PerWhisker | None = None  # at which sticking contacts begin to slip; None without friction
+    # The lean at which sticking contacts begin to slip, or the parameter at which contacts leave their piece; None
+    # without friction and edges.
+    lean: PerWhisker | None = None
+    piece: Int[Array, " whiskers"] | None = None  # of first contacts, and onto which contacts pass; None without edges
 
 
 class Lead(NamedTuple):
@@ -97,6 +103,7 @@ class MarchState(NamedTuple):
 
 
 SHORTEST_CHORD = 1e-6  # shortest chord that determines a direction; for a shorter one the path keeps its direction
+LEVEL = 1e-10  # slope of a face that is level but for rounding: the contact passes the vertex where it leaves this face
 DIP_POINTS = 7  # points within a step at which margins are interpolated
 
 
@@ -114,6 +121,7 @@ class Trial(NamedTuple):
     side: PerWhisker  # at its end
     slips_on: PerWhisker | None = None  # rate of slip in the direction of slip; infinite for contacts that stick
     friction_angle: Scalar | None = None
+    ends: tuple[PerWhisker, PerWhisker] | None = None  # of the pieces before; None without edges
     reason: Status | Int[Array, ""] = Status.not_convex  # the status if contacts are not sound
 
 
@@ -157,6 +165,7 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         slips_on=slips_on(problem, state.mode, solution.point.z, tangent.z),
         friction_angle=problem.friction_angle,
         reason=reason,
+        ends=None if state.mode.piece is None else ends_of(problem.profile, state.mode.piece),
     )
 
 
@@ -196,8 +205,15 @@ def _direction_of_parabola(
 
 
 def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
-    ahead = state.before_vertex * slope_sines(problem, point.z, state.mode)
-    return margins(state.mode, point, at, ahead, state.direction * (stop_u - point.u), problem.friction_angle)
+    z = point.z
+    if state.mode.piece is not None:
+        # Beyond its piece, the slope of a contact means nothing.
+        z = z.at[:, 1].set(jnp.clip(z[:, 1], *ends_of(problem.profile, state.mode.piece)))
+    ahead = state.before_vertex * slope_sines(problem, z, state.mode)
+    if state.mode.piece is not None:
+        ahead += LEVEL
+    remaining = state.direction * (stop_u - point.u)
+    return margins(state.mode, point, at, ahead, remaining, problem.friction_angle, problem.profile)
 
 
 def _flat(margins: Margins) -> Float[Array, " margins"]:
@@ -219,14 +235,23 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
     lean = None
     if trial.friction_angle is not None:
         lean = jnp.sign(trial.solution.point.z[:, 1]) * trial.friction_angle
+    piece = None
+    kind, whisker = jnp.asarray(kinds)[first], jnp.asarray(whiskers)[first]
+    if trial.ends is not None and state.mode.piece is not None:
+        low, high = trial.ends
+        # The outer ends are infinite.
+        lean = jnp.where(whisker & (kind == LOW), low, jnp.where(whisker & (kind == HIGH), high, 0.0))
+        touched = trial.stance.first(state.mode.side).piece
+        piece = select(kind == TOUCH, touched, state.mode.piece + jnp.where(kind == LOW, -1, 1))
     return jnp.any(violated), Target(
-        jnp.asarray(kinds)[first],
-        jnp.asarray(whiskers)[first],
+        kind,
+        whisker,
         jnp.min(share) * distance,
         contact,
         phase,
         side,
         lean,
+        piece,
     )
 
 

@@ -10,13 +10,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import Friction
+from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
+from jaxwhisker._model.profile import AbstractProfile
 
 
 class Status(IntEnum):
@@ -48,6 +51,7 @@ class EventKind(IntEnum):
     snap_off = 6  # stability is lost, and a whisker slips and comes free
     stick = 7  # a contact stops slipping along the object
     slip = 8  # a contact that stuck begins to slip
+    edge = 9  # a contact passes an end of an edge: from the edge to a face or arc, or onto the edge
 
 
 SNAPS = (EventKind.snap_through, EventKind.snap_off)
@@ -73,17 +77,21 @@ class Node(NamedTuple):
     friction_before: Friction | None = None
     stop: Int[Array, ""] | None = None  # index of the next stop; None without friction, which remembers stops
     corner: Bool[Array, ""] | None = None  # whether contacts stick or slip at the node before; None without friction
+    piece: Int[Array, " whiskers"] | None = None  # of the profile at each contact, from here on; None without edges
+    piece_before: Int[Array, " whiskers"] | None = None
 
     @property
     def mode(self) -> Mode:
         """The mode from here on."""
-        return Mode(self.phase, self.side, jnp.zeros_like(self.kind, bool), friction=self.friction)
+        separate = jnp.zeros_like(self.kind, bool)
+        return Mode(self.phase, self.side, separate, friction=self.friction, piece=self.piece)
 
     @property
     def mode_before(self) -> Mode:
         """The mode before."""
         separate = jnp.zeros_like(self.kind, bool)
-        return Mode(self.phase_before, self.side_before, separate, friction=self.friction_before)
+        before = self.phase_before, self.side_before, separate
+        return Mode(*before, friction=self.friction_before, piece=self.piece_before)
 
 
 def is_snap(kind: Int[Array, "*nodes"]) -> Bool[Array, "*nodes"]:
@@ -114,6 +122,9 @@ def first_case(*cases, otherwise):
     return otherwise
 
 
+NOTHING = np.zeros(0)
+
+
 class Margins(NamedTuple):
     """Distance of each whisker from each kind of event; an event occurs where its margin becomes negative."""
 
@@ -123,9 +134,12 @@ class Margins(NamedTuple):
     vertex: PerWhisker
     stop: Float[Array, " 1"]
     slip: Float[Array, " sticking"]  # of sticking contacts; empty without friction
+    # Distances of the parameter from both ends of its piece; empty without edges.
+    low: Float[Array, " touching"] | np.ndarray = NOTHING
+    high: Float[Array, " touching"] | np.ndarray = NOTHING
 
 
-TOUCH, RELEASE, PHASE, VERTEX, AT_STOP, SLIP = range(len(Margins._fields))  # indices into Margins
+TOUCH, RELEASE, PHASE, VERTEX, AT_STOP, SLIP, LOW, HIGH = range(len(Margins._fields))  # indices into Margins
 MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
 
 
@@ -136,6 +150,7 @@ def margins(
     ahead: PerWhisker,
     remaining: Scalar,
     friction_angle: Scalar | None = None,
+    profile: AbstractProfile | None = None,
 ) -> Margins:
     """Margins at a point.
 
@@ -146,11 +161,16 @@ def margins(
         ahead: sin(alpha), with the sign that makes it positive before the vertex.
         remaining: distance of the drive to its next stop.
         friction_angle: largest lean of a contact force.
+        profile: the object; not needed without edges.
     """
     free = mode.phase == Phase.free
     force, lean, slack = point.z.T
     first = at.first(mode.side)
     far = jnp.inf
+    low = high = NOTHING
+    if mode.piece is not None and profile is not None:
+        start, end = ends_of(profile, mode.piece)
+        low, high = (jnp.where(free, far, margin) for margin in (lean - start, end - lean))
     return Margins(
         touch=jnp.where(free & first.reaches, mode.side * (at.x - first.x), far),
         release=jnp.where(free, far, force),
@@ -158,12 +178,15 @@ def margins(
         vertex=jnp.where(free, far, ahead),
         stop=jnp.reshape(remaining, 1),
         slip=_sticking(mode, lambda limit: limit - jnp.abs(lean), friction_angle, far),
+        low=low,
+        high=high,
     )
 
 
 def margin_rates(problem: Problem, mode: Mode, point: Point, direction: Point, pose_rate: Poses) -> Margins:
     """Derivatives of the margins along the path; zero for vertex and stop, which are passed only once."""
     free, lean = mode.phase == Phase.free, point.z[:, 1]
+    moves = NOTHING if mode.piece is None else jnp.where(free, 0.0, direction.z[:, 1])
     return Margins(
         touch=jnp.where(free, problem.touch_rate(mode.side, pose_rate), 0.0),
         release=jnp.where(free, 0.0, direction.z[:, 0]),
@@ -171,6 +194,8 @@ def margin_rates(problem: Problem, mode: Mode, point: Point, direction: Point, p
         vertex=jnp.zeros_like(mode.side),
         stop=jnp.zeros(1),
         slip=_sticking(mode, lambda _: -jnp.sign(lean) * direction.z[:, 1], problem.friction_angle, 0.0),
+        low=moves,
+        high=-moves,
     )
 
 

@@ -31,6 +31,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase, parameter
 from jaxwhisker._equilibrium.friction import newly_slipping
 from jaxwhisker._equilibrium.newton import Condensed, Solution, slip_by_contact, with_slips
+from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
@@ -66,6 +67,7 @@ class Flow(NamedTuple):
     near: Scalar  # distance from the equilibrium at which Newton's method takes over
     iterations: Int[Array, ""]
     exhausted: Bool[Array, ""]  # whether the flow has failed to come to rest
+    way: PerWhisker | None = None  # +1 or -1: along its branch, or back, as a whisker slides; None without edges
 
 
 def start(mode: Mode, pose: Poses) -> Flow:
@@ -89,6 +91,7 @@ def start(mode: Mode, pose: Poses) -> Flow:
         near=jnp.asarray(NEAR),
         iterations=jnp.asarray(0),
         exhausted=jnp.asarray(False),
+        way=None if mode.piece is None else none + 1.0,
     )
 
 
@@ -150,7 +153,8 @@ def _step_to_landing(problem: Problem, flow: Flow, mode: Mode) -> PerWhisker:
     """Step along the branch of a slipping whisker towards the base position at which its slip ends."""
     by_x = flow.pose_by[:, 0, 0]
     to_land = jnp.clip((flow.landing_x - flow.pose[:, 0]) / _nonzero(by_x), -flow.step, flow.step)
-    return jnp.where(flow.sliding & ~on_stable_branch(problem, mode, by_x), flow.step, to_land)
+    step = flow.step if flow.way is None else flow.way * flow.step
+    return jnp.where(flow.sliding & ~on_stable_branch(problem, mode, by_x), step, to_land)
 
 
 def _branch_known(flow: Flow) -> Bool[Array, " whiskers"]:
@@ -202,12 +206,18 @@ def advance(
     newton, z, u = solution.newton, solution.point.z, solution.point.u
     free = mode.phase == Phase.free
     pose = jnp.where(problem.solved(mode.phase)[:, None], newton.pose, flow.pose)
+    piece = mode.piece
+    if piece is not None:
+        # The first point on a new piece is solved for from its end, and may lie a little beyond it.
+        piece, z = after_step(problem.profile, piece, previous, z, ~free & _branch_known(flow))
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
     friction, turned = mode.friction, (phase != mode.phase) & ~free
     if friction is not None:
         directions = _slips(problem, mode, previous, z)
         turned |= (directions != friction.slip) & ~free
         stuck, friction = with_slips(problem, z, mode, directions)
+    if piece is not None:
+        turned |= piece != mode.piece
     by_x = newton.condensed.by_x
     slip = _slip(problem, flow, mode, z, u, pose, at, newton.condensed)
 
@@ -218,6 +228,15 @@ def advance(
     fresh = slip.begins | slip.lands
     touched, touched_phase, touched_side = touching(at, side)
     z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, touched_phase, phase)
+    if piece is not None:
+        touched_piece = at.first(side).piece
+        assert touched_piece is not None
+        piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
+    way = flow.way
+    if way is not None:
+        # A tip that slips over a corner at once goes back along its branch, which begins at the corner.
+        moved = jnp.sum(newton.condensed.basis[:, :, 0] * (z - previous) / scale_of(z) ** 2, axis=-1)
+        way = jnp.where(slip.slides & (flow.iterations == 0) & (moved < 0), -1.0, way)
     landing_x = jnp.where(slip.slides, pose[:, 0], flow.landing_x)
     first = at.first(side)
     pose = pose + jnp.where(fresh[:, None], problem.shift(u, first.x - at.x), 0.0)
@@ -240,13 +259,14 @@ def advance(
         sliding=((flow.sliding & (astray | ~slip.holds)) | slip.slides) & ~slip.lands,
         landing=(flow.landing & astray) | slip.lands,
         landing_x=landing_x,
+        way=way,
         iterations=iterations,
         # Too many steps, or the branch on the far side ends before the whisker has landed.
         exhausted=(iterations > ITERATIONS) | missed,
         step=jnp.minimum(2 * flow.step, LARGEST_CHANGE),
         time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
     )
-    return flow, Mode(phase, side, jnp.asarray(False), friction=friction), z
+    return flow, Mode(phase, side, jnp.asarray(False), friction=friction, piece=piece), z
 
 
 def _slips(problem: Problem, mode: Mode, previous: Contacts, z: Contacts) -> Int[Array, " whiskers"]:

@@ -14,6 +14,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import newly_slipping
 from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, slope_sines, with_slips
+from jaxwhisker._equilibrium.pieces import where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
 from jaxwhisker._path import snap_flow
@@ -22,6 +23,8 @@ from jaxwhisker._path.leaving import SLIP_NOISE, to_snap, with_changed_slips
 from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, slips_on
 from jaxwhisker._path.path import (
     AT_STOP,
+    HIGH,
+    LOW,
     MARGIN_NOISE,
     NO_EVENT,
     PHASE,
@@ -53,7 +56,8 @@ def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""
     """EventKind of a target, or STOP."""
     tip = jnp.any(target.whisker & (phase == Phase.tip))
     change = jnp.where(tip, EventKind.tip_to_tangential, EventKind.tangential_to_tip)
-    kinds = jnp.array([EventKind.touch, EventKind.release, 0, EventKind.vertex, STOP, EventKind.slip])
+    kinds = [EventKind.touch, EventKind.release, 0, EventKind.vertex, STOP, EventKind.slip]
+    kinds = jnp.array(kinds if target.piece is None else [*kinds, EventKind.edge, EventKind.edge])
     return jnp.where(target.kind == PHASE, change, kinds[target.kind])
 
 
@@ -83,6 +87,8 @@ def _node(state: MarchState, trial: Trial) -> Node:
         state.mode.friction,
         state.mode.friction,
         *(() if state.mode.friction is None else (state.goal, jnp.asarray(False))),
+        piece=state.mode.piece,
+        piece_before=state.mode.piece,
     )
 
 
@@ -223,12 +229,15 @@ class _Change(NamedTuple):
     released: Bool[Array, " whiskers"]
     phase: Bool[Array, " whiskers"]
     slips: Bool[Array, " whiskers"]
+    passes: Bool[Array, " whiskers"] | None  # an end of its piece; None without edges
 
 
 def after_event(problem: Problem, state: MarchState, trial: Trial):
     """Handle the point where a margin vanishes: change to the mode that holds from here on."""
     solution, target = trial.solution, state.target
-    change = _Change(*(target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE, SLIP)))
+    passes = None if target.piece is None else target.whisker & ((target.kind == LOW) | (target.kind == HIGH))
+    happens = (target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE, SLIP))
+    change = _Change(*happens, passes=passes)
     before = state.point.z if trial.stance.free is None else trial.stance.free
     z_before = jnp.where(change.touches[:, None], before, solution.point.z)
     good, distance = _reached(problem, state, trial, z_before)
@@ -270,6 +279,7 @@ def _reached(problem: Problem, state: MarchState, trial: Trial, z_before: Contac
     n = state.mode.phase.shape[0]
     rates = margin_rates(problem, state.mode, trial.solution.point, trial.tangent, trial.tangent_pose)
     rows = [*rates[:AT_STOP], np.zeros(n), *([rates.slip] if rates.slip.size else [])]
+    rows += [np.zeros(n), rates.low, rates.high] if rates.low.size else []
     growing = jnp.stack(rows)[state.target.kind]
     return good & (jnp.sum(state.target.whisker * growing) < MARGIN_NOISE), distance
 
@@ -289,6 +299,9 @@ def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Chan
         slip = jnp.where(change.slips, jnp.sign(target.lean).astype(int), friction.slip)
         z, friction = with_slips(problem, z, now, slip)
         z = jnp.where(change.released[:, None], trial.stance.contact_if_free, z)
+    piece = mode.piece
+    if change.passes is not None and piece is not None and target.piece is not None:
+        piece = where_touching(jnp.where(change.touches | change.passes, target.piece, piece), phase != Phase.free)
     node = _node(state, trial)
     at_first = (target.kind == AT_STOP) & (state.goal == 0)
     return node._replace(
@@ -297,6 +310,7 @@ def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Chan
         phase=phase,
         side=side,
         friction=friction,
+        piece=piece,
         travel=jnp.where(at_first, 0.0, node.travel),
         kind=_event_kind(target, mode.phase),
         whiskers=target.whisker,
@@ -317,6 +331,8 @@ def _arrived(problem: Problem, state: MarchState, trial: Trial, change: _Change,
         lead_z += jnp.where(change.slips[:, None], node.friction.slip[:, None] * by_contact, 0.0)
     lead_z += jnp.where(smooth, state.tangent.z / scale**2, 0.0)
     lead_u = jnp.where(smooth, state.tangent.u, 0.0)
+    if change.passes is not None:
+        lead_z = lead_z.at[:, 1].add(change.passes * jnp.where(kind == LOW, -1.0, 1.0))
     # A whisker is released in the direction in which its contact would have to pull.
     by_pose, by_u = _pulling(trial.solution.newton.condensed)
     lead_pose = jnp.where(change.released[:, None], by_pose, 0.0)
@@ -357,6 +373,7 @@ def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, tr
         phase=mode.phase,
         side=mode.side,
         friction=mode.friction,
+        piece=mode.piece,
         travel=state.travel,
         kind=kind,
         whiskers=flow.slipped,

@@ -235,7 +235,8 @@ class ScanPath(NamedTuple):
 
 def _capacity(problem: Problem, stops: int) -> int:
     """Largest number of nodes on a path to this many stops."""
-    return (256 + 64 * problem.length.shape[0]) * max(1, stops // 2)
+    pieces = 1 + problem.profile.breaks().size
+    return (256 + 60 * problem.length.shape[0] + 4 * pieces * problem.length.shape[0]) * max(1, stops // 2)
 
 
 def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:

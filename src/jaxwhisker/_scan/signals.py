@@ -14,6 +14,7 @@ from jaxwhisker._equilibrium.contact import Base, Phase, of_each
 from jaxwhisker._equilibrium.friction import lean, slipping_from
 from jaxwhisker._equilibrium.implicit import Sides, Turning, event_control, event_points
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
+from jaxwhisker._equilibrium.pieces import break_between
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
 from jaxwhisker._model.motion import Pose
@@ -27,7 +28,7 @@ Bases = tuple[Float[Array, "steps whiskers"], ...]  # x, y, angle of bases; with
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
     """State of an equilibrium in the scene's units, and its largest residual."""
-    touching, bodies = mode.phase != Phase.free, problem.bodies(u)
+    touching, bodies = mode.phase != Phase.free, problem.bodies(u, mode.piece)
     loaded = touching if problem.attached is None else problem.solved(mode.phase)
     contacts = with_dummy_contacts(problem, z, mode.phase)
     base = of_each(bodies, contact.base, *contacts, mode.side, mode.friction)
@@ -157,6 +158,8 @@ def _event_row(problem: Problem, node: Node) -> Row:
     kind, slips, limit = node.kind, None, None
     if problem.friction_angle is not None:
         slips, limit = kind == EventKind.slip, jnp.sign(node.z_before[:, 1]) * problem.friction_angle
+    if node.piece is not None and node.piece_before is not None:
+        slips, limit = kind == EventKind.edge, break_between(problem.profile, node.piece_before, node.piece)
     return at_event(
         node.whiskers,
         node.z_before,

@@ -12,6 +12,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import Friction, newly_slipping
 from jaxwhisker._equilibrium.implicit import solved
 from jaxwhisker._equilibrium.newton import solve_points
+from jaxwhisker._equilibrium.pieces import where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, at_control, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stability import is_stable
@@ -64,11 +65,13 @@ class Solutions(NamedTuple):
     status: Int[Array, "*steps"]
     friction: Friction | None = None
     node: Int[Array, "*steps"] | None = None  # of the path, before the step; None without friction
+    piece: Int[Array, "*steps whiskers"] | None = None  # of the profile at each contact; None without edges
 
     @property
     def mode(self) -> Mode:
         """The modes of the steps."""
-        return Mode(self.phase, self.side, jnp.zeros(self.status.shape, bool), friction=self.friction)
+        separate = jnp.zeros(self.status.shape, bool)
+        return Mode(self.phase, self.side, separate, friction=self.friction, piece=self.piece)
 
 
 def _solve(
@@ -77,7 +80,8 @@ def _solve(
     """Solve for the equilibria at controls after nodes `index`; `known` is the status of the path there."""
     nodes = path.nodes
     friction = jax.tree.map(lambda leaf: leaf[index], nodes.friction)
-    mode = Mode(nodes.phase[index], nodes.side[index], jnp.zeros(index.shape, bool), friction=friction)
+    piece = None if nodes.piece is None else nodes.piece[index]
+    mode = Mode(nodes.phase[index], nodes.side[index], jnp.zeros(index.shape, bool), friction=friction, piece=piece)
     guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
     solution = solve_points(problem, mode, jax.vmap(at_control)(u, guess.z), guess)
     z = solution.point.z
@@ -90,7 +94,7 @@ def _solve(
     phase = jnp.where(accepted, mode.phase, Phase.free)
     z = jnp.where(accepted[:, None], z, problem.unloaded(jnp.zeros(()))[0])
     if friction is None:
-        return Solutions(z, phase, mode.side, status)
+        return Solutions(z, phase, mode.side, status, piece=where_touching(piece, phase != Phase.free))
     friction = newly_slipping(friction, ~accepted & jnp.ones_like(phase, bool), mode.side)
     return Solutions(z, phase, mode.side, status, friction, index)
 

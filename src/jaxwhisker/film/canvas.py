@@ -42,6 +42,7 @@ _EVENT_WORDS = {
     EventKind.tangential_to_tip: "tip contact of {}",
     EventKind.stick: "{} sticks",
     EventKind.slip: "{} slips",
+    EventKind.edge: "{} passes a corner",
 }
 
 _Place = tuple[float, float, float, float]  # left, bottom, width and height of axes, as shares of the figure

@@ -41,6 +41,7 @@ class _Kept(NamedTuple):
     side: PerWhisker
     friction: Friction | None
     pose: Poses
+    piece: Int[Array, " whiskers"] | None
 
 
 class _Going(NamedTuple):
@@ -90,14 +91,14 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
         flow, mode, z = snap_flow.advance(dimensionless, flow, at.mode, at.z, solution, stance)
         rested = snap_flow.at_rest(dimensionless, flow, mode, u)
         keep = ~jnp.any(flow.sliding | flow.landing)
-        now = _Kept(z, mode.phase, mode.side, mode.friction, flow.pose)
+        now = _Kept(z, mode.phase, mode.side, mode.friction, flow.pose, mode.piece)
         index = jnp.where(keep, at.count, MOST_STATES)
         kept = jax.tree.map(lambda all, one: all.at[index].set(one, mode="drop"), at.kept, now)
         onwards = _Going(flow, mode, z, jnp.asarray(True), rested | flow.exhausted, kept, at.count + keep)
         shorter = snap_flow.shortened(at.flow)
         return select(solution.converged, onwards, at._replace(flow=shorter, over=shorter.exhausted))
 
-    first = _Kept(before.point.z, before.phase, before.side, before.friction, pose)
+    first = _Kept(before.point.z, before.phase, before.side, before.friction, pose, before.piece)
     room = jax.tree.map(lambda leaf: jnp.zeros((MOST_STATES, *leaf.shape), leaf.dtype), first)
     no = jnp.asarray(False)
     start = _Going(snap_flow.start(still, pose), still, before.point.z, no, no, room, jnp.asarray(0))
@@ -117,7 +118,7 @@ def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, 
 
 def _state_in_scene(problem: Problem, u: Scalar, kept: _Kept) -> State:
     """State in the scene's units; bases of free whiskers have the pose of the flow."""
-    mode = Mode(kept.phase, kept.side, jnp.asarray(False), friction=kept.friction)
+    mode = Mode(kept.phase, kept.side, jnp.asarray(False), friction=kept.friction, piece=kept.piece)
     state, _ = signals(problem, kept.z, u, mode)
     here, free = problem.in_scene(u, kept.pose), ~problem.solved(kept.phase)
     return dataclasses.replace(

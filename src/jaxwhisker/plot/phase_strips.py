@@ -21,6 +21,7 @@ _MARKERS = {
     EventKind.vertex: ("v", "white"),
     EventKind.stick: ("<", GREY),
     EventKind.slip: (">", GREY),
+    EventKind.edge: ("|", "black"),
     EventKind.release: ("s", "white"),
     EventKind.snap_through: ("D", "black"),
     EventKind.snap_off: ("X", "black"),
