@@ -58,7 +58,7 @@ extremes: $(VENV)/installed-dev ## scan scenes at the limits of every parameter'
 	@$(call run,extremes report) && $(draw)
 
 soak: $(VENV)/installed-dev ## check 120,000 random scenes (an hour on two cores)
-	@$(call run,soak soak_supports soak_friction report)
+	@$(call run,soak soak_supports soak_friction soak_shafts report)
 
 # Everything that a scan rests on, without the tests that need further programs.
 CORE_TESTS := tests/equilibrium tests/path tests/physics/test_reference_scans.py \

@@ -319,6 +319,7 @@ def sliders() -> str:
 
 WHOLE = (
     *("roofline", "ladder", "cold_start", "extremes", "soak", "soak_supports", "soak_friction"),
+    "soak_shafts",
     *("identify_guesses", "identify_noise", "reconstruct"),
 )
 SELECTED = (in_short, work_precision, speed_up, models, settings, claims)

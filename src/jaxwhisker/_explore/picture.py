@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._explore.code import code_of_scan
 from jaxwhisker._model.motion import Pose
@@ -158,6 +159,8 @@ def _event(event: Event, unit: Unit) -> dict[str, Any]:
 
 def _springs(scene: Scene, length: float) -> list[dict[str, Any]]:
     """Data for drawing the springs; lengths are divided by `length`."""
+    if scene.support.on_shafts:
+        checks.fail("build", "a function that returns a scene without springs on shafts", scene.support.name)
     whisker_length = float(scene.whiskers[0].length)
     mounts = ((float(m.x) / length, float(m.y) / length, float(m.angle)) for m in scene.support.mounts)
     poses = [(0.0, 0.0, 0.0), *mounts]

@@ -285,10 +285,16 @@ class Support(Published):
         If all springs act along x, there is one row per base; otherwise three: x, y, angle of base 1, then of base 2.
         Bases that only springs on shafts connect to the drive have no flexibility of their own. They are held by a
         further spring, which is not part of the support, with the stiffness `hold`.
+
+        Raises:
+            ValueError: if there are springs on shafts and `hold` is not given.
         """
         if not self.axes:
             return None
-        hold = self.hold(1.0, 1.0) if hold is None else hold
+        if hold is None:
+            if self.on_shafts:
+                checks.fail("support", "without springs or foundations on shafts for this function", f"{self.name}")
+            hold = jnp.zeros((self.whiskers, len(AXES)))
         parts = {axis: flexibility(self._network(axis, hold), self.whiskers) for axis in self.axes}
         return parts["x"] if self.axes == ("x",) else along_all_axes(parts)
 
