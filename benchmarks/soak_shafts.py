@@ -47,9 +47,7 @@ def main(scenes: int) -> None:
         bent += int(np.sum(np.abs(np.asarray(result.mz)[:, 0, 0]) > 1e-6))
         status = np.max(np.asarray(result.status), axis=1)
         statuses.update(jw.Status(int(s)).name for s in status)
-        for lane in np.flatnonzero(
-            bad | ~np.isin(status, (jw.Status.ok, jw.Status.second_contact, jw.Status.at_spring))
-        ):
+        for lane in np.flatnonzero(bad | ~np.isin(status, EXPECTED)):
             broken = {law: float(amount[lane]) for law, amount in largest.items() if amount[lane] > TOLERANCE}
             print(f"{jw.Status(int(status[lane])).name}: batch {batch}, scene {lane}  {broken}", flush=True)
     count = sum(statuses.values())

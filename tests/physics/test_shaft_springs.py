@@ -160,6 +160,30 @@ def test_a_mirrored_scene_gives_mirrored_signals():
         np.testing.assert_allclose(getattr(mirrored, name), sign * getattr(result, name), atol=SAME, err_msg=name)
 
 
+def test_the_work_of_the_contact_force_is_the_change_of_the_stored_energy():
+    one = given(PARAMETERS.values())
+
+    def energy(control):
+        result = jw.scan(one, control)
+        return np.asarray(jw.stored_energy(one, result)), result
+
+    _, result = energy(STEPS)
+    slope = (energy(STEPS + 1e-4)[0] - energy(STEPS - 1e-4)[0]) / 2e-4
+    force = -np.asarray(result.contact_force * jnp.sin(result.contact_slope))[:, 0]
+    np.testing.assert_allclose(slope, force, atol=1e-6 * np.abs(force).max())  # of the difference
+    with pytest.raises(ValueError, match="`control`"):
+        jw.stored_energy(one, result.events[0].before)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [jw.energy_balance, lambda result: jw.deflect(jw.Whisker(), jw.PointForce(1.0), support=result.scene.support)],
+)
+def test_functions_that_do_not_know_such_springs_say_so(function):
+    with pytest.raises(ValueError, match="on shafts"):
+        function(jw.scan(given(PARAMETERS.values()), STEPS))
+
+
 def test_a_contact_that_reaches_a_spring_ends_the_scan():
     result = jw.scan(scene(axial(70.0, 0.2, 0.5)), np.linspace(0.9, -0.3, 25))
     first = int(np.argmax(result.status != jw.Status.ok))

@@ -148,7 +148,7 @@ def stretched(spring: ShaftSprings, state: RodState, drive: Frame) -> tuple[Scal
     return length, by_across * drive.cos - by_along * drive.sin, by_across * drive.sin + by_along * drive.cos, by_turn
 
 
-def _past(load: Load, spring: ShaftSprings, laws: Laws, state: RodState, drive: Frame, sign: float) -> Load:
+def past(load: Load, spring: ShaftSprings, laws: Laws, state: RodState, drive: Frame, sign: float) -> Load:
     """The load on the rod behind a spring, on the way to the base (sign = 1) or away from it (-1)."""
     length, by_x, by_y, by_turn = stretched(spring, state, drive)
     tension = sign * _tension(spring, laws, length)
@@ -200,8 +200,9 @@ def walk(
             on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
             density = partial(on.density, drive)
             state, load = integrate_on(state, load, s - stop, material, density, steps=steps, from_base=s)
-        below, passed = _past(load, spring, laws, state, drive, sign), tuple(map(jnp.asarray, state))
-        above = jax.tree.map(lambda a, b: jnp.where(spring.at > 0, a, b), below, above)
+        below, passed = past(load, spring, laws, state, drive, sign), tuple(map(jnp.asarray, state))
+        # At the base, the first place is reached along the shaft, and all others without a way.
+        above = jax.tree.map(lambda a, b, c: jnp.where(spring.at > 0, a, jnp.where(s > 0, b, c)), below, load, above)
         return (state, below, above, stop), passed
 
     carry = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load, load, s))

@@ -16,7 +16,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.signals import bases_of, spring_lengths
+from jaxwhisker._scan.springs import bases_of, spring_lengths
 from jaxwhisker._scan.state import FRICTION, State
 
 EXAMPLE_STEPS = 2  # with which a function is tried before it is compiled

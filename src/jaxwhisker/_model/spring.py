@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -14,6 +15,8 @@ from jaxwhisker._base.types import Scalar
 
 AXES = ("x", "y", "phi")
 ONE_SIDED = ("tension", "compression")
+# Gauss-Legendre points and weights on [0, 1], for the energies of user-defined springs.
+POINTS, WEIGHTS = (np.polynomial.legendre.leggauss(16)[k] / 2 + (k == 0) / 2 for k in (0, 1))
 
 
 class Spring(eqx.Module):
@@ -113,6 +116,18 @@ class Spring(eqx.Module):
         if self.compliance is not None:
             return jnp.asarray(self.compliance, dtype=float)
         return 1 / jnp.asarray(self.stiffness, dtype=float)
+
+    def energy(self, length: Scalar) -> Float[Array, ""]:
+        """Energy stored at this length or angle."""
+        rest = jnp.abs(jnp.asarray(self.rest_length)) if self.axis == "axial" else self.rest_length
+        extension, sign = length - rest, {"tension": 1.0, "compression": -1.0, None: 0.0}[self.one_sided]
+
+        def tension(extension: Scalar) -> Float[Array, ""]:
+            soft = jnp.where(self.softness > 0, self.softness, jnp.inf) if not callable(self.stiffness) else 1.0
+            pull = jnp.asarray(self.stiffness(extension) if callable(self.stiffness) else extension / soft)
+            return pull if sign == 0 else sign * jnp.maximum(sign * pull, 0.0)
+
+        return extension * jnp.sum(WEIGHTS * jax.vmap(tension)(jnp.asarray(POINTS) * extension))
 
     def is_rigid(self) -> bool:
         """Whether the stiffness of a concrete spring is infinite."""

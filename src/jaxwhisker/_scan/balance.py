@@ -78,6 +78,8 @@ def energy_balance(result: Result) -> EnergyBalance:
         5.933391 5.933391
     """
     checks.instance("result", result, Result, "the Result of a scan")
+    if result.scene.support.on_shafts:
+        checks.fail("result", "of a scene without springs on shafts", str(result.scene))
     if np.ndim(result.control) == 1:
         return _balance(result)
     if checks.is_traced(result):

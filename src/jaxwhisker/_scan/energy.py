@@ -9,8 +9,11 @@ t = dr/ds, the integral of F . t is F . (r1 - r0), and the energy of the whisker
 For other whiskers, EI (kappa - kappa0)^2 / 2 = M^2 / (2 EI) is integrated along the shape.
 
 Springs store 1/2 F . C F, with the flexibility matrix C of the support and the loads F on the bases in the drive's
-frame.
+frame. If springs hold the shafts, the energies of all springs follow from their lengths, and those of the whiskers from
+the first integral on each piece between two springs.
 """
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -19,16 +22,19 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.types import Control, Scalar
+from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.state import State, base_of, outwards, state_of
+from jaxwhisker._scan.springs import held, holds, outwards, pieces_energy, spring_length
+from jaxwhisker._scan.state import State, base_of, state_of
 
 INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; the error falls with the fourth power
 
 
-def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
+def stored_energy(scene: Scene, state: State, control: Control | None = None) -> Float[Array, "*steps"]:
     """Elastic energy of whiskers and springs; zero where all whiskers are free.
 
     Between snaps, no energy E is lost: it is exchanged with the drive and with a moving object. A drive that moves
@@ -36,25 +42,38 @@ def stored_energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
     does the work of the contact forces, dE = -sum(fx) dx - sum(fy) dy. At a snap, the drop in E is lost. With friction,
     contacts that slip turn some of the work into heat.
 
-    Springs that strain each other at rest (a loop whose rest lengths do not add up) store a constant energy, which is
-    not included.
+    Springs that strain each other at rest store a constant energy. That of a loop of base springs whose rest lengths do
+    not add up is not included; that of springs on shafts is.
 
     Args:
         scene: the scanned scene.
         state: the Result of its scan, or the states `before` or `after` its events; NaN gives NaN.
+        control: drive positions of these states, shape (steps,). Default: those of the Result. They are needed for
+            springs on shafts only.
 
     Returns:
         Energy, force times length, shape (steps,): one value per step or event.
 
     Raises:
-        ValueError: if an argument has the wrong type.
+        ValueError: if an argument has the wrong type, or if springs hold the shafts and `control` is missing, whiskers
+            are not uniform, or there is a foundation.
     """
     checks.instance("scene", scene, Scene, "a Scene")
     checks.instance("state", state, State, "a Result or a State")
-    return _energy_now(jax.tree.map(checks.as_float, scene), state_of(state))
+    control = getattr(state, "control", None) if control is None else control
+    if not scene.support.on_shafts:
+        control = None
+    elif control is None:
+        checks.fail("control", "given for states of a scene with springs on shafts", "None")
+    elif not all(w.uniform for w in scene.whiskers) or any(one is not None for one in scene.support.foundations):
+        checks.fail("scene", "one with uniform whiskers and without a foundation, if springs hold shafts", str(scene))
+    return _energy_now(jax.tree.map(checks.as_float, scene), state_of(state), control)
 
 
-def _energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
+def _energy(scene: Scene, state: State, control: Control | None) -> Float[Array, "*steps"]:
+    if control is not None:
+        held = partial(_held_energy, scene)
+        return (jax.vmap(held) if state.base_x.ndim > 1 else held)(state, jnp.asarray(control, dtype=float))
     energy = jnp.zeros(())
     for k, whisker in enumerate(scene.whiskers):
         energy += _whisker_energy(whisker, jax.tree.map(lambda leaf, k=k: leaf[..., k], state))
@@ -65,6 +84,20 @@ def _energy(scene: Scene, state: State) -> Float[Array, "*steps"]:
     # Elementwise, because jax 0.10.2 computes large batches of small matrix products incorrectly.
     strain = jnp.sum(flexibility.matrix * load[..., None, :], axis=-1)
     return energy + jnp.sum(load * strain, axis=-1) / 2
+
+
+def _held_energy(scene: Scene, state: State, control: Scalar) -> Float[Array, ""]:
+    """Energy of one state of a scene with springs on shafts."""
+    by = holds(scene)
+    assert by is not None
+    energy = jnp.zeros(())
+    for k, (whisker, own) in enumerate(zip(scene.whiskers, held(by, scene.whiskers, control)[0], strict=True)):
+        at = jax.tree.map(lambda leaf, k=k: leaf[k], state)
+        arc = jnp.where(at.phase == Phase.free, whisker.length, at.contact_arc)
+        energy += pieces_energy(whisker, base_of(at), (at.fx, at.fy, at.mz), arc, own)
+    bases = state.base_x, state.base_y, state.base_angle, state.fx, state.fy, state.mz
+    lengths = spring_length(scene, bases, control)
+    return energy + sum(spring.energy(length) for spring, length in zip(scene.support.springs, lengths, strict=True))
 
 
 def _loads(scene: Scene, state: State, flexibility: Flexibility) -> Float[Array, "*steps rows"]:

@@ -33,8 +33,9 @@ from jaxwhisker._scan.detect import detect, without_gains
 from jaxwhisker._scan.memory import places_of, remembered, with_places
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
-from jaxwhisker._scan.signals import bases_of, events, spring_lengths
+from jaxwhisker._scan.signals import events
 from jaxwhisker._scan.slopes import event_tangents, remembered_tangents, spring_tangents, state_tangents
+from jaxwhisker._scan.springs import bases_of, spring_lengths
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps, states
 

@@ -17,7 +17,8 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.result import Result, check_one_scan
-from jaxwhisker._scan.state import Held, Holds, State, base_of, held, holds, material, outwards, state_of
+from jaxwhisker._scan.springs import Held, Holds, held, holds, outwards
+from jaxwhisker._scan.state import State, base_of, material, state_of
 
 
 class Shapes(eqx.Module):

@@ -17,13 +17,9 @@ from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.pieces import break_between
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
-from jaxwhisker._model.motion import Pose
-from jaxwhisker._model.scene import Scene, moves_along_x
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, is_snap, select
 from jaxwhisker._scan.result import Events
-from jaxwhisker._scan.state import State, holds, on_shafts
-
-Bases = tuple[Float[Array, "steps whiskers"], ...]  # x, y, angle of bases; with springs on shafts, fx, fy, mz too
+from jaxwhisker._scan.state import State
 
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
@@ -117,40 +113,6 @@ def _friction(problem: Problem, z: Contacts, mode: Mode) -> dict[str, Array]:
         "normal_force": jnp.where(touching, force * jnp.cos(leans), 0.0),
         "friction_force": jnp.where(touching, -force * jnp.sin(leans), 0.0),
     }
-
-
-def bases_of(scene: Scene, state: State) -> Bases:
-    """The fields of states that spring lengths depend on: poses of bases and, with springs on shafts, reactions."""
-    pose = state.base_x, state.base_y, state.base_angle
-    return (*pose, state.fx, state.fy, state.mz) if scene.support.attached else pose
-
-
-def spring_lengths(scene: Scene, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
-    """Lengths of the springs, or angles of torsion springs, at all steps."""
-    return jax.vmap(partial(spring_length, scene))(bases, control)
-
-
-def spring_length(scene: Scene, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
-    """Length of each spring, in the drive's frame, in one state."""
-    linear, by = _linear_lengths(scene, base[:3], u), holds(scene)
-    if by is None or not scene.support.attached:
-        return linear
-    attached = (one.length for one in on_shafts(by, scene.whiskers, Pose(*base[:3]), base[3:], u))
-    network = iter(linear)
-    return jnp.stack([next(network if spring.linear else attached) for spring in scene.support.springs])
-
-
-def _linear_lengths(scene: Scene, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
-    """Lengths of the springs that form the network of the bases."""
-    x, y, angle = base
-    if moves_along_x(scene):
-        return scene.support.spring_length((x - u)[:, None])
-    drive_x, drive_y, drive_angle = scene.motion.pose(u)
-    cos, sin = jnp.cos(drive_angle), jnp.sin(drive_angle)
-    right, up = x - drive_x, y - drive_y
-    in_frame = jnp.stack([right * cos + up * sin, up * cos - right * sin, angle - drive_angle], axis=-1)
-    mounts = [[jnp.asarray(v, dtype=float) for v in (m.x, m.y, m.angle)] for m in scene.support.mounts]
-    return scene.support.spring_length(in_frame - jnp.stack([jnp.stack(mount) for mount in mounts]))
 
 
 def _event_row(problem: Problem, node: Node) -> Row:

@@ -16,7 +16,8 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Path
 from jaxwhisker._scan.memory import chained, with_memory
 from jaxwhisker._scan.result import Events
-from jaxwhisker._scan.signals import Bases, events, spring_length
+from jaxwhisker._scan.signals import events
+from jaxwhisker._scan.springs import Bases, spring_length
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import Solutions, states
 

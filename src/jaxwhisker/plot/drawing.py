@@ -28,7 +28,8 @@ from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import problem_now
 from jaxwhisker._scan.shapes import shapes_of
 from jaxwhisker._scan.signals import signals
-from jaxwhisker._scan.state import FRICTION, State, base_of, holds, on_shafts, state_of
+from jaxwhisker._scan.springs import holds, on_shafts
+from jaxwhisker._scan.state import FRICTION, State, base_of, state_of
 
 # Lengths are in L of the first whisker.
 LINE_POINTS = 64  # per centre line

@@ -1,0 +1,179 @@
+"""Springs and centre lines in a state: walks along whiskers from their bases, lengths and energies of springs."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.attach import OnShafts, attached
+from jaxwhisker._equilibrium.dimensionless import sections
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, end_of, past, stretched, walk
+from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, mounted
+from jaxwhisker._model.scene import Scene, Units, moves_along_x
+from jaxwhisker._model.support import Support
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod import rod
+from jaxwhisker._scan.state import State, material
+
+WALK_STEPS = 16  # of the rod from one spring on its shaft to the next
+
+PerWhisker = Float[Array, " whiskers"]
+Bases = tuple[Float[Array, "steps whiskers"], ...]  # x, y, angle of bases; with springs on shafts, fx, fy, mz too
+Reaction = tuple[Scalar, ...]  # fx, fy, mz
+
+
+class Holds(eqx.Module):
+    """What holds whiskers by springs on their shafts: support and motion of a scene; shared by all of its states."""
+
+    support: Support
+    motion: AbstractMotion
+
+
+class Held(NamedTuple):
+    """The springs on the shaft of one whisker, and the frame of the drive, in the scene's units."""
+
+    held_by: Attachments
+    laws: Laws
+    drive: Frame
+
+
+def holds(scene: Scene) -> Holds | None:
+    """What holds the whiskers of a scene by springs on their shafts; None without such springs."""
+    return Holds(scene.support, scene.motion) if scene.support.on_shafts else None
+
+
+def held(by: Holds, whiskers: tuple[Whisker, ...], control: Scalar) -> tuple[list[Held], OnShafts]:
+    """The springs on the shafts of all whiskers at a control."""
+    # Without units, everything is in those of the scene.
+    ones = [jnp.ones(()) for _ in Units._fields]
+    springs = attached(by.support, sections(whiskers, 1.0, 1.0), Units(*ones))
+    assert springs is not None
+    drive = mounted(Pose(*(jnp.asarray(part, dtype=float) for part in by.motion.pose(control))), Pose(0.0, 0.0, 0.0))
+    each = [jax.tree.map(lambda leaf, k=k: leaf[k], springs.held_by) for k in range(len(whiskers))]
+    return [Held(own, springs.laws, drive) for own in each], springs
+
+
+def outwards(
+    whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held | None = None, *, count: int
+) -> rod.RodStates:
+    """States of the rod at `count` equidistant points from the base up to `arc`, under the reaction at the base."""
+    start, load, zero = *_at_base(base, reaction), jnp.zeros_like(arc)
+    if held is None:
+        # A negative arc integrates away from the base.
+        return rod.points(start, -arc, load, material(whisker), count=count, from_base=zero)
+    springs, points = held.held_by.with_places(arc * jnp.linspace(1.0, 0.0, count))
+    passed = _walk(whisker, start, load, held._replace(held_by=springs), steps=1)
+    x, y, cos, sin = (values[points[::-1]] for values in passed)
+    return x, y, cos, sin
+
+
+def _at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
+    """State of the rod at its base, and the load there, which balances the reaction."""
+    fx, fy, mz = reaction
+    start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
+    return start, rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
+
+
+def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> rod.RodStates:
+    """States of the rod at all springs, from the tip to the base, on a walk from the base."""
+    springs = jax.tree.map(lambda leaf: leaf[::-1], held.held_by.springs)
+    # The reaction is that of everything at the base and below.
+    springs = springs._replace(share=jnp.where(springs.at > 0, springs.share, 0.0))
+    backwards, zero = held.held_by._replace(springs=springs), jnp.zeros_like(springs.at[0])
+    given = start, load, zero, material(whisker), backwards, held.laws, held.drive
+    return jax.tree.map(lambda leaf: leaf[::-1], walk(*given, steps=steps, sign=-1.0).passed)
+
+
+def pieces_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held) -> Float[Array, ""]:
+    """Elastic energy of a uniform whisker up to an arc length, from the first integral on each piece."""
+    (start, load), (places, _) = _at_base(base, reaction), held.held_by.with_places(jnp.reshape(arc, 1))
+    held, stiffness = held._replace(held_by=places), whisker.base_stiffness
+    passed = _walk(whisker, start, load, held, steps=WALK_STEPS)
+    # From the base on: places, and the loads behind them.
+    springs = places.springs._replace(share=jnp.where(places.springs.at > 0, places.springs.share, 0.0))
+    springs, (x, y, cos, sin) = jax.tree.map(lambda leaf: leaf[::-1], (springs, passed))
+    none = rod.Load(*[jnp.zeros(())] * 3)
+    jumps = jax.vmap(lambda one, at: past(none, one, held.laws, at, held.drive, -1.0))(springs, (x, y, cos, sin))
+    before = map(jnp.asarray, (load.force_x, load.force_y, load.moment))
+    changes = map(jnp.asarray, (jumps.force_x, jumps.force_y, jumps.moment))
+    fx, fy, about = (own + jnp.cumsum(change) for own, change in zip(before, changes, strict=True))
+    moment = about - x * fy + y * fx
+    density = (moment**2 / (2 * stiffness) + fx * cos + fy * sin)[:-1]
+    way = fx[:-1] * jnp.diff(x) + fy[:-1] * jnp.diff(y)
+    return jnp.sum(density * jnp.diff(jnp.maximum(springs.at, 0.0)) - way)
+
+
+class Stretched(NamedTuple):
+    """A spring on a shaft in one state: its length or angle, and its ends on the drive and on the whisker."""
+
+    length: Scalar
+    anchor_x: Scalar
+    anchor_y: Scalar
+    x: Scalar
+    y: Scalar
+
+
+def on_shafts(
+    by: Holds, whiskers: tuple[Whisker, ...], bases: Pose, reactions: tuple[PerWhisker, ...], control: Scalar
+) -> list[Stretched]:
+    """The springs on shafts, in the order of the support, in one state; fields have shape (whiskers,)."""
+    each, springs = held(by, whiskers, control)
+    every = []
+    for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
+        base, reaction = jax.tree.map(lambda leaf, k=k: leaf[k], (bases, reactions))
+        passed = _walk(whisker, *_at_base(base, reaction), own, steps=WALK_STEPS)
+        every.append(jax.vmap(partial(_stretched, own.drive))(own.held_by.springs, passed))
+    counted, ordered = [0] * len(whiskers), []
+    for spring in by.support.attached:
+        k = spring.between[1] - 1
+        rank = springs.ranks[k, counted[k]]
+        ordered.append(jax.tree.map(lambda leaf, rank=rank: leaf[rank], every[k]))
+        counted[k] += 1
+    return ordered
+
+
+def _stretched(drive: Frame, spring: ShaftSprings, state: rod.RodState) -> Stretched:
+    return Stretched(
+        stretched(spring, state, drive)[0],
+        drive.x + spring.anchor_x * drive.cos - spring.anchor_y * drive.sin,
+        drive.y + spring.anchor_x * drive.sin + spring.anchor_y * drive.cos,
+        *end_of(spring, state),
+    )
+
+
+def bases_of(scene: Scene, state: State) -> Bases:
+    """The fields of states that spring lengths depend on: poses of bases and, with springs on shafts, reactions."""
+    pose = state.base_x, state.base_y, state.base_angle
+    return (*pose, state.fx, state.fy, state.mz) if scene.support.attached else pose
+
+
+def spring_lengths(scene: Scene, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
+    """Lengths of the springs, or angles of torsion springs, at all steps."""
+    return jax.vmap(partial(spring_length, scene))(bases, control)
+
+
+def spring_length(scene: Scene, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
+    """Length of each spring, in the drive's frame, in one state."""
+    linear, by = _linear_lengths(scene, base[:3], u), holds(scene)
+    if by is None or not scene.support.attached:
+        return linear
+    attached = (one.length for one in on_shafts(by, scene.whiskers, Pose(*base[:3]), base[3:], u))
+    network = iter(linear)
+    return jnp.stack([next(network if spring.linear else attached) for spring in scene.support.springs])
+
+
+def _linear_lengths(scene: Scene, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
+    """Lengths of the springs that form the network of the bases."""
+    x, y, angle = base
+    if moves_along_x(scene):
+        return scene.support.spring_length((x - u)[:, None])
+    drive_x, drive_y, drive_angle = scene.motion.pose(u)
+    cos, sin = jnp.cos(drive_angle), jnp.sin(drive_angle)
+    right, up = x - drive_x, y - drive_y
+    in_frame = jnp.stack([right * cos + up * sin, up * cos - right * sin, angle - drive_angle], axis=-1)
+    mounts = [[jnp.asarray(v, dtype=float) for v in (m.x, m.y, m.angle)] for m in scene.support.mounts]
+    return scene.support.spring_length(in_frame - jnp.stack([jnp.stack(mount) for mount in mounts]))
