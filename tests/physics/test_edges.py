@@ -341,3 +341,13 @@ def test_friction_is_not_modelled():
         scene(LOW, friction=0.3)
     with pytest.raises(ValueError, match="`friction` must be None"):
         jw.Sensor(jw.Whisker(), friction=0.3).before(LOW)
+
+
+def test_a_whisker_leaves_the_side_of_a_box_where_it_touched_it():
+    # There, the contact ends at an end of its piece: the corner's force has turned as far as the vertical side.
+    control = np.concatenate([np.linspace(0.3, -0.6, 10), np.linspace(-0.6, 0.3, 10)])
+    result = jw.scan(jw.Scene(jw.Whisker(), jw.Box(0.3, width=0.8, height=0.5), jw.Support.fb(70.0)), control)
+    assert all_ok(result)
+    (touch,), (release,) = (result.events.of(kind) for kind in (jw.EventKind.touch, jw.EventKind.release))
+    np.testing.assert_allclose(release.control, touch.control, atol=1e-9)
+    assert int(result.phase[-1, 0]) == jw.Phase.free

@@ -66,6 +66,31 @@ def test_a_spring_at_the_base_is_a_base_spring():
         np.testing.assert_allclose([event.control for event in result.events], controls, atol=SAME)
 
 
+BASE, COUPLING = jw.Spring((0, 1), 70.0, 0.2), jw.Spring((1, 2), 70.0, 0.2)
+WITH = {
+    "two whiskers": ((COUPLING,), {}),
+    "friction": ((), {"friction": 0.3}),
+    "a box": ((), {"profile": jw.Box(0.3, width=0.8, height=0.5)}),
+}
+
+
+@pytest.mark.parametrize("name", WITH)
+def test_springs_on_shafts_go_with_everything_else(name):
+    further, options = WITH[name]
+    options = {"profile": jw.Parabola(0.2)} | options
+    control = np.concatenate([np.linspace(0.9, -0.6, 31), np.linspace(-0.6, 0.2, 9)])
+    expected, result = (
+        jw.scan(jw.Scene(jw.Whisker(), support=jw.Support((first, *further)), **options), control)
+        for first in (BASE, jw.Spring((0, 1), 70.0, 0.2, at=0.0))
+    )
+    assert all_ok(result)
+    for field in SIGNALS:
+        np.testing.assert_allclose(getattr(result, field), getattr(expected, field), atol=SAME, err_msg=field)
+    assert [event.kind for event in result.events] == [event.kind for event in expected.events]
+    controls = [event.control for event in expected.events]
+    np.testing.assert_allclose([event.control for event in result.events], controls, atol=SAME)
+
+
 @cache
 def scanned():
     held = drawn(SCENES, np.random.default_rng(5))

@@ -275,6 +275,8 @@ class InPlane(Problem):
         return frame_and_rate(self.drive, self.mount, u)
 
     def bodies(self, u, piece=None):
+        if self.attached is not None and piece is None and self.profile.has_edges:
+            piece = jnp.zeros(self.length.shape, int)  # free whiskers may have any
         bodies = super().bodies(u, piece)
         if self.attached is None:
             return bodies

@@ -169,9 +169,9 @@ class Support(Published):
                 own = torsion if axis == "phi" else stiffness
                 for spring in self.attached:
                     if spring.between[1] == base and not callable(spring.stiffness):
-                        turns, at = spring.axis == "phi", 0.0 if spring.at is None else spring.at
-                        arm = at**2 if axis == "phi" else 1.0
-                        own += (turns == (axis == "phi")) / spring.softness if turns else arm / spring.softness
+                        at = 0.0 if spring.at is None else spring.at
+                        by_force = at**2 if axis == "phi" else 1.0
+                        own += (float(axis == "phi") if spring.axis == "phi" else by_force) / spring.softness
                 hold = hold.at[base - 1, k].set(own)
         return jax.lax.stop_gradient(hold)
 

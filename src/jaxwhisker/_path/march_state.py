@@ -228,6 +228,10 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
     # A whisker that was out of reach may touch anywhere within the step.
     share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
     share = jnp.where(violated, share, jnp.inf)
+    if trial.ends is not None:
+        # A contact that ends at an end of its piece, as on the vertical side of a box, does not go on to the next one.
+        ended = jnp.tile(trial.there.release < -MARGIN_NOISE, 2)
+        share = share.at[-ended.size :].set(jnp.where(ended, jnp.inf, share[-ended.size :]))
     first = jnp.argmin(share)
     contact, phase, side = snap_flow.touching(trial.stance, state.mode.side)
     kinds = np.repeat(np.arange(len(trial.here)), [margin.size for margin in trial.here])
