@@ -21,7 +21,7 @@ CONTROL = jnp.linspace(0.8, -1.5, 1151)
 HEIGHTS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25)
 STIFFNESSES = (70.0, 100.0, 200.0, 1000.0)
 PEAKS = ("fy", "mz")
-C2 = jw.Whisker(0.0331, 6.3e-8)  # a rat's C2: length in m, bending stiffness at the base in N m^2
+LENGTH, STIFFNESS = 0.0331, 6.3e-8  # of a rat's whisker C2: m; N m^2 at the base
 PUBLISHED = {
     "Simony et al., small angles": jw.Support.simony(),
     "Simony et al., large angles": jw.Support.simony(large_angles=True),
@@ -57,13 +57,13 @@ def stiffness_at_skin(support: jw.Support) -> np.ndarray:
             end = pose[:2] + at * jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
             rest = at * jnp.stack([-jnp.sin(mount.angle), jnp.cos(mount.angle)])
             if spring.axis == "axial":
-                stretch = jnp.linalg.norm(end - jnp.stack(spring.anchor)) - spring.rest_length
+                stretch = jnp.linalg.norm(end - jnp.asarray(spring.anchor)) - spring.rest_length
             else:
                 stretch = (end - rest)["xy".index(spring.axis)]
             total += spring.stiffness * stretch**2 / 2
         return total
 
-    length, stiffness = C2.length, C2.bending_stiffness
+    length, stiffness = LENGTH, STIFFNESS
     unit = np.array([length, length, 1.0])
     return np.asarray(jax.hessian(energy)(jnp.zeros(3))) * np.outer(unit, unit) * length / stiffness
 
