@@ -15,8 +15,11 @@ from jaxwhisker._base.types import Scalar
 
 AXES = ("x", "y", "phi")
 ONE_SIDED = ("tension", "compression")
-# Gauss-Legendre points and weights on [0, 1], for the energies of user-defined springs.
-POINTS, WEIGHTS = (np.polynomial.legendre.leggauss(16)[k] / 2 + (k == 0) / 2 for k in (0, 1))
+# Gauss-Legendre points and weights on [0, 1] (Golub and Welsch 1969), for the energies of user-defined springs.
+# numpy.polynomial would be loaded with the package.
+_K = np.arange(1, 16)
+_AT, _VECTORS = np.linalg.eigh(np.diag(_K / np.sqrt(4.0 * _K**2 - 1), -1))
+POINTS, WEIGHTS = (_AT + 1) / 2, _VECTORS[0] ** 2
 
 
 class Spring(eqx.Module):
