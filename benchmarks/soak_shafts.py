@@ -2,8 +2,8 @@
 
 python benchmarks/soak_shafts.py [scenes]     default 20,000; about half an hour on one core
 
-A whisker is held by an axial spring above its base, a spring along x above or below it, and one at the base. Half of
-the springs disagree, and bend the whisker before it touches the object. A scene is wrong if it violates a law at a step
+A whisker is held by an axial spring above its base, a spring along x above or below it, and one at the base. They
+disagree, and bend almost every whisker before it touches the object. A scene is wrong if it violates a law at a step
 with status ok.
 """
 

@@ -17,7 +17,7 @@ OPTIONS = {"xla_backend_optimization_level": 1}  # more takes longer to compile 
 def drawn(count: int, rng: np.random.Generator) -> Held:
     """Random numbers: an axial spring above the base, one along x above or below, and one at the base.
 
-    Half of the springs agree with each other; the others bend the whisker before it touches anything.
+    They disagree, and bend almost every whisker before it touches anything.
     """
 
     def sizes(low: float, high: float, *shape: int) -> np.ndarray:

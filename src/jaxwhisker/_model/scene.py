@@ -57,7 +57,8 @@ class Scene(eqx.Module):
         friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
         detect: contacts that are not modelled, at which a scan ends with the status of this name: "second_contact" (a
             whisker meets the object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
-            tuple of these; () detects nothing. Default: "second_contact" with friction or edges, otherwise nothing.
+            tuple of these; () detects nothing. Default: "second_contact" with friction, edges, or springs on shafts,
+            otherwise nothing.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
@@ -107,8 +108,10 @@ class Scene(eqx.Module):
     @property
     def detects(self) -> tuple[str, ...]:
         """The contacts that are not modelled, at which a scan ends."""
-        # A whisker that sticks to the object may be wound around it, and a curved one may touch two corners.
-        default = () if self.friction is None and not self.profile.has_edges else ("second_contact",)
+        # A whisker that sticks to the object may be wound around it, a curved one may touch two corners, and springs on
+        # the shaft may bend one so far that it meets the object from above.
+        possible = self.friction is not None or self.profile.has_edges or self.support.on_shafts
+        default = ("second_contact",) if possible else ()
         return default if self.detect is None else tuple(self.detect)
 
     def __str__(self) -> str:
