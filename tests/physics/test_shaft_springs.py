@@ -169,10 +169,10 @@ def test_derivatives_agree_with_differences_in_both_modes(function):
 
 def test_an_invalid_lane_leaves_its_neighbours_alone():
     at = jnp.array(list(PARAMETERS.values()))
-    both = jnp.stack([at, at.at[0].set(-1.0)])
+    both = jnp.stack([at, at.at[0].set(-1.0), at.at[2].set(1.5)])
     result = jax.jit(jax.vmap(lambda numbers: jw.scan(given(numbers), STEPS)))(both)
-    assert np.all(result.status[0] == jw.Status.ok) and np.all(result.status[1] == jw.Status.invalid)
-    assert np.all(np.isnan(result.mz[1]))
+    assert np.all(result.status[0] == jw.Status.ok) and np.all(result.status[1:] == jw.Status.invalid)
+    assert np.all(np.isnan(result.mz[1:]))
     np.testing.assert_allclose(result.mz[0], jw.scan(given(at), STEPS).mz, atol=SAME)
 
 
@@ -228,6 +228,10 @@ def test_a_contact_that_reaches_a_spring_ends_the_scan():
         (lambda: jw.Spring((0, 1), 70.0, axis="z"), "axis"),
         (lambda: jw.Spring((0, 1), lambda: 1.0), "stiffness"),
         (lambda: jw.Support(free=("x",)), "free"),
+        (lambda: scene(axial(70.0, at=1.0)), "at"),
+        (lambda: jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support(foundation=jw.Foundation(0.0, 1.5, 9.0))), "stop"),
+        (lambda: jw.Support.simony(angle=2.0), "angle"),
+        (lambda: jw.Support.hill(pad=1e-3), "pad"),
         (lambda: jw.Support((axial(70.0),), free=("z",)), "free"),
         (lambda: scene(axial(70.0), rod=jw.ClosedForm()), "rod"),
     ],

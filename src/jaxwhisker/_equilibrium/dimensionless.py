@@ -155,6 +155,8 @@ def _valid(scene: Scene) -> Bool[Array, ""]:
     """Whether traced parameters are in the domains that the constructors check for concrete ones."""
     whiskers = jnp.all(jnp.stack([whisker.valid() for whisker in scene.whiskers]))
     valid = scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers
+    for _, whisker, place in scene.support.attachments():
+        valid &= jnp.asarray(place) < scene.whiskers[whisker - 1].length
     if scene.friction is None:
         return valid
     return valid & (scene.friction >= 0) & jnp.isfinite(scene.friction)

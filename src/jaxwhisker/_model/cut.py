@@ -179,7 +179,7 @@ class Trimmed(AbstractProfile):
         return at.x, at.y
 
     def in_unit(self, length):
-        raise NotImplementedError  # the parameters of the ends depend on the unit
+        raise NotImplementedError  # never asked for: it is made in the unit of the problem
 
     def _positive(self):
         return [self.vertex()[1]]

@@ -54,6 +54,8 @@ class Published(eqx.Module):
         """
         checks.number("follicle", follicle, positive=True)
         skin, plate, below = LARGE if large_angles else SMALL
+        if angle is not None:
+            checks.acute_angle("angle", angle)
         tilt: Any = np.radians(15.0 if large_angles else 25.0) if angle is None else angle
         x, y = follicle * jnp.sin(tilt), -follicle * jnp.cos(tilt)
         half = MM  # from a spring's end on the follicle to its anchor
@@ -101,6 +103,9 @@ class Published(eqx.Module):
         checks.number("follicle", follicle, positive=True)
         checks.number("pad", pad, positive=True)
         checks.number("mass", mass, positive=True)
+        checks.acute_angle("angle", angle)
+        if not checks.is_traced((pad, follicle)) and not float(pad) > 2 * float(follicle):
+            checks.fail("pad", f"wider than two follicles of {follicle}", pad)
         omega = 1 / ((HILL_DAMPING - np.sqrt(HILL_DAMPING**2 - 1)) * HILL_TIME)
         strength = pad / 2 * mass * omega**2
         half, springs = pad / 2, []

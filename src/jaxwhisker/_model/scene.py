@@ -92,6 +92,7 @@ class Scene(eqx.Module):
         if self.support.on_shafts and not isinstance(self.rod, Shooting):
             allowed = "Shooting() for springs on shafts, which change the load along the whisker"
             checks.fail("rod", allowed, f"{type(self.rod).__name__}()")
+        self._check_attachments()
         tissue = any(one is not None for one in self.support.foundations)
         if tissue and any(w.intrinsic_curvature is not None for w in self.whiskers):
             checks.fail("whisker", "straight on a Foundation", "one with an intrinsic curvature")
@@ -99,6 +100,12 @@ class Scene(eqx.Module):
         if self.detect is not None and not known:
             allowed = f"{' or '.join(map(repr, DETECTABLE))}, or a tuple of these"
             checks.fail("detect", allowed, repr(self.detect))
+
+    def _check_attachments(self) -> None:
+        for name, whisker, place in self.support.attachments():
+            length = self.whiskers[whisker - 1].length
+            if not checks.is_traced((place, length)) and not float(place) < float(length):
+                checks.fail(name, f"less than the whisker's length {length}", place)
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:

@@ -110,6 +110,11 @@ class Support(Published):
         """The springs that do not belong to the linear network of the bases: on shafts, or not linear."""
         return tuple(spring for spring in self.springs if not spring.linear)
 
+    def attachments(self) -> list[tuple[str, int, Scalar]]:
+        """Argument, whisker and arc length of everything that is attached to a shaft; of foundations, the upper end."""
+        springs = [("at", s.between[1], s.at) for s in self.attached if s.at is not None]
+        return springs + [("stop", base, one.stop) for base, one in enumerate(self.foundations, 1) if one is not None]
+
     @property
     def _attached(self) -> set[int]:
         """The whiskers that such springs or a foundation hold."""
