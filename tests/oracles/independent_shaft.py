@@ -34,7 +34,8 @@ def _rates(state, load, stiffness=1.0):
     return np.stack([np.cos(phi), np.sin(phi), (about - x * fy + y * fx) / stiffness])
 
 
-def _along(state, load, arc):
+def along(state, load, arc):
+    """State of the rod, x, y and angle to the x axis, an arc length further from the base, under this load."""
     h = arc / STEPS
     for _ in range(STEPS):
         k1 = _rates(state, load)
@@ -65,7 +66,7 @@ def walk(held: Held, control: np.ndarray, result: jw.Result):
         )
         kind = kinds[k][:, None]
         height, below = np.maximum(at, 0.0) + 0 * s, np.minimum(at, 0.0)
-        state = _along(state, load, height - s)
+        state = along(state, load, height - s)
         s = height
         x, y, phi = state
         x, y = x + below * np.cos(phi), y + below * np.sin(phi)
@@ -81,7 +82,7 @@ def walk(held: Held, control: np.ndarray, result: jw.Result):
         load = load - np.where(above, np.stack([fx, fy, x * fy - y * fx + turn]), 0.0)
         below_base = below_base + np.where(above, 0.0, fx)
         np.put_along_axis(lengths, np.broadcast_to(k[:, None, None], (*control.shape, 1)), length[..., None], 2)
-    return _along(state, load, stop - s), load, lengths, below_base
+    return along(state, load, stop - s), load, lengths, below_base
 
 
 def violations(held: Held, control: np.ndarray, result: jw.Result) -> dict[str, np.ndarray]:

@@ -68,9 +68,11 @@ def block_diagonal(blocks: Float[Array, "n size size"]) -> Float[Array, "rows ro
 
 
 def times_block_diagonal(
-    matrix: Float[Array, "rows rows"], blocks: Float[Array, "n size size"]
+    matrix: Float[Array, "rows rows"], blocks: Float[Array, "n size size"] | Float[Array, "rows rows"]
 ) -> Float[Array, "rows rows"]:
-    """Product matrix @ block_diagonal(blocks)."""
+    """Product matrix @ block_diagonal(blocks); or matrix @ blocks, if these are a whole matrix."""
+    if blocks.ndim == 2:
+        return jnp.sum(matrix[:, :, None] * blocks, axis=1)
     n, size, _ = blocks.shape
     if size == 1:
         return matrix * blocks[:, 0, 0]

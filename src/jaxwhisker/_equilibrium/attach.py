@@ -1,5 +1,6 @@
 """Springs on shafts in the dimensionless problem, and the whiskers that they hold before any contact."""
 
+from collections import Counter
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,10 +10,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.couplings import Couplings, End
 from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import solve_point
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
-from jaxwhisker._equilibrium.problem import NOWHERE, Attached, InPlane, Poses
+from jaxwhisker._equilibrium.problem import NOWHERE, Attached, Contacts, InPlane, Poses
 from jaxwhisker._equilibrium.shaft_springs import AXIAL, Attachments, Laws, ShaftSprings, Tissue
 from jaxwhisker._model.motion import Pose, mounted
 from jaxwhisker._model.scene import Units
@@ -41,6 +43,8 @@ class OnShafts(NamedTuple):
     held_by: Attachments  # fields (whiskers, springs) and (whiskers,)
     laws: Laws
     ranks: Int[Array, "whiskers springs"]  # places of the springs in the order of the support
+    blank: Contacts  # contacts of zeros
+    couplings: Couplings | None = None  # springs between two shafts; None without any
 
 
 def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
@@ -49,15 +53,24 @@ def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
     if not support.on_shafts:
         return None
     each: list[list[ShaftSprings]] = [[] for _ in range(support.whiskers)]
+    between = []  # springs between two shafts, and the ranks of both ends
     for spring in springs:
         if callable(spring.stiffness):
             turns = spring.axis == "phi"
             laws.append(_Law(spring.stiffness, 1.0 if turns else unit.length, unit.moment if turns else unit.force))
-        k = spring.between[1] - 1
-        own = section[k] if isinstance(section, tuple) else jax.tree.map(lambda leaf, k=k: leaf[k], section)
-        mount = support.mounts[k]
-        mounted = Pose(mount.x / unit.length, mount.y / unit.length, mount.angle)
-        each[k].append(_dimensionless(spring, own, mounted, unit, len(laws)))
+        ends = []
+        for whisker, at in spring.ends:
+            k = whisker - 1
+            own = section[k] if isinstance(section, tuple) else jax.tree.map(lambda leaf, k=k: leaf[k], section)
+            mount = support.mounts[k]
+            mounted = Pose(mount.x / unit.length, mount.y / unit.length, mount.angle)
+            ends.append((k, len(each[k])))
+            each[k].append(_dimensionless(spring, at, own, mounted, unit, len(laws)))
+        if len(ends) > 1:
+            second, rank = ends[1]
+            between.append((each[second][rank], *ends))
+            for k, rank in ends:
+                each[k][rank] = each[k][rank]._replace(share=jnp.zeros(()))
     none = ShaftSprings(*[jnp.zeros((), int if name in ("axis", "law") else float) for name in ShaftSprings._fields])
     tissue = _tissue(support, unit)
     if tissue is not None:
@@ -68,11 +81,31 @@ def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
     unsorted = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)
     ordered, _ = jax.vmap(lambda own: own.with_places(jnp.zeros(0)))(unsorted)
     ranks = jax.vmap(lambda own: jnp.argsort(own.order))(unsorted)
-    return OnShafts(Attachments(ordered, tissue), tuple(laws), ranks)
+    blank = jnp.zeros((support.whiskers, 3 + support.shaft_loads))
+    found = OnShafts(Attachments(ordered, tissue), tuple(laws), ranks, blank)
+    return found if not between else _coupled(found, between)
 
 
-def _dimensionless(spring: Spring, section: Section | None, mount: Pose, unit: Units, law: int) -> ShaftSprings:
-    at = jnp.asarray(0.0 if spring.at is None else spring.at, dtype=float) / unit.length
+def _coupled(springs: OnShafts, between: list[tuple[ShaftSprings, tuple[int, int], tuple[int, int]]]) -> OnShafts:
+    """The same with these springs between two shafts, each with whisker and rank of its ends."""
+    each, *ends = zip(*between, strict=True)
+    taken: Counter[int] = Counter()  # loads in the contacts of each whisker
+    starts = []
+    for k, _ in ends[1]:
+        taken[k] += 1
+        starts.append(k * springs.blank.shape[1] + 3 * taken[k])
+    columns = np.array(starts)[:, None] + np.arange(3)
+    first, second = (
+        End(jnp.array([k for k, _ in own]), jnp.stack([springs.ranks[k, rank] for k, rank in own])) for own in ends
+    )
+    spring = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    return springs._replace(couplings=Couplings(spring, first, second, jnp.asarray(columns)))
+
+
+def _dimensionless(
+    spring: Spring, at: Scalar, section: Section | None, mount: Pose, unit: Units, law: int
+) -> ShaftSprings:
+    at = jnp.asarray(at, dtype=float) / unit.length
     x, y, angle = _on_unloaded(at, section)
     cos, sin = jnp.cos(mount.angle), jnp.sin(mount.angle)
     x, y = mount.x + x * cos - y * sin, mount.y + x * sin + y * cos
@@ -125,29 +158,38 @@ class _Unloaded(NamedTuple):
     found: Bool[Array, ""]
 
 
-def with_unloaded(problem: InPlane, held_by: Attachments, laws: Laws, held: Float[Array, "whiskers 3 3"]) -> _Unloaded:
+def with_unloaded(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3"]) -> _Unloaded:
     """The problem with springs on shafts, and whether its unloaded whiskers are in equilibrium.
 
     Args:
         problem: the problem without these springs.
-        held_by: see `Attached`.
-        laws: see `Attached`.
+        springs: the springs.
         held: see `Attached`.
     """
-    still = jax.lax.stop_gradient((problem, held_by, laws, held))
-
-    def with_springs(problem, held_by, laws, held, contact, pose) -> InPlane:
-        attached = Attached(held_by, laws, held, contact, pose)
-        return eqx.tree_at(lambda p: p.attached, problem, attached, is_leaf=lambda leaf: leaf is None)
-
-    contact, pose = _found(*still, with_springs)
+    contact, pose = _found(*jax.lax.stop_gradient((problem, springs, held)))
     contact, pose = jax.lax.stop_gradient((contact, pose))
     found = jnp.all(jnp.isfinite(contact)) & jnp.all(jnp.isfinite(pose))
     contact, pose = (jnp.where(found, value, 0.0) for value in (contact, pose))
-    return _Unloaded(with_springs(problem, held_by, laws, held, contact, pose), found)
+    return _Unloaded(_with_springs(problem, springs, held, contact, pose), found)
 
 
-def _found(problem, held_by, laws, held, with_springs) -> tuple[Float[Array, "whiskers 3"], Poses]:
+def _with_springs(
+    problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3"], contact: Contacts, pose: Poses
+) -> InPlane:
+    attached = Attached(springs.held_by, springs.laws, held, contact, pose, springs.couplings)
+    return eqx.tree_at(lambda p: p.attached, problem, attached, is_leaf=lambda leaf: leaf is None)
+
+
+def _weakened(springs: OnShafts, share: Scalar) -> OnShafts:
+    """The springs with this share of all tensions."""
+    couplings = springs.couplings
+    if couplings is not None:
+        spring = couplings.spring
+        couplings = couplings._replace(spring=spring._replace(share=share * spring.share))
+    return springs._replace(held_by=springs.held_by.weakened(share), couplings=couplings)
+
+
+def _found(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3"]) -> tuple[Contacts, Poses]:
     """Contacts and coordinates of the unloaded whiskers; NaN if they are not found."""
     ends = problem.motion.ends
     u = jnp.asarray(0.0 if ends is None else ends[0] / problem.unit.control, dtype=float)
@@ -158,12 +200,11 @@ def _found(problem, held_by, laws, held, with_springs) -> tuple[Float[Array, "wh
 
     def grown(carry, share):
         contact, _, _ = carry
-        part = held_by.weakened(share)
-        problem_then = with_springs(problem, part, laws, share * held, contact, none)
+        problem_then = _with_springs(problem, _weakened(springs, share), share * held, contact, none)
         solution = solve_point(problem_then, mode, at_control(u, contact), Point(contact, u))
         return (solution.point.z, solution.newton.pose, solution.converged), None
 
-    start = unbent, none, jnp.asarray(False)
+    start = springs.blank.at[:, :3].set(unbent), none, jnp.asarray(False)
     (contact, pose, found), _ = jax.lax.scan(grown, start, SHARES)
     return jnp.where(found, contact, jnp.nan), pose - problem.rest(u)
 

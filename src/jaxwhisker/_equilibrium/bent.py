@@ -34,8 +34,8 @@ def free_contact(
 
     def newton(carry):
         z, _, count = carry
-        value, gradient, _ = contact.linearise(body, z, *_free(body), rates=body.rod)
-        step = solve(own(gradient), (wanted - own(value))[:, None])[:, 0]
+        at = contact.linearise(body, z, *_free(body), rates=body.rod)
+        step = solve(own(at.by_contact), (wanted - own(at.value))[:, None])[:, 0]
         return z + step, jnp.max(jnp.abs(step)), count + 1
 
     def searching(carry):
@@ -52,7 +52,7 @@ def _free(body: Body) -> tuple[Int[Array, ""], Float[Array, ""], Friction | None
     return jnp.asarray(int(Phase.free)), side, None if body.friction_angle is None else slipping_from(side)
 
 
-def outline_of(body: Body, z: Float[Array, "3"]) -> Outline:
+def outline_of(body: Body, z: Float[Array, " numbers"]) -> Outline:
     """The outline of a free whisker with this contact; without derivatives."""
     body, z = jax.lax.stop_gradient((body, z))
     assert body.sprung is not None

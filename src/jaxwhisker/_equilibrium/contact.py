@@ -8,7 +8,7 @@ phase and regular at first touch (f = 0) and at a change of phase. The rod is in
 force. A whisker that approaches from the left (side = -1) bends the other way: it is computed as a mirror image.
 
 Springs on its shaft may bend a free whisker. It is then described by the pose of its tip in the drive's frame: position
-x, y, and the angle to the upright.
+x, y, and the angle to the upright. If springs connect the shafts of two whiskers, their loads follow (couplings.py).
 """
 
 import dataclasses
@@ -24,6 +24,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.program import is_array
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.couplings import moved
 from jaxwhisker._equilibrium.friction import Friction, contact_parameter, lean
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, base_of_walk, pressed
 from jaxwhisker._model.motion import Frame
@@ -65,6 +66,7 @@ class Sprung(NamedTuple):
     held: Float[Array, "*batch axes axes"]  # stiffness of the network that the support does not have
     offset: Float[Array, "*batch axes"]  # coordinates at which it is unstrained
     nowhere: Float[Array, "*batch"]  # any parameter of the profile, for free whiskers
+    incidence: Float[Array, "*batch places springs"] | None = None  # see couplings.incidence_of; None without couplings
 
 
 class Base(NamedTuple):
@@ -83,6 +85,7 @@ class Base(NamedTuple):
     contact_y: Float[Array, "*batch"]
     # Force x, y and moment about the base of springs at the base and on the follicle; None without springs on shafts.
     below: tuple[Float[Array, "*batch"], Float[Array, "*batch"], Float[Array, "*batch"]] | None = None
+    places: Float[Array, "*batch places 3"] | None = None  # see couplings.Places; None without couplings
 
 
 class BaseEquations(NamedTuple):
@@ -98,6 +101,16 @@ class BaseEquations(NamedTuple):
     force_y: Float[Array, "*batch"] | None  # None where the scene does not need it
     moment: Float[Array, "*batch"] | None
     slope_sin: Float[Array, "*batch"]  # of the object at the contact, in the scene
+    places: Float[Array, "*batch places 3"] | None = None  # of springs; None without couplings
+
+
+class Linearised(NamedTuple):
+    """The equations of a whisker, and their derivatives, whose last axis is that of what they are taken by."""
+
+    value: BaseEquations
+    by_contact: BaseEquations  # shape (3,)
+    by_u: BaseEquations | None  # by the control; None if the frame does not move
+    by_loads: BaseEquations | None = None  # by the loads of all springs between two shafts; None without any
 
 
 def beyond(slack: Scalar | Float[Array, "*batch"], phase: Int[Array, "*batch"]) -> Float[Array, "*batch"]:
@@ -111,7 +124,7 @@ def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
 
 
 def parameter(
-    profile: AbstractProfile, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+    profile: AbstractProfile, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
 ) -> Scalar:
     """The profile's parameter at the contact z."""
     return z[1] if friction is None else contact_parameter(profile, z[1], beyond(z[2], phase), side, friction)
@@ -144,7 +157,7 @@ def in_scene(
 
 def base(
     body: Body,
-    z: Float[Array, "3"],
+    z: Float[Array, " numbers"],
     phase: Int[Array, ""],
     side: Scalar,
     friction: Friction | None = None,
@@ -167,7 +180,7 @@ def base(
 
 
 def contact_of(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
 ) -> tuple[ContactPoint, Float[Array, ""] | None, Float[Array, ""]]:
     """The contact point, the lean of the force, and the angle of the whisker to the normal of the force there."""
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
@@ -185,7 +198,7 @@ def material_of(body: Body) -> Material:
 
 
 def start_of(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
 ) -> tuple[RodState, Load, Base]:
     """State of the rod and the load on it, at the contact or at the tip of a free whisker; and the contact."""
     assert body.sprung is not None
@@ -208,7 +221,7 @@ def start_of(
 def _sprung_base(
     body: Body,
     sprung: Sprung,
-    z: Float[Array, "3"],
+    z: Float[Array, " numbers"],
     phase: Int[Array, ""],
     side: Scalar,
     friction: Friction | None,
@@ -217,12 +230,12 @@ def _sprung_base(
     start, load, placed = start_of(body, z, phase, side, friction)
     s = arc(body, z[2], phase)
     given = start, load, s, material_of(body), sprung.held_by, body.laws, sprung.drive, body.rod, rates
-    (x, y, cos, sin), total, above = base_of_walk(*given)
+    (x, y, cos, sin), total, above, places = base_of_walk(*given)
     below = jax.tree.map(jnp.subtract, total, above)
     carried = above.force_x, above.force_y, moment(x, y, above)
     fx, fy, bend = map(jnp.asarray, carried)
     below = jnp.asarray(below.force_x), jnp.asarray(below.force_y), jnp.asarray(moment(x, y, below))
-    return placed._replace(x=x, y=y, cos=cos, sin=sin, force_x=fx, force_y=fy, bend=bend, below=below)
+    return placed._replace(x=x, y=y, cos=cos, sin=sin, force_x=fx, force_y=fy, bend=bend, below=below, places=places)
 
 
 def in_base_frame(body: Body, b: Base) -> BaseEquations:
@@ -247,11 +260,11 @@ def in_base_frame(body: Body, b: Base) -> BaseEquations:
     below_x, below_y, turn = b.below
     below = jnp.stack([below_x * cos + below_y * sin, below_y * cos - below_x * sin, turn])
     load = jnp.stack(values[3:6]) + below + jnp.sum(body.sprung.held * moved, axis=-1)  # pyright: ignore
-    return values._replace(force_x=load[0], force_y=load[1], moment=load[2])
+    return values._replace(force_x=load[0], force_y=load[1], moment=load[2], places=b.places)
 
 
 def equations(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
 ) -> BaseEquations:
     """Quantities that enter the equations, for the contact z."""
     return in_base_frame(body, base(body, z, phase, side, friction))
@@ -259,17 +272,14 @@ def equations(
 
 def linearise(
     body: Body,
-    z: Float[Array, "3"],
+    z: Float[Array, " numbers"],
     phase: Int[Array, ""],
     side: Scalar,
     friction: Friction | None = None,
     *,
     rates: AbstractRod,
-) -> tuple[BaseEquations, BaseEquations, BaseEquations | None]:
-    """Values, gradients with respect to z of shape (3,), and derivatives with respect to the control.
-
-    The derivatives with respect to the control are None if the frame does not move.
-    """
+) -> Linearised:
+    """Linearise the equations of a whisker about the contact z."""
 
     def value_and_value(z, body=body):
         b = base(body, z, phase, side, friction, rates=rates)
@@ -278,28 +288,35 @@ def linearise(
 
     if body.sprung is not None:
         # The load depends on the control, too.
-        gradient, (value, _) = jax.jacfwd(lambda z: value_and_value(z[:3], _moved(body, z[3])), has_aux=True)(
-            jnp.append(z, 0.0)
-        )
-        return value, *(jax.tree.map(lambda leaf, part=part: leaf[part], gradient) for part in (slice(3), 3))
+        loads = 0 if body.sprung.incidence is None else 3 * body.sprung.incidence.shape[-1]
+        gradient, (value, _) = jax.jacfwd(
+            lambda at: value_and_value(at[:3], _moved(body, at[3], at[4:])), has_aux=True
+        )(jnp.concatenate([z[:3], jnp.zeros(1 + loads)]))
+        parts = [slice(3), 3, *([slice(4, None)] if loads else [])]
+        return Linearised(value, *(jax.tree.map(lambda leaf, part=part: leaf[..., part], gradient) for part in parts))
     gradient, (value, b) = jax.jacfwd(value_and_value, has_aux=True)(z)
     if body.frame_rate is None:
-        return value, gradient, None
+        return Linearised(value, gradient, None)
     _, by_control = jax.jvp(
         lambda frame: in_base_frame(body._replace(frame=frame), b), (body.frame,), (body.frame_rate,)
     )
-    return value, gradient, by_control
+    return Linearised(value, gradient, by_control)
 
 
-def _moved(body: Body, step: Scalar) -> Body:
-    """The body after a change of the control, to first order."""
+def _moved(body: Body, step: Scalar, loads: Float[Array, " loads"]) -> Body:
+    """The body after a change of the control and of the loads of springs to other whiskers, to first order."""
     assert body.sprung is not None
+    held_by, incidence = body.sprung.held_by, body.sprung.incidence
+    if held_by.given is not None and incidence is not None:
+        held_by = held_by._replace(given=held_by.given + moved(incidence, loads))
 
     def ahead(frame: Frame | None, rate: Frame | None) -> Frame | None:
         return jax.tree.map(lambda a, b: a + step * b, frame, rate)
 
     drive = ahead(body.sprung.drive, body.sprung.drive_rate)
-    return body._replace(frame=ahead(body.frame, body.frame_rate), sprung=body.sprung._replace(drive=drive))
+    return body._replace(
+        frame=ahead(body.frame, body.frame_rate), sprung=body.sprung._replace(held_by=held_by, drive=drive)
+    )
 
 
 def of_each(bodies: Body, function: Callable, *args, in_turn: bool = False):

@@ -71,11 +71,12 @@ def problem_of(scene: Scene) -> Problem:
     springs = attached(scene.support, section, unit)
     if springs is not None and hold is not None:
         held = jax.vmap(_turned)(angle, hold / jnp.stack([spring, spring, torsion]))
-        problem, found = with_unloaded(problem, springs.held_by, springs.laws, held)
+        problem, found = with_unloaded(problem, springs, held)
         problem = eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)
     if isinstance(scene.motion, Translation):
         zero = jnp.zeros(())
-        stance = problem.stance(zero, problem.unloaded(zero)[1])
+        z, pose = problem.unloaded(zero)
+        stance = problem.stance(zero, pose, z)
         right, left = stance.right, stance.left
     else:  # on its way, whiskers touch in other places
         right, left = _first_touches(common["profile"], length, outline, height, angle)

@@ -1,6 +1,7 @@
 """Derivatives of solved points by the implicit function theorem; they do not depend on the solver's iterations."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,10 +12,12 @@ from jaxtyping import Array, Bool, Float, PyTree
 from jaxwhisker._base.leaves import Tree
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import BaseEquations, Phase
+from jaxwhisker._equilibrium.contact import BaseEquations, Linearised, Phase
+from jaxwhisker._equilibrium.couplings import Places, as_contacts, law_of, loads_in
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import (
     Condensed,
+    along_steps,
     change_along,
     condense,
     evaluate,
@@ -96,8 +99,7 @@ class _ImplicitStep(NamedTuple):
     """The linearised equations at a solution."""
 
     at: Condensed
-    gradient: BaseEquations
-    by_u: BaseEquations | None
+    linear: Linearised
     drift: Point  # tangent of the solution for given tangents of problem and row
     tangent: Point  # of the path
     inverse: Float[Array, "rows rows"]  # of the linear system
@@ -112,26 +114,48 @@ def _implicit_step(here: Point, known: Known, mode: Mode, row: Row, known_dot, r
         return evaluate(known[0], Point(z, u), mode._replace(phase=phase, friction=known[1]))
 
     value, differential = _linear(values, known, z, here.u)
+
+    def by(z_dot: Callable[[Array], Contacts], directions: Array) -> BaseEquations:
+        columns = jax.vmap(lambda e: differential(_no_tangents(known), z_dot(e), None))(directions)
+        return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), columns)
+
     # A whisker's equations depend on its own contact only: three directions serve all whiskers.
-    columns = jax.vmap(lambda e: differential(_no_tangents(known), jnp.broadcast_to(e, z.shape), None))(jnp.eye(3))
-    gradient = jax.tree.map(jnp.transpose, columns)
+    gradient = by(lambda e: jnp.broadcast_to(e, z.shape), jnp.eye(3, z.shape[1]))
     by_u = differential(_no_tangents(known), None, jnp.ones_like(here.u)) if problem.frames_move else None
-    at = condense(problem, here.z, mode, value, gradient, by_u)
+    by_loads, couplings = None, None if problem.attached is None else problem.attached.couplings
+    if couplings is not None:
+        each = jnp.eye(couplings.columns.size).reshape(-1, *couplings.columns.shape)
+        by_loads = by(lambda loads: as_contacts(couplings, loads, z), each)
+    linear = Linearised(value, gradient, by_u, by_loads)
+    at = condense(problem, here.z, mode, linear)
     # Residuals are linear in the values, and so are their tangents in those of the values.
-    dot = condense(problem, here.z, mode, differential(known_dot, None, None), gradient, by_u)
+    dot = condense(problem, here.z, mode, linear._replace(value=differential(known_dot, None, None)))
     yielding_dot = _tangent(lambda problem: problem.rest(here.u) + problem.displacement(at.load), problem, problem_dot)
     solves = problem.solved(mode.phase)[:, None]
     network_dot = jnp.where(solves, dot.pose - yielding_dot - problem.displacement(dot.load), 0.0)
-    row_dot = 0.0 if row_dot is None else _tangent(lambda row: row.residual(here, at.slope_sin), row, row_dot)
+    row_dot = jnp.zeros(()) if row_dot is None else _tangent(lambda row: row.residual(here, at.slope_sin), row, row_dot)
     slope_sin_dot = dot.slope_sin + jnp.sum(dot.slope_sin_gradient * dot.particular, axis=-1)
     row_dot += jnp.sum(row.weight_z * dot.particular) + jnp.sum(row.vertex * slope_sin_dot)
     # The inverse does not depend on tangents, in which everything else is linear.
     system = linear_system(problem, mode, row, at)
     inverse = solve(system, jnp.eye(system.shape[0]))
-    residual_dot = jnp.append(jnp.ravel(network_dot), row_dot)
-    drift, _, _ = change_along(at, -jnp.sum(inverse * residual_dot, axis=1))
-    tangent, _, _ = change_along(at, inverse[:, -1])
-    return _ImplicitStep(at, gradient, by_u, drift._replace(z=drift.z + dot.particular), tangent, inverse)
+    parts = [jnp.ravel(network_dot)]
+    if at.coupled is not None and dot.coupled is not None:
+        given, given_dot = (problem, at.coupled.places), (problem_dot, dot.coupled.places)
+        parts.append(jnp.asarray(_tangent(partial(_loads_residual, here.z), given, given_dot)))
+    residual_dot = jnp.concatenate([*parts, jnp.reshape(jnp.asarray(row_dot), 1)])
+    drift, _, _ = change_along(problem, at, -jnp.sum(inverse * residual_dot, axis=1))
+    tangent, _, _ = change_along(problem, at, inverse[:, -1])
+    return _ImplicitStep(at, linear, drift._replace(z=drift.z + dot.particular), tangent, inverse)
+
+
+def _loads_residual(z: Contacts, given: tuple[Problem, Places]) -> Float[Array, " loads"]:
+    """Residuals of the loads of springs between two shafts."""
+    problem, places = given
+    held = problem.attached
+    assert held is not None and held.couplings is not None
+    law = law_of(held.couplings, held.laws, held.held_by, places)
+    return jnp.ravel(loads_in(held.couplings, z) - law.load)
 
 
 class Turning(NamedTuple):
@@ -165,10 +189,11 @@ def _singularity(
     by_z = None
     if turning.slip is not None:
         by_z = jax.grad(slip, argnums=2)(here.z, problem, jnp.zeros_like(here.z))
-        by_steps = jnp.append(jnp.ravel(jnp.sum(by_z[:, :, None] * linear.at.basis, axis=1)), 0.0)
+        by_steps = jnp.append(along_steps(problem, linear.at, by_z), 0.0)
         by_network = -jnp.sum(by_steps[:, None] * linear.inverse, axis=0)[:-1]
         left = jnp.where(jnp.any(turning.slip), by_network, left)
-    left = jnp.reshape(left, linear.at.pose.shape)
+    size = linear.at.pose.size
+    left, left_loads = jnp.reshape(left[:size], linear.at.pose.shape), left[size:]
 
     def function(point: Point, known: Known):
         problem, friction = known
@@ -176,9 +201,11 @@ def _singularity(
         def equations(z):
             contacts, phase = with_dummy_contacts(problem, z, mode.phase)
             value = evaluate(problem, Point(contacts, point.u), mode._replace(phase=phase, friction=friction))
-            at = condense(problem, here.z, mode, value, linear.gradient, linear.by_u)
+            at = condense(problem, here.z, mode, linear.linear._replace(value=value))
             network = at.pose - problem.rest(point.u) - problem.displacement(at.load)
             pull = jnp.sum(jnp.where(solves, left * network, 0.0))
+            if at.coupled is not None:
+                pull += jnp.sum(left_loads * _loads_residual(z, (problem, at.coupled.places)))
             return pull if by_z is None else pull + jnp.sum(by_z * at.particular)
 
         rate = jax.jvp(equations, (point.z,), (linear.tangent.z,))[1]

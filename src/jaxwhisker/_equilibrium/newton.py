@@ -1,6 +1,7 @@
 """Newton's method for all whiskers on their network of springs.
 
-The unknowns are the contacts z, of shape (whiskers, 3), and the control u. In the problem `AlongX` (see problem.py),
+The unknowns are the contacts z, of shape (whiskers, 3), and the control u. If springs connect the shafts of two
+whiskers, their loads are further unknowns, and part of z (couplings.py). In the problem `AlongX` (see problem.py),
 each whisker has two equations of its own: its base stays upright and at height 0. They leave one degree of freedom, the
 position along the whisker's branch. In `InPlane` a whisker has no equations of its own, and two further degrees of
 freedom across the branch. The network couples the whiskers:
@@ -28,7 +29,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.linear_algebra import block_diagonal, solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import BaseEquations, Phase, of_each
+from jaxwhisker._equilibrium.contact import BaseEquations, Linearised, Phase, of_each
+from jaxwhisker._equilibrium.couplings import Coupled, Rows, as_contacts, loads_in, rows
 from jaxwhisker._equilibrium.friction import Friction, speed
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
@@ -51,20 +53,18 @@ def with_dummy_contacts(
     return jnp.where(free[:, None], dummy, z), jnp.where(free, Phase.tip, phase)
 
 
-def linearise_all(
-    problem: Problem, point: Point, mode: Mode, rates: AbstractRod, in_turn: bool
-) -> tuple[BaseEquations, BaseEquations, BaseEquations | None]:
-    """Values of every whisker's equations, and their derivatives with respect to its contact and the control."""
+def linearise_all(problem: Problem, point: Point, mode: Mode, rates: AbstractRod, in_turn: bool) -> Linearised:
+    """The equations of every whisker, linearised."""
     z, phase = with_dummy_contacts(problem, point.z, mode.phase)
     linearised = partial(contact.linearise, rates=rates)
-    return of_each(problem.bodies(point.u, mode.piece), linearised, z, phase, mode.side, mode.friction, in_turn=in_turn)
+    bodies = problem.bodies(point.u, z, mode.piece)
+    return of_each(bodies, linearised, z, phase, mode.side, mode.friction, in_turn=in_turn)
 
 
 def evaluate(problem: Problem, point: Point, mode: Mode) -> BaseEquations:
     """Values of every whisker's equations; free whiskers must have dummy contacts."""
-    return of_each(
-        problem.bodies(point.u, mode.piece), contact.equations, point.z, mode.phase, mode.side, mode.friction
-    )
+    bodies = problem.bodies(point.u, point.z, mode.piece)
+    return of_each(bodies, contact.equations, point.z, mode.phase, mode.side, mode.friction)
 
 
 def slope_sines(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
@@ -89,7 +89,13 @@ def load_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]
 def slip_by_contact(problem: Problem, z: Contacts, mode: Mode) -> Contacts:
     """Derivatives of the distances slipped along the object, positive towards +x, of contacts that slip."""
     speeds = jax.vmap(lambda p: speed(problem.profile, p))(z[:, 1])
-    return jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(mode.side, mode.phase)], axis=1)
+    return _widened(jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(mode.side, mode.phase)], axis=1), z)
+
+
+def _widened(array: Float[Array, "whiskers 3 *more"], like: Contacts) -> Float[Array, "whiskers numbers *more"]:
+    """The array with zeros for the loads of springs between two shafts."""
+    loads = like.shape[1] - 3
+    return jnp.pad(array, [(0, 0), (0, loads)] + [(0, 0)] * (array.ndim - 2)) if loads else array
 
 
 LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is unknown
@@ -115,7 +121,8 @@ def with_slips(problem: Problem, z: Contacts, mode: Mode, slip: Int[Array, " whi
     leans = jnp.clip(jnp.where(old.slip == 0, z[:, 1], old.slip * limit), -limit, limit)
     light = begins & (z[:, 0] <= LIGHT)
     leans = jnp.where(light, 0.0, leans)  # a first guess
-    return jnp.stack([jnp.where(light, LIGHT, z[:, 0]), jnp.where(slip == 0, leans, at), z[:, 2]], axis=1), friction
+    z = z.at[:, 0].set(jnp.where(light, LIGHT, z[:, 0])).at[:, 1].set(jnp.where(slip == 0, leans, at))
+    return z, friction
 
 
 class Condensed(NamedTuple):
@@ -127,7 +134,7 @@ class Condensed(NamedTuple):
     """
 
     particular: Contacts
-    basis: Float[Array, "whiskers 3 axes"]  # the first column is the branch, along which the base keeps y and angle
+    basis: Float[Array, "whiskers numbers axes"]  # the first column is the branch, on which the base keeps y and angle
     pose: Poses  # after the particular step; meaningless for free whiskers, whose base the network determines
     load: Poses
     pose_by: Float[Array, "whiskers axes axes"]  # derivative with respect to the steps
@@ -137,6 +144,7 @@ class Condensed(NamedTuple):
     slope_sin: PerWhisker
     slope_sin_gradient: Contacts
     own: Float[Array, " equations"]  # residuals of the whiskers' own equations
+    coupled: Coupled | None = None  # None without springs between two shafts
 
     @property
     def by_x(self) -> PerWhisker:
@@ -144,11 +152,9 @@ class Condensed(NamedTuple):
         return self.pose_by[:, 0, 0]
 
 
-def condense(
-    problem: Problem, z: Contacts, mode: Mode, value: BaseEquations, gradient: BaseEquations, by_u: BaseEquations | None
-) -> Condensed:
+def condense(problem: Problem, contacts: Contacts, mode: Mode, linear: Linearised) -> Condensed:
     """Eliminate each whisker's own equations."""
-    axes = problem.axes
+    axes, z, (value, gradient, by_u, by_loads) = problem.axes, contacts[:, :3], linear
     touching, solved = mode.phase != Phase.free, problem.solved(mode.phase)
     scale = scale_of(z)
     y, turn = gradient.y * scale, gradient.turn * scale
@@ -172,14 +178,24 @@ def condense(
     pose_gradient, load_gradient = pose_of(gradient, axes), load_of(gradient, axes)  # (whiskers, axes, 3)
 
     def by_steps(gradient):
-        return jnp.sum(gradient[:, :, :, None] * basis[:, None, :, :], axis=2)
+        return jnp.sum(gradient[..., None] * basis[(slice(None), *[None] * (gradient.ndim - 2))], axis=-2)
 
     def moved(value, gradient):
-        return value + jnp.sum(gradient * particular[:, None, :], axis=2)
+        return value + jnp.sum(gradient * particular[(slice(None), *[None] * (gradient.ndim - 2))], axis=-1)
 
+    coupled = None
+    if by_loads is not None and by_u is not None:
+        coupled = Coupled(
+            moved(jnp.asarray(value.places), jnp.asarray(gradient.places)),
+            by_steps(jnp.asarray(gradient.places)),
+            jnp.asarray(by_u.places),
+            jnp.asarray(by_loads.places),
+            pose_of(by_loads, axes),
+            load_of(by_loads, axes),
+        )
     return Condensed(
-        particular,
-        basis,
+        _widened(particular, contacts),
+        _widened(basis, contacts),
         pose=moved(pose_of(value, axes), pose_gradient),
         load=if_solved(moved(load_of(value, axes), load_gradient)),
         pose_by=if_solved(by_steps(pose_gradient), jnp.eye(axes)),
@@ -187,8 +203,9 @@ def condense(
         pose_by_u=None if by_u is None else if_solved(pose_of(by_u, axes)),
         load_by_u=None if by_u is None else if_solved(load_of(by_u, axes)),
         slope_sin=jnp.where(touching, value.slope_sin, 0.0),
-        slope_sin_gradient=jnp.where(touching[:, None], gradient.slope_sin, 0.0),
+        slope_sin_gradient=_widened(jnp.where(touching[:, None], gradient.slope_sin, 0.0), contacts),
         own=jnp.concatenate([if_solved(part) for part in own]),
+        coupled=coupled,
     )
 
 
@@ -209,7 +226,7 @@ def newton_step(
 ) -> NewtonStep:
     """Solve the linearised equations of all whiskers, the network and the row."""
     linear = linearise_all(problem, point, mode, problem.rod if rates is None else rates, in_turn)
-    return solve_coupled(problem, mode, row, point, condense(problem, point.z, mode, *linear))
+    return solve_coupled(problem, mode, row, point, condense(problem, point.z, mode, linear))
 
 
 def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Condensed) -> NewtonStep:
@@ -220,18 +237,21 @@ def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Cond
     slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
     row_residual = row.residual(Point(point.z + at.particular, point.u), slope_sin)
     row_residual = jnp.where(mode.separate, 0.0, row_residual)
-    system = linear_system(problem, mode, row, at)
-    residuals = jnp.append(jnp.ravel(network), row_residual)
+    system, parts = linear_system(problem, mode, row, at), [jnp.ravel(network)]
+    loads = load_rows(problem, at)
+    if loads is not None and problem.attached is not None and problem.attached.couplings is not None:
+        parts.append(jnp.ravel(loads_in(problem.attached.couplings, point.z) - loads.law))
+    residuals = jnp.concatenate([*parts, jnp.reshape(row_residual, 1)])
     last = np.eye(residuals.size)[-1]
     solution = solve(system, jnp.stack([-residuals, last], axis=1))
-    step, pose, load = change_along(at, solution[:, 0])
-    tangent, tangent_pose, tangent_load = change_along(at, solution[:, 1])
+    step, pose, load = change_along(problem, at, solution[:, 0])
+    tangent, tangent_pose, tangent_load = change_along(problem, at, solution[:, 1])
     load = at.load + load
     return NewtonStep(
         step._replace(z=step.z + at.particular),
         tangent,
         at,
-        residual=jnp.max(jnp.abs(jnp.concatenate([at.own, jnp.ravel(network), row_residual[None]]))),
+        residual=jnp.max(jnp.abs(jnp.concatenate([at.own, residuals]))),
         pose=jnp.where(solved, at.pose + pose, problem.rest(point.u + step.u) + problem.displacement(load)),
         load=load,
         tangent_pose=jnp.where(solved, tangent_pose, problem.rest_rate(tangent.u) + problem.displacement(tangent_load)),
@@ -241,21 +261,40 @@ def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Cond
 Change = tuple[Point, Poses, Poses]  # of contacts and control, of poses, and of loads
 
 
-def change_along(at: Condensed, steps: Float[Array, " rows"]) -> Change:
-    """The changes when whiskers move along and across their branches, and the control (last) moves."""
+def load_rows(problem: Problem, at: Condensed) -> Rows | None:
+    """The equations of the loads of springs between two shafts; None without any."""
+    held = problem.attached
+    if held is None or held.couplings is None or at.coupled is None:
+        return None
+    return rows(held.couplings, held.laws, held.held_by, at.coupled)
+
+
+def change_along(problem: Problem, at: Condensed, steps: Float[Array, " rows"]) -> Change:
+    """The changes when whiskers move along and across their branches, and loads of springs and the control change."""
     n, axes = at.load.shape
-    own, du = jnp.reshape(steps[: n * axes], (n, axes)), steps[n * axes]
-    pose, load = _times(at.pose_by, own), _times(at.load_by, own)
+    own, loads, du = jnp.reshape(steps[: n * axes], (n, axes)), steps[n * axes : -1], steps[-1]
+    z, pose, load = _times(at.basis, own), _times(at.pose_by, own), _times(at.load_by, own)
     if at.pose_by_u is not None and at.load_by_u is not None:
         pose, load = pose + at.pose_by_u * du, load + at.load_by_u * du
-    return Point(_times(at.basis, own), du), pose, load
+    if at.coupled is not None and problem.attached is not None and problem.attached.couplings is not None:
+        pose, load = pose + _times(at.coupled.pose_by_loads, loads), load + _times(at.coupled.load_by_loads, loads)
+        z += as_contacts(problem.attached.couplings, jnp.reshape(loads, (-1, 3)), z)
+    return Point(z, du), pose, load
+
+
+def along_steps(problem: Problem, at: Condensed, weight: Contacts) -> Float[Array, " steps"]:
+    """Derivatives of a weighted sum of contacts with respect to the steps and the loads of springs."""
+    by_steps = jnp.ravel(jnp.sum(weight[:, :, None] * at.basis, axis=1))
+    if problem.attached is None or problem.attached.couplings is None:
+        return by_steps
+    return jnp.concatenate([by_steps, jnp.ravel(loads_in(problem.attached.couplings, weight))])
 
 
 def linear_system(problem: Problem, mode: Mode, row: Row, at: Condensed) -> Float[Array, "rows rows"]:
     """Derivatives of the residuals of the network and the row with respect to the steps and the control.
 
-    If `mode.separate`, whiskers keep their places along their branches, and the equations of the network and the row
-    are left out.
+    Loads of springs between two shafts, and their equations, come between these. If `mode.separate`, whiskers keep
+    their places along their branches, and the equations of the network and the row are left out.
     """
     n, axes = at.load.shape
     solved, size = problem.solved(mode.phase)[:, None], n * axes
@@ -268,16 +307,27 @@ def linear_system(problem: Problem, mode: Mode, row: Row, at: Condensed) -> Floa
     else:
         by_control = jnp.where(solved, at.pose_by_u - problem.displacement(at.load_by_u), 0.0)
     weight = row.weight_z + row.vertex[:, None] * at.slope_sin_gradient
-    along = jnp.ravel(jnp.sum(weight[:, :, None] * at.basis, axis=1))
+    along = along_steps(problem, at, weight)
     apart = mode.separate
     coupling = jnp.where(apart, jnp.eye(size), coupling)
     by_control, along = (jnp.where(apart, 0.0, jnp.ravel(value)) for value in (by_control, along))
     row_u = jnp.where(apart, 1.0, row.weight_u)
+    loads = load_rows(problem, at)
+    if loads is not None and at.coupled is not None:
+        # Bases that are held apart stay where they are when loads change.
+        yields = jax.vmap(problem.displacement, in_axes=-1, out_axes=-1)(at.coupled.load_by_loads)
+        held = at.coupled.pose_by_loads.at[:, 0].set(0.0)
+        by_loads = jnp.where(apart, held, at.coupled.pose_by_loads - yields)
+        by_loads = jnp.reshape(by_loads, (size, -1))
+        coupling = jnp.block([[coupling, by_loads], [loads.by_steps, loads.by_loads]])
+        by_control = jnp.concatenate([by_control, loads.by_u])
     return jnp.block([[coupling, by_control[:, None]], [along[None, :], row_u[None, None]]])
 
 
-def _times(matrices: Float[Array, "whiskers rows axes"], steps: Poses) -> Float[Array, "whiskers rows"]:
-    return jnp.sum(matrices * steps[:, None, :], axis=-1)
+def _times(
+    matrices: Float[Array, "whiskers rows columns"], steps: Float[Array, "*whiskers columns"]
+) -> Float[Array, "whiskers rows"]:
+    return jnp.sum(matrices * jnp.expand_dims(steps, -2), axis=-1)
 
 
 class _NewtonState(NamedTuple):

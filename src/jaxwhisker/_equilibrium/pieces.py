@@ -15,7 +15,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile
 
 Pieces = Int[Array, " whiskers"]
-Contacts = Float[Array, "whiskers 3"]
+Contacts = Float[Array, "whiskers numbers"]
 ON_PIECE = 1e-12  # distance of a parameter from its piece that is no more than rounding
 IN_CONE = 1e-9  # rad: a shaft this close to the tangents at a corner touches it
 CELL_STEPS = 3  # of Newton's method for the height of a corner, from linear interpolation

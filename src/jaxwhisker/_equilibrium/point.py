@@ -7,9 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.problem import PerWhisker
-
-Contacts = Float[Array, "*batch whiskers 3"]
+from jaxwhisker._equilibrium.problem import Contacts, PerWhisker
 
 
 class Point(NamedTuple):
@@ -104,8 +102,9 @@ def at_event(
 
 
 def scale_of(z: Contacts) -> Contacts:
-    """Scale in which changes of a contact are measured: 1 + |force| for the force, 1 for the others."""
-    return jnp.ones_like(z).at[..., 0].add(jnp.abs(z[..., 0]))
+    """Scale in which changes of a contact are measured: 1 + |force| for forces, 1 for the others."""
+    scale = jnp.ones_like(z).at[..., 0].add(jnp.abs(z[..., 0]))
+    return scale if z.shape[-1] == 3 else scale.at[..., 3:].add(jnp.abs(z[..., 3:]))
 
 
 def dot(a: Point, b: Point, scale: Contacts) -> Scalar:

@@ -22,6 +22,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.bent import free_contact, outline_of
 from jaxwhisker._equilibrium.contact import Base, Body, Phase, Sprung, of_each
+from jaxwhisker._equilibrium.couplings import Couplings, given_by, incidence_of
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws
 from jaxwhisker._equilibrium.touch import Outline, Touch
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, frame_and_rate, mounted
@@ -32,6 +33,7 @@ from jaxwhisker._rod.elastica import AbstractRod
 from jaxwhisker._rod.rod import Section
 
 PerWhisker = Float[Array, " whiskers"]
+Contacts = Float[Array, "*batch whiskers numbers"]  # three numbers, and loads (see contact.py and couplings.py)
 Poses = Float[Array, "whiskers axes"]
 
 
@@ -52,14 +54,15 @@ class Stance(NamedTuple):
     x: PerWhisker
     right: Touch  # in an approach from the right
     left: Touch
-    free: Float[Array, "whiskers 3"] | None = None  # their contacts if they are free (contact.py); None if unbent
+    free: Contacts | None = None  # their contacts if they are free (contact.py); None if unbent
+    loads: Float[Array, "whiskers loads"] | None = None  # the last part of their contacts; None without couplings
 
     def first(self, side: PerWhisker) -> Touch:
         """First touches of whiskers that approach from these sides (+1 right, -1 left)."""
         return jax.tree.map(lambda right, left: jnp.where(side > 0, right, left), self.right, self.left)
 
     @property
-    def contact_if_free(self) -> Float[Array, "whiskers 3"] | float:
+    def contact_if_free(self) -> Contacts | float:
         """Contacts (see contact.py) of the whiskers if they are free."""
         return 0.0 if self.free is None else self.free
 
@@ -80,8 +83,9 @@ class Attached(NamedTuple):
     held_by: Attachments  # fields (whiskers, springs) and (whiskers,)
     laws: Laws
     held: Float[Array, "whiskers axes axes"]  # see contact.Sprung
-    contact: Float[Array, "whiskers 3"]  # of unloaded whiskers
+    contact: Contacts  # of unloaded whiskers
     pose: Poses  # of their bases, from `Problem.rest`
+    couplings: Couplings | None = None  # None without springs between two shafts
 
 
 class Problem(eqx.Module):
@@ -122,12 +126,12 @@ class Problem(eqx.Module):
         """Poses of bases in the scene."""
 
     @abc.abstractmethod
-    def stance(self, u: Scalar, pose: Poses) -> Stance:
-        """Stance of whiskers whose bases have these coordinates."""
+    def stance(self, u: Scalar, pose: Poses, z: Contacts) -> Stance:
+        """Stance of whiskers whose bases have these coordinates, with the loads of springs in their contacts z."""
 
     @abc.abstractmethod
-    def stances(self, *at: tuple[Scalar, Poses]) -> list[Stance]:
-        """Stances at several pairs of control and coordinates."""
+    def stances(self, *at: tuple[Scalar, Poses, Contacts]) -> list[Stance]:
+        """Stances in several states."""
 
     @abc.abstractmethod
     def shift(self, u: Scalar, distance: PerWhisker) -> Poses:
@@ -157,8 +161,12 @@ class Problem(eqx.Module):
     def if_defined(self, residual: Scalar, pose: ScenePose) -> Scalar:
         """The residual, or infinity if the motion of the drive is not defined here (its pose is not finite)."""
 
-    def bodies(self, u: Scalar, piece: Int[Array, " whiskers"] | None = None) -> Body:
-        """All whiskers, stacked, at a control; `piece` is that of the profile at each contact."""
+    def bodies(self, u: Scalar, z: Contacts, piece: Int[Array, " whiskers"] | None = None) -> Body:
+        """All whiskers, stacked, at a control, with the loads of springs in their contacts z.
+
+        `piece` is that of the profile at each contact.
+        """
+        del z
         angle = None if self.friction_angle is None else jnp.full_like(self.length, self.friction_angle)
         return Body(
             self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle, piece
@@ -173,7 +181,7 @@ class Problem(eqx.Module):
         del phase
         return side
 
-    def unloaded(self, u: Scalar) -> tuple[Float[Array, "whiskers 3"], Poses]:
+    def unloaded(self, u: Scalar) -> tuple[Contacts, Poses]:
         """Contacts (see contact.py) and base coordinates of whiskers before any contact."""
         rest = self.rest(u)
         return jnp.zeros((rest.shape[0], 3)), rest
@@ -220,8 +228,8 @@ class AlongX(Problem):
         del u
         return ScenePose(pose[:, 0], jnp.zeros_like(pose[:, 0]), jnp.zeros_like(pose[:, 0]))
 
-    def stance(self, u, pose):
-        del u
+    def stance(self, u, pose, z):
+        del u, z
         return Stance(pose[:, 0], self.touch_right, self.touch_left)
 
     def stances(self, *at):
@@ -274,10 +282,10 @@ class InPlane(Problem):
     def frames(self, u):
         return frame_and_rate(self.drive, self.mount, u)
 
-    def bodies(self, u, piece=None):
+    def bodies(self, u, z, piece=None):
         if self.attached is not None and piece is None and self.profile.has_edges:
             piece = jnp.zeros(self.length.shape, int)  # free whiskers may have any
-        bodies = super().bodies(u, piece)
+        bodies = super().bodies(u, z, piece)
         if self.attached is None:
             return bodies
 
@@ -287,8 +295,12 @@ class InPlane(Problem):
         nowhere = jax.lax.stop_gradient(self.touch_right.parameter)
         nowhere = jnp.where(jnp.isfinite(nowhere), nowhere, 0.0)
         frame, rate = jax.jvp(drive, (u,), (jnp.ones_like(u),))
-        held_by, laws, held, _, _ = self.attached
-        return bodies._replace(sprung=Sprung(held_by, frame, rate, held, self.offset, nowhere), laws=laws)
+        held_by, laws, couplings, incidence = self.attached.held_by, self.attached.laws, self.attached.couplings, None
+        if couplings is not None:
+            incidence = incidence_of(couplings, held_by)
+            held_by = held_by._replace(given=given_by(couplings, z, held_by))
+        sprung = Sprung(held_by, frame, rate, self.attached.held, self.offset, nowhere, incidence)
+        return bodies._replace(sprung=sprung, laws=laws)
 
     def solved(self, phase):
         return super().solved(phase) if self.attached is None else jnp.ones_like(phase, bool)
@@ -318,18 +330,21 @@ class InPlane(Problem):
             jnp.arctan2(frame.sin, frame.cos) + turn,
         )
 
-    def stance(self, u, pose):
-        at, outline, free = self.in_scene(u, pose), self.outline, None
+    def stance(self, u, pose, z):
+        at, outline, free, loads = self.in_scene(u, pose), self.outline, None, None
         if self.attached is not None:
-            bodies, (unloaded, start) = self.bodies(u), self.unloaded(u)
-            free = of_each(bodies, free_contact, unloaded, pose - start, pose)
+            bodies, (unloaded, start) = self.bodies(u, z), self.unloaded(u)
+            free = of_each(bodies, free_contact, unloaded[:, :3], pose - start, pose)
             outline = of_each(bodies, outline_of, free)
+            if self.attached.couplings is not None:
+                loads = z[:, 3:]
+                free = jnp.concatenate([free, loads], axis=1)
 
         def both(length, outline, y, angle):
             return touch.first_touches(self.profile, length, outline, y, angle)
 
         right, left = jax.vmap(both)(self.length, outline, at.y, at.angle)
-        return Stance(at.x, right, left, free)
+        return Stance(at.x, right, left, free, loads)
 
     def stances(self, *at):
         # As one batch, the search for a touch is compiled only once.

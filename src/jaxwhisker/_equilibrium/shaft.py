@@ -43,7 +43,7 @@ class Shaft(NamedTuple):
 
 
 def shaft(
-    body: Body, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
 ) -> Shaft:
     """The shaft of a whisker with the contact z, which is the dummy contact, without force, of a free whisker."""
     if body.sprung is not None:
@@ -75,7 +75,7 @@ def shaft(
 
 
 def _sprung_shaft(
-    body: Body, sprung: Sprung, z: Float[Array, "3"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+    body: Body, sprung: Sprung, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
 ) -> Shaft:
     """The shaft of a whisker that springs hold."""
     start, load, _ = contact.start_of(body, z, phase, side, friction)

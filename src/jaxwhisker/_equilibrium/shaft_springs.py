@@ -1,8 +1,9 @@
-"""Springs and tissue on the shaft of one whisker, between the drive and points of the whisker.
+"""Springs and tissue on the shaft of one whisker.
 
 The rod is integrated from the contact, or from the tip of a free whisker, towards the base. Position and direction are
 known when the integration gets to a spring, and so is the force of the spring. The load on the rod changes there, but
-it stays an affine function of position. Below the base, the whisker continues as a rigid follicle.
+it stays an affine function of position. Below the base, the whisker continues as a rigid follicle. The loads of springs
+to other whiskers are given (see couplings.py).
 """
 
 from collections.abc import Callable
@@ -89,11 +90,19 @@ class Attachments(NamedTuple):
 
     springs: ShaftSprings
     tissue: Tissue | None = None  # None without any foundation
+    # Force along x and y and moment on the shaft at each place, in the drive's frame, of springs to other whiskers;
+    # None without such springs.
+    given: Float[Array, "*batch springs 3"] | None = None
 
     def with_places(self, at: Float[Array, " places"]) -> tuple["Attachments", Int[Array, " places"]]:
         """The same with further places: see `ShaftSprings.with_places`."""
         springs, places = self.springs.with_places(at)
-        return self._replace(springs=springs), places
+        if self.given is None:
+            return self._replace(springs=springs), places
+        all_at = jnp.concatenate([self.springs.at, at])
+        order = jnp.argsort(-jax.lax.stop_gradient(all_at), stable=True)
+        given = jnp.concatenate([self.given, jnp.zeros((at.size, 3))])[order]
+        return self._replace(springs=springs, given=given), places
 
     @property
     def top(self) -> Float[Array, "*batch"]:
@@ -104,8 +113,8 @@ class Attachments(NamedTuple):
         """The same with this share of all forces."""
         springs = self.springs._replace(share=share * self.springs.share)
         if self.tissue is None:
-            return Attachments(springs)
-        return Attachments(springs, self.tissue._replace(stiffness=share * self.tissue.stiffness))
+            return self._replace(springs=springs)
+        return self._replace(springs=springs, tissue=self.tissue._replace(stiffness=share * self.tissue.stiffness))
 
 
 class Walk(NamedTuple):
@@ -117,12 +126,13 @@ class Walk(NamedTuple):
     passed: RodStates  # at each spring
 
 
-def _tension(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
+def tension(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
+    """Tension of a spring of this length."""
     extension = length - spring.rest_length
     each = [lambda: spring.stiffness * extension, *(lambda law=law: jnp.asarray(law(extension)) for law in laws)]
-    tension = jax.lax.switch(spring.law, each) if laws else each[0]()
+    pull = jax.lax.switch(spring.law, each) if laws else each[0]()
     sign = spring.one_sided
-    return spring.share * jnp.where(sign == 0, tension, sign * jnp.maximum(sign * tension, 0.0))
+    return spring.share * jnp.where(sign == 0, pull, sign * jnp.maximum(sign * pull, 0.0))
 
 
 def end_of(spring: ShaftSprings, state: RodState) -> tuple[Scalar, Scalar]:
@@ -134,26 +144,64 @@ def end_of(spring: ShaftSprings, state: RodState) -> tuple[Scalar, Scalar]:
 
 def stretched(spring: ShaftSprings, state: RodState, drive: Frame) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """Length of a spring, and its derivatives by position (x, y) of its end and by the angle of the whisker there."""
-    x, y = end_of(spring, state)
-    right, up, (_, _, cos, sin) = x - drive.x, y - drive.y, state
-    across = right * drive.cos + up * drive.sin - spring.anchor_x
-    along = up * drive.cos - right * drive.sin - spring.anchor_y
-    turn = jnp.arctan2(-cos * drive.cos - sin * drive.sin, sin * drive.cos - cos * drive.sin) - spring.anchor_angle
-    distance = jnp.sqrt(across**2 + along**2 + SHORTEST**2)
-    on = [spring.axis == k for k in range(AXIAL + 1)]
-    length = jnp.select(on, [across, along, turn, distance])
-    by_across = jnp.where(on[AXIAL], across / distance, on[0])
-    by_along = jnp.where(on[AXIAL], along / distance, on[1])
-    by_turn = jnp.where(on[2], 1.0, 0.0)
+    end = in_drive(spring, state, drive) - anchor_of(spring)
+    length, (by_across, by_along, by_turn) = length_of(spring, end, end)
     return length, by_across * drive.cos - by_along * drive.sin, by_across * drive.sin + by_along * drive.cos, by_turn
 
 
-def past(load: Load, spring: ShaftSprings, laws: Laws, state: RodState, drive: Frame, sign: float) -> Load:
+def in_drive(spring: ShaftSprings, state: RodState, drive: Frame) -> Float[Array, "3"]:
+    """Position of a spring's end on the whisker and angle of the whisker there, in the drive's frame."""
+    x, y = end_of(spring, state)
+    right, up, (_, _, cos, sin) = x - drive.x, y - drive.y, state
+    across, along = right * drive.cos + up * drive.sin, up * drive.cos - right * drive.sin
+    turn = jnp.arctan2(-cos * drive.cos - sin * drive.sin, sin * drive.cos - cos * drive.sin)
+    return jnp.stack([across, along, turn])
+
+
+def anchor_of(spring: ShaftSprings) -> Float[Array, "3"]:
+    """Position and angle from which the position and angle of a spring's end are measured, in the drive's frame."""
+    return jnp.stack([spring.anchor_x, spring.anchor_y, spring.anchor_angle])
+
+
+def length_of(
+    spring: ShaftSprings, moved: Float[Array, "3"], apart: Float[Array, "3"]
+) -> tuple[Scalar, tuple[Scalar, Scalar, Scalar]]:
+    """Length of a spring, and its derivatives by the position and angle of its end.
+
+    Args:
+        spring: the spring.
+        moved: position and angle of its end relative to those of its other end, as springs along an axis measure them.
+        apart: position of its end minus that of its other end.
+    """
+    distance = jnp.sqrt(apart[0] ** 2 + apart[1] ** 2 + SHORTEST**2)
+    on = [spring.axis == k for k in range(AXIAL + 1)]
+    by_across = jnp.where(on[AXIAL], apart[0] / distance, on[0])
+    by_along = jnp.where(on[AXIAL], apart[1] / distance, on[1])
+    return jnp.select(on, [*moved, distance]), (by_across, by_along, jnp.where(on[2], 1.0, 0.0))
+
+
+def past(
+    load: Load,
+    spring: ShaftSprings,
+    laws: Laws,
+    state: RodState,
+    drive: Frame,
+    sign: float,
+    given: Float[Array, "3"] | None = None,
+) -> Load:
     """The load on the rod behind a spring, on the way to the base (sign = 1) or away from it (-1)."""
     length, by_x, by_y, by_turn = stretched(spring, state, drive)
-    tension = sign * _tension(spring, laws, length)
-    here = pressed(end_of(spring, state), -tension * by_x, -tension * by_y)
-    turned = jnp.asarray(here.moment) - tension * by_turn
+    pull = sign * tension(spring, laws, length)
+    force_x, force_y, turn = -pull * by_x, -pull * by_y, -pull * by_turn
+    if given is not None:
+        across, along, moment = sign * given
+        force_x, force_y = (
+            force_x + across * drive.cos - along * drive.sin,
+            force_y + across * drive.sin + along * drive.cos,
+        )
+        turn += moment
+    here = pressed(end_of(spring, state), force_x, force_y)
+    turned = jnp.asarray(here.moment) + turn
     return Load(
         jnp.asarray(load.force_x) + jnp.asarray(here.force_x),
         load.force_y + here.force_y,
@@ -190,8 +238,8 @@ def walk(
     """
     tissue = held.tissue
 
-    def piece(carry, spring):
-        state, load, above, s = carry
+    def piece(carry, place):
+        (state, load, above, s), (spring, given) = carry, place
         stop = jnp.maximum(spring.at, 0.0)
         if tissue is None:
             state = integrate(state, s - stop, load, material, steps=steps, solver=solver, from_base=s)
@@ -200,13 +248,13 @@ def walk(
             on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
             density = partial(on.density, drive)
             state, load = integrate_on(state, load, s - stop, material, density, steps=steps, from_base=s)
-        below, passed = past(load, spring, laws, state, drive, sign), tuple(map(jnp.asarray, state))
+        below, passed = past(load, spring, laws, state, drive, sign, given), tuple(map(jnp.asarray, state))
         # At the base, the first place is reached along the shaft, and all others without a way.
         above = jax.tree.map(lambda a, b, c: jnp.where(spring.at > 0, a, jnp.where(s > 0, b, c)), below, load, above)
         return (state, below, above, stop), passed
 
     carry = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load, load, s))
-    (state, load, above, _), (x, y, cos, sin) = jax.lax.scan(piece, carry, held.springs)
+    (state, load, above, _), (x, y, cos, sin) = jax.lax.scan(piece, carry, (held.springs, held.given))
     return Walk(state, load, above, (x, y, cos, sin))
 
 
@@ -214,6 +262,9 @@ def pressed(point: tuple[Scalar, Scalar], force_x: Scalar, force_y: Scalar) -> L
     """The load of a force that acts at a point."""
     x, y = point
     return Load(force_x, force_y, x * force_y - y * force_x)
+
+
+OfBase: TypeAlias = tuple[RodState, Load, Load, Float[Array, "springs 3"] | None]
 
 
 def _base(
@@ -225,10 +276,13 @@ def _base(
     laws: Laws,
     drive: Frame,
     method: Shooting,
-) -> tuple[RodState, Load, Load]:
+) -> OfBase:
     steps = 2 * method.steps if isinstance(material, Section) else method.steps
     walked = walk(start, load, arc, material, held, laws, drive, steps=steps, solver=method.solver)
-    return walked.end, walked.load, walked.above
+    if held.given is None:
+        return walked.end, walked.load, walked.above, None
+    places = jax.vmap(lambda spring, passed: in_drive(spring, passed, drive))(held.springs, walked.passed)
+    return walked.end, walked.load, walked.above, places
 
 
 @eqx.filter_custom_jvp
@@ -242,10 +296,11 @@ def base_of_walk(
     drive: Frame,
     method: Shooting,
     for_rates: Shooting,
-) -> tuple[RodState, Load, Load]:
-    """State of the rod at its base, the load on it, and that above springs at the base or below, by `method`.
+) -> OfBase:
+    """State of the rod at its base, the load on it, that above springs at the base or below, and places, by `method`.
 
-    Derivatives are computed by `for_rates`.
+    Places are those of springs, in the drive's frame; None without springs to other whiskers. Derivatives are computed
+    by `for_rates`.
     """
     del for_rates
     return _base(start, load, arc, material, held, laws, drive, method)

@@ -5,22 +5,44 @@ stable up to its fold, where the base would have to move back. The network is st
 slopes of the loads: K - D is positive definite, with D = d load / d pose. With friction, D is the slope for the present
 slips and not symmetric; the network is then stable while all eigenvalues have a positive real part, for overdamped
 bases whose mobility is their compliance. A disturbance that makes contacts stick is never worse.
+
+Springs between two shafts couple the whiskers with clamped bases, too. D is then a matrix of all bases, and the clamped
+whiskers are stable up to their common fold.
 """
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker._base.linear_algebra import eigenvalues_are_positive, positive_definite, times_block_diagonal
-from jaxwhisker._equilibrium.newton import Condensed
+from jaxwhisker._base.linear_algebra import (
+    block_diagonal,
+    eigenvalues_are_positive,
+    positive_definite,
+    solve,
+    times_block_diagonal,
+)
+from jaxwhisker._equilibrium.newton import Condensed, load_rows
 from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import PerWhisker, Problem
 
 # Sign of `by_x` on a stable branch for an approach from the right; the branch has the direction grad turn x grad y.
 BRANCH_SIGN = -1.0
 
+Slopes = Float[Array, "whiskers axes axes"] | Float[Array, "rows rows"]  # of each base, or of all bases coupled
 
-def load_slopes(problem: Problem, mode: Mode, at: Condensed) -> Float[Array, "whiskers axes axes"]:
-    """Slope d load / d pose of a whisker's base; symmetric without friction."""
+
+def load_slopes(problem: Problem, mode: Mode, at: Condensed) -> Slopes:
+    """Slopes d load / d pose of the bases; symmetric without friction."""
+    loads, coupled = load_rows(problem, at), at.coupled
+    if loads is not None and coupled is not None:
+        size = at.pose.size
+        loads_by_steps = -solve(loads.by_loads, loads.by_steps)
+
+        def by_steps(own: Array, by_loads: Array) -> Array:
+            through = jnp.reshape(by_loads, (size, -1))[:, :, None] * loads_by_steps
+            return block_diagonal(own) + jnp.sum(through, axis=1)
+
+        pose_by, load_by = by_steps(at.pose_by, coupled.pose_by_loads), by_steps(at.load_by, coupled.load_by_loads)
+        return solve(pose_by.T, load_by.T).T
     by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
     along = at.load_by[:, :, 0] / by_x
     columns = [along]
@@ -28,7 +50,7 @@ def load_slopes(problem: Problem, mode: Mode, at: Condensed) -> Float[Array, "wh
     return jnp.where(problem.solved(mode.phase)[:, None, None], jnp.stack(columns, axis=-1), 0.0)
 
 
-def network_is_stable(problem: Problem, slope: Float[Array, "whiskers axes axes"]) -> Bool[Array, ""]:
+def network_is_stable(problem: Problem, slope: Slopes) -> Bool[Array, ""]:
     """Whether the stiffness of the network minus the load slopes is positive definite.
 
     With the flexibility L L^T, this is a test of 1 - L^T slope L, which is valid for rigid springs too.
@@ -51,6 +73,19 @@ def on_stable_branch(problem: Problem, mode: Mode, by_x: PerWhisker) -> Bool[Arr
     return problem.bends_from(mode.phase, mode.side) * by_x * BRANCH_SIGN > 0
 
 
+def clamped_is_stable(problem: Problem, mode: Mode, at: Condensed) -> Bool[Array, ""]:
+    """Whether whiskers that springs between their shafts couple are stable while their bases are clamped.
+
+    This is so up to the first point at which the linearised equations of contacts and loads are singular.
+    """
+    loads = load_rows(problem, at)
+    assert loads is not None and at.coupled is not None
+    by_loads = jnp.reshape(at.coupled.pose_by_loads, (at.pose.size, -1))
+    system = jnp.block([[block_diagonal(at.pose_by), by_loads], [loads.by_steps, loads.by_loads]])
+    sides = problem.bends_from(mode.phase, mode.side)
+    return jnp.linalg.slogdet(system)[0] * jnp.prod(sides * BRANCH_SIGN) > 0
+
+
 def is_stable(
     problem: Problem, mode: Mode, at: Condensed, begins: Bool[Array, " whiskers"] | None = None
 ) -> Bool[Array, ""]:
@@ -64,6 +99,9 @@ def is_stable(
     """
     unknown = ~problem.solved(mode.phase)
     unknown = unknown if begins is None else unknown | begins
+    if at.coupled is not None:
+        stable = clamped_is_stable(problem, mode, at) & network_is_stable(problem, load_slopes(problem, mode, at))
+        return stable if begins is None else stable | jnp.any(begins)
     own = jnp.all(unknown | on_stable_branch(problem, mode, at.by_x))
     if problem.flexibility is None:
         return own

@@ -104,6 +104,8 @@ def _example(scene: Scene) -> State:
     zero = jnp.zeros((EXAMPLE_STEPS, len(scene.whiskers)))
     fields: dict[str, Any] = dict.fromkeys(State.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
     fields |= dict.fromkeys(FRICTION) if scene.friction is None else {"slip": zero.astype(int)}
+    loads = scene.support.shaft_loads
+    fields["shaft_loads"] = (zero,) * loads if loads else None
     return State(**fields)
 
 

@@ -1,4 +1,4 @@
-"""A spring between the drive and a whisker, or between the bases of two whiskers."""
+"""A spring between the drive and a whisker, or between two whiskers."""
 
 from collections.abc import Callable
 from typing import Any
@@ -28,9 +28,10 @@ class Spring(eqx.Module):
     Its tension is stiffness * (length - rest_length), with length = x_second - x_first (or y, or the angle), or the
     distance of its ends if it is axial.
 
-    A spring that is attached to the shaft, or whose tension is not proportional to its extension, connects the drive to
-    one whisker. The drive's end is where the attachment is in the drive's frame if all rest lengths are 0 and nothing
-    is loaded. If the springs do not agree with that, they bend the whisker before it touches anything.
+    The end at the drive of a spring that is attached to a shaft, or whose tension is not proportional to its extension,
+    is where the attachment is in the drive's frame if all rest lengths are 0 and nothing is loaded. If the springs do
+    not agree with that, they bend the whisker before it touches anything. The length along x or y of a spring between
+    two shafts, and the angle of one that acts on both, are relative to such places, too.
 
     Args:
         between: (first, second): 0 is the drive, 1 to N are the whiskers.
@@ -39,20 +40,20 @@ class Spring(eqx.Module):
             with one traced number, and the parameters of an `equinox.Module` are differentiable.
         rest_length: lambda, a length, or an angle in rad for a torsion spring: position of `second` relative to
             `first` at rest; may be negative. That of an axial spring is its absolute value, and its sign tells on which
-            side of the drive the whisker is, along x, before any contact.
+            side of `first`, along x, `second` is before any contact.
         axis: "x" or "y", across or along the upright whisker in the frame of the drive, "phi" for a torsion spring, or
             "axial" for a spring along the line between its ends, whichever way that turns. Lengths and angles are
             positive along +x, +y and counter-clockwise.
         compliance: 1/c, not negative, an alternative to `stiffness`; 0 for a rigid link. Unlike derivatives with
             respect to an infinite stiffness, those with respect to a compliance of 0 do not vanish.
         at: arc length from the base to where the spring is attached to the shaft; negative on a rigid follicle that
-            extends the whisker straight below its base. Default: the base.
+            extends the whisker straight below its base. Default: the base. A pair for a spring between two whiskers.
         anchor: (x, y) of the drive's end in the drive's frame, instead of the place described above.
         one_sided: "tension" if the spring only pulls, "compression" if it only pushes, like an end stop.
 
     Raises:
         ValueError: if a value is out of its domain, if not exactly one of stiffness and compliance is given, or if a
-            spring on a shaft is not between the drive and a whisker, or is rigid.
+            spring on a shaft is rigid.
 
     Examples:
         >>> spring = jw.Spring(between=(0, 1), stiffness=70.0, rest_length=0.2)
@@ -60,6 +61,7 @@ class Spring(eqx.Module):
         >>> support.name, support.whiskers
         ('FBFB', 2)
         >>> above = jw.Spring((0, 1), stiffness=70.0, rest_length=0.2, axis="axial", at=0.1)
+        >>> across = jw.Spring((1, 2), stiffness=10.0, rest_length=0.2, axis="axial", at=(0.3, 0.3))
     """
 
     between: tuple[int, int] = eqx.field(static=True)
@@ -67,7 +69,7 @@ class Spring(eqx.Module):
     rest_length: Scalar = 0.0
     axis: str = eqx.field(static=True, default="x")
     compliance: Scalar | None = eqx.field(default=None, kw_only=True)
-    at: Scalar | None = eqx.field(default=None, kw_only=True)
+    at: Scalar | tuple[Scalar, Scalar] | None = eqx.field(default=None, kw_only=True)
     anchor: tuple[Scalar, Scalar] | None = eqx.field(default=None, kw_only=True)
     one_sided: str | None = eqx.field(static=True, default=None, kw_only=True)
 
@@ -89,7 +91,9 @@ class Spring(eqx.Module):
         checks.number("rest_length", self.rest_length)
         if self.axis not in (*AXES, "axial"):
             checks.fail("axis", f"one of {', '.join(AXES)}, axial", repr(self.axis))
-        if self.at is not None:
+        if self.at is not None and self.between[0] != 0:
+            checks.pair("at", self.at)
+        elif self.at is not None:
             checks.number("at", self.at)
         if self.anchor is not None:
             checks.pair("anchor", self.anchor)
@@ -99,9 +103,10 @@ class Spring(eqx.Module):
             self._check_attached()
 
     def _check_attached(self) -> None:
-        if self.between[0] != 0:
-            allowed = "(0, k), the drive and a whisker, for a spring on a shaft or one that is not linear"
-            checks.fail("between", allowed, repr(self.between))
+        if self.between[1] == 0:
+            checks.fail("between", "(0, k) for a spring from the drive to a shaft", repr(self.between))
+        if self.anchor is not None and self.between[0] != 0:
+            checks.fail("anchor", "None for a spring between two whiskers", repr(self.anchor))
         if not callable(self.stiffness) and not checks.is_traced(self.softness) and self.is_rigid():
             name = "stiffness" if self.compliance is None else "compliance"
             allowed = f"{'finite' if self.compliance is None else 'positive'} for a spring on a shaft"
@@ -112,6 +117,12 @@ class Spring(eqx.Module):
         """Whether it is one of the linear springs along the coordinates of the bases, which form the network."""
         plain = self.axis != "axial" and self.at is None and self.anchor is None
         return plain and self.one_sided is None and not callable(self.stiffness)
+
+    @property
+    def ends(self) -> tuple[tuple[int, Scalar], ...]:
+        """The whiskers that it holds, and the arc lengths to where it does; without the drive."""
+        places = (0.0, 0.0) if self.at is None else self.at if isinstance(self.at, tuple) else (0.0, self.at)
+        return tuple((whisker, at) for whisker, at in zip(self.between, places, strict=True) if whisker != 0)
 
     @property
     def softness(self) -> Float[Array, ""]:

@@ -1,5 +1,6 @@
 """The support: springs between the drive (0) and the whiskers (1 to N), and the mounts of the whiskers."""
 
+from collections import Counter
 from typing import Any
 
 import equinox as eqx
@@ -80,11 +81,11 @@ class Support(Published):
             checks.fail("foundation", f"one Foundation or one per base ({self.whiskers})", f"{len(each)} of them")
 
     def _check_connected(self) -> None:
-        ends = {end for spring in self.springs for end in spring.between}
+        tissue = (Spring((0, base), 1.0) for base, one in enumerate(self.foundations, 1) if one is not None)
+        ends = connected((*self.springs, *tissue))
         for axis in self.axes:
-            held = self._held(axis)
-            ends |= self._attached
-            missing = {base for base in held if base not in self._attached} | (set(range(1, self.whiskers + 1)) - ends)
+            loose = {base for base in self._held(axis) if base not in self._attached}
+            missing = loose | (set(range(1, self.whiskers + 1)) - ends)
             if missing:
                 raise ValueError(
                     f"`springs` must connect every base from 1 to {self.whiskers} to the drive 0, got no connection of "
@@ -110,16 +111,21 @@ class Support(Published):
         """The springs that do not belong to the linear network of the bases: on shafts, or not linear."""
         return tuple(spring for spring in self.springs if not spring.linear)
 
+    @property
+    def shaft_loads(self) -> int:
+        """Number of the loads on each whisker that `State.shaft_loads` has room for."""
+        return 3 * max(Counter(s.between[1] for s in self.attached if len(s.ends) > 1).values(), default=0)
+
     def attachments(self) -> list[tuple[str, int, Scalar]]:
         """Argument, whisker and arc length of everything that is attached to a shaft; of foundations, the upper end."""
-        springs = [("at", s.between[1], s.at) for s in self.attached if s.at is not None]
+        springs = [("at", whisker, at) for s in self.attached for whisker, at in s.ends]
         return springs + [("stop", base, one.stop) for base, one in enumerate(self.foundations, 1) if one is not None]
 
     @property
     def _attached(self) -> set[int]:
         """The whiskers that such springs or a foundation hold."""
         tissue = {base for base, one in enumerate(self.foundations, 1) if one is not None}
-        return {spring.between[1] for spring in self.attached} | tissue
+        return {whisker for spring in self.attached for whisker, _ in spring.ends} | tissue
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -144,17 +150,25 @@ class Support(Published):
     def _network(self, axis: str, hold: Float[Array, "whiskers axes"]) -> tuple[Spring, ...]:
         """The linear springs along an axis, and one at every base that only shaft springs hold."""
 
-        def rest_length(base: int) -> Scalar:
-            """Where the first of these springs would have the base."""
-            acting = [s for s in self.attached if s.between[1] == base and s.axis in _acting(axis)]
+        acting = [spring for spring in self.springs if spring.axis in _acting(axis)]
+        acting.sort(key=lambda spring: 0 not in spring.between)
+
+        def rest_length(base: int, seen: tuple[int, ...] = ()) -> Scalar:
+            """Where the first of these springs that leads to the drive would have the base."""
             tissue = self.foundations[base - 1]
-            if not acting and axis == "x" and tissue is not None:
-                return tissue.rest_length
-            first = acting[0].rest_length if acting else 0.0
-            if not acting or acting[0].anchor is None or axis == "phi":
-                return first
-            mount, anchor = self.mounts[base - 1], acting[0].anchor
-            return first + (anchor[0] - mount.x if axis == "x" else anchor[1] - mount.y)
+            for spring in acting:
+                if base not in spring.between or set(seen) & set(spring.between):
+                    continue
+                first, second = spring.between
+                own = spring.rest_length if base == second else -jnp.asarray(spring.rest_length)
+                other = first if base == second else second
+                if other != 0:
+                    return own + rest_length(other, (*seen, base))
+                if spring.anchor is None or axis == "phi":
+                    return own
+                mount, anchor = self.mounts[base - 1], spring.anchor
+                return own + (anchor[0] - mount.x if axis == "x" else anchor[1] - mount.y)
+            return tissue.rest_length if axis == "x" and tissue is not None else 0.0
 
         stiffness = hold[:, AXES.index(axis)]
         held = (Spring((0, base), stiffness[base - 1], rest_length(base), axis=axis) for base in self._held(axis))
@@ -172,9 +186,8 @@ class Support(Published):
         for k, axis in enumerate(AXES):
             for base in self._held(axis):
                 own = torsion if axis == "phi" else stiffness
-                for spring in self.attached:
-                    if spring.between[1] == base and not callable(spring.stiffness):
-                        at = 0.0 if spring.at is None else spring.at
+                for spring, at in ((s, at) for s in self.attached for whisker, at in s.ends if whisker == base):
+                    if not callable(spring.stiffness):
                         by_force = at**2 if axis == "phi" else 1.0
                         own += (float(axis == "phi") if spring.axis == "phi" else by_force) / spring.softness
                 hold = hold.at[base - 1, k].set(own)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Mode
-from jaxwhisker._equilibrium.problem import Poses, Problem, Stance
+from jaxwhisker._equilibrium.problem import Problem, Stance
 from jaxwhisker._path.path import Path, Status
 
 FIRST_STEP = 0.02  # of the march after a corner; steps grow at once where the path is smooth
@@ -46,8 +46,8 @@ class AbstractApproach(abc.ABC):
         """Stance of the unloaded whiskers at a control."""
 
     @abc.abstractmethod
-    def starts_clear(self, u: Scalar, pose: Poses) -> Bool[Array, ""]:
-        """Whether whiskers at the start are clear of the object."""
+    def starts_clear(self, u: Scalar) -> Bool[Array, ""]:
+        """Whether unloaded whiskers are clear of the object at this control, where a march starts."""
 
     @abc.abstractmethod
     def longest_step(self) -> Scalar:
@@ -93,8 +93,8 @@ class FromAfar(AbstractApproach):
         at = problem.in_scene(u, problem.unloaded(u)[1])
         return Stance(at.x, problem.touch_right, problem.touch_left)
 
-    def starts_clear(self, u, pose):
-        del u, pose
+    def starts_clear(self, u):
+        del u
         return jnp.asarray(True)
 
     def longest_step(self):
@@ -131,10 +131,11 @@ class Bounded(AbstractApproach):
         return jnp.where(-self.onwards * (first_stop - start) > 0, first_stop, start)
 
     def unloaded(self, u):
-        return self.problem.stance(u, self.problem.unloaded(u)[1])
+        z, pose = self.problem.unloaded(u)
+        return self.problem.stance(u, pose, z)
 
-    def starts_clear(self, u, pose):
-        return jnp.all(self.problem.stance(u, pose).clear)
+    def starts_clear(self, u):
+        return jnp.all(self.unloaded(u).clear)
 
     def longest_step(self):
         # A long step of such a motion, unlike one of a translation, could miss the object altogether.

@@ -100,7 +100,7 @@ def _changed_slips(
     friction, limit = state.mode.friction, problem.friction_angle
     onwards = slips_on(problem, state.mode, point.z, tangent.z)
     assert friction is not None and limit is not None and onwards is not None and state.tries is not None
-    slip, (force, leans, _) = friction.slip, point.z.T
+    slip, force, leans = friction.slip, point.z[:, 0], point.z[:, 1]
     # A contact that has just begun may slip either way or, if neither presses on, stick.
     unloaded = (slip != 0) & (force <= LIGHT)
     backwards = (onwards < -SLIP_NOISE) | ((state.mode.phase != Phase.free) & unloaded & falls & (limit > 0))
@@ -193,6 +193,6 @@ def to_snap(state: MarchState) -> MarchState:
             **({} if state.tries is None else {"stop": state.goal, "corner": jnp.asarray(True)}),
         ),
         task=jnp.asarray(int(Task.kick)),
-        flow=snap_flow.start(state.mode, state.pose),
+        flow=snap_flow.start(state.mode, state.pose, state.point.z),
         unstable_at=jnp.asarray(jnp.inf),
     )

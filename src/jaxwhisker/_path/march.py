@@ -157,7 +157,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         direction=still.u,
         travel=pending.travel,
         pending=pending,
-        flow=snap_flow.start(mode, pose),
+        flow=snap_flow.start(mode, pose, z),
         count=jnp.asarray(0),
         status=jnp.asarray(int(Status.ok)),
         tries=None if friction is None else jnp.asarray(0),
@@ -171,7 +171,7 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     path cannot be followed any further, the march ends there, and the status of the path says why.
     """
     state = _start(problem, stops)
-    clear = approach_of(problem).starts_clear(state.point.u, state.pose)
+    clear = approach_of(problem).starts_clear(state.point.u)
     state = select(clear, state, state.stopped(Status.lost))
     # A node is written as one row of a table: one write per field would be slow to compile.
     blank, unpacked = ravel_pytree(state.pending)

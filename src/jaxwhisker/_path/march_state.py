@@ -143,7 +143,8 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
     # A touch is solved for as a contact, but the path arrives without it.
     touches = (state.task == Task.event) & (state.target.kind == TOUCH)
     pose = jnp.where(problem.solved(state.mode.phase)[:, None], newton.pose, free_pose)
-    here, there = problem.stances((state.point.u, state.pose), (solution.point.u, pose))
+    before, after = state.point, solution.point
+    here, there = problem.stances((before.u, state.pose, before.z), (after.u, pose, after.z))
     arriving = _direction_of_parabola(state, solution, free, there)
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])

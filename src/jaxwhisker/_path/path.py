@@ -164,7 +164,7 @@ def margins(
         profile: the object; not needed without edges.
     """
     free = mode.phase == Phase.free
-    force, lean, slack = point.z.T
+    force, lean, slack = point.z[:, :3].T
     first = at.first(mode.side)
     far = jnp.inf
     low = high = NOTHING

@@ -34,7 +34,13 @@ from jaxwhisker._equilibrium.newton import Condensed, Solution, slip_by_contact,
 from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
-from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
+from jaxwhisker._equilibrium.stability import (
+    Slopes,
+    clamped_is_stable,
+    load_slopes,
+    network_is_stable,
+    on_stable_branch,
+)
 
 LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; the flow is first order in it
 SHORTEST = 1e-7  # smallest such change that is tried if a whisker cannot follow a larger one
@@ -53,9 +59,9 @@ class Flow(NamedTuple):
 
     pose: Poses
     guess: Contacts  # for the next solution
-    basis: Float[Array, "whiskers 3 axes"]  # steps along and across each whisker's branch, as in Condensed
+    basis: Float[Array, "whiskers numbers axes"]  # steps along and across each whisker's branch, as in Condensed
     pose_by: Float[Array, "whiskers axes axes"]  # derivative of the base's pose with respect to these steps
-    slope: Float[Array, "whiskers axes axes"]  # d load / d pose
+    slope: Slopes  # d load / d pose
     load: Poses
     gap: PerWhisker  # distance of a free whisker's base from where the whisker would touch
     step: Scalar  # largest change of any contact in the next step
@@ -68,18 +74,20 @@ class Flow(NamedTuple):
     iterations: Int[Array, ""]
     exhausted: Bool[Array, ""]  # whether the flow has failed to come to rest
     way: PerWhisker | None = None  # +1 or -1: along its branch, or back, as a whisker slides; None without edges
+    clamped: Bool[Array, ""] | None = None  # whether coupled shafts are stable with clamped bases; None without
 
 
-def start(mode: Mode, pose: Poses) -> Flow:
+def start(mode: Mode, pose: Poses, z: Contacts) -> Flow:
     """The state of a flow that is about to begin."""
-    n, axes = pose.shape
+    (n, axes), numbers = pose.shape, z.shape[1]
+    coupled = numbers > 3
     no, none = jnp.zeros(n, bool), jnp.zeros(n)
     return Flow(
         pose=pose,
-        guess=jnp.zeros((n, 3)),
-        basis=jnp.zeros((n, 3, axes)),
+        guess=jnp.zeros((n, numbers)),
+        basis=jnp.zeros((n, numbers, axes)),
         pose_by=jnp.broadcast_to(jnp.eye(axes), (n, axes, axes)),
-        slope=jnp.zeros((n, axes, axes)),
+        slope=jnp.zeros((n * axes, n * axes) if coupled else (n, axes, axes)),
         load=jnp.zeros_like(pose),
         gap=none,
         step=jnp.asarray(LARGEST_CHANGE),
@@ -92,6 +100,7 @@ def start(mode: Mode, pose: Poses) -> Flow:
         iterations=jnp.asarray(0),
         exhausted=jnp.asarray(False),
         way=None if mode.piece is None else none + 1.0,
+        clamped=jnp.asarray(False) if coupled else None,
     )
 
 
@@ -124,7 +133,7 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     axes = flow.pose.shape[1]
     pull = problem.rest(point.u) + problem.displacement(flow.load) - flow.pose
     # The system must be stable even with half of the damping, or it would be badly conditioned.
-    resolved = network_is_stable(problem, flow.slope - 0.5 / flow.time_step * jnp.eye(axes))
+    resolved = network_is_stable(problem, flow.slope - 0.5 / flow.time_step * jnp.eye(flow.slope.shape[-1]))
     slope = jnp.where(resolved, flow.slope, problem.not_destabilising(flow.slope))
     moves = _implicit_displacement(problem, pull, slope, 1 / flow.time_step)
     # A slip takes no time: the other whiskers wait until it ends.
@@ -178,6 +187,9 @@ def _slip(
     """Apply the snap rule, points 1 to 3 above."""
     free, by_x = mode.phase == Phase.free, condensed.by_x
     slipping, holds = flow.sliding | flow.landing, on_stable_branch(problem, mode, by_x)
+    if condensed.coupled is not None:
+        # A whisker past the fold of its own branch may be held by springs to others.
+        holds |= clamped_is_stable(problem, mode, condensed)
     force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
     ends = ~free & ~slipping & (z[:, 0] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
@@ -252,7 +264,7 @@ def advance(
         # The direction of the branch in a phase that has just begun is unknown until a point in it has been solved for.
         basis=jnp.where((fresh | slip.freed | turned)[:, None, None], 0.0, newton.condensed.basis),
         pose_by=jnp.where(no_branch[:, :, None], jnp.eye(pose.shape[1]), newton.condensed.pose_by),
-        slope=jnp.where(no_branch[:, :, None], 0.0, load_slopes(problem, mode, newton.condensed)),
+        slope=_known_slopes(load_slopes(problem, mode, newton.condensed), no_branch),
         load=jnp.where(no_branch, 0.0, newton.load),
         gap=jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf),
         slipped=flow.slipped | slip.slips,
@@ -265,8 +277,17 @@ def advance(
         exhausted=(iterations > ITERATIONS) | missed,
         step=jnp.minimum(2 * flow.step, LARGEST_CHANGE),
         time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
+        clamped=None if flow.clamped is None else jnp.all(slip.holds),
     )
     return flow, Mode(phase, side, jnp.asarray(False), friction=friction, piece=piece), z
+
+
+def _known_slopes(slopes: Slopes, unknown: Bool[Array, "whiskers 1"]) -> Slopes:
+    """The slopes, zero for whiskers whose branch is not known."""
+    if slopes.ndim > 2:
+        return jnp.where(unknown[:, :, None], 0.0, slopes)
+    rows = jnp.repeat(unknown[:, 0], slopes.shape[0] // unknown.shape[0])
+    return jnp.where(rows[:, None] | rows, 0.0, slopes)
 
 
 def _slips(problem: Problem, mode: Mode, previous: Contacts, z: Contacts) -> Int[Array, " whiskers"]:
@@ -298,13 +319,15 @@ def at_rest(problem: Problem, flow: Flow, mode: Mode, u: Scalar) -> Bool[Array, 
     """Whether a stable equilibrium is near enough for Newton's method to take over."""
     loose = ~problem.solved(mode.phase)
     known = jnp.all(loose | _branch_known(flow))
-    slope = jnp.where(loose[:, None, None], 0.0, flow.slope)
+    slope = _known_slopes(flow.slope, loose[:, None])
     pull = problem.rest(u) + problem.displacement(flow.load) - flow.pose
     moves = _implicit_displacement(problem, pull, slope, jnp.asarray(0.0))
     steps = jnp.where(loose[:, None], 0.0, _steps(flow, moves))
     near = jnp.max(jnp.maximum(jnp.abs(moves), jnp.abs(steps))) < flow.near
     settled = near & known & ~jnp.any(flow.sliding | flow.landing)
-    own = jnp.all(loose | on_stable_branch(problem, mode, flow.pose_by[:, 0, 0]))
+    own = flow.clamped
+    if own is None:
+        own = jnp.all(loose | on_stable_branch(problem, mode, flow.pose_by[:, 0, 0]))
     return settled & own & network_is_stable(problem, slope)
 
 
@@ -312,6 +335,8 @@ def touching(at: Stance, side: PerWhisker) -> tuple[Contacts, Int[Array, " whisk
     """Contacts, phases and sides of whiskers at their first touch from a side."""
     first = at.first(side)
     z = jnp.stack([jnp.zeros_like(first.slack), first.parameter, first.slack], axis=-1)
+    if at.loads is not None:
+        z = jnp.concatenate([z, at.loads], axis=-1)
     return z, jnp.where(first.slack > 0, Phase.tangential, Phase.tip), first.side
 
 

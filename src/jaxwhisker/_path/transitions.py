@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.couplings import as_contacts
 from jaxwhisker._equilibrium.friction import newly_slipping
 from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, slope_sines, with_slips
 from jaxwhisker._equilibrium.pieces import where_touching
@@ -334,9 +335,13 @@ def _arrived(problem: Problem, state: MarchState, trial: Trial, change: _Change,
     if change.passes is not None:
         lead_z = lead_z.at[:, 1].add(change.passes * jnp.where(kind == LOW, -1.0, 1.0))
     # A whisker is released in the direction in which its contact would have to pull.
-    by_pose, by_u = _pulling(trial.solution.newton.condensed)
+    condensed = trial.solution.newton.condensed
+    by_pose, by_u = _pulling(condensed)
     lead_pose = jnp.where(change.released[:, None], by_pose, 0.0)
     lead_u += jnp.sum(jnp.where(change.released, by_u, 0.0))
+    if condensed.coupled is not None and problem.attached is not None and problem.attached.couplings is not None:
+        by_loads = -jnp.sum(lead_pose[:, :, None] * condensed.coupled.pose_by_loads, axis=(0, 1))
+        lead_z += as_contacts(problem.attached.couplings, jnp.reshape(by_loads, (-1, 3)), lead_z)
     passed = state.target.whisker & (kind == VERTEX)
     ahead = jnp.where(slope_sines(problem, node.point.z, node.mode) < 0, -1.0, 1.0)
     sign = jnp.where(change.touches, ahead, state.before_vertex)
@@ -367,8 +372,7 @@ def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, tr
     rested = snap_flow.at_rest(problem, flow, mode, state.point.u)
     freed = flow.slipped & (mode.phase == Phase.free)
     kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
-    n = mode.phase.shape[0]
-    none = jnp.zeros((n, 3))
+    none = jnp.zeros_like(z)
     pending = state.pending._replace(
         phase=mode.phase,
         side=mode.side,

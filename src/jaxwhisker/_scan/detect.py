@@ -46,7 +46,7 @@ def _shafts(problem: Problem, point: Point, mode: Mode) -> Shaft:
     """The shafts of all whiskers, stacked."""
     free = mode.phase == Phase.free
     z, phase = with_dummy_contacts(problem, point.z, mode.phase)
-    bodies = problem.bodies(point.u, mode.piece)
+    bodies = problem.bodies(point.u, z, mode.piece)
     if problem.attached is None:
         z = z.at[:, 0].set(jnp.where(free, 0.0, z[:, 0]))
     shafts = of_each(bodies, shaft, z, phase, mode.side, mode.friction)
@@ -156,7 +156,7 @@ def _energy(problem: Problem, point: Point, mode: Mode) -> Scalar:
     """Elastic energy of uniform whiskers and of springs (see energy.py), dimensionless."""
     touching = mode.phase != Phase.free
     z, phase = with_dummy_contacts(problem, point.z, mode.phase)
-    bodies = problem.bodies(point.u, mode.piece)
+    bodies = problem.bodies(point.u, z, mode.piece)
     base = of_each(bodies, contact.base, z, phase, mode.side, mode.friction)
     s = of_each(bodies, contact.arc, z[:, 2], phase)
     density = base.bend**2 / (2 * problem.bending_stiffness) + base.force_x * base.cos + base.force_y * base.sin

@@ -28,7 +28,7 @@ from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.springs import held, holds, outwards, pieces_energy, spring_length
+from jaxwhisker._scan.springs import bases_of, held, holds, outwards, pieces_energy, spring_length
 from jaxwhisker._scan.state import State, base_of, state_of
 
 INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; the error falls with the fourth power
@@ -91,12 +91,13 @@ def _held_energy(scene: Scene, state: State, control: Scalar) -> Float[Array, ""
     by = holds(scene)
     assert by is not None
     energy = jnp.zeros(())
-    for k, (whisker, own) in enumerate(zip(scene.whiskers, held(by, scene.whiskers, control)[0], strict=True)):
+    for k, (whisker, own) in enumerate(
+        zip(scene.whiskers, held(by, scene.whiskers, control, state.shaft_loads)[0], strict=True)
+    ):
         at = jax.tree.map(lambda leaf, k=k: leaf[k], state)
         arc = jnp.where(at.phase == Phase.free, whisker.length, at.contact_arc)
         energy += pieces_energy(whisker, base_of(at), (at.fx, at.fy, at.mz), arc, own)
-    bases = state.base_x, state.base_y, state.base_angle, state.fx, state.fy, state.mz
-    lengths = spring_length(scene, bases, control)
+    lengths = spring_length(scene, bases_of(scene, state), control)
     return energy + sum(spring.energy(length) for spring, length in zip(scene.support.springs, lengths, strict=True))
 
 

@@ -80,7 +80,9 @@ def _shapes_of(
     points: int,
 ) -> Shapes:
     def lines(state: State, control: Scalar | None) -> list[tuple[rod.Along, rod.Along]]:
-        each = [None] * len(whiskers) if by is None or control is None else held(by, whiskers, control)[0]
+        each: list[Held | None] = [None] * len(whiskers)
+        if by is not None and control is not None:
+            each = [*held(by, whiskers, control, state.shaft_loads)[0]]
         found = []
         for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
             at = jax.tree.map(lambda field, k=k: field[k], state)

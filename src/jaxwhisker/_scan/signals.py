@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
 from jaxwhisker._equilibrium.contact import Base, Phase, of_each
+from jaxwhisker._equilibrium.couplings import law_of, loads_in
 from jaxwhisker._equilibrium.friction import lean, slipping_from
 from jaxwhisker._equilibrium.implicit import Sides, Turning, event_control, event_points
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
@@ -24,7 +25,7 @@ from jaxwhisker._scan.state import State
 
 def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
     """State of an equilibrium in the scene's units, and its largest residual."""
-    touching, bodies = mode.phase != Phase.free, problem.bodies(u, mode.piece)
+    touching, bodies = mode.phase != Phase.free, problem.bodies(u, z, mode.piece)
     loaded = touching if problem.attached is None else problem.solved(mode.phase)
     contacts = with_dummy_contacts(problem, z, mode.phase)
     base = of_each(bodies, contact.base, *contacts, mode.side, mode.friction)
@@ -35,6 +36,10 @@ def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State
     pose = newton.pose_of(in_frame, 3)
     here = problem.in_scene(u, jnp.where(loaded[:, None], pose[:, : problem.axes], wanted))
     residual = _residual(problem, z, u, mode, base, pose, wanted, here)
+    if problem.attached is not None and problem.attached.couplings is not None and in_frame.places is not None:
+        held, couplings = problem.attached, problem.attached.couplings
+        law = law_of(couplings, held.laws, held.held_by, in_frame.places)
+        residual = jnp.maximum(residual, jnp.max(jnp.abs(loads_in(couplings, z) - law.load)))
     return _state(problem, z, mode, base, arc, here, loaded), residual
 
 
@@ -98,8 +103,17 @@ def _state(
         contact_x=if_touching(base.contact_x) * unit.length,
         contact_y=if_touching(base.contact_y) * unit.length,
         phase=mode.phase,
+        shaft_loads=_shaft_loads(problem, z),
         **_friction(problem, z, mode),
     )
+
+
+def _shaft_loads(problem: Problem, z: Contacts) -> tuple[PerWhisker, ...] | None:
+    """The loads of springs between two shafts; None without any."""
+    if z.shape[1] == 3:
+        return None
+    units = [problem.unit.force, problem.unit.force, problem.unit.moment] * (z.shape[1] // 3 - 1)
+    return tuple(load * unit for load, unit in zip(z[:, 3:].T, units, strict=True))
 
 
 def _friction(problem: Problem, z: Contacts, mode: Mode) -> dict[str, Array]:

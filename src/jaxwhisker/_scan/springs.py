@@ -10,8 +10,18 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.attach import OnShafts, attached
+from jaxwhisker._equilibrium.couplings import given_by, length_between
 from jaxwhisker._equilibrium.dimensionless import sections
-from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, end_of, past, stretched, walk
+from jaxwhisker._equilibrium.shaft_springs import (
+    Attachments,
+    Laws,
+    ShaftSprings,
+    end_of,
+    in_drive,
+    past,
+    stretched,
+    walk,
+)
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, mounted
 from jaxwhisker._model.scene import Scene, Units, moves_along_x
 from jaxwhisker._model.support import Support
@@ -22,7 +32,8 @@ from jaxwhisker._scan.state import State, material
 WALK_STEPS = 16  # of the rod from one spring on its shaft to the next
 
 PerWhisker = Float[Array, " whiskers"]
-Bases = tuple[Float[Array, "steps whiskers"], ...]  # x, y, angle of bases; with springs on shafts, fx, fy, mz too
+# x, y, angle of bases; with springs on shafts, fx, fy, mz and `shaft_loads` too
+Bases = tuple[Float[Array, "steps whiskers"], ...]
 Reaction = tuple[Scalar, ...]  # fx, fy, mz
 
 
@@ -46,14 +57,20 @@ def holds(scene: Scene) -> Holds | None:
     return Holds(scene.support, scene.motion) if scene.support.on_shafts else None
 
 
-def held(by: Holds, whiskers: tuple[Whisker, ...], control: Scalar) -> tuple[list[Held], OnShafts]:
-    """The springs on the shafts of all whiskers at a control."""
+def held(
+    by: Holds, whiskers: tuple[Whisker, ...], control: Scalar, loads: tuple[PerWhisker, ...] | None
+) -> tuple[list[Held], OnShafts]:
+    """The springs on the shafts of all whiskers at a control, and with these `shaft_loads`."""
     # Without units, everything is in those of the scene.
     ones = [jnp.ones(()) for _ in Units._fields]
     springs = attached(by.support, sections(whiskers, 1.0, 1.0), Units(*ones))
     assert springs is not None
     drive = mounted(Pose(*(jnp.asarray(part, dtype=float) for part in by.motion.pose(control))), Pose(0.0, 0.0, 0.0))
-    each = [jax.tree.map(lambda leaf, k=k: leaf[k], springs.held_by) for k in range(len(whiskers))]
+    held_by = springs.held_by
+    if springs.couplings is not None and loads:
+        z = jnp.stack([*[jnp.zeros_like(loads[0])] * 3, *loads], axis=1)
+        held_by = held_by._replace(given=given_by(springs.couplings, z, held_by))
+    each = [jax.tree.map(lambda leaf, k=k: leaf[k], held_by) for k in range(len(whiskers))]
     return [Held(own, springs.laws, drive) for own in each], springs
 
 
@@ -80,12 +97,18 @@ def _at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
 
 def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> rod.RodStates:
     """States of the rod at all springs, from the tip to the base, on a walk from the base."""
-    springs = jax.tree.map(lambda leaf: leaf[::-1], held.held_by.springs)
-    # The reaction is that of everything at the base and below.
-    springs = springs._replace(share=jnp.where(springs.at > 0, springs.share, 0.0))
-    backwards, zero = held.held_by._replace(springs=springs), jnp.zeros_like(springs.at[0])
+    backwards = _above(held.held_by)
+    zero = jnp.zeros_like(backwards.springs.at[0])
     given = start, load, zero, material(whisker), backwards, held.laws, held.drive
     return jax.tree.map(lambda leaf: leaf[::-1], walk(*given, steps=steps, sign=-1.0).passed)
+
+
+def _above(held_by: Attachments) -> Attachments:
+    """What acts above the base, in the order from there; the reaction is that of everything at the base and below."""
+    springs, given = jax.tree.map(lambda leaf: leaf[::-1], (held_by.springs, held_by.given))
+    above = springs.at > 0
+    given = None if given is None else jnp.where(above[:, None], given, 0.0)
+    return held_by._replace(springs=springs._replace(share=jnp.where(above, springs.share, 0.0)), given=given)
 
 
 def pieces_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held) -> Float[Array, ""]:
@@ -94,10 +117,11 @@ def pieces_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar,
     held, stiffness = held._replace(held_by=places), whisker.base_stiffness
     passed = _walk(whisker, start, load, held, steps=WALK_STEPS)
     # From the base on: places, and the loads behind them.
-    springs = places.springs._replace(share=jnp.where(places.springs.at > 0, places.springs.share, 0.0))
-    springs, (x, y, cos, sin) = jax.tree.map(lambda leaf: leaf[::-1], (springs, passed))
-    none = rod.Load(*[jnp.zeros(())] * 3)
-    jumps = jax.vmap(lambda one, at: past(none, one, held.laws, at, held.drive, -1.0))(springs, (x, y, cos, sin))
+    above, (x, y, cos, sin) = _above(places), jax.tree.map(lambda leaf: leaf[::-1], passed)
+    springs, none = above.springs, rod.Load(*[jnp.zeros(())] * 3)
+    jumps = jax.vmap(lambda one, at, given: past(none, one, held.laws, at, held.drive, -1.0, given))(
+        springs, (x, y, cos, sin), above.given
+    )
     before = map(jnp.asarray, (load.force_x, load.force_y, load.moment))
     changes = map(jnp.asarray, (jumps.force_x, jumps.force_y, jumps.moment))
     fx, fy, about = (own + jnp.cumsum(change) for own, change in zip(before, changes, strict=True))
@@ -108,7 +132,7 @@ def pieces_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar,
 
 
 class Stretched(NamedTuple):
-    """A spring on a shaft in one state: its length or angle, and its ends on the drive and on the whisker."""
+    """A spring on a shaft in one state: its length or angle, and its first and its second end."""
 
     length: Scalar
     anchor_x: Scalar
@@ -118,21 +142,33 @@ class Stretched(NamedTuple):
 
 
 def on_shafts(
-    by: Holds, whiskers: tuple[Whisker, ...], bases: Pose, reactions: tuple[PerWhisker, ...], control: Scalar
+    by: Holds, whiskers: tuple[Whisker, ...], bases: Pose, loads: tuple[PerWhisker, ...], control: Scalar
 ) -> list[Stretched]:
-    """The springs on shafts, in the order of the support, in one state; fields have shape (whiskers,)."""
-    each, springs = held(by, whiskers, control)
-    every = []
+    """The springs on shafts, in the order of the support, in one state; fields have shape (whiskers,).
+
+    The loads are fx, fy, mz and `shaft_loads`.
+    """
+    reactions = loads[:3]
+    each, springs = held(by, whiskers, control, loads[3:])
+    every, ends = [], []
     for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
         base, reaction = jax.tree.map(lambda leaf, k=k: leaf[k], (bases, reactions))
         passed = _walk(whisker, *_at_base(base, reaction), own, steps=WALK_STEPS)
         every.append(jax.vmap(partial(_stretched, own.drive))(own.held_by.springs, passed))
-    counted, ordered = [0] * len(whiskers), []
+        ends.append(jax.vmap(partial(in_drive, drive=own.drive))(own.held_by.springs, passed))
+    counted, ordered, couplings = [0] * len(whiskers), [], 0
     for spring in by.support.attached:
-        k = spring.between[1] - 1
-        rank = springs.ranks[k, counted[k]]
-        ordered.append(jax.tree.map(lambda leaf, rank=rank: leaf[rank], every[k]))
-        counted[k] += 1
+        own = []
+        for whisker, _ in spring.ends:
+            k = whisker - 1
+            own.append(jax.tree.map(lambda leaf, at=springs.ranks[k, counted[k]]: leaf[at], every[k]))
+            counted[k] += 1
+        last = own[-1]
+        if len(own) > 1 and springs.couplings is not None:
+            length = length_between(springs.couplings, springs.held_by, jnp.stack(ends))[couplings]
+            last = Stretched(length, own[0].x, own[0].y, last.x, last.y)
+            couplings += 1
+        ordered.append(last)
     return ordered
 
 
@@ -148,7 +184,12 @@ def _stretched(drive: Frame, spring: ShaftSprings, state: rod.RodState) -> Stret
 def bases_of(scene: Scene, state: State) -> Bases:
     """The fields of states that spring lengths depend on: poses of bases and, with springs on shafts, reactions."""
     pose = state.base_x, state.base_y, state.base_angle
-    return (*pose, state.fx, state.fy, state.mz) if scene.support.attached else pose
+    return (*pose, *loads_of(state)) if scene.support.attached else pose
+
+
+def loads_of(state: State) -> tuple[Float[Array, "*steps whiskers"], ...]:
+    """The reactions, and the loads of springs between two shafts."""
+    return state.fx, state.fy, state.mz, *(state.shaft_loads or ())
 
 
 def spring_lengths(scene: Scene, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:

@@ -59,7 +59,7 @@ def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
 class Solutions(NamedTuple):
     """Equilibria at the steps of a scan. Steps that failed hold free whiskers."""
 
-    z: Float[Array, "*steps whiskers 3"]
+    z: Float[Array, "*steps whiskers numbers"]
     phase: Int[Array, "*steps whiskers"]
     side: Float[Array, "*steps whiskers"]
     status: Int[Array, "*steps"]

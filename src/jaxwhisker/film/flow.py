@@ -87,7 +87,7 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
         mode = at.mode._replace(separate=jnp.asarray(True), held=held)
         solution = solve_point(dimensionless, mode, at_control(u, flow.guess), Point(flow.guess, u))
         pose = jnp.where(dimensionless.solved(at.mode.phase)[:, None], solution.newton.pose, flow.pose)
-        stance = dimensionless.stance(u, pose)
+        stance = dimensionless.stance(u, pose, solution.point.z)
         flow, mode, z = snap_flow.advance(dimensionless, flow, at.mode, at.z, solution, stance)
         rested = snap_flow.at_rest(dimensionless, flow, mode, u)
         keep = ~jnp.any(flow.sliding | flow.landing)
@@ -101,7 +101,7 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
     first = _Kept(before.point.z, before.phase, before.side, before.friction, pose, before.piece)
     room = jax.tree.map(lambda leaf: jnp.zeros((MOST_STATES, *leaf.shape), leaf.dtype), first)
     no = jnp.asarray(False)
-    start = _Going(snap_flow.start(still, pose), still, before.point.z, no, no, room, jnp.asarray(0))
+    start = _Going(snap_flow.start(still, pose, before.point.z), still, before.point.z, no, no, room, jnp.asarray(0))
     end = jax.lax.while_loop(lambda at: ~at.over & (at.count < MOST_STATES), step, start)
     return jax.vmap(lambda kept: _state_in_scene(dimensionless, u, kept))(end.kept), end.count
 

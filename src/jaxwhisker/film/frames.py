@@ -151,11 +151,16 @@ def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, "
     fields: dict[str, Any] = {"phase": np.where(touching, second.phase, Phase.free)}
     if second.slip is not None:
         fields["slip"] = np.where(touching, second.slip, 0)
+
+    def mixed(before: Any, after: Any) -> Any:
+        return jax.tree.map(lambda a, b: (1 - share) * a + share * b, before, after)
+
     for name in State.__dataclass_fields__:
         if name not in ("phase", "slip") and getattr(first, name) is not None:
-            value = (1 - share) * getattr(first, name) + share * getattr(second, name)
-            fields[name] = value if name.startswith("base") else np.where(touching, value, 0.0)
-    return State(**{name: jnp.asarray(value) for name, value in fields.items()})
+            value = mixed(getattr(first, name), getattr(second, name))
+            kept = name == "shaft_loads" or name.startswith("base")
+            fields[name] = value if kept else np.where(touching, value, 0.0)
+    return State(**jax.tree.map(jnp.asarray, fields))
 
 
 def between(

@@ -5,7 +5,7 @@ lines and points depends only on the scene, because films draw every line once a
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,13 +23,13 @@ from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.motion import Pose, Rotation
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._model.spring import AXES, Spring
-from jaxwhisker._path.approach import FromAfar
+from jaxwhisker._path.approach import Bounded, FromAfar
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import problem_now
 from jaxwhisker._scan.shapes import shapes_of
 from jaxwhisker._scan.signals import signals
-from jaxwhisker._scan.springs import holds, on_shafts
-from jaxwhisker._scan.state import FRICTION, State, base_of, state_of
+from jaxwhisker._scan.springs import holds, loads_of, on_shafts
+from jaxwhisker._scan.state import OPTIONAL, State, base_of, state_of
 
 # Lengths are in L of the first whisker.
 LINE_POINTS = 64  # per centre line
@@ -160,7 +160,7 @@ def _first_touch(problem: Problem) -> Scalar:
 @Program
 def _clear(problem: Problem, controls: Float[Array, " controls"]) -> Bool[Array, " controls"]:
     """Whether all unloaded whiskers are clear of the object, at each control."""
-    return jax.vmap(lambda u: jnp.all(problem.stance(u, problem.unloaded(u)[1]).clear))(controls)
+    return jax.vmap(Bounded(problem).starts_clear)(controls)
 
 
 def rest_state(scene: Scene, control: float) -> State:
@@ -179,8 +179,9 @@ def _rest_state(scene: Scene, control: Scalar) -> State:
         return signals(problem, problem.unloaded(u)[0], u, free)[0]
     at, size = problem.in_scene(u, problem.rest(u)), problem.unit.length
     none = jnp.zeros(scene.support.whiskers)
-    fields = {name: none for name in State.__dataclass_fields__ if name not in FRICTION} | {"phase": none.astype(int)}
-    return State(**fields | {"base_x": at.x * size, "base_y": at.y * size, "base_angle": at.angle})
+    fields: dict[str, Any] = dict.fromkeys((name for name in State.__dataclass_fields__ if name not in OPTIONAL), none)
+    fields["phase"] = none.astype(int)
+    return State(**fields | {"base_x": at.x * size, "base_y": at.y * size, "base_angle": at.angle})  # pyright: ignore
 
 
 def state_at(result: Result, step: int) -> State:
@@ -219,7 +220,7 @@ def ends_on_shafts(scene: Scene, state: State, control: float) -> Ends:
     by, size = holds(scene), float(units(scene).length)
     if by is None:
         return ()
-    given = jax.tree.map(checks.as_float, (by, scene.whiskers, base_of(state), (state.fx, state.fy, state.mz), control))
+    given = jax.tree.map(checks.as_float, (by, scene.whiskers, base_of(state), loads_of(state), control))
     every = jax.tree.map(lambda end: float(end) / size, _on_shafts(*given))
     return [((one.anchor_x, one.anchor_y), (one.x, one.y)) for one in every]
 
