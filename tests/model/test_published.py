@@ -83,3 +83,28 @@ def test_a_rats_whisker_on_a_published_support_scans_an_object(support):
     assert np.all(result.status == jw.Status.ok)
     assert np.max(np.abs(result.mz)) > 0.5 * 6.3e-8 / 0.0331
     assert np.max(np.abs(result.base_angle - result.base_angle[0])) > 0.02  # the follicle turns
+
+
+def test_hill_connects_neighbouring_follicles():
+    support = jw.Support.hill(3)
+    assert support.whiskers == 3 and len(support.springs) == 2 * 4 + 3
+    spacing = 20e-3 / 4
+    assert [mount.x for mount in support.mounts] == pytest.approx([-spacing, 0.0, spacing])
+    neighbours = [spring for spring in support.springs if spring.between in ((1, 2), (2, 3))]
+    assert [spring.at for spring in neighbours] == [(0.0, 0.0)] * 2 + [(-4e-3, -4e-3)] * 2
+    # All follicles move against the walls: the springs between them carry nothing.
+    one = jw.Support.hill(1)
+    ratio = support.springs[0].stiffness / one.springs[0].stiffness
+    assert ratio == pytest.approx(3 * 10e-3 / spacing)  # the mass of three follicles, and a shorter spring
+    with pytest.raises(ValueError, match="`pad` must be wider than 4 follicles"):
+        jw.Support.hill(3, pad=15e-3)
+
+
+def test_a_row_of_rats_whiskers_scans_an_object():
+    scene = jw.Scene(jw.Whisker(0.0331, 6.3e-8), jw.Parabola(0.014, 30.0), jw.Support.hill(2))
+    result = jw.scan(scene, np.linspace(0.05, 0.0, 21))
+    assert np.all(result.status == jw.Status.ok)
+    touched = np.asarray(result.phase) != jw.Phase.free
+    first = np.flatnonzero(touched[:, 0] & ~touched[:, 1])
+    # A follicle whose whisker touches nothing is moved by its neighbour.
+    assert np.ptp(np.asarray(result.base_angle)[first, 1]) > 1e-3

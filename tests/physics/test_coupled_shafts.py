@@ -97,7 +97,9 @@ def test_derivatives_agree_with_differences():
             own = forwards[signal][name]
             size = np.abs(own).max()
             assert size > 0
-            np.testing.assert_allclose(own, by_differences, atol=BY_DIFFERENCES * max(size, 1.0), err_msg=f"{signal} {name}")
+            np.testing.assert_allclose(
+                own, by_differences, atol=BY_DIFFERENCES * max(size, 1.0), err_msg=f"{signal} {name}"
+            )
     weights = np.random.default_rng(0).normal(size=(CONTROL.size, 2))
     backwards = jax.grad(lambda numbers: jnp.sum(weights * function(numbers)["mz"]))(NUMBERS)
     for name in NUMBERS:
@@ -130,7 +132,10 @@ def test_a_batch_has_the_results_of_single_scans():
     ("make", "message"),
     [
         (lambda: jw.Spring((1, 2), 1.0, at=0.1), "`at` must be a pair of numbers, got 0.1"),
-        (lambda: jw.Spring((1, 2), 1.0, at=(0.1, 0.1), anchor=(0.0, 0.0)), "`anchor` must be None for a spring between"),
+        (
+            lambda: jw.Spring((1, 2), 1.0, at=(0.1, 0.1), anchor=(0.0, 0.0)),
+            "`anchor` must be None for a spring between",
+        ),
         (lambda: jw.Spring((1, 2), np.inf, at=(0.1, 0.1)), "`stiffness` must be finite for a spring on a shaft"),
         (lambda: jw.Support((jw.Spring((1, 2), 1.0, at=(0.1, 0.1)),)), "must connect every base from 1 to 2"),
         (lambda: coupled(30.0, 0.2, 0.1, 1.1), "`at`"),

@@ -124,7 +124,11 @@ def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
 
 
 def parameter(
-    profile: AbstractProfile, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+    profile: AbstractProfile,
+    z: Float[Array, " numbers"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None,
 ) -> Scalar:
     """The profile's parameter at the contact z."""
     return z[1] if friction is None else contact_parameter(profile, z[1], beyond(z[2], phase), side, friction)

@@ -48,14 +48,19 @@ def loads_in(couplings: Couplings, z: Contacts) -> Float[Array, "springs 3"]:
 
 def as_contacts(couplings: Couplings, loads: Float[Array, "springs 3"], like: Contacts) -> Contacts:
     """Contacts that are zero but for these loads."""
-    return jnp.reshape(jnp.zeros(like.size).at[couplings.columns].set(loads), like.shape)
+    return jnp.reshape(jnp.zeros(like.size).at[couplings.columns].set(loads, unique_indices=True), like.shape)
 
 
 def given_by(couplings: Couplings, z: Contacts, held_by: Attachments) -> Float[Array, "whiskers places 3"]:
     """Loads of the springs on all whiskers, at each place."""
     loads, (first, second) = loads_in(couplings, z), (couplings.first, couplings.second)
     none = jnp.zeros((*held_by.springs.at.shape, 3))
-    return none.at[second.whisker, second.place].add(loads).at[first.whisker, first.place].add(-loads)
+    return (
+        none.at[second.whisker, second.place]
+        .set(loads, unique_indices=True)
+        .at[first.whisker, first.place]
+        .set(-loads, unique_indices=True)
+    )
 
 
 def incidence_of(couplings: Couplings, held_by: Attachments) -> Float[Array, "whiskers places springs"]:
@@ -135,7 +140,7 @@ def rows(couplings: Couplings, laws: Laws, held_by: Attachments, at: Coupled) ->
 
     by_steps = jnp.zeros((each.size, 3, n, axes))
     for end, own in pulled(at.places_by):
-        by_steps = by_steps.at[each, :, end.whisker, :].add(-own)
+        by_steps = by_steps.at[each, :, end.whisker, :].add(-own, unique_indices=True)
     by_loads = jnp.eye(count) - jnp.reshape(sum(own for _, own in pulled(at.places_by_loads)), (count, count))
     by_u = -jnp.reshape(sum(own for _, own in pulled(at.places_by_u[..., None])), count)
     return Rows(law.load, jnp.reshape(by_steps, (count, n * axes)), by_loads, by_u)

@@ -75,7 +75,12 @@ def shaft(
 
 
 def _sprung_shaft(
-    body: Body, sprung: Sprung, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+    body: Body,
+    sprung: Sprung,
+    z: Float[Array, " numbers"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None,
 ) -> Shaft:
     """The shaft of a whisker that springs hold."""
     start, load, _ = contact.start_of(body, z, phase, side, friction)

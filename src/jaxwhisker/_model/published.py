@@ -71,26 +71,29 @@ class Published(eqx.Module):
     @classmethod
     def hill(
         cls: Any,
+        whiskers: int = 1,
         *,
         angle: Scalar = REST_ANGLE,
         follicle: Scalar = 4 * MM,
         pad: Scalar = 20 * MM,
         mass: Scalar = 10.5e-6,
     ) -> Any:
-        """One whisker in the middle of the pad, between two springs at the skin and two at the plate, to its walls.
+        """A row of whiskers in the pad: springs at the skin and at the plate connect neighbours, and the last to walls.
 
-        A spring's stiffness is S divided by its rest length, S = pad mass omega^2 / 2, where omega =
-        1 / ((r - sqrt(r^2 - 1)) tau), tau = 27 ms and r = 2 follow from the time in which the pad relaxes. The centre
-        of mass of the follicle, 1.43 mm below the skin, keeps its height.
+        A spring's stiffness is S divided by its rest length, S = pad mass omega^2 / 2, with the mass of all follicles
+        and omega = 1 / ((r - sqrt(r^2 - 1)) tau); tau = 27 ms and r = 2 follow from the time in which the pad relaxes.
+        The centre of mass of each follicle, 1.43 mm below the skin, keeps its height.
 
         Args:
+            whiskers: number of whiskers, at equal distances between the walls.
             angle: angle of the resting whisker to the normal of the pad, rad; 20 degrees.
             follicle: length of the follicle, m.
             pad: width of the pad, m.
-            mass: of follicle and whisker, kg.
+            mass: of each follicle with its whisker, kg.
 
         Raises:
-            ValueError: if the angle is not less than a right angle, or a length or mass is not positive.
+            ValueError: if `whiskers` is not a positive int, the angle is not less than a right angle, a length or mass
+                is not positive, or the follicles are longer than their distances.
 
         Examples:
             >>> support = jw.Support.hill()
@@ -104,18 +107,21 @@ class Published(eqx.Module):
         checks.number("pad", pad, positive=True)
         checks.number("mass", mass, positive=True)
         checks.acute_angle("angle", angle)
-        if not checks.is_traced((pad, follicle)) and not float(pad) > 2 * float(follicle):
-            checks.fail("pad", f"wider than two follicles of {follicle}", pad)
+        checks.count("whiskers", whiskers)
+        if not checks.is_traced((pad, follicle)) and not float(pad) > (whiskers + 1) * float(follicle):
+            checks.fail("pad", f"wider than {whiskers + 1} follicles of {follicle}", pad)
         omega = 1 / ((HILL_DAMPING - np.sqrt(HILL_DAMPING**2 - 1)) * HILL_TIME)
-        strength = pad / 2 * mass * omega**2
-        half, springs = pad / 2, []
+        strength = pad / 2 * whiskers * mass * omega**2
+        apart, last, springs = pad / (whiskers + 1), whiskers, []
         for at in (0.0, -follicle):
             x, y = -at * jnp.sin(angle), at * jnp.cos(angle)
-            for side in (-1, 1):
-                rest = half - side * x
-                springs.append(Spring((0, 1), strength / rest, rest, axis="axial", at=at, anchor=(side * half, y)))
-        springs.append(Spring((0, 1), HILL_GUIDE, axis="y", at=-1.43 * MM))
-        return cls(tuple(springs), Mount(angle=angle), free=("phi",))
+            for base, side in ((1, -1), (last, 1)):
+                rest, wall = apart - side * x, (side * pad / 2, y)
+                springs.append(Spring((0, base), strength / rest, -side * rest, axis="axial", at=at, anchor=wall))
+            springs += [Spring((k, k + 1), strength / apart, apart, axis="axial", at=(at, at)) for k in range(1, last)]
+        springs += [Spring((0, k), HILL_GUIDE, axis="y", at=-1.43 * MM) for k in range(1, last + 1)]
+        mounts = tuple(Mount(x=(k - (last + 1) / 2) * apart, angle=angle) for k in range(1, last + 1))
+        return cls(tuple(springs), mounts if last > 1 else mounts[0], free=("phi",))
 
     @classmethod
     def berg(cls: Any, skin: Scalar, deep: Scalar, follicle: Scalar, *, mount: Mount | None = None) -> Any:

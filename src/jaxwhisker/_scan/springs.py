@@ -33,7 +33,7 @@ WALK_STEPS = 16  # of the rod from one spring on its shaft to the next
 
 PerWhisker = Float[Array, " whiskers"]
 # x, y, angle of bases; with springs on shafts, fx, fy, mz and `shaft_loads` too
-Bases = tuple[Float[Array, "steps whiskers"], ...]
+Bases = tuple[Float[Array, "*steps whiskers"], ...]
 Reaction = tuple[Scalar, ...]  # fx, fy, mz
 
 
