@@ -1,5 +1,7 @@
 """A scan made by hand, for tests of what follows a scan: nothing is compiled."""
 
+from typing import Any
+
 import jax.numpy as jnp
 
 import jaxwhisker as jw
@@ -13,12 +15,12 @@ def handmade_scan(length=1.0, stiffness=1.0, *, touching=True, failed=0, count=1
     """A scan of one whisker at two drive positions, with a touch at 0.7 L; the last `failed` steps are lost."""
     force = stiffness / length**2
     ok = jnp.arange(2) < 2 - failed
-    values = {name: jnp.zeros((2, 1)) for name in STATE if name not in FRICTION} | {
+    values: dict[str, Any] = {name: jnp.zeros((2, 1)) for name in STATE if name not in FRICTION} | {
         "phase": jnp.full((2, 1), int(touching))
     }
     if touching:
         values |= {"fx": jnp.array([[0.0], [-2 * force]]), "mz": jnp.array([[0.5 * force * length], [jnp.nan]])}
-    at = {name: value[1:] for name, value in values.items()} | {"base_x": jnp.array([[0.3 * length]])}
+    at: dict[str, Any] = {name: value[1:] for name, value in values.items()} | {"base_x": jnp.array([[0.3 * length]])}
     state = jw.State(**at)
     events = jw.Events(
         kind=jnp.array([int(jw.EventKind.touch)]),

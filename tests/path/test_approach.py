@@ -51,7 +51,7 @@ def test_a_scan_starts_ahead_of_the_first_touch_or_at_its_first_position(directi
     # A first stop beyond the first touch, and one before it.
     assert abs(approach.start(first + direction * 0.5) - (first - direction * FIRST_STEP)) < ROUNDING
     assert approach.start(first - direction * 0.5) == first - direction * 0.5
-    assert approach.starts_clear(first, approach.problem.rest(first))
+    assert approach.starts_clear(first)
     assert approach.longest_step() == np.inf
 
 
@@ -115,10 +115,9 @@ def test_ends_are_in_units_of_the_control():
 
 def test_a_bounded_motion_must_start_clear_of_the_object():
     approach = turning()
-    at_rest = jnp.zeros((1, 3))
     # Turned by a right angle, the whisker lies beside the object at height -0.5; upright, it would stand inside.
-    assert approach.starts_clear(jnp.asarray(-np.pi / 2), at_rest)
-    assert not approach.starts_clear(jnp.asarray(0.0), at_rest)
+    assert approach.starts_clear(jnp.asarray(-np.pi / 2))
+    assert not approach.starts_clear(jnp.asarray(0.0))
 
 
 def path_of(approach, controls, kinds, phase=Phase.free, status=Status.ok, room=6):

@@ -34,7 +34,7 @@ def begun():
     """A flow about to begin, of three whiskers."""
     pose = jnp.array([[0.5], [0.7], [0.9]])
     mode = Mode(jnp.array([1, 2, 0]), jnp.ones(3), jnp.asarray(False))
-    return snap_flow.start(mode, pose), pose
+    return snap_flow.start(mode, pose, jnp.zeros((3, 3))), pose
 
 
 def test_the_kick_changes_contacts_by_one_step(begun):
@@ -98,7 +98,7 @@ def follow(problem, p, u):
     onwards = Point(jnp.asarray(ahead.z - at.z), jnp.asarray(0.0)), jnp.asarray(ahead.base_x - at.base_x)[:, None]
     size = np.sqrt(np.sum((onwards[0].z / scale_of(point.z)) ** 2))
     tangent, tangent_pose = jax.tree.map(lambda leaf: leaf / size, onwards)
-    flow = snap_flow.start(mode, pose)._replace(near=jnp.asarray(NEAR))
+    flow = snap_flow.start(mode, pose, point.z)._replace(near=jnp.asarray(NEAR))
     first, rested = True, False
     while not rested:
         before = flow, mode, point

@@ -1,5 +1,7 @@
 """Results and events, built by hand: selection, printing, batches."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._scan.result import Event, Events, Result, check_one_scan
-from jaxwhisker._scan.state import FRICTION, State
+from jaxwhisker._scan.state import OPTIONAL, State
 
 ROOM = 4  # for events
 SCENE = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfb(70.0))
@@ -16,7 +18,7 @@ SCENE = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfb(70.0))
 def state(*shape):
     """States whose fields hold their own indices."""
     values = jnp.arange(float(np.prod(shape))).reshape(shape)
-    fields = {name: values for name in State.__dataclass_fields__ if name not in FRICTION}
+    fields: dict[str, Any] = {name: values for name in State.__dataclass_fields__ if name not in OPTIONAL}
     return State(**{**fields, "phase": jnp.zeros(shape, int)})
 
 

@@ -126,8 +126,11 @@ class Problem(eqx.Module):
         """Poses of bases in the scene."""
 
     @abc.abstractmethod
-    def stance(self, u: Scalar, pose: Poses, z: Contacts) -> Stance:
-        """Stance of whiskers whose bases have these coordinates, with the loads of springs in their contacts z."""
+    def stance(self, u: Scalar, pose: Poses, z: Contacts | None = None) -> Stance:
+        """Stance of whiskers whose bases have these coordinates.
+
+        With springs between two shafts, the loads of these in the contacts z are needed, too.
+        """
 
     @abc.abstractmethod
     def stances(self, *at: tuple[Scalar, Poses, Contacts]) -> list[Stance]:
@@ -228,7 +231,7 @@ class AlongX(Problem):
         del u
         return ScenePose(pose[:, 0], jnp.zeros_like(pose[:, 0]), jnp.zeros_like(pose[:, 0]))
 
-    def stance(self, u, pose, z):
+    def stance(self, u, pose, z=None):
         del u, z
         return Stance(pose[:, 0], self.touch_right, self.touch_left)
 
@@ -330,13 +333,14 @@ class InPlane(Problem):
             jnp.arctan2(frame.sin, frame.cos) + turn,
         )
 
-    def stance(self, u, pose, z):
+    def stance(self, u, pose, z=None):
         at, outline, free, loads = self.in_scene(u, pose), self.outline, None, None
         if self.attached is not None:
-            bodies, (unloaded, start) = self.bodies(u, z), self.unloaded(u)
+            unloaded, start = self.unloaded(u)
+            bodies = self.bodies(u, unloaded if z is None else z)
             free = of_each(bodies, free_contact, unloaded[:, :3], pose - start, pose)
             outline = of_each(bodies, outline_of, free)
-            if self.attached.couplings is not None:
+            if self.attached.couplings is not None and z is not None:
                 loads = z[:, 3:]
                 free = jnp.concatenate([free, loads], axis=1)
 
