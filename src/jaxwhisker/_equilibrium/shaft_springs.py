@@ -161,6 +161,28 @@ def past(load: Load, spring: ShaftSprings, laws: Laws, state: RodState, drive: F
     )
 
 
+def to_next(
+    state: RodState,
+    load: Load,
+    s: Scalar,
+    stop: Scalar,
+    material: Material,
+    tissue: Tissue | None,
+    drive: Frame,
+    *,
+    steps: int,
+    solver: diffrax.AbstractSolver | None = None,
+) -> tuple[RodState, Load]:
+    """State of the rod and the load on it at arc length `stop`, from those at `s`; no spring is between them.
+
+    The piece of the rod lies on the foundation, or nothing of it does.
+    """
+    if tissue is None:
+        return integrate(state, s - stop, load, material, steps=steps, solver=solver, from_base=s), load
+    on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
+    return integrate_on(state, load, s - stop, material, partial(on.density, drive), steps=steps, from_base=s)
+
+
 def walk(
     start: RodState,
     load: Load,
@@ -188,18 +210,11 @@ def walk(
         solver: any diffrax solver, for rods without a foundation. Default: see `rod.integrate`.
         sign: 1 on the way to the base, -1 away from it.
     """
-    tissue = held.tissue
 
     def piece(carry, spring):
         state, load, above, s = carry
         stop = jnp.maximum(spring.at, 0.0)
-        if tissue is None:
-            state = integrate(state, s - stop, load, material, steps=steps, solver=solver, from_base=s)
-        else:
-            # All of the piece lies on the foundation, or nothing of it.
-            on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
-            density = partial(on.density, drive)
-            state, load = integrate_on(state, load, s - stop, material, density, steps=steps, from_base=s)
+        state, load = to_next(state, load, s, stop, material, held.tissue, drive, steps=steps, solver=solver)
         below, passed = past(load, spring, laws, state, drive, sign), tuple(map(jnp.asarray, state))
         # At the base, the first place is reached along the shaft, and all others without a way.
         above = jax.tree.map(lambda a, b, c: jnp.where(spring.at > 0, a, jnp.where(s > 0, b, c)), below, load, above)
