@@ -11,15 +11,17 @@ from jaxtyping import Array, Float
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.attach import OnShafts, attached
 from jaxwhisker._equilibrium.dimensionless import sections
-from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, end_of, past, stretched, walk
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, Walk, end_of, stretched, walk
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, mounted
 from jaxwhisker._model.scene import Scene, Units, moves_along_x
+from jaxwhisker._model.spring import POINTS, WEIGHTS
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.state import State, material
 
 WALK_STEPS = 16  # of the rod from one spring on its shaft to the next
+STEPS_TO_POINTS = 2  # of the rod from one of sixteen points of quadrature to the next
 
 PerWhisker = Float[Array, " whiskers"]
 Bases = tuple[Float[Array, "steps whiskers"], ...]  # x, y, angle of bases; with springs on shafts, fx, fy, mz too
@@ -66,7 +68,7 @@ def outwards(
         # A negative arc integrates away from the base.
         return rod.points(start, -arc, load, material(whisker), count=count, from_base=zero)
     springs, points = held.held_by.with_places(arc * jnp.linspace(1.0, 0.0, count))
-    passed = _walk(whisker, start, load, held._replace(held_by=springs), steps=1)
+    passed = _walk(whisker, start, load, held._replace(held_by=springs), steps=1).passed
     x, y, cos, sin = (values[points[::-1]] for values in passed)
     return x, y, cos, sin
 
@@ -78,33 +80,37 @@ def _at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
     return start, rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
 
 
-def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> rod.RodStates:
-    """States of the rod at all springs, from the tip to the base, on a walk from the base."""
+def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> Walk:
+    """A walk from the base past all springs; `passed` and `loads` are ordered from the tip to the base."""
     springs = jax.tree.map(lambda leaf: leaf[::-1], held.held_by.springs)
     # The reaction is that of everything at the base and below.
     springs = springs._replace(share=jnp.where(springs.at > 0, springs.share, 0.0))
     backwards, zero = held.held_by._replace(springs=springs), jnp.zeros_like(springs.at[0])
     given = start, load, zero, material(whisker), backwards, held.laws, held.drive
-    return jax.tree.map(lambda leaf: leaf[::-1], walk(*given, steps=steps, sign=-1.0).passed)
+    walked = walk(*given, steps=steps, sign=-1.0)
+    passed, loads = jax.tree.map(lambda leaf: leaf[::-1], (walked.passed, walked.loads))
+    return walked._replace(passed=passed, loads=loads)
 
 
-def pieces_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held) -> Float[Array, ""]:
-    """Elastic energy of a uniform whisker up to an arc length, from the first integral on each piece."""
-    (start, load), (places, _) = _at_base(base, reaction), held.held_by.with_places(jnp.reshape(arc, 1))
-    held, stiffness = held._replace(held_by=places), whisker.base_stiffness
-    passed = _walk(whisker, start, load, held, steps=WALK_STEPS)
-    # From the base on: places, and the loads behind them.
-    springs = places.springs._replace(share=jnp.where(places.springs.at > 0, places.springs.share, 0.0))
-    springs, (x, y, cos, sin) = jax.tree.map(lambda leaf: leaf[::-1], (springs, passed))
-    none = rod.Load(*[jnp.zeros(())] * 3)
-    jumps = jax.vmap(lambda one, at: past(none, one, held.laws, at, held.drive, -1.0))(springs, (x, y, cos, sin))
-    before = map(jnp.asarray, (load.force_x, load.force_y, load.moment))
-    changes = map(jnp.asarray, (jumps.force_x, jumps.force_y, jumps.moment))
-    fx, fy, about = (own + jnp.cumsum(change) for own, change in zip(before, changes, strict=True))
-    moment = about - x * fy + y * fx
-    density = (moment**2 / (2 * stiffness) + fx * cos + fy * sin)[:-1]
-    way = fx[:-1] * jnp.diff(x) + fy[:-1] * jnp.diff(y)
-    return jnp.sum(density * jnp.diff(jnp.maximum(springs.at, 0.0)) - way)
+def load_beyond(whisker: Whisker, base: Pose, reaction: Reaction, held: Held) -> rod.Load:
+    """The load on a whisker above all of its springs: that of the object."""
+    return _walk(whisker, *_at_base(base, reaction), held, steps=WALK_STEPS).load
+
+
+def shaft_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held) -> Float[Array, ""]:
+    """Elastic energy of a whisker and its foundation up to an arc length, by Gaussian quadrature between springs."""
+    inside = jnp.clip(held.held_by.springs.at, 0.0, arc)
+    ends = jnp.concatenate([jnp.zeros(1), jnp.sort(inside), jnp.reshape(arc, 1)])
+    s = jnp.ravel(ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS)
+    held_by, places = held.held_by.with_places(s)
+    walked = _walk(whisker, *_at_base(base, reaction), held._replace(held_by=held_by), steps=STEPS_TO_POINTS)
+    (x, y, _, _), load = jax.tree.map(lambda leaf: leaf[places], (walked.passed, walked.loads))
+    moment, stiffness = rod.moment(x, y, load), jax.vmap(whisker.stiffness_at)(s)
+    # A pointed tip has no stiffness and carries no moment.
+    density = jnp.where(stiffness > 0, moment**2 / (2 * jnp.where(stiffness > 0, stiffness, 1.0)), 0.0)
+    if held_by.tissue is not None:
+        density += jax.vmap(partial(held_by.tissue.energy, held.drive))(x, y, s)
+    return jnp.sum(jnp.ravel(jnp.diff(ends)[:, None] * WEIGHTS) * density)
 
 
 class Stretched(NamedTuple):
@@ -125,7 +131,7 @@ def on_shafts(
     every = []
     for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
         base, reaction = jax.tree.map(lambda leaf, k=k: leaf[k], (bases, reactions))
-        passed = _walk(whisker, *_at_base(base, reaction), own, steps=WALK_STEPS)
+        passed = _walk(whisker, *_at_base(base, reaction), own, steps=WALK_STEPS).passed
         every.append(jax.vmap(partial(_stretched, own.drive))(own.held_by.springs, passed))
     counted, ordered = [0] * len(whiskers), []
     for spring in by.support.attached:
