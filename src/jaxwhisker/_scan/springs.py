@@ -63,30 +63,30 @@ def outwards(
     whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held | None = None, *, count: int
 ) -> rod.RodStates:
     """States of the rod at `count` equidistant points from the base up to `arc`, under the reaction at the base."""
-    start, load, zero = *_at_base(base, reaction), jnp.zeros_like(arc)
+    start, load, zero = *at_base(base, reaction), jnp.zeros_like(arc)
     if held is None:
         # A negative arc integrates away from the base.
         return rod.points(start, -arc, load, material(whisker), count=count, from_base=zero)
     springs, points = held.held_by.with_places(arc * jnp.linspace(1.0, 0.0, count))
-    passed = _walk(whisker, start, load, held._replace(held_by=springs), steps=1).passed
+    passed = walk_outwards(material(whisker), start, load, held._replace(held_by=springs), steps=1).passed
     x, y, cos, sin = (values[points[::-1]] for values in passed)
     return x, y, cos, sin
 
 
-def _at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
+def at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
     """State of the rod at its base, and the load there, which balances the reaction."""
     fx, fy, mz = reaction
     start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
     return start, rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
 
 
-def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> Walk:
+def walk_outwards(material: rod.Material, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> Walk:
     """A walk from the base past all springs; `passed` and `loads` are ordered from the tip to the base."""
     springs = jax.tree.map(lambda leaf: leaf[::-1], held.held_by.springs)
     # The reaction is that of everything at the base and below.
     springs = springs._replace(share=jnp.where(springs.at > 0, springs.share, 0.0))
     backwards, zero = held.held_by._replace(springs=springs), jnp.zeros_like(springs.at[0])
-    given = start, load, zero, material(whisker), backwards, held.laws, held.drive
+    given = start, load, zero, material, backwards, held.laws, held.drive
     walked = walk(*given, steps=steps, sign=-1.0)
     passed, loads = jax.tree.map(lambda leaf: leaf[::-1], (walked.passed, walked.loads))
     return walked._replace(passed=passed, loads=loads)
@@ -94,7 +94,7 @@ def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, 
 
 def load_beyond(whisker: Whisker, base: Pose, reaction: Reaction, held: Held) -> rod.Load:
     """The load on a whisker above all of its springs: that of the object."""
-    return _walk(whisker, *_at_base(base, reaction), held, steps=WALK_STEPS).load
+    return walk_outwards(material(whisker), *at_base(base, reaction), held, steps=WALK_STEPS).load
 
 
 def shaft_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held) -> Float[Array, ""]:
@@ -103,7 +103,9 @@ def shaft_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, 
     ends = jnp.concatenate([jnp.zeros(1), jnp.sort(inside), jnp.reshape(arc, 1)])
     s = jnp.ravel(ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS)
     held_by, places = held.held_by.with_places(s)
-    walked = _walk(whisker, *_at_base(base, reaction), held._replace(held_by=held_by), steps=STEPS_TO_POINTS)
+    walked = walk_outwards(
+        material(whisker), *at_base(base, reaction), held._replace(held_by=held_by), steps=STEPS_TO_POINTS
+    )
     (x, y, _, _), load = jax.tree.map(lambda leaf: leaf[places], (walked.passed, walked.loads))
     moment, stiffness = rod.moment(x, y, load), jax.vmap(whisker.stiffness_at)(s)
     # A pointed tip has no stiffness and carries no moment.
@@ -131,7 +133,7 @@ def on_shafts(
     every = []
     for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
         base, reaction = jax.tree.map(lambda leaf, k=k: leaf[k], (bases, reactions))
-        passed = _walk(whisker, *_at_base(base, reaction), own, steps=WALK_STEPS).passed
+        passed = walk_outwards(material(whisker), *at_base(base, reaction), own, steps=WALK_STEPS).passed
         every.append(jax.vmap(partial(_stretched, own.drive))(own.held_by.springs, passed))
     counted, ordered = [0] * len(whiskers), []
     for spring in by.support.attached:
