@@ -1,6 +1,6 @@
 """From signals back to points with springs on the shaft: exact scans, noise, derivatives and wrong input."""
 
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ COVERAGE = 0.92, 0.975  # of 95 % bands
 DIFFERENCE = 1e-6
 DIFFERENCES = 1e-5  # central differences, relative to the largest derivative
 MODES = 1e-9  # forward against reverse
+OPTIONS = {"xla_backend_optimization_level": 0}  # more takes longer to compile than it saves
 
 
 def prestressed(stiffness=70.0, at=0.1):
@@ -42,7 +43,7 @@ def follicles():
 
 def tapered():
     whisker = jw.Whisker(1.0, lambda s: (1 - s / 2) ** 4)
-    support = jw.Support(foundation=jw.Foundation(0.0, 0.2, 500.0), free=("phi",))
+    support = jw.Support(foundation=jw.Foundation(0.0, 0.2, 500.0))
     return jw.Scene(whisker, jw.Parabola(0.3), support, ROD, jw.Rotation((0.3, -0.3), 0.4))
 
 
@@ -65,7 +66,7 @@ def test_points_of_exact_signals(name):
     result = scanned(name)
     assert all_ok(result)
     base = (result.base_x, result.base_y, result.base_angle) if "tissue" in name else None
-    points = jw.reconstruct(result, result.scene, base=base)
+    points = jw.reconstruct(result, result.scene, base=base, slip=result.slip)
     np.testing.assert_array_equal(points.phase, result.phase)
     touching = np.asarray(result.phase) != jw.Phase.free
     assert np.all(touching.any(axis=0)) and not touching.all()
@@ -96,6 +97,7 @@ def test_bands_cover_the_truth():
     assert 0.85 < np.mean(np.concatenate(chi2)) < 1.15  # one degree of freedom
 
 
+@pytest.mark.unchecked
 def test_derivatives():
     result, steps = scanned("prestressed"), np.array([30, 36, 44])
     some = {c: jnp.asarray(getattr(result, c))[steps] for c in ("control", "fx", "fy", "mz")}
@@ -109,7 +111,7 @@ def test_derivatives():
         located = jw.reconstruct(shifted, sensor, sigma=SIGMA)
         return jnp.concatenate([located.x, located.y, located.slope, located.arc, located.base_x]).ravel()
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=OPTIONS)
     def all_of(numbers, weights):
         value, along = jax.linearize(points, numbers)
         columns = jax.vmap(along, out_axes=-1)(jnp.eye(numbers.size))

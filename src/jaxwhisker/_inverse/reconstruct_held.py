@@ -69,8 +69,9 @@ def held_contacts(sensor: Sensor, threshold: float, control, signals, noise, pos
     sizes, lengths = jnp.stack([unit.force, unit.force, unit.moment]), jnp.stack([unit.length, unit.length, 1.0])
     reaction = signals[:, 0] / sizes
     if noise is None:
-        peaks = jax.lax.stop_gradient(jnp.max(jnp.nan_to_num(jnp.abs(reaction)), axis=0))
-        deviation = jnp.broadcast_to(jnp.where(peaks > 0, peaks, 1.0), reaction.shape)
+        # One for all three: a base that is free along an axis has no reaction along it.
+        peak = jax.lax.stop_gradient(jnp.max(jnp.nan_to_num(jnp.abs(reaction))))
+        deviation = jnp.broadcast_to(jnp.where(peak > 0, peak, 1.0), reaction.shape)
         threshold = EXACTLY_FREE
     else:
         deviation = noise[:, 0] / sizes
