@@ -16,7 +16,7 @@ import jaxwhisker as jw
 from jaxwhisker.plot import COLOURS
 
 DOCS = Path(__file__).parents[1] / "docs"
-CONTROL = np.linspace(1.0, -1.8, 141)
+CONTROL = np.linspace(0.8, -1.1, 96)  # from before the first touch to just before the snap-off
 HEIGHTS = np.linspace(0.0, 0.4, 9)
 OBJECT = {"distance": 0.4, "a": 1.0}
 SIGMA = 0.02  # of fx, fy and mz at every step
