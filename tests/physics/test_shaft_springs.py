@@ -200,15 +200,6 @@ def test_the_work_of_the_contact_force_is_the_change_of_the_stored_energy():
         jw.stored_energy(one, result.events[0].before)
 
 
-@pytest.mark.parametrize(
-    "function",
-    [jw.energy_balance, lambda result: jw.deflect(jw.Whisker(), jw.PointForce(1.0), support=result.scene.support)],
-)
-def test_functions_that_do_not_know_such_springs_say_so(function):
-    with pytest.raises(ValueError, match="on shafts"):
-        function(jw.scan(given(PARAMETERS.values()), STEPS))
-
-
 def test_a_contact_that_reaches_a_spring_ends_the_scan():
     result = jw.scan(scene(axial(70.0, 0.2, 0.5)), np.linspace(0.9, -0.3, 25))
     first = int(np.argmax(result.status != jw.Status.ok))

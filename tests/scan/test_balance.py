@@ -34,7 +34,23 @@ def yielding(**options):
     return one(follicle(x=70.0, y=200.0, phi=5.0, mount=(0.05, 0.02, 0.1)), **options)
 
 
+def on_shaft(*springs, whisker=None, **options):
+    axial = jw.Spring((0, 1), 70.0, 0.2, axis="axial", at=0.1, anchor=(0.01, 0.08))
+    support = jw.Support((axial, *springs), **{key: options.pop(key) for key in ("foundation",) if key in options})
+    return jw.Scene(whisker or jw.Whisker(), jw.Parabola(0.3), support, **options)
+
+
 SCENES = {
+    "shaft": (
+        lambda: on_shaft(jw.Spring((0, 1), 5.0, 0.1, axis="phi", at=0.05), motion=jw.Rotation((0.3, -0.2), 0.4)),
+        np.linspace(-1.2, 1.0, 40),
+    ),
+    "tissue": (
+        lambda: on_shaft(
+            whisker=jw.Whisker(1.0, lambda s: (1 - s / 2) ** 4), foundation=jw.Foundation(0.05, 0.2, 300.0, 0.2)
+        ),
+        OUT,
+    ),
     "clamped": (lambda: one(jw.Support.clamped()), OUT),
     "snap-off": (lambda: model("FB"), OUT),
     "snap-through": (lambda: model("FB", 10.0), OUT),

@@ -75,14 +75,22 @@ class Tissue(NamedTuple):
         """1 on the foundation, 0 elsewhere."""
         return jnp.where((s > self.start) & (s < self.stop), 1.0, 0.0)
 
-    def density(self, drive: Frame, x: Scalar, y: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
-        """Force on the rod per length, along x and y of the scene."""
+    def strain(self, drive: Frame, x: Scalar, y: Scalar, s: Scalar) -> Scalar:
+        """Displacement of a point of the rod across the unloaded whisker, beyond the rest length."""
         right, up = x - drive.x, y - drive.y
         across = right * drive.cos + up * drive.sin - self.x + s * self.sin
         along = up * drive.cos - right * drive.sin - self.y - s * self.cos
-        push = -self.stiffness * (across * self.cos + along * self.sin - self.rest_length)
+        return across * self.cos + along * self.sin - self.rest_length
+
+    def density(self, drive: Frame, x: Scalar, y: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
+        """Force on the rod per length, along x and y of the scene."""
+        push = -self.stiffness * self.strain(drive, x, y, s)
         across, along = push * self.cos, push * self.sin
         return across * drive.cos - along * drive.sin, across * drive.sin + along * drive.cos
+
+    def energy(self, drive: Frame, x: Scalar, y: Scalar, s: Scalar) -> Scalar:
+        """Stored energy per length."""
+        return self.share(s) * self.stiffness * self.strain(drive, x, y, s) ** 2 / 2
 
 
 class Attachments(NamedTuple):
@@ -124,6 +132,7 @@ class Walk(NamedTuple):
     load: Load  # there
     above: Load  # by all springs above the base, which the shaft carries at its base
     passed: RodStates  # at each spring
+    loads: Load  # on the rod in front of each spring
 
 
 def tension(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
@@ -209,6 +218,28 @@ def past(
     )
 
 
+def to_next(
+    state: RodState,
+    load: Load,
+    s: Scalar,
+    stop: Scalar,
+    material: Material,
+    tissue: Tissue | None,
+    drive: Frame,
+    *,
+    steps: int,
+    solver: diffrax.AbstractSolver | None = None,
+) -> tuple[RodState, Load]:
+    """State of the rod and the load on it at arc length `stop`, from those at `s`; no spring is between them.
+
+    The piece of the rod lies on the foundation, or nothing of it does.
+    """
+    if tissue is None:
+        return integrate(state, s - stop, load, material, steps=steps, solver=solver, from_base=s), load
+    on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
+    return integrate_on(state, load, s - stop, material, partial(on.density, drive), steps=steps, from_base=s)
+
+
 def walk(
     start: RodState,
     load: Load,
@@ -236,26 +267,20 @@ def walk(
         solver: any diffrax solver, for rods without a foundation. Default: see `rod.integrate`.
         sign: 1 on the way to the base, -1 away from it.
     """
-    tissue = held.tissue
 
     def piece(carry, place):
         (state, load, above, s), (spring, given) = carry, place
         stop = jnp.maximum(spring.at, 0.0)
-        if tissue is None:
-            state = integrate(state, s - stop, load, material, steps=steps, solver=solver, from_base=s)
-        else:
-            # All of the piece lies on the foundation, or nothing of it.
-            on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
-            density = partial(on.density, drive)
-            state, load = integrate_on(state, load, s - stop, material, density, steps=steps, from_base=s)
-        below, passed = past(load, spring, laws, state, drive, sign, given), tuple(map(jnp.asarray, state))
+        state, load = to_next(state, load, s, stop, material, held.tissue, drive, steps=steps, solver=solver)
+        below = past(load, spring, laws, state, drive, sign, given)
+        passed = (tuple(map(jnp.asarray, state)), load)
         # At the base, the first place is reached along the shaft, and all others without a way.
         above = jax.tree.map(lambda a, b, c: jnp.where(spring.at > 0, a, jnp.where(s > 0, b, c)), below, load, above)
         return (state, below, above, stop), passed
 
     carry = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load, load, s))
-    (state, load, above, _), (x, y, cos, sin) = jax.lax.scan(piece, carry, (held.springs, held.given))
-    return Walk(state, load, above, (x, y, cos, sin))
+    (state, load, above, _), ((x, y, cos, sin), loads) = jax.lax.scan(piece, carry, (held.springs, held.given))
+    return Walk(state, load, above, (x, y, cos, sin), loads)
 
 
 def pressed(point: tuple[Scalar, Scalar], force_x: Scalar, force_y: Scalar) -> Load:

@@ -26,6 +26,7 @@ from jaxwhisker._inverse.inverse_rod import REACTION, LocatedContact, each_whisk
 from jaxwhisker._inverse.observations import read_observations
 from jaxwhisker._inverse.parameters import check_traceable, read_parameters
 from jaxwhisker._inverse.points import PointStatus, Reconstruction, Step
+from jaxwhisker._inverse.reconstruct_held import alone, check_held, held_contacts
 from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._scan.quantities import REACTIONS
@@ -71,7 +72,8 @@ def reconstruct(
         A Reconstruction; NaN where a whisker is `free`, where signals are `missing`, or where no state fits (`failed`).
 
     Raises:
-        ValueError: if an argument is wrong, or JAX cannot trace the function.
+        ValueError: if an argument is wrong, or JAX cannot trace the function; if springs hold shafts, also if springs
+            connect whiskers, or if only springs above a base hold it and `base` is not given.
     """
     checks.float64_mode()
     is_function = callable(sensor) and not isinstance(sensor, (Sensor, Scene))
@@ -88,6 +90,8 @@ def reconstruct(
         allowed = f"of the {values.size} parameters, ({values.size}, {values.size})"
         checks.fail("covariance", allowed, f"shape {np.shape(covariance)}")
     known = sensor_of(made)
+    if known.support.on_shafts:
+        check_held(known, base)
     if covariance is not None and parameters is not None and not checks.is_traced(values):
         check_traceable(sensor, parameters, called="sensor")  # pyright: ignore[reportArgumentType]
     readings = _signals(measured, sigma, len(known.whiskers))
@@ -218,6 +222,8 @@ def instrument(sensor: Sensor) -> Instrument:
 
 def _contacts(sensor: Sensor, control, signals, noise, poses, slips) -> Step:
     """Contacts at all steps, in the sensor's units."""
+    if sensor.support.on_shafts:
+        return _contacts_one_by_one(sensor, control, signals, noise, poses, slips)
     known = instrument(sensor)
     unit = known.unit
     sizes, lengths = jnp.stack([unit.force, unit.force, unit.moment]), jnp.stack([unit.length, unit.length, 1.0])
@@ -231,6 +237,17 @@ def _contacts(sensor: Sensor, control, signals, noise, poses, slips) -> Step:
     leans = None if slips is None else slips * known.friction_angle
     each = drive, reaction, deviation, None if poses is None else poses / lengths, leans
     return jax.vmap(lambda *at: _step(known, noise is not None, *at))(*each)
+
+
+def _contacts_one_by_one(sensor: Sensor, control, *per_whisker) -> Step:
+    """The same for whiskers with springs on their shafts, which are not coupled, and others beside them."""
+    each = []
+    for k, own in enumerate(alone(sensor)):
+        given = [None if values is None else values[:, k : k + 1] for values in per_whisker]
+        threshold = EXACTLY_FREE if given[1] is None else FREE
+        held = own.support.on_shafts
+        each.append(held_contacts(own, threshold, control, *given) if held else _contacts(own, control, *given))
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *each)
 
 
 _contacts_now = Program(_contacts)

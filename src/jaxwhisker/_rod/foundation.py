@@ -9,12 +9,20 @@ from collections.abc import Callable
 import diffrax
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._rod.rod import Load, Material, RodState, Section, moment
 
 # Force on the rod per length, along x and y, at a position and an arc length from the base.
 Density = Callable[[Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]
+
+# Dormand and Prince's method of order 8, without the stage that is only needed for an error estimate.
+_TABLEAU = diffrax.Dopri8.tableau
+STAGES = len(_TABLEAU.b_sol) - 1
+TIMES = np.array([0.0, *_TABLEAU.c])[:STAGES]
+WEIGHTS = np.array([np.pad(row, (0, STAGES - len(row))) for row in ([], *_TABLEAU.a_lower)][:STAGES])
+TOTAL = np.array(_TABLEAU.b_sol[:STAGES])
 
 
 def integrate_on(
@@ -38,10 +46,8 @@ def integrate_on(
         steps: number of steps of a Runge-Kutta method of order 8.
         from_base: arc length from the base to the beginning.
     """
-    solver, no = diffrax.Dopri8(scan_kind="lax"), jnp.asarray(False)
 
-    def towards_base(t, values, args):
-        del args
+    def towards_base(t, values):
         x, y, cos, sin, force_x, force_y, about_origin = values
         s = from_base - t * arc
         bent = moment(x, y, Load(force_x, force_y, about_origin))
@@ -60,15 +66,17 @@ def integrate_on(
             arc * (x * push_y - y * push_x),
         ])  # fmt: skip
 
-    term = diffrax.ODETerm(towards_base)
+    def step(values, begin):
+        def stage(rates, row):
+            k, time, weights = row
+            here = values + jnp.sum(weights[:, None] * rates, axis=0) / steps
+            return rates.at[k].set(towards_base(begin + time / steps, here)), None
 
-    def step(values, ends):
-        first, last = ends
-        memory = solver.init(term, first, last, values, None)
-        return solver.step(term, first, last, values, None, memory, no)[0], None
+        # A loop of diffrax over the stages has derivatives in one mode only.
+        rates, _ = jax.lax.scan(stage, jnp.zeros((STAGES, values.size)), (np.arange(STAGES), TIMES, WEIGHTS))
+        return values + jnp.sum(TOTAL[:, None] * rates, axis=0) / steps, None
 
-    times = jnp.arange(steps + 1) / steps
     loads = load.force_x, load.force_y, load.moment
     values = jnp.stack([jnp.asarray(value, dtype=float) for value in (*start, *loads)])
-    (x, y, cos, sin, *loads), _ = jax.lax.scan(step, values, (times[:-1], times[1:]))
+    (x, y, cos, sin, *loads), _ = jax.lax.scan(step, values, jnp.arange(steps) / steps)
     return (x, y, cos, sin), Load(loads[0], loads[1], loads[2])

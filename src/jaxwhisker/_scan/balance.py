@@ -1,9 +1,12 @@
 """The energy balance of a scan: work of the drive, stored energy, frictional heat, and losses in snaps.
 
-All springs act between the bases and the drive's frame. By the balance of the whole structure, the drive therefore
+All springs act between the whiskers and the drive's frame. By the balance of the whole structure, the drive therefore
 supplies the power of the sum of all support reactions, reduced to the drive's frame (X, Y, angle A):
 
     dW = sum_i [fx_i (dX - (y_i - Y) dA) + fy_i (dY + (x_i - X) dA) + mz_i dA],    (x_i, y_i) the base.
+
+With springs on shafts, the forces that the drive exerts on the shafts are added. The sum is minus the load on the
+whisker above all springs.
 
 A contact that slips by dS along the object turns mu N |dS| into heat. The slip is the way of the contact along the
 object minus that along the whisker, with the sign of the side from which the whisker approached. Work, heat and stored
@@ -28,7 +31,8 @@ from jaxwhisker._scan.memory import places_of, with_places
 from jaxwhisker._scan.panels import POINTS, Ends, Panel
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.scan import BLOCK, in_blocks, path_along, problem_now, route_through, solve_steps_now, states_now
-from jaxwhisker._scan.state import State, state_of
+from jaxwhisker._scan.springs import held, holds, load_beyond
+from jaxwhisker._scan.state import State, base_of, state_of
 
 Table = Float[Array, "panels points integrals"]  # coefficients of the work and of the heat of each whisker
 Before = tuple[Float[Array, "ends integrals"], Bool[Array, " panels"]]
@@ -78,8 +82,6 @@ def energy_balance(result: Result) -> EnergyBalance:
         5.933391 5.933391
     """
     checks.instance("result", result, Result, "the Result of a scan")
-    if result.scene.support.on_shafts:
-        checks.fail("result", "of a scene without springs on shafts", str(result.scene))
     if np.ndim(result.control) == 1:
         return _balance(result)
     if checks.is_traced(result):
@@ -150,9 +152,30 @@ def _power(scene: Scene, control: Float[Array, " at"], state: State) -> Float[Ar
     one = jnp.ones_like(control[0])
     drive, rate = jax.vmap(lambda u: jax.jvp(moving, (u,), (one,)))(control)
     drive, rate = (Pose(*(leaf[:, None] for leaf in pose)) for pose in (drive, rate))
+    if scene.support.on_shafts:
+        fx, fy, about = _exerted(scene, control, state)
+        along_x, along_y = rate.x + drive.y * rate.angle, rate.y - drive.x * rate.angle
+        return jnp.sum(fx * along_x + fy * along_y + about * rate.angle, axis=1)
     along_x = rate.x - (state.base_y - drive.y) * rate.angle
     along_y = rate.y + (state.base_x - drive.x) * rate.angle
     return jnp.sum(state.fx * along_x + state.fy * along_y + state.mz * rate.angle, axis=1)
+
+
+def _exerted(scene: Scene, control: Float[Array, " at"], state: State) -> tuple[Float[Array, "at whiskers"], ...]:
+    """Forces on each whisker by its base and all springs on its shaft, and their moment about the origin."""
+    by = holds(scene)
+    assert by is not None
+
+    def one(control, state):
+        each = []
+        every, _ = held(by, scene.whiskers, control, state.shaft_loads)
+        for k, (whisker, own) in enumerate(zip(scene.whiskers, every, strict=True)):
+            at = jax.tree.map(lambda leaf, k=k: leaf[k], state)
+            load = load_beyond(whisker, base_of(at), (at.fx, at.fy, at.mz), own)
+            each.append(jnp.stack([*map(jnp.asarray, (load.force_x, load.force_y, load.moment))]))
+        return tuple(-jnp.stack(each).T)
+
+    return jax.vmap(one)(control, state)
 
 
 def heat_rate(mu: Scalar, normal: Array, slip: Array, slipped: Array) -> Array:
@@ -215,7 +238,7 @@ def _at_steps(
     integrals = jax.vmap(one)(index, control)
     ok = (status == Status.ok) & good[index]
     state = jax.tree.map(lambda leaf: jnp.where(ok[:, None], leaf, 0), state)
-    return integrals[:, 0], integrals[:, 1:], stored_energy(scene, state), ok
+    return integrals[:, 0], integrals[:, 1:], stored_energy(scene, state, control), ok
 
 
 def _assembled(
@@ -235,9 +258,10 @@ def _assembled(
         jax.tree.map(lambda leaf: jnp.where(filled[:, None], leaf, 0), state) for state in (events.before, events.after)
     )
     snaps = filled & is_snap(events.kind)
+    at = jnp.where(filled, events.control, control[0])
     # Where contacts stick after a snap, a further event at its place may complete the change of the state.
     at_snap = jnp.any(snaps & (jnp.abs(events.travel[:, None] - events.travel) <= noise), axis=1)
-    drops = jnp.where(at_snap, stored_energy(scene, before) - stored_energy(scene, after), 0.0)
+    drops = jnp.where(at_snap, stored_energy(scene, before, at) - stored_energy(scene, after, at), 0.0)
     passed = events.travel <= travel[:, None] + noise  # NaN beyond the last event
     loss = jnp.sum(jnp.where(passed, drops, 0.0), axis=1)
     last = jnp.max(jnp.where(filled, events.travel, -jnp.inf))

@@ -1,10 +1,11 @@
 """Deflection of one whisker under given loads: forces and moments at points along it.
 
 The rod is integrated from the outermost load towards the base. The direction of the whisker at that load is the only
-unknown, and the angle of the base is the only equation (Steigenberger 2013).
+unknown, and the angle of the base is the only equation (Steigenberger 2013). With springs on the shaft, there are
+three unknowns: see deflect_held.py.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -23,11 +24,15 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
+from jaxwhisker._scan.applied_loads import Loads, sorted_loads, with_load
+from jaxwhisker._scan.deflect_held import differentiable, errors, held_equations, held_state, solved_tip, unbent_tip
 
 LOAD_STEPS = 32  # from no load to the full load, to follow the branch of solutions that begins at rest
 ROD_STEPS = 32  # of the rod between two loads
 ACCURACY = 1e-8  # largest accepted error of the base's angle and position, by comparison with twice as many steps
 CLAMP = Support.clamped()
+
+Given: TypeAlias = tuple[PointForce | PointMoment, ...]
 
 
 class Deflection(eqx.Module):
@@ -52,23 +57,14 @@ class Deflection(eqx.Module):
     y: Float[Array, " points"]
     angle: Float[Array, " points"]  # from +x to the whisker's direction, rad; pi/2 at an upright base
     curvature: Float[Array, " points"]  # 1/length, counter-clockwise positive
+    spring_length: Float[Array, " springs"]  # length of each spring, or angle of a torsion spring, as in a Result
     status: Int[Array, ""]  # Status.ok, .inexact or .invalid
-
-
-class _Loads(eqx.Module):
-    """Forces and moments in one form, sorted from the tip to the base; dimensionless."""
-
-    force: Float[Array, "*loads"]
-    direction: Float[Array, "*loads"]
-    follower: Float[Array, "*loads"]
-    moment: Float[Array, "*loads"]
-    position: Float[Array, "*loads"]
 
 
 class _Equations(eqx.Module):
     """The dimensionless equations of one whisker and its loads."""
 
-    loads: _Loads
+    loads: Loads
     section: Section | None  # None for a uniform whisker
     rest: Float[Array, "3"]  # pose (x, y, angle to the upright) of the unloaded base
     compliance: Float[Array, "3"]  # of the base to forces and moment; zero for a clamp
@@ -82,21 +78,7 @@ def _equations_of(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...],
     if flexibility is not None:
         framed = flexibility.in_frames(jnp.zeros(1), length, stiffness / length**2)
         rest, compliance = rest + framed.offset, jnp.diagonal(framed.matrix)
-    return _Equations(_sorted_loads(whisker, loads), section, rest, compliance)
-
-
-def _sorted_loads(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> _Loads:
-    length, stiffness = whisker.length, whisker.base_stiffness
-    rows = []
-    for load in loads:
-        position = 1.0 if load.position is None else load.position / length
-        if isinstance(load, PointForce):
-            size = load.force * length**2 / stiffness
-            rows.append((size, load.direction, float(load.follower), 0.0, position))
-        else:
-            rows.append((0.0, 0.0, 0.0, load.moment * length / stiffness, position))
-    columns = jnp.array(rows, dtype=float).T
-    return _Loads(*columns[:, jnp.argsort(-columns[-1])])
+    return _Equations(sorted_loads(whisker, loads), section, rest, compliance)
 
 
 class _Stretch(eqx.Module):
@@ -125,7 +107,7 @@ def _bend(equations: _Equations, tip_angle: Scalar, factor: Scalar = 1.0, steps:
 
     def stretch(carry, load_and_end):
         (state, total), (load, end) = carry, load_and_end
-        total = _with_load(total, load, state, factor)
+        total = with_load(total, load, state, factor)
         here = _Stretch(state, total, load.position - end, load.position)
         state = rod.integrate(state, here.arc, total, equations.section, steps=steps, from_base=here.position)
         return (state, total), here
@@ -136,19 +118,6 @@ def _bend(equations: _Equations, tip_angle: Scalar, factor: Scalar = 1.0, steps:
     load = jnp.stack([total.force_x, total.force_y, rod.moment(x, y, total)])  # pyright: ignore[reportArgumentType]
     pose = equations.rest + equations.compliance * load
     return _Bent(stretches, x, y, load, pose, pose[2] - jnp.arctan2(-cos, sin))
-
-
-def _with_load(total: rod.Load, load: _Loads, state: rod.RodState, factor: Scalar) -> rod.Load:
-    """The load on the rod between this load, which acts at this state, and the next one."""
-    x, y, cos, sin = state
-    dead_x, dead_y = jnp.cos(load.direction), jnp.sin(load.direction)
-    follower = load.follower > 0
-    force = factor * load.force
-    # A follower is turned by phi - pi/2, like the whisker.
-    fx = force * jnp.where(follower, dead_y * cos + dead_x * sin, dead_x)
-    fy = force * jnp.where(follower, dead_y * sin - dead_x * cos, dead_y)
-    moment = total.moment + x * fy - y * fx + factor * load.moment  # pyright: ignore[reportOptionalOperand]
-    return rod.Load(total.force_x + fx, total.force_y + fy, moment)  # pyright: ignore[reportOptionalOperand]
 
 
 @eqx.filter_custom_jvp
@@ -185,19 +154,22 @@ def _tip_angle(equations: _Equations) -> Scalar:
     return angle
 
 
-def _solution(
-    whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support
-) -> tuple[Scalar, Int[Array, ""]]:
-    """Direction of the tip, and the status."""
-    equations = _equations_of(whisker, loads, support)
-    position = equations.loads.position
-    valid = whisker.valid() & support.valid() & jnp.all((position > 0) & (position <= 1))
-    valid &= checks.all_finite(equations.loads)
-    tip_angle = _tip_angle(equations)
-    coarse, fine = (_bend(equations, tip_angle, steps=steps) for steps in (ROD_STEPS, 2 * ROD_STEPS))
-    errors = jnp.stack([coarse.misfit, fine.misfit, fine.x - coarse.x, fine.y - coarse.y])
-    exact = jnp.max(jnp.abs(errors)) < ACCURACY
-    return tip_angle, jnp.where(valid, jnp.where(exact, Status.ok, Status.inexact), Status.invalid)
+def _solution(whisker: Whisker, loads: Given, support: Support) -> tuple[Array, Int[Array, ""]]:
+    """Direction of the tip, or its pose if springs hold the shaft; and the status."""
+    valid = whisker.valid() & support.valid()
+    if support.on_shafts:
+        held, _ = held_equations(whisker, loads, support)
+        tip, position = solved_tip(held, LOAD_STEPS, ROD_STEPS), held.loads.position
+        given, missed = held.loads, errors(held, tip, ROD_STEPS)
+        valid &= jnp.all(jnp.stack([jnp.asarray(place) < whisker.length for _, _, place in support.attachments()]))
+    else:
+        equations = _equations_of(whisker, loads, support)
+        given, position, tip = equations.loads, equations.loads.position, _tip_angle(equations)
+        coarse, fine = (_bend(equations, tip, steps=steps) for steps in (ROD_STEPS, 2 * ROD_STEPS))
+        missed = jnp.stack([coarse.misfit, fine.misfit, fine.x - coarse.x, fine.y - coarse.y])
+    valid &= jnp.all((position > 0) & (position <= 1)) & checks.all_finite(given)
+    exact = jnp.max(jnp.abs(missed)) < ACCURACY
+    return jnp.asarray(tip), jnp.where(valid, jnp.where(exact, Status.ok, Status.inexact), Status.invalid)
 
 
 def deflect(
@@ -211,17 +183,18 @@ def deflect(
         whisker: the whisker.
         *loads: at least one PointForce or PointMoment, in any order. Their directions refer to the upright whisker at
             rest, also if it is mounted at an angle; a dead load keeps its direction.
-        support: support of one whisker, with the drive at (0, 0). Default: a clamp.
+        support: support of one whisker, with the drive at (0, 0). Default: a clamp. Springs on the shaft grow from zero
+            before the loads do. fx, fy and mz are then what the shaft carries at its base, as in a scan.
         points: number of points on each stretch between loads, and between a load and the base; at least 2.
 
     Returns:
         A Deflection. Its values are NaN with status `inexact` if the load is too large for the steps (beyond a few
-        hundred EI/L^2), and NaN with status `invalid` if a traced parameter is outside its domain or a traced load is
-        beyond the tip.
+        hundred EI/L^2) or no equilibrium is found, and NaN with status `invalid` if a traced parameter is outside its
+        domain or a traced load or spring is beyond the tip.
 
     Raises:
-        ValueError: if an argument has the wrong type, there is no load, a load lies beyond the tip, the support is for
-            several whiskers, `points` is less than 2, or JAX is in float32 mode.
+        ValueError: if an argument has the wrong type, there is no load, a load or a spring lies beyond the tip, the
+            support is for several whiskers, `points` is less than 2, or JAX is in float32 mode.
 
     Examples:
         >>> bent = jw.deflect(jw.Whisker(), jw.PointForce(5.0, position=1.0, follower=True))
@@ -239,6 +212,11 @@ def deflect(
     if not isinstance(support, Support) or support.whiskers != 1:
         checks.fail("support", "a Support of one whisker", repr(support))
     checks.count("points", points, least=2)
+    for name, _, place in support.attachments():
+        if not checks.is_traced((place, whisker)) and float(place) >= float(whisker.length):
+            checks.fail(name, f"less than the length {whisker.length}", place)
+    if support.foundations[0] is not None and whisker.intrinsic_curvature is not None:
+        checks.fail("whisker", "straight on a Foundation", "one with an intrinsic curvature")
     for load in loads:
         if load.position is None or checks.is_traced((load.position, whisker)):
             continue
@@ -249,35 +227,75 @@ def deflect(
 
 
 @Program
-def _deflect(
-    whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support, points: int
-) -> Deflection:
-    tip_angle, status = _solution(*jax.lax.stop_gradient((whisker, loads, support)))
+def _deflect(whisker: Whisker, loads: Given, support: Support, points: int) -> Deflection:
+    tip, status = _solution(*jax.lax.stop_gradient((whisker, loads, support)))
     ok = status == Status.ok
     whisker, loads, support = safe_placeholder((whisker, loads, support), ok)
-    equations = _equations_of(whisker, loads, support)
-    tip_angle = _differentiable(jnp.where(ok, tip_angle, jnp.pi / 2), equations)
-    bent = _bend(equations, tip_angle)
-    shape, (fx, fy, mz), (base_x, base_y, base_angle) = _shape(equations, bent, points), -bent.load, bent.pose
+    found = (_on_shaft if support.on_shafts else _on_base)(whisker, loads, support, tip, ok, points)
     length, stiffness = whisker.length, whisker.base_stiffness
+    fx, fy, mz = -found.load
+    base_x, base_y, base_angle = found.pose
+    values = {
+        "fx": fx * stiffness / length**2,
+        "fy": fy * stiffness / length**2,
+        "mz": mz * stiffness / length,
+        "base_x": base_x * length,
+        "base_y": base_y * length,
+        "base_angle": base_angle,
+        "s": found.s * length,
+        "x": found.x * length,
+        "y": found.y * length,
+        "angle": jnp.unwrap(found.angle),
+        "curvature": found.curvature / length,
+        "spring_length": found.spring_length,
+    }
+    return Deflection(**{name: jnp.where(ok, value, jnp.nan) for name, value in values.items()}, status=status)
 
-    def where_ok(value):
-        return jnp.where(ok, value, jnp.nan)
 
-    return Deflection(
-        fx=where_ok(fx * stiffness / length**2),
-        fy=where_ok(fy * stiffness / length**2),
-        mz=where_ok(mz * stiffness / length),
-        base_x=where_ok(base_x * length),
-        base_y=where_ok(base_y * length),
-        base_angle=where_ok(base_angle),
-        s=where_ok(shape.s * length),
-        x=where_ok((shape.x - bent.x + base_x) * length),
-        y=where_ok((shape.y - bent.y + base_y) * length),
-        angle=where_ok(jnp.unwrap(jnp.arctan2(shape.sin, shape.cos))),
-        curvature=where_ok(shape.curvature / length),
-        status=status,
-    )
+class _Found(NamedTuple):
+    """An equilibrium, dimensionless but for the lengths of springs."""
+
+    load: Float[Array, "3"]  # on the base
+    pose: Float[Array, "3"]  # of the base
+    s: rod.Along
+    x: rod.Along
+    y: rod.Along
+    angle: rod.Along
+    curvature: rod.Along
+    spring_length: Float[Array, " springs"]
+
+
+def _on_base(whisker: Whisker, loads: Given, support: Support, tip: Array, ok: Array, points: int) -> _Found:
+    """A whisker whose base is all that is held."""
+    equations = _equations_of(whisker, loads, support)
+    bent = _bend(equations, _differentiable(jnp.where(ok, tip, jnp.pi / 2), equations))
+    shape, (base_x, base_y, _) = _shape(equations, bent, points), bent.pose
+    x, y, angle = shape.x - bent.x + base_x, shape.y - bent.y + base_y, jnp.arctan2(shape.sin, shape.cos)
+    lengths = _network_lengths(whisker, support, bent.pose)
+    return _Found(bent.load, bent.pose, shape.s, x, y, angle, jnp.asarray(shape.curvature), lengths)
+
+
+def _on_shaft(whisker: Whisker, loads: Given, support: Support, tip: Array, ok: Array, points: int) -> _Found:
+    """A whisker with springs or a foundation on its shaft."""
+    equations, places = held_equations(whisker, loads, support)
+    tip = differentiable(jnp.where(ok, tip, jax.lax.stop_gradient(unbent_tip(equations))), equations, ROD_STEPS)
+    held = held_state(equations, tip, points, ROD_STEPS)
+    (x, y, cos, sin), section = held.states, equations.section
+    curvature = jnp.asarray(held.moment if section is None else jax.vmap(section.total_curvature)(held.moment, held.s))
+    network = iter(_network_lengths(whisker, support, held.pose))
+    own = iter(held.lengths[places[k]] for k in range(len(support.attached)))
+    lengths = []
+    for spring in support.springs:
+        turns = spring.axis == "phi"
+        lengths.append(next(network) if spring.linear else next(own) * (1.0 if turns else whisker.length))
+    return _Found(held.load, held.pose, held.s, x, y, jnp.arctan2(sin, cos), curvature, jnp.array(lengths, dtype=float))
+
+
+def _network_lengths(whisker: Whisker, support: Support, pose: Float[Array, "3"]) -> Float[Array, " springs"]:
+    """Lengths of the springs between the drive and the base."""
+    mount, (x, y, angle) = support.mounts[0], pose
+    moved = [x * whisker.length - mount.x, y * whisker.length - mount.y, angle - mount.angle]
+    return support.spring_length(jnp.stack(moved)[None])
 
 
 class _Shape(eqx.Module):

@@ -9,8 +9,8 @@ t = dr/ds, the integral of F . t is F . (r1 - r0), and the energy of the whisker
 For other whiskers, EI (kappa - kappa0)^2 / 2 = M^2 / (2 EI) is integrated along the shape.
 
 Springs store 1/2 F . C F, with the flexibility matrix C of the support and the loads F on the bases in the drive's
-frame. If springs hold the shafts, the energies of all springs follow from their lengths, and those of the whiskers from
-the first integral on each piece between two springs.
+frame. If springs hold the shafts, the energies of all springs follow from their lengths, and those of whiskers and
+foundations are integrated between the springs.
 """
 
 from functools import partial
@@ -28,7 +28,7 @@ from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.springs import bases_of, held, holds, outwards, pieces_energy, spring_length
+from jaxwhisker._scan.springs import bases_of, held, holds, outwards, shaft_energy, spring_length
 from jaxwhisker._scan.state import State, base_of, state_of
 
 INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; the error falls with the fourth power
@@ -55,8 +55,7 @@ def stored_energy(scene: Scene, state: State, control: Control | None = None) ->
         Energy, force times length, shape (steps,): one value per step or event.
 
     Raises:
-        ValueError: if an argument has the wrong type, or if springs hold the shafts and `control` is missing, whiskers
-            are not uniform, or there is a foundation.
+        ValueError: if an argument has the wrong type, or if springs hold the shafts and `control` is missing.
     """
     checks.instance("scene", scene, Scene, "a Scene")
     checks.instance("state", state, State, "a Result or a State")
@@ -65,8 +64,6 @@ def stored_energy(scene: Scene, state: State, control: Control | None = None) ->
         control = None
     elif control is None:
         checks.fail("control", "given for states of a scene with springs on shafts", "None")
-    elif not all(w.uniform for w in scene.whiskers) or any(one is not None for one in scene.support.foundations):
-        checks.fail("scene", "one with uniform whiskers and without a foundation, if springs hold shafts", str(scene))
     return _energy_now(jax.tree.map(checks.as_float, scene), state_of(state), control)
 
 
@@ -91,12 +88,11 @@ def _held_energy(scene: Scene, state: State, control: Scalar) -> Float[Array, ""
     by = holds(scene)
     assert by is not None
     energy = jnp.zeros(())
-    for k, (whisker, own) in enumerate(
-        zip(scene.whiskers, held(by, scene.whiskers, control, state.shaft_loads)[0], strict=True)
-    ):
+    every, _ = held(by, scene.whiskers, control, state.shaft_loads)
+    for k, (whisker, own) in enumerate(zip(scene.whiskers, every, strict=True)):
         at = jax.tree.map(lambda leaf, k=k: leaf[k], state)
         arc = jnp.where(at.phase == Phase.free, whisker.length, at.contact_arc)
-        energy += pieces_energy(whisker, base_of(at), (at.fx, at.fy, at.mz), arc, own)
+        energy += shaft_energy(whisker, base_of(at), (at.fx, at.fy, at.mz), arc, own)
     lengths = spring_length(scene, bases_of(scene, state), control)
     return energy + sum(spring.energy(length) for spring, length in zip(scene.support.springs, lengths, strict=True))
 

@@ -166,7 +166,7 @@ def _array(result: Result, name: str) -> Array | None:
     if when in ("before", "after"):
         return getattr(getattr(result.events, when), field)
     if name.startswith("event_energy_"):
-        return stored_energy(result.scene, getattr(result.events, field.removeprefix("energy_")))
+        return stored_energy(result.scene, getattr(result.events, field.removeprefix("energy_")), result.events.control)
     if when == "event":
         return getattr(result.events, {"whisker": "whiskers"}.get(field, field))
     return getattr(result, name)

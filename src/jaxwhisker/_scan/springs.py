@@ -16,20 +16,22 @@ from jaxwhisker._equilibrium.shaft_springs import (
     Attachments,
     Laws,
     ShaftSprings,
+    Walk,
     end_of,
     in_drive,
-    past,
     stretched,
     walk,
 )
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, mounted
 from jaxwhisker._model.scene import Scene, Units, moves_along_x
+from jaxwhisker._model.spring import POINTS, WEIGHTS
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.state import State, material
 
 WALK_STEPS = 16  # of the rod from one spring on its shaft to the next
+STEPS_TO_POINTS = 2  # of the rod from one of sixteen points of quadrature to the next
 
 PerWhisker = Float[Array, " whiskers"]
 # x, y, angle of bases; with springs on shafts, fx, fy, mz and `shaft_loads` too
@@ -78,57 +80,57 @@ def outwards(
     whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held | None = None, *, count: int
 ) -> rod.RodStates:
     """States of the rod at `count` equidistant points from the base up to `arc`, under the reaction at the base."""
-    start, load, zero = *_at_base(base, reaction), jnp.zeros_like(arc)
+    start, load, zero = *at_base(base, reaction), jnp.zeros_like(arc)
     if held is None:
         # A negative arc integrates away from the base.
         return rod.points(start, -arc, load, material(whisker), count=count, from_base=zero)
     springs, points = held.held_by.with_places(arc * jnp.linspace(1.0, 0.0, count))
-    passed = _walk(whisker, start, load, held._replace(held_by=springs), steps=1)
+    passed = walk_outwards(material(whisker), start, load, held._replace(held_by=springs), steps=1).passed
     x, y, cos, sin = (values[points[::-1]] for values in passed)
     return x, y, cos, sin
 
 
-def _at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
+def at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
     """State of the rod at its base, and the load there, which balances the reaction."""
     fx, fy, mz = reaction
     start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
     return start, rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
 
 
-def _walk(whisker: Whisker, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> rod.RodStates:
-    """States of the rod at all springs, from the tip to the base, on a walk from the base."""
-    backwards = _above(held.held_by)
-    zero = jnp.zeros_like(backwards.springs.at[0])
-    given = start, load, zero, material(whisker), backwards, held.laws, held.drive
-    return jax.tree.map(lambda leaf: leaf[::-1], walk(*given, steps=steps, sign=-1.0).passed)
-
-
-def _above(held_by: Attachments) -> Attachments:
-    """What acts above the base, in the order from there; the reaction is that of everything at the base and below."""
-    springs, given = jax.tree.map(lambda leaf: leaf[::-1], (held_by.springs, held_by.given))
+def walk_outwards(material: rod.Material, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> Walk:
+    """A walk from the base past all springs; `passed` and `loads` are ordered from the tip to the base."""
+    springs, given = jax.tree.map(lambda leaf: leaf[::-1], (held.held_by.springs, held.held_by.given))
+    # The reaction is that of everything at the base and below.
     above = springs.at > 0
     given = None if given is None else jnp.where(above[:, None], given, 0.0)
-    return held_by._replace(springs=springs._replace(share=jnp.where(above, springs.share, 0.0)), given=given)
+    springs = springs._replace(share=jnp.where(above, springs.share, 0.0))
+    held_by, zero = held.held_by._replace(springs=springs, given=given), jnp.zeros_like(springs.at[0])
+    walked = walk(start, load, zero, material, held_by, held.laws, held.drive, steps=steps, sign=-1.0)
+    passed, loads = jax.tree.map(lambda leaf: leaf[::-1], (walked.passed, walked.loads))
+    return walked._replace(passed=passed, loads=loads)
 
 
-def pieces_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held) -> Float[Array, ""]:
-    """Elastic energy of a uniform whisker up to an arc length, from the first integral on each piece."""
-    (start, load), (places, _) = _at_base(base, reaction), held.held_by.with_places(jnp.reshape(arc, 1))
-    held, stiffness = held._replace(held_by=places), whisker.base_stiffness
-    passed = _walk(whisker, start, load, held, steps=WALK_STEPS)
-    # From the base on: places, and the loads behind them.
-    above, (x, y, cos, sin) = _above(places), jax.tree.map(lambda leaf: leaf[::-1], passed)
-    springs, none = above.springs, rod.Load(*[jnp.zeros(())] * 3)
-    jumps = jax.vmap(lambda one, at, given: past(none, one, held.laws, at, held.drive, -1.0, given))(
-        springs, (x, y, cos, sin), above.given
+def load_beyond(whisker: Whisker, base: Pose, reaction: Reaction, held: Held) -> rod.Load:
+    """The load on a whisker above all of its springs: that of the object."""
+    return walk_outwards(material(whisker), *at_base(base, reaction), held, steps=WALK_STEPS).load
+
+
+def shaft_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held) -> Float[Array, ""]:
+    """Elastic energy of a whisker and its foundation up to an arc length, by Gaussian quadrature between springs."""
+    inside = jnp.clip(held.held_by.springs.at, 0.0, arc)
+    ends = jnp.concatenate([jnp.zeros(1), jnp.sort(inside), jnp.reshape(arc, 1)])
+    s = jnp.ravel(ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS)
+    held_by, places = held.held_by.with_places(s)
+    walked = walk_outwards(
+        material(whisker), *at_base(base, reaction), held._replace(held_by=held_by), steps=STEPS_TO_POINTS
     )
-    before = map(jnp.asarray, (load.force_x, load.force_y, load.moment))
-    changes = map(jnp.asarray, (jumps.force_x, jumps.force_y, jumps.moment))
-    fx, fy, about = (own + jnp.cumsum(change) for own, change in zip(before, changes, strict=True))
-    moment = about - x * fy + y * fx
-    density = (moment**2 / (2 * stiffness) + fx * cos + fy * sin)[:-1]
-    way = fx[:-1] * jnp.diff(x) + fy[:-1] * jnp.diff(y)
-    return jnp.sum(density * jnp.diff(jnp.maximum(springs.at, 0.0)) - way)
+    (x, y, _, _), load = jax.tree.map(lambda leaf: leaf[places], (walked.passed, walked.loads))
+    moment, stiffness = rod.moment(x, y, load), jax.vmap(whisker.stiffness_at)(s)
+    # A pointed tip has no stiffness and carries no moment.
+    density = jnp.where(stiffness > 0, moment**2 / (2 * jnp.where(stiffness > 0, stiffness, 1.0)), 0.0)
+    if held_by.tissue is not None:
+        density += jax.vmap(partial(held_by.tissue.energy, held.drive))(x, y, s)
+    return jnp.sum(jnp.ravel(jnp.diff(ends)[:, None] * WEIGHTS) * density)
 
 
 class Stretched(NamedTuple):
@@ -153,7 +155,7 @@ def on_shafts(
     every, ends = [], []
     for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
         base, reaction = jax.tree.map(lambda leaf, k=k: leaf[k], (bases, reactions))
-        passed = _walk(whisker, *_at_base(base, reaction), own, steps=WALK_STEPS)
+        passed = walk_outwards(material(whisker), *at_base(base, reaction), own, steps=WALK_STEPS).passed
         every.append(jax.vmap(partial(_stretched, own.drive))(own.held_by.springs, passed))
         ends.append(jax.vmap(partial(in_drive, drive=own.drive))(own.held_by.springs, passed))
     counted, ordered, couplings = [0] * len(whiskers), [], 0

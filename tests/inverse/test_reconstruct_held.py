@@ -1,0 +1,157 @@
+"""From signals back to points with springs on the shaft: exact scans, noise, derivatives and wrong input."""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker._inverse.points import PointStatus
+from scenes import all_ok
+
+POINT = 1e-7  # of the length; 1e-11 is usual
+ROD = jw.Shooting(steps=16)  # so that the signals are as exact
+SIGMA = {"fx": 0.02, "fy": 0.02, "mz": 0.005}
+STRONG = 50.0  # standard deviations that a contact force has to have for errors to be linear in the noise
+REPETITIONS = 12
+COVERAGE = 0.92, 0.975  # of 95 % bands
+DIFFERENCE = 1e-6
+DIFFERENCES = 1e-5  # central differences, relative to the largest derivative
+MODES = 1e-9  # forward against reverse
+OPTIONS = {"xla_backend_optimization_level": 0}  # more takes longer to compile than it saves
+
+
+def prestressed(stiffness=70.0, at=0.1):
+    axial = jw.Spring((0, 1), stiffness, 0.2, axis="axial", at=at, anchor=(0.02, 0.07))
+    return jw.Support((axial, jw.Spring((0, 1), 40.0, 0.23)))
+
+
+def follicles():
+    """Two whiskers that are not coupled: one in a follicle that turns, and one on a base spring."""
+    springs = (
+        jw.Spring((0, 1), 150.0, at=0.0),
+        jw.Spring((0, 1), 250.0, 0.01, at=-0.15),
+        jw.Spring((0, 1), 20.0, at=0.1),
+        jw.Spring((0, 2), 70.0, 0.5),
+    )
+    mounts = jw.Mount(0.05, 0.02, 0.1), jw.Mount()
+    support = jw.Support(springs, mounts, free=("phi",))
+    return jw.Scene((jw.Whisker(), jw.Whisker(1.1, 2.0)), jw.Parabola(0.3), support, ROD, friction=0.2)
+
+
+def tapered():
+    whisker = jw.Whisker(1.0, lambda s: (1 - s / 2) ** 4)
+    support = jw.Support(foundation=jw.Foundation(0.0, 0.2, 500.0))
+    return jw.Scene(whisker, jw.Parabola(0.3), support, ROD, jw.Rotation((0.3, -0.3), 0.4))
+
+
+SCENES = {
+    "prestressed": lambda: jw.Scene(jw.Whisker(), jw.Parabola(0.2), prestressed(), ROD),
+    "follicles, friction": follicles,
+    "tapered on tissue, rotation": tapered,
+}
+
+
+@cache
+def scanned(name):
+    scene = SCENES[name]()
+    control = np.linspace(-1.1, 0.9, 61) if "rotation" in name else np.linspace(1.2, -1.3, 61)
+    return jw.scan(scene, control)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_points_of_exact_signals(name):
+    result = scanned(name)
+    assert all_ok(result)
+    base = (result.base_x, result.base_y, result.base_angle) if "tissue" in name else None
+    points = jw.reconstruct(result, result.scene, base=base, slip=result.slip)
+    np.testing.assert_array_equal(points.phase, result.phase)
+    touching = np.asarray(result.phase) != jw.Phase.free
+    assert np.all(touching.any(axis=0)) and not touching.all()
+    np.testing.assert_array_equal(np.asarray(points.status) == PointStatus.ok, touching)
+    pairs = (
+        (points.x, result.contact_x), (points.y, result.contact_y), (points.slope, result.contact_slope),
+        (points.arc, result.contact_arc), (points.force, result.contact_force),
+    )  # fmt: skip
+    for ours, theirs in pairs:
+        assert np.max(np.abs(np.asarray(ours) - np.asarray(theirs))[touching]) < POINT
+    for field in ("base_x", "base_y", "base_angle"):
+        np.testing.assert_allclose(getattr(points, field), getattr(result, field), atol=POINT, err_msg=field)
+
+
+def test_bands_cover_the_truth():
+    result, rng = scanned("prestressed"), np.random.default_rng(3)
+    strong = np.asarray(result.contact_force) > STRONG * max(SIGMA.values())
+    inside, chi2 = [], []
+    for _ in range(REPETITIONS):
+        noisy = {c: np.asarray(getattr(result, c)) + s * rng.normal(size=result.fx.shape) for c, s in SIGMA.items()}
+        points = jw.reconstruct(noisy | {"control": result.control}, result.scene, sigma=SIGMA)
+        assert np.all(np.asarray(points.status)[strong] == PointStatus.ok)
+        off = [points.x - result.contact_x, points.y - result.contact_y, points.slope - result.contact_slope]
+        inside.append((np.abs(np.stack(off, axis=-1)) < 1.96 * np.asarray(points.standard_error)[..., :3])[strong])
+        chi2.append(np.asarray(points.chi2)[strong])
+    covered = np.mean(np.concatenate(inside), axis=0)
+    assert min(covered) > COVERAGE[0] and max(covered) < COVERAGE[1], covered
+    assert 0.85 < np.mean(np.concatenate(chi2)) < 1.15  # one degree of freedom
+
+
+@pytest.mark.unchecked
+def test_derivatives():
+    result, steps = scanned("prestressed"), np.array([30, 36, 44])
+    some = {c: jnp.asarray(getattr(result, c))[steps] for c in ("control", "fx", "fy", "mz")}
+    rng = np.random.default_rng(5)
+    some |= {c: some[c] + s * rng.normal(size=(3, 1)) for c, s in SIGMA.items()}
+
+    def points(numbers):
+        shift, stiffness, at = numbers[:3], numbers[3], numbers[4]
+        shifted = some | {c: some[c] + shift[k] for k, c in enumerate(SIGMA)}
+        sensor = jw.Sensor(jw.Whisker(), prestressed(stiffness, at))
+        located = jw.reconstruct(shifted, sensor, sigma=SIGMA)
+        return jnp.concatenate([located.x, located.y, located.slope, located.arc, located.base_x]).ravel()
+
+    @partial(jax.jit, compiler_options=OPTIONS)
+    def all_of(numbers, weights):
+        value, along = jax.linearize(points, numbers)
+        columns = jax.vmap(along, out_axes=-1)(jnp.eye(numbers.size))
+        return value, columns, jax.linear_transpose(along, numbers)(weights)[0]
+
+    numbers, weights = jnp.array([0.0, 0.0, 0.0, 70.0, 0.1]), rng.normal(size=15)
+    value, forward, reverse = all_of(numbers, weights)
+    assert np.all(np.isfinite(value))
+    np.testing.assert_allclose(reverse, weights @ np.asarray(forward), rtol=MODES)
+    for k in range(5):
+        step = DIFFERENCE * max(1.0, float(numbers[k]))
+        ahead, behind = (all_of(numbers.at[k].add(sign * step), weights)[0] for sign in (1, -1))
+        difference = (ahead - behind) / (2 * step)
+        np.testing.assert_allclose(forward[:, k], difference, atol=DIFFERENCES * np.max(np.abs(forward[:, k])))
+
+
+def test_missing_signals_leave_their_neighbours_alone():
+    result = scanned("prestressed")
+    measured = {c: np.asarray(getattr(result, c)).copy() for c in ("control", "fx", "fy", "mz")}
+    measured["fy"][30] = np.nan
+    points = jw.reconstruct(measured, result.scene)
+    assert points.status[30, 0] == PointStatus.missing and np.isnan(points.x[30, 0])
+    others = np.delete(np.arange(61), 30)
+    np.testing.assert_allclose(points.x[others], jw.reconstruct(result, result.scene).x[others], atol=POINT)
+
+
+ABOVE = jw.Spring((0, 1), 70.0, 0.2, axis="axial", at=0.1)
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize(
+    ("springs", "words"),
+    [
+        ((ABOVE,), "`base` must be given, because no signal shows"),
+        ((ABOVE, jw.Spring((1, 2), 70.0, 0.2)), "`sensor` must be one whose springs do not connect whiskers"),
+    ],
+)
+def test_wrong_arguments(springs, words):
+    support = jw.Support(springs)
+    zeros = np.zeros((3, support.whiskers))
+    measured = {"control": np.zeros(3), "fx": zeros, "fy": zeros, "mz": zeros}
+    with pytest.raises(ValueError, match=words):
+        jw.reconstruct(measured, jw.Sensor(jw.Whisker(), support))
