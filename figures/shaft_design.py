@@ -20,7 +20,7 @@ CONTROL = np.linspace(0.8, -1.1, 96)  # from before the first touch to just befo
 HEIGHTS = np.linspace(0.0, 0.4, 9)
 OBJECT = {"distance": 0.4, "a": 1.0}
 SIGMA = 0.02  # of fx, fy and mz at every step
-LABELS = {"distance": "distance $q/L$", "a": "curvature $a L$"}
+LABELS = {"distance": "distance $q/L$", "a": "steepness $aL$"}
 
 
 def alone(height, distance, a) -> jw.Scene:

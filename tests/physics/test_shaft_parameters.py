@@ -42,7 +42,7 @@ def test_the_place_of_a_spring_is_identified():
     fit = jw.identify(build, {"at": 0.06, "distance": 0.25}, measured | {"control": CONTROL}, sigma=NOISE)
     assert fit.status == jw.FitStatus.ok, fit.reason
     for name, exact in {"at": 0.15, "distance": 0.3}.items():
-        assert abs(fit.parameters[name] - exact) < 4 * fit.standard_errors[name] < 0.01
+        assert abs(fit.estimates[name] - exact) < 4 * fit.standard_error[name] < 0.01
 
 
 class Stiffening(eqx.Module):

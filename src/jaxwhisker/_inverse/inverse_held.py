@@ -251,7 +251,7 @@ def _guess(observed: HeldObservation) -> Float[Array, "5"]:
     # Above all springs, the moment falls to zero.
     s = known.held_by.top + (1 - known.held_by.top) * jnp.linspace(0.0, 1.0, GUESSES + 1)
     (x, y, cos, sin), load = _walked(pose, measured, s, known)
-    moment = rod.moment(x, y, load)
+    moment = jnp.asarray(rod.moment(x, y, load))
     moment = moment * jnp.where(moment[0] < 0, -1.0, 1.0)
     passed = ~(moment[1:] > 0)
     last = jnp.where(jnp.any(passed), jnp.argmax(passed), GUESSES - 1)
