@@ -45,8 +45,8 @@ def with_dummy_contacts(
     """
     if problem.attached is not None:
         return z, phase
-    touch = jax.lax.stop_gradient(problem.touch_right.parameter)
-    dummy = jnp.stack([jnp.ones_like(touch), jnp.where(jnp.isfinite(touch), touch, 0.0), -jnp.ones_like(touch)], axis=1)
+    nowhere = problem.nowhere
+    dummy = jnp.stack([jnp.ones_like(nowhere), nowhere, -jnp.ones_like(nowhere)], axis=1)
     free = phase == Phase.free
     return jnp.where(free[:, None], dummy, z), jnp.where(free, Phase.tip, phase)
 

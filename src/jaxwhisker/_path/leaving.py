@@ -65,7 +65,7 @@ def after_arrive(
     # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
     there = trial.there
     ends = [there.low, there.high] if there.low.size else []
-    wrong = jnp.any(jnp.concatenate([there.touch, there.release, there.phase, there.slip, *ends]) < -MARGIN_NOISE)
+    wrong = jnp.any(jnp.concatenate([jnp.ravel(there.touch), there.release, there.phase, there.slip, *ends]) < -MARGIN_NOISE)
     early = after_snap & (wrong | falls | ~near)
     flowing = state._replace(
         task=jnp.asarray(int(Task.flow)),
@@ -193,6 +193,6 @@ def to_snap(state: MarchState) -> MarchState:
             **({} if state.tries is None else {"stop": state.goal, "corner": jnp.asarray(True)}),
         ),
         task=jnp.asarray(int(Task.kick)),
-        flow=snap_flow.start(state.mode, state.pose),
+        flow=snap_flow.start(state.mode, state.pose, state.flow.way is not None),
         unstable_at=jnp.asarray(jnp.inf),
     )

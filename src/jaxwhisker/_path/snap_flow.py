@@ -3,11 +3,12 @@
 Base i moves with the velocity load_i - [K (pose - rest)]_i. Its whisker stays on its clamped branch until it passes a
 fold of that branch; then it slips:
 
-1. If its unloaded shape clears the object, it is free.
+1. If its unloaded shape clears all objects, it is free.
 2. Otherwise it slides on along its branch until it is stable again at the same base position, as beneath the edge of a
    flat object.
 3. If the bending moment at its base or its contact force vanishes before that, it lands on the far side, bent the other
    way.
+4. If it clears its object, but another one is in its way as it straightens, it lands on that one, bent the same way.
 
 With the flexibility C = K^-1, one implicit step of pseudo-time dt is
 
@@ -33,7 +34,7 @@ from jaxwhisker._equilibrium.friction import newly_slipping
 from jaxwhisker._equilibrium.newton import Condensed, Solution, slip_by_contact, with_slips
 from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance, of_object
 from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
 
 LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; the flow is first order in it
@@ -62,7 +63,7 @@ class Flow(NamedTuple):
     time_step: Scalar
     slipped: Bool[Array, " whiskers"]  # since the flow began
     sliding: Bool[Array, " whiskers"]  # past a fold of its branch
-    landing: Bool[Array, " whiskers"]  # on the far side
+    landing: Bool[Array, " whiskers"]  # on the far side, or on another object
     landing_x: PerWhisker  # base position at which sliding or landing ends
     near: Scalar  # distance from the equilibrium at which Newton's method takes over
     iterations: Int[Array, ""]
@@ -70,8 +71,8 @@ class Flow(NamedTuple):
     way: PerWhisker | None = None  # +1 or -1: along its branch, or back, as a whisker slides; None without edges
 
 
-def start(mode: Mode, pose: Poses) -> Flow:
-    """The state of a flow that is about to begin."""
+def start(mode: Mode, pose: Poses, edges: bool) -> Flow:
+    """The state of a flow that is about to begin; `edges` tells whether the object has any."""
     n, axes = pose.shape
     no, none = jnp.zeros(n, bool), jnp.zeros(n)
     return Flow(
@@ -91,7 +92,7 @@ def start(mode: Mode, pose: Poses) -> Flow:
         near=jnp.asarray(NEAR),
         iterations=jnp.asarray(0),
         exhausted=jnp.asarray(False),
-        way=None if mode.piece is None else none + 1.0,
+        way=none + 1.0 if edges else None,
     )
 
 
@@ -170,29 +171,50 @@ class _Slip(NamedTuple):
     begins: Bool[Array, " whiskers"]  # a free whisker touches
     lands: Bool[Array, " whiskers"]  # on the far side
     holds: Bool[Array, " whiskers"]  # on the stable part of its branch
+    # With several objects: passes a fold and hits another one, comes free where another one is in the way, and the
+    # object that a whisker begins to touch.
+    hits: Bool[Array, " whiskers"] | None = None
+    stuck: Bool[Array, " whiskers"] | None = None
+    number: Int[Array, " whiskers"] | None = None
+    own: Bool[Array, "objects whiskers"] | None = None  # the object that it touches
 
 
 def _slip(
     problem: Problem, flow: Flow, mode: Mode, z: Contacts, u: Scalar, pose: Poses, at: Stance, condensed: Condensed
 ) -> _Slip:
-    """Apply the snap rule, points 1 to 3 above."""
+    """Apply the snap rule above."""
     free, by_x = mode.phase == Phase.free, condensed.by_x
     slipping, holds = flow.sliding | flow.landing, on_stable_branch(problem, mode, by_x)
     force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
     ends = ~free & ~slipping & (z[:, 0] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
     at_contact = jax.vmap(partial(parameter, problem.profile))(z, mode.phase, mode.side, mode.friction)
-    contact = jax.vmap(problem.profile.point)(at_contact)
+    contact = jax.vmap(problem.profile.point_on)(mode.piece, at_contact)
     base = problem.in_scene(u, pose)
     unbent = mode.side * ((contact.x - base.x) * contact.cos + (contact.y - base.y) * contact.sin) <= 0
-    near = at.first(mode.side)
+    near = at.first(mode.standing)
+    blocked, clear = near.reaches & (mode.standing * (at.x - near.x) < 0), at.clear
+    lands, several = flow.sliding & (unbent | (z[:, 0] < 0)), {}
+    if mode.beside is not None:
+        own = jnp.arange(len(mode.beside))[:, None] == problem.profile.object_of(mode.piece)
+        in_way, clear = jnp.any(blocked & ~own, axis=0), jnp.any(own & clear, axis=0)
+        number = jnp.argmin(jnp.where(blocked & (free | ~own), mode.standing * (at.x - near.x), jnp.inf), axis=0)
+        # It moves towards the side to which it is bent.
+        hits = slips & clear & in_way & (of_object(mode.beside, number) == mode.side)
+        stuck = (ends | (slips & clear)) & in_way & ~hits
+        several = {"hits": hits, "stuck": stuck, "own": own}
+        several["number"] = jnp.where(lands, jnp.argmax(own, axis=0), number)
+        ends, blocked, freed = ends & ~in_way, jnp.any(blocked, axis=0), slips & clear & ~in_way
+    else:
+        freed = slips & clear
     return _Slip(
         slips=slips,
-        slides=slips & ~at.clear,
-        freed=ends | (slips & at.clear),
-        begins=free & near.reaches & (mode.side * (at.x - near.x) < 0),
-        lands=flow.sliding & (unbent | (z[:, 0] < 0)),
+        slides=slips & ~clear,
+        freed=ends | freed,
+        begins=free & blocked,
+        lands=lands,
         holds=holds,
+        **several,
     )
 
 
@@ -206,8 +228,8 @@ def advance(
     newton, z, u = solution.newton, solution.point.z, solution.point.u
     free = mode.phase == Phase.free
     pose = jnp.where(problem.solved(mode.phase)[:, None], newton.pose, flow.pose)
-    piece = mode.piece
-    if piece is not None:
+    piece, edges = mode.piece, problem.profile.has_edges
+    if piece is not None and edges:
         # The first point on a new piece is solved for from its end, and may lie a little beyond it.
         piece, z = after_step(problem.profile, piece, previous, z, ~free & _branch_known(flow))
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
@@ -216,20 +238,26 @@ def advance(
         directions = _slips(problem, mode, previous, z)
         turned |= (directions != friction.slip) & ~free
         stuck, friction = with_slips(problem, z, mode, directions)
-    if piece is not None:
+    if piece is not None and edges:
         turned |= piece != mode.piece
     by_x = newton.condensed.by_x
     slip = _slip(problem, flow, mode, z, u, pose, at, newton.condensed)
 
     if friction is not None:
         z = stuck
-    side = jnp.where(slip.freed, at.side, jnp.where(slip.lands, -mode.side, mode.side))
+    now = mode._replace(side=jnp.where(slip.lands, -mode.side, mode.side)).freed(slip.freed, at)
+    side, beside, fresh = now.side, now.beside, slip.begins | slip.lands
+    if beside is not None and slip.hits is not None:
+        # A whisker that hits another object has left its own one.
+        fresh |= slip.hits
+        beside = jnp.where(slip.hits & slip.own, at.side, beside)
+        side = jnp.where(slip.begins | slip.hits, mode.side_of(slip.number), side)
+    before = at.of(slip.number)
     z, phase = jnp.where(slip.freed[:, None], at.contact_if_free, z), jnp.where(slip.freed, Phase.free, phase)
-    fresh = slip.begins | slip.lands
-    touched, touched_phase, touched_side = touching(at, side)
+    touched, touched_phase, touched_side = touching(before, side)
     z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, touched_phase, phase)
     if piece is not None:
-        touched_piece = at.first(side).piece
+        touched_piece = before.first(side).piece
         assert touched_piece is not None
         piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
     way = flow.way
@@ -237,15 +265,20 @@ def advance(
         # A tip that slips over a corner at once goes back along its branch, which begins at the corner.
         moved = jnp.sum(newton.condensed.basis[:, :, 0] * (z - previous) / scale_of(z) ** 2, axis=-1)
         way = jnp.where(slip.slides & (flow.iterations == 0) & (moved < 0), -1.0, way)
-    landing_x = jnp.where(slip.slides, pose[:, 0], flow.landing_x)
-    first = at.first(side)
+    landing_x = jnp.where(slip.slides if slip.hits is None else slip.slides | slip.hits, pose[:, 0], flow.landing_x)
+    first = before.first(side)
     pose = pose + jnp.where(fresh[:, None], problem.shift(u, first.x - at.x), 0.0)
     side = jnp.where(fresh, touched_side, side)
     friction = newly_slipping(friction, fresh | slip.freed, side)
     astray = jnp.abs(landing_x - pose[:, 0]) > LANDED * jnp.minimum(jnp.abs(by_x), 1.0)
 
+    gap, landing = jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf), slip.lands
     iterations = flow.iterations + 1
     missed = jnp.any(flow.landing & ~slip.holds & ~fresh & (z[:, 0] > 0))
+    if beside is not None and slip.hits is not None:
+        nearest = at.first(beside)
+        gap = jnp.min(jnp.where(nearest.reaches, jnp.abs(at.x - nearest.x), jnp.inf), axis=0)
+        landing, missed = landing | slip.hits, missed | jnp.any(slip.stuck)
     no_branch = (fresh | slip.freed)[:, None]
     flow = flow._replace(
         pose=pose,
@@ -254,10 +287,10 @@ def advance(
         pose_by=jnp.where(no_branch[:, :, None], jnp.eye(pose.shape[1]), newton.condensed.pose_by),
         slope=jnp.where(no_branch[:, :, None], 0.0, load_slopes(problem, mode, newton.condensed)),
         load=jnp.where(no_branch, 0.0, newton.load),
-        gap=jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf),
+        gap=gap,
         slipped=flow.slipped | slip.slips,
         sliding=((flow.sliding & (astray | ~slip.holds)) | slip.slides) & ~slip.lands,
-        landing=(flow.landing & astray) | slip.lands,
+        landing=(flow.landing & astray) | landing,
         landing_x=landing_x,
         way=way,
         iterations=iterations,
@@ -266,7 +299,7 @@ def advance(
         step=jnp.minimum(2 * flow.step, LARGEST_CHANGE),
         time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
     )
-    return flow, Mode(phase, side, jnp.asarray(False), friction=friction, piece=piece), z
+    return flow, Mode(phase, side, jnp.asarray(False), friction=friction, piece=piece, beside=beside), z
 
 
 def _slips(problem: Problem, mode: Mode, previous: Contacts, z: Contacts) -> Int[Array, " whiskers"]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
-from jaxwhisker._equilibrium.clearance import cross, meets_again
+from jaxwhisker._equilibrium.clearance import beside_lowest, cross, meets_again
 from jaxwhisker._equilibrium.contact import Phase, of_each
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.point import Mode, Point
@@ -70,9 +70,26 @@ def _status(problem: Problem, point: Point, mode: Mode) -> Int[Array, ""]:
     if "crossing" in problem.detect:
         status = jnp.where(_any_cross(problem, point, shafts), Status.crossing, status)
     if "second_contact" in problem.detect:
-        again = jax.vmap(lambda own: meets_again(problem.profile, own))(shafts)
+        again = _meets_again(problem, mode, shafts)
         status = jnp.where(jnp.any(again & (mode.phase != Phase.free)), Status.second_contact, status)
     return status
+
+
+def _meets_again(problem: Problem, mode: Mode, shafts: Shaft) -> Bool[Array, " whiskers"]:
+    """Whether touching whiskers meet their object in a second place, or another object."""
+    number = problem.profile.object_of(mode.piece)
+    if number is None or mode.beside is None:
+        return jax.vmap(lambda own: meets_again(problem.profile, own))(shafts)
+    found = jnp.zeros_like(number, bool)
+    for k, one in enumerate(problem.profile.objects):
+        own, start = number == k, jax.lax.stop_gradient(jnp.asarray(one.lowest(), dtype=float))
+        # Any tangent may separate a shaft from an object that it does not touch.
+        at = shafts._replace(parameter=jnp.where(own, shafts.parameter, start))
+        found |= jax.vmap(lambda shaft, one=one: meets_again(one, shaft))(at)
+        # Between two states, it may have passed right through a small one.
+        passed = jax.vmap(lambda shaft, one=one: beside_lowest(one, shaft))(shafts)
+        found |= ~own & (passed * mode.beside[k] < 0)
+    return found
 
 
 def _any_cross(problem: Problem, point: Point, shafts: Shaft) -> Bool[Array, ""]:
@@ -103,7 +120,9 @@ def _search(problem: Problem, path: Path) -> _Found:
         nodes = path.nodes
         friction = jax.tree.map(lambda leaf: leaf[index], nodes.friction)
         piece = None if nodes.piece is None else nodes.piece[index]
-        mode = Mode(nodes.phase[index], nodes.side[index], jnp.asarray(False), friction=friction, piece=piece)
+        beside = None if nodes.beside is None else nodes.beside[index]
+        now = nodes.phase[index], nodes.side[index], jnp.asarray(False)
+        mode = Mode(*now, friction=friction, piece=piece, beside=beside)
         return _status(problem, interpolate(path, index, u), mode)
 
     def searching(found: _Found) -> Bool[Array, ""]:

@@ -34,6 +34,8 @@ class State(eqx.Module):
     slip: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
     normal_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
     friction_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    # None with one object: the number of the object that is touched, in the order of the scene's profiles: 1, 2, ...
+    contact_object: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
 
 
 FRICTION = ("slip", "normal_force", "friction_force")  # fields that are None without friction
