@@ -24,7 +24,6 @@ from jaxwhisker._rod.rod import Along
 DEPTH = 2e-5  # least depth of a second contact, in lengths of the first whisker: twice the error of the cubics
 NEAREST_ERROR = 1e-5  # distance along the profile from the nearest point; the gap is off by its square
 NEAREST_STEPS = 50  # as many as bisection needs; Newton's method needs six
-CHORD = 0.01  # more than the distance between a shaft and its chords
 CROSSING_STEPS = 4
 CROSSING_ERROR = 1e-9  # distance of two shafts where they cross
 OUTSIDE = 0.25  # of a cell: how far a crossing may lie outside the cells whose chords cross
@@ -37,8 +36,8 @@ def meets_again(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
     beyond = [_least(line, *_gap(line, at)) < -DEPTH for line in lines]
     wanted = [jnp.append(cells, False) | jnp.append(False, cells) for cells in beyond]
     x, y = (jnp.concatenate([getattr(line, name) for line in lines]) for name in ("x", "y"))
-    nearest = _nearest(profile, own.parameter, x, y, jnp.concatenate(wanted))
-    at, found = jax.vmap(profile.point)(nearest), jnp.asarray(False)
+    feet = nearest(profile, own.parameter, x, y, jnp.concatenate(wanted))
+    at, found = jax.vmap(profile.point)(feet), jnp.asarray(False)
     for k, line in enumerate(lines):
         part = slice(lines[0].x.size) if k == 0 else slice(lines[0].x.size, None)
         gap, slope = _gap(line, jax.tree.map(lambda leaf, part=part: leaf[part], at))
@@ -47,17 +46,6 @@ def meets_again(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
         known = known[:-1] & known[1:]
         found |= jnp.any(beyond[k] & known & (_least(line, gap, slope) < -DEPTH))
     return found
-
-
-def beside_lowest(profile: AbstractProfile, own: Shaft) -> Float[Array, ""]:
-    """The side (+1 right, -1 left) on which a shaft passes the lowest point of an object; 0 if below it or close by."""
-    x, y = (jnp.concatenate([getattr(own.to_base, name)[::-1], getattr(own.to_tip, name)]) for name in ("x", "y"))
-    lowest_x, lowest_y = profile.vertex()
-    crosses = (y[:-1] < lowest_y) & (y[1:] >= lowest_y)
-    first = jnp.argmax(crosses)
-    rise = jnp.where(crosses[first], y[first + 1] - y[first], 1.0)
-    right = x[first] + (lowest_y - y[first]) / rise * (x[first + 1] - x[first]) - lowest_x
-    return jnp.where(crosses[first] & (jnp.abs(right) > CHORD), jnp.sign(right), 0.0)
 
 
 def _gap(line: Line, at: ContactPoint) -> tuple[Along, Along]:
@@ -85,7 +73,7 @@ def _least(line: Line, gap: Along, slope: Along) -> Float[Array, " cells"]:
     return least
 
 
-def _nearest(
+def nearest(
     profile: AbstractProfile, parameter: Scalar, x: Along, y: Along, wanted: Bool[Array, " points"]
 ) -> Float[Array, " points"]:
     """Parameters of the nearest points on the profile of those points that are wanted.

@@ -17,7 +17,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
-from jaxwhisker._equilibrium.clearance import beside_lowest, cross, meets_again
+from jaxwhisker._equilibrium.clearance import cross, meets_again
+from jaxwhisker._equilibrium.other_objects import meets, passes
 from jaxwhisker._equilibrium.contact import Phase, of_each
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.point import Mode, Point
@@ -82,13 +83,14 @@ def _meets_again(problem: Problem, mode: Mode, shafts: Shaft) -> Bool[Array, " w
         return jax.vmap(lambda own: meets_again(problem.profile, own))(shafts)
     found = jnp.zeros_like(number, bool)
     for k, one in enumerate(problem.profile.objects):
-        own, start = number == k, jax.lax.stop_gradient(jnp.asarray(one.lowest(), dtype=float))
-        # Any tangent may separate a shaft from an object that it does not touch.
-        at = shafts._replace(parameter=jnp.where(own, shafts.parameter, start))
-        found |= jax.vmap(lambda shaft, one=one: meets_again(one, shaft))(at)
-        # Between two states, it may have passed right through a small one.
-        passed = jax.vmap(lambda shaft, one=one: beside_lowest(one, shaft))(shafts)
-        found |= ~own & (passed * mode.beside[k] < 0)
+        # The parameter of another object's contact may mean nothing on this one.
+        own, lowest = number == k, jnp.asarray(one.lowest(), dtype=float)
+        touching = shafts._replace(parameter=jnp.where(own, shafts.parameter, lowest))
+        again, other, side = (
+            jax.vmap(partial(function, one))(at)
+            for function, at in ((meets_again, touching), (meets, shafts), (passes, shafts))
+        )
+        found |= jnp.where(own, again, other | (side * mode.beside[k] < 0))
     return found
 
 
