@@ -96,9 +96,10 @@ def _turned(angle: Scalar, stiffness: Float[Array, "3"]) -> Float[Array, "3 3"]:
 def _detectable(scene: Scene) -> tuple[str, ...]:
     """What a scene is to detect, without what cannot happen.
 
-    Without friction, and before a single object, a uniform straight whisker stays on the outer side of the object's tangent at its contact, which a
-    convex object does not cross. Let theta be the angle from the tangent to the whisker, theta1 its value at the
-    contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >= sin theta1 >= 0 along the shaft.
+    Without friction, and before a single object, a uniform straight whisker stays on the outer side of the object's
+    tangent at its contact, which a convex object does not cross. Let theta be the angle from the tangent to the
+    whisker, theta1 its value at the contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >=
+    sin theta1 >= 0 along the shaft.
     """
     possible = {
         "second_contact": scene.friction is not None
@@ -112,6 +113,7 @@ def _detectable(scene: Scene) -> tuple[str, ...]:
 
 def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> tuple[Touch, Touch]:
     """First touches of straight whiskers that stand upright at height 0, from the right and from the left."""
+
     def touches(one):
         right, left = (jax.vmap(lambda h, s=s: touch.first_touch_upright(one, h, s))(length) for s in (1.0, -1.0))
         return right, left

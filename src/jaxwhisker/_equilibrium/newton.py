@@ -71,7 +71,7 @@ def slope_sines(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
     """sin(alpha) of the object at every contact; free whiskers must have dummy contacts."""
 
     def slope(piece, *at):
-        return problem.profile.point_on(piece, contact.parameter(problem.profile, *at)).sin
+        return problem.profile.point_on(piece, contact.parameter(problem.profile.on(piece), *at)).sin
 
     return jax.vmap(slope)(mode.piece, z, mode.phase, mode.side, mode.friction)
 
@@ -88,8 +88,14 @@ def load_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]
 
 def slip_by_contact(problem: Problem, z: Contacts, mode: Mode) -> Contacts:
     """Derivatives of the distances slipped along the object, positive towards +x, of contacts that slip."""
-    speeds = jax.vmap(lambda p: speed(problem.profile, p))(z[:, 1])
+    speeds = jax.vmap(lambda piece, p: speed(problem.profile.on(piece), p))(mode.piece, z[:, 1])
     return jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(mode.side, mode.phase)], axis=1)
+
+
+def contact_parameters(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
+    """The profile's parameters at all contacts."""
+    own = mode.piece, z, mode.phase, mode.side, mode.friction
+    return jax.vmap(lambda piece, *at: contact.parameter(problem.profile.on(piece), *at))(*own)
 
 
 LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is unknown
@@ -105,7 +111,7 @@ def with_slips(problem: Problem, z: Contacts, mode: Mode, slip: Int[Array, " whi
     """The same contacts, which from here on slip in these directions or stick (0)."""
     assert mode.friction is not None and problem.friction_angle is not None
     old, limit = mode.friction, problem.friction_angle
-    at = jax.vmap(partial(contact.parameter, problem.profile))(z, mode.phase, mode.side, old)
+    at = contact_parameters(problem, z, mode)
     begins = (slip == 0) & (old.slip != 0)
     friction = Friction(
         slip,

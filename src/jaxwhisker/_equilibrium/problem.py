@@ -110,7 +110,9 @@ class Problem(eqx.Module):
     rod: AbstractRod
     motion: AbstractMotion
     flexibility: Flexibility | None
-    touch_right: Touch  # (objects, whiskers) with several objects: first touches of unloaded whiskers from the right, with the drive at control 0
+    # First touches of unloaded whiskers from the right and from the left, with the drive at control 0; of each object
+    # if there are several.
+    touch_right: Touch
     touch_left: Touch
     valid: Bool[Array, ""]
     unit: Units

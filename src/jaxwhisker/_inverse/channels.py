@@ -17,7 +17,7 @@ from jaxwhisker._path.path import Status
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.springs import bases_of, spring_lengths
-from jaxwhisker._scan.state import FRICTION, State
+from jaxwhisker._scan.state import FRICTION, OBJECTS, State
 
 EXAMPLE_STEPS = 2  # with which a function is tried before it is compiled
 
@@ -104,6 +104,7 @@ def _example(scene: Scene) -> State:
     zero = jnp.zeros((EXAMPLE_STEPS, len(scene.whiskers)))
     fields: dict[str, Any] = dict.fromkeys(State.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
     fields |= dict.fromkeys(FRICTION) if scene.friction is None else {"slip": zero.astype(int)}
+    fields |= dict.fromkeys(OBJECTS, None if len(scene.profile.objects) == 1 else zero.astype(int))
     return State(**fields)
 
 

@@ -37,8 +37,13 @@ class Objects(AbstractProfile):
         return tuple(int(first) for first in np.cumsum([0, *map(_pieces, self.each)])[:-1])
 
     def object_of(self, piece):
+        if piece is None:
+            return None
         owners = np.repeat(np.arange(len(self.each)), [_pieces(one) for one in self.each])
         return jnp.asarray(owners)[piece]
+
+    def on(self, piece):
+        return self if piece is None else OneOf(self.each, self.nowhere, piece)
 
     def ends_on(self, piece):
         far = jnp.full(1, jnp.inf)
@@ -93,6 +98,15 @@ class Objects(AbstractProfile):
 
     def __str__(self):
         return "; ".join(map(str, self.each))
+
+
+class OneOf(Objects):
+    """The object with a piece, of several smooth ones."""
+
+    piece: Int[Array, ""] | None = None
+
+    def point(self, parameter):
+        return self.point_on(self.piece, parameter)
 
 
 def _pieces(profile: AbstractProfile) -> int:

@@ -88,6 +88,11 @@ class AbstractProfile(eqx.Module):
         """The object with this piece, an index into `objects`; None if there is only one."""
         del piece
 
+    def on(self, piece: Int[Array, ""] | None) -> "AbstractProfile":
+        """The curve `point(parameter)` of the object with this piece."""
+        del piece
+        return self
+
     def breaks(self) -> Float[Array, " breaks"]:
         """Parameters at which one piece ends and the next one begins; none without edges."""
         return jnp.zeros(0)

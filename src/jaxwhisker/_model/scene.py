@@ -82,8 +82,6 @@ class Scene(eqx.Module):
         allowed = "a Parabola, Circle, Ellipse, Graph, Contour, Polygon, Box, Cut or Tilted, or a tuple of these"
         checks.instance("profile", self.profile, AbstractProfile, allowed)
         _check_sensor(self.whisker, self.support, self.motion, self.friction)
-        if self.friction is not None and len(self.profile.objects) > 1:
-            checks.fail("friction", "None with several objects", as_text(self.friction))
         if self.friction is not None and self.profile.has_edges:
             raise ValueError(
                 "`friction` must be None for an object with edges: how a contact slips over an edge is not modelled, "

@@ -85,7 +85,8 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
         # A contact that sticks from its first touch is solved for where its force first has a direction.
         starts = is_light(state.mode, guess.z) & (state.task == Task.arrive)
         fixed = select(jnp.any(starts), at_force(starts, guess.z), fixed)
-    row = select(state.task == Task.advance, onwards, select(at_target, _target_row(state, stop_u, problem.profile.has_edges), fixed))
+    to_target = _target_row(state, stop_u, problem.profile.has_edges)
+    row = select(state.task == Task.advance, onwards, select(at_target, to_target, fixed))
     # A touch begins a contact and is solved for as a contact.
     target = state.target
     begins = target.whisker & at_target & (target.kind == TOUCH)

@@ -22,10 +22,12 @@ from jaxwhisker._path.path import (
     HIGH,
     LOW,
     MARGIN_NOISE,
+    RELEASE,
     TOUCH,
     Margins,
     Node,
     Status,
+    each_touch,
     margin_rates,
     margins,
     select,
@@ -220,7 +222,7 @@ def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, s
 
 
 def _flat(margins: Margins) -> Float[Array, " margins"]:
-    return jnp.concatenate([jnp.ravel(margin) for margin in margins if margin.size])
+    return jnp.concatenate([*each_touch(margins.touch), *(margin for margin in margins[RELEASE:] if margin.size)])
 
 
 def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
@@ -240,7 +242,8 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
     if state.mode.beside is not None:
         number = jnp.full(n, jnp.minimum(first // n, len(state.mode.beside) - 1))
     stance, side = trial.stance.of(number), state.mode.side_of(number)
-    touched = stance.first(side).piece
+    piece = state.mode.piece
+    touched = None if piece is None else stance.first(side).piece
     contact, phase, side = snap_flow.touching(stance, side)
     kinds = np.repeat(np.arange(len(trial.here)), [margin.size for margin in trial.here])
     # Margins of touches run over all objects, and over all whiskers for each.
@@ -249,7 +252,6 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
     lean = None
     if trial.friction_angle is not None:
         lean = jnp.sign(trial.solution.point.z[:, 1]) * trial.friction_angle
-    piece = state.mode.piece
     kind, whisker = jnp.asarray(kinds)[first], jnp.asarray(whiskers)[first]
     if trial.ends is not None and piece is not None:
         low, high = trial.ends

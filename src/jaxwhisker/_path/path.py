@@ -141,6 +141,11 @@ class Margins(NamedTuple):
     high: Float[Array, " touching"] | np.ndarray = NOTHING
 
 
+def each_touch(margins: PerObject) -> list[PerWhisker]:
+    """Margins of touches: of the whiskers, or of the whiskers for each of several objects."""
+    return [margins] if margins.ndim == 1 else list(margins)
+
+
 TOUCH, RELEASE, PHASE, VERTEX, AT_STOP, SLIP, LOW, HIGH = range(len(Margins._fields))  # indices into Margins
 MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
 

@@ -20,7 +20,6 @@ dt is shorter. Treating it explicitly throughout would be too slow: just below a
 millionth of the distance per step.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -29,12 +28,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase, parameter
+from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import newly_slipping
-from jaxwhisker._equilibrium.newton import Condensed, Solution, slip_by_contact, with_slips
+from jaxwhisker._equilibrium.newton import Condensed, Solution, contact_parameters, slip_by_contact, with_slips
 from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance, of_object
+from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance, of_object
 from jaxwhisker._equilibrium.stability import load_slopes, network_is_stable, on_stable_branch
 
 LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; the flow is first order in it
@@ -71,7 +70,7 @@ class Flow(NamedTuple):
     way: PerWhisker | None = None  # +1 or -1: along its branch, or back, as a whisker slides; None without edges
 
 
-def start(mode: Mode, pose: Poses, edges: bool) -> Flow:
+def start(mode: Mode, pose: Poses, edges: bool = False) -> Flow:
     """The state of a flow that is about to begin; `edges` tells whether the object has any."""
     n, axes = pose.shape
     no, none = jnp.zeros(n, bool), jnp.zeros(n)
@@ -171,12 +170,16 @@ class _Slip(NamedTuple):
     begins: Bool[Array, " whiskers"]  # a free whisker touches
     lands: Bool[Array, " whiskers"]  # on the far side
     holds: Bool[Array, " whiskers"]  # on the stable part of its branch
-    # With several objects: passes a fold and hits another one, comes free where another one is in the way, and the
-    # object that a whisker begins to touch.
-    hits: Bool[Array, " whiskers"] | None = None
-    stuck: Bool[Array, " whiskers"] | None = None
-    number: Int[Array, " whiskers"] | None = None
-    own: Bool[Array, "objects whiskers"] | None = None  # the object that it touches
+    among: "_Among | None" = None  # None with a single object
+
+
+class _Among(NamedTuple):
+    """Whiskers among several objects."""
+
+    hits: Bool[Array, " whiskers"]  # passes a fold and lands on another object
+    stuck: Bool[Array, " whiskers"]  # comes free inside or beyond another object: unknown how
+    number: Int[Array, " whiskers"]  # the object on which its next contact begins
+    own: Bool[Array, "objects whiskers"]  # the object that it touches
 
 
 def _slip(
@@ -188,33 +191,39 @@ def _slip(
     force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
     ends = ~free & ~slipping & (z[:, 0] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
-    at_contact = jax.vmap(partial(parameter, problem.profile))(z, mode.phase, mode.side, mode.friction)
-    contact = jax.vmap(problem.profile.point_on)(mode.piece, at_contact)
+    contact = jax.vmap(problem.profile.point_on)(mode.piece, contact_parameters(problem, z, mode))
     base = problem.in_scene(u, pose)
     unbent = mode.side * ((contact.x - base.x) * contact.cos + (contact.y - base.y) * contact.sin) <= 0
-    near = at.first(mode.standing)
-    blocked, clear = near.reaches & (mode.standing * (at.x - near.x) < 0), at.clear
-    lands, several = flow.sliding & (unbent | (z[:, 0] < 0)), {}
+    lands = flow.sliding & (unbent | (z[:, 0] < 0))
     if mode.beside is not None:
-        own = jnp.arange(len(mode.beside))[:, None] == problem.profile.object_of(mode.piece)
-        in_way, clear = jnp.any(blocked & ~own, axis=0), jnp.any(own & clear, axis=0)
-        number = jnp.argmin(jnp.where(blocked & (free | ~own), mode.standing * (at.x - near.x), jnp.inf), axis=0)
-        # It moves towards the side to which it is bent.
-        hits = slips & clear & in_way & (of_object(mode.beside, number) == mode.side)
-        stuck = (ends | (slips & clear)) & in_way & ~hits
-        several = {"hits": hits, "stuck": stuck, "own": own}
-        several["number"] = jnp.where(lands, jnp.argmax(own, axis=0), number)
-        ends, blocked, freed = ends & ~in_way, jnp.any(blocked, axis=0), slips & clear & ~in_way
-    else:
-        freed = slips & clear
+        return _slip_among_objects(problem, mode, mode.beside, at, _Slip(slips, slips, ends, free, lands, holds))
+    near = at.first(mode.side)
     return _Slip(
         slips=slips,
-        slides=slips & ~clear,
-        freed=ends | freed,
-        begins=free & blocked,
+        slides=slips & ~at.clear,
+        freed=ends | (slips & at.clear),
+        begins=free & near.reaches & (mode.side * (at.x - near.x) < 0),
         lands=lands,
         holds=holds,
-        **several,
+    )
+
+
+def _slip_among_objects(problem: Problem, mode: Mode, beside: PerObject, at: Stance, alone: _Slip) -> _Slip:
+    """Apply the snap rule to whiskers that may slip, come free or touch, if all objects let them."""
+    near = at.first(beside)
+    gap = jnp.where(near.reaches, beside * (at.x - near.x), jnp.inf)
+    own = jnp.arange(len(beside))[:, None] == problem.profile.object_of(mode.piece)
+    others = ~own | (mode.phase == Phase.free)
+    in_way, number = jnp.any(others & (gap < 0), axis=0), jnp.argmin(jnp.where(others, gap, jnp.inf), axis=0)
+    clears = alone.slips & jnp.any(own & at.clear, axis=0)
+    # It moves towards the side to which it is bent.
+    hits = clears & in_way & (of_object(beside, number) == mode.side)
+    leaves = alone.freed | clears
+    return alone._replace(
+        slides=alone.slips & ~clears,
+        freed=leaves & ~in_way,
+        begins=alone.begins & in_way,
+        among=_Among(hits, leaves & in_way & ~hits, jnp.where(alone.lands, jnp.argmax(own, axis=0), number), own),
     )
 
 
@@ -247,12 +256,12 @@ def advance(
         z = stuck
     now = mode._replace(side=jnp.where(slip.lands, -mode.side, mode.side)).freed(slip.freed, at)
     side, beside, fresh = now.side, now.beside, slip.begins | slip.lands
-    if beside is not None and slip.hits is not None:
+    among, number = slip.among, None
+    if among is not None:
         # A whisker that hits another object has left its own one.
-        fresh |= slip.hits
-        beside = jnp.where(slip.hits & slip.own, at.side, beside)
-        side = jnp.where(slip.begins | slip.hits, mode.side_of(slip.number), side)
-    before = at.of(slip.number)
+        fresh, number, beside = fresh | among.hits, among.number, jnp.where(among.hits & among.own, at.side, beside)
+        side = jnp.where(slip.begins | among.hits, mode.side_of(number), side)
+    before = at.of(number)
     z, phase = jnp.where(slip.freed[:, None], at.contact_if_free, z), jnp.where(slip.freed, Phase.free, phase)
     touched, touched_phase, touched_side = touching(before, side)
     z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, touched_phase, phase)
@@ -265,7 +274,7 @@ def advance(
         # A tip that slips over a corner at once goes back along its branch, which begins at the corner.
         moved = jnp.sum(newton.condensed.basis[:, :, 0] * (z - previous) / scale_of(z) ** 2, axis=-1)
         way = jnp.where(slip.slides & (flow.iterations == 0) & (moved < 0), -1.0, way)
-    landing_x = jnp.where(slip.slides if slip.hits is None else slip.slides | slip.hits, pose[:, 0], flow.landing_x)
+    landing_x = jnp.where(slip.slides if among is None else slip.slides | among.hits, pose[:, 0], flow.landing_x)
     first = before.first(side)
     pose = pose + jnp.where(fresh[:, None], problem.shift(u, first.x - at.x), 0.0)
     side = jnp.where(fresh, touched_side, side)
@@ -275,10 +284,10 @@ def advance(
     gap, landing = jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf), slip.lands
     iterations = flow.iterations + 1
     missed = jnp.any(flow.landing & ~slip.holds & ~fresh & (z[:, 0] > 0))
-    if beside is not None and slip.hits is not None:
+    if among is not None and beside is not None:
         nearest = at.first(beside)
         gap = jnp.min(jnp.where(nearest.reaches, jnp.abs(at.x - nearest.x), jnp.inf), axis=0)
-        landing, missed = landing | slip.hits, missed | jnp.any(slip.stuck)
+        landing, missed = landing | among.hits, missed | jnp.any(among.stuck)
     no_branch = (fresh | slip.freed)[:, None]
     flow = flow._replace(
         pose=pose,

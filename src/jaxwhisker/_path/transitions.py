@@ -87,9 +87,7 @@ def _node(state: MarchState, trial: Trial) -> Node:
         state.mode.friction,
         state.mode.friction,
         *(() if state.mode.friction is None else (state.goal, jnp.asarray(False))),
-        piece=state.mode.piece,
-        piece_before=state.mode.piece,
-        beside=state.mode.beside,
+        **{"piece": state.mode.piece, "piece_before": state.mode.piece, "beside": state.mode.beside},
     )
 
 
@@ -295,16 +293,16 @@ def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Chan
     phase = jnp.where(change.released, Phase.free, phase)
     phase = jnp.where(change.phase, jnp.where(mode.phase == Phase.tip, Phase.tangential, Phase.tip), phase)
     z = z.at[:, 2].set(jnp.where(change.phase, 0.0, z[:, 2]))
-    friction = newly_slipping(mode.friction, change.touches | change.released, side)
-    if friction is not None and target.lean is not None:
-        now = Mode(phase, side, mode.separate, friction=friction)
-        slip = jnp.where(change.slips, jnp.sign(target.lean).astype(int), friction.slip)
-        z, friction = with_slips(problem, z, now, slip)
-        z = jnp.where(change.released[:, None], trial.stance.contact_if_free, z)
     piece = mode.piece
     if piece is not None and target.piece is not None:
         new = change.touches if change.passes is None else change.touches | change.passes
         piece = where_touching(jnp.where(new, target.piece, piece), phase != Phase.free)
+    friction = newly_slipping(mode.friction, change.touches | change.released, side)
+    if friction is not None and target.lean is not None:
+        now = Mode(phase, side, mode.separate, friction=friction, piece=piece)
+        slip = jnp.where(change.slips, jnp.sign(target.lean).astype(int), friction.slip)
+        z, friction = with_slips(problem, z, now, slip)
+        z = jnp.where(change.released[:, None], trial.stance.contact_if_free, z)
     node = _node(state, trial)
     at_first = (target.kind == AT_STOP) & (state.goal == 0)
     return node._replace(

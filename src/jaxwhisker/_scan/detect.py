@@ -18,9 +18,9 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
 from jaxwhisker._equilibrium.clearance import cross, meets_again
-from jaxwhisker._equilibrium.other_objects import meets, passes
 from jaxwhisker._equilibrium.contact import Phase, of_each
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
+from jaxwhisker._equilibrium.other_objects import meets, passes
 from jaxwhisker._equilibrium.point import Mode, Point
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft

@@ -39,6 +39,8 @@ class State(eqx.Module):
 
 
 FRICTION = ("slip", "normal_force", "friction_force")  # fields that are None without friction
+OBJECTS = ("contact_object",)  # fields that are None with a single object
+OPTIONAL = (*FRICTION, *OBJECTS)
 
 
 def state_of(state: State) -> State:

@@ -29,7 +29,7 @@ from jaxwhisker._scan.scan import problem_now
 from jaxwhisker._scan.shapes import shapes_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.springs import holds, on_shafts
-from jaxwhisker._scan.state import FRICTION, State, base_of, state_of
+from jaxwhisker._scan.state import OPTIONAL, State, base_of, state_of
 
 # Lengths are in L of the first whisker.
 LINE_POINTS = 64  # per centre line
@@ -179,7 +179,7 @@ def _rest_state(scene: Scene, control: Scalar) -> State:
         return signals(problem, problem.unloaded(u)[0], u, free)[0]
     at, size = problem.in_scene(u, problem.rest(u)), problem.unit.length
     none = jnp.zeros(scene.support.whiskers)
-    fields = {name: none for name in State.__dataclass_fields__ if name not in FRICTION} | {"phase": none.astype(int)}
+    fields = {name: none for name in State.__dataclass_fields__ if name not in OPTIONAL} | {"phase": none.astype(int)}
     return State(**fields | {"base_x": at.x * size, "base_y": at.y * size, "base_angle": at.angle})
 
 

@@ -18,7 +18,7 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.result import Event, Events, Result
-from jaxwhisker._scan.state import FRICTION, State
+from jaxwhisker._scan.state import OPTIONAL, State
 from jaxwhisker._study.critical import Steepest, softest, steepest
 from jaxwhisker._study.study import study
 from jaxwhisker._study.summary import summary
@@ -122,7 +122,7 @@ class Scans:
         def arrays(names: Iterable[str], prefix: str = "") -> dict:
             return {name: jax.device_put(data[prefix + name].values) for name in names}
 
-        state = [name for name in State.__dataclass_fields__ if name not in FRICTION]
+        state = [name for name in State.__dataclass_fields__ if name not in OPTIONAL]
         before, after = (State(**arrays(state, side)) for side in ("before_", "after_"))
         fields = arrays(("kind", "control", "count"), "event_") | {
             "whiskers": jax.device_put(data.event_whisker.values)
