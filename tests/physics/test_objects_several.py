@@ -14,6 +14,7 @@ from scenes import all_ok, event_list, follicle, in_both_modes
 SAME = 1e-9  # two computations of the same state
 DIFFERENCE, DIFFERENCES = 1e-6, 1e-6  # step and error of central differences
 MODES = 1e-9  # forward against reverse mode, relative to the sum of sizes
+ROUNDING = 1e-12  # of a force that has just begun
 INTEGRATED = 1e-5  # distance of a polyline from an object: its own error, half of the depth at which a scan ends
 SIGNALS = ("fx", "fy", "mz", "contact_force", "contact_x", "contact_y", "contact_arc")
 
@@ -45,6 +46,11 @@ def scanned(name):
     return [jw.scan(scene(profile, support, **fields), ACROSS) for profile in ((one, other), one, other)]
 
 
+def in_order(events):
+    """Events along the scan; those at the same place by name."""
+    return sorted(events, key=lambda event: (-round(event[2], 8), event[0]))
+
+
 @pytest.mark.parametrize("name", APART)
 def test_objects_far_apart_give_the_signals_of_each_alone(name):
     both, *alone = scanned(name)
@@ -55,9 +61,10 @@ def test_objects_far_apart_give_the_signals_of_each_alone(name):
     numbers = sum(k * (np.asarray(result.phase) > 0) for k, result in enumerate(alone, 1))
     np.testing.assert_array_equal(both.contact_object, numbers)
     assert {1, 2} <= set(np.unique(numbers))
-    apart = sorted((event for result in alone for event in event_list(result)), key=lambda event: -event[2])
-    assert [event[:2] for event in event_list(both)] == [event[:2] for event in apart]
-    np.testing.assert_allclose([e[2] for e in event_list(both)], [e[2] for e in apart], atol=SAME)
+    together, *apart = [event_list(result) for result in (both, *alone)]
+    together, apart = in_order(together), in_order(apart[0] + apart[1])
+    assert [event[:2] for event in together] == [event[:2] for event in apart]
+    np.testing.assert_allclose([event[2] for event in together], [event[2] for event in apart], atol=SAME)
 
 
 def test_a_drive_that_turns_between_the_objects_goes_back_past_the_first_one():
@@ -153,9 +160,9 @@ def polylines(result, points=400):
     return np.moveaxis(np.stack(lines), (0, 1), (-2, -1))
 
 
-def clearance(lines, circle):
-    """Distances of lines from a circle, negative inside."""
-    x, y = circle.position, circle.distance + circle.radius
+def clearance(lines, circle, x):
+    """Distances of lines from a circle at x, negative inside."""
+    y = circle.distance + circle.radius
     return np.min(np.hypot(lines[..., 0] - np.asarray(x)[..., None], lines[..., 1] - y), axis=-1) - circle.radius
 
 
@@ -173,11 +180,11 @@ def test_no_whisker_enters_an_object_however_close_they_are():
     ok, on = np.asarray(result.status) == jw.Status.ok, np.asarray(result.contact_object)[..., 0]
     assert set(np.unique(np.asarray(result.status))) <= {jw.Status.ok, jw.Status.second_contact, jw.Status.unsettled}
     lines = polylines(result)
-    for number, circle in ((1, FIRST), (2, at(PLACES[:, None]))):
-        gaps = clearance(lines, circle)
+    for number, circle, x in ((1, FIRST, 0.0), (2, SECOND, PLACES[:, None])):
+        gaps = clearance(lines, circle, x)
         assert np.min(gaps[ok]) > -DEPTH - INTEGRATED
         assert np.max(np.abs(gaps[ok & (on == number)])) < INTEGRATED
-    assert np.min(np.asarray(result.contact_force)[ok]) >= 0
+    assert np.min(np.asarray(result.contact_force)[ok]) > -ROUNDING
     assert np.mean(ok) > 0.5 and np.sum(np.any(on == 1, axis=1) & np.any(on == 2, axis=1) & np.all(ok, axis=1)) > 10
 
 
@@ -186,10 +193,10 @@ def test_no_whisker_passes_an_object_without_touching_it():
     result = swept()
     ok, on = np.asarray(result.status) == jw.Status.ok, np.asarray(result.contact_object)[..., 0]
     lines, found = polylines(result), 0
-    for number, circle in ((1, FIRST), (2, at(PLACES[:, None]))):
+    for number, circle, x0 in ((1, FIRST, 0.0), (2, SECOND, PLACES[:, None])):
         high = lines[..., 1] >= circle.distance
         x = np.take_along_axis(lines[..., 0], np.argmax(high, axis=-1)[..., None], axis=-1)[..., 0]
-        side = np.where(ok & np.any(high, axis=-1), np.sign(x - circle.position), 0)
+        side = np.where(ok & np.any(high, axis=-1), np.sign(x - x0), 0)
         passes = side[:, 1:] * side[:, :-1] < 0
         assert np.all((on[:, 1:] == number)[passes] | (on[:, :-1] == number)[passes])
         found += np.sum(passes)
@@ -200,7 +207,7 @@ def test_a_second_object_met_during_a_contact_ends_the_scan():
     objects, control = (FIRST, jw.Circle(0.12, 0.1, -0.45)), np.linspace(0.6, -0.8, 281)
     result, alone = jw.scan(scene(objects), control), jw.scan(scene(FIRST), control)
     assert scene(objects).detects == ("second_contact",) and scene(FIRST).detects == ()
-    met = np.argmax(clearance(polylines(alone), objects[1]) < -DEPTH)
+    met = np.argmax(clearance(polylines(alone), objects[1], objects[1].position) < -DEPTH)
     found = np.argmax(np.asarray(result.status) != jw.Status.ok)
     assert alone.phase[met] != jw.Phase.free and abs(found - met) <= 1
     assert np.all(np.asarray(result.status)[found:] == jw.Status.second_contact)
