@@ -25,8 +25,8 @@ OBJECTS = {
 SHOWN = {jw.EventKind.edge: ("|", "contact passes the end of an edge"), jw.EventKind.snap_off: ("X", "snap-off")}
 
 
-SEVERAL = jw.Circle(0.3, 0.25), jw.Box(0.4, 0.5, 0.3, position=-1.25), jw.Parabola(0.2, 4.0, position=-2.8)
-STATES = -0.1, -0.6, -1.05, -1.35, -1.9, -2.6, -3.3  # drive positions
+SEVERAL = jw.Circle(0.3, 0.25), jw.Box(0.4, 0.5, 0.3, position=-1.05), jw.Parabola(0.2, 4.0, position=-2.8)
+STATES = -0.1, -0.6, -1.04, -1.09, -1.5, -2.6, -3.3  # drive positions
 
 
 def draw() -> None:
