@@ -67,7 +67,8 @@ def problem_of(scene: Scene) -> Problem:
     none = jnp.zeros_like(length)
 
     def somewhere(one):
-        return (Touch(none + sum(one.ends()) / 2, none, none, none, none > 0),) * 2
+        nowhere = Touch(none + sum(one.ends()) / 2, none, none, none, none > 0)
+        return nowhere, nowhere
 
     right, left = touch.of_objects(common["profile"], somewhere)
     common |= {"flexibility": flexibility, "valid": valid, "touch_right": right, "touch_left": left}

@@ -95,7 +95,7 @@ def slip_by_contact(problem: Problem, z: Contacts, mode: Mode) -> Contacts:
 def contact_parameters(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
     """The profile's parameters at all contacts."""
     own = mode.piece, z, mode.phase, mode.side, mode.friction
-    return jax.vmap(lambda piece, *at: contact.parameter(problem.profile.on(piece), *at))(*own)
+    return jnp.asarray(jax.vmap(lambda piece, *at: contact.parameter(problem.profile.on(piece), *at))(*own))
 
 
 LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is unknown

@@ -11,6 +11,7 @@ coordinates is a method of these two classes.
 """
 
 import abc
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -67,7 +68,8 @@ class Stance(NamedTuple):
         """The stance of each whisker before one of several objects; None if there is only one."""
         if number is None:
             return self
-        right, left = (jax.tree.map(lambda leaf: of_object(leaf, number), touch) for touch in (self.right, self.left))
+        pick = partial(of_object, number=number)
+        right, left = (jax.tree.map(pick, touch) for touch in (self.right, self.left))
         return self._replace(right=right, left=left)
 
     def first(self, side: PerObject) -> Touch:

@@ -1,5 +1,7 @@
 """Several objects in one scene."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -113,7 +115,7 @@ def _pieces(profile: AbstractProfile) -> int:
     return 1 + jax.eval_shape(profile.breaks).shape[0]
 
 
-def as_one(profile):
+def as_one(profile: Any) -> Any:
     """A tuple of profiles as one profile; anything else stays as it is."""
     if not isinstance(profile, tuple) or not all(isinstance(one, AbstractProfile) for one in profile):
         return profile

@@ -170,7 +170,7 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         slips_on=slips_on(problem, state.mode, solution.point.z, tangent.z),
         friction_angle=problem.friction_angle,
         reason=reason,
-        ends=ends_of(problem.profile, state.mode.piece) if problem.profile.has_edges else None,
+        ends=_ends(problem, state.mode),
     )
 
 
@@ -209,13 +209,18 @@ def _direction_of_parabola(
     return direction, twice * (solution.newton.pose - state.pose) + sign * state.tangent_pose
 
 
+def _ends(problem: Problem, mode: Mode) -> tuple[PerWhisker, PerWhisker] | None:
+    """Ends of the pieces on which contacts are; None without edges."""
+    return ends_of(problem.profile, mode.piece) if mode.piece is not None and problem.profile.has_edges else None
+
+
 def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
-    z, edges = point.z, problem.profile.has_edges
-    if edges:
+    z, ends = point.z, _ends(problem, state.mode)
+    if ends is not None:
         # Beyond its piece, the slope of a contact means nothing.
-        z = z.at[:, 1].set(jnp.clip(z[:, 1], *ends_of(problem.profile, state.mode.piece)))
+        z = z.at[:, 1].set(jnp.clip(z[:, 1], *ends))
     ahead = state.before_vertex * slope_sines(problem, z, state.mode)
-    if edges:
+    if ends is not None:
         ahead += LEVEL
     remaining = state.direction * (stop_u - point.u)
     return margins(state.mode, point, at, ahead, remaining, problem.friction_angle, problem.profile)

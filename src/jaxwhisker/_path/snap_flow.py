@@ -257,7 +257,7 @@ def advance(
     now = mode._replace(side=jnp.where(slip.lands, -mode.side, mode.side)).freed(slip.freed, at)
     side, beside, fresh = now.side, now.beside, slip.begins | slip.lands
     among, number = slip.among, None
-    if among is not None:
+    if among is not None and beside is not None:
         # A whisker that hits another object has left its own one.
         fresh, number, beside = fresh | among.hits, among.number, jnp.where(among.hits & among.own, at.side, beside)
         side = jnp.where(slip.begins | among.hits, mode.side_of(number), side)
