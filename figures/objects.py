@@ -1,6 +1,6 @@
-"""Draw the figure of docs/objects.md: python figures/objects.py
+"""Draw the figures of docs/objects.md: python figures/objects.py
 
-Writes docs/objects_edges.png.
+Writes docs/objects_edges.png and docs/objects_several.png.
 """
 
 from pathlib import Path
@@ -25,7 +25,41 @@ OBJECTS = {
 SHOWN = {jw.EventKind.edge: ("|", "contact passes the end of an edge"), jw.EventKind.snap_off: ("X", "snap-off")}
 
 
+SEVERAL = jw.Circle(0.3, 0.25), jw.Box(0.4, 0.5, 0.3, position=-1.05), jw.Parabola(0.2, 4.0, position=-2.8)
+STATES = -0.1, -0.6, -1.04, -1.09, -1.5, -2.6, -3.3  # drive positions
+
+
 def draw() -> None:
+    """Draw all figures."""
+    edges()
+    several()
+
+
+def several() -> None:
+    """Three objects, one after the other: states of a whisker, and the moment at its base, which two whiskers share."""
+    figure, (above, below) = pyplot.subplots(2, 1, figsize=(9, 6.2), height_ratios=(1.2, 1), layout="constrained")
+    result = jw.scan(jw.Scene(jw.Whisker(), SEVERAL, jw.Support.fb(70.0)))
+    jw.plot.shapes(result, STATES, ax=above)
+    above.set_xlim(-4.0, 0.6)
+    if above.get_legend() is not None:
+        above.get_legend().remove()
+    control, mz = np.asarray(result.control), np.asarray(result.mz)[:, 0]
+    for number in range(len(SEVERAL) + 1):
+        on = np.asarray(result.contact_object)[:, 0] == number
+        label = f"contact_object = {number}" + " (free)" * (number == 0)
+        color = "0.6" if number == 0 else COLOURS[number - 1]
+        below.plot(control, np.where(on, mz, np.nan), color=color, linewidth=1.5, label=label)
+    for kind, marker in ((jw.EventKind.snap_off, "X"), (jw.EventKind.snap_through, "P")):
+        events = result.events.of(kind)
+        x, y = [e.control for e in events], [e.before.mz[0] for e in events]
+        below.plot(x, y, color="black", marker=marker, linestyle="none", label=kind.name.replace("_", "-"))
+    below.set_xlim(above.get_xlim())
+    below.set(xlabel="drive position $u / L$", ylabel="$m_z L / EI$")
+    below.legend(fontsize=8)
+    figure.savefig(DOCS / "objects_several.png", dpi=110)
+
+
+def edges() -> None:
     """Each object with some states of a whisker on a spring, and the moment at its base below."""
     figure, axs = pyplot.subplots(2, 3, figsize=(11, 6.4), height_ratios=(1.3, 1), layout="constrained")
     for (name, profile), above, below in zip(OBJECTS.items(), *axs, strict=True):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 import jaxwhisker as jw
 from jaxwhisker._scan.quantities import STATE
-from jaxwhisker._scan.state import FRICTION
+from jaxwhisker._scan.state import OPTIONAL
 
 SI = 0.05, 2.4e-5  # L in m and EI in N m^2: EI/L^2 = 9.6 mN, EI/L = 0.48 mN m
 
@@ -15,7 +15,7 @@ def handmade_scan(length=1.0, stiffness=1.0, *, touching=True, failed=0, count=1
     """A scan of one whisker at two drive positions, with a touch at 0.7 L; the last `failed` steps are lost."""
     force = stiffness / length**2
     ok = jnp.arange(2) < 2 - failed
-    values: dict[str, Any] = {name: jnp.zeros((2, 1)) for name in STATE if name not in FRICTION} | {
+    values: dict[str, Any] = {name: jnp.zeros((2, 1)) for name in STATE if name not in OPTIONAL} | {
         "phase": jnp.full((2, 1), int(touching))
     }
     if touching:

@@ -7,7 +7,7 @@ import numpy as np
 import jaxwhisker as jw
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker.film.flow import flows
-from jaxwhisker.film.frames import DEEPEST, SNAP_FRAMES, Silhouette, between, frames, silhouette_of_scan
+from jaxwhisker.film.frames import DEEPEST, SNAP_FRAMES, Silhouette, between, frames, silhouettes_of_scan
 from pictured import FILM_STEPS
 
 CHORDS = 1e-4  # relative: a polyline of 64 points is shorter than the bent whisker
@@ -75,7 +75,7 @@ def test_a_snap_begins_at_the_state_before_it_and_ends_at_the_one_after_it(soft,
 def test_whiskers_keep_their_length_and_stay_out_of_the_object(soft, film_of_soft):
     shown, _ = film_of_soft
     np.testing.assert_allclose(lengths(shown.lines), 1.0, rtol=CHORDS)
-    parabola = silhouette_of_scan(soft)
+    [parabola] = silhouettes_of_scan(soft)
     for k in np.flatnonzero(shown.snap):
         assert parabola.depth(shown.lines.x[k, 0], shown.lines.y[k, 0]) < DEEPEST
 
@@ -113,7 +113,7 @@ def test_a_line_turns_from_one_to_another_and_keeps_its_length():
     upright = Shapes(jnp.zeros((1, 64)), jnp.asarray(s)[None])
     bent = Shapes(1.0 + (1 - jnp.cos(s))[None], jnp.sin(s)[None])  # a circle of radius one, two long
     far = Silhouette(np.array([-1.0, 1.0]), np.array([9.0, 9.0]))
-    half = between(upright, bent, np.array([2.0]), 0.5, far)
+    half = between(upright, bent, np.array([2.0]), 0.5, [far])
     # Half of the curvature: a circle of radius two that starts half-way between the bases.
     np.testing.assert_allclose(half.x[0], 0.5 + 2 * (1 - np.cos(s / 2)), atol=2e-3)
     np.testing.assert_allclose(half.y[0], 2 * np.sin(s / 2), atol=2e-3)
@@ -127,9 +127,9 @@ def test_a_line_that_would_enter_the_object_is_curled_around_it(stiff):
         for state in (event.before, event.after)
     ]
     nowhere = Silhouette(np.array([-9.0, 9.0]), np.array([9.0, 9.0]))
-    parabola = silhouette_of_scan(stiff)
+    [parabola] = silhouettes_of_scan(stiff)
     before, after = jax.tree.map(np.asarray, ends)
-    both = [between(before, after, np.ones(1), 0.4, outline) for outline in (nowhere, parabola)]
+    both = [between(before, after, np.ones(1), 0.4, [outline]) for outline in (nowhere, parabola)]
     straight, curled = jax.tree.map(np.asarray, both)
     assert parabola.depth(straight.x[0], straight.y[0]) > 10 * DEEPEST
     assert parabola.depth(curled.x[0], curled.y[0]) < DEEPEST

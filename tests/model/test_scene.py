@@ -87,7 +87,10 @@ def test_only_upright_bases_move_along_x_alone(support, motion, along_x):
     ("make", "message"),
     [
         (lambda: jw.Scene(1.0, PARABOLA), "`whisker` must be a Whisker or a tuple of them, got 1.0"),
-        (lambda: jw.Scene(jw.Whisker(), 0.2), "`profile` must be a Parabola, .* or Tilted, got 0.2"),
+        (
+            lambda: jw.Scene(jw.Whisker(), 0.2),
+            "`profile` must be a Parabola, .* or Tilted, or a tuple of these, got 0.2",
+        ),
         (lambda: jw.Scene(jw.Whisker(), PARABOLA, 70.0), "`support` must be a Support, got 70.0"),
         (
             lambda: jw.Scene(jw.Whisker(), PARABOLA, rod="exact"),

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from independent_shaft import _along
+from independent_shaft import along
 
 import jaxwhisker as jw
 from scenes import all_ok
@@ -72,14 +72,14 @@ def test_bases_and_whiskers_are_in_equilibrium():
         state = np.stack([at.base_x[:, k], at.base_y[:, k], np.pi / 2 + at.base_angle[:, k]])
         fx, fy = at.fx[:, k], at.fy[:, k]
         load = np.stack([-fx, -fy, -at.mz[:, k] - state[0] * fy + state[1] * fx])
-        x, y, _ = state = _along(state, load, HEIGHTS[k])
+        x, y, _ = state = along(state, load, HEIGHTS[k])
         right, up = x - CONTROL, y - 0.09 - 0.01 * k
         length = np.hypot(right, up)
         np.testing.assert_allclose(result.spring_length[:, 2 * WHISKERS + k], length, atol=EQUILIBRIUM)
         pull = -30.0 * (length - 0.21 * (k + 1)) / length
         load -= np.stack([pull * right, pull * up, x * pull * up - y * pull * right])
         end = np.where(phase[:, k] == jw.Phase.free, 1.0, at.contact_arc[:, k])
-        x, y, _ = _along(state, load, end - HEIGHTS[k])
+        x, y, _ = along(state, load, end - HEIGHTS[k])
         force, slope = at.contact_force[:, k], at.contact_slope[:, k]
         np.testing.assert_allclose(load[0], force * np.sin(slope), atol=EQUILIBRIUM * size)
         np.testing.assert_allclose(load[1], -force * np.cos(slope), atol=EQUILIBRIUM * size)

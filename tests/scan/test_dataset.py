@@ -11,7 +11,8 @@ import jaxwhisker as jw
 from jaxwhisker._inverse.observations import read_observations
 from jaxwhisker._scan.dataset import VARIABLES, layout_of, omitted_events, points_in_words
 from jaxwhisker._scan.quantities import REACTIONS
-from jaxwhisker._study.layout import needs_friction
+from jaxwhisker._scan.state import OPTIONAL
+from jaxwhisker._study.layout import field_of
 from scenes import model
 
 CONTROL = np.linspace(0.72, -1.62, 118)
@@ -33,7 +34,7 @@ def test_is_that_of_a_study(result):
     assert int(studied.point_status) == jw.Status.ok
     studied = studied.drop_vars("point_status")
     assert set(data.variables) == set(studied.variables)
-    assert {name for name in VARIABLES if not needs_friction(name)} <= set(data.variables)
+    assert {name for name in VARIABLES if field_of(name) not in OPTIONAL} <= set(data.variables)
     assert data.sizes == studied.sizes
     for name, one in studied.variables.items():
         other = data[name]

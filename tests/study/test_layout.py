@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from jaxwhisker._scan.dataset import SceneLayout
+from jaxwhisker._scan.state import OPTIONAL
 from jaxwhisker._study.layout import Layout, chosen, kind_of_axis, variables_of
 from jaxwhisker._study.parameters import Parameters
 from jaxwhisker._study.summary import SUMMARY
 
-SCENE = SceneLayout("a scene", 2, ("0-1", "1-2"), "angle of the drive", "angle", 1, False, True, {})
+SCENE = SceneLayout("a scene", 2, ("0-1", "1-2"), "angle of the drive", "angle", 1, OPTIONAL, True, {})
 
 
 def layout(variables):

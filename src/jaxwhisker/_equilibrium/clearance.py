@@ -36,8 +36,8 @@ def meets_again(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
     beyond = [_least(line, *_gap(line, at)) < -DEPTH for line in lines]
     wanted = [jnp.append(cells, False) | jnp.append(False, cells) for cells in beyond]
     x, y = (jnp.concatenate([getattr(line, name) for line in lines]) for name in ("x", "y"))
-    nearest = _nearest(profile, own.parameter, x, y, jnp.concatenate(wanted))
-    at, found = jax.vmap(profile.point)(nearest), jnp.asarray(False)
+    feet = nearest(profile, own.parameter, x, y, jnp.concatenate(wanted))
+    at, found = jax.vmap(profile.point)(feet), jnp.asarray(False)
     for k, line in enumerate(lines):
         part = slice(lines[0].x.size) if k == 0 else slice(lines[0].x.size, None)
         gap, slope = _gap(line, jax.tree.map(lambda leaf, part=part: leaf[part], at))
@@ -73,7 +73,7 @@ def _least(line: Line, gap: Along, slope: Along) -> Float[Array, " cells"]:
     return least
 
 
-def _nearest(
+def nearest(
     profile: AbstractProfile, parameter: Scalar, x: Along, y: Along, wanted: Bool[Array, " points"]
 ) -> Float[Array, " points"]:
     """Parameters of the nearest points on the profile of those points that are wanted.

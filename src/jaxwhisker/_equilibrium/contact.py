@@ -188,7 +188,7 @@ def contact_of(
 ) -> tuple[ContactPoint, Float[Array, ""] | None, Float[Array, ""]]:
     """The contact point, the lean of the force, and the angle of the whisker to the normal of the force there."""
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
-    p = parameter(body.profile, z, phase, side, friction)
+    p = parameter(body.profile.on(body.piece), z, phase, side, friction)
     if body.sprung is not None:
         p = jnp.where(phase == Phase.free, body.sprung.nowhere, p)
     leans = lean(z[1], friction, body.friction_angle)

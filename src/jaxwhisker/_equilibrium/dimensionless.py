@@ -65,8 +65,13 @@ def problem_of(scene: Scene) -> Problem:
     if curved:
         valid &= _touches_once(common["profile"], outline, height, angle)
     none = jnp.zeros_like(length)
-    somewhere = Touch(none + sum(common["profile"].ends()) / 2, none, none, none, none > 0)
-    common |= {"flexibility": flexibility, "valid": valid, "touch_right": somewhere, "touch_left": somewhere}
+
+    def somewhere(one):
+        nowhere = Touch(none + sum(one.ends()) / 2, none, none, none, none > 0)
+        return nowhere, nowhere
+
+    right, left = touch.of_objects(common["profile"], somewhere)
+    common |= {"flexibility": flexibility, "valid": valid, "touch_right": right, "touch_left": left}
     problem = InPlane(**common, mount=mount, outline=outline)
     springs = attached(scene.support, section, unit)
     if springs is not None and hold is not None:
@@ -93,13 +98,15 @@ def _turned(angle: Scalar, stiffness: Float[Array, "3"]) -> Float[Array, "3 3"]:
 def _detectable(scene: Scene) -> tuple[str, ...]:
     """What a scene is to detect, without what cannot happen.
 
-    Without friction, a uniform straight whisker stays on the outer side of the object's tangent at its contact, which a
-    convex object does not cross. Let theta be the angle from the tangent to the whisker, theta1 its value at the
-    contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >= sin theta1 >= 0 along the shaft.
+    Without friction, and before a single object, a uniform straight whisker stays on the outer side of the object's
+    tangent at its contact, which a convex object does not cross. Let theta be the angle from the tangent to the
+    whisker, theta1 its value at the contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >=
+    sin theta1 >= 0 along the shaft.
     """
     possible = {
         "second_contact": scene.friction is not None
         or scene.support.on_shafts
+        or len(scene.profile.objects) > 1
         or not all(whisker.uniform for whisker in scene.whiskers),
         "crossing": len(scene.whiskers) > 1,
     }
@@ -108,20 +115,29 @@ def _detectable(scene: Scene) -> tuple[str, ...]:
 
 def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> tuple[Touch, Touch]:
     """First touches of straight whiskers that stand upright at height 0, from the right and from the left."""
-    right, left = (jax.vmap(lambda h, s=s: touch.first_touch_upright(profile, h, s))(length) for s in (1.0, -1.0))
-    return right, left
+
+    def touches(one):
+        right, left = (jax.vmap(lambda h, s=s: touch.first_touch_upright(one, h, s))(length) for s in (1.0, -1.0))
+        return right, left
+
+    return touch.of_objects(profile, touches)
 
 
 def _first_touches(
     profile: AbstractProfile, length: PerWhisker, outline: Outline, height: PerWhisker, angle: PerWhisker
 ) -> tuple[Touch, Touch]:
     """First touches of whiskers with these outlines, from the right and from the left."""
-    return jax.vmap(lambda *own: touch.first_touches(profile, *own))(length, outline, height, angle)
+
+    def touches(one):
+        return jax.vmap(lambda *own: touch.first_touches(one, *own))(length, outline, height, angle)
+
+    return touch.of_objects(profile, touches)
 
 
 def _touches_once(profile: AbstractProfile, outline: Outline, height: PerWhisker, angle: PerWhisker) -> Bool[Array, ""]:
     """Whether each unloaded whisker touches the object in one place only."""
-    return ~jnp.any(jax.vmap(lambda *own: touch.in_two_places(profile, *own))(outline, height, angle))
+    twice = (jax.vmap(lambda *own, one=one: touch.in_two_places(one, *own)) for one in profile.objects)
+    return ~jnp.any(jnp.stack([of_each(outline, height, angle) for of_each in twice]))
 
 
 def outlines(

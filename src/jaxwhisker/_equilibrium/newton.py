@@ -47,8 +47,8 @@ def with_dummy_contacts(
     """
     if problem.attached is not None:
         return z, phase
-    touch = jax.lax.stop_gradient(problem.touch_right.parameter)
-    dummy = jnp.stack([jnp.ones_like(touch), jnp.where(jnp.isfinite(touch), touch, 0.0), -jnp.ones_like(touch)], axis=1)
+    nowhere = problem.nowhere
+    dummy = jnp.stack([jnp.ones_like(nowhere), nowhere, -jnp.ones_like(nowhere)], axis=1)
     free = phase == Phase.free
     return jnp.where(free[:, None], dummy, z), jnp.where(free, Phase.tip, phase)
 
@@ -71,7 +71,7 @@ def slope_sines(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
     """sin(alpha) of the object at every contact; free whiskers must have dummy contacts."""
 
     def slope(piece, *at):
-        return problem.profile.point_on(piece, contact.parameter(problem.profile, *at)).sin
+        return problem.profile.point_on(piece, contact.parameter(problem.profile.on(piece), *at)).sin
 
     return jax.vmap(slope)(mode.piece, z, mode.phase, mode.side, mode.friction)
 
@@ -88,7 +88,7 @@ def load_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]
 
 def slip_by_contact(problem: Problem, z: Contacts, mode: Mode) -> Contacts:
     """Derivatives of the distances slipped along the object, positive towards +x, of contacts that slip."""
-    speeds = jax.vmap(lambda p: speed(problem.profile, p))(z[:, 1])
+    speeds = jax.vmap(lambda piece, p: speed(problem.profile.on(piece), p))(mode.piece, z[:, 1])
     return _widened(jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(mode.side, mode.phase)], axis=1), z)
 
 
@@ -96,6 +96,12 @@ def _widened(array: Float[Array, "whiskers 3 *more"], like: Contacts) -> Float[A
     """The array with zeros for the loads of springs between two shafts."""
     loads = like.shape[1] - 3
     return jnp.pad(array, [(0, 0), (0, loads)] + [(0, 0)] * (array.ndim - 2)) if loads else array
+
+
+def contact_parameters(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
+    """The profile's parameters at all contacts."""
+    own = mode.piece, z, mode.phase, mode.side, mode.friction
+    return jnp.asarray(jax.vmap(lambda piece, *at: contact.parameter(problem.profile.on(piece), *at))(*own))
 
 
 LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is unknown
@@ -111,7 +117,7 @@ def with_slips(problem: Problem, z: Contacts, mode: Mode, slip: Int[Array, " whi
     """The same contacts, which from here on slip in these directions or stick (0)."""
     assert mode.friction is not None and problem.friction_angle is not None
     old, limit = mode.friction, problem.friction_angle
-    at = jax.vmap(partial(contact.parameter, problem.profile))(z, mode.phase, mode.side, old)
+    at = contact_parameters(problem, z, mode)
     begins = (slip == 0) & (old.slip != 0)
     friction = Friction(
         slip,

@@ -1,6 +1,6 @@
 """Contacts on the pieces of a profile: how far a contact is from the ends of its piece, and the piece it passes to.
 
-Profiles without edges have one piece. Their contacts have the piece None, and nothing is computed.
+A profile without edges has one piece. With a single such object, contacts have the piece None, and nothing is computed.
 """
 
 from collections.abc import Callable
@@ -24,14 +24,15 @@ CELL_STEPS = 3  # of Newton's method for the height of a corner, from linear int
 def ends_of(
     profile: AbstractProfile, piece: Int[Array, "*batch"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """Parameters at which these pieces begin and end; infinite for the outer ends of the first and the last piece."""
-    far = jnp.full(1, jnp.inf)
-    breaks = jnp.concatenate([-far, profile.breaks(), far])
-    return breaks[piece], breaks[piece + 1]
+    """Parameters at which these pieces begin and end; infinite for the outer ends of an object."""
+    return profile.ends_on(piece)
 
 
 def break_between(profile: AbstractProfile, before: Pieces, after: Pieces) -> Float[Array, " whiskers"]:
     """Parameters at which neighbouring pieces meet."""
+    if len(profile.objects) > 1:
+        start, _ = ends_of(profile, jnp.maximum(before, after))
+        return jnp.where(jnp.isfinite(start), start, 0.0)  # where they are no neighbours
     breaks = profile.breaks()
     return breaks[jnp.clip(jnp.maximum(before, after) - 1, 0, breaks.size - 1)]
 

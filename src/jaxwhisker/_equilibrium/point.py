@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.problem import Contacts, PerWhisker
+from jaxwhisker._equilibrium.problem import Contacts, PerObject, PerWhisker, Stance, of_object
 
 
 class Point(NamedTuple):
@@ -26,6 +26,25 @@ class Mode(NamedTuple):
     held: Float[Array, "whiskers 2"] | None = None  # with `separate`: given y and angle of bases; None in `AlongX`
     friction: Friction | None = None
     piece: Int[Array, " whiskers"] | None = None  # of the profile at each contact, 0 if free; None without edges
+    # The side of each of several objects on which a whisker stands or, while it touches another one, has stood last.
+    beside: Float[Array, "objects whiskers"] | None = None
+
+    @property
+    def standing(self) -> PerObject:
+        """The sides on which free whiskers stand: of the object, or of each of several."""
+        return self.side if self.beside is None else self.beside
+
+    def now_standing(self, standing: PerObject) -> "Mode":
+        """The mode with these sides."""
+        return self._replace(side=standing) if self.beside is None else self._replace(beside=standing)
+
+    def freed(self, which: Bool[Array, " whiskers"], at: Stance) -> "Mode":
+        """The mode after the contacts of these whiskers have ended."""
+        return self.now_standing(jnp.where(which, at.side, self.standing))
+
+    def side_of(self, number: Int[Array, " whiskers"] | None) -> PerWhisker:
+        """The side on which a free whisker stands of one of several objects; None if there is only one."""
+        return self.side if self.beside is None or number is None else of_object(self.beside, number)
 
 
 class Row(NamedTuple):

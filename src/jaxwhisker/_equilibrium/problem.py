@@ -11,12 +11,13 @@ coordinates is a method of these two classes.
 """
 
 import abc
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
@@ -34,6 +35,7 @@ from jaxwhisker._rod.rod import Section
 
 PerWhisker = Float[Array, " whiskers"]
 Contacts = Float[Array, "*batch whiskers numbers"]  # three numbers, and loads (see contact.py and couplings.py)
+PerObject = Float[Array, "*objects whiskers"]  # of each object, if there are several, and each whisker
 Poses = Float[Array, "whiskers axes"]
 
 
@@ -48,8 +50,16 @@ class ScenePose(NamedTuple):
     angle: PerWhisker
 
 
+def of_object(values: Shaped[Array, "objects whiskers"], number: Int[Array, " whiskers"]) -> Shaped[Array, " whiskers"]:
+    """Each whisker's value for one of the objects."""
+    return jnp.take_along_axis(values, number[None], axis=0)[0]
+
+
 class Stance(NamedTuple):
-    """Positions of bases in the scene, and the first touches of their unloaded whiskers if the bases moved along x."""
+    """Positions of bases in the scene, and the first touches of their unloaded whiskers if the bases moved along x.
+
+    With several objects, touches and what follows from them have the leading axis of the objects.
+    """
 
     x: PerWhisker
     right: Touch  # in an approach from the right
@@ -57,7 +67,15 @@ class Stance(NamedTuple):
     free: Contacts | None = None  # their contacts if they are free (contact.py); None if unbent
     loads: Float[Array, "whiskers loads"] | None = None  # the last part of their contacts; None without couplings
 
-    def first(self, side: PerWhisker) -> Touch:
+    def of(self, number: Int[Array, " whiskers"] | None) -> "Stance":
+        """The stance of each whisker before one of several objects; None if there is only one."""
+        if number is None:
+            return self
+        pick = partial(of_object, number=number)
+        right, left = (jax.tree.map(pick, touch) for touch in (self.right, self.left))
+        return self._replace(right=right, left=left)
+
+    def first(self, side: PerObject) -> Touch:
         """First touches of whiskers that approach from these sides (+1 right, -1 left)."""
         return jax.tree.map(lambda right, left: jnp.where(side > 0, right, left), self.right, self.left)
 
@@ -67,12 +85,12 @@ class Stance(NamedTuple):
         return 0.0 if self.free is None else self.free
 
     @property
-    def clear(self) -> Bool[Array, " whiskers"]:
+    def clear(self) -> Bool[Array, "*objects whiskers"]:
         """Whether unloaded whiskers stand clear of the object."""
         return ~self.right.reaches | (self.x > self.right.x) | (self.x < self.left.x)
 
     @property
-    def side(self) -> PerWhisker:
+    def side(self) -> PerObject:
         """The side of the object on which a whisker stands, or the nearer side: +1 right, -1 left."""
         return jnp.where(self.x - self.right.x >= self.left.x - self.x, 1.0, -1.0)
 
@@ -98,7 +116,9 @@ class Problem(eqx.Module):
     rod: AbstractRod
     motion: AbstractMotion
     flexibility: Flexibility | None
-    touch_right: Touch  # first touches of unloaded whiskers from the right, with the drive at control 0
+    # First touches of unloaded whiskers from the right and from the left, with the drive at control 0; of each object
+    # if there are several.
+    touch_right: Touch
     touch_left: Touch
     valid: Bool[Array, ""]
     unit: Units
@@ -141,11 +161,11 @@ class Problem(eqx.Module):
         """Change of the coordinates of bases that move a distance along the scene's x axis."""
 
     @abc.abstractmethod
-    def touch_rate(self, side: PerWhisker, pose_rate: Poses) -> PerWhisker:
+    def touch_rate(self, side: PerObject, pose_rate: Poses) -> PerObject:
         """Rate at which free whiskers recede from their first touch, or zero if it is not known."""
 
     @abc.abstractmethod
-    def updated_side(self, free: Bool[Array, " whiskers"], side: PerWhisker, at: Stance) -> PerWhisker:
+    def updated_side(self, free: Bool[Array, " whiskers"], side: PerObject, at: Stance) -> PerObject:
         """Sides of whiskers; free ones may have passed below the object, out of its reach."""
 
     @abc.abstractmethod
@@ -183,6 +203,13 @@ class Problem(eqx.Module):
         """Sides that decide the direction of the whiskers' branches; for free whiskers, it is that of the right."""
         del phase
         return side
+
+    @property
+    def nowhere(self) -> PerWhisker:
+        """Any parameter of the profile's first piece, for free whiskers."""
+        touch = jax.lax.stop_gradient(self.touch_right.parameter)
+        touch = touch[0] if len(self.profile.objects) > 1 else touch
+        return jnp.where(jnp.isfinite(touch), touch, 0.0)
 
     def unloaded(self, u: Scalar) -> tuple[Contacts, Poses]:
         """Contacts (see contact.py) and base coordinates of whiskers before any contact."""
@@ -286,7 +313,7 @@ class InPlane(Problem):
         return frame_and_rate(self.drive, self.mount, u)
 
     def bodies(self, u, z, piece=None):
-        if self.attached is not None and piece is None and self.profile.has_edges:
+        if self.attached is not None and piece is None and self.profile.has_pieces:
             piece = jnp.zeros(self.length.shape, int)  # free whiskers may have any
         bodies = super().bodies(u, z, piece)
         if self.attached is None:
@@ -295,14 +322,12 @@ class InPlane(Problem):
         def drive(u):
             return jax.tree.map(lambda part: jnp.full_like(self.length, part), mounted(self.drive(u), NOWHERE))
 
-        nowhere = jax.lax.stop_gradient(self.touch_right.parameter)
-        nowhere = jnp.where(jnp.isfinite(nowhere), nowhere, 0.0)
         frame, rate = jax.jvp(drive, (u,), (jnp.ones_like(u),))
         held_by, laws, couplings, incidence = self.attached.held_by, self.attached.laws, self.attached.couplings, None
         if couplings is not None:
             incidence = incidence_of(couplings, held_by)
             held_by = held_by._replace(given=given_by(couplings, z, held_by))
-        sprung = Sprung(held_by, frame, rate, self.attached.held, self.offset, nowhere, incidence)
+        sprung = Sprung(held_by, frame, rate, self.attached.held, self.offset, self.nowhere, incidence)
         return bodies._replace(sprung=sprung, laws=laws)
 
     def solved(self, phase):
@@ -344,11 +369,11 @@ class InPlane(Problem):
                 loads = z[:, 3:]
                 free = jnp.concatenate([free, loads], axis=1)
 
-        def both(length, outline, y, angle):
-            return touch.first_touches(self.profile, length, outline, y, angle)
+        def both(profile):
+            each = jax.vmap(lambda *own: touch.first_touches(profile, *own))
+            return each(self.length, outline, at.y, at.angle)
 
-        right, left = jax.vmap(both)(self.length, outline, at.y, at.angle)
-        return Stance(at.x, right, left, free, loads)
+        return Stance(at.x, *touch.of_objects(self.profile, both), free, loads)
 
     def stances(self, *at):
         # As one batch, the search for a touch is compiled only once.
@@ -360,8 +385,8 @@ class InPlane(Problem):
         return distance[:, None] * jnp.stack([frame.cos, -frame.sin, jnp.zeros_like(frame.cos)], axis=1)
 
     def touch_rate(self, side, pose_rate):
-        del side
-        return jnp.zeros_like(pose_rate[:, 0])
+        del pose_rate
+        return jnp.zeros_like(side)
 
     def updated_side(self, free, side, at):
         return jnp.where(free & ~at.right.reaches & ~at.left.reaches, at.side, side)

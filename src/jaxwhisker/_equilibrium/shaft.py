@@ -48,7 +48,7 @@ def shaft(
     """The shaft of a whisker with the contact z, which is the dummy contact, without force, of a free whisker."""
     if body.sprung is not None:
         return _sprung_shaft(body, body.sprung, z, phase, side, friction)
-    p = contact.parameter(body.profile, z, phase, side, friction)
+    p = contact.parameter(body.profile.on(body.piece), z, phase, side, friction)
     at, leans = body.profile.point_on(body.piece, p), lean(z[1], friction, body.friction_angle)
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0) + (0.0 if leans is None else side * leans)
     start = (jnp.zeros_like(angle), jnp.zeros_like(angle), jnp.cos(angle), jnp.sin(angle))
@@ -91,7 +91,7 @@ def _sprung_shaft(
     beyond = rod.points(start, arc - body.length, nothing, material, count=CELLS_BEYOND + 1, from_base=arc)
     to_base = Line(*walked.passed, jnp.diff(jnp.maximum(places.springs.at, 0.0)))
     to_tip = Line(*beyond, jnp.full(CELLS_BEYOND, (body.length - arc) / CELLS_BEYOND))
-    p = contact.parameter(body.profile, z, phase, side, friction)
+    p = contact.parameter(body.profile.on(body.piece), z, phase, side, friction)
     p = jnp.where(phase == Phase.free, sprung.nowhere, p)
     return Shaft(to_base, to_tip, p, contact.base(body, z, phase, side, friction))
 

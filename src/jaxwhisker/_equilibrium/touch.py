@@ -1,5 +1,6 @@
 """First touch: where an unloaded whisker that approaches from one side meets the object."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -8,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.pieces import ends_of, first_corner
+from jaxwhisker._model.objects import Objects
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch, bisect
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
@@ -21,7 +23,10 @@ SAME_PLACE = 1e-9  # dimensionless: points of a whisker this close to the first 
 
 
 class Touch(NamedTuple):
-    """A contact that is about to begin if the base moves along x; fields are (whiskers,) for several whiskers."""
+    """A contact that is about to begin if the base moves along x.
+
+    Fields are (whiskers,) for several whiskers, and (objects, whiskers) with several objects.
+    """
 
     parameter: Float[Array, "*batch"]  # of the profile
     x: Float[Array, "*batch"]  # position of the base
@@ -29,6 +34,22 @@ class Touch(NamedTuple):
     side: Float[Array, "*batch"]  # the side it approaches from or, if it leans past vertical, will bend to
     reaches: Bool[Array, "*batch"]  # whether it is high enough to meet the object; if not, x only tells the nearer side
     piece: Int[Array, "*batch"] | None = None  # of the profile; None without edges
+
+
+Touches = tuple[Touch, Touch]  # from the right and from the left
+
+
+def of_objects(profile: AbstractProfile, touches: Callable[[AbstractProfile], Touches]) -> Touches:
+    """First touches of all whiskers with an object or, if there are several, with each; (objects, whiskers)."""
+    if not isinstance(profile, Objects):
+        return touches(profile)
+    each = []
+    for one, first in zip(profile.objects, profile.first_pieces(), strict=True):
+        own = touches(one)
+        pieces = (jnp.zeros_like(touch.parameter, int) if touch.piece is None else touch.piece for touch in own)
+        each.append(tuple(touch._replace(piece=first + piece) for touch, piece in zip(own, pieces, strict=True)))
+    right, left = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    return right, left
 
 
 class Outline(NamedTuple):

@@ -10,6 +10,7 @@ import textwrap
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -53,9 +54,11 @@ def picture_of(scene: Scene) -> Picture:
 
 @Program
 def _around(scene: Scene, control: Float[jax.Array, " steps"]) -> tuple[Pose, Float[jax.Array, "points 2"]]:
-    """The drive at all steps, and the outline of the object."""
-    outline = silhouette(scene.profile, scene.whiskers[0].length, points=OUTLINE_POINTS)
-    return jax.vmap(scene.motion.pose)(control), outline
+    """The drive at all steps, and the outlines of all objects, between which are NaN."""
+    outlines = []
+    for one in scene.profile.objects:
+        outlines += [silhouette(one, scene.whiskers[0].length, points=OUTLINE_POINTS), jnp.full((1, 2), jnp.nan)]
+    return jax.vmap(scene.motion.pose)(control), jnp.concatenate(outlines[:-1])
 
 
 def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") -> bytes:
@@ -103,7 +106,8 @@ def _arrays(picture: Picture, units: UnitSystem) -> dict[str, Any]:
         if getattr(result, name) is not None
     }
     arrays |= {"drive_x": drive.x / length, "drive_y": drive.y / length, "drive_angle": drive.angle}
-    outline = outline[np.isfinite(outline).all(axis=1)]
+    if len(result.scene.profile.objects) == 1:
+        outline = outline[np.isfinite(outline).all(axis=1)]
     coarse = {"line_x": lines.x, "line_y": lines.y, "outline_x": outline[:, 0], "outline_y": outline[:, 1]}
     return arrays | {name: (values / length).astype(np.float32) for name, values in coarse.items()}
 

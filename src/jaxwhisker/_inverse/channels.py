@@ -17,7 +17,7 @@ from jaxwhisker._path.path import Status
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.springs import bases_of, spring_lengths
-from jaxwhisker._scan.state import FRICTION, State
+from jaxwhisker._scan.state import FRICTION, OBJECTS, State
 
 EXAMPLE_STEPS = 2  # with which a function is tried before it is compiled
 
@@ -106,6 +106,7 @@ def _example(scene: Scene) -> State:
     fields |= dict.fromkeys(FRICTION) if scene.friction is None else {"slip": zero.astype(int)}
     loads = scene.support.shaft_loads
     fields["shaft_loads"] = (zero,) * loads if loads else None
+    fields |= dict.fromkeys(OBJECTS, None if len(scene.profile.objects) == 1 else zero.astype(int))
     return State(**fields)
 
 

@@ -40,7 +40,7 @@ def check_held(sensor: Sensor, base: Any) -> None:
     for k, own in enumerate(alone(sensor)):
         support = own.support
         held = [axis for axis in support.axes if not support.along(axis)]
-        places = [0.0 if spring.at is None else spring.at for spring in support.attached]
+        places = [at for spring in support.attached for _, at in spring.ends]
         below = [at for at in places if checks.is_traced(at) or float(at) <= 0]
         if base is None and len(held) > len(below):
             raise ValueError(

@@ -40,7 +40,7 @@ class Cut(AbstractProfile):
 
     def __check_init__(self):
         checks.instance("profile", self.profile, AbstractProfile, "a smooth profile such as Parabola or Graph")
-        if self.profile.has_edges:
+        if self.profile.has_edges or len(self.profile.objects) > 1:
             checks.fail("profile", "a smooth profile such as Parabola or Graph", str(self.profile))
         ends = {name: value for name in ("left", "right") if (value := getattr(self, name)) is not None}
         if not ends:

@@ -74,6 +74,25 @@ class AbstractProfile(eqx.Module):
         """Whether the profile consists of pieces."""
         return False
 
+    @property
+    def objects(self) -> tuple["AbstractProfile", ...]:
+        """The separate objects."""
+        return (self,)
+
+    @property
+    def has_pieces(self) -> bool:
+        """Whether a contact needs to know its piece."""
+        return self.has_edges
+
+    def object_of(self, piece: Int[Array, "*batch"] | None) -> Int[Array, "*batch"] | None:
+        """The object with this piece, an index into `objects`; None if there is only one."""
+        del piece
+
+    def on(self, piece: Int[Array, ""] | None) -> "AbstractProfile":
+        """The curve `point(parameter)` of the object with this piece."""
+        del piece
+        return self
+
     def breaks(self) -> Float[Array, " breaks"]:
         """Parameters at which one piece ends and the next one begins; none without edges."""
         return jnp.zeros(0)
@@ -82,6 +101,12 @@ class AbstractProfile(eqx.Module):
         """Point and slope at a parameter of a piece, which is continued smoothly beyond its ends."""
         assert piece is None
         return self.point(parameter)
+
+    def ends_on(self, piece: Int[Array, "*batch"]) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Parameters at which pieces begin and end; infinite for the outer ends of an object's first and last piece."""
+        far = jnp.full(1, jnp.inf)
+        breaks = jnp.concatenate([-far, self.breaks(), far])
+        return breaks[piece], breaks[piece + 1]
 
     def piece_at(self, parameter: Scalar) -> Int[Array, ""] | None:
         """The piece with this parameter; None without edges."""
@@ -116,6 +141,11 @@ class AbstractProfile(eqx.Module):
         """Whether the profile curves away from the whisker at this parameter."""
         del parameter
         return jnp.asarray(True)
+
+    def convex_on(self, piece: Int[Array, ""] | None, parameter: Scalar) -> Bool[Array, ""]:
+        """Whether the profile curves away from the whisker at this parameter of a piece."""
+        del piece
+        return self.convex(parameter)
 
     @abc.abstractmethod
     def _positive(self) -> list[Scalar]:

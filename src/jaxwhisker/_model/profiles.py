@@ -289,6 +289,8 @@ class Tilted(AbstractProfile):
 
     def __check_init__(self):
         checks.instance("profile", self.profile, AbstractProfile, "a profile such as Parabola or Graph")
+        if len(self.profile.objects) > 1:
+            checks.fail("profile", "a single object", str(self.profile))
         checks.acute_angle("angle", self.angle)
         checks.pair("about", self.about)
 

@@ -26,6 +26,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, name_of, text_unless
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.motion import AbstractMotion, Translation
+from jaxwhisker._model.objects import as_one
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -49,16 +50,16 @@ class Scene(eqx.Module):
 
     Args:
         whisker: one Whisker for all bases, or a tuple with one per base.
-        profile: the object.
+        profile: the object, or a tuple of objects, which may be of different kinds.
         support: springs between the drive and the bases. Default: clamped.
         rod: how rods are computed: `Shooting()`, or `ClosedForm()`, which is faster and exact to rounding but limited
             to uniform straight whiskers.
         motion: motion of the drive: Translation(), Rotation(), or a user-defined Motion.
         friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
         detect: contacts that are not modelled, at which a scan ends with the status of this name: "second_contact" (a
-            whisker meets the object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
-            tuple of these; () detects nothing. Default: "second_contact" with friction, edges, or springs on shafts,
-            otherwise nothing.
+            whisker meets an object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
+            tuple of these; () detects nothing. Default: "second_contact" with friction, edges, several objects, or
+            springs on shafts, otherwise nothing.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
@@ -70,7 +71,7 @@ class Scene(eqx.Module):
     """
 
     whisker: Whisker | tuple[Whisker, ...]
-    profile: AbstractProfile
+    profile: AbstractProfile = eqx.field(converter=as_one)
     support: Support = Support()
     rod: AbstractRod = Shooting()
     motion: AbstractMotion = Translation()
@@ -78,7 +79,7 @@ class Scene(eqx.Module):
     detect: str | tuple[str, ...] | None = eqx.field(static=True, default=None, converter=_as_names)
 
     def __check_init__(self):
-        allowed = "a Parabola, Circle, Ellipse, Graph, Contour, Polygon, Box, Cut or Tilted"
+        allowed = "a Parabola, Circle, Ellipse, Graph, Contour, Polygon, Box, Cut or Tilted, or a tuple of these"
         checks.instance("profile", self.profile, AbstractProfile, allowed)
         _check_sensor(self.whisker, self.support, self.motion, self.friction)
         if self.friction is not None and self.profile.has_edges:
@@ -116,8 +117,9 @@ class Scene(eqx.Module):
     def detects(self) -> tuple[str, ...]:
         """The contacts that are not modelled, at which a scan ends."""
         # A whisker that sticks to the object may be wound around it, a curved one may touch two corners, and springs on
-        # the shaft may bend one so far that it meets the object from above.
-        possible = self.friction is not None or self.profile.has_edges or self.support.on_shafts
+        # the shaft may bend one so far that it meets the object from above. It may also meet another object.
+        several = len(self.profile.objects) > 1
+        possible = self.friction is not None or self.profile.has_edges or several or self.support.on_shafts
         default = ("second_contact",) if possible else ()
         return default if self.detect is None else tuple(self.detect)
 

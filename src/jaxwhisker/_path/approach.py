@@ -101,7 +101,7 @@ class FromAfar(AbstractApproach):
         return jnp.inf
 
     def is_over(self, mode, at):
-        beyond = (mode.phase == Phase.free) & (mode.side * self.onwards > 0)
+        beyond = (mode.phase == Phase.free) & (mode.standing * self.onwards > 0)
         return jnp.all(beyond & jnp.where(self.onwards < 0, at.x < at.left.x, at.x > at.right.x))
 
     def limits(self):

@@ -17,7 +17,18 @@ from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
 from jaxwhisker._path.march_state import Lead, MarchState, Task, Trial, slips_on
-from jaxwhisker._path.path import MARGIN_NOISE, NO_EVENT, STOP, EventKind, Node, Status, first_case, is_snap, select
+from jaxwhisker._path.path import (
+    MARGIN_NOISE,
+    NO_EVENT,
+    STOP,
+    EventKind,
+    Node,
+    Status,
+    each_touch,
+    first_case,
+    is_snap,
+    select,
+)
 
 ARRIVAL_MISS = 0.1  # the equilibrium at which a flow ends is nearer than this
 SLIP_NOISE = 1e-9  # rate of slip, per length of the path, that rounding may cause
@@ -65,7 +76,8 @@ def after_arrive(
     # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
     there = trial.there
     ends = [there.low, there.high] if there.low.size else []
-    wrong = jnp.any(jnp.concatenate([there.touch, there.release, there.phase, there.slip, *ends]) < -MARGIN_NOISE)
+    touches = each_touch(there.touch)
+    wrong = jnp.any(jnp.concatenate([*touches, there.release, there.phase, there.slip, *ends]) < -MARGIN_NOISE)
     early = after_snap & (wrong | falls | ~near)
     flowing = state._replace(
         task=jnp.asarray(int(Task.flow)),
@@ -193,6 +205,6 @@ def to_snap(state: MarchState) -> MarchState:
             **({} if state.tries is None else {"stop": state.goal, "corner": jnp.asarray(True)}),
         ),
         task=jnp.asarray(int(Task.kick)),
-        flow=snap_flow.start(state.mode, state.pose, state.point.z),
+        flow=snap_flow.start(state.mode, state.pose, state.point.z, state.flow.way is not None),
         unstable_at=jnp.asarray(jnp.inf),
     )

@@ -49,10 +49,10 @@ from jaxwhisker._path.transitions import after_advance, after_event, after_flow
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
 
-def _target_row(state: MarchState, stop_u: Scalar) -> Row:
+def _target_row(state: MarchState, stop_u: Scalar, edges: bool) -> Row:
     kind, lean = state.target.kind, None
     if state.target.lean is not None:
-        lean = kind == SLIP if state.target.piece is None else (kind == LOW) | (kind == HIGH)
+        lean = (kind == LOW) | (kind == HIGH) if edges else kind == SLIP
     return at_event(
         state.target.whisker,
         state.point.z,
@@ -85,7 +85,8 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
         # A contact that sticks from its first touch is solved for where its force first has a direction.
         starts = is_light(state.mode, guess.z) & (state.task == Task.arrive)
         fixed = select(jnp.any(starts), at_force(starts, guess.z), fixed)
-    row = select(state.task == Task.advance, onwards, select(at_target, _target_row(state, stop_u), fixed))
+    to_target = _target_row(state, stop_u, problem.profile.has_edges)
+    row = select(state.task == Task.advance, onwards, select(at_target, to_target, fixed))
     # A touch begins a contact and is solved for as a contact.
     target = state.target
     begins = target.whisker & at_target & (target.kind == TOUCH)
@@ -118,16 +119,20 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
     u = approach_of(problem).start(stops[0])
     z, pose = problem.unloaded(u)
     side, none = approach_of(problem).unloaded(u).side, jnp.zeros(n)
+    beside = number = None
+    if len(problem.profile.objects) > 1:
+        beside, side, number = side, side[0], jnp.zeros(n, int)
+    edges = problem.profile.has_edges
     friction = None if problem.friction_angle is None else slipping_from(side)
-    piece = jnp.zeros(n, int) if problem.profile.has_edges else None
-    mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False), friction=friction, piece=piece)
+    piece = jnp.zeros(n, int) if problem.profile.has_pieces else None
+    mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False), friction=friction, piece=piece, beside=beside)
     point = Point(z, u)
     still = Point(jnp.zeros_like(z), jnp.asarray(float(onwards)))
     pending = Node(
         point, z, still, still, mode.phase, mode.side, -jnp.abs(u - stops[0]), jnp.asarray(NO_EVENT),
         jnp.zeros(n, bool), mode.phase, mode.side, friction, friction,
         *([] if friction is None else [jnp.asarray(0), jnp.asarray(False)]),
-        piece=piece, piece_before=piece,
+        piece=piece, piece_before=piece, beside=beside,
     )  # fmt: skip
     zero = jnp.asarray(0.0)
     return MarchState(
@@ -148,8 +153,9 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
             z,
             mode.phase,
             mode.side,
-            None if friction is None and piece is None else none,
+            none if edges or friction is not None else None,
             piece,
+            number,
         ),
         lead=Lead(still.z, jnp.zeros_like(pose), still.u),
         before_vertex=none + 1.0,
@@ -157,7 +163,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         direction=still.u,
         travel=pending.travel,
         pending=pending,
-        flow=snap_flow.start(mode, pose, z),
+        flow=snap_flow.start(mode, pose, z, edges),
         count=jnp.asarray(0),
         status=jnp.asarray(int(Status.ok)),
         tries=None if friction is None else jnp.asarray(0),

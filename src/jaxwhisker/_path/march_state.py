@@ -14,7 +14,7 @@ from jaxwhisker._equilibrium.contact import Phase, beyond
 from jaxwhisker._equilibrium.newton import Solution, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import (
@@ -22,10 +22,12 @@ from jaxwhisker._path.path import (
     HIGH,
     LOW,
     MARGIN_NOISE,
+    RELEASE,
     TOUCH,
     Margins,
     Node,
     Status,
+    each_touch,
     margin_rates,
     margins,
     select,
@@ -56,6 +58,7 @@ class Target(NamedTuple):
     # without friction and edges.
     lean: PerWhisker | None = None
     piece: Int[Array, " whiskers"] | None = None  # of first contacts, and onto which contacts pass; None without edges
+    number: Int[Array, " whiskers"] | None = None  # of the object that is touched; None if there is only one
 
 
 class Lead(NamedTuple):
@@ -118,7 +121,7 @@ class Trial(NamedTuple):
     here: Margins  # at the start of the step
     there: Margins  # at its end
     stance: Stance  # at its end
-    side: PerWhisker  # at its end
+    standing: PerObject  # sides on which free whiskers stand at its end
     slips_on: PerWhisker | None = None  # rate of slip in the direction of slip; infinite for contacts that stick
     friction_angle: Scalar | None = None
     ends: tuple[PerWhisker, PerWhisker] | None = None  # of the pieces before; None without edges
@@ -147,12 +150,14 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
     here, there = problem.stances((before.u, state.pose, before.z), (after.u, pose, after.z))
     arriving = _direction_of_parabola(state, solution, free, there)
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
-    convex = jax.vmap(problem.profile.convex)(solution.point.z[:, 1])
+    convex = jax.vmap(problem.profile.convex_on)(state.mode.piece, solution.point.z[:, 1])
     sound, reason = _soundness(problem, convex | free, solution.point.z, state.mode.phase)
     margins_there = _margins_at(problem, state, solution.point, there, stop_u)
     # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
-    touching = touches & state.target.whisker
-    margins_there = margins_there._replace(touch=jnp.where(touching, jnp.inf, margins_there.touch))
+    touching = touched = touches & state.target.whisker
+    if state.target.number is not None:
+        touched &= jnp.arange(len(problem.profile.objects))[:, None] == state.target.number
+    margins_there = margins_there._replace(touch=jnp.where(touched, jnp.inf, margins_there.touch))
     return Trial(
         solution,
         tangent,
@@ -162,11 +167,11 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         here=_margins_at(problem, state, state.point, here, stop_u),
         there=margins_there,
         stance=there,
-        side=problem.updated_side(free, state.mode.side, there),
+        standing=problem.updated_side(free, state.mode.standing, there),
         slips_on=slips_on(problem, state.mode, solution.point.z, tangent.z),
         friction_angle=problem.friction_angle,
         reason=reason,
-        ends=None if state.mode.piece is None else ends_of(problem.profile, state.mode.piece),
+        ends=_ends(problem, state.mode),
     )
 
 
@@ -205,25 +210,30 @@ def _direction_of_parabola(
     return direction, twice * (solution.newton.pose - state.pose) + sign * state.tangent_pose
 
 
+def _ends(problem: Problem, mode: Mode) -> tuple[PerWhisker, PerWhisker] | None:
+    """Ends of the pieces on which contacts are; None without edges."""
+    return ends_of(problem.profile, mode.piece) if mode.piece is not None and problem.profile.has_edges else None
+
+
 def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
-    z = point.z
-    if state.mode.piece is not None:
+    z, ends = point.z, _ends(problem, state.mode)
+    if ends is not None:
         # Beyond its piece, the slope of a contact means nothing.
-        z = z.at[:, 1].set(jnp.clip(z[:, 1], *ends_of(problem.profile, state.mode.piece)))
+        z = z.at[:, 1].set(jnp.clip(z[:, 1], *ends))
     ahead = state.before_vertex * slope_sines(problem, z, state.mode)
-    if state.mode.piece is not None:
+    if ends is not None:
         ahead += LEVEL
     remaining = state.direction * (stop_u - point.u)
     return margins(state.mode, point, at, ahead, remaining, problem.friction_angle, problem.profile)
 
 
 def _flat(margins: Margins) -> Float[Array, " margins"]:
-    return jnp.concatenate([margin for margin in margins if margin.size])
+    return jnp.concatenate([*each_touch(margins.touch), *(margin for margin in margins[RELEASE:] if margin.size)])
 
 
 def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
     """Whether an event lies within a step of this length, and the first such event."""
-    n = trial.here.touch.shape[0]
+    n = trial.here.release.size
     now, then = _flat(trial.here), _flat(trial.there)
     violated = then < -MARGIN_NOISE
     # A whisker that was out of reach may touch anywhere within the step.
@@ -234,20 +244,28 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
         ended = jnp.tile(trial.there.release < -MARGIN_NOISE, 2)
         share = share.at[-ended.size :].set(jnp.where(ended, jnp.inf, share[-ended.size :]))
     first = jnp.argmin(share)
-    contact, phase, side = snap_flow.touching(trial.stance, state.mode.side)
+    number = None
+    if state.mode.beside is not None:
+        number = jnp.full(n, jnp.minimum(first // n, len(state.mode.beside) - 1))
+    stance, side = trial.stance.of(number), state.mode.side_of(number)
+    piece = state.mode.piece
+    touched = None if piece is None else stance.first(side).piece
+    contact, phase, side = snap_flow.touching(stance, side)
     kinds = np.repeat(np.arange(len(trial.here)), [margin.size for margin in trial.here])
-    whiskers = np.concatenate([np.eye(n, dtype=bool)[: m.size] & (k != AT_STOP) for k, m in enumerate(trial.here)])
+    # Margins of touches run over all objects, and over all whiskers for each.
+    each = [np.tile(np.eye(n, dtype=bool), (1 + m.size // n, 1))[: m.size] for m in trial.here]
+    whiskers = np.concatenate([of & (k != AT_STOP) for k, of in enumerate(each)])
     lean = None
     if trial.friction_angle is not None:
         lean = jnp.sign(trial.solution.point.z[:, 1]) * trial.friction_angle
-    piece = None
     kind, whisker = jnp.asarray(kinds)[first], jnp.asarray(whiskers)[first]
-    if trial.ends is not None and state.mode.piece is not None:
+    if trial.ends is not None and piece is not None:
         low, high = trial.ends
         # The outer ends are infinite.
         lean = jnp.where(whisker & (kind == LOW), low, jnp.where(whisker & (kind == HIGH), high, 0.0))
-        touched = trial.stance.first(state.mode.side).piece
-        piece = select(kind == TOUCH, touched, state.mode.piece + jnp.where(kind == LOW, -1, 1))
+        piece += jnp.where(kind == LOW, -1, 1)
+    if piece is not None:
+        piece = select(kind == TOUCH, touched, piece)
     return jnp.any(violated), Target(
         kind,
         whisker,
@@ -257,6 +275,7 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
         side,
         lean,
         piece,
+        number,
     )
 
 

@@ -18,7 +18,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance
 from jaxwhisker._model.profile import AbstractProfile
 
 
@@ -79,19 +79,21 @@ class Node(NamedTuple):
     corner: Bool[Array, ""] | None = None  # whether contacts stick or slip at the node before; None without friction
     piece: Int[Array, " whiskers"] | None = None  # of the profile at each contact, from here on; None without edges
     piece_before: Int[Array, " whiskers"] | None = None
+    beside: Float[Array, "objects whiskers"] | None = None  # see Mode; from here on
 
     @property
     def mode(self) -> Mode:
         """The mode from here on."""
         separate = jnp.zeros_like(self.kind, bool)
-        return Mode(self.phase, self.side, separate, friction=self.friction, piece=self.piece)
+        now = self.phase, self.side, separate
+        return Mode(*now, friction=self.friction, piece=self.piece, beside=self.beside)
 
     @property
     def mode_before(self) -> Mode:
         """The mode before."""
         separate = jnp.zeros_like(self.kind, bool)
         before = self.phase_before, self.side_before, separate
-        return Mode(*before, friction=self.friction_before, piece=self.piece_before)
+        return Mode(*before, friction=self.friction_before, piece=self.piece_before, beside=self.beside)
 
 
 def is_snap(kind: Int[Array, "*nodes"]) -> Bool[Array, "*nodes"]:
@@ -128,7 +130,7 @@ NOTHING = np.zeros(0)
 class Margins(NamedTuple):
     """Distance of each whisker from each kind of event; an event occurs where its margin becomes negative."""
 
-    touch: PerWhisker
+    touch: PerObject
     release: PerWhisker
     phase: PerWhisker  # tip <-> tangential
     vertex: PerWhisker
@@ -137,6 +139,11 @@ class Margins(NamedTuple):
     # Distances of the parameter from both ends of its piece; empty without edges.
     low: Float[Array, " touching"] | np.ndarray = NOTHING
     high: Float[Array, " touching"] | np.ndarray = NOTHING
+
+
+def each_touch(margins: PerObject) -> list[PerWhisker]:
+    """Margins of touches: of the whiskers, or of the whiskers for each of several objects."""
+    return [margins] if margins.ndim == 1 else list(margins)
 
 
 TOUCH, RELEASE, PHASE, VERTEX, AT_STOP, SLIP, LOW, HIGH = range(len(Margins._fields))  # indices into Margins
@@ -165,14 +172,14 @@ def margins(
     """
     free = mode.phase == Phase.free
     force, lean, slack = point.z[:, :3].T
-    first = at.first(mode.side)
+    first = at.first(mode.standing)
     far = jnp.inf
     low = high = NOTHING
-    if mode.piece is not None and profile is not None:
+    if mode.piece is not None and profile is not None and profile.has_edges:
         start, end = ends_of(profile, mode.piece)
         low, high = (jnp.where(free, far, margin) for margin in (lean - start, end - lean))
     return Margins(
-        touch=jnp.where(free & first.reaches, mode.side * (at.x - first.x), far),
+        touch=jnp.where(free & first.reaches, mode.standing * (at.x - first.x), far),
         release=jnp.where(free, far, force),
         phase=jnp.where(free, far, jnp.where(mode.phase == Phase.tip, -slack, slack)),
         vertex=jnp.where(free, far, ahead),
@@ -186,9 +193,9 @@ def margins(
 def margin_rates(problem: Problem, mode: Mode, point: Point, direction: Point, pose_rate: Poses) -> Margins:
     """Derivatives of the margins along the path; zero for vertex and stop, which are passed only once."""
     free, lean = mode.phase == Phase.free, point.z[:, 1]
-    moves = NOTHING if mode.piece is None else jnp.where(free, 0.0, direction.z[:, 1])
+    moves = jnp.where(free, 0.0, direction.z[:, 1]) if problem.profile.has_edges else NOTHING
     return Margins(
-        touch=jnp.where(free, problem.touch_rate(mode.side, pose_rate), 0.0),
+        touch=jnp.where(free, problem.touch_rate(mode.standing, pose_rate), 0.0),
         release=jnp.where(free, 0.0, direction.z[:, 0]),
         phase=jnp.where(free, 0.0, jnp.where(mode.phase == Phase.tip, -1.0, 1.0) * direction.z[:, 2]),
         vertex=jnp.zeros_like(mode.side),

@@ -3,11 +3,12 @@
 Base i moves with the velocity load_i - [K (pose - rest)]_i. Its whisker stays on its clamped branch until it passes a
 fold of that branch; then it slips:
 
-1. If its unloaded shape clears the object, it is free.
+1. If its unloaded shape clears all objects, it is free.
 2. Otherwise it slides on along its branch until it is stable again at the same base position, as beneath the edge of a
    flat object.
 3. If the bending moment at its base or its contact force vanishes before that, it lands on the far side, bent the other
    way.
+4. If it clears its object, but another one is in its way as it straightens, it lands on that one, bent the same way.
 
 With the flexibility C = K^-1, one implicit step of pseudo-time dt is
 
@@ -19,7 +20,6 @@ dt is shorter. Treating it explicitly throughout would be too slow: just below a
 millionth of the distance per step.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -28,12 +28,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase, parameter
+from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import newly_slipping
-from jaxwhisker._equilibrium.newton import Condensed, Solution, slip_by_contact, with_slips
+from jaxwhisker._equilibrium.newton import Condensed, Solution, contact_parameters, slip_by_contact, with_slips
 from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance, of_object
 from jaxwhisker._equilibrium.stability import (
     Slopes,
     clamped_is_stable,
@@ -68,7 +68,7 @@ class Flow(NamedTuple):
     time_step: Scalar
     slipped: Bool[Array, " whiskers"]  # since the flow began
     sliding: Bool[Array, " whiskers"]  # past a fold of its branch
-    landing: Bool[Array, " whiskers"]  # on the far side
+    landing: Bool[Array, " whiskers"]  # on the far side, or on another object
     landing_x: PerWhisker  # base position at which sliding or landing ends
     near: Scalar  # distance from the equilibrium at which Newton's method takes over
     iterations: Int[Array, ""]
@@ -77,8 +77,8 @@ class Flow(NamedTuple):
     clamped: Bool[Array, ""] | None = None  # whether coupled shafts are stable with clamped bases; None without
 
 
-def start(mode: Mode, pose: Poses, z: Contacts) -> Flow:
-    """The state of a flow that is about to begin."""
+def start(mode: Mode, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
+    """The state of a flow that is about to begin; `edges` tells whether the object has any."""
     (n, axes), numbers = pose.shape, z.shape[1]
     coupled = numbers > 3
     no, none = jnp.zeros(n, bool), jnp.zeros(n)
@@ -99,7 +99,7 @@ def start(mode: Mode, pose: Poses, z: Contacts) -> Flow:
         near=jnp.asarray(NEAR),
         iterations=jnp.asarray(0),
         exhausted=jnp.asarray(False),
-        way=None if mode.piece is None else none + 1.0,
+        way=none + 1.0 if edges else None,
         clamped=jnp.asarray(False) if coupled else None,
     )
 
@@ -179,12 +179,22 @@ class _Slip(NamedTuple):
     begins: Bool[Array, " whiskers"]  # a free whisker touches
     lands: Bool[Array, " whiskers"]  # on the far side
     holds: Bool[Array, " whiskers"]  # on the stable part of its branch
+    among: "_Among | None" = None  # None with a single object
+
+
+class _Among(NamedTuple):
+    """Whiskers among several objects."""
+
+    hits: Bool[Array, " whiskers"]  # passes a fold and lands on another object
+    stuck: Bool[Array, " whiskers"]  # comes free inside or beyond another object: unknown how
+    number: Int[Array, " whiskers"]  # the object on which its next contact begins
+    own: Bool[Array, "objects whiskers"]  # the object that it touches
 
 
 def _slip(
     problem: Problem, flow: Flow, mode: Mode, z: Contacts, u: Scalar, pose: Poses, at: Stance, condensed: Condensed
 ) -> _Slip:
-    """Apply the snap rule, points 1 to 3 above."""
+    """Apply the snap rule above."""
     free, by_x = mode.phase == Phase.free, condensed.by_x
     slipping, holds = flow.sliding | flow.landing, on_stable_branch(problem, mode, by_x)
     if condensed.coupled is not None:
@@ -193,18 +203,39 @@ def _slip(
     force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
     ends = ~free & ~slipping & (z[:, 0] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
-    at_contact = jax.vmap(partial(parameter, problem.profile))(z, mode.phase, mode.side, mode.friction)
-    contact = jax.vmap(problem.profile.point)(at_contact)
+    contact = jax.vmap(problem.profile.point_on)(mode.piece, contact_parameters(problem, z, mode))
     base = problem.in_scene(u, pose)
     unbent = mode.side * ((contact.x - base.x) * contact.cos + (contact.y - base.y) * contact.sin) <= 0
+    lands = flow.sliding & (unbent | (z[:, 0] < 0))
+    if mode.beside is not None:
+        return _slip_among_objects(problem, mode, mode.beside, at, _Slip(slips, slips, ends, free, lands, holds))
     near = at.first(mode.side)
     return _Slip(
         slips=slips,
         slides=slips & ~at.clear,
         freed=ends | (slips & at.clear),
         begins=free & near.reaches & (mode.side * (at.x - near.x) < 0),
-        lands=flow.sliding & (unbent | (z[:, 0] < 0)),
+        lands=lands,
         holds=holds,
+    )
+
+
+def _slip_among_objects(problem: Problem, mode: Mode, beside: PerObject, at: Stance, alone: _Slip) -> _Slip:
+    """Apply the snap rule to whiskers that may slip, come free or touch, if all objects let them."""
+    near = at.first(beside)
+    gap = jnp.where(near.reaches, beside * (at.x - near.x), jnp.inf)
+    own = jnp.arange(len(beside))[:, None] == problem.profile.object_of(mode.piece)
+    others = ~own | (mode.phase == Phase.free)
+    in_way, number = jnp.any(others & (gap < 0), axis=0), jnp.argmin(jnp.where(others, gap, jnp.inf), axis=0)
+    clears = alone.slips & jnp.any(own & at.clear, axis=0)
+    # It moves towards the side to which it is bent.
+    hits = clears & in_way & (of_object(beside, number) == mode.side)
+    leaves = alone.freed | clears
+    return alone._replace(
+        slides=alone.slips & ~clears,
+        freed=leaves & ~in_way,
+        begins=alone.begins & in_way,
+        among=_Among(hits, leaves & in_way & ~hits, jnp.where(alone.lands, jnp.argmax(own, axis=0), number), own),
     )
 
 
@@ -218,8 +249,8 @@ def advance(
     newton, z, u = solution.newton, solution.point.z, solution.point.u
     free = mode.phase == Phase.free
     pose = jnp.where(problem.solved(mode.phase)[:, None], newton.pose, flow.pose)
-    piece = mode.piece
-    if piece is not None:
+    piece, edges = mode.piece, problem.profile.has_edges
+    if piece is not None and edges:
         # The first point on a new piece is solved for from its end, and may lie a little beyond it.
         piece, z = after_step(problem.profile, piece, previous, z, ~free & _branch_known(flow))
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
@@ -228,20 +259,26 @@ def advance(
         directions = _slips(problem, mode, previous, z)
         turned |= (directions != friction.slip) & ~free
         stuck, friction = with_slips(problem, z, mode, directions)
-    if piece is not None:
+    if piece is not None and edges:
         turned |= piece != mode.piece
     by_x = newton.condensed.by_x
     slip = _slip(problem, flow, mode, z, u, pose, at, newton.condensed)
 
     if friction is not None:
         z = stuck
-    side = jnp.where(slip.freed, at.side, jnp.where(slip.lands, -mode.side, mode.side))
+    now = mode._replace(side=jnp.where(slip.lands, -mode.side, mode.side)).freed(slip.freed, at)
+    side, beside, fresh = now.side, now.beside, slip.begins | slip.lands
+    among, number = slip.among, None
+    if among is not None and beside is not None:
+        # A whisker that hits another object has left its own one.
+        fresh, number, beside = fresh | among.hits, among.number, jnp.where(among.hits & among.own, at.side, beside)
+        side = jnp.where(slip.begins | among.hits, mode.side_of(number), side)
+    before = at.of(number)
     z, phase = jnp.where(slip.freed[:, None], at.contact_if_free, z), jnp.where(slip.freed, Phase.free, phase)
-    fresh = slip.begins | slip.lands
-    touched, touched_phase, touched_side = touching(at, side)
+    touched, touched_phase, touched_side = touching(before, side)
     z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, touched_phase, phase)
     if piece is not None:
-        touched_piece = at.first(side).piece
+        touched_piece = before.first(side).piece
         assert touched_piece is not None
         piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
     way = flow.way
@@ -249,15 +286,20 @@ def advance(
         # A tip that slips over a corner at once goes back along its branch, which begins at the corner.
         moved = jnp.sum(newton.condensed.basis[:, :, 0] * (z - previous) / scale_of(z) ** 2, axis=-1)
         way = jnp.where(slip.slides & (flow.iterations == 0) & (moved < 0), -1.0, way)
-    landing_x = jnp.where(slip.slides, pose[:, 0], flow.landing_x)
-    first = at.first(side)
+    landing_x = jnp.where(slip.slides if among is None else slip.slides | among.hits, pose[:, 0], flow.landing_x)
+    first = before.first(side)
     pose = pose + jnp.where(fresh[:, None], problem.shift(u, first.x - at.x), 0.0)
     side = jnp.where(fresh, touched_side, side)
     friction = newly_slipping(friction, fresh | slip.freed, side)
     astray = jnp.abs(landing_x - pose[:, 0]) > LANDED * jnp.minimum(jnp.abs(by_x), 1.0)
 
+    gap, landing = jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf), slip.lands
     iterations = flow.iterations + 1
     missed = jnp.any(flow.landing & ~slip.holds & ~fresh & (z[:, 0] > 0))
+    if among is not None and beside is not None:
+        nearest = at.first(beside)
+        gap = jnp.min(jnp.where(nearest.reaches, jnp.abs(at.x - nearest.x), jnp.inf), axis=0)
+        landing, missed = landing | among.hits, missed | jnp.any(among.stuck)
     no_branch = (fresh | slip.freed)[:, None]
     flow = flow._replace(
         pose=pose,
@@ -266,10 +308,10 @@ def advance(
         pose_by=jnp.where(no_branch[:, :, None], jnp.eye(pose.shape[1]), newton.condensed.pose_by),
         slope=_known_slopes(load_slopes(problem, mode, newton.condensed), no_branch),
         load=jnp.where(no_branch, 0.0, newton.load),
-        gap=jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf),
+        gap=gap,
         slipped=flow.slipped | slip.slips,
         sliding=((flow.sliding & (astray | ~slip.holds)) | slip.slides) & ~slip.lands,
-        landing=(flow.landing & astray) | slip.lands,
+        landing=(flow.landing & astray) | landing,
         landing_x=landing_x,
         way=way,
         iterations=iterations,
@@ -279,7 +321,7 @@ def advance(
         time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
         clamped=None if flow.clamped is None else jnp.all(slip.holds),
     )
-    return flow, Mode(phase, side, jnp.asarray(False), friction=friction, piece=piece), z
+    return flow, Mode(phase, side, jnp.asarray(False), friction=friction, piece=piece, beside=beside), z
 
 
 def _known_slopes(slopes: Slopes, unknown: Bool[Array, "whiskers 1"]) -> Slopes:

@@ -17,7 +17,7 @@ from jaxwhisker._equilibrium.friction import newly_slipping
 from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, slope_sines, with_slips
 from jaxwhisker._equilibrium.pieces import where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
+from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, of_object
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.leaving import SLIP_NOISE, to_snap, with_changed_slips
@@ -88,14 +88,13 @@ def _node(state: MarchState, trial: Trial) -> Node:
         state.mode.friction,
         state.mode.friction,
         *(() if state.mode.friction is None else (state.goal, jnp.asarray(False))),
-        piece=state.mode.piece,
-        piece_before=state.mode.piece,
+        **{"piece": state.mode.piece, "piece_before": state.mode.piece, "beside": state.mode.beside},
     )
 
 
 def _moved(state: MarchState, trial: Trial, node: Node) -> MarchState:
     return state._replace(
-        mode=state.mode._replace(side=trial.side),
+        mode=state.mode.now_standing(trial.standing),
         point=trial.solution.point,
         pose=trial.solution.newton.pose,
         tangent=trial.tangent,
@@ -236,7 +235,7 @@ class _Change(NamedTuple):
 def after_event(problem: Problem, state: MarchState, trial: Trial):
     """Handle the point where a margin vanishes: change to the mode that holds from here on."""
     solution, target = trial.solution, state.target
-    passes = None if target.piece is None else target.whisker & ((target.kind == LOW) | (target.kind == HIGH))
+    passes = None if trial.ends is None else target.whisker & ((target.kind == LOW) | (target.kind == HIGH))
     happens = (target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE, SLIP))
     change = _Change(*happens, passes=passes)
     before = state.point.z if trial.stance.free is None else trial.stance.free
@@ -279,7 +278,8 @@ def _reached(problem: Problem, state: MarchState, trial: Trial, z_before: Contac
     # If the margin grows, the path comes back from beyond the event, and the event itself lies earlier on the path.
     n = state.mode.phase.shape[0]
     rates = margin_rates(problem, state.mode, trial.solution.point, trial.tangent, trial.tangent_pose)
-    rows = [*rates[:AT_STOP], np.zeros(n), *([rates.slip] if rates.slip.size else [])]
+    touch = rates.touch if state.target.number is None else of_object(rates.touch, state.target.number)
+    rows = [touch, *rates[RELEASE:AT_STOP], np.zeros(n), *([rates.slip] if rates.slip.size else [])]
     rows += [np.zeros(n), rates.low, rates.high] if rates.low.size else []
     growing = jnp.stack(rows)[state.target.kind]
     return good & (jnp.sum(state.target.whisker * growing) < MARGIN_NOISE), distance
@@ -288,21 +288,22 @@ def _reached(problem: Problem, state: MarchState, trial: Trial, z_before: Contac
 def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Change, z_before: Contacts) -> Node:
     """The node of an event, in the mode that holds from here on."""
     solution, target, mode = trial.solution, state.target, state.mode
-    phase = jnp.where(change.touches, target.phase, mode.phase)
-    side = jnp.where(change.touches, target.side, jnp.where(change.released, trial.stance.side, mode.side))
+    phase, mode = jnp.where(change.touches, target.phase, mode.phase), mode.freed(change.released, trial.stance)
+    side = jnp.where(change.touches, target.side, mode.side)
     z = jnp.where(change.released[:, None], trial.stance.contact_if_free, solution.point.z)
     phase = jnp.where(change.released, Phase.free, phase)
     phase = jnp.where(change.phase, jnp.where(mode.phase == Phase.tip, Phase.tangential, Phase.tip), phase)
     z = z.at[:, 2].set(jnp.where(change.phase, 0.0, z[:, 2]))
+    piece = mode.piece
+    if piece is not None and target.piece is not None:
+        new = change.touches if change.passes is None else change.touches | change.passes
+        piece = where_touching(jnp.where(new, target.piece, piece), phase != Phase.free)
     friction = newly_slipping(mode.friction, change.touches | change.released, side)
     if friction is not None and target.lean is not None:
-        now = Mode(phase, side, mode.separate, friction=friction)
+        now = Mode(phase, side, mode.separate, friction=friction, piece=piece)
         slip = jnp.where(change.slips, jnp.sign(target.lean).astype(int), friction.slip)
         z, friction = with_slips(problem, z, now, slip)
         z = jnp.where(change.released[:, None], trial.stance.contact_if_free, z)
-    piece = mode.piece
-    if change.passes is not None and piece is not None and target.piece is not None:
-        piece = where_touching(jnp.where(change.touches | change.passes, target.piece, piece), phase != Phase.free)
     node = _node(state, trial)
     at_first = (target.kind == AT_STOP) & (state.goal == 0)
     return node._replace(
@@ -312,6 +313,7 @@ def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Chan
         side=side,
         friction=friction,
         piece=piece,
+        beside=mode.beside,
         travel=jnp.where(at_first, 0.0, node.travel),
         kind=_event_kind(target, mode.phase),
         whiskers=target.whisker,
@@ -378,6 +380,7 @@ def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, tr
         side=mode.side,
         friction=mode.friction,
         piece=mode.piece,
+        beside=mode.beside,
         travel=state.travel,
         kind=kind,
         whiskers=flow.slipped,

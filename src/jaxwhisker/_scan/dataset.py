@@ -25,6 +25,7 @@ from jaxwhisker._scan.quantities import (
     is_dimensionless,
     unit_in_words,
 )
+from jaxwhisker._scan.state import FRICTION, OBJECTS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -62,7 +63,7 @@ class SceneLayout(NamedTuple):
     control_name: str
     control_kind: str  # of quantities.KINDS
     onwards: int  # +1 if the control grows during a scan, else -1
-    friction: bool
+    absent: tuple[str, ...]  # fields of a state that the scene does not have
     dimensionless: bool  # the first whisker's length and bending stiffness are 1
     sizes: dict[str, float]  # typical force and length, unless dimensionless; empty if unknown
 
@@ -75,8 +76,9 @@ class SceneLayout(NamedTuple):
             found["positive_means"] = quantity.sign
         if name == "spring_length" and any(" phi" in spring for spring in self.springs):
             found["comment"] = "torsion springs (`between` ends in phi) have an angle instead, in rad"
-        if quantity.dtype == "int8":
-            words, missing = FLAGS[name.removeprefix("before_").removeprefix("after_").removeprefix("point_")]
+        plain = name.removeprefix("before_").removeprefix("after_").removeprefix("point_")
+        if plain in FLAGS:
+            words, missing = FLAGS[plain]
             flags = ({-1: missing} if missing else {}) | {int(w): w.name for w in words}
             found |= {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
         return found
@@ -113,12 +115,12 @@ def layout_of(scene: Scene) -> SceneLayout:
     """The layout of a scene, traced or not."""
     springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in scene.support.springs)
     control = control_name(scene), control_kind(scene), scene.motion.onwards
-    friction = scene.friction is not None
+    absent = FRICTION * (scene.friction is None) + OBJECTS * (len(scene.profile.objects) == 1)
     dimensionless, sizes = is_dimensionless(scene), {}
     if not dimensionless and not is_traced(scene.whiskers[0]):
         natural = natural_units(scene)
         sizes = {"force": float(natural.force), "length": float(natural.length)}
-    return SceneLayout(str(scene), scene.support.whiskers, springs, *control, friction, dimensionless, sizes)
+    return SceneLayout(str(scene), scene.support.whiskers, springs, *control, absent, dimensionless, sizes)
 
 
 def in_shown_units(data: Any, attributes: Mapping[str, Any]) -> Any:

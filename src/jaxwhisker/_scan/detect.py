@@ -20,6 +20,7 @@ from jaxwhisker._equilibrium import contact, newton
 from jaxwhisker._equilibrium.clearance import cross, meets_again
 from jaxwhisker._equilibrium.contact import Phase, of_each
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
+from jaxwhisker._equilibrium.other_objects import meets, passes
 from jaxwhisker._equilibrium.point import Mode, Point
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
@@ -70,9 +71,27 @@ def _status(problem: Problem, point: Point, mode: Mode) -> Int[Array, ""]:
     if "crossing" in problem.detect:
         status = jnp.where(_any_cross(problem, point, shafts), Status.crossing, status)
     if "second_contact" in problem.detect:
-        again = jax.vmap(lambda own: meets_again(problem.profile, own))(shafts)
+        again = _meets_again(problem, mode, shafts)
         status = jnp.where(jnp.any(again & (mode.phase != Phase.free)), Status.second_contact, status)
     return status
+
+
+def _meets_again(problem: Problem, mode: Mode, shafts: Shaft) -> Bool[Array, " whiskers"]:
+    """Whether touching whiskers meet their object in a second place, or another object."""
+    number = problem.profile.object_of(mode.piece)
+    if number is None or mode.beside is None:
+        return jax.vmap(lambda own: meets_again(problem.profile, own))(shafts)
+    found = jnp.zeros_like(number, bool)
+    for k, one in enumerate(problem.profile.objects):
+        # The parameter of another object's contact may mean nothing on this one.
+        own, lowest = number == k, jnp.asarray(one.lowest(), dtype=float)
+        touching = shafts._replace(parameter=jnp.where(own, shafts.parameter, lowest))
+        again, other, side = (
+            jax.vmap(partial(function, one))(at)
+            for function, at in ((meets_again, touching), (meets, shafts), (passes, shafts))
+        )
+        found |= jnp.where(own, again, other | (side * mode.beside[k] < 0))
+    return found
 
 
 def _any_cross(problem: Problem, point: Point, shafts: Shaft) -> Bool[Array, ""]:
@@ -103,7 +122,9 @@ def _search(problem: Problem, path: Path) -> _Found:
         nodes = path.nodes
         friction = jax.tree.map(lambda leaf: leaf[index], nodes.friction)
         piece = None if nodes.piece is None else nodes.piece[index]
-        mode = Mode(nodes.phase[index], nodes.side[index], jnp.asarray(False), friction=friction, piece=piece)
+        beside = None if nodes.beside is None else nodes.beside[index]
+        now = nodes.phase[index], nodes.side[index], jnp.asarray(False)
+        mode = Mode(*now, friction=friction, piece=piece, beside=beside)
         return _status(problem, interpolate(path, index, u), mode)
 
     def searching(found: _Found) -> Bool[Array, ""]:

@@ -30,8 +30,9 @@ def to_dataframe(result: Result) -> "pd.DataFrame":
 
     Columns: control; fx_1, fy_1, mz_1, base_x_1, base_y_1, base_angle_1, contact_force_1, contact_slope_1,
     contact_arc_1, contact_x_1, contact_y_1 and the same for further whiskers; spring_1, ...; phase_1, ... (0 free,
-    1 tip, 2 tangential); status (0 ok); with friction, also slip_1, ..., normal_force_1, ..., friction_force_1, ...
-    `identify` and `reconstruct` read such tables. Failed steps are NaN.
+    1 tip, 2 tangential); status (0 ok); with friction, also slip_1, ..., normal_force_1, ..., friction_force_1, ...;
+    with several objects, also contact_object_1, ... Failed steps are NaN. `identify` and `reconstruct` read such
+    tables.
 
     Args:
         result: the Result of a scan.

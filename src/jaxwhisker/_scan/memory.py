@@ -5,7 +5,6 @@ its slip came to rest. That event may itself depend on earlier ones. The march s
 get their derivatives, from event to event.
 """
 
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -17,6 +16,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.implicit import Sides, event_points, without_rule
+from jaxwhisker._equilibrium.newton import contact_parameters
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.path import STOP, Node, Path
 from jaxwhisker._scan.signals import event_point, event_room
@@ -128,7 +128,7 @@ def _after(
     point = event_points(Sides(at.point, None), problem, Sides(at.mode, None), at.along, at.row, at.turning).before
     mode = at.mode
     here = (
-        jax.vmap(partial(contact.parameter, problem.profile))(point.z, mode.phase, mode.side, mode.friction),
+        contact_parameters(problem, point.z, mode),
         contact.beyond(point.z[:, 2], mode.phase),
     )
     new, old = places_of(node.friction), places_of(node.friction_before)

@@ -65,6 +65,8 @@ STATE = {
     "slip": Quantity("direction of slip along the object", "", "number", _STEP, dtype="int8", missing=-128),
     "normal_force": Quantity("contact force along the normal", "f_n", "force", _STEP, "never negative"),
     "friction_force": Quantity("contact force along the object", "f_t", "force", _STEP, "towards +x on the whisker"),
+    # With several objects only:
+    "contact_object": Quantity("number of the object, 0 without contact", "", "number", _STEP, dtype="int8"),
 }
 QUANTITIES = (
     {"control": Quantity("drive position", "u", CONTROL, ("control",))}
@@ -87,7 +89,7 @@ QUANTITIES = (
 )
 REACTIONS = ("fx", "fy", "mz")
 # Quantities that can be plotted against the control.
-DRAWN = (*(name for name in STATE if name not in ("phase", "slip")), "spring_length")
+DRAWN = (*(name for name in STATE if name not in ("phase", "slip", "contact_object")), "spring_length")
 
 
 def kind_of(name: str, scene: Scene) -> str:

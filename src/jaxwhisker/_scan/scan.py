@@ -236,8 +236,9 @@ class ScanPath(NamedTuple):
 
 def _capacity(problem: Problem, stops: int) -> int:
     """Largest number of nodes on a path to this many stops."""
-    pieces = 1 + problem.profile.breaks().size
-    return (256 + 60 * problem.length.shape[0] + 4 * pieces * problem.length.shape[0]) * max(1, stops // 2)
+    n, objects = problem.length.shape[0], problem.profile.objects
+    pieces = sum(1 + one.breaks().size for one in objects)
+    return ((256 + 60 * n) * len(objects) + 4 * pieces * n) * max(1, stops // 2)
 
 
 def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:

@@ -105,6 +105,7 @@ def _state(
         phase=mode.phase,
         shaft_loads=_shaft_loads(problem, z),
         **_friction(problem, z, mode),
+        **_objects(problem, mode),
     )
 
 
@@ -129,12 +130,18 @@ def _friction(problem: Problem, z: Contacts, mode: Mode) -> dict[str, Array]:
     }
 
 
+def _objects(problem: Problem, mode: Mode) -> dict[str, Array]:
+    """Fields of a state with several objects."""
+    number = problem.profile.object_of(mode.piece)
+    return {} if number is None else {"contact_object": jnp.where(mode.phase != Phase.free, number + 1, 0)}
+
+
 def _event_row(problem: Problem, node: Node) -> Row:
     """The equation that defines a node's event; for a node without an event, its control is given."""
     kind, slips, limit = node.kind, None, None
     if problem.friction_angle is not None:
         slips, limit = kind == EventKind.slip, jnp.sign(node.z_before[:, 1]) * problem.friction_angle
-    if node.piece is not None and node.piece_before is not None:
+    if problem.profile.has_edges and node.piece is not None and node.piece_before is not None:
         slips, limit = kind == EventKind.edge, break_between(problem.profile, node.piece_before, node.piece)
     return at_event(
         node.whiskers,

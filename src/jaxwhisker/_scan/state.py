@@ -34,13 +34,16 @@ class State(eqx.Module):
     slip: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
     normal_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
     friction_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    # None with one object: the number of the object that is touched, in the order of the scene's profiles: 1, 2, ...
+    contact_object: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
     # The loads on the whisker of the springs whose second end is on its shaft and whose first end is on another one:
     # for each spring, the force along x, along y, and the moment, in the drive's frame. None without such springs.
     shaft_loads: tuple[Float[Array, "*steps whiskers"], ...] | None = eqx.field(default=None, kw_only=True)
 
 
 FRICTION = ("slip", "normal_force", "friction_force")  # fields that are None without friction
-OPTIONAL = (*FRICTION, "shaft_loads")
+OBJECTS = ("contact_object",)  # fields that are None with a single object
+OPTIONAL = (*FRICTION, *OBJECTS, "shaft_loads")
 
 
 def state_of(state: State) -> State:

@@ -93,10 +93,11 @@ def _solve(
     # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see `safe_placeholder`).
     phase = jnp.where(accepted, mode.phase, Phase.free)
     z = jnp.where(accepted[:, None], z, problem.unloaded(jnp.zeros(()))[0])
+    piece = where_touching(piece, phase != Phase.free)
     if friction is None:
-        return Solutions(z, phase, mode.side, status, piece=where_touching(piece, phase != Phase.free))
+        return Solutions(z, phase, mode.side, status, piece=piece)
     friction = newly_slipping(friction, ~accepted & jnp.ones_like(phase, bool), mode.side)
-    return Solutions(z, phase, mode.side, status, friction, index)
+    return Solutions(z, phase, mode.side, status, friction, index, piece)
 
 
 def solve_steps(

@@ -56,9 +56,11 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
         profile: the object.
 
     Raises:
-        ValueError: if an argument is traced: the maximum is found by a search.
+        ValueError: if an argument is traced: the maximum is found by a search; or if there are several objects.
     """
     checks.float64_mode()
+    if len(profile.objects) > 1:
+        checks.fail("profile", "a single object, whose steepest slope is wanted", str(profile))
     if checks.is_traced((whisker, profile)):
         raise ValueError(
             "`whisker` and `profile` must be concrete, got traced ones: the steepest slope is found by a search."
@@ -134,5 +136,5 @@ def _steepness_at(build: Callable[..., Scene], point: dict[str, float], slopes: 
     leaves, structure = jax.tree.flatten(whisker)
     same = repr(([np.asarray(leaf).tolist() for leaf in leaves], structure, scene.profile))
     if same not in slopes:
-        slopes[same] = steepest(whisker, scene.profile).slope
+        slopes[same] = np.max([steepest(whisker, one).slope for one in scene.profile.objects])
     return slopes[same] * softest(scene.support)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxwhisker._scan.dataset import VARIABLES, SceneLayout
 from jaxwhisker._scan.quantities import REACTIONS, STATE, Quantity, unit_in_words
-from jaxwhisker._scan.state import FRICTION
+from jaxwhisker._scan.state import FRICTION, OPTIONAL
 from jaxwhisker._study.parameters import Parameters
 from jaxwhisker._study.summary import SUMMARY, comment_on
 
@@ -30,8 +30,8 @@ NOT_COMPUTED = -1  # status of a point that has not been computed yet
 DEFAULT_CONTROL = "default: from the earliest start to the latest end of the default controls of all points"
 
 
-def chosen(outputs: Sequence[str] | str, friction: bool = True) -> tuple[str, ...]:
-    """Names of the variables, of scenes with friction or not, that `outputs` selects by name or by group.
+def chosen(outputs: Sequence[str] | str, absent: Sequence[str] = ()) -> tuple[str, ...]:
+    """Names of the variables, of scenes without the fields `absent`, that `outputs` selects by name or by group.
 
     Raises:
         ValueError: if there is no such variable or group.
@@ -41,23 +41,22 @@ def chosen(outputs: Sequence[str] | str, friction: bool = True) -> tuple[str, ..
         if name not in GROUPS and name not in VARIABLES:
             raise ValueError(f"`outputs` must be names among {', '.join([*GROUPS, *VARIABLES])}, got {name!r}.")
         wanted |= set(GROUPS.get(name, (name,)))
-    return tuple(name for name in VARIABLES if name in wanted and (friction or not needs_friction(name)))
+    return tuple(name for name in VARIABLES if name in wanted and field_of(name) not in absent)
 
 
 def variables_of(
-    outputs: Sequence[str] | str, derivatives: Sequence[str], summarised: bool, friction: bool = False
+    outputs: Sequence[str] | str, derivatives: Sequence[str], summarised: bool, absent: Sequence[str] = OPTIONAL
 ) -> dict[str, Quantity]:
     """The variables of a study; those along the control are left out if they are summarised.
 
     Raises:
-        ValueError: if `outputs` contains a name that is unknown, or one that the scenes do not have without friction.
+        ValueError: if `outputs` contains a name that is unknown, or one that the scenes do not have.
     """
-    kept = {name: VARIABLES[name] for name in chosen(outputs, friction)}
+    kept = {name: VARIABLES[name] for name in chosen(outputs, absent)}
     for name in (outputs,) if isinstance(outputs, str) else outputs:
         if name in VARIABLES and name not in kept:
-            raise ValueError(
-                f"`outputs` must be names of what the scenes have, but they have no friction: got {name!r}."
-            )
+            lack = "friction" if field_of(name) in FRICTION else "several objects"
+            raise ValueError(f"`outputs` must be names of what the scenes have, but they have no {lack}: got {name!r}.")
     if summarised:
         kept = {name: quantity for name, quantity in kept.items() if "control" not in quantity.axes}
     for name, quantity in list(kept.items()):
@@ -69,9 +68,9 @@ def variables_of(
     return kept | (SUMMARY if summarised else {}) | {POINT_STATUS: status}
 
 
-def needs_friction(name: str) -> bool:
-    """Whether scenes without friction do not have this variable."""
-    return name.removeprefix("before_").removeprefix("after_") in FRICTION
+def field_of(name: str) -> str:
+    """The field of a state that a variable holds, also before or after an event."""
+    return name.removeprefix("before_").removeprefix("after_")
 
 
 def derivative_name(name: str, parameter: str) -> str:

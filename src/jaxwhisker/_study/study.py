@@ -89,10 +89,10 @@ def study(
     parameters = parameters_of(build, points, axes, OPTIONS)
     derivatives = _checked_derivatives(derivatives, parameters)
     layout = _layout(build, parameters, control)
-    variables = variables_of(outputs, derivatives, summary, layout.scene.friction)
+    variables = variables_of(outputs, derivatives, summary, layout.scene.absent)
     _check_names(parameters, variables)
     layout = layout._replace(variables=variables)
-    summarised = chosen(SUMMARISED, layout.scene.friction) if summary else ()
+    summarised = chosen(SUMMARISED, layout.scene.absent) if summary else ()
     computed = tuple(name for name in VARIABLES if name in layout.variables or name in summarised)
     visible = sys.stderr.isatty() if progress is None else progress
     with closing(Memory() if store is None else Store(store)) as target:

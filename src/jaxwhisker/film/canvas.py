@@ -142,8 +142,8 @@ def _name_whiskers(figure: Figure, count: int, bottom: float) -> None:
 def _window(system: UnitSystem, drawn: list[Drawing]) -> tuple[float, float, float, float]:
     """Left, right, bottom and top of a window that holds all moving parts, and the object down to its vertex."""
     x, y = (np.concatenate(coordinate) for coordinate in zip(*(one.extent() for one in drawn), strict=True))
-    vertex_x, vertex_y = (float(system.shown("contact_x", v)) for v in system.scene.profile.vertex())
-    x, y = np.append(x, vertex_x), np.append(y, [vertex_y, 0.0])
+    vertices = [system.shown("contact_x", np.asarray(one.vertex())) for one in system.scene.profile.objects]
+    x, y = np.append(x, [at[0] for at in vertices]), np.append(y, [*(at[1] for at in vertices), 0.0])
     left, right, bottom, top = x.min(), x.max(), y.min(), max(y.max(), system.scale("length"))
     beside, around = STAGE_ROOM * (right - left), STAGE_ROOM * (top - bottom)
     top += WORDS_ROOM * (top - bottom)

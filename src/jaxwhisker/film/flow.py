@@ -101,7 +101,8 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
     first = _Kept(before.point.z, before.phase, before.side, before.friction, pose, before.piece)
     room = jax.tree.map(lambda leaf: jnp.zeros((MOST_STATES, *leaf.shape), leaf.dtype), first)
     no = jnp.asarray(False)
-    start = _Going(snap_flow.start(still, pose, before.point.z), still, before.point.z, no, no, room, jnp.asarray(0))
+    flow = snap_flow.start(still, pose, before.point.z, dimensionless.profile.has_edges)
+    start = _Going(flow, still, before.point.z, no, no, room, jnp.asarray(0))
     end = jax.lax.while_loop(lambda at: ~at.over & (at.count < MOST_STATES), step, start)
     return jax.vmap(lambda kept: _state_in_scene(dimensionless, u, kept))(end.kept), end.count
 

@@ -90,13 +90,14 @@ def frames(result: Result, count: int) -> tuple[Frames, list[tuple[int, Event]]]
 
 def _snap_frames(result: Result, step: int, event: Event, states: State, lines: Shapes) -> Frames:
     lengths = np.array([float(whisker.length) for whisker in result.scene.whiskers])
-    even = _even(states, lines, lengths, silhouette_of_scan(result))
+    even = _even(states, lines, lengths, silhouettes_of_scan(result))
     return Frames(np.full(SNAP_FRAMES, step), np.full(SNAP_FRAMES, event.control), *even, np.ones(SNAP_FRAMES, bool))
 
 
-def silhouette_of_scan(result: Result) -> Silhouette:
-    """Contour of the object of a scan, in the scene's units."""
-    return Silhouette(*silhouette_of(result.scene.profile, float(result.scene.whiskers[0].length)))
+def silhouettes_of_scan(result: Result) -> list[Silhouette]:
+    """Contours of the objects of a scan, in the scene's units."""
+    length = float(result.scene.whiskers[0].length)
+    return [Silhouette(*silhouette_of(one, length)) for one in result.scene.profile.objects]
 
 
 def _first_steps(result: Result) -> Int[np.ndarray, " events"]:
@@ -124,7 +125,7 @@ def lines_of(scene: Scene, groups: Sequence[State], controls: Sequence[np.ndarra
 
 
 def _even(
-    states: State, lines: Shapes, lengths: Float[np.ndarray, " whiskers"], silhouette: Silhouette
+    states: State, lines: Shapes, lengths: Float[np.ndarray, " whiskers"], silhouettes: Sequence[Silhouette]
 ) -> tuple[State, Shapes]:
     """`SNAP_FRAMES` states and centre lines at equal distances, including the first and the last ones."""
     x, y = (np.diff(coordinate[..., [0, -1]], axis=0) for coordinate in (lines.x, lines.y))
@@ -138,7 +139,7 @@ def _even(
         row, share = int(place), place - int(place)
         (state, line), ahead = (_at((states, lines), k) for k in (row, min(row + 1, last)))
         if share > 0:
-            line = between(line, ahead[1], lengths, share, silhouette)
+            line = between(line, ahead[1], lengths, share, silhouettes)
             state = _mixed(state, ahead[0], share, moved[row] > SWINGS * lengths)
         even_states.append(state)
         even_lines.append(line)
@@ -151,12 +152,14 @@ def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, "
     fields: dict[str, Any] = {"phase": np.where(touching, second.phase, Phase.free)}
     if second.slip is not None:
         fields["slip"] = np.where(touching, second.slip, 0)
+    if second.contact_object is not None:
+        fields["contact_object"] = np.where(touching, second.contact_object, 0)
 
     def mixed(before: Any, after: Any) -> Any:
         return jax.tree.map(lambda a, b: (1 - share) * a + share * b, before, after)
 
     for name in State.__dataclass_fields__:
-        if name not in ("phase", "slip") and getattr(first, name) is not None:
+        if name not in ("phase", "slip", "contact_object") and getattr(first, name) is not None:
             value = mixed(getattr(first, name), getattr(second, name))
             kept = name == "shaft_loads" or name.startswith("base")
             fields[name] = value if kept else np.where(touching, value, 0.0)
@@ -164,19 +167,25 @@ def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, "
 
 
 def between(
-    first: Shapes, second: Shapes, lengths: Float[np.ndarray, " whiskers"], share: float, silhouette: Silhouette
+    first: Shapes,
+    second: Shapes,
+    lengths: Float[np.ndarray, " whiskers"],
+    share: float,
+    silhouettes: Sequence[Silhouette],
 ) -> Shapes:
     """Centre lines (whiskers, points) at a share of the way from the first to the second ones.
 
-    Bases move along straight lines, directions turn uniformly, and lengths are kept. A line that would enter the object
+    Bases move along straight lines, directions turn uniformly, and lengths are kept. A line that would enter an object
     is curled until it passes outside, or enters as little as possible.
     """
     ends = [np.asarray(line.x) + 1j * np.asarray(line.y) for line in (first, second)]
-    lines = [_turned(a, b, float(length), share, silhouette) for a, b, length in zip(*ends, lengths, strict=True)]
+    lines = [_turned(a, b, float(length), share, silhouettes) for a, b, length in zip(*ends, lengths, strict=True)]
     return Shapes(jnp.asarray(np.real(lines)), jnp.asarray(np.imag(lines)))
 
 
-def _turned(first: Polyline, second: Polyline, length: float, share: float, silhouette: Silhouette) -> Polyline:
+def _turned(
+    first: Polyline, second: Polyline, length: float, share: float, silhouettes: Sequence[Silhouette]
+) -> Polyline:
     (base0, angle0), (base1, angle1) = _directions(first), _directions(second)
     angle1 = angle1 - 2 * np.pi * np.round((angle1[0] - angle0[0]) / (2 * np.pi))  # the root turns the shorter way
     turned = (1 - share) * angle0 + share * angle1
@@ -186,7 +195,7 @@ def _turned(first: Polyline, second: Polyline, length: float, share: float, silh
     for curled in CURLS:
         pieces = length / turned.size * np.exp(1j * (turned + curled * curl))
         line = np.cumsum([(1 - share) * base0 + share * base1, *pieces])
-        tried.append((silhouette.depth(np.real(line), np.imag(line)), line))
+        tried.append((max(one.depth(np.real(line), np.imag(line)) for one in silhouettes), line))
         if tried[-1][0] < DEEPEST * length:
             break
     return min(tried, key=lambda one: one[0])[1]

@@ -63,9 +63,9 @@ def scene(setup: Scene, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     control = start_of(setup)
     _draw_states([drawing(setup, control, rest_state(setup, control))], system, True, ax)
     # Show the object on both sides of its vertex, not only where it is touched first.
-    vertex, beside = float(system.shown("contact_x", setup.profile.vertex()[0])), BESIDE * system.scale("length")
-    left, right = ax.get_xlim()
-    ax.set_xlim(min(left, vertex - beside), max(right, vertex + beside))
+    vertices = [float(system.shown("contact_x", one.vertex()[0])) for one in setup.profile.objects]
+    (left, right), beside = ax.get_xlim(), BESIDE * system.scale("length")
+    ax.set_xlim(min(left, min(vertices) - beside), max(right, max(vertices) + beside))
     return ax
 
 
@@ -219,9 +219,10 @@ def draw_object(system: UnitSystem, ax: Axes, *, whole: bool = True) -> None:
 
 
 def _draw_object(shape: AbstractProfile, whisker: float, unit: float, whole: bool, ax: Axes) -> None:
-    x, y = (coordinate / unit for coordinate in silhouette_of(shape, whisker, whole=whole))
-    ax.fill(x, y, color=OBJECT, linewidth=0, zorder=0)
-    ax.plot(x, y, color=SUPPORT, linewidth=1, zorder=0.5)
+    for one in shape.objects:
+        x, y = (coordinate / unit for coordinate in silhouette_of(one, whisker, whole=whole))
+        ax.fill(x, y, color=OBJECT, linewidth=0, zorder=0)
+        ax.plot(x, y, color=SUPPORT, linewidth=1, zorder=0.5)
 
 
 def _draw_states(drawn: Sequence[Drawing], system: UnitSystem, whole: bool, ax: Axes) -> None:
@@ -266,7 +267,8 @@ def _set_window(drawn: Sequence[Drawing], system: UnitSystem, ax: Axes) -> None:
     parts = [one.extent(springs=one is drawn[-1]) for one in drawn]
     x, y = (np.concatenate(coordinate) for coordinate in zip(*parts, strict=True))
     scale = system.scale("length")
-    vertex = float(system.shown("contact_y", system.scene.profile.vertex()[1])) / scale
+    heights = [one.vertex()[1] for one in system.scene.profile.objects]
+    vertex = max(float(system.shown("contact_y", height)) for height in heights) / scale
     if x.size:
         middle, reach = (x.min() + x.max()) / 2, max(np.ptp(x) / 2 + WINDOW_MARGIN, NARROWEST / 2)
         ax.set_xlim(scale * (middle - reach), scale * (middle + reach))

@@ -1,0 +1,123 @@
+"""Several objects in one scene."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.profile import AbstractProfile
+
+
+class Objects(AbstractProfile):
+    """Several objects as one profile: `Scene` makes it of a tuple of profiles.
+
+    The pieces of all objects are numbered one after the other, and a smooth object is one piece. The piece of a contact
+    therefore tells which object it is on. Each piece keeps the parameter of its own object.
+    """
+
+    each: tuple[AbstractProfile, ...]
+    # A parameter of each object, at which it is evaluated for contacts on another; None in the scene's own units.
+    nowhere: tuple[Scalar, ...] | None = None
+
+    @property
+    def objects(self):
+        return self.each
+
+    @property
+    def has_edges(self):
+        return any(one.has_edges for one in self.each)
+
+    @property
+    def has_pieces(self):
+        return True
+
+    def first_pieces(self) -> tuple[int, ...]:
+        """Number of the first piece of each object."""
+        return tuple(int(first) for first in np.cumsum([0, *map(_pieces, self.each)])[:-1])
+
+    def object_of(self, piece):
+        if piece is None:
+            return None
+        owners = np.repeat(np.arange(len(self.each)), [_pieces(one) for one in self.each])
+        return jnp.asarray(owners)[piece]
+
+    def on(self, piece):
+        return self if piece is None else OneOf(self.each, self.nowhere, piece)
+
+    def ends_on(self, piece):
+        far = jnp.full(1, jnp.inf)
+        breaks = [one.breaks() for one in self.each]
+        low = jnp.concatenate([part for own in breaks for part in (-far, own)])
+        high = jnp.concatenate([part for own in breaks for part in (own, far)])
+        return low[piece], high[piece]
+
+    def point_on(self, piece, parameter):
+        return self._own(lambda one, piece, parameter: one.point_on(piece, parameter), piece, parameter)
+
+    def convex_on(self, piece, parameter):
+        return self._own(lambda one, piece, parameter: one.convex_on(piece, parameter), piece, parameter)
+
+    def _own(self, function, piece: Int[Array, ""] | None, parameter: Scalar):
+        """A function of the object, the piece of this object, and its parameter, at a contact."""
+        assert piece is not None and self.nowhere is not None
+        number, values = self.object_of(piece), []
+        for k, (one, first, nowhere) in enumerate(zip(self.each, self.first_pieces(), self.nowhere, strict=True)):
+            own = jnp.clip(piece - first, 0, _pieces(one) - 1) if one.has_pieces else None
+            values.append(function(one, own, jnp.where(number == k, parameter, nowhere)))
+        chosen = values[0]
+        for k, value in enumerate(values[1:], 1):
+            chosen = jax.tree.map(lambda a, b, k=k: jnp.where(number == k, b, a), chosen, value)
+        return chosen
+
+    def vertex(self):
+        x, y = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in zip(*self._vertices(), strict=True))
+        lowest = jnp.argmin(y)
+        return x[lowest], y[lowest]
+
+    def _vertices(self):
+        return [one.vertex() for one in self.each]
+
+    def in_unit(self, length):
+        each = tuple(one.in_unit(length) for one in self.each)
+        return Objects(each, tuple(jax.lax.stop_gradient(jnp.asarray(one.lowest(), dtype=float)) for one in each))
+
+    def valid(self):
+        return jnp.all(jnp.stack([one.valid() for one in self.each]))
+
+    def _positive(self):
+        return [value for one in self.each for value in one._positive()]
+
+    # Contacts are on one object, which is asked for its own curve.
+
+    def point(self, parameter):
+        raise NotImplementedError
+
+    def first_touch(self, height, side):
+        raise NotImplementedError
+
+    def __str__(self):
+        return "; ".join(map(str, self.each))
+
+
+class OneOf(Objects):
+    """The object with a piece, of several smooth ones."""
+
+    piece: Int[Array, ""] | None = None
+
+    def point(self, parameter):
+        return self.point_on(self.piece, parameter)
+
+
+def _pieces(profile: AbstractProfile) -> int:
+    return 1 + jax.eval_shape(profile.breaks).shape[0]
+
+
+def as_one(profile: Any) -> Any:
+    """A tuple of profiles as one profile; anything else stays as it is."""
+    if not isinstance(profile, tuple) or not all(isinstance(one, AbstractProfile) for one in profile):
+        return profile
+    each = tuple(one for some in profile for one in some.objects)
+    return Objects(each) if len(each) > 1 else each[0] if each else profile
