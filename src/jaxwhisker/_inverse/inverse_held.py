@@ -84,9 +84,9 @@ def nearest_held_state(observed: HeldObservation) -> HeldEstimate:
     phase, other = (jax.tree.map(lambda leaf, k=k: leaf[k], phases) for k in (best, second))
     y = _differentiable(found[best], phase, observed)[:4]
     at, by_y = value_and_jacobian(lambda y: _state(y, phase, observed).values, y)
-    residual, gradient, conditions = _linearised(y, phase, observed)
+    value, gradient = _linearised(y, phase, observed)
     # The Gauss-Newton approximation is exact to first order in the noise.
-    follows = solve(_kkt(gradient, conditions), jnp.concatenate([gradient.T, jnp.zeros((2, 3))]))[:4]
+    follows = solve(_kkt(gradient), jnp.concatenate([gradient[:3].T, jnp.zeros((2, 3))]))[:4]
     spread = jnp.sum(by_y[:4, :, None] * follows, axis=1)
     # The other phase adds its distance, with its probability.
     doubt = jnp.where(
@@ -94,7 +94,7 @@ def nearest_held_state(observed: HeldObservation) -> HeldEstimate:
     )
     apart = jnp.where(doubt > 0, _state(found[second, :4], other, observed).values - at, 0.0)[:4]
     covariance = jnp.sum(spread[:, None, :] * spread, axis=-1) + doubt * apart[:, None] * apart
-    return HeldEstimate(at, phase.tip, jnp.any(ok), jnp.sum(residual**2), covariance)
+    return HeldEstimate(at, phase.tip, jnp.any(ok), jnp.sum(value[:3] ** 2), covariance)
 
 
 def _base(loads: Float[Array, "3"], observed: HeldObservation) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
@@ -153,18 +153,18 @@ def _in_scene(pose: Float[Array, "3"], drive: Float[Array, "3"]) -> Float[Array,
 
 
 def _linearised(y, phase: _Phase, observed: HeldObservation):
-    """Whitened residuals of the reaction, and the gradients of residuals and conditions."""
+    """Three whitened residuals of the reaction and two conditions, and their gradients (5, 4)."""
 
     def both(y):
         state = _state(y, phase, observed)
         return jnp.concatenate([(state.reaction - observed.reaction) * observed.weight, state.conditions])
 
-    value, gradient = value_and_jacobian(both, y)
-    return value[:3], gradient[:3], gradient[3:]
+    return value_and_jacobian(both, y)
 
 
-def _kkt(gradient: Float[Array, "3 n"], conditions: Float[Array, "2 n"]) -> Float[Array, "rows rows"]:
+def _kkt(gradient: Float[Array, "5 n"]) -> Float[Array, "rows rows"]:
     """The matrix of the least-squares problem with conditions (Karush, Kuhn and Tucker)."""
+    gradient, conditions = gradient[:3], gradient[3:]
     normal = jnp.sum(gradient[:, :, None] * gradient[:, None, :], axis=0)
     return jnp.block([[normal, conditions.T], [conditions, jnp.zeros((2, 2))]])
 
@@ -177,14 +177,13 @@ def _fit(observed: HeldObservation, guess: Float[Array, "5"], phase: _Phase):
 
     def step(_, carry):
         y = carry[0]
-        both = _state(y, phase, observed)
-        residual, gradient, conditions = _linearised(y, phase, observed)
-        downhill = jnp.sum(gradient * residual[:, None], axis=0)
-        right = -jnp.concatenate([downhill, both.conditions])
-        increment = solve(_kkt(gradient, conditions), right[:, None])[3, 0]
+        value, gradient = _linearised(y, phase, observed)
+        downhill = jnp.sum(gradient[:3] * value[:3, None], axis=0)
+        right = -jnp.concatenate([downhill, value[3:]])
+        increment = solve(_kkt(gradient), right[:, None])[3, 0]
         bounded = jnp.clip(y[3] + jnp.clip(increment, -LARGEST_STEP, LARGEST_STEP), 0.0, largest)
-        right = -jnp.concatenate([downhill[:3], both.conditions + conditions[:, 3] * (bounded - y[3])])
-        solution = solve(_kkt(gradient[:, :3], conditions[:, :3]), right[:, None])[:, 0]
+        right = -jnp.concatenate([downhill[:3], value[3:] + gradient[3:, 3] * (bounded - y[3])])
+        solution = solve(_kkt(gradient[:, :3]), right[:, None])[:, 0]
         change = solution[:3]
         size = jnp.max(jnp.abs(jnp.append(change / (1 + jnp.abs(y[:3])), bounded - y[3])))
         return jnp.append(y[:3] + change, bounded), solution[3:], size
@@ -201,9 +200,9 @@ def _fit(observed: HeldObservation, guess: Float[Array, "5"], phase: _Phase):
 def _stationarity(found: Float[Array, "6"], phase: _Phase, observed: HeldObservation) -> Float[Array, "6"]:
     """Derivatives of half chi-squared plus multipliers times conditions, which vanish at the nearest state."""
     y, multipliers = found[:4], found[4:]
-    residual, gradient, conditions = _linearised(y, phase, observed)
-    downhill = jnp.sum(gradient * residual[:, None], axis=0) + jnp.sum(conditions * multipliers[:, None], axis=0)
-    return jnp.concatenate([downhill, _state(y, phase, observed).conditions])
+    value, gradient = _linearised(y, phase, observed)
+    downhill = jnp.sum(gradient * jnp.concatenate([value[:3], multipliers])[:, None], axis=0)
+    return jnp.concatenate([downhill, value[3:]])
 
 
 @eqx.filter_custom_jvp

@@ -21,7 +21,7 @@ from jaxwhisker._equilibrium.dimensionless import sections
 from jaxwhisker._equilibrium.implicit import without_rule
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, past, stretched, to_next
 from jaxwhisker._model.loads import PointForce, PointMoment
-from jaxwhisker._model.motion import Pose, mounted
+from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -31,7 +31,7 @@ from jaxwhisker._scan.applied_loads import Loads, sorted_loads, with_load
 
 NEWTON_STEPS = 20  # at most, for each increase of the loads
 CONVERGED = 1e-10  # last Newton step
-DRIVE = mounted(Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0))
+DRIVE = Frame(0.0, 0.0, 1.0, 0.0)  # pyright: ignore[reportArgumentType] (arrays would start JAX at import)
 
 
 class HeldEquations(eqx.Module):
