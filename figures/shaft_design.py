@@ -3,6 +3,7 @@
 python figures/shaft_design.py writes docs/shaft_design.png.
 """
 
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -48,9 +49,13 @@ def main() -> None:
             error = 1e4 * found.standard_error.sel(parameter=parameter).values
             axis.plot(HEIGHTS, error, "o-", markersize=3, color=colour, label=name)
             columns.append(error)
-        scans = jw.study(build, control=CONTROL, height=HEIGHTS, **{key: [value] for key, value in OBJECT.items()})
+        at_object = partial(build, **OBJECT)
+        scans = jw.study(lambda height, build=at_object: build(height), control=CONTROL, height=HEIGHTS)
         assert np.all(scans.status == jw.Status.ok)
-        columns += [np.abs(scans[channel]).max("control").values.ravel() for channel in ("fy", "mz")]
+        columns += [
+            np.abs(scans[channel].values).max(axis=scans[channel].get_axis_num("control")).ravel()
+            for channel in ("fy", "mz")
+        ]
     for axis, label in zip(axes, LABELS.values(), strict=True):
         axis.set(xlabel="height of the spring, $h/L$", ylabel="standard error ($10^{-4}$)", title=label)
         axis.set_ylim(bottom=0)
