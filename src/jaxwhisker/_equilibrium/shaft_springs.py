@@ -117,7 +117,8 @@ class Walk(NamedTuple):
     passed: RodStates  # at each spring
 
 
-def _tension(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
+def tension_of(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
+    """Tension of a spring of this length."""
     extension = length - spring.rest_length
     each = [lambda: spring.stiffness * extension, *(lambda law=law: jnp.asarray(law(extension)) for law in laws)]
     tension = jax.lax.switch(spring.law, each) if laws else each[0]()
@@ -151,7 +152,7 @@ def stretched(spring: ShaftSprings, state: RodState, drive: Frame) -> tuple[Scal
 def past(load: Load, spring: ShaftSprings, laws: Laws, state: RodState, drive: Frame, sign: float) -> Load:
     """The load on the rod behind a spring, on the way to the base (sign = 1) or away from it (-1)."""
     length, by_x, by_y, by_turn = stretched(spring, state, drive)
-    tension = sign * _tension(spring, laws, length)
+    tension = sign * tension_of(spring, laws, length)
     here = pressed(end_of(spring, state), -tension * by_x, -tension * by_y)
     turned = jnp.asarray(here.moment) - tension * by_turn
     return Load(

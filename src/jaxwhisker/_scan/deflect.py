@@ -53,9 +53,12 @@ class Deflection(eqx.Module):
     angle: Float[Array, " points"]  # from +x to the whisker's direction, rad; pi/2 at an upright base
     curvature: Float[Array, " points"]  # 1/length, counter-clockwise positive
     status: Int[Array, ""]  # Status.ok, .inexact or .invalid
+    whisker: Whisker
+    loads: tuple[PointForce | PointMoment, ...]
+    support: Support
 
 
-class _Loads(eqx.Module):
+class Loads(eqx.Module):
     """Forces and moments in one form, sorted from the tip to the base; dimensionless."""
 
     force: Float[Array, "*loads"]
@@ -68,7 +71,7 @@ class _Loads(eqx.Module):
 class _Equations(eqx.Module):
     """The dimensionless equations of one whisker and its loads."""
 
-    loads: _Loads
+    loads: Loads
     section: Section | None  # None for a uniform whisker
     rest: Float[Array, "3"]  # pose (x, y, angle to the upright) of the unloaded base
     compliance: Float[Array, "3"]  # of the base to forces and moment; zero for a clamp
@@ -82,10 +85,11 @@ def _equations_of(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...],
     if flexibility is not None:
         framed = flexibility.in_frames(jnp.zeros(1), length, stiffness / length**2)
         rest, compliance = rest + framed.offset, jnp.diagonal(framed.matrix)
-    return _Equations(_sorted_loads(whisker, loads), section, rest, compliance)
+    return _Equations(sorted_loads(whisker, loads), section, rest, compliance)
 
 
-def _sorted_loads(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> _Loads:
+def sorted_loads(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...]) -> Loads:
+    """Dimensionless loads, sorted from the tip to the base."""
     length, stiffness = whisker.length, whisker.base_stiffness
     rows = []
     for load in loads:
@@ -96,7 +100,7 @@ def _sorted_loads(whisker: Whisker, loads: tuple[PointForce | PointMoment, ...])
         else:
             rows.append((0.0, 0.0, 0.0, load.moment * length / stiffness, position))
     columns = jnp.array(rows, dtype=float).T
-    return _Loads(*columns[:, jnp.argsort(-columns[-1])])
+    return Loads(*columns[:, jnp.argsort(-columns[-1])])
 
 
 class _Stretch(eqx.Module):
@@ -138,7 +142,7 @@ def _bend(equations: _Equations, tip_angle: Scalar, factor: Scalar = 1.0, steps:
     return _Bent(stretches, x, y, load, pose, pose[2] - jnp.arctan2(-cos, sin))
 
 
-def _with_load(total: rod.Load, load: _Loads, state: rod.RodState, factor: Scalar) -> rod.Load:
+def _with_load(total: rod.Load, load: Loads, state: rod.RodState, factor: Scalar) -> rod.Load:
     """The load on the rod between this load, which acts at this state, and the next one."""
     x, y, cos, sin = state
     dead_x, dead_y = jnp.cos(load.direction), jnp.sin(load.direction)
@@ -245,13 +249,15 @@ def deflect(
         if float(load.position) > float(whisker.length):
             checks.fail("position", f"at most the length {whisker.length}", load.position)
     whisker, loads, support = jax.tree.map(checks.as_float, (whisker, loads, support))
-    return _deflect(whisker, loads, support, points)
+    return Deflection(
+        **_deflect(whisker.without_masses(), loads, support, points), whisker=whisker, loads=loads, support=support
+    )
 
 
 @Program
 def _deflect(
     whisker: Whisker, loads: tuple[PointForce | PointMoment, ...], support: Support, points: int
-) -> Deflection:
+) -> dict[str, Array]:
     tip_angle, status = _solution(*jax.lax.stop_gradient((whisker, loads, support)))
     ok = status == Status.ok
     whisker, loads, support = safe_placeholder((whisker, loads, support), ok)
@@ -264,7 +270,7 @@ def _deflect(
     def where_ok(value):
         return jnp.where(ok, value, jnp.nan)
 
-    return Deflection(
+    return dict(
         fx=where_ok(fx * stiffness / length**2),
         fy=where_ok(fy * stiffness / length**2),
         mz=where_ok(mz * stiffness / length),
