@@ -24,7 +24,7 @@ class Eigenpairs(NamedTuple):
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
 def slowest(flexibility: Float[Array, "n n"], mass: Float[Array, "n n"], count: int) -> Eigenpairs:
-    """The slowest modes. Their derivatives are those of simple eigenvalues: they are infinite or NaN at multiple ones."""
+    """The slowest modes. Derivatives are those of simple eigenvalues; at multiple ones they are infinite or NaN."""
     # Fast coordinates have so little mass that M is positive definite only up to rounding.
     size = jnp.sqrt(jnp.diagonal(mass))
     scale = jnp.where(size > 0, size, 1.0)

@@ -30,7 +30,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import WEIGHTS, Fields, bending, fields, quadratic
-from jaxwhisker._dynamics.line import Equilibrium, Line
+from jaxwhisker._dynamics.line import Equilibrium, Line, beyond
 from jaxwhisker._dynamics.object import bend_at
 from jaxwhisker._equilibrium.contact import Body, Phase
 from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, end_of, stretched, tension_of
@@ -115,19 +115,19 @@ def _contact(
     body: Body, at: Equilibrium, line: Line, moves: Fields
 ) -> tuple[Float[Array, "n n"], Float[Array, "constraints n"], Bool[Array, ""]]:
     """Stiffness of the contact, and its constraints."""
-    free, tip = at.phase == Phase.free, at.phase == Phase.tip
+    free, tip, shaft = at.phase == Phase.free, at.phase == Phase.tip, -1 - beyond(body)
     # Free whiskers have no contact. That at the lowest point of the object is as good as any.
     low_x, low_y = body.profile.vertex()
     contact = (at.contact_x, at.contact_y, at.contact_slope)
     x, y, slope = (jnp.where(free, low, one) for low, one in zip((low_x, low_y, 0.0), contact, strict=True))
     bend = bend_at(body.profile, x, y, slope)
     cos, sin = jnp.cos(slope), jnp.sin(slope)
-    here = jnp.where(tip, moves.ends[-1], moves.ends[-2])
+    here = jnp.where(tip, moves.ends[-1], moves.ends[shaft])
     along, across, turn = cos * here[0] + sin * here[1], sin * here[0] - cos * here[1], here[2]
     sharp = tip & (bend.speed <= 0)
-    _, _, line_cos, line_sin = (values[-2] for values in line.ends)
+    _, _, line_cos, line_sin = (values[shaft] for values in line.ends)
     same = jnp.where(line_cos * cos + line_sin * sin > 0, 1.0, -1.0)  # direction of the whisker along the object
-    curvature = body.section.curvature(jnp.sum(line.lengths[:-1])) if isinstance(body.section, Section) else 0.0
+    curvature = body.section.curvature(at.contact_arc) if isinstance(body.section, Section) else 0.0
     k, a, b = -same * curvature, same * along, -same * turn
     flat = bend.turn + bend.speed * k
     flat = jnp.where(flat > 0, flat, 1.0)

@@ -56,10 +56,16 @@ class Line(NamedTuple):
     springs: ShaftSprings | None  # at these ends; those at the base and below have no share
 
 
-def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None) -> Float[Array, " elements"]:
-    """Arc lengths at which the elements of a whisker end: at loads, at springs on its shaft, at the contact, at the tip.
+def beyond(body: Body) -> int:
+    """Number of elements beyond the contact, which end the list of elements."""
+    return 1 if body.section is None else 2
 
-    A whisker without tangential contact is split anywhere instead.
+
+def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None) -> Float[Array, " elements"]:
+    """Arc lengths at which elements end: at loads, at springs on the shaft, at the contact and at the tip.
+
+    A whisker without tangential contact is split anywhere instead. Whiskers that are not uniform are split twice more:
+    the closer to the tip of a cone, the shorter its elements must be.
     """
     places = jnp.zeros(0)
     if loads is not None:
@@ -67,8 +73,20 @@ def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None) -> Float[Array
     elif body.sprung is not None:
         places = jnp.maximum(body.sprung.held_by.springs.at[::-1], 0.0)
     top = places[-1] if places.size else jnp.zeros(())
-    split = jnp.where(at.phase == Phase.tangential, at.contact_arc, (top + body.length) / 2)
-    return jnp.concatenate([places, jnp.stack([split, body.length])])
+    split = jnp.where(at.phase == Phase.tangential, at.contact_arc, _middle(body, top, body.length))
+    stops = [split, body.length]
+    if body.section is not None:
+        stops = [_middle(body, top, split), split, _middle(body, split, body.length), body.length]
+    return jnp.concatenate([places, jnp.stack(stops)])
+
+
+def _middle(body: Body, start: Scalar, stop: Scalar) -> Scalar:
+    """Where to split a stretch: for a cone, the ratio of thicknesses is the same on both sides."""
+    if body.section is None:
+        return (start + stop) / 2
+    assert isinstance(body.section, rod.Section)  # of one whisker
+    stiffness = body.section.stiffness
+    return start + (stop - start) * rod.graded(jnp.asarray(0.5), stiffness(start), stiffness(stop))
 
 
 def line_of(body: Body, at: Equilibrium, ends: Float[Array, " elements"], loads: DeadLoads | None) -> Line:
@@ -76,12 +94,13 @@ def line_of(body: Body, at: Equilibrium, ends: Float[Array, " elements"], loads:
     material, (lengths, arcs) = material_of(body), node_arcs(ends)
     start = (at.base_x, at.base_y, -jnp.sin(at.base_angle), jnp.cos(at.base_angle))
     load = rod.Load(-at.fx, -at.fy, -at.mz - at.base_x * at.fy + at.base_y * at.fx)
-    unloads = (jnp.arange(ends.size) == ends.size - 2) & (at.phase == Phase.tangential)
+    unloads = (jnp.arange(ends.size) == ends.size - 1 - beyond(body)) & (at.phase == Phase.tangential)
     dead, springs = None, None
     if loads is not None:
-        dead = jax.tree.map(lambda leaf: jnp.pad(leaf, (0, 2)), loads)
+        dead = jax.tree.map(lambda leaf: jnp.pad(leaf, (0, ends.size - leaf.size)), loads)
     elif body.sprung is not None:
-        springs = jax.tree.map(lambda leaf: jnp.pad(leaf[::-1], (0, 2)), body.sprung.held_by.springs)
+        springs = body.sprung.held_by.springs
+        springs = jax.tree.map(lambda leaf: jnp.pad(leaf[::-1], (0, ends.size - leaf.size)), springs)
         # The reaction is that of everything at the base and below.
         springs = springs._replace(share=jnp.where(springs.at > 0, springs.share, 0.0))
 
