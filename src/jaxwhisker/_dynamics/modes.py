@@ -1,5 +1,6 @@
 """Small vibrations about an equilibrium: frequencies, shapes, reactions and damping ratios."""
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -263,7 +264,7 @@ def _dimensionless(problem: Problem, at: Equilibrium) -> Equilibrium:
     return at._replace(**{name: getattr(at, name) / unit for name, unit in units.items()})
 
 
-@Program
+@partial(Program, alone=True)
 def _result_modes(
     problem: Problem,
     whiskers: tuple[Whisker, ...],
@@ -282,7 +283,7 @@ def _result_modes(
     return eqx.tree_at(lambda modes: modes.s, found, found.s[0])
 
 
-@Program
+@partial(Program, alone=True)
 def _unloaded_modes(
     problem: Problem, whiskers: tuple[Whisker, ...], damping: _Damping, count: int, points: int
 ) -> Modes:
@@ -297,7 +298,7 @@ def _unloaded_modes(
     return _found(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)
 
 
-@Program
+@partial(Program, alone=True)
 def _deflection_modes(
     problem: Problem,
     whiskers: tuple[Whisker, ...],

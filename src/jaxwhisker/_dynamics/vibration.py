@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.eigen import slowest
 from jaxwhisker._dynamics.elements import interpolated, node_arcs
@@ -128,7 +129,7 @@ def _assembled(
     if problem.attached is not None:
         held -= problem.attached.held
     matrix, stiff = problem.flexibility.matrix, _diagonal(held)
-    bases = jnp.linalg.solve(jnp.eye(stiff.shape[0]) + matrix @ stiff, matrix)
+    bases = inverse(jnp.eye(stiff.shape[0]) + matrix @ stiff) @ matrix
     follows = jnp.concatenate([_diagonal(each.follows @ axes), jnp.eye(stiff.shape[0])])
     total = follows @ bases @ follows.T
     total += jnp.pad(flexible, (0, stiff.shape[0]))
