@@ -81,6 +81,9 @@ def in_contact(base_x, reaction, force, arc, q, spring, cells):
         q: height of the parabola's vertex.
         spring: stiffness of the base's spring.
         cells: number of cells on either side of the contact.
+
+    Returns:
+        The frequencies; the gap and the slope of the energy, which are zero in equilibrium.
     """
     tip = arc >= 1
     arcs = (

@@ -82,7 +82,7 @@ def forms_of(body: Body, at: Equilibrium, line: Line, masses: Masses) -> Forms:
             tissue, starts = held_by.tissue, jnp.cumsum(line.lengths) - line.lengths
             cos = tissue.cos * drive.cos - tissue.sin * drive.sin
             sin = tissue.sin * drive.cos + tissue.cos * drive.sin
-            held = tissue.stiffness * tissue.share(starts + line.lengths / 2)
+            held = tissue.stiffness * jax.vmap(tissue.share)(starts + line.lengths / 2)
             stiffness += quadratic(cos * position[:, :, 0] + sin * position[:, :, 1], over * held[:, None])
     bent, constraints, defined = _contact(body, at, line, moves)
     return Forms(mass, stiffness + bent, below, constraints, defined, moves)

@@ -184,12 +184,12 @@ def _of_deflection(bent: Deflection, count: int, damping: _Damping, points: int)
 
 
 def _of_result(result: Result, step: int | None, count: int, damping: _Damping, points: int) -> Modes:
+    if np.ndim(result.control) != 1:
+        checks.fail("at", "the Result of a single scan; for a batch, use jax.vmap", f"one of shape {result.fx.shape}")
     problem, whiskers = _prepared(result.scene)
     force = result.contact_force if result.normal_force is None else result.normal_force
     fields = {name: getattr(result, name) for name in Equilibrium._fields} | {"contact_force": force}
     states = Equilibrium(**fields), result.status, result.control
-    if np.ndim(result.control) != 1:
-        checks.fail("at", "the Result of a single scan; for a batch, use jax.vmap", f"one of shape {result.fx.shape}")
     if step is not None:
         steps = np.shape(result.control)[0]
         if not isinstance(step, int) or isinstance(step, bool) or not -steps <= step < steps:
