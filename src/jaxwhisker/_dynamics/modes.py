@@ -310,8 +310,8 @@ def _deflection_modes(
     points: int,
 ) -> Modes:
     zero = jnp.zeros(())
-    at = Equilibrium(*base, *[zero] * 5, jnp.asarray(Phase.free))
-    at = jax.tree.map(lambda leaf: jnp.reshape(leaf, 1), at)
+    fields = (*base, *[zero] * 5, jnp.asarray(Phase.free))
+    at = Equilibrium(**{name: jnp.reshape(leaf, 1) for name, leaf in zip(Equilibrium._fields, fields, strict=True)})
     each = sorted_loads(whiskers[0], loads)
     force_x, force_y = each.force * jnp.cos(each.direction), each.force * jnp.sin(each.direction)
     dead = DeadLoads(each.position, force_x, force_y, each.moment)

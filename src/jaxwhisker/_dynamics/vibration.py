@@ -89,7 +89,8 @@ def _masses(problem: Problem, whiskers: tuple[Whisker, ...], arcs: Float[Array, 
         along = jax.vmap(jax.vmap(whisker.mass_at))(own * unit) / per_length
         extra = (whisker.tip_mass, whisker.base_mass, whisker.base_inertia)
         tip, base, inertia = (jnp.asarray(0.0 if value is None else value, dtype=float) for value in extra)
-        rows.append(Masses(along, *(m / (per_length * unit) for m in (tip, base)), inertia / (per_length * unit**3)))
+        point = per_length * unit
+        rows.append(Masses(along, tip / point, base / point, inertia / (point * unit**2)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
 
 
