@@ -1,5 +1,7 @@
 """jaxwhisker: exact, fast, differentiable scans with artificial tactile whiskers."""
 
+from typing import TYPE_CHECKING
+
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._explore import explore
 from jaxwhisker._inverse.fit import Fit
@@ -37,6 +39,9 @@ from jaxwhisker._study.study import study
 from jaxwhisker._study.summary import summary
 from jaxwhisker.film.animate import animate
 
+if TYPE_CHECKING:
+    from jaxwhisker._dynamics.modes import Modes, modes
+
 __all__ = [
     "AbstractMotion",
     "AbstractProfile",
@@ -58,6 +63,7 @@ __all__ = [
     "Foundation",
     "Graph",
     "Information",
+    "Modes",
     "Motion",
     "Mount",
     "Parabola",
@@ -91,6 +97,7 @@ __all__ = [
     "fit_profile",
     "identify",
     "information",
+    "modes",
     "reconstruct",
     "scan",
     "shapes",
@@ -105,9 +112,11 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str):
-    # matplotlib is loaded when the first figure is asked for.
-    if name == "plot":
-        import importlib
+    import importlib
 
+    # matplotlib is loaded when the first figure is asked for, and the dynamics when the first modes are.
+    if name == "plot":
         return importlib.import_module("jaxwhisker.plot")
+    if name in ("Modes", "modes"):
+        return getattr(importlib.import_module("jaxwhisker._dynamics.modes"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

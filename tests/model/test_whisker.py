@@ -53,6 +53,36 @@ def test_a_rat_has_the_whiskers_of_the_regressions():
     assert float(shorter.curvature_at(0.01)) == 10.0
 
 
+def test_masses_follow_from_a_density():
+    cone = jw.Whisker.conical(2.0, 64 / np.pi, 1.0, 0.5, density=4 / np.pi)
+    np.testing.assert_allclose([float(cone.mass_at(s)) for s in (0.0, 1.0, 2.0)], [1.0, 0.75**2, 0.5**2], rtol=EXACT)
+    rod = jw.Whisker.from_material(0.05, 3e9, 2e-4, density=1300.0)
+    assert float(rod.mass_at(0.02)) == pytest.approx(1300 * np.pi / 4 * 2e-4**2, rel=EXACT)
+    denser = jw.Whisker.from_material(0.05, 3e9, 2e-4, density=Line(1300.0, 1e4))
+    assert float(denser.mass_at(0.05) / rod.mass_at(0.05)) == pytest.approx(1800 / 1300, rel=EXACT)
+    rat = jw.Whisker.rat("C", 2, density=1300.0)
+    assert float(rat.mass_at(0.0)) == pytest.approx(1300 * np.pi / 4 * 132.6e-6**2, rel=EXACT)
+    assert jw.Whisker.rat("C", 2).mass_per_length is None
+
+
+def test_equilibria_do_not_depend_on_masses():
+    heavy = jw.Whisker(mass_per_length=Line(1.0, 1.0), tip_mass=0.1, base_mass=2.0, base_inertia=0.3)
+    assert heavy.uniform and heavy.has_masses
+    assert jax.tree.structure(heavy.without_masses()) == jax.tree.structure(jw.Whisker())
+    scene = jw.Scene((heavy, jw.Whisker()), jw.Parabola(0.2), jw.Support.fbfb(70.0)).without_masses()
+    assert scene.whiskers == (jw.Whisker(), jw.Whisker())
+
+
+def test_traced_masses_out_of_their_domain_are_invalid():
+    @jax.jit
+    def valid(mass, growth, tip, base):
+        return jw.Whisker(2.0, mass_per_length=Line(mass, growth), tip_mass=tip, base_mass=base).valid_masses()
+
+    assert valid(1.0, -0.5, 0.0, 0.0)  # the mass per length vanishes at the tip only
+    for bad in [(1.0, -0.6, 0.0, 0.0), (1.0, 0.0, -1.0, 0.0), (1.0, 0.0, 0.0, jnp.nan), (jnp.inf, 0.0, 0.0, 0.0)]:
+        assert not valid(*bad), bad
+
+
 def test_the_stiffness_may_vanish_at_the_tip():
     assert jw.Whisker(1.0, lambda s: 1.0 - s).stiffness_at(1.0) == 0
 
@@ -94,6 +124,15 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
             lambda: jw.Whisker.conical(1.0, 1.0, 1.0, -1.0),
             "`tip_diameter` must be a non-negative finite number, got -1",
         ),
+        (lambda: jw.Whisker(mass_per_length=0.0), "`mass_per_length` must be a positive finite number, got 0"),
+        (
+            lambda: jw.Whisker(mass_per_length=lambda s: 1.0 - 2.5 * s),
+            r"`mass_per_length` must be positive and finite .*, got -0.0156\d* at 0.406",
+        ),
+        (lambda: jw.Whisker(tip_mass=-1.0), "`tip_mass` must be a non-negative finite number, got -1"),
+        (lambda: jw.Whisker(base_mass=math.inf), "`base_mass` must be a non-negative finite number, got inf"),
+        (lambda: jw.Whisker(base_inertia="1"), "`base_inertia` must be a non-negative finite number, got '1'"),
+        (lambda: jw.Whisker.rat("C", 2, density=-1.0), "`density` must be a positive finite number, got -1"),
         (lambda: jw.Whisker.from_material(1.0, -1.0, 1.0), "`youngs_modulus` must be a positive finite number, got -1"),
         (
             lambda: jw.Whisker(intrinsic_curvature=1.6),

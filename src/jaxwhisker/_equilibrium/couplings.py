@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, anchor_of, length_of, tension
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, anchor_of, length_of, tension_of
 
 Contacts = Float[Array, "whiskers numbers"]
 Places = Float[Array, "whiskers places 3"]  # position and angle of the shaft at each place, in the drive's frame
@@ -95,7 +95,7 @@ def law_of(couplings: Couplings, laws: Laws, held_by: Attachments, places: Place
 
     def load(spring, ends, anchors):
         length, by = _length(spring, ends, anchors)
-        value = -tension(spring, laws, length) * jnp.stack(by)
+        value = -tension_of(spring, laws, length) * jnp.stack(by)
         return value, value
 
     slopes, value = jax.vmap(jax.jacfwd(load, argnums=1, has_aux=True))(

@@ -135,7 +135,7 @@ class Walk(NamedTuple):
     loads: Load  # on the rod in front of each spring
 
 
-def tension(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
+def tension_of(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
     """Tension of a spring of this length."""
     extension = length - spring.rest_length
     each = [lambda: spring.stiffness * extension, *(lambda law=law: jnp.asarray(law(extension)) for law in laws)]
@@ -200,7 +200,7 @@ def past(
 ) -> Load:
     """The load on the rod behind a spring, on the way to the base (sign = 1) or away from it (-1)."""
     length, by_x, by_y, by_turn = stretched(spring, state, drive)
-    pull = sign * tension(spring, laws, length)
+    pull = sign * tension_of(spring, laws, length)
     force_x, force_y, turn = -pull * by_x, -pull * by_y, -pull * by_turn
     if given is not None:
         across, along, moment = sign * given

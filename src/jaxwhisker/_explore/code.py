@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jaxwhisker._base.leaves import PlainFunction
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
-from jaxwhisker._model.whisker import LinearTaper, RoundSection, Whisker
+from jaxwhisker._model.whisker import LinearTaper, RoundMass, RoundSection, Whisker
 
 _HEAD = ["import jax", "import numpy as np", "", "import jaxwhisker as jw"]
 _FLOAT64 = 'jax.config.update("jax_enable_x64", True)'
@@ -110,15 +110,23 @@ class _Writer:
     def _whisker_from_material(self, whisker: Whisker, section: RoundSection) -> str:
         length = self.expression(whisker.length, "length")
         material = f"length={length}, youngs_modulus={self.expression(section.youngs_modulus, 'youngs_modulus')}"
+        mass, further = whisker.mass_per_length, []
+        density = f", density={self.expression(mass.density, 'density')}" if isinstance(mass, RoundMass) else ""
         if isinstance(section.diameter, LinearTaper):
             ends = (self.expression(end, "diameter") for end in (section.diameter.base, section.diameter.tip))
-            text = "jw.Whisker.conical({}, base_diameter={}, tip_diameter={})".format(material, *ends)
+            text = "jw.Whisker.conical({}, base_diameter={}, tip_diameter={}{})".format(material, *ends, density)
         else:
-            text = f"jw.Whisker.from_material({material}, diameter={self.expression(section.diameter, 'diameter')})"
-        if whisker.intrinsic_curvature is None:
+            diameter = self.expression(section.diameter, "diameter")
+            text = f"jw.Whisker.from_material({material}, diameter={diameter}{density})"
+        for name in ("intrinsic_curvature", "mass_per_length", "tip_mass", "base_mass", "base_inertia"):
+            value = getattr(whisker, name)
+            if value is not None and not isinstance(value, RoundMass):
+                further.append(f"{name}={self.expression(value, name)}")
+        if not further:
             return text
-        curvature = self.expression(whisker.intrinsic_curvature, "intrinsic_curvature")
-        return f"jw.Whisker({length}, {text}.bending_stiffness, intrinsic_curvature={curvature})"
+        if density:
+            further.append(f"mass_per_length={text}.mass_per_length")
+        return f"jw.Whisker({length}, {text}.bending_stiffness, {', '.join(further)})"
 
     def _class(self, kind: type) -> str:
         return f"jw.{kind.__name__}" if kind.__module__.startswith("jaxwhisker.") else self._name(kind, kind.__name__)

@@ -113,6 +113,14 @@ class Scene(eqx.Module):
         """One Whisker per base."""
         return _each_whisker(self.whisker, self.support)
 
+    def without_masses(self) -> "Scene":
+        """The scene without masses: scenes that differ in masses share the programs of a scan."""
+        if not any(whisker.has_masses for whisker in self.whiskers):
+            return self
+        whisker = self.whisker
+        still = tuple(w.without_masses() for w in whisker) if isinstance(whisker, tuple) else whisker.without_masses()
+        return eqx.tree_at(lambda scene: scene.whisker, self, still)
+
     @property
     def detects(self) -> tuple[str, ...]:
         """The contacts that are not modelled, at which a scan ends."""

@@ -30,11 +30,20 @@ class Whisker(eqx.Module):
         intrinsic_curvature: kappa0 = d phi / ds of the unloaded whisker, 1/length, positive counter-clockwise (towards
             -x, the default direction of a scan): a number, or a function like that of the bending stiffness. Default: a
             straight whisker, which is faster to compute than one with a curvature of 0.
+        mass_per_length: rho A, mass per length: a positive number, which is the same everywhere along the whisker, or a
+            function like that of the bending stiffness, which also may vanish only at the tip. For a cone it decreases
+            like the square of the diameter; the constructors with a `density` compute it. Masses are needed for
+            vibrations and motion; equilibria do not depend on them. Default: unknown.
+        tip_mass: mass of a point attached to the tip, not negative. Default: none.
+        base_mass: mass of a point that moves with the base, such as a follicle, not negative. It has an effect only
+            where springs let the base move along x or y. Default: none.
+        base_inertia: rotary inertia of what is attached to the base, about the base, mass times length squared, not
+            negative. Default: none.
 
     Raises:
-        ValueError: if the length is not a positive finite number, the bending stiffness is not positive and finite, JAX
-            cannot trace a function with one number as its argument, or the unloaded whisker turns by a right angle or
-            more.
+        ValueError: if the length is not a positive finite number, the bending stiffness or the mass per length is not
+            positive and finite, another mass is negative, JAX cannot trace a function with one number as its argument,
+            or the unloaded whisker turns by a right angle or more.
 
     Examples:
         >>> jw.Whisker().uniform
@@ -49,27 +58,50 @@ class Whisker(eqx.Module):
     intrinsic_curvature: AlongWhisker | None = eqx.field(
         default=None, converter=number_or_function("intrinsic_curvature")
     )
+    mass_per_length: AlongWhisker | None = eqx.field(
+        default=None, kw_only=True, converter=number_or_function("mass_per_length")
+    )
+    tip_mass: Scalar | None = eqx.field(default=None, kw_only=True)
+    base_mass: Scalar | None = eqx.field(default=None, kw_only=True)
+    base_inertia: Scalar | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
         checks.number("length", self.length, positive=True)
+        self._check_masses()
         if self.intrinsic_curvature is not None and not callable(self.intrinsic_curvature):
             checks.number("intrinsic_curvature", self.intrinsic_curvature)
         if not callable(self.bending_stiffness):
             checks.number("bending_stiffness", self.bending_stiffness, positive=True)
         if self.uniform or checks.is_traced(self):
             return
+        self._check_along("bending_stiffness", self.bending_stiffness)
         with jax.ensure_compile_time_eval():
-            stiffness, stiff = map(np.asarray, self._stiffness_samples())
             turn = float(self._largest_turn())
-        if not stiff.all():
-            k = int(np.argmin(stiff))
-            allowed = "positive and finite along the whisker (zero only at the tip)"
-            checks.fail("bending_stiffness", allowed, f"{stiffness[k]} at {k / (CHECKED_POINTS - 1):.3g} of its length")
         if not turn < np.pi / 2:
             raise ValueError(
                 "`intrinsic_curvature` must turn the unloaded whisker by less than a right angle, got a turn of "
                 f"{np.degrees(turn):.4g} degrees: a whisker that curls up would touch in more than one place."
             )
+
+    def _check_masses(self) -> None:
+        for name in ("tip_mass", "base_mass", "base_inertia"):
+            if getattr(self, name) is not None:
+                checks.number(name, getattr(self, name), non_negative=True)
+        if self.mass_per_length is None:
+            return
+        if not callable(self.mass_per_length):
+            checks.number("mass_per_length", self.mass_per_length, positive=True)
+        elif not checks.is_traced((self.length, self.mass_per_length)):
+            self._check_along("mass_per_length", self.mass_per_length)
+
+    def _check_along(self, name: str, value: AlongWhisker) -> None:
+        """Check that a concrete function of arc length is positive and finite."""
+        with jax.ensure_compile_time_eval():
+            values, positive = map(np.asarray, self._samples(value))
+        if not positive.all():
+            k = int(np.argmin(positive))
+            allowed = "positive and finite along the whisker (zero only at the tip)"
+            checks.fail(name, allowed, f"{values[k]} at {k / (CHECKED_POINTS - 1):.3g} of its length")
 
     @property
     def uniform(self) -> bool:
@@ -87,8 +119,28 @@ class Whisker(eqx.Module):
 
     def valid(self):
         """Whether traced parameters are in the domain that the constructor checks."""
-        length, (_, stiff) = jnp.asarray(self.length), self._stiffness_samples()
+        length, (_, stiff) = jnp.asarray(self.length), self._samples(self.bending_stiffness)
         return jnp.isfinite(length) & (length > 0) & jnp.all(stiff) & (self._largest_turn() < jnp.pi / 2)
+
+    def valid_masses(self) -> Bool[Array, ""]:
+        """Whether traced masses are in the domains that the constructor checks, with a mass per length."""
+        points = (self.tip_mass, self.base_mass, self.base_inertia)
+        masses = jnp.stack([jnp.asarray(0.0 if mass is None else mass, dtype=float) for mass in points])
+        _, positive = self._samples(0.0 if self.mass_per_length is None else self.mass_per_length)
+        return jnp.all(positive) & jnp.all((masses >= 0) & jnp.isfinite(masses))
+
+    @property
+    def has_masses(self) -> bool:
+        """Whether any mass is given."""
+        return any(mass is not None for mass in _masses(self))
+
+    def without_masses(self) -> "Whisker":
+        """The whisker without masses, which equilibria do not depend on."""
+        return eqx.tree_at(_masses, self, replace_fn=lambda _: None, is_leaf=lambda leaf: leaf is None)
+
+    def mass_at(self, s: Scalar) -> Float[Array, ""]:
+        """rho A at the arc length s from the base, mass per length; zero if it is unknown."""
+        return at_arc(0.0 if self.mass_per_length is None else self.mass_per_length, s)
 
     def curvature_at(self, s: Scalar) -> Float[Array, ""]:
         """kappa0 at the arc length s from the base, 1/length, positive counter-clockwise."""
@@ -107,21 +159,29 @@ class Whisker(eqx.Module):
         curvature = jax.vmap(self.curvature_at)(step * jnp.arange(CHECKED_POINTS))
         return jnp.max(jnp.abs(jnp.cumsum((curvature[1:] + curvature[:-1]) / 2) * step))
 
-    def _stiffness_samples(self) -> tuple[Float[Array, " points"], Bool[Array, " points"]]:
-        """EI at points along the whisker, and whether it is positive, or zero at the tip, and finite."""
-        s = jnp.linspace(0.0, 1.0, CHECKED_POINTS if callable(self.bending_stiffness) else 2) * self.length
-        values = jax.vmap(self.stiffness_at)(s)
+    def _samples(self, value: AlongWhisker) -> tuple[Float[Array, " points"], Bool[Array, " points"]]:
+        """A quantity at points along the whisker, and whether it is positive, or zero at the tip, and finite."""
+        s = jnp.linspace(0.0, 1.0, CHECKED_POINTS if callable(value) else 2) * self.length
+        values = jax.vmap(lambda s: at_arc(value, s))(s)
         positive = (values > 0).at[-1].set(values[-1] >= 0)
         return values, positive & jnp.isfinite(values)
 
     @classmethod
-    def from_material(cls, length: Scalar, youngs_modulus: AlongWhisker, diameter: AlongWhisker) -> "Whisker":
-        """A whisker of circular cross-section, EI = E pi d^4 / 64.
+    def from_material(
+        cls,
+        length: Scalar,
+        youngs_modulus: AlongWhisker,
+        diameter: AlongWhisker,
+        *,
+        density: AlongWhisker | None = None,
+    ) -> "Whisker":
+        """A whisker of circular cross-section, EI = E pi d^4 / 64 and rho A = rho pi d^2 / 4.
 
         Args:
             length: L, m; positive.
             youngs_modulus: E, Pa; a positive number, or a function of the arc length from the base.
             diameter: d, m; a positive number, or a function of the arc length from the base.
+            density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
 
         Raises:
             ValueError: as for a Whisker.
@@ -131,15 +191,26 @@ class Whisker(eqx.Module):
             >>> print(f"{whisker.bending_stiffness:.3e}")  # N m^2
             2.356e-07
         """
-        for name, value in (("youngs_modulus", youngs_modulus), ("diameter", diameter)):
-            if not callable(value):
+        for name, value in (("youngs_modulus", youngs_modulus), ("diameter", diameter), ("density", density)):
+            if value is not None and not callable(value):
                 checks.number(name, value, positive=True)
         section = RoundSection(youngs_modulus, diameter)
-        return cls(length, section if callable(youngs_modulus) or callable(diameter) else section(0.0))
+        mass = None if density is None else RoundMass(density, diameter)
+        return cls(
+            length,
+            section if callable(youngs_modulus) or callable(diameter) else section(0.0),
+            mass_per_length=mass if mass is None or callable(density) or callable(diameter) else mass(0.0),
+        )
 
     @classmethod
     def conical(
-        cls, length: Scalar, youngs_modulus: AlongWhisker, base_diameter: Scalar, tip_diameter: Scalar
+        cls,
+        length: Scalar,
+        youngs_modulus: AlongWhisker,
+        base_diameter: Scalar,
+        tip_diameter: Scalar,
+        *,
+        density: AlongWhisker | None = None,
     ) -> "Whisker":
         """A whisker whose diameter decreases linearly from base to tip.
 
@@ -149,6 +220,7 @@ class Whisker(eqx.Module):
             base_diameter: d at the base, m; positive.
             tip_diameter: d at the tip, m; not negative. A pointed tip (0) carries no force: it bends away, and the
                 contact is tangential from the start.
+            density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
 
         Raises:
             ValueError: as for a Whisker, or if a diameter is negative.
@@ -160,7 +232,8 @@ class Whisker(eqx.Module):
         """
         checks.number("base_diameter", base_diameter, positive=True)
         checks.number("tip_diameter", tip_diameter, non_negative=True)
-        return cls.from_material(length, youngs_modulus, LinearTaper(base_diameter, tip_diameter, length))
+        taper = LinearTaper(base_diameter, tip_diameter, length)
+        return cls.from_material(length, youngs_modulus, taper, density=density)
 
     @classmethod
     def rat(
@@ -171,6 +244,7 @@ class Whisker(eqx.Module):
         length: Scalar | None = None,
         youngs_modulus: AlongWhisker = 3e9,
         intrinsic_curvature: AlongWhisker | None = None,
+        density: AlongWhisker | None = None,
     ) -> "Whisker":
         """The average vibrissa of a rat at one position in the array, in SI units: a cone.
 
@@ -185,6 +259,7 @@ class Whisker(eqx.Module):
             length: S, m; positive. Default: the average.
             youngs_modulus: E, Pa. 3 GPa is a common round value; measured values scatter by more than half of it.
             intrinsic_curvature: 1/m, a number or a function, as for any whisker.
+            density: rho, kg/m^3, a number or a function. Default: unknown.
 
         Raises:
             ValueError: if the array has no such position, or as for a Whisker.
@@ -209,8 +284,12 @@ class Whisker(eqx.Module):
         base = 0.041 + 0.002 * arc + 0.011 * r - 0.0039 * c
         slope = 0.0012 + 0.00017 * r - 0.000066 * c + 0.00011 * c**2
         tip = jnp.maximum(base - 2 * slope * arc, 2 * LEAST_TIP_RADIUS)
-        cone = cls.conical(arc * 1e-3, youngs_modulus, base * 1e-3, tip * 1e-3)
-        return cls(cone.length, cone.bending_stiffness, intrinsic_curvature)
+        cone = cls.conical(arc * 1e-3, youngs_modulus, base * 1e-3, tip * 1e-3, density=density)
+        return cls(cone.length, cone.bending_stiffness, intrinsic_curvature, mass_per_length=cone.mass_per_length)
+
+
+def _masses(whisker: Whisker) -> tuple:
+    return whisker.mass_per_length, whisker.tip_mass, whisker.base_mass, whisker.base_inertia
 
 
 LAST_COLUMN = {
@@ -243,3 +322,14 @@ class RoundSection(eqx.Module):
     def __call__(self, s: Scalar) -> Scalar:
         modulus, diameter = (value(s) if callable(value) else value for value in (self.youngs_modulus, self.diameter))
         return modulus * (np.pi / 64) * diameter**4
+
+
+class RoundMass(eqx.Module):
+    """Mass per length of a circular cross-section, rho pi d^2 / 4; rho and d may be functions of the arc length."""
+
+    density: AlongWhisker = eqx.field(converter=number_or_function("density"))
+    diameter: AlongWhisker = eqx.field(converter=number_or_function("diameter"))
+
+    def __call__(self, s: Scalar) -> Scalar:
+        density, diameter = (value(s) if callable(value) else value for value in (self.density, self.diameter))
+        return density * (np.pi / 4) * diameter**2

@@ -59,6 +59,9 @@ class Deflection(eqx.Module):
     curvature: Float[Array, " points"]  # 1/length, counter-clockwise positive
     spring_length: Float[Array, " springs"]  # length of each spring, or angle of a torsion spring, as in a Result
     status: Int[Array, ""]  # Status.ok, .inexact or .invalid
+    whisker: Whisker
+    loads: tuple[PointForce | PointMoment, ...]
+    support: Support
 
 
 class _Equations(eqx.Module):
@@ -223,11 +226,13 @@ def deflect(
         if float(load.position) > float(whisker.length):
             checks.fail("position", f"at most the length {whisker.length}", load.position)
     whisker, loads, support = jax.tree.map(checks.as_float, (whisker, loads, support))
-    return _deflect(whisker, loads, support, points)
+    return Deflection(
+        **_deflect(whisker.without_masses(), loads, support, points), whisker=whisker, loads=loads, support=support
+    )
 
 
 @Program
-def _deflect(whisker: Whisker, loads: Given, support: Support, points: int) -> Deflection:
+def _deflect(whisker: Whisker, loads: Given, support: Support, points: int) -> dict[str, Array]:
     tip, status = _solution(*jax.lax.stop_gradient((whisker, loads, support)))
     ok = status == Status.ok
     whisker, loads, support = safe_placeholder((whisker, loads, support), ok)
@@ -249,7 +254,7 @@ def _deflect(whisker: Whisker, loads: Given, support: Support, points: int) -> D
         "curvature": found.curvature / length,
         "spring_length": found.spring_length,
     }
-    return Deflection(**{name: jnp.where(ok, value, jnp.nan) for name, value in values.items()}, status=status)
+    return {name: jnp.where(ok, value, jnp.nan) for name, value in values.items()} | {"status": status}
 
 
 class _Found(NamedTuple):

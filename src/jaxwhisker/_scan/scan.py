@@ -103,6 +103,7 @@ def scan_across(scene: Scene, steps: int) -> Result:
 
 def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
     """A scan outside any jit; without a control, its positions are `steps` equidistant ones or those of the default."""
+    whole, scene = scene, scene.without_masses()
     problem = problem_now(scene)
     if not checks.is_traced((scene, control)):
         check_valid(scene, problem)
@@ -114,7 +115,7 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
     elif route is None:
         route = route_of(_default_control(problem, float(start), float(stop)))
     state, step_status, lengths = _in_blocks(scene, problem, path, route)
-    return _result(scene, problem, path, jnp.asarray(route.control), state, step_status, lengths)
+    return _result(whole, problem, path, jnp.asarray(route.control), state, step_status, lengths)
 
 
 def _in_blocks(
@@ -191,8 +192,7 @@ def default_control(scene: Scene) -> np.ndarray:
     checks.float64_mode()
     if checks.is_traced(scene):
         raise ValueError("`scene` must be concrete, got a traced one: the number of positions depends on its values.")
-    scene = jax.tree.map(checks.as_float, scene)
-    problem = problem_now(scene)
+    problem = problem_now(jax.tree.map(checks.as_float, scene.without_masses()))
     path = follow_path_now(problem, *map(np.asarray, across()))
     return _default_control(problem, float(path.start), float(path.stop))
 

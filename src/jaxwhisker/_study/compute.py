@@ -189,7 +189,7 @@ def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.nda
     """First and last position of the default control of every point, and its step; NaN for invalid points."""
 
     def point(values):
-        problem, (stops, last) = problem_now(jax.tree.map(checks.as_float, build(**values))), across()
+        problem, (stops, last) = problem_now(jax.tree.map(checks.as_float, build(**values).without_masses())), across()
         prepare(problem, stops.size, events=True)  # for the scans that follow
         path = follow_path_now(problem, stops, np.asarray(last))
         return problem.valid, path.start, path.stop, problem.unit.control

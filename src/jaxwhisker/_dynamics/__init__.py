@@ -1,0 +1,1 @@
+"""Dynamics: small vibrations about equilibria."""
