@@ -292,6 +292,8 @@ def test_a_scan_pays_nothing_for_masses(scanned):
         (lambda: jw.modes(ROD, stiffness_damping="1"), "`stiffness_damping` must be a non-negative finite number"),
         (lambda: jw.modes(ROD, base_damping=(0.0, -1.0, 0.0)), "`base_damping` must be a non-negative finite number"),
         (lambda: jw.modes(ROD, base_damping=(0.0, 1.0)), "`base_damping` must be a number, or a tuple of three"),
+        (lambda: jw.modes(jw.Scene(ROD, (jw.Parabola(0.2), jw.Circle(0.2, 0.1, 5.0)))), "a scene with one object"),
+        (lambda: jw.modes(ROD, support=jw.Support.hill(2)), "without springs between the shafts of two whiskers"),
         (
             lambda: jw.modes(jw.deflect(ROD, jw.PointForce(1.0, follower=True))),
             "`at` must be a Deflection under dead loads: a follower force has no potential",

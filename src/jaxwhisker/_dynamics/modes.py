@@ -164,6 +164,10 @@ def _check_masses(whiskers: tuple[Whisker, ...]) -> None:
 
 def _prepared(scene: Scene) -> tuple[Problem, tuple[Whisker, ...]]:
     _check_masses(scene.whiskers)
+    if scene.support.shaft_loads:
+        checks.fail("at", "one without springs between the shafts of two whiskers", str(scene))
+    if len(scene.profile.objects) > 1:
+        checks.fail("at", "a scene with one object", str(scene))
     scene = jax.tree.map(checks.as_float, scene)
     still = scene.without_masses()
     return (problem_of if checks.is_staged(scene) else problem_now)(still), scene.whiskers
