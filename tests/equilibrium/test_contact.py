@@ -30,7 +30,7 @@ P = (
 )  # along the clamped branch: tip, tangential and tip contacts, before and behind the vertex
 TIP, TANGENTIAL = jnp.asarray(int(Phase.tip)), jnp.asarray(int(Phase.tangential))
 
-VALUES = contact.Base._fields[:-1]  # the last one is None without springs on the shaft
+VALUES = contact.Base._fields[:-2]  # the last two are None without springs on the shaft
 
 
 def body(rod: AbstractRod = CLOSED, position=0.0):
