@@ -20,8 +20,8 @@ import jaxwhisker as jw
 from common import write
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.newton import solve_point
 from jaxwhisker._equilibrium.point import Mode, at_control
+from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._scan.route import across, route_of
 from jaxwhisker._scan.scan import follow_path_now, problem_now
 from jaxwhisker._scan.steps import interpolate

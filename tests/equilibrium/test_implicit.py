@@ -12,8 +12,9 @@ from exact_contacts import DISTANCE, branch, contacts, fb_control, fbfb_at
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.implicit import event_control, solved, without_rule
-from jaxwhisker._equilibrium.newton import newton_step, solve_point
+from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, Row, at_control, at_event
+from jaxwhisker._equilibrium.solver import solve_point
 
 MODES = 1e-11  # forward against reverse, relative to the largest
 DIFFERENCE = 1e-6  # central differences of solved points, relative to the largest

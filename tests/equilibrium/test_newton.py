@@ -10,8 +10,9 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium import newton
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.newton import newton_step, solve_point, with_dummy_contacts
+from jaxwhisker._equilibrium.newton import newton_step, with_dummy_contacts
 from jaxwhisker._equilibrium.point import Mode, Point, at_arc_length, at_control, scale_of
+from jaxwhisker._equilibrium.solver import solve_point
 
 EXACT = 1e-9  # of solved contacts, in their scale: the accepted point is one step better than the tested one
 RESIDUAL = 1e-11  # of exact contacts: their moduli are found by bisection

@@ -11,9 +11,10 @@ from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.newton import Solution, newton_step
+from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Mode, Point, at_control, scale_of
 from jaxwhisker._equilibrium.problem import Stance
+from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import (
     Task,

@@ -13,9 +13,9 @@ from exact_contacts import Q, branch, contacts, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.newton import solve_point
 from jaxwhisker._equilibrium.point import Mode, Point, at_control, scale_of
 from jaxwhisker._equilibrium.problem import Stance
+from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._equilibrium.touch import Touch
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.snap_flow import ITERATIONS, LARGEST_CHANGE, SHORTEST

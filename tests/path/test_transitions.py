@@ -9,8 +9,8 @@ from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.newton import Solution
 from jaxwhisker._equilibrium.point import Point
+from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._path.leaving import _is_over
 from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import Target, Trial

@@ -12,10 +12,10 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.couplings import Couplings, End
 from jaxwhisker._equilibrium.friction import slipping_from
-from jaxwhisker._equilibrium.newton import solve_point
 from jaxwhisker._equilibrium.point import Mode, Point, at_control
 from jaxwhisker._equilibrium.problem import NOWHERE, Attached, Contacts, InPlane, Poses
 from jaxwhisker._equilibrium.shaft_springs import AXIAL, Attachments, Laws, ShaftSprings, Tissue
+from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._model.motion import Pose, mounted
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.spring import AXES, Spring

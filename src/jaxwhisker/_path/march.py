@@ -22,9 +22,10 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.friction import newly_slipping, slipping_from
-from jaxwhisker._equilibrium.newton import is_light, solve_point
+from jaxwhisker._equilibrium.newton import is_light
 from jaxwhisker._equilibrium.point import Mode, Point, Row, along, at_arc_length, at_control, at_event, at_force
 from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
 from jaxwhisker._path.leaving import after_arrive

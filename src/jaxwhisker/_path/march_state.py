@@ -11,10 +11,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase, beyond
-from jaxwhisker._equilibrium.newton import Solution, slip_by_contact, slope_sines
+from jaxwhisker._equilibrium.newton import slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import (

@@ -30,10 +30,11 @@ from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import newly_slipping
-from jaxwhisker._equilibrium.newton import Condensed, Solution, contact_parameters, slip_by_contact, with_slips
+from jaxwhisker._equilibrium.newton import Condensed, contact_parameters, slip_by_contact, with_slips
 from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance, of_object
+from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stability import (
     Slopes,
     clamped_is_stable,

@@ -11,10 +11,10 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import Friction, newly_slipping
 from jaxwhisker._equilibrium.implicit import solved
-from jaxwhisker._equilibrium.newton import solve_points
 from jaxwhisker._equilibrium.pieces import where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, at_control, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.solver import solve_points
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.signals import signals

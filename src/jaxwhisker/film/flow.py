@@ -18,9 +18,10 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.newton import newton_step, solve_point
+from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
+from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import Node, select
