@@ -31,6 +31,9 @@ from jaxwhisker._base.primitive import PRIMITIVE, as_precise, lanes_together
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
 # time, and its kernels run equally fast.
 COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if version < (0, 11) else {}
+# XLA shares out products of matrices among its threads and waits for them in one of these: on two processors, several
+# such products at once may wait for each other forever.
+COMPILER_OPTIONS["xla_cpu_multi_thread_eigen"] = False
 
 ARRAYS = (np.ndarray, np.generic, jax.Array, jax.ShapeDtypeStruct)
 MOST_KEPT = 128  # executables of a program in a process; the oldest ones are dropped
@@ -71,8 +74,6 @@ class Program:
             the results (None where they are zero or do not exist), or NotImplemented to leave them to JAX.
         quick: whether to compile in half the time; programs of many small kernels run no slower.
         batched: whether the lanes of a large batch run together rather than one by one.
-        alone: whether lanes never run at the same time: with jax 0.10, programs with products of large matrices may
-            wait forever for each other.
     """
 
     def __init__(
@@ -83,12 +84,11 @@ class Program:
         tangent: Callable | None = None,
         quick: bool = False,
         batched: bool = False,
-        alone: bool = False,
     ):
         functools.update_wrapper(self, function)
         self.function, self._frozen, self._tangent = function, frozen, tangent
         self._options: dict[str, Any] = COMPILER_OPTIONS | ({"xla_backend_optimization_level": 0} if quick else {})
-        self.batched, self.alone = batched, alone
+        self.batched = batched
         self._lock = threading.RLock()  # a program may need another shape of itself while it is traced
         self._results: dict[Shape, Results] = {}
         self._executables: dict[tuple[Shape, int], Future] = {}

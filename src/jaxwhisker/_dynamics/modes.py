@@ -1,6 +1,5 @@
 """Small vibrations about an equilibrium: frequencies, shapes, reactions and damping ratios."""
 
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -269,7 +268,7 @@ def _dimensionless(problem: Problem, at: Equilibrium) -> Equilibrium:
     return at._replace(**{name: getattr(at, name) / unit for name, unit in units.items()})
 
 
-@partial(Program, alone=True)
+@Program
 def _result_modes(
     problem: Problem,
     whiskers: tuple[Whisker, ...],
@@ -288,7 +287,7 @@ def _result_modes(
     return eqx.tree_at(lambda modes: modes.s, found, found.s[0])
 
 
-@partial(Program, alone=True)
+@Program
 def _unloaded_modes(
     problem: Problem, whiskers: tuple[Whisker, ...], damping: _Damping, count: int, points: int
 ) -> Modes:
@@ -303,7 +302,7 @@ def _unloaded_modes(
     return _found(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)
 
 
-@partial(Program, alone=True)
+@Program
 def _deflection_modes(
     problem: Problem,
     whiskers: tuple[Whisker, ...],
