@@ -12,337 +12,348 @@ plus elastic energy change by exactly the work of contact and base. The method h
 At the end of the step the gap g and the contact force f satisfy 0 <= g, 0 <= f, g f = 0; the direction c of the contact
 force is the mean of the gap's gradients at both ends. Where f > 0, an impulse then removes the velocity along the
 normal: impacts have no restitution. This is also what keeps lasting contacts free of oscillations (as in RATTLE).
+
+Coulomb friction holds for the mean tangential force t and the slip d of the material point in contact: d = 0 and
+abs(t) <= mu f, or t = -mu f sign(d). The impulses obey the same law.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.gap import MOST, gap_at
-from jaxwhisker._dynamics.moving import System
+from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._dynamics.gap import MOST, Gap, gap_at
+from jaxwhisker._dynamics.ledger import booked
+from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching
+from jaxwhisker._dynamics.moving import Rods, System
+from jaxwhisker._dynamics.stop import stopped
 
-CLOSE = 1e-7  # change of the unknowns at which a last iteration makes them exact to rounding
+CLOSE = 1e-6  # change of the unknowns at which Newton's method stops; the error is about its square
 MOST_ITERATIONS = 15
 
 PerWhisker = Float[Array, " whiskers"]
 
 
-class Touching(NamedTuple):
-    """The closest points of whiskers and object, and the contact."""
+class Mode(NamedTuple):
+    """Which equations contacts satisfy at the end of a step."""
 
-    arc: PerWhisker  # fraction of the length
-    parameter: PerWhisker  # of the object
-    force: PerWhisker  # mean over the last step
-    gap: PerWhisker
-    at_tip: PerWhisker  # positive if the tip is closest
-    normal: Float[Array, "whiskers 2"]
-    across: Float[Array, "whiskers points"]
-    touches: Bool[Array, " whiskers"]
-
-
-class Ledger(NamedTuple):
-    """Work and losses since the start."""
-
-    work: Scalar  # of the drive
-    damping: Scalar
-    impact: Scalar
-    friction: Scalar
-    contact: Scalar  # work of contact forces along the normal, an error of the method: the object rests
-
-
-class Moving(NamedTuple):
-    """Whiskers in motion, at one time."""
-
-    q: Float[Array, "whiskers n"]
-    z: Float[Array, " free"]
-    base: Float[Array, "whiskers 3"]  # pose
-    angle: Float[Array, "whiskers points"]
-    at: Float[Array, "whiskers 2 nodes"]
-    velocity: Float[Array, "whiskers 2 nodes"]
-    spin: PerWhisker  # angular velocity of the base
-    drive: Float[Array, "3"]
-    touching: Touching | None
-    change: Float[Array, " unknowns"]  # of the last step
-    ledger: Ledger
-    solved: Bool[Array, ""]
+    touches: Bool[Array, "*whiskers"]
+    slip: Int[Array, "*whiskers"]  # +1 or -1 along the object; 0 if the contact sticks
 
 
 class Forces(NamedTuple):
     """Mean forces of a step."""
 
     reaction: Float[Array, "whiskers 3"]  # support on whisker, in the scene: fx, fy, mz
-    contact: PerWhisker
+    normal: PerWhisker
+    drag: PerWhisker
 
 
-def angles_of(system: System, q: Float[Array, "whiskers n"], base: Float[Array, "whiskers 3"]) -> Array:
-    """Angles of all whiskers from +x at their Gauss points."""
-    return jnp.pi / 2 + base[:, 2:] + system.rods.rest + q @ system.basis.angles.T
+class Trial(NamedTuple):
+    """The end of a step of one whisker for trial values of its unknowns, and what follows from it."""
+
+    angle: Array
+    at: Array
+    gap: Gap | None
+    slipped: Scalar  # distance along the tangent
 
 
-def nodes_of(system: System, base: Float[Array, "whiskers 3"], angle: Float[Array, "whiskers points"]) -> Array:
-    """Positions of all nodes."""
-    turned = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
-    return base[:, :2, None] + system.rods.length[:, None, None] * (turned @ system.basis.reach.T)
+class _Whisker(NamedTuple):
+    """What the equations of one whisker depend on; or of all whiskers, stacked."""
+
+    rods: Rods
+    old: Rod
+
+
+class _Rows(NamedTuple):
+    """Residuals of one whisker for trial values, and the reaction of its support."""
+
+    bending: Float[Array, " n"]
+    contact: Float[Array, " contact"]  # see `_contact_rows`
+    reaction: Float[Array, "3"]
+
+    def flat(self) -> Array:
+        """All of them in one array."""
+        return jnp.concatenate(self)
+
+
+def _rows(
+    system: System, own: _Whisker, h: Scalar, mode: Mode, q: Array, contact: Array, base: Array
+) -> tuple[_Rows, Trial]:
+    rods, old = own
+    shapes = system.basis
+    angle = jnp.pi / 2 + base[2] + rods.rest + shapes.angles @ q
+    turned = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    at = base[:2, None] + rods.length * (turned @ shapes.reach.T)
+    mean = (at - old.at) / h
+    force = rods.mass * (2 / h * (mean - old.velocity) + system.mass_damping * mean)
+    half, middle = (angle - old.angle) / 2, (angle + old.angle) / 2
+    moments = force @ shapes.reach
+    torque = rods.length * _sinc(half) * (jnp.cos(middle) * moments[1] - jnp.sin(middle) * moments[0])
+    push = jnp.sum(force, axis=-1)
+    gap, slipped, rows = None, jnp.zeros(()), jnp.zeros(0)
+    if system.profile is not None:
+        assert old.touching is not None
+        gap = gap_at(shapes, system.profile, rods.length, base[:2], angle, contact[0], contact[1])
+        torque -= contact[2] * (old.touching.across + gap.across) / 2
+        push -= contact[2] * (old.touching.normal + gap.normal) / 2
+        along, tangent = (old.touching.along + gap.along) / 2, (old.touching.tangent + gap.tangent) / 2
+        slipped = along @ (angle - old.angle) + tangent @ (base - old.base)[:2]
+        closed = jnp.where(mode.touches, gap.gap, contact[2])
+        rows = jnp.stack([gap.end, gap.foot, closed])
+        if system.friction is not None:
+            torque -= contact[3] * along
+            push -= contact[3] * tangent
+            dragged = contact[3] + system.friction * mode.slip * contact[2]
+            rows = jnp.append(rows, jnp.where(mode.touches & (mode.slip == 0), slipped, dragged))
+    bending = (old.q + q) / 2 + system.stiffness_damping / h * (q - old.q)
+    bent = torque @ shapes.angles + jnp.sum(rods.stiffness * bending, axis=-1)
+    twist = jnp.sum(torque) + rods.inertia * 2 / h * ((base[2] - old.base[2]) / h - old.spin)
+    return _Rows(bent, rows, jnp.append(push, twist)), Trial(angle, at, gap, slipped)
+
+
+def _sinc(x: Array) -> Array:
+    """sin(x) / x; angles change by less than a radian in a step, and jnp.sinc compiles to a polynomial of its own."""
+    square = x * x
+    small = 1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72)))
+    large = jnp.abs(x) > 0.1
+    return jnp.where(large, jnp.sin(x) / jnp.where(large, x, 1.0), small)
 
 
 class Unknowns(NamedTuple):
     """What a step solves for."""
 
     q: Float[Array, "whiskers n"]
-    contact: Float[Array, "whiskers 3"] | None  # arc, parameter, force
+    contact: Float[Array, "whiskers contact"]  # arc, parameter, normal force, with friction also drag
     z: Float[Array, " free"]
 
     def flat(self) -> Float[Array, " unknowns"]:
         """All unknowns in one array."""
-        return jnp.concatenate([jnp.ravel(part) for part in self if part is not None])
+        return jnp.concatenate([jnp.ravel(part) for part in self])
 
 
 def _unknowns(system: System, flat: Float[Array, " unknowns"]) -> Unknowns:
-    whiskers, n = system.rods.length.shape[0], system.n
-    split = whiskers * n
-    touch = None if system.profile is None else flat[split : split + 3 * whiskers].reshape(whiskers, 3)
-    return Unknowns(flat[:split].reshape(whiskers, n), touch, flat[flat.size - len(system.free) :])
+    whiskers, n, c = system.rods.length.shape[0], system.n, system.contact_unknowns
+    q, contact, z = jnp.split(flat, [whiskers * n, whiskers * (n + c)])
+    return Unknowns(q.reshape(whiskers, n), contact.reshape(whiskers, c), z)
 
 
-class _End(NamedTuple):
-    """The end of a step for trial values of the unknowns."""
-
-    base: Array
-    angle: Array
-    at: Array
-    gaps: Any
-    reaction: Array
-    load: Array  # on the springs, in the frame of the drive
-    rows: Array  # residuals of the whiskers
-    network: Array  # residuals of the springs
+def _at(moving: Moving, system: System) -> Unknowns:
+    """The unknowns of a state."""
+    at, c = moving.rod.touching, system.contact_unknowns
+    if at is None:
+        return Unknowns(moving.rod.q, jnp.zeros((moving.rod.q.shape[0], 0)), moving.z)
+    return Unknowns(moving.rod.q, jnp.stack([at.arc, at.parameter, at.force, at.drag][:c], axis=-1), moving.z)
 
 
-def _end_of_step(system: System, old: Moving, drive: Array, h: Scalar, x: Unknowns) -> _End:
-    rods, shapes = system.rods, system.basis
-    base = system.bases(x.z, drive)
-    angle = angles_of(system, x.q, base)
-    at = nodes_of(system, base, angle)
-    mean = (at - old.at) / h
-    force = rods.mass[:, None] * (2 / h * (mean - old.velocity) + system.mass_damping * mean)
-    half, turned = (angle - old.angle) / 2, (angle + old.angle) / 2
-    size = rods.length[:, None] * jnp.sinc(half / jnp.pi)
-    moments = force @ shapes.reach
-    torque = size * (jnp.cos(turned) * moments[:, 1] - jnp.sin(turned) * moments[:, 0])
-    push = jnp.sum(force, axis=-1)
-    gaps = None
-    if system.profile is not None and x.contact is not None:
-        assert old.touching is not None
-        arc, parameter, pressure = x.contact.T
+def _every(system: System, old: Moving, drive: Array, h: Scalar, mode: Mode, x: Unknowns) -> tuple[_Rows, Trial]:
+    """Residuals and reactions of all whiskers."""
 
-        def one(length, base, angle, arc, parameter):
-            return gap_at(shapes, system.profile, length, base, angle, arc, parameter)
+    def one(own, mode, q, contact, base):
+        return _rows(system, own, h, mode, q, contact, base)
 
-        gaps = jax.vmap(one)(rods.length, base[:, :2], angle, arc, parameter)
-        torque -= pressure[:, None] * (old.touching.across + gaps.across) / 2
-        push -= pressure[:, None] * (old.touching.normal + gaps.normal) / 2
-    rate = (x.q - old.q) / h
-    bending = (old.q + x.q) / 2 + system.stiffness_damping * rate
-    rows = torque @ shapes.angles + jnp.sum(rods.stiffness * bending[:, None, :], axis=-1)
-    twist = jnp.sum(torque, axis=-1) + rods.inertia * 2 / h * ((base[:, 2] - old.base[:, 2]) / h - old.spin)
-    reaction = jnp.concatenate([push, twist[:, None]], axis=-1)
-    load, network = _springs(system, old, drive, h, x.z, reaction)
-    return _End(base, angle, at, gaps, reaction, load, rows, network)
+    return jax.vmap(one)(_Whisker(system.rods, old.rod), mode, x.q, x.contact, system.bases(x.z, drive))
 
 
-def _springs(system: System, old: Moving, drive: Array, h: Scalar, z: Array, reaction: Array) -> tuple[Array, Array]:
-    """Load on the free coordinates of the bases, and the residuals of the springs."""
-    if system.network is None:
-        return jnp.zeros(0), jnp.zeros(0)
+def _load(system: System, old: Moving, drive: Array, reaction: Array) -> Float[Array, " free"]:
+    """Load on the free coordinates of the bases, in the mean frame of the drive."""
     cos, sin = ((turn(old.drive[2]) + turn(drive[2])) / 2 for turn in (jnp.cos, jnp.sin))
     fx, fy, mz = reaction.T
     load = -jnp.stack([cos * fx + sin * fy, cos * fy - sin * fx, mz], axis=-1)
-    load = jnp.ravel(load)[jnp.array(system.free)]
+    return jnp.ravel(load)[jnp.array(system.free, int)]
+
+
+def _spring_rows(system: System, old: Moving, h: Scalar, z: Array, load: Array) -> Float[Array, " free"]:
+    """Residuals of the springs."""
+    if system.network is None:
+        return jnp.zeros(0)
     rate = (z - old.z) / h
     strain = system.strain((old.z + z) / 2) + system.stiffness_damping * rate
-    damped = load - system.network.damping @ rate
-    return load, strain - system.network.compliance @ damped
+    return strain - system.network.compliance @ (load - system.network.damping @ rate)
 
 
-def _residual(
-    system: System, old: Moving, drive: Array, h: Scalar, touches: Array | None, flat: Float[Array, " unknowns"]
-) -> Float[Array, " unknowns"]:
+def _residual(system: System, old: Moving, drive: Array, h: Scalar, mode: Mode, flat: Array) -> Array:
     x = _unknowns(system, flat)
-    end = _end_of_step(system, old, drive, h, x)
-    if x.contact is None:
-        return jnp.concatenate([jnp.ravel(end.rows), end.network])
-    force = x.contact[:, 2]
-    contact = jnp.stack([end.gaps.end, end.gaps.foot, jnp.where(touches, end.gaps.gap, force)], axis=-1)
-    return jnp.concatenate([jnp.ravel(end.rows), jnp.ravel(contact), end.network])
+    rows, _ = _every(system, old, drive, h, mode, x)
+    springs = _spring_rows(system, old, h, x.z, _load(system, old, drive, rows.reaction))
+    return Unknowns(rows.bending, rows.contact, springs).flat()
 
 
-def _touches(system: System, old: Moving, drive: Array, flat: Float[Array, " unknowns"]) -> Array | None:
-    """Whether whiskers touch the object at the end of the step, by the signs of trial gaps and forces."""
-    x = _unknowns(system, flat)
-    if x.contact is None:
-        return None
-    base = system.bases(x.z, drive)
-    angle = angles_of(system, x.q, base)
+def _newton(system: System, old: Moving, drive: Array, h: Scalar, mode: Mode, x: Unknowns) -> tuple[Unknowns, Trial]:
+    """The change of the unknowns in one iteration of Newton's method, and the trial before it.
 
-    def gap(length, base, angle, contact):
-        return gap_at(system.basis, system.profile, length, base, angle, contact[0], contact[1]).gap
+    The inner coordinates of each whisker are eliminated first; contacts and bases remain.
+    """
+    n, c, free = system.n, system.contact_unknowns, system.free
 
-    gaps = jax.vmap(gap)(system.rods.length, base[:, :2], angle, x.contact)
-    del old
-    return x.contact[:, 2] > gaps
+    def one(own, mode, q, contact, base):
+        def rows(unknowns):
+            q, contact, moved = jnp.split(unknowns, [n, n + c])
+            rows, trial = _rows(system, own, h, mode, q, contact, base + moved if free else base)
+            return rows.flat(), (rows.flat(), trial)
 
+        start = jnp.concatenate([q, contact, jnp.zeros(3 if free else 0)])
+        slope, (value, trial) = jax.jacfwd(rows, has_aux=True)(start)
+        right = jnp.concatenate([slope[:, n:], value[:, None]], axis=1)
+        inner = _eliminated(jnp.concatenate([slope[:n, :n], right[:n]], axis=1))
+        outer = right[n:] - jnp.sum(slope[n:, :n, None] * inner, axis=1)
+        return inner, outer, trial
 
-def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -> tuple[Moving, Forces]:
-    """The state one time step later, with the drive at this pose and moving at this rate."""
-    guess = _flat(system, old) + old.change
-    flat, touches, solved = _solve(*jax.lax.stop_gradient((system, old, drive, h, guess)))
-    value, slope = _linearised(system, old, drive, h, touches, flat)
-    # The last iteration carries the derivatives: the residual vanishes, so that only its own derivatives matter.
-    flat = flat - jnp.linalg.solve(jax.lax.stop_gradient(slope), value)
-    x = _unknowns(system, flat)
-    end = _end_of_step(system, old, drive, h, x)
-    velocity = 2 / h * (end.at - old.at) - old.velocity
-    spin = 2 / h * (end.base[:, 2] - old.base[:, 2]) - old.spin
-    touching, pressure = None, jnp.zeros_like(spin)
-    if x.contact is not None:
-        gaps, pressure = end.gaps, x.contact[:, 2]
-        arc, parameter, _ = x.contact.T
-        touching = Touching(arc, parameter, pressure, gaps.gap, gaps.at_tip, gaps.normal, gaps.across, touches)
-    new = old._replace(
-        q=x.q,
-        z=x.z,
-        base=end.base,
-        angle=end.angle,
-        at=end.at,
-        velocity=velocity,
-        spin=spin,
-        drive=drive,
-        touching=touching,
-        change=(flat - _flat(system, old)).at[_forces(system)].set(0.0),
-        ledger=_booked(system, old, end, x, h),
-        solved=old.solved & solved,
+    inner, outer, trial = jax.vmap(one)(
+        _Whisker(system.rods, old.rod), mode, x.q, x.contact, system.bases(x.z, drive)
     )
-    reaction = end.reaction
-    if touching is not None:
-        new, impulse, kick = _stopped(system, new, rate)
-        reaction, pressure = reaction + kick / h, pressure + impulse / h
-    return new, Forces(reaction, pressure)
+    if not free:
+        contact = -solved_each(outer[:, :c, :c], outer[:, :c, -1])
+        q = -inner[..., -1] - jnp.sum(inner[..., :-1] * contact[:, None], axis=-1)
+        return Unknowns(q, contact, x.z[:0]), trial
+    assert system.network is not None
+    whiskers = x.q.shape[0]
+    moves = jax.jacfwd(lambda z: system.bases(z, drive))(x.z)  # (whiskers, 3, free)
+
+    def loads(reaction):
+        return _load(system, old, drive, reaction)
+
+    size = whiskers * c
+    touching = (jnp.eye(whiskers)[:, None, :, None] * outer[:, :c, None, :c]).reshape(size, size)
+    by_base = jnp.einsum("wcb,wbf->wcf", outer[:, :c, c:-1], moves).reshape(size, -1)
+    by_contact = jax.vmap(loads)(jnp.moveaxis(jnp.eye(whiskers)[:, :, None, None] * outer[None, :, c:, :c], 3, 1).reshape(size, whiskers, 3))
+    by_move = jax.vmap(loads, in_axes=2, out_axes=1)(jnp.einsum("wbk,wkf->wbf", outer[:, c:, c:-1], moves))
+    network = system.network
+    own = jnp.eye(len(free)) * (1 / 2 + system.stiffness_damping / h) + network.compliance @ (network.damping / h - by_move)
+    matrix = jnp.block([[touching, by_base], [-network.compliance @ by_contact.T, own]])
+    springs = _spring_rows(system, old, h, x.z, loads(outer[:, c:, -1]))
+    change = -solve(matrix, jnp.append(jnp.ravel(outer[:, :c, -1]), springs)[:, None])[:, 0]
+    contact, z = change[:size].reshape(whiskers, c), change[size:]
+    outside = jnp.concatenate([contact, moves @ z], axis=1)
+    q = -inner[..., -1] - jnp.sum(inner[..., :-1] * outside[:, None], axis=-1)
+    return Unknowns(q, contact, z), trial
 
 
-def _flat(system: System, at: Moving) -> Float[Array, " unknowns"]:
-    touching = at.touching
-    contact = None if touching is None else jnp.stack([touching.arc, touching.parameter, touching.force], axis=-1)
-    return Unknowns(at.q, contact, at.z).flat()
+def solved_each(matrix: Float[Array, "whiskers c c"], right: Float[Array, "whiskers c"]) -> Float[Array, "whiskers c"]:
+    """Solutions of small systems, one per whisker."""
+    if right.shape[-1] == 0:
+        return right
+    return jax.vmap(lambda matrix, right: solve(matrix, right[:, None])[:, 0])(matrix, right)
 
 
-def _forces(system: System) -> Array:
-    """Indices of the contact forces among the unknowns; they are not extrapolated."""
-    whiskers, n = system.rods.length.shape[0], system.n
-    count = 0 if system.profile is None else whiskers
-    return whiskers * n + 3 * jnp.arange(count) + 2
+def _eliminated(rows: Float[Array, "n columns"]) -> Float[Array, "n rest"]:
+    """The inverse of the leading square block times the other columns.
+
+    The block is the sum of a mass matrix, which dominates in small steps, and a positive definite stiffness. Elimination
+    needs no pivoting.
+    """
+    n = rows.shape[0]
+
+    def eliminate(i, rows):
+        pivot = rows[i] / rows[i, i]
+        return jnp.where(jnp.arange(n)[:, None] == i, pivot, rows - rows[:, i, None] * pivot)
+
+    return jax.lax.fori_loop(0, n, eliminate, rows)[:, n:]
 
 
-def _linearised(system, old, drive, h, touches, flat) -> tuple[Array, Array]:
-    value, along = jax.linearize(lambda flat: _residual(system, old, drive, h, touches, flat), flat)
-    return value, jax.vmap(along)(jnp.eye(flat.size)).T
+def _mode(system: System, contact: Float[Array, "whiskers contact"], trial: Trial) -> Mode:
+    """Which whiskers touch and slip, by the signs of trial gaps, forces and slips."""
+    if trial.gap is None:
+        none = jnp.zeros(contact.shape[0], int)
+        return Mode(none > 0, none)
+    touches = contact[:, 2] > trial.gap.gap
+    if system.friction is None:
+        return Mode(touches, jnp.zeros_like(touches, int))
+    drag = contact[:, 3] - trial.slipped
+    limit = system.friction * jnp.maximum(contact[:, 2], 0.0)
+    return Mode(touches, jnp.where(jnp.abs(drag) < limit, 0, -jnp.sign(drag)).astype(int))
 
 
-def _solve(system: System, old: Moving, drive: Array, h: Scalar, guess: Array) -> tuple[Array, Array | None, Array]:
-    """Newton's method with an active set: the unknowns, which whiskers touch, and whether it has converged."""
-    whiskers, n = system.rods.length.shape[0], system.n
-    places = whiskers * n + jnp.arange(3 * whiskers if system.profile is not None else 0)
-    limit = jnp.full(guess.size, jnp.inf).at[places].set(jnp.tile(jnp.array([MOST, MOST, jnp.inf]), places.size // 3))
-    counted = jnp.ones(guess.size).at[_forces(system)].set(0.0)
+def _iterate(system: System, old: Moving, drive: Array, h: Scalar, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
+    """Newton's method with an active set: the unknowns, the mode of all contacts, and whether it has converged."""
+    c = system.contact_unknowns
+    limit = jnp.array([MOST, MOST, jnp.inf, jnp.inf][:c])
+    counted = jnp.array([1.0, 1.0, 0.0, 0.0][:c])
 
     def improve(carry):
-        flat, touches, _, k = carry
-        value, slope = _linearised(system, old, drive, h, touches, flat)
-        change = jnp.clip(jnp.linalg.solve(slope, value), -limit, limit)
-        flat = flat - change
-        now = _touches(system, old, drive, flat)
-        same = jnp.asarray(True) if touches is None else jnp.all(now == touches)
-        size = jnp.max(jnp.abs(change) * counted)
-        return flat, now, jnp.where(same, size, jnp.maximum(size, 2 * CLOSE)), k + 1
+        flat, mode, _, k = carry
+        x = _unknowns(system, flat)
+        change, _ = _newton(system, old, drive, h, mode, x)
+        contact = jnp.clip(change.contact, -limit, limit)
+        x = Unknowns(x.q + change.q, x.contact + contact, x.z + change.z)
+        now = mode_at(x)
+        same = jnp.all((now.touches == mode.touches) & (now.slip == mode.slip))
+        sizes = Unknowns(change.q, contact * counted, change.z).flat()
+        size = jnp.max(jnp.abs(sizes))
+        return x.flat(), now, jnp.where(same, size, jnp.maximum(size, 2 * CLOSE)), k + 1
+
+    def mode_at(x):
+        none = jnp.zeros(x.q.shape[0], int)
+        if system.profile is None:
+            return Mode(none > 0, none)
+        _, trial = _every(system, old, drive, h, Mode(none > 0, none), x)
+        return _mode(system, x.contact, trial)
 
     def goes_on(carry):
         _, _, size, k = carry
         return (size > CLOSE) & (k < MOST_ITERATIONS)  # NaN ends it, too
 
-    start = guess, _touches(system, old, drive, guess), jnp.asarray(jnp.inf), 0
-    flat, touches, size, _ = jax.lax.while_loop(goes_on, improve, start)
-    return flat, touches, size <= CLOSE
+    start = guess, mode_at(_unknowns(system, guess)), jnp.asarray(jnp.inf), 0
+    flat, mode, size, _ = jax.lax.while_loop(goes_on, improve, start)
+    return flat, mode, size <= CLOSE
 
 
-def _booked(system: System, old: Moving, end: _End, x: Unknowns, h: Scalar) -> Ledger:
-    """Work and losses of a step, without impulses."""
-    ledger, moved = old.ledger, end.at - old.at
-    bent, slid = x.q - old.q, x.z - old.z
-    lost = system.mass_damping / h * jnp.sum(system.rods.mass[:, None] * moved**2)
-    lost += system.stiffness_damping / h * jnp.sum(bent[:, :, None] * system.rods.stiffness * bent[:, None, :])
-    work = jnp.sum(end.reaction * (end.base - old.base))
-    if system.network is not None:
-        stored = jnp.sum(slid * _solve_springs(system, system.strain((old.z + x.z) / 2)))
-        spent = jnp.sum(slid * end.load) - stored
-        lost, work = lost + spent, work + jnp.sum(slid * end.load)
-    contact = jnp.zeros(())
-    if x.contact is not None:
-        assert old.touching is not None
-        across, normal = (old.touching.across + end.gaps.across) / 2, (old.touching.normal + end.gaps.normal) / 2
-        closed = jnp.sum(across * (end.angle - old.angle), axis=-1)
-        closed += jnp.sum(normal * (end.base - old.base)[:, :2], axis=-1)
-        contact = jnp.sum(x.contact[:, 2] * closed)
-    return ledger._replace(work=ledger.work + work, damping=ledger.damping + lost, contact=ledger.contact + contact)
+@eqx.filter_custom_jvp
+def _differentiable(flat: Array, known: tuple, mode: Mode) -> Array:
+    """The unknowns with their derivatives by the implicit function theorem."""
+    del known, mode
+    return flat
 
 
-def _solve_springs(system: System, strain: Float[Array, " free"]) -> Float[Array, " free"]:
-    """Elastic forces of the springs."""
-    assert system.network is not None
-    return jnp.linalg.solve(system.network.compliance, strain)
+@_differentiable.def_jvp
+def _(primals, tangents):
+    flat, known, mode = primals
+    _, known_dot, _ = tangents
+    here = _differentiable(flat, known, mode)
+    slope = jax.jacfwd(lambda flat: _residual(*known, mode, flat))(here)
+    _, change = eqx.filter_jvp(lambda known: _residual(*known, mode, here), (known,), (known_dot,))
+    return here, -jnp.linalg.solve(slope, change)
 
 
-def _stopped(system: System, new: Moving, rate: Array) -> tuple[Moving, PerWhisker, Float[Array, "whiskers 3"]]:
-    """The state after impulses that stop the motion along the normal, these impulses, and those of the supports."""
-    _, carried = jax.jvp(lambda drive: system.bases(new.z, drive), (new.drive,), (rate,))
-    whiskers = new.spin.shape[0]
-    free = jnp.zeros(3 * whiskers, bool).at[jnp.array(system.free, int)].set(True).reshape(whiskers, 3)
-    cos, sin = jnp.cos(new.drive[2]), jnp.sin(new.drive[2])
-    frame = jnp.array([[1.0, 0.0], [0.0, 1.0]]) * cos + jnp.array([[0.0, -1.0], [1.0, 0.0]]) * sin
+def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -> tuple[Moving, Forces]:
+    """The state one time step later, with the drive at this pose and moving at this rate."""
+    before = _at(old, system).flat()
+    guess = before + 2 * old.change[0] - old.change[1]
+    known = system, old, drive, h
+    flat, mode, solved = _iterate(*jax.lax.stop_gradient((*known, guess)))
+    flat = _differentiable(flat, known, mode)
+    x = _unknowns(system, flat)
+    rows, trial = _every(system, old, drive, h, mode, x)
+    base, c = system.bases(x.z, drive), system.contact_unknowns
+    touching, none = None, jnp.zeros(base.shape[0])
+    normal, drag = (x.contact[:, k] if c > k else none for k in (2, 3))
+    if trial.gap is not None:
+        gap = trial.gap
+        shape = (gap.gap, gap.at_tip, gap.normal, gap.across, gap.tangent, gap.along)
+        touching = Touching(x.contact[:, 0], x.contact[:, 1], normal, drag, *shape, *mode)
+    velocity = 2 / h * (trial.at - old.rod.at) - old.rod.velocity
+    spin = 2 / h * (base[:, 2] - old.rod.base[:, 2]) - old.rod.spin
+    new = Moving(
+        rod=Rod(x.q, base, trial.angle, trial.at, velocity, spin, touching),
+        z=x.z,
+        drive=drive,
+        change=jnp.stack([_extrapolated(system, flat - before), old.change[0]]),
+        ledger=old.ledger,
+        solved=old.solved & solved,
+    )
+    reaction = rows.reaction
+    new = new._replace(ledger=booked(system, old, new, reaction, _load(system, old, drive, reaction), h))
+    if touching is not None:
+        new, impulse = stopped(system, new, rate)
+        reaction, normal, drag = reaction + impulse.reaction / h, normal + impulse.normal / h, drag + impulse.drag / h
+    return new, Forces(reaction, normal, drag)
 
-    def one(length, mass, inertia, angle, at, base, velocity, spin, touching, carried, free):
-        shapes = system.basis
-        turning = jnp.stack([-jnp.sin(angle), jnp.cos(angle)])  # (2, points)
-        apart = at - base[:2, None]
-        about = jnp.stack([-apart[1], apart[0]])
-        bends = length * jnp.einsum("ij,cj,jk->cik", shapes.reach, turning, shapes.angles)
-        shifts = jnp.broadcast_to(frame[:, None, :], (2, mass.size, 2))
-        moves = jnp.concatenate([bends, shifts, about[:, :, None]], axis=-1)
-        moves = moves.at[:, :, system.n :].multiply(free)
-        size = moves.shape[-1]
-        heavy = mass[:, None] * moves
-        total = jnp.einsum("cik,cil->kl", moves, heavy)
-        total = total.at[-1, -1].add(jnp.where(free[2], inertia, 0.0))
-        total += jnp.diag(jnp.where(jnp.arange(size) < system.n, 0.0, 1.0 - jnp.pad(free, (system.n, 0))))
-        turn = jnp.sum(touching.across)
-        gradient = [touching.across @ shapes.angles, (touching.normal @ frame) * free[:2], (turn * free[2])[None]]
-        gradient = jnp.concatenate(gradient)
-        own = velocity - carried[:2, None] - carried[2] * about
-        momentum = jnp.einsum("cik,ci->k", heavy, own)
-        momentum = momentum.at[-1].add(jnp.where(free[2], inertia * (spin - carried[2]), 0.0))
-        speed, answer = jnp.linalg.solve(total, jnp.stack([momentum, gradient], axis=-1)).T
-        closing = gradient @ speed + touching.normal @ carried[:2] + turn * carried[2]
-        ease = gradient @ answer
-        impulse = jnp.where(touching.touches, -closing / ease, 0.0)
-        change = moves @ (impulse * answer)
-        spun = impulse * answer[-1] * free[2]
-        pushed = jnp.sum(mass * change, axis=-1) - impulse * touching.normal
-        twisted = jnp.sum(mass * about * change) + inertia * spun - impulse * turn
-        loss = jnp.where(touching.touches, closing**2 / (2 * ease), 0.0)
-        return velocity + change, spin + spun, impulse, jnp.append(pushed, twisted), loss, carried @ jnp.append(pushed, twisted)
 
-    given = (*(system.rods.length, system.rods.mass, system.rods.inertia), new.angle, new.at, new.base, new.velocity)
-    velocity, spin, impulse, kick, loss, work = jax.vmap(one)(*given, new.spin, new.touching, carried, free)
-    ledger = new.ledger
-    ledger = ledger._replace(impact=ledger.impact + jnp.sum(loss), work=ledger.work + jnp.sum(work))
-    return new._replace(velocity=velocity, spin=spin, ledger=ledger), impulse, kick
+def _extrapolated(system: System, change: Array) -> Array:
+    """The change without that of the contact forces, which are not extrapolated."""
+    x = _unknowns(system, change)
+    return Unknowns(x.q, x.contact * jnp.array([1.0, 1.0, 0.0, 0.0][: x.contact.shape[1]]), x.z).flat()

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.legendre import Basis, basis
 from jaxwhisker._model.motion import AbstractMotion, Pose
@@ -85,6 +86,22 @@ class System(eqx.Module):
     def strain(self, z: Float[Array, " free"]) -> Float[Array, " free"]:
         """Free displacements of the bases from where the springs are at rest."""
         return z - self.at_rest
+
+    def elastic(self, strain: Float[Array, " free"]) -> Float[Array, " free"]:
+        """Elastic forces of the springs."""
+        assert self.network is not None
+        return solve(self.network.compliance, strain[:, None])[:, 0]
+
+    @property
+    def is_free(self) -> Bool[Array, "whiskers 3"]:
+        """Which coordinates of the bases are free."""
+        whiskers = self.rods.length.shape[0]
+        return jnp.zeros(3 * whiskers, bool).at[jnp.array(self.free, int)].set(True).reshape(whiskers, 3)
+
+    @property
+    def contact_unknowns(self) -> int:
+        """Number of unknowns of each contact: arc length, parameter of the object, normal force, drag."""
+        return 0 if self.profile is None else 3 if self.friction is None else 4
 
     @property
     def at_rest(self) -> Float[Array, " free"]:

@@ -12,9 +12,10 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.advance import Forces, Ledger, Moving, Touching, advance, angles_of, nodes_of
+from jaxwhisker._dynamics.advance import Forces, advance
 from jaxwhisker._dynamics.drive import drive_of
 from jaxwhisker._dynamics.gap import closest, gap_at
+from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of
 from jaxwhisker._dynamics.moving import Damping, MotionUnits, System, drive_pose, motion_units, system_of
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
 from jaxwhisker._dynamics.start import Start, start_of
@@ -134,8 +135,6 @@ def _check_scene(scene: Any) -> None:
             checks.fail("stiffness", allowed.format("rigid springs"), spring.stiffness)
     if isinstance(scene, Scene) and scene.profile.has_edges:
         checks.fail("profile", allowed.format("edges of the object"), str(scene.profile))
-    if scene.friction is not None:
-        checks.fail("friction", allowed.format("friction"), scene.friction)
 
 
 def _default_steps(scene: Scene | Sensor, duration: Scalar) -> int:
@@ -174,8 +173,8 @@ def _simulate(
     rates = rates * unit.time
     first = _initial(system, unit, start, poses[0], rates[0])
     clear = jnp.asarray(True)
-    if first.touching is not None:
-        clear = jnp.all(first.touching.gap > -(INSIDE if start is None else INSIDE_BENT))
+    if first.rod.touching is not None:
+        clear = jnp.all(first.rod.touching.gap > -(INSIDE if start is None else INSIDE_BENT))
     good = valid & clear & jnp.all(jnp.isfinite(poses))
     first = first._replace(solved=good)
 
@@ -239,17 +238,18 @@ def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Arra
 
         arc, parameter, gap = jax.vmap(nearest)(system.rods.length, base[:, :2], angle)
         none = jnp.zeros(whiskers)
-        touching = Touching(arc, parameter, none, gap.gap, gap.at_tip, gap.normal, gap.across, none > 0)
-    count = whiskers * (system.n + 3 * (touching is not None)) + len(system.free)
+        shape = (gap.gap, gap.at_tip, gap.normal, gap.across, gap.tangent, gap.along)
+        touching = Touching(arc, parameter, none, none, *shape, none > 0, none.astype(int))
+    count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
+    rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
-    spin, good = carried[:, 2], jnp.asarray(True)
-    return Moving(q, z, base, angle, at, velocity, spin, drive, touching, jnp.zeros(count), ledger, good)
+    return Moving(rod, z, drive, jnp.zeros((2, count)), ledger, jnp.asarray(True))
 
 
 def _traced(system: System, moving: Moving) -> Trace | None:
-    if moving.touching is None:
+    at = moving.rod.touching
+    if at is None:
         return None
-    at = moving.touching
     return Trace(at.touches, at.force, at.gap, at.at_tip, at.normal[:, 0])
 
 
@@ -279,9 +279,9 @@ def _result(
     shapes: int,
 ) -> dict[str, Any]:
     """Fields of the Simulation but its status and events."""
-    rods, base = system.rods, samples.base
-    tip, touching = samples.at[..., -1], samples.touching
-    zero = jnp.zeros_like(samples.spin)
+    rods, base = system.rods, samples.rod.base
+    tip, touching = samples.rod.at[..., -1], samples.rod.touching
+    zero = jnp.zeros_like(samples.rod.spin)
     contact = dict.fromkeys(("contact_slope", "contact_arc", "contact_x", "contact_y"), zero)
     gap, phase = jnp.full_like(zero, jnp.inf), jnp.full_like(zero, int(Phase.free), int)
     if touching is not None and system.profile is not None:
@@ -291,7 +291,11 @@ def _result(
         phase = jnp.where(touches, phase, Phase.free)
         values = (jnp.arctan2(at.sin, at.cos), touching.arc * rods.length * unit.length, at.x * unit.length, at.y * unit.length)
         contact = {name: jnp.where(touches, value, 0.0) for name, value in zip(contact, values, strict=True)}
-    moment = unit.moment
+    friction, contact_force = {}, forces.normal
+    if system.friction is not None and touching is not None:
+        contact_force = jnp.hypot(forces.normal, forces.drag)
+        friction = {"normal_force": forces.normal * unit.force, "friction_force": forces.drag * unit.force}
+        friction["slip"] = jnp.where(touching.touches, touching.slip, 0)
     fx, fy, mz = jnp.moveaxis(forces.reaction, -1, 0)
     d = jax.vmap(system.displacement)(samples.z) * jnp.stack([unit.length, unit.length, 1.0])
     return {
@@ -300,30 +304,31 @@ def _result(
         "base_angle": base[..., 2],
         "fx": fx * unit.force,
         "fy": fy * unit.force,
-        "mz": mz * moment,
-        "contact_force": forces.contact * unit.force,
+        "mz": mz * unit.moment,
+        "contact_force": contact_force * unit.force,
         **contact,
+        **friction,
         "phase": phase,
         "time": time,
         "control": jax.vmap(control)(time),
         "gap": gap,
         "spring_length": scene.support.spring_length(d),
         "energy": _energy(system, unit, samples),
-        "curvature": samples.q,
+        "curvature": samples.rod.q,
         "tip_x": tip[..., 0] * unit.length,
         "tip_y": tip[..., 1] * unit.length,
     }
 
 
 def _energy(system: System, unit: MotionUnits, samples: Moving) -> MotionEnergy:
-    rods = system.rods
-    kinetic = jnp.sum(rods.mass[:, None] * samples.velocity**2, axis=(1, 2, 3)) / 2
-    kinetic += jnp.sum(rods.inertia * samples.spin**2, axis=-1) / 2
-    bending = jnp.einsum("twi,wij,twj->t", samples.q, rods.stiffness, samples.q) / 2
+    rods, rod = system.rods, samples.rod
+    kinetic = jnp.sum(rods.mass[:, None] * rod.velocity**2, axis=(1, 2, 3)) / 2
+    kinetic += jnp.sum(rods.inertia * rod.spin**2, axis=-1) / 2
+    bending = jnp.einsum("twi,wij,twj->t", rod.q, rods.stiffness, rod.q) / 2
     springs = jnp.zeros_like(kinetic)
     if system.network is not None:
         strain = jax.vmap(system.strain)(samples.z)
-        springs = jnp.sum(strain * jnp.linalg.solve(system.network.compliance, strain.T).T, axis=-1) / 2
+        springs = jnp.sum(strain * jax.vmap(system.elastic)(strain), axis=-1) / 2
     ledger = samples.ledger
     parts = (kinetic, bending, springs, ledger.work, ledger.damping, ledger.impact, ledger.friction, ledger.contact)
     return MotionEnergy(*(part * unit.moment for part in parts))
