@@ -59,7 +59,7 @@ class Trial(NamedTuple):
     angle: Array
     at: Array
     gap: Gap | None
-    slipped: Scalar  # distance along the tangent
+    mode: Mode
 
 
 class _Whisker(NamedTuple):
@@ -82,8 +82,9 @@ class _Rows(NamedTuple):
 
 
 def _rows(
-    system: System, own: _Whisker, h: Scalar, mode: Mode, q: Array, contact: Array, base: Array
+    system: System, own: _Whisker, h: Scalar, mode: Mode | None, q: Array, contact: Array, base: Array
 ) -> tuple[_Rows, Trial]:
+    """Residuals of one whisker in a mode, or in that which the trial values suggest."""
     rods, old = own
     shapes = system.basis
     angle = jnp.pi / 2 + base[2] + rods.rest + shapes.angles @ q
@@ -95,7 +96,7 @@ def _rows(
     moments = force @ shapes.reach
     torque = rods.length * _sinc(half) * (jnp.cos(middle) * moments[1] - jnp.sin(middle) * moments[0])
     push = jnp.sum(force, axis=-1)
-    gap, slipped, rows = None, jnp.zeros(()), jnp.zeros(0)
+    gap, rows = None, jnp.zeros(0)
     if system.profile is not None:
         assert old.touching is not None
         gap = gap_at(shapes, system.profile, rods.length, base[:2], angle, contact[0], contact[1])
@@ -103,6 +104,7 @@ def _rows(
         push -= contact[2] * (old.touching.normal + gap.normal) / 2
         along, tangent = (old.touching.along + gap.along) / 2, (old.touching.tangent + gap.tangent) / 2
         slipped = along @ (angle - old.angle) + tangent @ (base - old.base)[:2]
+        mode = _mode(system, contact, gap.gap, slipped) if mode is None else mode
         closed = jnp.where(mode.touches, gap.gap, contact[2])
         rows = jnp.stack([gap.end, gap.foot, closed])
         if system.friction is not None:
@@ -110,10 +112,20 @@ def _rows(
             push -= contact[3] * tangent
             dragged = contact[3] + system.friction * mode.slip * contact[2]
             rows = jnp.append(rows, jnp.where(mode.touches & (mode.slip == 0), slipped, dragged))
+    mode = Mode(jnp.asarray(False), jnp.asarray(0)) if mode is None else mode
     bending = (old.q + q) / 2 + system.stiffness_damping / h * (q - old.q)
     bent = torque @ shapes.angles + jnp.sum(rods.stiffness * bending, axis=-1)
     twist = jnp.sum(torque) + rods.inertia * 2 / h * ((base[2] - old.base[2]) / h - old.spin)
-    return _Rows(bent, rows, jnp.append(push, twist)), Trial(angle, at, gap, slipped)
+    return _Rows(bent, rows, jnp.append(push, twist)), Trial(angle, at, gap, mode)
+
+
+def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar) -> Mode:
+    """Whether a whisker touches and slips, by the signs of trial gaps, forces and slips."""
+    touches = contact[2] > gap
+    if system.friction is None:
+        return Mode(touches, jnp.asarray(0))
+    drag, limit = contact[3] - slipped, system.friction * jnp.maximum(contact[2], 0.0)
+    return Mode(touches, jnp.where(jnp.abs(drag) < limit, 0, -jnp.sign(drag)).astype(int))
 
 
 def _sinc(x: Array) -> Array:
@@ -183,33 +195,31 @@ def _residual(system: System, old: Moving, drive: Array, h: Scalar, mode: Mode, 
     return Unknowns(rows.bending, rows.contact, springs).flat()
 
 
-def _newton(system: System, old: Moving, drive: Array, h: Scalar, mode: Mode, x: Unknowns) -> tuple[Unknowns, Trial]:
-    """The change of the unknowns in one iteration of Newton's method, and the trial before it.
+def _newton(system: System, old: Moving, drive: Array, h: Scalar, x: Unknowns) -> tuple[Unknowns, Mode]:
+    """The change of the unknowns in one iteration of Newton's method, and the mode in which it was computed.
 
     The inner coordinates of each whisker are eliminated first; contacts and bases remain.
     """
     n, c, free = system.n, system.contact_unknowns, system.free
 
-    def one(own, mode, q, contact, base):
+    def one(own, q, contact, base):
         def rows(unknowns):
             q, contact, moved = jnp.split(unknowns, [n, n + c])
-            rows, trial = _rows(system, own, h, mode, q, contact, base + moved if free else base)
-            return rows.flat(), (rows.flat(), trial)
+            rows, trial = _rows(system, own, h, None, q, contact, base + moved if free else base)
+            return rows.flat(), (rows.flat(), trial.mode)
 
         start = jnp.concatenate([q, contact, jnp.zeros(3 if free else 0)])
-        slope, (value, trial) = jax.jacfwd(rows, has_aux=True)(start)
+        slope, (value, mode) = jax.jacfwd(rows, has_aux=True)(start)
         right = jnp.concatenate([slope[:, n:], value[:, None]], axis=1)
         inner = _eliminated(jnp.concatenate([slope[:n, :n], right[:n]], axis=1))
         outer = right[n:] - jnp.sum(slope[n:, :n, None] * inner, axis=1)
-        return inner, outer, trial
+        return inner, outer, mode
 
-    inner, outer, trial = jax.vmap(one)(
-        _Whisker(system.rods, old.rod), mode, x.q, x.contact, system.bases(x.z, drive)
-    )
+    inner, outer, mode = jax.vmap(one)(_Whisker(system.rods, old.rod), x.q, x.contact, system.bases(x.z, drive))
     if not free:
         contact = -solved_each(outer[:, :c, :c], outer[:, :c, -1])
         q = -inner[..., -1] - jnp.sum(inner[..., :-1] * contact[:, None], axis=-1)
-        return Unknowns(q, contact, x.z[:0]), trial
+        return Unknowns(q, contact, x.z[:0]), mode
     assert system.network is not None
     whiskers = x.q.shape[0]
     moves = jax.jacfwd(lambda z: system.bases(z, drive))(x.z)  # (whiskers, 3, free)
@@ -230,7 +240,7 @@ def _newton(system: System, old: Moving, drive: Array, h: Scalar, mode: Mode, x:
     contact, z = change[:size].reshape(whiskers, c), change[size:]
     outside = jnp.concatenate([contact, moves @ z], axis=1)
     q = -inner[..., -1] - jnp.sum(inner[..., :-1] * outside[:, None], axis=-1)
-    return Unknowns(q, contact, z), trial
+    return Unknowns(q, contact, z), mode
 
 
 def solved_each(matrix: Float[Array, "whiskers c c"], right: Float[Array, "whiskers c"]) -> Float[Array, "whiskers c"]:
@@ -248,24 +258,10 @@ def _eliminated(rows: Float[Array, "n columns"]) -> Float[Array, "n rest"]:
     """
     n = rows.shape[0]
 
-    def eliminate(i, rows):
+    for i in range(n):
         pivot = rows[i] / rows[i, i]
-        return jnp.where(jnp.arange(n)[:, None] == i, pivot, rows - rows[:, i, None] * pivot)
-
-    return jax.lax.fori_loop(0, n, eliminate, rows)[:, n:]
-
-
-def _mode(system: System, contact: Float[Array, "whiskers contact"], trial: Trial) -> Mode:
-    """Which whiskers touch and slip, by the signs of trial gaps, forces and slips."""
-    if trial.gap is None:
-        none = jnp.zeros(contact.shape[0], int)
-        return Mode(none > 0, none)
-    touches = contact[:, 2] > trial.gap.gap
-    if system.friction is None:
-        return Mode(touches, jnp.zeros_like(touches, int))
-    drag = contact[:, 3] - trial.slipped
-    limit = system.friction * jnp.maximum(contact[:, 2], 0.0)
-    return Mode(touches, jnp.where(jnp.abs(drag) < limit, 0, -jnp.sign(drag)).astype(int))
+        rows = jnp.where(jnp.arange(n)[:, None] == i, pivot, rows - rows[:, i, None] * pivot)
+    return rows[:, n:]
 
 
 def _iterate(system: System, old: Moving, drive: Array, h: Scalar, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
@@ -275,29 +271,23 @@ def _iterate(system: System, old: Moving, drive: Array, h: Scalar, guess: Array)
     counted = jnp.array([1.0, 1.0, 0.0, 0.0][:c])
 
     def improve(carry):
-        flat, mode, _, k = carry
+        flat, _, _, k = carry
         x = _unknowns(system, flat)
-        change, _ = _newton(system, old, drive, h, mode, x)
+        change, mode = _newton(system, old, drive, h, x)
         contact = jnp.clip(change.contact, -limit, limit)
         x = Unknowns(x.q + change.q, x.contact + contact, x.z + change.z)
-        now = mode_at(x)
-        same = jnp.all((now.touches == mode.touches) & (now.slip == mode.slip))
-        sizes = Unknowns(change.q, contact * counted, change.z).flat()
-        size = jnp.max(jnp.abs(sizes))
-        return x.flat(), now, jnp.where(same, size, jnp.maximum(size, 2 * CLOSE)), k + 1
-
-    def mode_at(x):
-        none = jnp.zeros(x.q.shape[0], int)
-        if system.profile is None:
-            return Mode(none > 0, none)
-        _, trial = _every(system, old, drive, h, Mode(none > 0, none), x)
-        return _mode(system, x.contact, trial)
+        size = jnp.max(jnp.abs(Unknowns(change.q, contact * counted, change.z).flat()))
+        if c > 0:  # forces are not counted, but their signs are
+            pulls = jnp.any(mode.touches & (x.contact[:, 2] < 0))
+            size = jnp.where(pulls, jnp.maximum(size, 2 * CLOSE), size)
+        return x.flat(), mode, size, k + 1
 
     def goes_on(carry):
         _, _, size, k = carry
         return (size > CLOSE) & (k < MOST_ITERATIONS)  # NaN ends it, too
 
-    start = guess, mode_at(_unknowns(system, guess)), jnp.asarray(jnp.inf), 0
+    none = jnp.zeros(system.rods.length.shape[0], int)
+    start = guess, Mode(none > 0, none), jnp.asarray(jnp.inf), 0
     flat, mode, size, _ = jax.lax.while_loop(goes_on, improve, start)
     return flat, mode, size <= CLOSE
 

@@ -35,13 +35,14 @@ def gap_at(
     parameter: Scalar,
 ) -> Gap:
     """The gap between the whisker at a fraction `arc` of its length and the object at a parameter."""
-    values, integrals = weights_at(basis, arc)
+    weights = weights_at(basis, arc)
     cos, sin = jnp.cos(angle), jnp.sin(angle)
+    direction, way = weights @ jnp.stack([cos, sin], axis=-1)
     at = profile.point(parameter)
     normal, tangent = jnp.stack([at.sin, -at.cos]), jnp.stack([at.cos, at.sin])
-    reach = length * integrals
-    apart = base + jnp.stack([reach @ cos, reach @ sin]) - jnp.stack([at.x, at.y])
-    closes = -(normal[0] * (values @ cos) + normal[1] * (values @ sin))
+    reach = length * weights[1]
+    apart = base + length * way - jnp.stack([at.x, at.y])
+    closes = -normal @ direction
     beyond = 1 - arc
     return Gap(
         gap=apart @ normal,

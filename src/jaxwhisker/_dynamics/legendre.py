@@ -4,8 +4,10 @@ The curvature is a sum of Legendre polynomials P_k of the arc length, the angle 
 Cosine and sine of the angle are known at Gauss points; positions are the integrals of their interpolating polynomials.
 """
 
+from functools import lru_cache, partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -26,34 +28,62 @@ class Basis(NamedTuple):
     interpolation: np.ndarray  # (points, points), from values at the Gauss points to coefficients of Legendre polynomials
 
 
+@lru_cache(maxsize=32)
 def basis(n: int) -> Basis:
     """The basis of n shape functions."""
     count = n + EXTRA_POINTS
     points, weights = np.polynomial.legendre.leggauss(count)
     points, weights = (points + 1) / 2, weights / 2
-    values, integrals = (np.stack(each, axis=-1) for each in _polynomials(points, count))
+    every = np.stack(_polynomials(points, count), axis=-1)
+    values, integrals = every[:, :-1], every @ _integral(count).T
     interpolation = np.linalg.inv(values)
     inner = integrals @ interpolation
     reach = np.concatenate([np.zeros((1, count)), inner, weights[None]])
     return Basis(points, weights, values[:, :n], integrals[:, :n], reach, interpolation)
 
 
-def weights_at(basis: Basis, s: Scalar) -> tuple[Float[Array, " points"], Float[Array, " points"]]:
+def weights_at(basis: Basis, s: Scalar) -> Float[Array, "2 points"]:
     """Weights that interpolate values at the Gauss points at the arc length s, and that integrate them up to there."""
-    values, integrals = (jnp.stack(each) for each in _polynomials(s, basis.points.size))
-    return values @ basis.interpolation, integrals @ basis.interpolation
+    polynomials = _legendre(jnp.asarray(s, dtype=float), basis.points.size)
+    return jnp.stack([polynomials[:-1], _integral(basis.points.size) @ polynomials]) @ basis.interpolation
 
 
 def polynomials_at(s: Scalar, n: int) -> Float[Array, " n"]:
-    """The first n Legendre polynomials at the arc length s."""
-    return jnp.stack(_polynomials(s, n)[0])
+    """The first n Legendre polynomials on [0, 1] at the arc length s."""
+    return _legendre(jnp.asarray(s, dtype=float), n - 1)
 
 
-def _polynomials(s, count: int) -> tuple[list, list]:
-    """The first Legendre polynomials on [0, 1], and their integrals from 0."""
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _legendre(s: Scalar, degree: int) -> Array:
+    """The Legendre polynomials up to this degree."""
+    return jnp.stack(_polynomials(s, degree))
+
+
+@_legendre.defjvp
+def _(degree, primals, tangents):
+    (s,), (change,) = primals, tangents
+    values = _legendre(s, degree)
+    return values, (_derivative(degree) @ values) * change
+
+
+def _polynomials(s, degree: int) -> list:
     x = 2 * s - 1
     values = [x * 0 + 1, x]
+    for k in range(1, degree):
+        values.append((2 * k + 1) / (k + 1) * x * values[k] - k / (k + 1) * values[k - 1])
+    return values[: degree + 1]
+
+
+def _derivative(degree: int) -> np.ndarray:
+    """Derivatives of the polynomials up to this degree, in terms of these polynomials."""
+    j, k = np.meshgrid(np.arange(degree + 1), np.arange(degree + 1))
+    return np.where((j < k) & ((k - j) % 2 == 1), 2.0 * (2 * j + 1), 0.0)
+
+
+def _integral(count: int) -> np.ndarray:
+    """Integrals from 0 of the first polynomials, in terms of them and the next one."""
+    matrix = np.zeros((count, count + 1))
+    matrix[0, :2] = 1 / 2
     for k in range(1, count):
-        values.append(((2 * k + 1) * x * values[k] - k * values[k - 1]) / (k + 1))
-    integrals = [s, *((values[k + 1] - values[k - 1]) / (2 * (2 * k + 1)) for k in range(1, count))]
-    return values[:count], integrals[:count]
+        matrix[k, k + 1], matrix[k, k - 1] = 1 / (2 * (2 * k + 1)), -1 / (2 * (2 * k + 1))
+    return matrix
