@@ -53,7 +53,7 @@ class Samples(eqx.Module):
     def __call__(self, t: Scalar) -> Scalar:
         """The control at a time (Catmull-Rom)."""
         count = self.values.shape[0]
-        at = jnp.clip(t / self.duration, 0.0, 1.0) * (count - 1)
+        at = t / self.duration * (count - 1)
         k = jnp.clip(jnp.floor(at).astype(int), 0, count - 2)
         # Beyond both ends the samples go on linearly.
         first, last = 2 * self.values[0] - self.values[1], 2 * self.values[-1] - self.values[-2]
