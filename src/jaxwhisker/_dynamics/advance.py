@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.types import Scalar
 from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.gap import MOST, Gap, gap_at
 from jaxwhisker._dynamics.ledger import booked
 from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching
@@ -230,10 +230,14 @@ def _newton(system: System, old: Moving, drive: Array, h: Scalar, x: Unknowns) -
     size = whiskers * c
     touching = (jnp.eye(whiskers)[:, None, :, None] * outer[:, :c, None, :c]).reshape(size, size)
     by_base = jnp.einsum("wcb,wbf->wcf", outer[:, :c, c:-1], moves).reshape(size, -1)
-    by_contact = jax.vmap(loads)(jnp.moveaxis(jnp.eye(whiskers)[:, :, None, None] * outer[None, :, c:, :c], 3, 1).reshape(size, whiskers, 3))
+    by_contact = jax.vmap(loads)(
+        jnp.moveaxis(jnp.eye(whiskers)[:, :, None, None] * outer[None, :, c:, :c], 3, 1).reshape(size, whiskers, 3)
+    )
     by_move = jax.vmap(loads, in_axes=2, out_axes=1)(jnp.einsum("wbk,wkf->wbf", outer[:, c:, c:-1], moves))
     network = system.network
-    own = jnp.eye(len(free)) * (1 / 2 + system.stiffness_damping / h) + network.compliance @ (network.damping / h - by_move)
+    own = jnp.eye(len(free)) * (1 / 2 + system.stiffness_damping / h) + network.compliance @ (
+        network.damping / h - by_move
+    )
     matrix = jnp.block([[touching, by_base], [-network.compliance @ by_contact.T, own]])
     springs = _spring_rows(system, old, h, x.z, loads(outer[:, c:, -1]))
     change = -solve(matrix, jnp.append(jnp.ravel(outer[:, :c, -1]), springs)[:, None])[:, 0]

@@ -9,7 +9,12 @@ from jaxwhisker._dynamics.moving import System
 
 
 def booked(
-    system: System, old: Moving, new: Moving, reaction: Float[Array, "whiskers 3"], load: Float[Array, " free"], h: Scalar
+    system: System,
+    old: Moving,
+    new: Moving,
+    reaction: Float[Array, "whiskers 3"],
+    load: Float[Array, " free"],
+    h: Scalar,
 ) -> Ledger:
     """The ledger after a step, without impulses at its end; with the mean reactions and loads of the springs."""
     before, after = old.rod, new.rod

@@ -25,7 +25,9 @@ class Basis(NamedTuple):
     curvatures: np.ndarray  # (points, n), Legendre polynomials at the Gauss points
     angles: np.ndarray  # (points, n), their integrals from the base
     reach: np.ndarray  # (nodes, points): integrals from the base to the nodes of what is known at the Gauss points
-    interpolation: np.ndarray  # (points, points), from values at the Gauss points to coefficients of Legendre polynomials
+    interpolation: (
+        np.ndarray
+    )  # (points, points), from values at the Gauss points to coefficients of Legendre polynomials
 
 
 @lru_cache(maxsize=32)

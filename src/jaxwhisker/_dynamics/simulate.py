@@ -129,7 +129,9 @@ def _check_scene(scene: Any) -> None:
             checks.fail("mass_per_length", "given for every whisker that moves", None)
     allowed = "a scene without {} for a simulation"
     if scene.support.on_shafts or not all(spring.linear for spring in scene.support.springs):
-        checks.fail("support", allowed.format("springs on shafts, nonlinear springs and foundations"), scene.support.name)
+        checks.fail(
+            "support", allowed.format("springs on shafts, nonlinear springs and foundations"), scene.support.name
+        )
     for spring in scene.support.springs:
         if not checks.is_traced(spring.softness) and spring.is_rigid():
             checks.fail("stiffness", allowed.format("rigid springs"), spring.stiffness)
@@ -289,7 +291,12 @@ def _result(
         gap, touches = touching.gap * unit.length, touching.touches
         phase = jnp.where(touching.at_tip > 0, Phase.tip, Phase.tangential)
         phase = jnp.where(touches, phase, Phase.free)
-        values = (jnp.arctan2(at.sin, at.cos), touching.arc * rods.length * unit.length, at.x * unit.length, at.y * unit.length)
+        values = (
+            jnp.arctan2(at.sin, at.cos),
+            touching.arc * rods.length * unit.length,
+            at.x * unit.length,
+            at.y * unit.length,
+        )
         contact = {name: jnp.where(touches, value, 0.0) for name, value in zip(contact, values, strict=True)}
     friction, contact_force = {}, forces.normal
     if system.friction is not None and touching is not None:

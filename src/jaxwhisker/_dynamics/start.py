@@ -50,9 +50,7 @@ class Start(NamedTuple):
         return jnp.ravel(jnp.stack(d, axis=-1))[jnp.array(system.free, int)]
 
 
-def start_of(
-    scene: Scene | Sensor, start: Any, control: Callable[[Scalar], Scalar]
-) -> Start:
+def start_of(scene: Scene | Sensor, start: Any, control: Callable[[Scalar], Scalar]) -> Start:
     """The start of a simulation from a user's equilibrium.
 
     Raises:

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.motion_state import Moving, Rod
 from jaxwhisker._dynamics.moving import Rods, System
 
