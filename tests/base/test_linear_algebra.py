@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxwhisker._base.linear_algebra import UNROLLED, eigenvalues_are_positive, positive_definite, solve
+from jaxwhisker._base.linear_algebra import UNROLLED, eigenvalues_are_positive, inverse, positive_definite, solve
 
 ROUNDING = 1e-12
 SIZES = (1, 2, 3, UNROLLED, UNROLLED + 1)
@@ -21,6 +21,18 @@ def test_solutions(n):
 def test_a_vanishing_pivot_needs_another_row():
     matrix = jnp.array([[0.0, 2.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 1.0]])
     np.testing.assert_allclose(matrix @ solve(matrix, jnp.eye(3)), np.eye(3), atol=ROUNDING)
+
+
+def test_inverses_and_their_derivatives():
+    rng = np.random.default_rng(0)
+    matrix, change = jnp.asarray(rng.normal(size=(2, 30, 30)))
+    matrix = matrix.at[0, 0].set(0.0)
+    np.testing.assert_allclose(inverse(matrix) @ matrix, np.eye(30), atol=1e-10)
+    _, tangent = jax.jvp(inverse, (matrix,), (change,))
+    np.testing.assert_allclose(tangent, jax.jvp(jnp.linalg.inv, (matrix,), (change,))[1], rtol=1e-7, atol=1e-7)
+    batch = jax.vmap(inverse)(jnp.stack([matrix, 0 * matrix]))
+    np.testing.assert_allclose(batch[0], inverse(matrix), rtol=ROUNDING)
+    assert not np.isfinite(batch[1]).any()
 
 
 @pytest.mark.parametrize("n", SIZES)

@@ -75,3 +75,31 @@ def times_block_diagonal(
     if size == 1:
         return matrix * blocks[:, 0, 0]
     return jnp.reshape(jnp.sum(jnp.reshape(matrix, (-1, n, size, 1)) * blocks, axis=2), matrix.shape)
+
+
+@jax.custom_jvp
+def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Invert a matrix of a few dozen rows by Gauss-Jordan elimination with partial pivoting.
+
+    A singular matrix gives infinities or NaN in its own batch element. With jax 0.10, programs with LAPACK's triangular
+    solves that run at the same time may wait for each other forever.
+    """
+    n = matrix.shape[0]
+    rows = jnp.arange(n)
+
+    def eliminate(k, both):
+        pivot = jnp.argmax(jnp.where(rows >= k, jnp.abs(both[:, k]), -1.0))
+        order = jnp.where(rows == k, pivot, jnp.where(rows == pivot, k, rows))
+        both = both[order]
+        row = both[k] / both[k, k]
+        return jnp.where((rows == k)[:, None], row, both - both[:, k, None] * row)
+
+    both = jnp.concatenate([matrix, jnp.eye(n)], axis=1)
+    return jax.lax.fori_loop(0, n, eliminate, both)[:, n:]
+
+
+@inverse.defjvp
+def _(primals, tangents):
+    (matrix,), (change,) = primals, tangents
+    inverted = inverse(matrix)
+    return inverted, -inverted @ change @ inverted

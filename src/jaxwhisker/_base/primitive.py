@@ -69,7 +69,7 @@ def _run(*arrays, program: Any, shape: Any, levels: tuple[tuple[bool, ...], ...]
         results = run(*(np.stack(each) for each in zip(*lanes, strict=True)))
         return [np.asarray(leaf)[: len(some)] for leaf in results]
 
-    with ThreadPoolExecutor(threads()) as pool:  # XLA alone keeps one processor busy
+    with ThreadPoolExecutor(1 if program.alone else threads()) as pool:  # XLA alone keeps one processor busy
         if together:
             parts = list(pool.map(as_precise(block), range(0, len(indices), LANES)))
             joined = [np.concatenate(each) for each in zip(*parts, strict=True)]

@@ -71,6 +71,8 @@ class Program:
             the results (None where they are zero or do not exist), or NotImplemented to leave them to JAX.
         quick: whether to compile in half the time; programs of many small kernels run no slower.
         batched: whether the lanes of a large batch run together rather than one by one.
+        alone: whether lanes never run at the same time: with jax 0.10, programs with products of large matrices may
+            wait forever for each other.
     """
 
     def __init__(
@@ -81,11 +83,12 @@ class Program:
         tangent: Callable | None = None,
         quick: bool = False,
         batched: bool = False,
+        alone: bool = False,
     ):
         functools.update_wrapper(self, function)
         self.function, self._frozen, self._tangent = function, frozen, tangent
         self._options: dict[str, Any] = COMPILER_OPTIONS | ({"xla_backend_optimization_level": 0} if quick else {})
-        self.batched = batched
+        self.batched, self.alone = batched, alone
         self._lock = threading.RLock()  # a program may need another shape of itself while it is traced
         self._results: dict[Shape, Results] = {}
         self._executables: dict[tuple[Shape, int], Future] = {}

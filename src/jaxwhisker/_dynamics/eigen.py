@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxwhisker._base.linear_algebra import inverse
+
 ROUNDING = 1e-15  # of a matrix of masses whose diagonal is 1, per row
 
 
@@ -48,7 +50,7 @@ def _(count, primals, tangents):
         left = flexibility @ mass - mu * jnp.eye(mode.size)
         bordered = jnp.block([[left, -mode[:, None]], [momentum[None, :], jnp.zeros((1, 1))]])
         right = -(flexibility_dot @ momentum) - flexibility @ (mass_dot @ mode)
-        solution = jnp.linalg.solve(bordered, jnp.append(right, -mode @ (mass_dot @ mode) / 2))
+        solution = inverse(bordered) @ jnp.append(right, -mode @ (mass_dot @ mode) / 2)
         return solution[-1], solution[:-1]
 
     mu_dot, mode_dot = jax.vmap(change)(pairs.mu, pairs.mode)

@@ -15,8 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxwhisker._base.types import Scalar
-
 ORDER = 16  # polynomials per element
 NODES = 20  # Gauss points per element
 
@@ -114,6 +112,3 @@ def node_arcs(ends: Float[Array, " elements"]) -> tuple[Float[Array, " elements"
     """Lengths of elements with these ends, and the arc lengths of their Gauss points."""
     starts = jnp.concatenate([jnp.zeros_like(ends[:1]), ends[:-1]])
     return ends - starts, starts[:, None] + (ends - starts)[:, None] * POINTS
-
-
-__all__ = ["NODES", "ORDER", "POINTS", "WEIGHTS", "Fields", "Scalar", "bending", "fields", "interpolated", "node_arcs"]

@@ -28,6 +28,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import WEIGHTS, Fields, bending, fields, quadratic
 from jaxwhisker._dynamics.line import Equilibrium, Line, beyond
@@ -81,7 +82,7 @@ def forms_of(body: Body, at: Equilibrium, line: Line, masses: Masses) -> Forms:
             tissue, starts = held_by.tissue, jnp.cumsum(line.lengths) - line.lengths
             cos = tissue.cos * drive.cos - tissue.sin * drive.sin
             sin = tissue.sin * drive.cos + tissue.cos * drive.sin
-            held = tissue.stiffness * tissue.share(starts + line.lengths / 2)
+            held = tissue.stiffness * jax.vmap(tissue.share)(starts + line.lengths / 2)
             stiffness += quadratic(cos * position[:, :, 0] + sin * position[:, :, 1], over * held[:, None])
     bent, constraints, defined = _contact(body, at, line, moves)
     return Forms(mass, stiffness + bent, below, constraints, defined, moves)
@@ -168,10 +169,10 @@ def condensed(forms: Forms) -> Condensed:
     unused = jnp.diag(jnp.where(jnp.any(rows != 0, axis=1), 0.0, 1.0))
     saddle = jnp.block([[own, rows[:, :inner].T], [rows[:, :inner], unused]])
     border = jnp.concatenate([coupled, rows[:, inner:]])
-    right = jnp.concatenate([jnp.eye(saddle.shape[0], inner), -border], axis=1)
-    solution = jnp.linalg.solve(saddle, right)
-    held = forms.stiffness[inner:, inner:] + border.T @ solution[:, inner:]
-    return Condensed(solution[:inner, :inner], solution[:inner, inner:], (held + held.T) / 2)
+    inverted = inverse(saddle)
+    follows = -inverted @ border
+    held = forms.stiffness[inner:, inner:] + border.T @ follows
+    return Condensed(inverted[:inner, :inner], follows[:inner], (held + held.T) / 2)
 
 
 def reaction(forms: Forms, mode: Float[Array, " n"], rate: Scalar) -> Float[Array, "3"]:
@@ -180,5 +181,5 @@ def reaction(forms: Forms, mode: Float[Array, " n"], rate: Scalar) -> Float[Arra
     push = forms.stiffness @ mode - rate * (forms.mass @ mode)
     rows = forms.constraints
     unused = jnp.diag(jnp.where(jnp.any(rows != 0, axis=1), 0.0, 1.0))
-    contact = jnp.linalg.solve(rows[:, :inner] @ rows[:, :inner].T + unused, rows[:, :inner] @ push[:inner])
+    contact = inverse(rows[:, :inner] @ rows[:, :inner].T + unused) @ (rows[:, :inner] @ push[:inner])
     return push[inner:] - rows[:, inner:].T @ contact

@@ -116,7 +116,8 @@ def line_of(body: Body, at: Equilibrium, ends: Float[Array, " elements"], loads:
             load = past(load, spring, body.laws, end, body.sprung.drive, -1.0)
         load = jax.tree.map(lambda part: jnp.where(unloaded, 0.0, part), load)
         _, _, cos, sin = states
-        return (end, load), (cos[1:-1], sin[1:-1], inside.force_x[1:-1], inside.force_y[1:-1], end)
+        forces = jnp.asarray(inside.force_x), jnp.asarray(inside.force_y)
+        return (end, load), (*(values[1:-1] for values in (cos, sin, *forces)), end)
 
     start = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load))
     each = ends - lengths, lengths, unloads, dead, springs

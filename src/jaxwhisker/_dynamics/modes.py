@@ -1,5 +1,6 @@
 """Small vibrations about an equilibrium: frequencies, shapes, reactions and damping ratios."""
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -183,12 +184,12 @@ def _of_deflection(bent: Deflection, count: int, damping: _Damping, points: int)
 
 
 def _of_result(result: Result, step: int | None, count: int, damping: _Damping, points: int) -> Modes:
+    if np.ndim(result.control) != 1:
+        checks.fail("at", "the Result of a single scan; for a batch, use jax.vmap", f"one of shape {result.fx.shape}")
     problem, whiskers = _prepared(result.scene)
     force = result.contact_force if result.normal_force is None else result.normal_force
     fields = {name: getattr(result, name) for name in Equilibrium._fields} | {"contact_force": force}
     states = Equilibrium(**fields), result.status, result.control
-    if np.ndim(result.control) != 1:
-        checks.fail("at", "the Result of a single scan; for a batch, use jax.vmap", f"one of shape {result.fx.shape}")
     if step is not None:
         steps = np.shape(result.control)[0]
         if not isinstance(step, int) or isinstance(step, bool) or not -steps <= step < steps:
@@ -263,7 +264,7 @@ def _dimensionless(problem: Problem, at: Equilibrium) -> Equilibrium:
     return at._replace(**{name: getattr(at, name) / unit for name, unit in units.items()})
 
 
-@Program
+@partial(Program, alone=True)
 def _result_modes(
     problem: Problem,
     whiskers: tuple[Whisker, ...],
@@ -282,7 +283,7 @@ def _result_modes(
     return eqx.tree_at(lambda modes: modes.s, found, found.s[0])
 
 
-@Program
+@partial(Program, alone=True)
 def _unloaded_modes(
     problem: Problem, whiskers: tuple[Whisker, ...], damping: _Damping, count: int, points: int
 ) -> Modes:
@@ -297,7 +298,7 @@ def _unloaded_modes(
     return _found(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)
 
 
-@Program
+@partial(Program, alone=True)
 def _deflection_modes(
     problem: Problem,
     whiskers: tuple[Whisker, ...],
@@ -309,8 +310,8 @@ def _deflection_modes(
     points: int,
 ) -> Modes:
     zero = jnp.zeros(())
-    at = Equilibrium(*base, *[zero] * 5, jnp.asarray(Phase.free))
-    at = jax.tree.map(lambda leaf: jnp.reshape(leaf, 1), at)
+    fields = (*base, *[zero] * 5, jnp.asarray(Phase.free))
+    at = Equilibrium(**{name: jnp.reshape(leaf, 1) for name, leaf in zip(Equilibrium._fields, fields, strict=True)})
     each = sorted_loads(whiskers[0], loads)
     force_x, force_y = each.force * jnp.cos(each.direction), each.force * jnp.sin(each.direction)
     dead = DeadLoads(each.position, force_x, force_y, each.moment)

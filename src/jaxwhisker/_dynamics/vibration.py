@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.eigen import slowest
 from jaxwhisker._dynamics.elements import interpolated, node_arcs
@@ -88,7 +89,8 @@ def _masses(problem: Problem, whiskers: tuple[Whisker, ...], arcs: Float[Array, 
         along = jax.vmap(jax.vmap(whisker.mass_at))(own * unit) / per_length
         extra = (whisker.tip_mass, whisker.base_mass, whisker.base_inertia)
         tip, base, inertia = (jnp.asarray(0.0 if value is None else value, dtype=float) for value in extra)
-        rows.append(Masses(along, *(m / (per_length * unit) for m in (tip, base)), inertia / (per_length * unit**3)))
+        point = per_length * unit
+        rows.append(Masses(along, tip / point, base / point, inertia / (point * unit**2)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
 
 
@@ -128,7 +130,7 @@ def _assembled(
     if problem.attached is not None:
         held -= problem.attached.held
     matrix, stiff = problem.flexibility.matrix, _diagonal(held)
-    bases = jnp.linalg.solve(jnp.eye(stiff.shape[0]) + matrix @ stiff, matrix)
+    bases = inverse(jnp.eye(stiff.shape[0]) + matrix @ stiff) @ matrix
     follows = jnp.concatenate([_diagonal(each.follows @ axes), jnp.eye(stiff.shape[0])])
     total = follows @ bases @ follows.T
     total += jnp.pad(flexible, (0, stiff.shape[0]))

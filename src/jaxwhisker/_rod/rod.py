@@ -280,7 +280,7 @@ def _march(
 THICKEST = 100.0  # steps are graded for a ratio of thicknesses of at most this
 
 
-def graded(times: Float[Array, " times"], first: Scalar, last: Scalar) -> Float[Array, " times"]:
+def graded(times: Float[Array, "*times"], first: Scalar, last: Scalar) -> Float[Array, "*times"]:
     """Step boundaries such that the thickness of a conical rod changes by the same ratio in each step."""
     # Thickness is the fourth root of stiffness. No derivative: the solution does not depend on the boundaries.
     first, last = jax.lax.stop_gradient((first, last))
