@@ -1,7 +1,7 @@
 """One time step of moving whiskers: an energy-momentum method with contact at position level.
 
-The nodes of a whisker (base, Gauss points, tip) have positions r(q) and velocities v of their own (Betsch and Leyendecker
-2006). A step from q0 to q1 solves
+The nodes of a whisker (base, Gauss points, tip) have positions r(q) and velocities v of their own (Betsch and
+Leyendecker 2006). A step from q0 to q1 solves
 
     D(q0, q1)^T m a + K (q0 + q1) / 2 = f c + base reaction,     a = (v1 - v0) / h,     (v0 + v1) / 2 = (r1 - r0) / h,
 
@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.gap import MOST, Gap, gap_at
 from jaxwhisker._dynamics.ledger import booked
@@ -230,17 +230,16 @@ def _newton(system: System, old: Moving, drive: Array, h: Scalar, x: Unknowns) -
     size = whiskers * c
     touching = (jnp.eye(whiskers)[:, None, :, None] * outer[:, :c, None, :c]).reshape(size, size)
     by_base = jnp.einsum("wcb,wbf->wcf", outer[:, :c, c:-1], moves).reshape(size, -1)
-    by_contact = jax.vmap(loads)(
-        jnp.moveaxis(jnp.eye(whiskers)[:, :, None, None] * outer[None, :, c:, :c], 3, 1).reshape(size, whiskers, 3)
-    )
+    pushes = jnp.eye(whiskers)[:, None, :, None] * jnp.swapaxes(outer[:, c:, :c], 1, 2)[:, :, None]
+    by_contact = jax.vmap(loads)(pushes.reshape(size, whiskers, 3))
     by_move = jax.vmap(loads, in_axes=2, out_axes=1)(jnp.einsum("wbk,wkf->wbf", outer[:, c:, c:-1], moves))
     network = system.network
-    own = jnp.eye(len(free)) * (1 / 2 + system.stiffness_damping / h) + network.compliance @ (
-        network.damping / h - by_move
-    )
+    own = jnp.eye(len(free)) * (1 / 2 + system.stiffness_damping / h)
+    own += network.compliance @ (network.damping / h - by_move)
     matrix = jnp.block([[touching, by_base], [-network.compliance @ by_contact.T, own]])
     springs = _spring_rows(system, old, h, x.z, loads(outer[:, c:, -1]))
-    change = -solve(matrix, jnp.append(jnp.ravel(outer[:, :c, -1]), springs)[:, None])[:, 0]
+    right = jnp.append(jnp.ravel(outer[:, :c, -1]), springs)
+    change = -(inverse(matrix) @ right if right.size > UNROLLED else solve(matrix, right[:, None])[:, 0])
     contact, z = change[:size].reshape(whiskers, c), change[size:]
     outside = jnp.concatenate([contact, moves @ z], axis=1)
     q = -inner[..., -1] - jnp.sum(inner[..., :-1] * outside[:, None], axis=-1)
@@ -257,8 +256,8 @@ def solved_each(matrix: Float[Array, "whiskers c c"], right: Float[Array, "whisk
 def _eliminated(rows: Float[Array, "n columns"]) -> Float[Array, "n rest"]:
     """The inverse of the leading square block times the other columns.
 
-    The block is the sum of a mass matrix, which dominates in small steps, and a positive definite stiffness. Elimination
-    needs no pivoting.
+    The block is the sum of a mass matrix, which dominates in small steps, and a positive definite stiffness:
+    elimination needs no pivoting.
     """
     n = rows.shape[0]
 
@@ -310,7 +309,7 @@ def _(primals, tangents):
     here = _differentiable(flat, known, mode)
     slope = jax.jacfwd(lambda flat: _residual(*known, mode, flat))(here)
     _, change = eqx.filter_jvp(lambda known: _residual(*known, mode, here), (known,), (known_dot,))
-    return here, -jnp.linalg.solve(slope, change)
+    return here, -inverse(slope) @ change
 
 
 def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -> tuple[Moving, Forces]:

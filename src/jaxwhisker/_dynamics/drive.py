@@ -45,7 +45,7 @@ class Whisking(eqx.Module):
 
 
 class Samples(eqx.Module):
-    """Control through equidistant samples, the first at time 0 and the last at the end: a cubic with matching slopes."""
+    """Control through equidistant samples, the first at time 0 and the last at the end: smooth cubics."""
 
     values: Float[Array, " samples"]
     duration: Scalar

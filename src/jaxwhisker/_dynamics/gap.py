@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.legendre import Basis, weights_at
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
@@ -88,7 +89,7 @@ def closest(
 
     def improve(_, guess):
         value, slope = equations(guess), jax.jacfwd(equations)(guess)
-        change = jnp.clip(jnp.linalg.solve(slope, value), -MOST, MOST)
+        change = jnp.clip(solve(slope, value[:, None])[:, 0], -MOST, MOST)
         return jnp.clip(guess - change, jnp.stack([0.0, first]), jnp.stack([1.0, last]))
 
     guess = jnp.stack([arcs[k], parameters[nearest[k]]])

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.legendre import Basis, basis
 from jaxwhisker._model.motion import AbstractMotion, Pose
@@ -90,7 +90,7 @@ class System(eqx.Module):
     def elastic(self, strain: Float[Array, " free"]) -> Float[Array, " free"]:
         """Elastic forces of the springs."""
         assert self.network is not None
-        return solve(self.network.compliance, strain[:, None])[:, 0]
+        return inverse(self.network.compliance) @ strain
 
     @property
     def is_free(self) -> Bool[Array, "whiskers 3"]:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._dynamics.motion_state import Moving, Rod
 from jaxwhisker._dynamics.moving import Rods, System
 
@@ -63,7 +64,6 @@ def _impulse(
     apart = rod.at - rod.base[:2, None]
     about = jnp.stack([-apart[1], apart[0]])  # velocities of the nodes when the base turns
     moves = rods.length * (shapes.reach @ (turning[:, :, None] * shapes.angles))
-    total = jnp.eye(system.n)
     gradients = [jnp.stack([touching.across, touching.along]) @ shapes.angles]
     turns = jnp.stack([jnp.sum(touching.across), jnp.sum(touching.along)])
     directions = jnp.stack([touching.normal, touching.tangent])
@@ -82,9 +82,8 @@ def _impulse(
         turned = jnp.arange(size) == size - 1
         total += jnp.diag(jnp.where(held, 1.0, jnp.where(turned, inertia, 0.0)))
         momentum += jnp.where(turned & ~held, inertia * spin, 0.0)
-    factor = jax.scipy.linalg.cho_factor(total)
-    speed, by_normal, by_tangent = jax.scipy.linalg.cho_solve(factor, jnp.column_stack([momentum, gradients.T])).T
-    answers = jnp.stack([by_normal, by_tangent])
+    inverted = inverse(total)
+    speed, answers = inverted @ momentum, gradients @ inverted
     rates = gradients @ speed + directions @ carried[:2] + turns * carried[2]
     ease = gradients @ answers.T
     given = jnp.where(touching.touches, _balanced(system, touching.slip, rates, ease), 0.0)
