@@ -10,13 +10,14 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import safe_placeholder
+from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.advance import Forces, advance
 from jaxwhisker._dynamics.drive import drive_of
 from jaxwhisker._dynamics.gap import closest, gap_at
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of
-from jaxwhisker._dynamics.moving import Damping, MotionUnits, System, drive_pose, motion_units, system_of
+from jaxwhisker._dynamics.moving import Damping, MotionUnits, Rods, System, drive_pose, motion_units, system_of
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
 from jaxwhisker._dynamics.start import Start, start_of
 from jaxwhisker._equilibrium.contact import Phase
@@ -30,6 +31,7 @@ SHAPES = 8  # shape functions per whisker
 STEP = 0.005  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
 MOST_STEPS = 10_000_000  # of the default step
 INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
+CLOSINGS = 3  # iterations that close the gaps of a given shape, whose projection does not touch exactly
 INSIDE_BENT = 1e-3  # accepted penetration of a given shape, which is projected onto the shape functions
 
 
@@ -234,18 +236,35 @@ def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Arra
     if system.profile is not None:
         shapes, profile = system.basis, system.profile
 
+        none = jnp.zeros(whiskers)
+        touches = none > 0 if start is None else start.touches
+        for _ in range(0 if start is None else CLOSINGS):
+            q = jax.vmap(lambda *own: _closed(system, *own))(system.rods, q, base, touches)
+        angle = angles_of(system, q, base)
+        at = nodes_of(system, base, angle)
+
         def nearest(length, base, angle):
             arc, parameter = closest(shapes, profile, length, base, angle)
             return arc, parameter, gap_at(shapes, profile, length, base, angle, arc, parameter)
 
         arc, parameter, gap = jax.vmap(nearest)(system.rods.length, base[:, :2], angle)
-        none = jnp.zeros(whiskers)
         shape = (gap.gap, gap.at_tip, gap.normal, gap.across, gap.tangent, gap.along)
-        touching = Touching(arc, parameter, none, none, *shape, none > 0, none.astype(int))
+        touching = Touching(arc, parameter, none, none, *shape, touches, none.astype(int))
     count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
     return Moving(rod, z, drive, jnp.zeros((2, count)), ledger, jnp.asarray(True))
+
+
+def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Array, ""]) -> Array:
+    """The shape of a touching whisker, bent by a change of the contact force that closes the gap to first order."""
+    assert system.profile is not None
+    angle = jnp.pi / 2 + base[2] + rod.rest + system.basis.angles @ q
+    arc, parameter = closest(system.basis, system.profile, rod.length, base[:2], angle)
+    gap = gap_at(system.basis, system.profile, rod.length, base[:2], angle, arc, parameter)
+    across = gap.across @ system.basis.angles
+    bends = inverse(rod.stiffness) @ across
+    return jnp.where(touches, q - bends * gap.gap / (across @ bends), q)
 
 
 def _traced(system: System, moving: Moving) -> Trace | None:
@@ -256,11 +275,13 @@ def _traced(system: System, moving: Moving) -> Trace | None:
 
 
 def _at_samples(forces: Forces, every: int) -> Forces:
-    """Forces at samples: means of those of the steps before and after, of one step at both ends."""
+    """Forces at samples: means of those of the steps before and after; extrapolated at both ends."""
 
     def mean(values):
         after, before = values[::every], values[every - 1 :: every]
-        return jnp.concatenate([after[:1], (before[:-1] + after[1:]) / 2, before[-1:]])
+        second, last = values[min(1, len(values) - 1)], values[max(-2, -len(values))]
+        start, end = (3 * values[0] - second) / 2, (3 * values[-1] - last) / 2
+        return jnp.concatenate([start[None], (before[:-1] + after[1:]) / 2, end[None]])
 
     return jax.tree.map(mean, forces)
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
@@ -30,6 +30,7 @@ class Start(NamedTuple):
     s: Float[Array, "whiskers points"]  # arc length in lengths of the whisker, from base to tip; may have jumps
     curvature: Float[Array, "whiskers points"]  # times the length, without the intrinsic one
     base: Float[Array, "whiskers 3"]  # pose in the scene, in its units
+    touches: Bool[Array, " whiskers"]  # whether they touch the object of a scene that has one
 
     def coefficients(self, n: int) -> Float[Array, "whiskers n"]:
         """The curvature's best approximation by Legendre polynomials, in the norm of the elastic energy."""
@@ -79,14 +80,17 @@ def _from_deflection(whisker: Whisker, motion: AbstractMotion, start: Deflection
     x, y = start.base_x, start.base_y
     base = [drive.x + cos * x - sin * y, drive.y + sin * x + cos * y, drive.angle + start.base_angle]
     extra = start.curvature - jax.vmap(whisker.curvature_at)(start.s)
-    return Start((start.s / whisker.length)[None], (extra * whisker.length)[None], jnp.stack(base)[None])
+    return Start(
+        (start.s / whisker.length)[None], (extra * whisker.length)[None], jnp.stack(base)[None], jnp.zeros(1, bool)
+    )
 
 
 @Program
 def _from_state(whiskers: tuple[Whisker, ...], state: State) -> Start:
     each = [_shape(w, jax.tree.map(lambda leaf, k=k: leaf[k], state)) for k, w in enumerate(whiskers)]
     s, curvature = (jnp.stack(parts) for parts in zip(*each, strict=True))
-    return Start(s, curvature, jnp.stack([state.base_x, state.base_y, state.base_angle], axis=-1))
+    base = jnp.stack([state.base_x, state.base_y, state.base_angle], axis=-1)
+    return Start(s, curvature, base, state.phase != Phase.free)
 
 
 def _shape(whisker: Whisker, at: State) -> tuple[Array, Array]:
