@@ -27,8 +27,8 @@ from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.state import State
 
-SHAPES = 8  # shape functions per whisker
-STEP = 0.005  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
+SHAPES = 12  # shape functions per whisker
+STEP = 0.001  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
 MOST_STEPS = 10_000_000  # of the default step
 INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
 CLOSINGS = 3  # iterations that close the gaps of a given shape, whose projection does not touch exactly
@@ -63,8 +63,8 @@ def simulate(
             scan, of which the step nearest to the initial drive position counts. The contact is that of the scene: a
             Sensor lets the whiskers go without an object. Default: unloaded. In both cases whiskers are at rest
             relative to the drive.
-        steps: number of time steps. Default: steps of 0.005 length^2 sqrt(mass_per_length / bending_stiffness) of the
-            first whisker, a period of its first mode divided by 357; required under tracing.
+        steps: number of time steps. Default: steps of 0.001 length^2 sqrt(mass_per_length / bending_stiffness) of the
+            first whisker, a period of its first mode divided by 1787; required under tracing.
         every: number of time steps between two samples of the result.
         mass_damping: drag of the surrounding air, proportional to the mass, 1/time; not negative.
         stiffness_damping: time constant tau of a Kelvin-Voigt material, moment EI (kappa + tau d kappa / dt), and of
@@ -91,7 +91,7 @@ def simulate(
         >>> whisker = jw.Whisker(mass_per_length=1.0)
         >>> motion = jw.simulate(jw.Sensor(whisker), lambda t: 0.1 * jnp.sin(3.0 * t), duration=2.0)
         >>> motion.mz.shape
-        (401, 1)
+        (2001, 1)
     """
     checks.float64_mode()
     _check_scene(scene)
