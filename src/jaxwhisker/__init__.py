@@ -40,7 +40,10 @@ from jaxwhisker._study.summary import summary
 from jaxwhisker.film.animate import animate
 
 if TYPE_CHECKING:
+    from jaxwhisker._dynamics.drive import Whisking
     from jaxwhisker._dynamics.modes import Modes, modes
+    from jaxwhisker._dynamics.simulate import simulate
+    from jaxwhisker._dynamics.simulation import Simulation
 
 __all__ = [
     "AbstractMotion",
@@ -80,6 +83,7 @@ __all__ = [
     "Sensor",
     "Shapes",
     "Shooting",
+    "Simulation",
     "Splitting",
     "Spring",
     "State",
@@ -88,6 +92,7 @@ __all__ = [
     "Tilted",
     "Translation",
     "Whisker",
+    "Whisking",
     "animate",
     "deflect",
     "design",
@@ -101,6 +106,7 @@ __all__ = [
     "reconstruct",
     "scan",
     "shapes",
+    "simulate",
     "stored_energy",
     "study",
     "summary",
@@ -110,13 +116,21 @@ __all__ = [
 
 __version__ = "0.1.0"
 
+_DYNAMICS = {
+    "Modes": "modes",
+    "Simulation": "simulation",
+    "Whisking": "drive",
+    "modes": "modes",
+    "simulate": "simulate",
+}
+
 
 def __getattr__(name: str):
     import importlib
 
-    # matplotlib is loaded when the first figure is asked for, and the dynamics when the first modes are.
+    # matplotlib is loaded when the first figure is asked for, and the dynamics on first use.
     if name == "plot":
         return importlib.import_module("jaxwhisker.plot")
-    if name in ("Modes", "modes"):
-        return getattr(importlib.import_module("jaxwhisker._dynamics.modes"), name)
+    if name in _DYNAMICS:
+        return getattr(importlib.import_module(f"jaxwhisker._dynamics.{_DYNAMICS[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

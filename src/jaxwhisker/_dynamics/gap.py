@@ -1,0 +1,100 @@
+"""The gap between a moving whisker and the object: the points of both that are closest to each other."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.legendre import Basis, weights_at
+from jaxwhisker._model.profile import AbstractProfile, ContactPoint
+
+
+class Gap(NamedTuple):
+    """A point of a whisker and a point of the object; they are closest if `foot` and `end` vanish."""
+
+    gap: Float[Array, ""]  # distance along the object's normal, positive outside
+    foot: Float[Array, ""]  # distance along the object's tangent
+    end: Float[Array, ""]  # min(arc length beyond the point, decrease of the gap with the arc length)
+    at_tip: Float[Array, ""]  # positive if the tip is the closest point, negative if a point of the shaft is
+    normal: Float[Array, "2"]  # of the object, outward
+    across: Float[Array, " points"]  # derivative of the gap by the angles at the Gauss points
+    tangent: Float[Array, "2"]  # of the object
+    along: Float[Array, " points"]  # derivative of the position along the tangent by the angles
+    object: ContactPoint
+
+
+def gap_at(
+    basis: Basis,
+    profile: AbstractProfile,
+    length: Scalar,
+    base: Float[Array, "2"],
+    angle: Float[Array, " points"],
+    arc: Scalar,
+    parameter: Scalar,
+) -> Gap:
+    """The gap between the whisker at a fraction `arc` of its length and the object at a parameter."""
+    weights = weights_at(basis, arc)
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    direction, way = weights @ jnp.stack([cos, sin], axis=-1)
+    at = profile.point(parameter)
+    normal, tangent = jnp.stack([at.sin, -at.cos]), jnp.stack([at.cos, at.sin])
+    reach = length * weights[1]
+    apart = base + length * way - jnp.stack([at.x, at.y])
+    closes = -normal @ direction
+    beyond = 1 - arc
+    return Gap(
+        gap=apart @ normal,
+        foot=apart @ tangent,
+        end=jnp.where(beyond < closes, beyond, closes),
+        at_tip=closes - beyond,
+        normal=normal,
+        across=reach * (normal[1] * cos - normal[0] * sin),
+        tangent=tangent,
+        along=reach * (tangent[1] * cos - tangent[0] * sin),
+        object=at,
+    )
+
+
+SAMPLES = 65  # points of the whisker, for the first guess of the closest point
+PARAMETERS = 1025  # points of the object, likewise
+ITERATIONS = 20  # of Newton's method from the first guess
+
+
+def closest(
+    basis: Basis,
+    profile: AbstractProfile,
+    length: Scalar,
+    base: Float[Array, "2"],
+    angle: Float[Array, " points"],
+) -> tuple[Scalar, Scalar]:
+    """Fraction of the length and parameter of the closest points, from scratch and without derivatives."""
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    arcs = jnp.linspace(1 / SAMPLES, 1.0, SAMPLES)
+    reach = length * jax.vmap(lambda s: weights_at(basis, s)[1])(arcs)
+    x, y = base[0] + reach @ cos, base[1] + reach @ sin
+    first, last = profile.ends()
+    parameters = jnp.linspace(first, last, PARAMETERS)
+    at = jax.vmap(profile.point)(parameters)
+    apart = (x[:, None] - at.x) ** 2 + (y[:, None] - at.y) ** 2
+    nearest = jnp.argmin(jnp.where(jnp.isfinite(apart), apart, jnp.inf), axis=1)
+    own = jax.tree.map(lambda leaf: leaf[nearest], at)
+    k = jnp.argmin((x - own.x) * own.sin - (y - own.y) * own.cos)
+
+    def equations(guess):
+        gap = gap_at(basis, profile, length, base, angle, *guess)
+        return jnp.stack([gap.end, gap.foot])
+
+    def improve(_, guess):
+        value, slope = equations(guess), jax.jacfwd(equations)(guess)
+        change = jnp.clip(solve(slope, value[:, None])[:, 0], -MOST, MOST)
+        return jnp.clip(guess - change, jnp.stack([0.0, first]), jnp.stack([1.0, last]))
+
+    guess = jnp.stack([arcs[k], parameters[nearest[k]]])
+    arc, parameter = jax.lax.stop_gradient(jax.lax.fori_loop(0, ITERATIONS, improve, guess))
+    return arc, parameter
+
+
+MOST = 0.2  # largest change of the closest points in one iteration

@@ -1,0 +1,362 @@
+"""Motion in time of whiskers on a moving drive, free or in contact with an object."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import safe_placeholder
+from jaxwhisker._base.linear_algebra import inverse
+from jaxwhisker._base.program import Program
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.advance import Forces, advance
+from jaxwhisker._dynamics.drive import drive_of
+from jaxwhisker._dynamics.gap import closest, gap_at
+from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of
+from jaxwhisker._dynamics.moving import Damping, MotionUnits, Rods, System, drive_pose, motion_units, system_of
+from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
+from jaxwhisker._dynamics.start import Start, start_of
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.scene import Scene, Sensor
+from jaxwhisker._path.path import Status
+from jaxwhisker._scan.deflect import Deflection
+from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.state import State
+
+SHAPES = 12  # shape functions per whisker
+STEP = 0.001  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
+MOST_STEPS = 10_000_000  # of the default step
+INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
+CLOSINGS = 3  # iterations that close the gaps of a given shape, whose projection does not touch exactly
+INSIDE_BENT = 1e-3  # accepted penetration of a given shape, which is projected onto the shape functions
+
+
+def simulate(
+    scene: Scene | Sensor,
+    drive: Any,
+    duration: Scalar,
+    *,
+    start: State | Deflection | Result | None = None,
+    steps: int | None = None,
+    every: int = 1,
+    mass_damping: Scalar = 0.0,
+    stiffness_damping: Scalar = 0.0,
+    base_damping: Scalar | tuple[Scalar, Scalar, Scalar] = 0.0,
+    shapes: int = SHAPES,
+) -> Simulation:
+    """Simulate the motion of whiskers whose drive moves in time, with inertia, damping and contact.
+
+    Args:
+        scene: whiskers, object and support; or a Sensor, whose whiskers move without an object. All whiskers need a
+            `mass_per_length`.
+        drive: drive position u as a function of time, which JAX must be able to trace (parameters of an
+            `equinox.Module`, such as `Whisking`, are differentiable); or an array of samples, equidistant from time 0
+            to the end, between which a cubic runs; or a number for a drive at rest. The unit of u is that of the
+            scene's motion: a length, or rad for a Rotation.
+        duration: a time; positive. The unit of time is that in which mass_per_length * length^4 / bending_stiffness is
+            a time squared: seconds in SI units.
+        start: equilibrium from which the whiskers are let go: the state of an event, a Deflection, or the Result of a
+            scan, of which the step nearest to the initial drive position counts. The contact is that of the scene: a
+            Sensor lets the whiskers go without an object. Default: unloaded. In both cases whiskers are at rest
+            relative to the drive.
+        steps: number of time steps. Default: steps of 0.001 length^2 sqrt(mass_per_length / bending_stiffness) of the
+            first whisker, a period of its first mode divided by 1787; required under tracing.
+        every: number of time steps between two samples of the result.
+        mass_damping: drag of the surrounding air, proportional to the mass, 1/time; not negative.
+        stiffness_damping: time constant tau of a Kelvin-Voigt material, moment EI (kappa + tau d kappa / dt), and of
+            springs; not negative.
+        base_damping: viscous damping of each base relative to the drive: force per velocity along x and y and moment
+            per angular velocity, in the frame of its mount, as a tuple; or a number for x. Not negative.
+        shapes: number of shape functions per whisker, from 2 to 20.
+
+    Returns:
+        A Simulation. If a parameter is outside its domain under tracing, or the drive starts inside the object, the
+        status is `invalid`; if a time step is not solved, it is `lost` from there on. Values are then NaN.
+
+    Raises:
+        ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
+            positive, samples that are not finite), the drive starts inside the object, or the scene has springs on
+            shafts, rigid or nonlinear springs, foundations, or an object with edges, which are not simulated.
+
+    Derivatives of first order exist in both modes, with respect to all numbers of the scene, the drive, the duration
+    and the damping. They are those of the discrete motion in which the same whiskers touch in the same steps: through
+    smooth stretches, changes between tip and tangential contact, and releases. Where an impact begins, they are not
+    defined for the exact motion if the order of events depends on the parameter.
+
+    Examples:
+        >>> whisker = jw.Whisker(mass_per_length=1.0)
+        >>> motion = jw.simulate(jw.Sensor(whisker), lambda t: 0.1 * jnp.sin(3.0 * t), duration=2.0)
+        >>> motion.mz.shape
+        (2001, 1)
+    """
+    checks.float64_mode()
+    _check_scene(scene)
+    checks.number("duration", duration, positive=True)
+    for name, value in (("mass_damping", mass_damping), ("stiffness_damping", stiffness_damping)):
+        checks.number(name, value, non_negative=True)
+    base = base_damping if isinstance(base_damping, tuple) else (base_damping, 0.0, 0.0)
+    if len(base) != 3:
+        checks.fail("base_damping", "a number or a tuple of three", repr(base_damping))
+    for value in base:
+        checks.number("base_damping", value, non_negative=True)
+    checks.count("every", every)
+    checks.count("shapes", shapes, least=2)
+    if shapes > 20:
+        checks.fail("shapes", "at most 20", shapes)
+    if steps is not None:
+        checks.count("steps", steps)
+    scene, duration, damping = jax.tree.map(
+        checks.as_float, (scene, duration, Damping(mass_damping, stiffness_damping, base))
+    )
+    steps = _default_steps(scene, duration) if steps is None else steps
+    control = jax.tree.map(checks.as_float, drive_of(drive, duration))
+    begin = None if start is None else start_of(scene, start, control)
+    result, clear = _simulate(
+        scene, control, duration, begin, damping, steps=-(-steps // every) * every, every=every, shapes=shapes
+    )
+    if not checks.is_traced(clear) and not bool(clear):
+        u = float(control(jnp.zeros(())))
+        raise ValueError(f"`drive` must start where no whisker is inside the object, got a drive that starts at {u:g}.")
+    return result
+
+
+def _check_scene(scene: Any) -> None:
+    checks.instance("scene", scene, (Scene, Sensor), "a Scene or a Sensor")
+    for whisker in scene.whiskers:
+        if whisker.mass_per_length is None:
+            checks.fail("mass_per_length", "given for every whisker that moves", None)
+    allowed = "a scene without {} for a simulation"
+    if scene.support.on_shafts or not all(spring.linear for spring in scene.support.springs):
+        checks.fail(
+            "support", allowed.format("springs on shafts, nonlinear springs and foundations"), scene.support.name
+        )
+    for spring in scene.support.springs:
+        if not checks.is_traced(spring.softness) and spring.is_rigid():
+            checks.fail("stiffness", allowed.format("rigid springs"), spring.stiffness)
+    if isinstance(scene, Scene) and scene.profile.has_edges:
+        checks.fail("profile", allowed.format("edges of the object"), str(scene.profile))
+
+
+def _default_steps(scene: Scene | Sensor, duration: Scalar) -> int:
+    unit = motion_units(scene).time
+    if checks.is_traced((unit, duration)):
+        raise ValueError("`steps` must be given under tracing, got None.")
+    steps = math.ceil(float(duration) / (STEP * float(unit)))
+    if steps > MOST_STEPS:
+        checks.fail("duration", f"at most {MOST_STEPS:,} default time steps, or `steps`", float(duration))
+    return steps
+
+
+@Program
+def _simulate(
+    scene: Scene | Sensor,
+    control: Callable[[Scalar], Scalar],
+    duration: Float[Array, ""],
+    start: Start | None,
+    damping: Damping,
+    *,
+    steps: int,
+    every: int,
+    shapes: int,
+) -> tuple[Simulation, Bool[Array, ""]]:
+    valid = _valid(scene, duration, damping, control)
+    given = scene
+    scene = safe_placeholder(scene, valid)
+    unit, system = motion_units(scene), system_of(scene, damping, shapes)
+    time = duration * jnp.linspace(0.0, 1.0, steps + 1)
+    h = duration / unit.time / steps
+
+    def pose(t):
+        return drive_pose(scene.motion, control(t), unit)
+
+    poses, rates = jax.vmap(lambda t: jax.jvp(pose, (t,), (jnp.ones_like(t),)))(time)
+    rates = rates * unit.time
+    first = _initial(system, unit, start, poses[0], rates[0])
+    clear = jnp.asarray(True)
+    if first.rod.touching is not None:
+        clear = jnp.all(first.rod.touching.gap > -(INSIDE if start is None else INSIDE_BENT))
+    good = valid & clear & jnp.all(jnp.isfinite(poses))
+    first = first._replace(solved=good)
+
+    def step(moving, drive):
+        moving, forces = advance(system, moving, drive[:3], drive[3:], h)
+        return moving, (forces, _traced(system, moving))
+
+    def sample(moving, drives):
+        moving, traces = jax.lax.scan(step, moving, drives)
+        return moving, (moving, traces)
+
+    drives = jnp.concatenate([poses, rates], axis=-1)[1:].reshape(-1, every, 6)
+    _, (samples, (forces, trace)) = jax.lax.scan(sample, first, drives)
+    samples = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, samples)
+    forces, trace = jax.tree.map(lambda leaf: leaf.reshape(steps, *leaf.shape[2:]), (forces, trace))
+    trace = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), _traced(system, first), trace)
+    result = _result(given, system, unit, samples, _at_samples(forces, every), time[::every], control, shapes)
+    events = events_of(trace, time, control) if trace is not None else _no_events()
+    status = jnp.where(good, jnp.where(samples.solved, Status.ok, Status.lost), Status.invalid)
+    ok = status == Status.ok
+    blank = {name: _where_ok(ok, value) for name, value in result.items()}
+    return Simulation(**blank, status=status, events=events, scene=given), clear | ~valid
+
+
+def _where_ok(ok: Bool[Array, " samples"], tree: Any) -> Any:
+    def blank(leaf):
+        mask = ok.reshape(-1, *[1] * (leaf.ndim - 1))
+        return jnp.where(mask, leaf, jnp.nan if jnp.issubdtype(leaf.dtype, jnp.inexact) else 0)
+
+    return jax.tree.map(blank, tree)
+
+
+def _valid(scene: Scene | Sensor, duration: Array, damping: Damping, control: Any) -> Bool[Array, ""]:
+    """Whether traced parameters are in the domains that concrete ones are checked for."""
+    rates = jnp.stack([jnp.asarray(leaf, dtype=float) for leaf in jax.tree.leaves(damping)])
+    valid = scene.support.valid() & scene.motion.valid() & (duration > 0) & jnp.isfinite(duration)
+    valid &= jnp.all((rates >= 0) & jnp.isfinite(rates)) & checks.all_finite(control)
+    for whisker in scene.whiskers:
+        valid &= whisker.valid() & whisker.valid_masses()
+    return valid & scene.profile.valid() if isinstance(scene, Scene) else valid
+
+
+def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Array, rate: Array) -> Moving:
+    """Whiskers at rest relative to the drive."""
+    whiskers = system.rods.length.shape[0]
+    q, z = jnp.zeros((whiskers, system.n)), system.at_rest
+    if start is not None:
+        q, z = start.coefficients(system.n), start.free(system, drive, unit)
+    base, carried = jax.jvp(lambda drive: system.bases(z, drive), (drive,), (rate,))
+    angle = angles_of(system, q, base)
+    at = nodes_of(system, base, angle)
+    apart = at - base[:, :2, None]
+    velocity = carried[:, :2, None] + carried[:, 2, None, None] * jnp.stack([-apart[:, 1], apart[:, 0]], axis=1)
+    touching = None
+    if system.profile is not None:
+        shapes, profile = system.basis, system.profile
+
+        none = jnp.zeros(whiskers)
+        touches = none > 0 if start is None else start.touches
+        for _ in range(0 if start is None else CLOSINGS):
+            q = jax.vmap(lambda *own: _closed(system, *own))(system.rods, q, base, touches)
+        angle = angles_of(system, q, base)
+        at = nodes_of(system, base, angle)
+
+        def nearest(length, base, angle):
+            arc, parameter = closest(shapes, profile, length, base, angle)
+            return arc, parameter, gap_at(shapes, profile, length, base, angle, arc, parameter)
+
+        arc, parameter, gap = jax.vmap(nearest)(system.rods.length, base[:, :2], angle)
+        shape = (gap.gap, gap.at_tip, gap.normal, gap.across, gap.tangent, gap.along)
+        touching = Touching(arc, parameter, none, none, *shape, touches, none.astype(int))
+    count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
+    rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
+    ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
+    return Moving(rod, z, drive, jnp.zeros((2, count)), ledger, jnp.asarray(True))
+
+
+def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Array, ""]) -> Array:
+    """The shape of a touching whisker, bent by a change of the contact force that closes the gap to first order."""
+    assert system.profile is not None
+    angle = jnp.pi / 2 + base[2] + rod.rest + system.basis.angles @ q
+    arc, parameter = closest(system.basis, system.profile, rod.length, base[:2], angle)
+    gap = gap_at(system.basis, system.profile, rod.length, base[:2], angle, arc, parameter)
+    across = gap.across @ system.basis.angles
+    bends = inverse(rod.stiffness) @ across
+    return jnp.where(touches, q - bends * gap.gap / (across @ bends), q)
+
+
+def _traced(system: System, moving: Moving) -> Trace | None:
+    at = moving.rod.touching
+    if at is None:
+        return None
+    return Trace(at.touches, at.force, at.gap, at.at_tip, at.normal[:, 0])
+
+
+def _at_samples(forces: Forces, every: int) -> Forces:
+    """Forces at samples: means of those of the steps before and after; extrapolated at both ends."""
+
+    def mean(values):
+        after, before = values[::every], values[every - 1 :: every]
+        second, last = values[min(1, len(values) - 1)], values[max(-2, -len(values))]
+        start, end = (3 * values[0] - second) / 2, (3 * values[-1] - last) / 2
+        return jnp.concatenate([start[None], (before[:-1] + after[1:]) / 2, end[None]])
+
+    return jax.tree.map(mean, forces)
+
+
+def _no_events() -> TimedEvents:
+    none, nowhere = jnp.zeros(0, int), jnp.zeros(0)
+    return TimedEvents(none, none, nowhere, nowhere, jnp.zeros((), int))
+
+
+def _result(
+    scene: Scene | Sensor,
+    system: System,
+    unit: MotionUnits,
+    samples: Moving,
+    forces: Forces,
+    time: Float[Array, " samples"],
+    control: Callable[[Scalar], Scalar],
+    shapes: int,
+) -> dict[str, Any]:
+    """Fields of the Simulation but its status and events."""
+    rods, base = system.rods, samples.rod.base
+    tip, touching = samples.rod.at[..., -1], samples.rod.touching
+    zero = jnp.zeros_like(samples.rod.spin)
+    contact = dict.fromkeys(("contact_slope", "contact_arc", "contact_x", "contact_y"), zero)
+    gap, phase = jnp.full_like(zero, jnp.inf), jnp.full_like(zero, int(Phase.free), int)
+    if touching is not None and system.profile is not None:
+        at = jax.vmap(jax.vmap(system.profile.point))(touching.parameter)
+        gap, touches = touching.gap * unit.length, touching.touches
+        phase = jnp.where(touching.at_tip > 0, Phase.tip, Phase.tangential)
+        phase = jnp.where(touches, phase, Phase.free)
+        values = (
+            jnp.arctan2(at.sin, at.cos),
+            touching.arc * rods.length * unit.length,
+            at.x * unit.length,
+            at.y * unit.length,
+        )
+        contact = {name: jnp.where(touches, value, 0.0) for name, value in zip(contact, values, strict=True)}
+    friction, contact_force = {}, forces.normal
+    if system.friction is not None and touching is not None:
+        contact_force = jnp.hypot(forces.normal, forces.drag)
+        friction = {"normal_force": forces.normal * unit.force, "friction_force": forces.drag * unit.force}
+        friction["slip"] = jnp.where(touching.touches, touching.slip, 0)
+    fx, fy, mz = jnp.moveaxis(forces.reaction, -1, 0)
+    d = jax.vmap(system.displacement)(samples.z) * jnp.stack([unit.length, unit.length, 1.0])
+    return {
+        "base_x": base[..., 0] * unit.length,
+        "base_y": base[..., 1] * unit.length,
+        "base_angle": base[..., 2],
+        "fx": fx * unit.force,
+        "fy": fy * unit.force,
+        "mz": mz * unit.moment,
+        "contact_force": contact_force * unit.force,
+        **contact,
+        **friction,
+        "phase": phase,
+        "time": time,
+        "control": jax.vmap(control)(time),
+        "gap": gap,
+        "spring_length": scene.support.spring_length(d),
+        "energy": _energy(system, unit, samples),
+        "curvature": samples.rod.q,
+        "tip_x": tip[..., 0] * unit.length,
+        "tip_y": tip[..., 1] * unit.length,
+    }
+
+
+def _energy(system: System, unit: MotionUnits, samples: Moving) -> MotionEnergy:
+    rods, rod = system.rods, samples.rod
+    kinetic = jnp.sum(rods.mass[:, None] * rod.velocity**2, axis=(1, 2, 3)) / 2
+    kinetic += jnp.sum(rods.inertia * rod.spin**2, axis=-1) / 2
+    bending = jnp.einsum("twi,wij,twj->t", rod.q, rods.stiffness, rod.q) / 2
+    springs = jnp.zeros_like(kinetic)
+    if system.network is not None:
+        strain = jax.vmap(system.strain)(samples.z)
+        springs = jnp.sum(strain * jax.vmap(system.elastic)(strain), axis=-1) / 2
+    ledger = samples.ledger
+    parts = (kinetic, bending, springs, ledger.work, ledger.damping, ledger.impact, ledger.friction, ledger.contact)
+    return MotionEnergy(*(part * unit.moment for part in parts))

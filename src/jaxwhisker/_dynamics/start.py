@@ -1,0 +1,107 @@
+"""The equilibrium from which whiskers are let go, in the coordinates of a simulation."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.program import Program
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.legendre import polynomials_at
+from jaxwhisker._dynamics.moving import MotionUnits, System
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.motion import AbstractMotion, Pose
+from jaxwhisker._model.scene import Scene, Sensor
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._scan.deflect import Deflection
+from jaxwhisker._scan.result import Result, check_one_scan
+from jaxwhisker._scan.springs import outwards
+from jaxwhisker._scan.state import State, base_of, state_of
+
+POINTS = 513  # along the loaded part of a whisker
+
+
+class Start(NamedTuple):
+    """Shapes and bases of all whiskers."""
+
+    s: Float[Array, "whiskers points"]  # arc length in lengths of the whisker, from base to tip; may have jumps
+    curvature: Float[Array, "whiskers points"]  # times the length, without the intrinsic one
+    base: Float[Array, "whiskers 3"]  # pose in the scene, in its units
+    touches: Bool[Array, " whiskers"]  # whether they touch the object of a scene that has one
+
+    def coefficients(self, n: int) -> Float[Array, "whiskers n"]:
+        """The curvature's best approximation by Legendre polynomials, in the norm of the elastic energy."""
+
+        def project(s, curvature):
+            values = jax.vmap(lambda s: polynomials_at(s, n))(s) * curvature[:, None]
+            integrals = jnp.sum((values[1:] + values[:-1]) / 2 * jnp.diff(s)[:, None], axis=0)
+            return (2 * jnp.arange(n) + 1) * integrals
+
+        return jax.vmap(project)(self.s, self.curvature)
+
+    def free(self, system: System, drive: Float[Array, "3"], unit: MotionUnits) -> Float[Array, " free"]:
+        """The free coordinates of the bases, with the drive at this dimensionless pose."""
+        x, y = self.base[:, 0] / unit.length - drive[0], self.base[:, 1] / unit.length - drive[1]
+        cos, sin = jnp.cos(drive[2]), jnp.sin(drive[2])
+        angle = self.base[:, 2] - drive[2] - system.mount.angle
+        d = [cos * x + sin * y - system.mount.x, cos * y - sin * x - system.mount.y, angle]
+        return jnp.ravel(jnp.stack(d, axis=-1))[jnp.array(system.free, int)]
+
+
+def start_of(scene: Scene | Sensor, start: Any, control: Callable[[Scalar], Scalar]) -> Start:
+    """The start of a simulation from a user's equilibrium.
+
+    Raises:
+        ValueError: if it is not a State, a Deflection or the Result of a scan, or not one of this many whiskers.
+    """
+    at = control(jnp.zeros(()))
+    if isinstance(start, Deflection):
+        if scene.support.whiskers != 1:
+            checks.fail("start", f"a State of {scene.support.whiskers} whiskers", "a Deflection of one")
+        return _from_deflection(*jax.tree.map(checks.as_float, (scene.whiskers[0], scene.motion)), start, at)
+    checks.instance("start", start, State, "a State, a Deflection or the Result of a scan")
+    if isinstance(start, Result):
+        check_one_scan(start)
+        k = jnp.argmin(jnp.abs(start.control - at))
+        start = jax.tree.map(lambda leaf: leaf[k], state_of(start))
+    start = state_of(start)
+    if start.fx.shape != (scene.support.whiskers,):
+        checks.fail("start", f"a State of {scene.support.whiskers} whiskers", f"fields of shape {start.fx.shape}")
+    return _from_state(jax.tree.map(checks.as_float, scene.whiskers), start)
+
+
+@Program
+def _from_deflection(whisker: Whisker, motion: AbstractMotion, start: Deflection, control: Scalar) -> Start:
+    drive = Pose(*(jnp.asarray(part, dtype=float) for part in motion.pose(control)))
+    cos, sin = jnp.cos(drive.angle), jnp.sin(drive.angle)
+    x, y = start.base_x, start.base_y
+    base = [drive.x + cos * x - sin * y, drive.y + sin * x + cos * y, drive.angle + start.base_angle]
+    extra = start.curvature - jax.vmap(whisker.curvature_at)(start.s)
+    return Start(
+        (start.s / whisker.length)[None], (extra * whisker.length)[None], jnp.stack(base)[None], jnp.zeros(1, bool)
+    )
+
+
+@Program
+def _from_state(whiskers: tuple[Whisker, ...], state: State) -> Start:
+    each = [_shape(w, jax.tree.map(lambda leaf, k=k: leaf[k], state)) for k, w in enumerate(whiskers)]
+    s, curvature = (jnp.stack(parts) for parts in zip(*each, strict=True))
+    base = jnp.stack([state.base_x, state.base_y, state.base_angle], axis=-1)
+    return Start(s, curvature, base, state.phase != Phase.free)
+
+
+def _shape(whisker: Whisker, at: State) -> tuple[Array, Array]:
+    """Arc lengths and curvatures of one whisker, loaded up to its contact."""
+    touches = at.phase != Phase.free
+    length = jnp.asarray(whisker.length, dtype=float)
+    arc = jnp.where(touches, at.contact_arc, length)
+    x, y, _, _ = outwards(whisker, base_of(at), (at.fx, at.fy, at.mz), arc, count=POINTS)
+    s = arc * jnp.linspace(0.0, 1.0, POINTS)
+    moment = -at.mz + (x - at.base_x) * at.fy - (y - at.base_y) * at.fx
+    stiffness = jax.vmap(whisker.stiffness_at)(s)
+    stiff = stiffness > 0
+    extra = jnp.where(stiff & touches, moment / jnp.where(stiff, stiffness, 1.0), 0.0)
+    return jnp.append(s, length) / length, jnp.append(extra, 0.0) * length

@@ -1,0 +1,266 @@
+"""Motion in time: a reference ring-down, exact motions, the quasi-static limit, energy, order, derivatives, input."""
+
+# pyright: reportArgumentType=false
+import json
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from scenes import model
+
+RINGDOWN = json.loads((Path(__file__).parents[1] / "data" / "ringdown.json").read_text())["cases"][0]
+EARLY, LATE = 1e-3, 5e-3  # of the ring-down, in lengths: the reference's own errors reach 1.2e-3
+CONSERVED = 1e-9  # relative change of the energy; each step solves its equations to about 1e-12
+BALANCED = 1e-9  # of the ledger of energy
+ROUNDING = 1e-12
+TOUCH = 1e-6  # error of the drive position at the first touch of a straight whisker, which moves at constant speed
+QUASI_STATIC = 2.5e-3  # of the peak of fx: lag of the damping at the slower speed, 2.1e-3
+DISPERSION = 1e-3  # relative error of the first frequency, (omega h)^2 / 12 = 4e-4
+DIFFERENCES = 2e-5  # relative error of derivatives by central differences
+ROD = jw.Whisker(mass_per_length=1.0)
+FREE = jw.Sensor(ROD)
+STEPS = 1200
+DAMPING = 0.02
+
+
+def heavy(scene, **changes):
+    """The scene with a mass per length of 1."""
+    return jw.Scene(ROD, scene.profile, scene.support, **changes)
+
+
+class Ramp(eqx.Module):
+    """A drive that starts smoothly, from `start` to `start + size` and back."""
+
+    start: float
+    size: float
+
+    def __call__(self, t):
+        return self.start + self.size * ((1 - jnp.cos(3 * t)) / 2) ** 3
+
+
+class Steady(eqx.Module):
+    """A drive at constant speed."""
+
+    start: float
+    speed: float
+
+    def __call__(self, t):
+        return self.start + self.speed * t
+
+
+def sweep(speed, **changes):
+    """FB from before the first touch to after the snap-off."""
+    scene, start, stop = heavy(model("FB"), **changes), 0.75, -1.6
+    return jw.simulate(
+        scene, np.array([start, stop]), (start - stop) / speed, steps=STEPS, every=10, stiffness_damping=DAMPING
+    )
+
+
+@pytest.fixture(scope="module")
+def slow():
+    return sweep(0.08)
+
+
+def drift(motion):
+    """Largest difference between the energy and its ledger."""
+    e = motion.energy
+    return np.max(np.abs(e.total - (e.total[0] + e.work - e.damping - e.impact - e.friction + e.contact)))
+
+
+def test_ring_down():
+    # Springs this stiff are a clamp: their scan shares the programs of other tests.
+    result = jw.scan(model("FB", stiffness=1e9, rest_length=0.0))
+    (snap,) = result.events.of(jw.EventKind.snap_off)
+    motion = jw.simulate(FREE, float(snap.before.base_x[0]), 1.0, start=snap.before, steps=1000)
+    at = np.round(1000 * np.array(RINGDOWN["t"])).astype(int)
+    x, y = motion.tip_x[at, 0] - motion.base_x[at, 0], motion.tip_y[at, 0]
+    error = np.maximum(np.abs(x - np.array(RINGDOWN["tip_x_from_base"])), np.abs(y - np.array(RINGDOWN["tip_y"])))
+    assert error[np.array(RINGDOWN["t"]) <= 0.5].max() < EARLY
+    assert error.max() < LATE
+    energy = np.asarray(motion.energy.total)
+    np.testing.assert_allclose(energy, energy[0], rtol=CONSERVED)
+    assert abs(energy[0] - RINGDOWN["stored_energy"]) < 1e-4  # it is given with five decimals
+    # The same program: a small ring-down has the first frequency of a clamped beam.
+    bent = jw.deflect(ROD, jw.PointForce(1e-3))
+    small = jw.simulate(FREE, 0.0, 20.0, start=bent, steps=1000)
+    tip, t = np.asarray(small.tip_x[:, 0]), np.asarray(small.time)
+    k = np.flatnonzero(np.diff(np.sign(tip)))
+    zeros = t[k] + (t[1] - t[0]) * tip[k] / (tip[k] - tip[k + 1])
+    omega = np.pi * (len(zeros) - 1) / (zeros[-1] - zeros[0])
+    assert abs(omega / 3.5160153 - 1) < DISPERSION
+
+
+def test_energy_over_many_periods():
+    bent, period = jw.deflect(ROD, jw.PointForce(2.0)), 2 * np.pi / 3.516
+    motion = jw.simulate(FREE, 0.0, 200 * period, start=bent, steps=5000, every=50)
+    energy = np.asarray(motion.energy.total)
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-6)
+    assert np.asarray(motion.energy.kinetic).max() > 0.5 * energy[0]
+
+
+def test_steady_rotation():
+    """A whisker that turns steadily stays straight, and its support pulls it inwards with m omega^2 L / 2."""
+    omega = 0.8
+    turning = jw.Sensor(ROD, motion=jw.Rotation())
+    motion = jw.simulate(turning, np.array([0.0, omega]), 1.0, steps=50)
+    angle = omega * np.asarray(motion.time)
+    np.testing.assert_allclose(motion.tip_x[:, 0], -np.sin(angle), atol=1e-3)
+    # It is stretched no more than inextensible, and bends by Coriolis and centrifugal forces only to higher order.
+    np.testing.assert_allclose(motion.fx[5:, 0], omega**2 / 2 * np.sin(angle[5:]), atol=2e-3)
+    np.testing.assert_allclose(motion.fy[5:, 0], -(omega**2) / 2 * np.cos(angle[5:]), atol=2e-3)
+    assert drift(motion) < BALANCED
+
+
+def test_order_in_time():
+    tips = [jw.simulate(FREE, Ramp(0.0, 0.4), 1.5, steps=n, every=n, shapes=4).tip_x[-1, 0] for n in (50, 100, 200)]
+    order = np.log2((tips[0] - tips[1]) / (tips[1] - tips[2]))
+    assert 1.8 < order < 2.3
+
+
+def test_rest_stays_at_rest():
+    scene = heavy(model("FB"))
+    motion = jw.simulate(scene, np.array([1.0, 1.0]), 300.0, steps=STEPS, every=10, stiffness_damping=DAMPING)
+    for name in ("fx", "fy", "mz", "curvature"):
+        assert np.abs(getattr(motion, name)).max() < ROUNDING
+    assert np.abs(motion.base_x - 1.2).max() < ROUNDING
+    assert int(motion.events.count) == 0
+
+
+def test_slow_sweep_approaches_scan(slow):
+    assert np.all(slow.status == jw.Status.ok)
+    assert drift(slow) < BALANCED
+    assert abs(slow.energy.contact[-1]) < 1e-4 * slow.energy.work[-1]
+    slower = sweep(0.04)
+    scan = jw.scan(model("FB"), np.asarray(slower.control))
+    (touch,) = scan.events.of(jw.EventKind.touch)
+    (snap,) = scan.events.of(jw.EventKind.snap_off)
+    errors, lags = [], []
+    for motion in (slow, slower):
+        reference = jw.scan(model("FB"), np.asarray(motion.control))
+        smooth = (motion.control < 0.5) & (motion.control > -1.1)
+        difference = np.asarray(motion.fx - reference.fx)[smooth, 0]
+        errors.append(np.sqrt(np.mean(difference**2)))
+        assert abs(motion.events[0].control - touch.control) < TOUCH
+        left = next(e for e in motion.events.of(jw.EventKind.release) if e.control < -1.2)
+        lags.append(snap.control - left.control)
+    assert errors[1] < QUASI_STATIC * np.abs(scan.fx).max()
+    assert 1.7 < errors[0] / errors[1] < 3.0  # first order: the lag of the damping
+    assert 0 < lags[1] < 0.8 * lags[0]  # later at higher speed
+
+
+def test_friction():
+    motion = sweep(0.08, friction=0.3)
+    reference = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0), friction=0.3), motion.control)
+    assert drift(motion) < BALANCED
+    assert motion.energy.friction[-1] > 1.0
+    smooth = (motion.control < 0.4) & (motion.control > -1.1)
+    for name in ("fx", "fy", "mz", "friction_force"):
+        ours, theirs = (np.asarray(getattr(r, name))[smooth, 0] for r in (motion, reference))
+        assert np.abs(ours - theirs).max() < 0.02 * np.abs(theirs).max(), name
+    np.testing.assert_array_equal(motion.slip[smooth], -1)
+    assert np.all(np.abs(motion.friction_force) <= 0.3 * np.abs(motion.normal_force) + 1e-9)
+
+
+def test_coupled_whiskers():
+    scene, start, stop = heavy(model("FBFBR")), 0.72, -0.8
+    motion = jw.simulate(
+        scene, np.array([start, stop]), (start - stop) / 0.08, steps=800, every=20, stiffness_damping=DAMPING
+    )
+    assert drift(motion) < BALANCED
+    reference = jw.scan(model("FBFBR"), np.asarray(motion.control))
+    late = motion.control < 0.2
+    for name, tolerance in (("fx", 0.02), ("fy", 0.02), ("mz", 0.02), ("spring_length", 0.01)):
+        ours, theirs = (np.asarray(getattr(r, name))[late] for r in (motion, reference))
+        assert np.abs(ours - theirs).max() < tolerance * np.abs(theirs).max(), name
+
+
+def test_starts_in_contact():
+    scene = heavy(model("FB"))
+    result = jw.scan(model("FB"), np.array([0.5, 0.1]))
+    motion = jw.simulate(
+        scene, np.array([0.1, 0.1]), 3.0, start=result, steps=STEPS, every=10, stiffness_damping=DAMPING
+    )
+    assert np.abs(motion.gap).max() < ROUNDING
+    assert np.all(motion.phase == jw.Phase.tangential)
+    np.testing.assert_allclose(motion.mz[:, 0], result.mz[1, 0], rtol=0.01)
+    lines = motion.shapes(points=21)
+    np.testing.assert_allclose(lines.x[:, 0, -1], motion.tip_x[:, 0], atol=ROUNDING)
+    np.testing.assert_allclose(np.hypot(np.diff(lines.x), np.diff(lines.y)).sum(-1), 1.0, atol=1e-3)
+
+
+def measured(p):
+    """Signals of a sweep through the first touch, as a function of lengths, stiffnesses and masses."""
+    whisker = jw.Whisker(p[0], p[1], mass_per_length=p[2])
+    scene = jw.Scene(whisker, jw.Parabola(p[3]), jw.Support.fb(p[4]))
+    motion = jw.simulate(scene, Steady(0.7, -0.2), p[5], steps=60, stiffness_damping=0.05, shapes=5)
+    return jnp.stack([motion.mz[-1, 0], motion.base_x[-1, 0], motion.energy.kinetic[30], motion.events.time[0]])
+
+
+POINT = np.array([1.0, 1.0, 1.0, 0.2, 70.0, 0.97])
+
+
+def test_derivatives():
+    forward = jax.jacfwd(measured)(POINT)
+    for k in (0, 2, 3, 5):
+        size = 1e-6 * POINT[k]  # small enough for the same steps to touch
+        change = np.eye(6)[k] * size
+        difference = (measured(POINT + change) - measured(POINT - change)) / (2 * size)
+        np.testing.assert_allclose(forward[:, k], difference, rtol=DIFFERENCES, atol=DIFFERENCES)
+    np.testing.assert_allclose(jax.grad(lambda p: measured(p)[0])(POINT), forward[0], rtol=1e-8, atol=1e-10)
+
+
+def test_batch():
+    points = np.stack([POINT, POINT + 0.1 * np.eye(6)[3], POINT - 2 * np.eye(6)[2], POINT + np.nan * np.eye(6)[4]])
+    batch = jax.vmap(measured)(points)
+    np.testing.assert_allclose(batch[:2], [measured(p) for p in points[:2]], rtol=1e-10)
+    assert np.isnan(batch[2:, :3]).all()
+
+
+def test_samples_and_whisking():
+    whisking = jw.Whisking(amplitude=0.1, frequency=0.5)
+    t = np.linspace(0.0, 2.0, 201)
+    smooth = jw.simulate(FREE, whisking, 2.0, steps=100, shapes=4)
+    sampled = jw.simulate(FREE, np.array([float(whisking(s)) for s in t]), 2.0, steps=100, shapes=4)
+    np.testing.assert_allclose(sampled.control, smooth.control, atol=1e-6)
+    np.testing.assert_allclose(sampled.tip_x, smooth.tip_x, atol=1e-4)
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"duration": 0.0}, "duration"),
+        ({"drive": np.array([0.8, np.nan, 0.6])}, "drive"),
+        ({"drive": "fast"}, "drive"),
+        ({"scene": jw.Sensor(jw.Whisker())}, "mass_per_length"),
+        ({"scene": jw.Scene(ROD, jw.Box(0.2, 0.3, 0.4))}, "profile"),
+        ({"scene": jw.Sensor(ROD, jw.Support((jw.Spring((0, 1), np.inf),)))}, "stiffness"),
+        ({"scene": jw.Sensor(ROD, jw.Support((jw.Spring((0, 1), 9.0, at=0.1),)))}, "support"),
+        ({"steps": 0}, "steps"),
+        ({"every": 1.5}, "every"),
+        ({"shapes": 1}, "shapes"),
+        ({"stiffness_damping": -1.0}, "stiffness_damping"),
+        ({"base_damping": (1.0, 2.0)}, "base_damping"),
+        ({"start": 3.0}, "start"),
+    ],
+)
+def test_invalid_input(change, message):
+    arguments = {"scene": FREE, "drive": 0.0, "duration": 1.0} | change
+    with pytest.raises(ValueError, match=message):
+        jw.simulate(**arguments)
+
+
+def test_invalid_mass():
+    with pytest.raises(ValueError, match="mass_per_length"):
+        jw.Whisker(mass_per_length=-1.0)
+
+
+def test_starts_inside_the_object():
+    arguments = {"steps": STEPS, "every": 10, "stiffness_damping": DAMPING}
+    with pytest.raises(ValueError, match="drive.*inside"):
+        jw.simulate(heavy(model("FB")), np.array([0.3, 0.3]), 1.0, **arguments)
