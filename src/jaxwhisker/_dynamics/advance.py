@@ -33,8 +33,9 @@ from jaxwhisker._dynamics.moving import Rods, System
 from jaxwhisker._dynamics.stop import stopped
 
 CLOSE = 1e-6  # change of the unknowns at which Newton's method stops; the error is about its square
-RESTART = 8  # iteration that starts again from the last state, without extrapolation
-MOST_ITERATIONS = 20
+RESTART = 12  # iteration that starts again from the last state, without extrapolation
+MOST_ITERATIONS = 30
+MOST_BENT = 2.0  # largest change of a coefficient of the curvature in one iteration
 
 PerWhisker = Float[Array, " whiskers"]
 
@@ -281,8 +282,9 @@ def _iterate(system: System, old: Moving, drive: Array, h: Scalar, guess: Array)
         x = _unknowns(system, flat)
         change, mode = _newton(system, old, drive, h, x)
         contact = jnp.clip(change.contact, -limit, limit)
-        x = Unknowns(x.q + change.q, x.contact + contact, x.z + change.z)
         size = jnp.max(jnp.abs(Unknowns(change.q, contact * counted, change.z).flat()))
+        share = jnp.minimum(1.0, MOST_BENT / jnp.maximum(jnp.max(jnp.abs(change.q)), MOST_BENT))
+        x = Unknowns(x.q + share * change.q, x.contact + share * contact, x.z + share * change.z)
         if c > 0:  # forces are not counted, but their signs are
             pulls = jnp.any(mode.touches & (x.contact[:, 2] < 0))
             size = jnp.where(pulls, jnp.maximum(size, 2 * CLOSE), size)
