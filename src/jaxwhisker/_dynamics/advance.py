@@ -33,7 +33,9 @@ from jaxwhisker._dynamics.moving import Rods, System
 from jaxwhisker._dynamics.stop import stopped
 
 CLOSE = 1e-6  # change of the unknowns at which Newton's method stops; the error is about its square
-MOST_ITERATIONS = 15
+RESTART = 12  # iteration that starts again from the last state, without extrapolation
+MOST_ITERATIONS = 30
+MOST_BENT = 2.0  # largest change of a coefficient of the curvature in one iteration
 
 PerWhisker = Float[Array, " whiskers"]
 
@@ -270,16 +272,19 @@ def _eliminated(rows: Float[Array, "n columns"]) -> Float[Array, "n rest"]:
 def _iterate(system: System, old: Moving, drive: Array, h: Scalar, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
     """Newton's method with an active set: the unknowns, the mode of all contacts, and whether it has converged."""
     c = system.contact_unknowns
+    before = _at(old, system).flat()
     limit = jnp.array([MOST, MOST, jnp.inf, jnp.inf][:c])
     counted = jnp.array([1.0, 1.0, 0.0, 0.0][:c])
 
     def improve(carry):
         flat, _, _, k = carry
+        flat = jnp.where(k == RESTART, before, flat)
         x = _unknowns(system, flat)
         change, mode = _newton(system, old, drive, h, x)
         contact = jnp.clip(change.contact, -limit, limit)
-        x = Unknowns(x.q + change.q, x.contact + contact, x.z + change.z)
         size = jnp.max(jnp.abs(Unknowns(change.q, contact * counted, change.z).flat()))
+        share = jnp.minimum(1.0, MOST_BENT / jnp.maximum(jnp.max(jnp.abs(change.q)), MOST_BENT))
+        x = Unknowns(x.q + share * change.q, x.contact + share * contact, x.z + share * change.z)
         if c > 0:  # forces are not counted, but their signs are
             pulls = jnp.any(mode.touches & (x.contact[:, 2] < 0))
             size = jnp.where(pulls, jnp.maximum(size, 2 * CLOSE), size)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
@@ -17,7 +17,7 @@ class Gap(NamedTuple):
 
     gap: Float[Array, ""]  # distance along the object's normal, positive outside
     foot: Float[Array, ""]  # distance along the object's tangent
-    end: Float[Array, ""]  # min(arc length beyond the point, decrease of the gap with the arc length)
+    end: Float[Array, ""]  # arc length beyond the point, or decrease of the gap with the arc length on the shaft
     at_tip: Float[Array, ""]  # positive if the tip is the closest point, negative if a point of the shaft is
     normal: Float[Array, "2"]  # of the object, outward
     across: Float[Array, " points"]  # derivative of the gap by the angles at the Gauss points
@@ -36,26 +36,43 @@ def gap_at(
     parameter: Scalar,
 ) -> Gap:
     """The gap between the whisker at a fraction `arc` of its length and the object at a parameter."""
-    weights = weights_at(basis, arc)
     cos, sin = jnp.cos(angle), jnp.sin(angle)
+    weights, at = weights_at(basis, arc), profile.point(parameter)
     direction, way = weights @ jnp.stack([cos, sin], axis=-1)
-    at = profile.point(parameter)
     normal, tangent = jnp.stack([at.sin, -at.cos]), jnp.stack([at.cos, at.sin])
     reach = length * weights[1]
     apart = base + length * way - jnp.stack([at.x, at.y])
     closes = -normal @ direction
-    beyond = 1 - arc
+    beyond, is_least = 1 - arc, _is_least(basis, profile, length, angle, arc, parameter, apart @ normal)
+    inner = (closes < beyond) & is_least
     return Gap(
         gap=apart @ normal,
         foot=apart @ tangent,
-        end=jnp.where(beyond < closes, beyond, closes),
-        at_tip=closes - beyond,
+        end=jnp.where(inner, closes, beyond),
+        at_tip=jnp.where(inner, closes - beyond, jnp.abs(closes - beyond)),
         normal=normal,
         across=reach * (normal[1] * cos - normal[0] * sin),
         tangent=tangent,
         along=reach * (tangent[1] * cos - tangent[0] * sin),
         object=at,
     )
+
+
+def _is_least(
+    basis: Basis, profile: AbstractProfile, length: Scalar, angle: Array, arc: Scalar, parameter: Scalar, gap: Scalar
+) -> Bool[Array, ""]:
+    """Whether the gap, as a function of the arc length, has a minimum where it is stationary; otherwise the tip counts.
+
+    A whisker that vibrates may be bent towards the object more than the object is curved.
+    """
+    angle, arc, parameter, gap = jax.lax.stop_gradient((angle, arc, parameter, gap))
+    turned = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+    one = jnp.ones_like(arc)
+    direction, bend = jax.jvp(lambda arc: weights_at(basis, arc)[0] @ turned, (arc,), (one,))
+    at, moves = jax.jvp(profile.point, (parameter,), (one,))
+    curvature = (at.cos * moves.sin - at.sin * moves.cos) / jnp.hypot(moves.x, moves.y)
+    along = at.cos * direction[0] + at.sin * direction[1]
+    return (at.sin * bend[0] - at.cos * bend[1]) / length + curvature * along**2 / (1 + curvature * gap) > 0
 
 
 SAMPLES = 65  # points of the whisker, for the first guess of the closest point
