@@ -137,8 +137,8 @@ def _check_scene(scene: Any) -> None:
     for spring in scene.support.springs:
         if not checks.is_traced(spring.softness) and spring.is_rigid():
             checks.fail("stiffness", allowed.format("rigid springs"), spring.stiffness)
-    if isinstance(scene, Scene) and scene.profile.has_edges:
-        checks.fail("profile", allowed.format("edges of the object"), str(scene.profile))
+    if isinstance(scene, Scene) and scene.profile.has_pieces:
+        checks.fail("profile", allowed.format("edges or several objects"), str(scene.profile))
 
 
 def _default_steps(scene: Scene | Sensor, duration: Scalar) -> int:
@@ -245,7 +245,8 @@ def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Arra
 
         def nearest(length, base, angle):
             arc, parameter = closest(shapes, profile, length, base, angle)
-            return arc, parameter, gap_at(shapes, profile, length, base, angle, arc, parameter)
+            gap = gap_at(shapes, profile, length, base, angle, arc, parameter)
+            return jnp.asarray(arc), jnp.asarray(parameter), gap
 
         arc, parameter, gap = jax.vmap(nearest)(system.rods.length, base[:, :2], angle)
         shape = (gap.gap, gap.at_tip, gap.normal, gap.across, gap.tangent, gap.along)
@@ -305,7 +306,7 @@ def _result(
     rods, base = system.rods, samples.rod.base
     tip, touching = samples.rod.at[..., -1], samples.rod.touching
     zero = jnp.zeros_like(samples.rod.spin)
-    contact = dict.fromkeys(("contact_slope", "contact_arc", "contact_x", "contact_y"), zero)
+    contact: dict[str, Any] = dict.fromkeys(("contact_slope", "contact_arc", "contact_x", "contact_y"), zero)
     gap, phase = jnp.full_like(zero, jnp.inf), jnp.full_like(zero, int(Phase.free), int)
     if touching is not None and system.profile is not None:
         at = jax.vmap(jax.vmap(system.profile.point))(touching.parameter)
@@ -319,7 +320,8 @@ def _result(
             at.y * unit.length,
         )
         contact = {name: jnp.where(touches, value, 0.0) for name, value in zip(contact, values, strict=True)}
-    friction, contact_force = {}, forces.normal
+    friction: dict[str, Any] = {}
+    contact_force = forces.normal
     if system.friction is not None and touching is not None:
         contact_force = jnp.hypot(forces.normal, forces.drag)
         friction = {"normal_force": forces.normal * unit.force, "friction_force": forces.drag * unit.force}
@@ -359,4 +361,4 @@ def _energy(system: System, unit: MotionUnits, samples: Moving) -> MotionEnergy:
         springs = jnp.sum(strain * jax.vmap(system.elastic)(strain), axis=-1) / 2
     ledger = samples.ledger
     parts = (kinetic, bending, springs, ledger.work, ledger.damping, ledger.impact, ledger.friction, ledger.contact)
-    return MotionEnergy(*(part * unit.moment for part in parts))
+    return MotionEnergy(*(jnp.asarray(part * unit.moment) for part in parts))
