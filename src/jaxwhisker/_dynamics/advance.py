@@ -311,7 +311,6 @@ def _differentiable(flat: Array, known: tuple, mode: Mode) -> Array:
 def _(primals, tangents):
     flat, known, mode = primals
     _, known_dot, _ = tangents
-    known: tuple[System, Moving, Array, Scalar]
     here = _differentiable(flat, known, mode)
     slope = jax.jacfwd(lambda flat: _residual(*known, mode, flat))(here)
     _, change = eqx.filter_jvp(lambda known: _residual(*known, mode, here), (known,), (known_dot,))
