@@ -314,8 +314,13 @@ def _(primals, tangents):
     flat, known, mode = primals
     _, known_dot, _ = tangents
     here = _differentiable(flat, known, mode)
-    slope = jax.jacfwd(lambda flat: _residual(*known, mode, flat))(here)
-    _, change = eqx.filter_jvp(lambda known: _residual(*known, mode, here), (known,), (known_dot,))
+
+    def residual(known, flat):
+        system, old, drive, h = known
+        return _residual(system, old, drive, h, mode, flat)
+
+    slope = jax.jacfwd(lambda flat: residual(known, flat))(here)
+    _, change = eqx.filter_jvp(lambda known: residual(known, here), (known,), (known_dot,))
     return here, -inverse(slope) @ change
 
 

@@ -86,7 +86,7 @@ def closest(
     length: Scalar,
     base: Float[Array, "2"],
     angle: Float[Array, " points"],
-) -> tuple[Scalar, Scalar]:
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Fraction of the length and parameter of the closest points, from scratch and without derivatives."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     arcs = jnp.linspace(1 / SAMPLES, 1.0, SAMPLES)

@@ -169,7 +169,7 @@ def _rod(whisker: Whisker, unit: MotionUnits, shapes: Basis) -> Rods:
     return Rods(
         own,
         rest,
-        shapes.curvatures.T @ ((shapes.weights * stiffness)[:, None] * shapes.curvatures) / own,
+        jnp.asarray(shapes.curvatures.T @ ((shapes.weights * stiffness)[:, None] * shapes.curvatures) / own),
         jnp.concatenate([(base / mass_unit)[None], along, (tip / mass_unit)[None]]),
         inertia / (mass_unit * unit.length**2),
     )

@@ -305,7 +305,7 @@ def _result(
     rods, base = system.rods, samples.rod.base
     tip, touching = samples.rod.at[..., -1], samples.rod.touching
     zero = jnp.zeros_like(samples.rod.spin)
-    contact = dict.fromkeys(("contact_slope", "contact_arc", "contact_x", "contact_y"), zero)
+    contact: dict[str, Any] = dict.fromkeys(("contact_slope", "contact_arc", "contact_x", "contact_y"), zero)
     gap, phase = jnp.full_like(zero, jnp.inf), jnp.full_like(zero, int(Phase.free), int)
     if touching is not None and system.profile is not None:
         at = jax.vmap(jax.vmap(system.profile.point))(touching.parameter)
@@ -319,7 +319,8 @@ def _result(
             at.y * unit.length,
         )
         contact = {name: jnp.where(touches, value, 0.0) for name, value in zip(contact, values, strict=True)}
-    friction, contact_force = {}, forces.normal
+    friction: dict[str, Any] = {}
+    contact_force = forces.normal
     if system.friction is not None and touching is not None:
         contact_force = jnp.hypot(forces.normal, forces.drag)
         friction = {"normal_force": forces.normal * unit.force, "friction_force": forces.drag * unit.force}
@@ -359,4 +360,4 @@ def _energy(system: System, unit: MotionUnits, samples: Moving) -> MotionEnergy:
         springs = jnp.sum(strain * jax.vmap(system.elastic)(strain), axis=-1) / 2
     ledger = samples.ledger
     parts = (kinetic, bending, springs, ledger.work, ledger.damping, ledger.impact, ledger.friction, ledger.contact)
-    return MotionEnergy(*(part * unit.moment for part in parts))
+    return MotionEnergy(*(jnp.asarray(part * unit.moment) for part in parts))
