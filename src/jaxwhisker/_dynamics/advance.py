@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.gap import MOST, Gap, gap_at
+from jaxwhisker._dynamics.gap import CLOSEST, MOST, Gap, closest, gap_at
 from jaxwhisker._dynamics.ledger import booked
 from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching
 from jaxwhisker._dynamics.moving import Rods, System
@@ -282,7 +282,9 @@ def _iterate(system: System, old: Moving, drive: Array, h: Scalar, guess: Array)
         x = _unknowns(system, flat)
         change, mode = _newton(system, old, drive, h, x)
         contact = jnp.clip(change.contact, -limit, limit)
-        size = jnp.max(jnp.abs(Unknowns(change.q, contact * counted, change.z).flat()))
+        # The closest points of whiskers that do not touch need not converge: they are found again after the step.
+        moved = contact * counted * mode.touches[:, None]
+        size = jnp.max(jnp.abs(Unknowns(change.q, moved, change.z).flat()))
         share = jnp.minimum(1.0, MOST_BENT / jnp.maximum(jnp.max(jnp.abs(change.q)), MOST_BENT))
         x = Unknowns(x.q + share * change.q, x.contact + share * contact, x.z + share * change.z)
         if c > 0:  # forces are not counted, but their signs are
@@ -312,8 +314,13 @@ def _(primals, tangents):
     flat, known, mode = primals
     _, known_dot, _ = tangents
     here = _differentiable(flat, known, mode)
-    slope = jax.jacfwd(lambda flat: _residual(*known, mode, flat))(here)
-    _, change = eqx.filter_jvp(lambda known: _residual(*known, mode, here), (known,), (known_dot,))
+
+    def residual(known, flat):
+        system, old, drive, h = known
+        return _residual(system, old, drive, h, mode, flat)
+
+    slope = jax.jacfwd(lambda flat: residual(known, flat))(here)
+    _, change = eqx.filter_jvp(lambda known: residual(known, here), (known,), (known_dot,))
     return here, -inverse(slope) @ change
 
 
@@ -329,17 +336,20 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     base, c = system.bases(x.z, drive), system.contact_unknowns
     touching, none = None, jnp.zeros(base.shape[0])
     normal, drag = (x.contact[:, k] if c > k else none for k in (2, 3))
+    change = flat - before
     if trial.gap is not None:
-        gap = trial.gap
+        arc, parameter, gap, lost = _closest(system, base, trial.angle, x.contact, trial.gap, mode)
         shape = (gap.gap, gap.at_tip, gap.normal, gap.across, gap.tangent, gap.along)
-        touching = Touching(x.contact[:, 0], x.contact[:, 1], normal, drag, *shape, *mode)
+        touching = Touching(arc, parameter, normal, drag, *shape, *mode)
+        parts = _unknowns(system, change)
+        change = Unknowns(parts.q, jnp.where(lost[:, None], 0.0, parts.contact), parts.z).flat()
     velocity = 2 / h * (trial.at - old.rod.at) - old.rod.velocity
     spin = 2 / h * (base[:, 2] - old.rod.base[:, 2]) - old.rod.spin
     new = Moving(
         rod=Rod(x.q, base, trial.angle, trial.at, velocity, spin, touching),
         z=x.z,
         drive=drive,
-        change=jnp.stack([_extrapolated(system, flat - before), old.change[0]]),
+        change=jnp.stack([_extrapolated(system, change), old.change[0]]),
         ledger=old.ledger,
         solved=old.solved & solved,
     )
@@ -349,6 +359,27 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
         new, impulse = stopped(system, new, rate)
         reaction, normal, drag = reaction + impulse.reaction / h, normal + impulse.normal / h, drag + impulse.drag / h
     return new, Forces(reaction, normal, drag)
+
+
+def _closest(
+    system: System, base: Array, angle: Array, contact: Array, gap: Gap, mode: Mode
+) -> tuple[PerWhisker, PerWhisker, Gap, Bool[Array, " whiskers"]]:
+    """Closest points and gaps, and which of them Newton's method has lost and a search has found again."""
+    lost = ~mode.touches & ~(jnp.abs(gap.end) + jnp.abs(gap.foot) < CLOSEST)
+    assert system.profile is not None
+    profile, shapes = system.profile, system.basis
+
+    def search(length, base, angle):
+        arc, parameter = closest(shapes, profile, length, base[:2], angle)
+        return arc, parameter, gap_at(shapes, profile, length, base[:2], angle, arc, parameter)
+
+    known = contact[:, 0], contact[:, 1], gap
+    found = jax.lax.cond(jnp.any(lost), lambda: jax.vmap(search)(system.rods.length, base, angle), lambda: known)
+
+    def select(found, known):
+        return jnp.where(lost.reshape(-1, *[1] * (known.ndim - 1)), found, known)
+
+    return (*jax.tree.map(select, found, known), lost)
 
 
 def _extrapolated(system: System, change: Array) -> Array:

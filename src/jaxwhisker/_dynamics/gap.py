@@ -86,7 +86,7 @@ def closest(
     length: Scalar,
     base: Float[Array, "2"],
     angle: Float[Array, " points"],
-) -> tuple[Scalar, Scalar]:
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Fraction of the length and parameter of the closest points, from scratch and without derivatives."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     arcs = jnp.linspace(1 / SAMPLES, 1.0, SAMPLES)
@@ -109,9 +109,20 @@ def closest(
         change = jnp.clip(solve(slope, value[:, None])[:, 0], -MOST, MOST)
         return jnp.clip(guess - change, jnp.stack([0.0, first]), jnp.stack([1.0, last]))
 
-    guess = jnp.stack([arcs[k], parameters[nearest[k]]])
-    arc, parameter = jax.lax.stop_gradient(jax.lax.fori_loop(0, ITERATIONS, improve, guess))
+    def improve_foot(_, parameter):
+        def foot(parameter):
+            return gap_at(basis, profile, length, base, angle, arcs[k], parameter).foot
+
+        value, slope = jax.value_and_grad(foot)(parameter)
+        return jnp.clip(parameter - jnp.clip(value / slope, -MOST, MOST), first, last)
+
+    # A whisker may have several points with a least gap, or none but the tip: then the sample is good enough.
+    sample = jnp.stack([arcs[k], jax.lax.fori_loop(0, ITERATIONS, improve_foot, parameters[nearest[k]])])
+    exact = jax.lax.fori_loop(0, ITERATIONS, improve, sample)
+    better = jnp.all(jnp.abs(equations(exact)) < CLOSEST) & (jnp.abs(exact[0] - sample[0]) < MOST)
+    arc, parameter = jax.lax.stop_gradient(jnp.where(better, exact, sample))
     return arc, parameter
 
 
+CLOSEST = 1e-7  # accepted residual of closest points
 MOST = 0.2  # largest change of the closest points in one iteration
