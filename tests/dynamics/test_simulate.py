@@ -11,6 +11,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._base import checks
+from jaxwhisker._dynamics.advance import advance
+from jaxwhisker._dynamics.moving import Damping, motion_units, system_of
+from jaxwhisker._dynamics.simulate import _initial
 from scenes import model
 
 RINGDOWN = json.loads((Path(__file__).parents[1] / "data" / "ringdown.json").read_text())["cases"][0]
@@ -165,6 +169,31 @@ def test_friction():
         assert np.abs(ours - theirs).max() < 0.02 * np.abs(theirs).max(), name
     np.testing.assert_array_equal(motion.slip[smooth], -1)
     assert np.all(np.abs(motion.friction_force) <= 0.3 * np.abs(motion.normal_force) + 1e-9)
+
+
+def test_momentum():
+    """In every step, linear momentum changes by the impulses of the support and of the contact, with friction too."""
+    scene = jax.tree.map(checks.as_float, heavy(model("FB"), friction=0.3))
+    none, h, speed = jnp.zeros(()), jnp.asarray(0.02), -0.2
+    system = system_of(scene, Damping(none, none + DAMPING, (none, none, none)), 5)
+    first = _initial(system, motion_units(scene), None, jnp.array([0.7, 0.0, 0.0]), jnp.array([speed, 0.0, 0.0]))
+
+    def momentum(moving):
+        return jnp.sum(system.rods.mass[:, None] * moving.rod.velocity, axis=-1)[0]
+
+    def step(old, k):
+        new, forces = advance(
+            system, old, jnp.stack([0.7 + speed * h * k, none, none]), jnp.array([speed, 0.0, 0.0]), h
+        )
+        before, after = old.rod.touching, new.rod.touching
+        force = after.force * (before.normal + after.normal) / 2 + after.drag * (before.tangent + after.tangent) / 2
+        force += (forces.normal - after.force) * after.normal + (forces.drag - after.drag) * after.tangent
+        missing = momentum(new) - momentum(old) - h * (forces.reaction[0, :2] + force[0])
+        return new, (missing, after.touches[0], momentum(new))
+
+    _, (missing, touches, size) = jax.jit(lambda: jax.lax.scan(step, first, jnp.arange(1.0, 121.0)))()
+    assert 40 < int(touches.sum()) < 120
+    assert np.abs(missing).max() < 1e-9 * np.abs(size).max()
 
 
 def test_coupled_whiskers():
