@@ -186,6 +186,7 @@ def test_momentum():
             system, old, jnp.stack([0.7 + speed * h * k, none, none]), jnp.array([speed, 0.0, 0.0]), h
         )
         before, after = old.rod.touching, new.rod.touching
+        assert before is not None and after is not None
         force = after.force * (before.normal + after.normal) / 2 + after.drag * (before.tangent + after.tangent) / 2
         force += (forces.normal - after.force) * after.normal + (forces.drag - after.drag) * after.tangent
         missing = momentum(new) - momentum(old) - h * (forces.reaction[0, :2] + force[0])
