@@ -211,7 +211,7 @@ def test_a_contact_that_reaches_a_spring_ends_the_scan():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: jw.Spring((1, 2), 70.0, at=0.1), "between"),
+        (lambda: jw.Spring((1, 0), 70.0, at=(0.1, 0.0)), "between"),
         (lambda: axial(jnp.inf), "stiffness"),
         (lambda: jw.Spring((0, 1), compliance=0.0, at=0.1), "compliance"),
         (lambda: jw.Spring((0, 1), 70.0, anchor=0.1), "anchor"),  # pyright: ignore[reportArgumentType]

@@ -126,7 +126,7 @@ def test_a_spring_at_the_base_is_a_base_spring():
     expected = jw.deflect(WHISKER, *LOADS, support=jw.Support((BASE,)), points=21)
     at_base = jw.Spring((0, 1), 50.0, 0.2, at=0.0)
     result = jw.deflect(WHISKER, *LOADS, support=jw.Support((at_base,)), points=21)
-    for name in vars(expected):
+    for name in vars(expected).keys() - {"whisker", "loads", "support"}:
         expected_values, values = np.asarray(getattr(expected, name)), np.asarray(getattr(result, name))
         if name in ("s", "x", "y", "angle", "curvature"):  # beyond the loads, a free straight end needs two points only
             expected_values, values = expected_values[:84], values[:84]

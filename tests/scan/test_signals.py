@@ -11,7 +11,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._scan.signals import signals
-from jaxwhisker._scan.state import FRICTION
+from jaxwhisker._scan.state import OPTIONAL
 
 EXACT = 1e-10  # closed forms against closed forms; their moduli are found by bisection
 PAIR = (1.3, 0.1)  # a tangential contact behind the vertex, a tip contact before it
@@ -67,7 +67,7 @@ def test_signals_of_exact_contacts(at, judge):
         "contact_y": 0.2 + np.tan(slope) ** 2 / 4,
         "phase": at.phase,
     }
-    assert set(expected) == set(jw.State.__dataclass_fields__) - set(FRICTION)
+    assert set(expected) == set(jw.State.__dataclass_fields__) - set(OPTIONAL)
     for name, value in expected.items():
         np.testing.assert_allclose(getattr(state, name), value, rtol=EXACT, atol=EXACT, err_msg=name)
 
@@ -83,7 +83,7 @@ def test_signals_have_the_units_of_the_scene(at, judge):
         **dict.fromkeys(("fx", "fy", "contact_force"), FORCE),
         "mz": FORCE * LENGTH,
     }
-    for name in set(jw.State.__dataclass_fields__) - set(FRICTION):
+    for name in set(jw.State.__dataclass_fields__) - set(OPTIONAL):
         size = sizes.get(name, 1.0)
         np.testing.assert_allclose(
             getattr(state, name) / size, getattr(plain, name), rtol=EXACT, atol=EXACT, err_msg=name
