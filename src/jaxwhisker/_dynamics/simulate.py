@@ -129,14 +129,14 @@ def _check_scene(scene: Any) -> None:
     for whisker in scene.whiskers:
         if whisker.mass_per_length is None:
             checks.fail("mass_per_length", "given for every whisker that moves", None)
-    allowed = "a scene without {} for a simulation"
+    allowed = "one without {} for a simulation"
     if scene.support.on_shafts or not all(spring.linear for spring in scene.support.springs):
         checks.fail(
             "support", allowed.format("springs on shafts, nonlinear springs and foundations"), scene.support.name
         )
     for spring in scene.support.springs:
         if not checks.is_traced(spring.softness) and spring.is_rigid():
-            checks.fail("stiffness", allowed.format("rigid springs"), spring.stiffness)
+            checks.fail("stiffness", "finite for a simulation", spring.stiffness)
     if isinstance(scene, Scene) and scene.profile.has_pieces:
         checks.fail("profile", allowed.format("edges or several objects"), str(scene.profile))
 
