@@ -19,7 +19,7 @@ BLUE = 80  # of 255, more than red: thin lines are mixed with the background
 
 
 def starts(marks):
-    return [(first, event) for first, event in marks if event.kind >= jw.EventKind.snap_through]
+    return [(first, event) for first, event, _ in marks if event.kind >= jw.EventKind.snap_through]
 
 
 def blue(image):

@@ -21,7 +21,7 @@ def snaps(result):
 
 
 def starts(marks):
-    return [(first, event) for first, event in marks if event.kind >= jw.EventKind.snap_through]
+    return [(first, event) for first, event, _ in marks if event.kind >= jw.EventKind.snap_through]
 
 
 def row(tree, k):
@@ -48,12 +48,12 @@ def test_frames_run_evenly_from_the_first_step_to_the_last_and_snaps_add_frames(
     for name in ("fx", "mz", "base_x", "phase"):
         assert np.array_equal(getattr(shown.state, name)[~shown.snap], np.asarray(getattr(soft, name))[steps])
     assert np.array_equal(shown.control[~shown.snap], np.asarray(soft.control)[steps])
-    assert [event.kind for _, event in marks] == [event.kind for event in soft.events]
+    assert [event.kind for _, event, _ in marks] == [event.kind for event in soft.events]
 
 
 def test_an_event_happens_between_the_last_frame_before_and_the_first_one_after_it(film_of_soft):
     shown, marks = film_of_soft
-    for first, event in marks:
+    for first, event, _ in marks:
         assert shown.control[first - 1] >= event.control >= shown.control[first]
 
 

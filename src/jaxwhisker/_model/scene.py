@@ -21,6 +21,7 @@ Where the drive turns (motion.py), springs act along the axes of its frame; all 
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, name_of, text_unless
@@ -132,16 +133,23 @@ class Scene(eqx.Module):
         return default if self.detect is None else tuple(self.detect)
 
     def __str__(self) -> str:
-        n, springs = self.support.whiskers, len(self.support.springs)
-        counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
         rods = "" if self.rod == Shooting() else f", {self.rod}"
-        motion = "" if isinstance(self.motion, Translation) and self.motion.onwards < 0 else f", {self.motion}"
-        friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
         detect = ", detects " * bool(self.detect) + " and ".join(self.detect or ()).replace("_", " ")
-        details = f"{self.profile}{_whisker_text(self.whiskers[0])}{friction}{rods}{motion}{detect}"
-        return f"{self.support.name}: {', '.join(counted)}, {details}"
+        friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
+        whisker, motion = _whisker_text(self.whiskers[0]), _motion_text(self.motion)
+        return f"{_support_text(self.support)}, {self.profile}{whisker}{friction}{rods}{motion}{detect}"
 
     __repr__ = __str__
+
+
+def _support_text(support: Support) -> str:
+    n, springs = support.whiskers, len(support.springs)
+    counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
+    return f"{support.name}: {', '.join(counted)}"
+
+
+def _motion_text(motion: AbstractMotion) -> str:
+    return "" if isinstance(motion, Translation) and motion.onwards < 0 else f", {motion}"
 
 
 def _whisker_text(whisker: Whisker) -> str:
@@ -197,6 +205,11 @@ class Sensor(eqx.Module):
         """One Whisker per base."""
         return _each_whisker(self.whisker, self.support)
 
+    def __str__(self) -> str:
+        return f"{_support_text(self.support)}, no object{_whisker_text(self.whiskers[0])}{_motion_text(self.motion)}"
+
+    __repr__ = __str__
+
 
 def _check_sensor(whisker: Any, support: Any, motion: Any, friction: Any) -> None:
     whiskers = whisker if isinstance(whisker, tuple) else (whisker,)
@@ -224,7 +237,7 @@ class Units(NamedTuple):
     control: Scalar
 
 
-def units(scene: Scene) -> Units:
+def units(scene: Scene | Sensor) -> Units:
     """Units in which the scene's problem is dimensionless."""
     return units_of(scene.whiskers[0], scene.motion)
 
@@ -235,7 +248,17 @@ def units_of(first: Whisker, motion: AbstractMotion) -> Units:
     return Units(length, stiffness / length**2, stiffness / length, motion.unit(length))
 
 
-def moves_along_x(scene: Scene) -> bool:
+def time_unit(first: Whisker) -> Scalar:
+    """T = L^2 sqrt(rho A / EI) of the first whisker, which has a mass, with EI and rho A at its base."""
+    return first.length**2 * jnp.sqrt(first.mass_at(jnp.zeros(())) / first.base_stiffness)
+
+
+def objects_of(scene: Scene | Sensor) -> tuple[AbstractProfile, ...]:
+    """The objects of a scene; none of a sensor."""
+    return scene.profile.objects if isinstance(scene, Scene) else ()
+
+
+def moves_along_x(scene: Scene | Sensor) -> bool:
     """Whether a single axis suffices: bases stay upright at height 0, move along x only, and hold all springs."""
     along_x = isinstance(scene.motion, Translation) and scene.support.axes in ((), ("x",))
     return along_x and scene.support.mount is None and not scene.support.on_shafts

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxwhisker._base.checks import is_traced
 from jaxwhisker._model.motion import Rotation, Translation
-from jaxwhisker._model.scene import Scene, Units
+from jaxwhisker._model.scene import Scene, Sensor, Units, time_unit
 from jaxwhisker._model.scene import units as natural_units
 
 # Kinds of quantities, as powers of force and length.
@@ -87,30 +87,43 @@ QUANTITIES = (
         for name, quantity in STATE.items()
     }
 )
+# What a simulation has besides, over time.
+_SAMPLE = ("time", "whisker")
+MOTION = {
+    "time": Quantity("time", "t", "time", ("time",)),
+    "gap": Quantity("distance between whisker and object", "g", "length", _SAMPLE),
+    "tip_x": Quantity("position of the tip", "x_1", "length", _SAMPLE),
+    "tip_y": Quantity("height of the tip", "y_1", "length", _SAMPLE),
+}
 REACTIONS = ("fx", "fy", "mz")
 # Quantities that can be plotted against the control.
 DRAWN = (*(name for name in STATE if name not in ("phase", "slip", "contact_object")), "spring_length")
 
 
-def kind_of(name: str, scene: Scene) -> str:
+def quantity(name: str) -> Quantity:
+    """The quantity of a scan or a simulation with this name."""
+    return QUANTITIES[name] if name in QUANTITIES else MOTION[name]
+
+
+def kind_of(name: str, scene: Scene | Sensor) -> str:
     """The kind of a quantity of a scene; for a drive position, a length, angle or number."""
-    kind = QUANTITIES[name].kind
+    kind = quantity(name).kind
     return control_kind(scene) if kind == CONTROL else kind
 
 
-def control_kind(scene: Scene) -> str:
+def control_kind(scene: Scene | Sensor) -> str:
     """The kind of the control of a scene: a length, angle or number."""
     if isinstance(scene.motion, Translation):
         return "length"
     return "angle" if isinstance(scene.motion, Rotation) else "number"
 
 
-def control_name(scene: Scene) -> str:
+def control_name(scene: Scene | Sensor) -> str:
     """Name of the control of a scene."""
     return {"length": "drive position", "angle": "angle of the drive", "number": "control"}[control_kind(scene)]
 
 
-def is_dimensionless(scene: Scene) -> bool:
+def is_dimensionless(scene: Scene | Sensor) -> bool:
     """Whether the first whisker has length 1 and bending stiffness 1 at its base; other scenes are shown in SI."""
     first = scene.whiskers[0]
     values = (first.length, first.base_stiffness)
@@ -144,8 +157,9 @@ class UnitSystem:
     """The units in which figures, films and tables show a scene.
 
     Args:
-        scene: a concrete scene.
-        units: "dimensionless" divides by L, EI/L^2 and EI/L of the first whisker; "SI" takes the scene's numbers to be
+        scene: a concrete scene or sensor.
+        units: "dimensionless" divides by L, EI/L^2 and EI/L of the first whisker, and times by
+            T = L^2 sqrt(rho A / EI); "SI" takes the scene's numbers to be
             in SI units and adds prefixes that suit the scene's size (mm, mN, mN mm); "auto" is "dimensionless" for a
             whisker with L = EI = 1, else "SI".
         prefixes_of: the scene whose size decides the prefixes. Default: `scene`.
@@ -154,12 +168,12 @@ class UnitSystem:
         ValueError: if `units` is none of these.
     """
 
-    def __init__(self, scene: Scene, units: str = "auto", *, prefixes_of: Scene | None = None):
+    def __init__(self, scene: Scene | Sensor, units: str = "auto", *, prefixes_of: Scene | Sensor | None = None):
         check_units(units)
         self.scene = scene
         self.dimensionless = is_dimensionless(scene) if units == "auto" else units == "dimensionless"
         self.natural = natural_units(scene)
-        self._prefixed = self.natural if prefixes_of is None else natural_units(prefixes_of)
+        self._prefixes_of = scene if prefixes_of is None else prefixes_of
 
     def unit(self, name: str) -> Unit:
         """The unit of the quantity with this name."""
@@ -172,9 +186,12 @@ class UnitSystem:
         if kind == "number":
             return Unit("", 1.0)
         if self.dimensionless:
-            return Unit("", _natural(self.natural, kind))
+            return Unit("", self._natural(kind))
+        if kind == "time":
+            return with_prefix("s", _unit_of_time(self._prefixes_of))
         force, length = KINDS[kind]
-        newton, metre = with_prefix("N", float(self._prefixed.force)), with_prefix("m", float(self._prefixed.length))
+        sizes = natural_units(self._prefixes_of)
+        newton, metre = with_prefix("N", float(sizes.force)), with_prefix("m", float(sizes.length))
         return Unit(_product({newton.name: force, metre.name: length}), newton.size**force * metre.size**length)
 
     def shown(self, name: str, values: Any) -> np.ndarray:
@@ -186,15 +203,18 @@ class UnitSystem:
         return np.asarray(values / self.unit(name).size)
 
     def scale(self, kind: str) -> float:
-        """The number that is shown for L, EI/L^2, EI/L and the like of the scene: 1 if dimensionless."""
-        return 1.0 if kind in ("angle", "number") else _natural(self.natural, kind) / self.of_kind(kind).size
+        """The number that is shown for L, EI/L^2, EI/L, T and the like of the scene: 1 if dimensionless."""
+        return 1.0 if kind in ("angle", "number") else self._natural(kind) / self.of_kind(kind).size
+
+    def _natural(self, kind: str) -> float:
+        return _unit_of_time(self.scene) if kind == "time" else _natural(self.natural, kind)
 
     def label(self, name: str) -> str:
         """Symbol and unit of a quantity, for an axis."""
         kind = kind_of(name, self.scene)
         if name == "control" and kind != "length":
             return control_name(self.scene) + (" (rad)" if kind == "angle" else "")
-        return self.label_of(QUANTITIES[name].symbol, kind)
+        return self.label_of(quantity(name).symbol, kind)
 
     def label_of(self, symbol: str, kind: str) -> str:
         """A symbol with the unit of a kind of quantity, for an axis."""
@@ -205,10 +225,16 @@ class UnitSystem:
 
 
 def dimensionless_label(symbol: str, kind: str) -> str:
-    """A symbol made dimensionless with L and EI, for an axis."""
+    """A symbol made dimensionless with L and EI, or a time with T, for an axis."""
+    if kind == "time":
+        return f"${symbol}/T$"
     force, length = KINDS[kind]
     times = rf"\,{_power('L', 2 * force - length)}" if 2 * force > length else ""
     return f"${symbol}{times}{'/EI' if force else '/L' if length else ''}$" + " (rad)" * (kind == "angle")
+
+
+def _unit_of_time(scene: Scene | Sensor) -> float:
+    return float(time_unit(scene.whiskers[0]))
 
 
 def _natural(sizes: Units, kind: str) -> float:

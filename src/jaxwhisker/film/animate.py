@@ -1,4 +1,4 @@
-"""Films of scans: the scene on the left, the reactions on the right, events as they happen."""
+"""Films of scans and simulations: the scene on the left, the reactions on the right, events as they happen."""
 
 import base64
 import tempfile
@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from jaxwhisker._base import checks
-from jaxwhisker._scan.quantities import check_units
-from jaxwhisker._scan.result import Result, check_one_scan
+from jaxwhisker._dynamics.simulation import Simulation
+from jaxwhisker._scan.quantities import UnitSystem, check_units
+from jaxwhisker.plot.runs import Run, check_one_run, places
 
+SECONDS = 12.0  # duration of a run
+REAL = 0.005  # relative difference from real time that is not worth a word
 FPS = 25  # a frame takes a whole number of hundredths of a second, as GIFs require
 FASTEST = 60  # frames per second
 LONGEST = 300.0  # seconds
@@ -37,16 +40,17 @@ class Film:
 
 
 def animate(
-    result: Result,
+    result: Run,
     path: str | Path | None = None,
     *,
-    seconds: float = 12.0,
+    seconds: float | None = None,
+    speed: float | None = None,
     fps: int = FPS,
     width: int = 960,
     units: str = "auto",
     progress: bool | None = None,
 ) -> Path | Film:
-    """Make a film of a scan: the scene on the left, the reactions on the right, events as they happen.
+    """Make a film of a scan or a simulation: the scene on the left, the reactions on the right, events as they happen.
 
     A snap takes no time in a scan. The film shows it in a few additional frames, marked as not to scale in time. They
     show the overdamped flow of the bases from the state before the snap to the state after it, which also determines
@@ -56,11 +60,17 @@ def animate(
 
     Whiskers are missing at failed steps, where the film shows the status.
 
+    A simulation is shown evenly in time, with the reactions over time. Each frame shows the sample nearest to its time,
+    so the simulation should have at least as many samples as the film has frames. A film of a simulation that fails
+    ends at the last state before.
+
     Args:
-        result: result of one `scan`.
+        result: result of one `scan` or one `simulate`.
         path: path of the file: .gif or, with ffmpeg, .mp4 or .webm. By default the film is returned, for notebooks.
-        seconds: duration of the scan in the film, at most 300. Every snap adds half a second, and the last frame stays
-            for one second.
+        seconds: duration of the run in the film, at most 300; by default 12. Every snap adds half a second, and the
+            last frame stays for one second.
+        speed: for a simulation, instead of `seconds`: its time that passes in each second of the film. With SI units,
+            1.0 is real time, and 0.1 is ten times slower.
         fps: frames per second, 1 to 60. Frames of a GIF last a whole number of hundredths of a second.
         width: width of the film in pixels, 64 to 4096, rounded down to an even number. The height follows from the
             scene: 0.4 to 0.7 times the width.
@@ -72,14 +82,15 @@ def animate(
         The path, or the Film: an MP4 if ffmpeg is installed, else a GIF.
 
     Raises:
-        ValueError: if an argument is invalid, the result is not that of one scan, or ffmpeg is missing for a video.
+        ValueError: if an argument is invalid, the result is not that of one scan or simulation, or ffmpeg is missing
+            for a video.
         OSError: if the file cannot be written.
     """
     from tqdm import tqdm
 
     from jaxwhisker.film import canvas, frames, writers
 
-    check_one_scan(result)
+    seconds = _seconds(check_one_run(result), seconds, speed)
     path = check(path, seconds, fps, width, units)
     if path is None:
         kind = "video/mp4" if writers.has_ffmpeg() else "image/gif"
@@ -87,12 +98,43 @@ def animate(
             made = Path(folder) / f"film.{kind[-3:]}"
             animate(result, made, seconds=seconds, fps=fps, width=width, units=units, progress=progress)
             return Film(kind, made.read_bytes())
-    shown, events = frames.frames(result, max(2, round(seconds * fps)))
-    drawn = canvas.Canvas(result, shown, events, fps=fps, width=width, units=units)
+    shown, marks = frames.frames(result, max(2, round(seconds * fps)))
+    pace = _pace(result, seconds, units)
+    drawn = canvas.Canvas(result, shown, marks, fps=fps, width=width, units=units, pace=pace)
     hidden = None if progress is None else not progress
     with tqdm(range(drawn.count), desc="film", unit=" frames", leave=False, disable=hidden) as counted:
         writers.write(path, drawn, counted, fps=fps)
     return path
+
+
+def _seconds(result: Run, seconds: float | None, speed: float | None) -> float:
+    """Duration of a run in its film."""
+    if speed is None:
+        return SECONDS if seconds is None else seconds
+    if not isinstance(result, Simulation):
+        checks.fail("speed", "None for the film of a scan, which has no time", repr(speed))
+    if seconds is not None:
+        checks.fail("speed", "None if `seconds` is given", repr(speed))
+    checks.number("speed", speed, positive=True)
+    seconds, least = _duration(result) / speed, _duration(result) / LONGEST
+    if seconds > LONGEST:
+        checks.fail("speed", f"at least {least:.3g} for a film of at most {LONGEST:g} seconds", f"{speed:g}")
+    return seconds
+
+
+def _duration(motion: Simulation) -> float:
+    time = places(motion, "time")
+    return float(time[-1] - time[0])
+
+
+def _pace(result: Run, seconds: float, units: str) -> str:
+    """The speed of a film in words, if times are in seconds."""
+    if not isinstance(result, Simulation) or UnitSystem(result.scene, units).dimensionless:
+        return ""
+    slower = seconds / _duration(result)
+    if not slower > 0 or abs(slower - 1) < REAL:
+        return " (real time)" if slower > 0 else ""
+    return f" ({max(slower, 1 / slower):.3g} times {'slower' if slower > 1 else 'faster'})"
 
 
 def check(path: Any, seconds: Any, fps: Any, width: Any, units: Any = "auto") -> Path | None:

@@ -15,12 +15,14 @@ from matplotlib.patches import FancyArrowPatch
 from matplotlib.patheffects import withStroke
 
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.scene import objects_of
 from jaxwhisker._path.path import SNAPS, EventKind, Status
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, control_kind, kind_of
-from jaxwhisker._scan.result import Event, Result
-from jaxwhisker.film.frames import SNAP_FRAMES, Frames
+from jaxwhisker._scan.result import Event
+from jaxwhisker.film.frames import SNAP_FRAMES, Frames, Mark
 from jaxwhisker.plot.axes import GREY, SUPPORT, colour
 from jaxwhisker.plot.drawing import Drawing, drawing, largest_force
+from jaxwhisker.plot.runs import Run, abscissa, places
 from jaxwhisker.plot.signals import LEAST_HEIGHT
 from jaxwhisker.plot.states import decimals, draw_object
 
@@ -53,13 +55,14 @@ class Canvas:
 
     def __init__(
         self,
-        result: Result,
+        result: Run,
         shown: Frames,
-        events: list[tuple[int, Event]],
+        marks: list[Mark],
         *,
         fps: int,
         width: int,
         units: str = "auto",
+        pace: str = "",
     ):
         self.count, largest = shown.step.size, largest_force(result)
         system = UnitSystem(result.scene, units)
@@ -81,9 +84,10 @@ class Canvas:
         self.stage.axes.set(xlim=limits[0], ylim=limits[1])
         each = (inner + GAP) / len(REACTIONS)
         bottoms = [BELOW + row * each for row in reversed(range(len(REACTIONS)))]
-        places = [place(CURVES, bottom, each - GAP) for bottom in bottoms]
-        self.curves = Curves(self.figure, places, result, shown, system)
-        self.captions = Captions(self.stage.axes, self.curves.axes, result, shown, events, fps, system)
+        boxes = [place(CURVES, bottom, each - GAP) for bottom in bottoms]
+        self.curves = Curves(self.figure, boxes, result, shown, system)
+        over = abscissa(result)
+        self.captions = Captions(self.stage.axes, self.curves.axes, shown, marks, fps, system, over, pace)
         _name_whiskers(self.figure, len(self._drawings[0].whiskers), 1 - ABOVE / height)
         self._moving = [*self.stage.moving, *self.captions.behind, *self.curves.moving, *self.captions.in_front]
         for artist in self._moving:
@@ -110,12 +114,9 @@ class Canvas:
 
 def _drawing(shown: Frames, frame: int, largest: float, system: UnitSystem) -> Drawing:
     state, lines = jax.tree.map(lambda leaf: leaf[frame], (shown.state, shown.lines))
-    drawn = drawing(system.scene, float(shown.control[frame]), state, largest=largest)
-    drawn = drawn.scaled(system.scale("length"))
-    # During a snap, centre lines do not follow from the state.
-    x, y = system.shown("base_x", lines.x), system.shown("base_y", lines.y)
-    own = [line._replace(x=x[k], y=y[k]) for k, line in enumerate(drawn.whiskers)]
-    return drawn._replace(whiskers=tuple(own))
+    # During a snap and in motion, centre lines do not follow from the state.
+    drawn = drawing(system.scene, float(shown.control[frame]), state, lines=lines, largest=largest)
+    return drawn.scaled(system.scale("length"))
 
 
 def _figure(width: int, height: float) -> Figure:
@@ -142,7 +143,7 @@ def _name_whiskers(figure: Figure, count: int, bottom: float) -> None:
 def _window(system: UnitSystem, drawn: list[Drawing]) -> tuple[float, float, float, float]:
     """Left, right, bottom and top of a window that holds all moving parts, and the object down to its vertex."""
     x, y = (np.concatenate(coordinate) for coordinate in zip(*(one.extent() for one in drawn), strict=True))
-    vertices = [system.shown("contact_x", np.asarray(one.vertex())) for one in system.scene.profile.objects]
+    vertices = [system.shown("contact_x", np.asarray(one.vertex())) for one in objects_of(system.scene)]
     x, y = np.append(x, [at[0] for at in vertices]), np.append(y, [*(at[1] for at in vertices), 0.0])
     left, right, bottom, top = x.min(), x.max(), y.min(), max(y.max(), system.scale("length"))
     beside, around = STAGE_ROOM * (right - left), STAGE_ROOM * (top - bottom)
@@ -189,12 +190,12 @@ class Stage:
 class Curves:
     """Right half of a film: fx, fy and mz of all whiskers up to the frame, in axes with fixed limits."""
 
-    def __init__(self, figure: Figure, places: list[_Place], result: Result, shown: Frames, system: UnitSystem):
-        self.axes = [figure.add_axes(place) for place in places]
-        self._steps, self._control = shown.step, system.shown("control", shown.control)
-        self._over = system.shown("control", result.control)
+    def __init__(self, figure: Figure, boxes: list[_Place], result: Run, shown: Frames, system: UnitSystem):
+        self.axes, over = [figure.add_axes(box) for box in boxes], abscissa(result)
+        self._steps, self._places = shown.step, system.shown(over, shown.place)
+        self._over = system.shown(over, places(result, over))
         self._curves, self._heads, self._values = [], [], []
-        least = LEAST_HEIGHT * system.scale(control_kind(system.scene))
+        least = LEAST_HEIGHT * system.scale(kind_of(over, system.scene))
         for ax, name in zip(self.axes, REACTIONS, strict=True):
             values, now = (system.shown(name, getattr(fields, name)) for fields in (result, shown.state))
             self._values.append((values, now))
@@ -209,12 +210,12 @@ class Curves:
             own = [colour(k) for k in range(values.shape[1])]
             self._curves.append([ax.plot([], [], color=c, linewidth=1.4)[0] for c in own])
             self._heads.append([ax.plot([], [], color=c, marker="o", markersize=5, linestyle="none")[0] for c in own])
-        self.axes[-1].set_xlabel(system.label("control"))
+        self.axes[-1].set_xlabel(system.label(over))
         self.moving = [*itertools.chain(*self._curves, *self._heads)]  # from back to front
 
     def move(self, frame: int) -> None:
         """Draw the curves up to a frame."""
-        upto, here = self._steps[frame] + 1, self._control[frame]
+        upto, here = self._steps[frame] + 1, self._places[frame]
         for curves, heads, (values, now) in zip(self._curves, self._heads, self._values, strict=True):
             for k, (curve, head) in enumerate(zip(curves, heads, strict=True)):
                 curve.set_data(self._over[:upto], values[:upto, k])
@@ -243,16 +244,17 @@ class Captions:
         self,
         stage: Axes,
         curves: list[Axes],
-        result: Result,
         shown: Frames,
-        events: list[tuple[int, Event]],
+        marks: list[Mark],
         fps: int,
         system: UnitSystem,
+        over: str,
+        pace: str,
     ):
-        self._frames, self._status, self._system = shown, np.asarray(result.status), system
-        self._events = [(first, first + _duration(event, fps), event) for first, event in events]
+        self._frames, self._system, self._over, self._pace = shown, system, over, pace
+        self._marks = [(mark.first, mark.first + _duration(mark.event, fps), mark) for mark in marks]
         ring = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "markeredgewidth": 2}
-        whiskers = range(result.fx.shape[1])
+        whiskers = range(shown.state.fx.shape[1])
         self._rings = [[stage.plot([], [], color=colour(k), **ring)[0] for k in whiskers] for _ in range(MOST_LABELS)]
         halo = [withStroke(linewidth=3, foreground="white")]
         text = {"textcoords": "offset points", "fontsize": 11}
@@ -280,25 +282,35 @@ class Captions:
 
     def move(self, frame: int) -> None:
         """Set texts and flashing marks of a frame."""
-        self._control.set_text(_control_in_words(self._system, self._frames.control[frame]))
-        snap, status = self._frames.snap[frame], Status(int(self._status[max(self._frames.step[frame], 0)]))
-        unknown = "" if status == Status.ok else f"no state: {status.name.replace('_', ' ')}"
-        self._note.set_text("snap: not to scale in time" if snap else unknown)
-        past = self._system.shown("control", [event.control for first, _, event in self._events if first <= frame])
+        words = _control_in_words(self._system, self._frames.control[frame])
+        if self._over == "time":
+            words = f"{_in_words(self._system, 'time', self._frames.place[frame])}{self._pace}, {words}"
+        self._control.set_text(words)
+        self._note.set_text("snap: not to scale in time" if self._frames.snap[frame] else self._failure(frame))
+        past = self._system.shown(self._over, [mark.place for first, _, mark in self._marks if first <= frame])
         for line in self._past:
             line.set_data(np.repeat(past, 3), np.tile([0.0, 1.0, np.nan], past.size))
-        now = [flash for flash in self._events if flash[0] <= frame < flash[1]][-MOST_LABELS:]
+        now = [flash for flash in self._marks if flash[0] <= frame < flash[1]][-MOST_LABELS:]
         for slot in range(MOST_LABELS):
             for artist in (self._labels[slot], *self._present[slot], *self._rings[slot]):
                 artist.set_visible(slot < len(now))
             if slot < len(now):
-                first, last, event = now[slot]
-                self._flash(slot, event, (frame - first) / (last - first))
+                first, last, mark = now[slot]
+                self._flash(slot, mark, (frame - first) / (last - first))
 
-    def _flash(self, slot: int, event: Event, share: float) -> None:
+    def _failure(self, frame: int) -> str:
+        """Why a frame shows no state, or the last one of a simulation that fails."""
+        status = Status(int(self._frames.status[frame]))
+        if status == Status.ok:
+            return ""
+        known = np.isfinite(self._frames.state.base_x[frame]).all()
+        return f"no state{' after this' if known else ''}: {status.name.replace('_', ' ')}"
+
+    def _flash(self, slot: int, mark: Mark, share: float) -> None:
+        event = mark.event
         own = colour(event.whiskers[0] - 1) if len(event.whiskers) == 1 else "black"
         self._labels[slot].set(text=event_in_words(event), color=own)
-        at = float(self._system.shown("control", event.control))
+        at = float(self._system.shown(self._over, mark.place))
         for line in self._present[slot]:
             line.set_data([at] * 2, [0.0, 1.0])
             line.set(color=own, alpha=1 - 0.7 * share)
@@ -311,10 +323,14 @@ class Captions:
 
 def _control_in_words(system: UnitSystem, control: float) -> str:
     """Control as text, such as "u = -0.441 L" or "u = -22.1 mm", without a formula, which would be slow to draw."""
-    number = f"{float(system.shown('control', control)):+.{decimals(system)}f}".replace("-", "\N{MINUS SIGN}")
-    kind = control_kind(system.scene)
-    symbol = {"length": "u", "angle": "angle", "number": "control"}[kind]
-    return f"{symbol} = {number} {system.of_kind(kind).name or 'L' * (kind == 'length')}".rstrip()
+    symbol = {"length": "u", "angle": "angle", "number": "control"}[control_kind(system.scene)]
+    return _in_words(system, "control", control, symbol, sign="+")
+
+
+def _in_words(system: UnitSystem, name: str, value: float, symbol: str = "t", sign: str = "") -> str:
+    number = f"{float(system.shown(name, value)):{sign}.{decimals(system, name)}f}".replace("-", "\N{MINUS SIGN}")
+    kind = kind_of(name, system.scene)
+    return f"{symbol} = {number} {system.of_kind(kind).name or {'length': 'L', 'time': 'T'}.get(kind, '')}".rstrip()
 
 
 def _duration(event: Event, fps: int) -> int:

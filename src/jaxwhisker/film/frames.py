@@ -1,4 +1,4 @@
-"""Frames of a film: steps of a scan, with additional frames for every snap."""
+"""Frames of a film: steps of a scan, with additional frames for every snap, or samples of a simulation."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -8,18 +8,29 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
+from jaxwhisker._dynamics.simulation import Simulation
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import Scene, objects_of
 from jaxwhisker._model.silhouette import silhouette_of
-from jaxwhisker._path.path import SNAPS
+from jaxwhisker._path.path import SNAPS, Status
 from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.shapes import Shapes, shapes_of
-from jaxwhisker._scan.state import State, state_of
+from jaxwhisker._scan.state import State
 from jaxwhisker.film.flow import flows
+from jaxwhisker.plot.runs import (
+    Run,
+    abscissa,
+    events_of,
+    lines_of_motion,
+    places,
+    places_of_events,
+    progress,
+    states_at,
+)
 
 SNAP_FRAMES = 13  # frames of a snap, including the states before and after it
 FILMED_POINTS = 64  # per centre line
-EVENT_ROUNDING = 1e-9  # of the travel: a step exactly at an event shows the state after it
+EVENT_ROUNDING = 1e-9  # of the travel or duration: a step exactly at an event shows the state after it
 SWINGS = 0.1  # of the whisker's length: only a whisker that swings moves farther than this in one step of the flow
 PADDING = 64  # states are padded to a multiple of this, because films of similar length then share a compiled program
 DEEPEST = 3e-3  # of the whisker's length: contacts and outlines are drawn with about this accuracy
@@ -31,11 +42,21 @@ Polyline = Complex[np.ndarray, " points"]  # x + iy
 class Frames(NamedTuple):
     """Content of a film; arrays have one row per frame, in the scene's units."""
 
-    step: Int[np.ndarray, " frames"]  # of the scan; during a snap, the last step before it, or -1 if there is none
+    step: Int[np.ndarray, " frames"]  # of the run; during a snap, the last step before it, or -1 if there is none
     control: Float[np.ndarray, " frames"]
+    place: Float[np.ndarray, " frames"]  # on the horizontal axis of signals: the control of a scan, else the time
+    status: Int[np.ndarray, " frames"]
     state: State  # (frames, whiskers)
     lines: Shapes  # (frames, whiskers, points)
     snap: Bool[np.ndarray, " frames"]
+
+
+class Mark(NamedTuple):
+    """An event in a film."""
+
+    first: int  # frame at which it happens
+    event: Event
+    place: float  # on the horizontal axis of signals
 
 
 class Silhouette(NamedTuple):
@@ -52,59 +73,84 @@ class Silhouette(NamedTuple):
         return float(-np.min(np.max(out, axis=0)))
 
 
-def frames(result: Result, count: int) -> tuple[Frames, list[tuple[int, Event]]]:
-    """Frames for evenly spaced steps of a scan and for its snaps; events, each with the frame at which it happens.
+def frames(result: Run, count: int) -> tuple[Frames, list[Mark]]:
+    """Frames for evenly spaced steps of a scan and for its snaps, or for samples of a simulation; and the events.
 
     A snap takes no time in a scan. Its frames show the overdamped flow of the bases from the state before to the state
     after it. Between successive frames, the base or tip that moves farthest always moves by the same distance. Where a
     whisker swings free or to the far side, there is no equilibrium in between, so its centre line is turned from one
     state to the other.
 
+    Samples of a simulation are evenly spaced in time. If it fails, the last frame shows the last state before.
+
     Args:
-        result: result of `scan`.
-        count: number of frames for the steps; every snap adds `SNAP_FRAMES`.
+        result: result of `scan` or `simulate`.
+        count: number of frames for the steps; every snap adds `SNAP_FRAMES`, and a simulation that fails has fewer.
     """
-    events, control = list(result.events), np.asarray(result.control)
+    events, control, over = events_of(result), np.asarray(result.control), abscissa(result)
     shown = np.round(np.linspace(0, control.size - 1, count)).astype(int)
-    of_scan = jax.tree.map(lambda leaf: np.asarray(leaf)[shown], state_of(result))
+    status = np.asarray(result.status)[shown]
+    if isinstance(result, Simulation):
+        shown, status = _until_failure(shown, status)
+    states = states_at(result, shown)
     snaps = [k for k, event in enumerate(events) if event.kind in SNAPS]
-    groups = [of_scan, *map(_with_ends, [events[k] for k in snaps], flows(result, snaps))]
+    groups = [states, *map(_with_ends, [events[k] for k in snaps], _flows(result, snaps))]
     at_snaps = [np.full(group.phase.shape[0], events[k].control) for k, group in zip(snaps, groups[1:], strict=True)]
-    lines = lines_of(result.scene, groups, [control[shown], *at_snaps])
-    scan = Frames(shown, control[shown], of_scan, lines[0], np.zeros(count, bool))
+    if isinstance(result, Simulation):
+        lines = [lines_of_motion(result, shown, points=FILMED_POINTS)]
+    else:
+        lines = lines_of(result.scene, groups, [control[shown], *at_snaps])
+    no_snap = np.zeros(shown.size, bool)
+    steps = Frames(shown, control[shown], places(result, over)[shown], status, states, lines[0], no_snap)
     begin = _first_steps(result)
     of_snap = {
         k: _snap_frames(result, int(begin[k]) - 1, events[k], states, own)
         for k, states, own in zip(snaps, groups[1:], lines[1:], strict=True)
     }
+    where = places_of_events(result, over)
     parts, marks, start = [], [], 0
     for k, event in enumerate(events):
         end = int(np.searchsorted(shown, begin[k]))
-        parts.append(_at(scan, slice(start, end)))
-        marks.append((sum(part.step.size for part in parts), event))
+        parts.append(_at(steps, slice(start, end)))
+        marks.append(Mark(sum(part.step.size for part in parts), event, float(where[k])))
         if k in of_snap:
             parts.append(of_snap[k])
         start = end
-    return _merged(np.concatenate, [*parts, _at(scan, slice(start, None))]), marks
+    return _merged(np.concatenate, [*parts, _at(steps, slice(start, None))]), marks
 
 
-def _snap_frames(result: Result, step: int, event: Event, states: State, lines: Shapes) -> Frames:
+def _until_failure(shown: Int[np.ndarray, " all"], status: Int[np.ndarray, " all"]) -> tuple[np.ndarray, np.ndarray]:
+    """The samples of a simulation before it fails; the last one has the status of the failure."""
+    failed = np.flatnonzero(status != Status.ok)
+    if not failed.size:
+        return shown, status
+    last = max(int(failed[0]), 1)
+    return shown[:last], np.append(status[: last - 1], status[failed[0]])
+
+
+def _flows(result: Run, snaps: Sequence[int]) -> list[State]:
+    """The flows of the snaps of a scan; a simulation has no snaps, because everything in it takes time."""
+    return flows(result, snaps) if isinstance(result, Result) else []
+
+
+def _snap_frames(result: Run, before: int, event: Event, states: State, lines: Shapes) -> Frames:
     lengths = np.array([float(whisker.length) for whisker in result.scene.whiskers])
     even = _even(states, lines, lengths, silhouettes_of_scan(result))
-    return Frames(np.full(SNAP_FRAMES, step), np.full(SNAP_FRAMES, event.control), *even, np.ones(SNAP_FRAMES, bool))
+    step, control = np.full(SNAP_FRAMES, before), np.full(SNAP_FRAMES, event.control)
+    status = np.asarray(result.status)[np.maximum(step, 0)]
+    return Frames(step, control, control, status, *even, np.ones(SNAP_FRAMES, bool))
 
 
-def silhouettes_of_scan(result: Result) -> list[Silhouette]:
+def silhouettes_of_scan(result: Run) -> list[Silhouette]:
     """Contours of the objects of a scan, in the scene's units."""
     length = float(result.scene.whiskers[0].length)
-    return [Silhouette(*silhouette_of(one, length)) for one in result.scene.profile.objects]
+    return [Silhouette(*silhouette_of(one, length)) for one in objects_of(result.scene)]
 
 
-def _first_steps(result: Result) -> Int[np.ndarray, " events"]:
+def _first_steps(result: Run) -> Int[np.ndarray, " events"]:
     """First step at or after each event."""
-    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(np.asarray(result.control))))])
-    happens = np.asarray(result.events.travel)[: len(result.events)]
-    return np.searchsorted(travel, happens - EVENT_ROUNDING * travel[-1])
+    passed, happens = progress(result)
+    return np.searchsorted(passed, happens - EVENT_ROUNDING * passed[-1])
 
 
 def _with_ends(event: Event, flow: State) -> State:

@@ -12,7 +12,6 @@ from matplotlib.font_manager import FontProperties
 from jaxwhisker._base import checks
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._scan.quantities import (
-    DRAWN,
     QUANTITIES,
     Unit,
     UnitSystem,
@@ -20,7 +19,7 @@ from jaxwhisker._scan.quantities import (
     dimensionless_label,
     with_prefix,
 )
-from jaxwhisker._scan.result import Result
+from jaxwhisker.plot.runs import Run, check_quantity
 
 # The palette of Okabe and Ito, whose colours remain distinct for colour-blind readers; black comes last.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
@@ -82,18 +81,12 @@ def label_coordinates(ax: Axes, unit: Unit) -> None:
     ax.set(xlabel=x, ylabel=y)
 
 
-def unit_systems(results: Sequence[Result], units: str) -> list[UnitSystem]:
+def unit_systems(results: Sequence[Run], units: str) -> list[UnitSystem]:
     """Units for results that share axes: the SI units of the first one, or L and EI of each one."""
     own = [UnitSystem(result.scene, units) for result in results]
     if any(one.dimensionless for one in own):
         return [UnitSystem(one.scene, "dimensionless") for one in own]
     return [UnitSystem(one.scene, "SI", prefixes_of=own[0].scene) for one in own]
-
-
-def check_quantity(quantity: Any) -> None:
-    """Check that a quantity can be drawn over the control."""
-    if quantity not in DRAWN:
-        checks.fail("quantity", f"one of {', '.join(DRAWN)}", repr(quantity))
 
 
 def one_axes(ax: Axes | None) -> Axes:

@@ -15,21 +15,22 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.simulation import Simulation
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.motion import Pose, Rotation
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._model.scene import Scene, Sensor, units
 from jaxwhisker._model.spring import AXES, Spring
 from jaxwhisker._path.approach import Bounded, FromAfar
-from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import problem_now
-from jaxwhisker._scan.shapes import shapes_of
+from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.springs import holds, loads_of, on_shafts
-from jaxwhisker._scan.state import OPTIONAL, State, base_of, state_of
+from jaxwhisker._scan.state import OPTIONAL, State, base_of
+from jaxwhisker.plot.runs import Run, lines_of_motion, states_at
 
 # Lengths are in L of the first whisker.
 LINE_POINTS = 64  # per centre line
@@ -42,6 +43,7 @@ THIN, THICK = 0.9, 2.5  # line widths, points
 PIVOT_NEAR = 1.5  # a window holds the pivot of a rotation up to this distance from the drive
 BEFORE_TOUCH = 0.05  # distance between the drive and its position at the first touch in the figure of a scene
 CONTROLS = 241  # of a motion that are searched for the first touch
+IMPACTS = 0.02  # share of the samples in contact that may be impacts
 _TURNS = 2.25  # of a torsion spring at rest: it ends below to the right, clear of springs along x and y
 _LEAST_ARROW, _LONGEST_ARROW = 0.1, 0.35
 
@@ -102,17 +104,27 @@ class Drawing(NamedTuple):
         return x[known], y[known]
 
 
-def drawing(scene: Scene, control: float, state: State, *, largest: float | None = None) -> Drawing:
+def drawing(
+    scene: Scene | Sensor,
+    control: float,
+    state: State,
+    *,
+    lines: Shapes | None = None,
+    largest: float | None = None,
+) -> Drawing:
     """Geometry of a state of a scene; NaN where the state is NaN.
 
     Args:
         scene: scene of the state.
         control: control of the drive, in the scene's units.
-        state: a state with fields (whiskers,) in the scene's units, for example of an event or from `state_at`.
+        state: a state with fields (whiskers,) in the scene's units, for example of an event or from `states_at`.
+        lines: centre lines (whiskers, points) in the scene's units; by default those of whiskers in equilibrium.
         largest: contact force with the longest arrow; by default the largest one of the state.
     """
     size = float(units(scene).length)
-    lines = shapes_of(scene, jax.tree.map(np.asarray, state), control, points=LINE_POINTS)
+    if lines is None:
+        assert isinstance(scene, Scene)
+        lines = shapes_of(scene, jax.tree.map(np.asarray, state), control, points=LINE_POINTS)
     bases = Line(np.asarray(state.base_x) / size, np.asarray(state.base_y) / size)
     drive, arm = drive_pose(scene, control), None
     forces = np.nan_to_num(np.asarray(state.contact_force))
@@ -130,10 +142,13 @@ def drawing(scene: Scene, control: float, state: State, *, largest: float | None
     )
 
 
-def drawing_at(result: Result, step: int) -> Drawing:
-    """Geometry of a step of a scan; the scan's largest contact force has the longest arrow."""
-    control = float(result.control[step])
-    return drawing(result.scene, control, state_at(result, step), largest=largest_force(result))
+def drawing_at(result: Run, step: int) -> Drawing:
+    """Geometry of a step of a scan or a sample of a simulation; its largest contact force has the longest arrow."""
+    lines = None
+    if isinstance(result, Simulation):
+        lines = jax.tree.map(lambda line: line[0], lines_of_motion(result, [step], points=LINE_POINTS))
+    state, largest = states_at(result, step), largest_force(result)
+    return drawing(result.scene, float(result.control[step]), state, lines=lines, largest=largest)
 
 
 def start_of(scene: Scene) -> float:
@@ -184,17 +199,15 @@ def _rest_state(scene: Scene, control: Scalar) -> State:
     return State(**fields | {"base_x": at.x * size, "base_y": at.y * size, "base_angle": at.angle})  # pyright: ignore
 
 
-def state_at(result: Result, step: int) -> State:
-    """State at a step of a scan."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[step], state_of(result))
+def largest_force(result: Run) -> float:
+    """Largest contact force; 0 without contact. Impacts of a simulation, which last for one time step, do not count."""
+    force = np.nan_to_num(np.asarray(result.contact_force))
+    if isinstance(result, Simulation) and np.any(force > 0):
+        return float(np.quantile(force[force > 0], 1 - IMPACTS))
+    return float(force.max(initial=0.0))
 
 
-def largest_force(result: Result) -> float:
-    """Largest contact force of a scan; 0 without contact."""
-    return float(np.nan_to_num(np.asarray(result.contact_force)).max(initial=0.0))
-
-
-def drive_pose(scene: Scene, control: float) -> Pose:
+def drive_pose(scene: Scene | Sensor, control: float) -> Pose:
     """Pose of the drive at a control."""
     size = float(units(scene).length)
     x, y, angle = (float(value) for value in scene.motion.pose(control))
@@ -215,9 +228,9 @@ Place = tuple[float, float]
 Ends = Sequence[tuple[Place, Place]]  # on the drive and on the whisker
 
 
-def ends_on_shafts(scene: Scene, state: State, control: float) -> Ends:
+def ends_on_shafts(scene: Scene | Sensor, state: State, control: float) -> Ends:
     """Ends of the springs on shafts, in the order of the support, in lengths of the first whisker."""
-    by, size = holds(scene), float(units(scene).length)
+    by, size = holds(scene) if isinstance(scene, Scene) else None, float(units(scene).length)
     if by is None:
         return ()
     given = jax.tree.map(checks.as_float, (by, scene.whiskers, base_of(state), loads_of(state), control))
@@ -229,7 +242,7 @@ _on_shafts = Program(on_shafts)
 
 
 def spring_lines(
-    scene: Scene, drive: Pose, bases: Line, angle: Float[np.ndarray, " whiskers"], on_shafts: Ends
+    scene: Scene | Sensor, drive: Pose, bases: Line, angle: Float[np.ndarray, " whiskers"], on_shafts: Ends
 ) -> tuple[Line, ...]:
     """Springs of the support for given poses of the drive and of the bases; angles are measured from the upright.
 

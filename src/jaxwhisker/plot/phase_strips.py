@@ -1,4 +1,4 @@
-"""Strips over the control: where each whisker is free, in tip contact or in tangential contact, and its events."""
+"""Strips over the control or time: where whiskers are free, in tip contact or in tangential contact, and events."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -12,8 +12,8 @@ from matplotlib.patches import Patch
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import UnitSystem
-from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker.plot.axes import GREY, colour, legend_above, one_axes
+from jaxwhisker.plot.runs import Run, abscissa, check_one_run, events_of, places, places_of_events, progress
 
 _HEIGHT = 0.6  # of the strips of a whisker; rows are 1 apart
 _MARKERS = {
@@ -28,13 +28,14 @@ _MARKERS = {
 }
 
 
-def phases(result: Result, *, units: str = "auto", ax: Axes | None = None) -> Axes:
+def phases(result: Run, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     """Draw where each whisker is free, in tip contact (hatched) or in tangential contact (solid), and its events.
 
-    If the drive reverses, each part of its path has its own strip, from top to bottom. Failed steps leave gaps.
+    The horizontal axis is the control, or the time of a simulation. If the drive of a scan reverses, each part of its
+    path has its own strip, from top to bottom. Failed steps leave gaps.
 
     Args:
-        result: of `scan`.
+        result: of `scan` or `simulate`.
         units: "auto", "SI" or "dimensionless", see `overview`.
         ax: where to draw; a new figure by default.
 
@@ -42,17 +43,16 @@ def phases(result: Result, *, units: str = "auto", ax: Axes | None = None) -> Ax
         The Axes.
 
     Raises:
-        ValueError: if `result` is not the Result of one scan or `units` is invalid.
+        ValueError: if `result` is not that of one scan or simulation, or `units` is invalid.
     """
-    system = UnitSystem(check_one_scan(result).scene, units)
+    system = UnitSystem(check_one_run(result).scene, units)
     ax = one_axes(ax)
-    control, phase = system.shown("control", result.control), np.asarray(result.phase)
+    over = abscissa(result)
+    control, phase = system.shown(over, places(result, over)), np.asarray(result.phase)
     known = np.asarray(result.status) == Status.ok
     # The travel of the drive grows even where the control reverses.
-    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(control)))])
-    events = list(result.events)
-    happens = system.shown("control", np.asarray(result.events.travel)[: len(events)])
-    at = system.shown("control", [event.control for event in events])
+    events, (travel, happens) = events_of(result), (system.shown(over, place) for place in progress(result))
+    at = system.shown(over, places_of_events(result, over))
     turns = _turns(control)
     height, whiskers = _HEIGHT / (len(turns) - 1), phase.shape[1]
     tall = height if len(turns) == 2 else 0.85 * height
@@ -68,7 +68,7 @@ def phases(result: Result, *, units: str = "auto", ax: Axes | None = None) -> Ax
             for n in own:
                 if travel[first] <= happens[n] <= travel[last] and events[n].kind in _MARKERS:
                     ax.plot(at[n], top + tall / 2, **_marker(events[n].kind))
-    ax.set_xlabel(system.label("control"))
+    ax.set_xlabel(system.label(over))
     ax.set_yticks(range(1, whiskers + 1), [f"whisker {k + 1}" for k in range(whiskers)])
     ax.set_ylim(whiskers + 0.5, 0.5)
     ax.tick_params(left=False)

@@ -1,4 +1,4 @@
-"""Figures of whiskers, springs, drive and object: before a scan, during a scan, and under given loads."""
+"""Figures of whiskers, springs, drive and object: before a scan, during a run, and under given loads."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -10,11 +10,10 @@ from matplotlib.ticker import MultipleLocator
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.scene import Scene, moves_along_x
+from jaxwhisker._model.scene import Scene, moves_along_x, objects_of
 from jaxwhisker._model.silhouette import silhouette_of
 from jaxwhisker._scan.deflect import Deflection
-from jaxwhisker._scan.quantities import Unit, UnitSystem, control_kind
-from jaxwhisker._scan.result import Result, check_one_scan
+from jaxwhisker._scan.quantities import Unit, UnitSystem, kind_of
 from jaxwhisker.plot.axes import (
     OBJECT,
     SUPPORT,
@@ -27,6 +26,7 @@ from jaxwhisker.plot.axes import (
     title,
 )
 from jaxwhisker.plot.drawing import Drawing, drawing, drawing_at, rest_state, start_of
+from jaxwhisker.plot.runs import Run, abscissa, check_one_run, places
 
 MINUS = "\N{MINUS SIGN}"
 STATES = 5  # drawn by default
@@ -69,17 +69,17 @@ def scene(setup: Scene, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     return ax
 
 
-def shapes(result: Result, at: Any = None, *, whole: bool = True, units: str = "auto", ax: Axes | None = None) -> Axes:
-    """Draw whiskers, springs, drive, object and contact forces at one or several positions of the drive.
+def shapes(result: Run, at: Any = None, *, whole: bool = True, units: str = "auto", ax: Axes | None = None) -> Axes:
+    """Draw whiskers, springs, drive, object and contact forces at one or several positions of the drive, or times.
 
-    If there are several, earlier whiskers are paler; springs, drive and forces belong to the last position. Arrows
-    point in the direction in which the object pushes the whisker; their length grows with the force, relative to the
-    scan's largest contact force. Failed steps are left out.
+    If there are several, earlier whiskers are paler; springs, drive and forces belong to the last one. Arrows point in
+    the direction in which the object pushes the whisker; their length grows with the force, relative to the largest
+    contact force (of a simulation, without short impacts). Failed steps are left out.
 
     Args:
-        result: result of `scan`.
-        at: drive position or positions, in the scene's unit; the nearest steps are drawn. Default: five across the
-            contact.
+        result: result of `scan` or `simulate`.
+        at: drive position or positions of a scan, or time or times of a simulation, in the scene's unit; the nearest
+            steps are drawn. Default: five across the contact.
         whole: draw the upper half of a circle or ellipse too, which no whisker touches.
         units: "auto", "SI" or "dimensionless", see `scene`.
         ax: where to draw; a new figure by default.
@@ -88,25 +88,25 @@ def shapes(result: Result, at: Any = None, *, whole: bool = True, units: str = "
         The Axes.
 
     Raises:
-        ValueError: if `result` is not the Result of one scan, `at` is not finite numbers, or `units` is invalid.
+        ValueError: if `result` is not that of one scan or simulation, `at` is not finite numbers, or `units` is
+            invalid.
     """
-    check_one_scan(result)
-    system = UnitSystem(result.scene, units)
+    system = UnitSystem(check_one_run(result).scene, units)
     steps = _steps_across(result) if at is None else _steps_at(result, at)
     ax = one_axes(ax)
     _draw_states([drawing_at(result, step) for step in steps], system, whole, ax)
     if len(steps) <= MOST_LISTED:
-        # To a thousandth of L for one step, to a hundredth for several.
-        digits = max(decimals(system) - (len(steps) > 1), 0)
-        listed = ", ".join(f"{control:.{digits}f}" for control in system.shown("control", result.control)[steps])
-        title(ax, f"{system.label('control')}: {listed.replace('-', MINUS)}")
+        # To a thousandth of L or T for one step, to a hundredth for several.
+        over = abscissa(result)
+        digits = max(decimals(system, over) - (len(steps) > 1), 0)
+        listed = ", ".join(f"{place:.{digits}f}" for place in system.shown(over, places(result, over))[steps])
+        title(ax, f"{system.label(over)}: {listed.replace('-', MINUS)}")
     return ax
 
 
-def decimals(system: UnitSystem) -> int:
-    """Decimals that resolve about a thousandth of L along the control."""
-    kind = control_kind(system.scene)
-    return max(3 - round(np.log10(system.scale(kind))), 0)
+def decimals(system: UnitSystem, over: str = "control") -> int:
+    """Decimals that resolve about a thousandth of L along the control, or of T."""
+    return max(3 - round(np.log10(system.scale(kind_of(over, system.scene)))), 0)
 
 
 def profile(shape: AbstractProfile, *, length: float = 1.0, whole: bool = True, ax: Axes | None = None) -> Axes:
@@ -181,26 +181,27 @@ def same_window(axs: Iterable[Axes]) -> None:
         ax.set(xlim=(left.min(), right.max()), ylim=(bottom.min(), top.max()))
 
 
-def in_words(result: Result, at: float) -> str:
-    """Phases of all whiskers at a position of the drive, such as "1: tip, 2: free".
+def in_words(result: Run, at: float) -> str:
+    """Phases of all whiskers at a position of the drive, or time, such as "1: tip, 2: free".
 
     Args:
-        result: result of `scan`.
-        at: drive position in the scene's unit; the nearest step is described.
+        result: result of `scan` or `simulate`.
+        at: drive position or time in the scene's unit; the nearest step is described.
 
     Raises:
-        ValueError: if `result` is not the Result of one scan or `at` is not a finite number.
+        ValueError: if `result` is not that of one scan or simulation, or `at` is not a finite number.
     """
-    (step,) = _steps_at(check_one_scan(result), at)
+    (step,) = _steps_at(check_one_run(result), at)
     return ", ".join(f"{k + 1}: {Phase(int(p)).name}" for k, p in enumerate(np.asarray(result.phase)[step]))
 
 
-def _steps_at(result: Result, at: Any) -> list[int]:
+def _steps_at(result: Run, at: Any) -> list[int]:
     (checks.vector if np.ndim(at) else checks.number)("at", at)
-    return [int(np.argmin(np.abs(np.asarray(result.control) - u))) for u in np.atleast_1d(np.asarray(at, dtype=float))]
+    all_places = places(result, abscissa(result))
+    return [int(np.argmin(np.abs(all_places - one))) for one in np.atleast_1d(np.asarray(at, dtype=float))]
 
 
-def _steps_across(result: Result) -> list[int]:
+def _steps_across(result: Run) -> list[int]:
     """Evenly spaced steps with contact, or known ones if there is no contact, in the order of time."""
     forces = np.asarray(result.contact_force)
     known = np.flatnonzero(np.isfinite(forces).all(axis=1))
@@ -210,9 +211,10 @@ def _steps_across(result: Result) -> list[int]:
 
 
 def draw_object(system: UnitSystem, ax: Axes, *, whole: bool = True) -> None:
-    """Draw the object of a scene and, if all bases move along x only, the line on which they move."""
+    """Draw the objects of a scene and, if all bases move along x only, the line on which they move."""
     lengths = system.unit("base_x").size
-    _draw_object(system.scene.profile, lengths * system.scale("length"), lengths, whole, ax)
+    for one in objects_of(system.scene):
+        _draw_object(one, lengths * system.scale("length"), lengths, whole, ax)
     if moves_along_x(system.scene):
         ax.axhline(0, color=SUPPORT, linewidth=0.5, alpha=0.5, zorder=0)
     ax.set(xlabel=system.label_of("x", "length"), ylabel=system.label_of("y", "length"))
@@ -267,8 +269,8 @@ def _set_window(drawn: Sequence[Drawing], system: UnitSystem, ax: Axes) -> None:
     parts = [one.extent(springs=one is drawn[-1]) for one in drawn]
     x, y = (np.concatenate(coordinate) for coordinate in zip(*parts, strict=True))
     scale = system.scale("length")
-    heights = [one.vertex()[1] for one in system.scene.profile.objects]
-    vertex = max(float(system.shown("contact_y", height)) for height in heights) / scale
+    heights = [one.vertex()[1] for one in objects_of(system.scene)]
+    vertex = max((float(system.shown("contact_y", height)) for height in heights), default=0.0) / scale
     if x.size:
         middle, reach = (x.min() + x.max()) / 2, max(np.ptp(x) / 2 + WINDOW_MARGIN, NARROWEST / 2)
         ax.set_xlim(scale * (middle - reach), scale * (middle + reach))

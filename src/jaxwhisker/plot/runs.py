@@ -1,0 +1,97 @@
+"""What figures and films need of a run: a scan, drawn over the control, or a simulation, drawn over time."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxwhisker._base import checks
+from jaxwhisker._dynamics.simulation import Simulation
+from jaxwhisker._scan.quantities import DRAWN, MOTION
+from jaxwhisker._scan.result import Event, Result, check_one_scan
+from jaxwhisker._scan.shapes import Shapes
+from jaxwhisker._scan.state import State, state_of
+
+Run = Result | Simulation
+
+
+def check_one_run(result: Any) -> Run:
+    """Check that `result` is the result of a single scan or a single simulation, and return it.
+
+    Raises:
+        ValueError: if it is not, or if it is a batch.
+    """
+    if not isinstance(result, Simulation):
+        return check_one_scan(result)
+    if np.ndim(result.time) != 1:
+        raise ValueError(
+            "`result` must be a single simulation, got a batch of shape "
+            f"{np.shape(result.time)[:-1]}: select one, such as jax.tree.map(lambda leaf: leaf[0], result)."
+        )
+    return result
+
+
+def abscissa(*runs: Run) -> str:
+    """Name of the quantity on the horizontal axis: "time" if all are simulations, else "control"."""
+    return "time" if all(isinstance(run, Simulation) for run in runs) else "control"
+
+
+def places(run: Run, over: str) -> Float[np.ndarray, " steps"]:
+    """Control or time at all steps; times are known even where a simulation has failed."""
+    values = np.asarray(getattr(run, over), dtype=float)
+    if over == "time" and values.size > 1 and np.isfinite(values[1]):
+        return values[0] + (values[1] - values[0]) * np.arange(values.size)
+    return values
+
+
+def check_quantity(quantity: Any, *runs: Run) -> None:
+    """Check that a quantity of these runs can be drawn over the control or time."""
+    allowed = DRAWN
+    if runs and abscissa(*runs) == "time":
+        allowed = (*DRAWN, *(name for name in MOTION if name != "time"))
+    if quantity not in allowed:
+        checks.fail("quantity", f"one of {', '.join(allowed)}", repr(quantity))
+
+
+def events_of(run: Run) -> list[Event]:
+    """The events of a run; those of a simulation with the samples before and after them."""
+    if isinstance(run, Result):
+        return list(run.events)
+    states, last = jax.tree.map(np.asarray, state_of(run)), np.size(run.time) - 1
+    events = []
+    for event in run.events:
+        after = int(np.clip(np.searchsorted(places(run, "time"), event.time), min(1, last), last))
+        ends = (jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in (max(after - 1, 0), after))
+        events.append(Event(event.kind, (event.whisker,), event.control, *ends))
+    return events
+
+
+def places_of_events(run: Run, over: str) -> Float[np.ndarray, " events"]:
+    """Control or time of each event."""
+    return np.asarray(getattr(run.events, over), dtype=float)[: len(run.events)]
+
+
+def progress(run: Run) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, " events"]]:
+    """A quantity that never decreases, at all steps and at all events: the travel of the drive, or time."""
+    if isinstance(run, Simulation):
+        return places(run, "time"), places_of_events(run, "time")
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(np.asarray(run.control))))])
+    return travel, places_of_events(run, "travel")
+
+
+def states_at(run: Run, steps: int | Int[np.ndarray, " steps"]) -> State:
+    """States at steps of a scan or samples of a simulation."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[steps], state_of(run))
+
+
+def lines_of_motion(motion: Simulation, samples: Iterable[int], *, points: int) -> Shapes:
+    """Centre lines (samples, whiskers, points) of a simulation, which follow from its shape functions."""
+    index = np.asarray(list(samples), dtype=int)
+    fields = {
+        name: getattr(motion, name) for name in Simulation.__dataclass_fields__ if name not in ("events", "scene")
+    }
+    sampled = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), fields)
+    return jax.tree.map(np.asarray, Simulation(**sampled, events=motion.events, scene=motion.scene).shapes(points))
