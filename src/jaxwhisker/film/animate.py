@@ -5,8 +5,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxwhisker._base import checks
 from jaxwhisker._dynamics.simulation import Simulation
+from jaxwhisker._path.path import Status
 from jaxwhisker._scan.quantities import UnitSystem, check_units
 from jaxwhisker.plot.runs import Run, check_one_run, places
 
@@ -92,6 +95,7 @@ def animate(
 
     seconds = _seconds(check_one_run(result), seconds, speed)
     path = check(path, seconds, fps, width, units)
+    _check_begun(result)
     if path is None:
         kind = "video/mp4" if writers.has_ffmpeg() else "image/gif"
         with tempfile.TemporaryDirectory() as folder:
@@ -120,6 +124,12 @@ def _seconds(result: Run, seconds: float | None, speed: float | None) -> float:
     if seconds > LONGEST:
         checks.fail("speed", f"at least {least:.3g} for a film of at most {LONGEST:g} seconds", f"{speed:g}")
     return seconds
+
+
+def _check_begun(result: Run) -> None:
+    status = int(np.asarray(result.status)[0])
+    if isinstance(result, Simulation) and status != Status.ok:
+        checks.fail("result", "a simulation whose first sample is ok", f"the status {Status(status).name}")
 
 
 def _duration(motion: Simulation) -> float:

@@ -120,12 +120,12 @@ def frames(result: Run, count: int) -> tuple[Frames, list[Mark]]:
 
 
 def _until_failure(shown: Int[np.ndarray, " all"], status: Int[np.ndarray, " all"]) -> tuple[np.ndarray, np.ndarray]:
-    """The samples of a simulation before it fails; the last one has the status of the failure."""
+    """The samples of a simulation before it fails, at least one; the last one has the status of the failure."""
     failed = np.flatnonzero(status != Status.ok)
     if not failed.size:
         return shown, status
-    last = max(int(failed[0]), 1)
-    return shown[:last], np.append(status[: last - 1], status[failed[0]])
+    last = failed[0]
+    return shown[:last], np.append(status[: last - 1], status[last])
 
 
 def _flows(result: Run, snaps: Sequence[int]) -> list[State]:
