@@ -1,6 +1,6 @@
 """Draw the figures of docs/dynamics.md and print the numbers beside them: python figures/dynamics.py
 
-Writes docs/dynamics_ring_down.png, dynamics_sweep.png and dynamics_convergence.png.
+Writes docs/dynamics_ring_down.png, dynamics_sweep.png, dynamics_convergence.png and dynamics_film.gif.
 """
 
 from pathlib import Path
@@ -82,6 +82,14 @@ def sweeps(result: jw.Result) -> None:
         print(f"speed {speed}: contact lost {snap.control - left.control:.4f} later; mz off by {rms:.1e} of its peak")
 
 
+def film(result: jw.Result) -> None:
+    """A clamped whisker snaps off and rings down."""
+    drive = np.array([-1.15, -1.4])
+    motion = jw.simulate(SCENE, drive, 2.5, start=result, steps=2500, every=5, stiffness_damping=DAMPING)
+    path = jw.animate(motion, DOCS / "dynamics_film.gif", speed=0.4, fps=20, width=640)
+    print(f"{path}: {Path(path).stat().st_size / 1e6:.2f} MB")
+
+
 class Smooth:
     """A drive that starts and stops smoothly."""
 
@@ -135,6 +143,7 @@ def main() -> None:
     ring_down(snap)
     sweeps(result)
     convergence(snap)
+    film(result)
 
 
 if __name__ == "__main__":

@@ -59,6 +59,24 @@ def failed(result, steps):
     return jw.Result(**jax.tree.map(fail, fields), **kept)
 
 
+def swept():
+    """A simulated sweep across the object, in a unit of time of 0.5."""
+    scene = jw.Scene(jw.Whisker(mass_per_length=0.25), jw.Parabola(0.2), jw.Support.fb(70.0))
+    return jw.simulate(scene, np.array([0.75, -1.6]), 3.0, steps=300, every=3, stiffness_damping=0.05, shapes=5)
+
+
+def failed_motion(motion, first):
+    """The same simulation, which fails at a sample."""
+
+    def fail(leaf):
+        return leaf.at[first:].set(jnp.nan if eqx.is_inexact_array(leaf) else 0)
+
+    fields = {name: getattr(motion, name) for name in jw.Simulation.__dataclass_fields__}
+    kept = {name: fields.pop(name) for name in ("status", "events", "scene")}
+    kept["status"] = kept["status"].at[first:].set(jw.Status.lost)
+    return jw.Simulation(**jax.tree.map(fail, fields), **kept)
+
+
 def there_and_back(result):
     """A scan whose drive reverses at its last step and passes through the same states."""
     steps = np.r_[0 : result.control.size, result.control.size - 2 : -1 : -1]

@@ -4,7 +4,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker.film.frames import frames
-from pictured import FILM_STEPS
+from pictured import FILM_STEPS, swept
 
 
 def scanned(stiffness, length=1.0, bending_stiffness=1.0):
@@ -17,6 +17,12 @@ def scanned(stiffness, length=1.0, bending_stiffness=1.0):
             rod=jw.ClosedForm(),
         )
     )
+
+
+@pytest.fixture(scope="session")
+def motion():
+    """A simulation: touches, bounces, slides along the object and is released."""
+    return swept()
 
 
 @pytest.fixture(scope="session")

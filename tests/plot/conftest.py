@@ -4,7 +4,13 @@ import pytest
 from matplotlib import pyplot, rcParams
 
 import jaxwhisker as jw
-from pictured import ANGLES, CONTROL, LENGTH, STIFFNESS, coupled, turning
+from pictured import ANGLES, CONTROL, LENGTH, STIFFNESS, coupled, swept, turning
+
+
+@pytest.fixture(scope="session")
+def motion():
+    """A simulation: touches, bounces, slides along the object and is released."""
+    return swept()
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,6 @@
 """What figures and films need of a run: a scan, drawn over the control, or a simulation, drawn over time."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -87,9 +87,9 @@ def states_at(run: Run, steps: int | Int[np.ndarray, " steps"]) -> State:
     return jax.tree.map(lambda leaf: np.asarray(leaf)[steps], state_of(run))
 
 
-def lines_of_motion(motion: Simulation, samples: Iterable[int], *, points: int) -> Shapes:
+def lines_of_motion(motion: Simulation, samples: Sequence[int] | Int[np.ndarray, " samples"], *, points: int) -> Shapes:
     """Centre lines (samples, whiskers, points) of a simulation, which follow from its shape functions."""
-    index = np.asarray(list(samples), dtype=int)
+    index = np.asarray(samples, dtype=int)
     fields = {
         name: getattr(motion, name) for name in Simulation.__dataclass_fields__ if name not in ("events", "scene")
     }
