@@ -2,7 +2,8 @@
 
 No function sets a global style or opens a window. Scenes with L = EI = 1 are drawn dimensionless, in L and EI of the
 first whisker; other scenes in SI units with prefixes (mm, mN, mN mm). `units` overrides this choice. The control
-increases to the right, as x does in figures of states. Signals of simulations are drawn over time. A whisker has the same colour in all figures.
+increases to the right, as x does in figures of states. Signals of simulations are drawn over time. A whisker has the
+same colour in all figures.
 """
 
 from jaxwhisker._scan.quantities import DRAWN as QUANTITIES
