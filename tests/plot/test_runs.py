@@ -1,7 +1,7 @@
 """Figures of simulations: time on the axis, shapes, events, failures."""
 
 # pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false, reportArgumentType=false
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportIndexIssue=false, reportOperatorIssue=false
 
 import jax
 import numpy as np
