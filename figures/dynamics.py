@@ -87,8 +87,9 @@ def film(result: jw.Result) -> None:
     motion = jw.simulate(
         SCENE, lambda t: -1.15 - 0.05 * t**2, 2.5, start=result, steps=2500, every=5, stiffness_damping=DAMPING
     )
-    path = jw.animate(motion, DOCS / "dynamics_film.gif", speed=0.4, fps=20, width=640)
-    print(f"{path}: {Path(path).stat().st_size / 1e6:.2f} MB")
+    path = DOCS / "dynamics_film.gif"
+    jw.animate(motion, path, speed=0.4, fps=20, width=640)
+    print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
 
 
 class Smooth:
