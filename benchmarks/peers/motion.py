@@ -14,8 +14,13 @@ class RingDown:
     """Let go at rest from an equilibrium under a force at its tip."""
 
     reaction: tuple[float, float, float]  # fx, fy, mz of the support before
-    duration: float = 0.5
-    samples: int = 100
+    duration: float = 1.0
+    samples: int = 200
+
+    @property
+    def step(self) -> float:
+        """Time between two samples."""
+        return self.duration / self.samples
 
     def shape(self, arcs: np.ndarray) -> np.ndarray:
         """Initial x, y and angle at ascending arc lengths from 0, (points, 3), with the base at the origin."""
@@ -53,3 +58,8 @@ class Sweep:
     def duration(self) -> float:
         """Time of the sweep."""
         return (self.start - self.stop) / self.speed
+
+    @property
+    def step(self) -> float:
+        """Time between two samples."""
+        return self.duration / self.samples

@@ -43,7 +43,7 @@ def model(links: int, dt: float, integrator: str, damping: float = 0.0, sweep: S
 
 def ring_down(motion: RingDown, links: int, steps: int, integrator: str) -> np.ndarray:
     """Tip x, y at all samples, (samples + 1, 2)."""
-    chain = model(links, motion.duration / motion.samples / steps, integrator)
+    chain = model(links, motion.step / steps, integrator)
     data = mujoco.MjData(chain)
     ends = motion.shape(np.array([0.0, *((np.arange(links) + 0.5) / links), 1.0]))[:, :2]
     chords = np.diff(ends, axis=0)
@@ -61,7 +61,7 @@ def ring_down(motion: RingDown, links: int, steps: int, integrator: str) -> np.n
 
 def sweep(motion: Sweep, links: int, steps: int, integrator: str) -> np.ndarray:
     """Support reactions fx, fy, mz at all samples but the first, (samples, 3)."""
-    chain = model(links, motion.duration / motion.samples / steps, integrator, motion.stiffness_damping, motion)
+    chain = model(links, motion.step / steps, integrator, motion.stiffness_damping, motion)
     data = mujoco.MjData(chain)
     data.qvel[-1] = motion.speed
     reactions = []

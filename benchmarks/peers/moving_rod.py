@@ -1,0 +1,129 @@
+"""PyElastica: the Cosserat rod in motion.
+
+The clamp holds the first node and the first element, so the element that is clamped reaches from half its length before
+the base to half its length behind it; the error is then of second order. A thin rod stretches and shears little, and its
+cross-sections have little rotary inertia, but time steps are proportional to its radius. Contact is a user-defined force
+between the circle and the straight elements: RodSphereContact locates the element up to one element too far.
+"""
+
+import elastica as ea
+import numpy as np
+from numba import njit
+
+from peers.motion import RingDown, Sweep
+
+
+class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):
+    pass
+
+
+@njit(cache=True)
+def _push(force, position, x, y, radius, stiffness):
+    """Add the forces that push all elements out of the circle, shared by their nodes."""
+    last = position.shape[1] - 2
+    for k in range(last + 1):
+        along_x, along_y = position[0, k + 1] - position[0, k], position[1, k + 1] - position[1, k]
+        share = (x - position[0, k]) * along_x + (y - position[1, k]) * along_y
+        share /= along_x**2 + along_y**2
+        if (share <= 0 and k > 0) or (share >= 1 and k < last):
+            continue  # a neighbour is closer
+        share = min(max(share, 0.0), 1.0)
+        away_x, away_y = position[0, k] + share * along_x - x, position[1, k] + share * along_y - y
+        apart = np.sqrt(away_x**2 + away_y**2)
+        if apart < radius:
+            size = stiffness * (radius / apart - 1)
+            force[0, k] += (1 - share) * size * away_x
+            force[1, k] += (1 - share) * size * away_y
+            force[0, k + 1] += share * size * away_x
+            force[1, k + 1] += share * size * away_y
+
+
+class _Object(ea.NoForces):
+    """Push elements out of the circle."""
+
+    def __init__(self, scene, stiffness):
+        super().__init__()
+        self.circle, self.stiffness = (0.0, scene.distance + scene.radius, scene.radius), stiffness
+
+    def apply_forces(self, system, time=0.0):
+        _push(system.external_forces, system.position_collection, *self.circle, self.stiffness)
+
+
+class _Clamp(ea.ConstraintBase):
+    """Hold the first node and element and move them along x at a constant speed."""
+
+    def __init__(self, position, director, velocity, **kwargs):
+        super().__init__(**kwargs)
+        self.position, self.director, self.velocity = np.array(position), np.array(director), velocity
+
+    def constrain_values(self, system, time):
+        system.position_collection[..., 0] = self.position
+        system.position_collection[0, 0] += self.velocity * time
+        system.director_collection[..., 0] = self.director
+
+    def constrain_rates(self, system, time):
+        system.velocity_collection[..., 0] = 0.0
+        system.velocity_collection[0, 0] = self.velocity
+        system.omega_collection[..., 0] = 0.0
+
+
+def _rod(elements: int, radius: float, x: float) -> ea.CosseratRod:
+    h = 1 / (elements - 0.5)
+    return ea.CosseratRod.straight_rod(
+        elements,
+        start=np.array([x, -h / 2, 0.0]),
+        direction=np.array([0.0, 1.0, 0.0]),
+        normal=np.array([0.0, 0.0, 1.0]),
+        base_length=elements * h,
+        base_radius=radius,
+        density=1 / (np.pi * radius**2),
+        youngs_modulus=4 / (np.pi * radius**4),
+    )
+
+
+def _clamped(rod: ea.CosseratRod, velocity: float) -> _Simulator:
+    simulator = _Simulator()
+    simulator.append(rod)
+    simulator.constrain(rod).using(
+        _Clamp, constrained_position_idx=(0,), constrained_director_idx=(0,), velocity=velocity
+    )
+    return simulator
+
+
+def ring_down(motion: RingDown, elements: int, radius: float, steps: int) -> np.ndarray:
+    """Tip x, y at all samples, (samples + 1, 2)."""
+    rod = _rod(elements, radius, 0.0)
+    h = 1 / (elements - 0.5)
+    angle = motion.shape(h * np.arange(elements))[:, 2]  # at the middles of the elements
+    tangent = np.stack([np.cos(angle), np.sin(angle), np.zeros(elements)])
+    rod.position_collection[:, 1:] = rod.position_collection[:, :1] + np.cumsum(h * tangent, axis=1)
+    rod.director_collection[1] = np.stack([-tangent[1], tangent[0], tangent[2]])
+    rod.director_collection[2] = tangent
+    simulator = _clamped(rod, 0.0)
+    simulator.finalize()
+    stepper, time, dt, tip = ea.PositionVerlet(), np.float64(0.0), np.float64(motion.step / steps), []
+    for k in range(motion.samples + 1):
+        for _ in range(steps if k else 0):
+            time = stepper.step(simulator, time, dt)
+        tip.append(rod.position_collection[:2, -1].copy())
+    return np.array(tip)
+
+
+def sweep(motion: Sweep, elements: int, radius: float, steps: int, stiffness: float) -> np.ndarray:
+    """Support reactions fx, fy, mz at all samples but the first, (samples, 3)."""
+    rod = _rod(elements, radius, motion.start)
+    rod.velocity_collection[0] = -motion.speed
+    simulator = _clamped(rod, -motion.speed)
+    dt = np.float64(motion.step / steps)
+    simulator.dampen(rod).using(ea.AnalyticalLinearDamper, uniform_damping_constant=motion.mass_damping, time_step=dt)
+    simulator.add_forcing_to(rod).using(_Object, motion.scene, stiffness)
+    simulator.finalize()
+    stepper, time, reactions = ea.PositionVerlet(), np.float64(0.0), []
+    for _ in range(motion.samples):
+        for _ in range(steps):
+            time = stepper.step(simulator, time, dt)
+        # The force at the base, in the middle of the first element, and the moment half an element behind it.
+        x, y, _ = rod.director_collection[..., 0].T @ rod.internal_stress[:, 0]
+        bending = rod.bend_matrix[0, 0, 0] * rod.kappa[0, 0]
+        reactions.append((-x, -y, -bending + x / (2 * (elements - 0.5))))
+    return np.array(reactions)
