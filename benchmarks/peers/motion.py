@@ -1,26 +1,22 @@
 """Motions that every simulator computes: a clamped whisker, L = EI = rho A = 1, let go or dragged past a circle."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from peers.scene import Circle
 
-SUBSTEPS = 8  # Runge-Kutta steps between two arc lengths
+SUBSTEPS = 4  # Runge-Kutta steps between two arc lengths
 
 
 @dataclass(frozen=True)
 class RingDown:
-    """Let go at rest from an equilibrium under a force at its tip."""
+    """Let go at rest from an equilibrium under a force at its tip, without damping."""
 
     reaction: tuple[float, float, float]  # fx, fy, mz of the support before
     duration: float = 1.0
     samples: int = 200
-
-    @property
-    def step(self) -> float:
-        """Time between two samples."""
-        return self.duration / self.samples
 
     def shape(self, arcs: np.ndarray) -> np.ndarray:
         """Initial x, y and angle at ascending arc lengths from 0, (points, 3), with the base at the origin."""
@@ -46,20 +42,20 @@ class RingDown:
 class Sweep:
     """Dragged past a circle at constant speed, from clear of it to after the release; at rest relative to the base."""
 
-    scene: Circle = Circle()
-    start: float = 1.0
+    stiffness_damping: float = 0.0  # time constant of the material
+    mass_damping: float = 0.0  # drag of still air, per mass
+    start: float = 1.0  # base position
     stop: float = -1.8
     speed: float = 0.2
-    samples: int = 700
-    stiffness_damping: float = 0.0  # time constant of the material
-    mass_damping: float = 0.0
+    samples: int = 350
+    scene: Circle = field(default_factory=Circle)
 
     @property
     def duration(self) -> float:
         """Time of the sweep."""
         return (self.start - self.stop) / self.speed
 
-    @property
-    def step(self) -> float:
-        """Time between two samples."""
-        return self.duration / self.samples
+
+def substeps(motion: RingDown | Sweep, largest: float) -> int:
+    """Number of time steps between two samples if a step has a largest size."""
+    return math.ceil(motion.duration / motion.samples / largest)

@@ -1,16 +1,23 @@
 """PyElastica: the Cosserat rod in motion.
 
-The clamp holds the first node and the first element, so the element that is clamped reaches from half its length before
-the base to half its length behind it; the error is then of second order. A thin rod stretches and shears little, and its
-cross-sections have little rotary inertia, but time steps are proportional to its radius. Contact is a user-defined force
-between the circle and the straight elements: RodSphereContact locates the element up to one element too far.
+The clamp holds the first node and the first element. This element reaches from half its length before the base to half
+its length behind it, which makes the error second order. The thinner the rod, the less it stretches and shears and the
+smaller the rotary inertia of its cross-sections, but the largest stable time step falls with the square of the radius.
+
+Contact is a user-defined force between the circle and the straight elements, because RodSphereContact locates the
+element up to one element too far. It has a damper, and a LaplaceDissipationFilter damps the highest frequencies;
+without them, contacts chatter when they pass from element to element.
 """
 
 import elastica as ea
 import numpy as np
 from numba import njit
 
-from peers.motion import RingDown, Sweep
+from peers.motion import RingDown, Sweep, substeps
+
+LARGEST = 0.7  # time step, relative to the estimated limit of stability
+DAMPED = 0.3  # damper of a contact, relative to critical damping of a node
+FILTER_ORDER = 5
 
 
 class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):
@@ -18,8 +25,8 @@ class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping
 
 
 @njit(cache=True)
-def _push(force, position, x, y, radius, stiffness):
-    """Add the forces that push all elements out of the circle, shared by their nodes."""
+def _push(force, position, velocity, x, y, radius, stiffness, damping):
+    """Add the forces that push all elements out of the circle, shared by their nodes; they never pull."""
     last = position.shape[1] - 2
     for k in range(last + 1):
         along_x, along_y = position[0, k + 1] - position[0, k], position[1, k + 1] - position[1, k]
@@ -31,7 +38,10 @@ def _push(force, position, x, y, radius, stiffness):
         away_x, away_y = position[0, k] + share * along_x - x, position[1, k] + share * along_y - y
         apart = np.sqrt(away_x**2 + away_y**2)
         if apart < radius:
-            size = stiffness * (radius / apart - 1)
+            speed_x = (1 - share) * velocity[0, k] + share * velocity[0, k + 1]
+            speed_y = (1 - share) * velocity[1, k] + share * velocity[1, k + 1]
+            speed = (speed_x * away_x + speed_y * away_y) / apart
+            size = max(stiffness * (radius - apart) - damping * speed, 0.0) / apart
             force[0, k] += (1 - share) * size * away_x
             force[1, k] += (1 - share) * size * away_y
             force[0, k + 1] += share * size * away_x
@@ -41,12 +51,14 @@ def _push(force, position, x, y, radius, stiffness):
 class _Object(ea.NoForces):
     """Push elements out of the circle."""
 
-    def __init__(self, scene, stiffness):
+    def __init__(self, scene, stiffness, damping):
         super().__init__()
-        self.circle, self.stiffness = (0.0, scene.distance + scene.radius, scene.radius), stiffness
+        self.circle = (0.0, scene.distance + scene.radius, scene.radius)
+        self.stiffness, self.damping = stiffness, damping
 
     def apply_forces(self, system, time=0.0):
-        _push(system.external_forces, system.position_collection, *self.circle, self.stiffness)
+        place = system.position_collection, system.velocity_collection
+        _push(system.external_forces, *place, *self.circle, self.stiffness, self.damping)
 
 
 class _Clamp(ea.ConstraintBase):
@@ -90,7 +102,12 @@ def _clamped(rod: ea.CosseratRod, velocity: float) -> _Simulator:
     return simulator
 
 
-def ring_down(motion: RingDown, elements: int, radius: float, steps: int) -> np.ndarray:
+def _largest_step(elements: int, radius: float) -> float:
+    """Limits of shear in an element, and of longitudinal waves and bending."""
+    return LARGEST * min(0.88 * radius**2, radius / (2 * elements))
+
+
+def ring_down(motion: RingDown, elements: int, radius: float) -> np.ndarray:
     """Tip x, y at all samples, (samples + 1, 2)."""
     rod = _rod(elements, radius, 0.0)
     h = 1 / (elements - 0.5)
@@ -101,7 +118,9 @@ def ring_down(motion: RingDown, elements: int, radius: float, steps: int) -> np.
     rod.director_collection[2] = tangent
     simulator = _clamped(rod, 0.0)
     simulator.finalize()
-    stepper, time, dt, tip = ea.PositionVerlet(), np.float64(0.0), np.float64(motion.step / steps), []
+    steps = substeps(motion, _largest_step(elements, radius))
+    dt = np.float64(motion.duration / motion.samples / steps)
+    stepper, time, tip = ea.PositionVerlet(), np.float64(0.0), []
     for k in range(motion.samples + 1):
         for _ in range(steps if k else 0):
             time = stepper.step(simulator, time, dt)
@@ -109,21 +128,25 @@ def ring_down(motion: RingDown, elements: int, radius: float, steps: int) -> np.
     return np.array(tip)
 
 
-def sweep(motion: Sweep, elements: int, radius: float, steps: int, stiffness: float) -> np.ndarray:
+def sweep(motion: Sweep, elements: int, radius: float) -> np.ndarray:
     """Support reactions fx, fy, mz at all samples but the first, (samples, 3)."""
     rod = _rod(elements, radius, motion.start)
     rod.velocity_collection[0] = -motion.speed
     simulator = _clamped(rod, -motion.speed)
-    dt = np.float64(motion.step / steps)
+    steps = substeps(motion, _largest_step(elements, radius))
+    dt = np.float64(motion.duration / motion.samples / steps)
+    stiffness = 100 / radius**2  # 25 EA / L
+    damping = 2 * DAMPED * np.sqrt(stiffness / elements)
     simulator.dampen(rod).using(ea.AnalyticalLinearDamper, uniform_damping_constant=motion.mass_damping, time_step=dt)
-    simulator.add_forcing_to(rod).using(_Object, motion.scene, stiffness)
+    simulator.dampen(rod).using(ea.LaplaceDissipationFilter, filter_order=FILTER_ORDER)
+    simulator.add_forcing_to(rod).using(_Object, motion.scene, stiffness, damping)
     simulator.finalize()
     stepper, time, reactions = ea.PositionVerlet(), np.float64(0.0), []
     for _ in range(motion.samples):
         for _ in range(steps):
             time = stepper.step(simulator, time, dt)
-        # The force at the base, in the middle of the first element, and the moment half an element behind it.
+        # The force in the middle of the first element, at the base, and the moment extrapolated to it.
         x, y, _ = rod.director_collection[..., 0].T @ rod.internal_stress[:, 0]
-        bending = rod.bend_matrix[0, 0, 0] * rod.kappa[0, 0]
-        reactions.append((-x, -y, -bending + x / (2 * (elements - 0.5))))
+        first, second = rod.bend_matrix[0, 0, :2] * rod.kappa[0, :2]
+        reactions.append((-x, -y, (second - 3 * first) / 2))
     return np.array(reactions)
