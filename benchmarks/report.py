@@ -101,7 +101,8 @@ def motion_best() -> str:
     for row in read("motion")["rows"]:
         if row["method"] in ("MuJoCo", "PyElastica"):
             key = row["case"], row["method"]
-            best[key] = min(row, best.get(key, row), key=lambda row: row["error"])
+            if key not in best or row["error"] < best[key]["error"]:
+                best[key] = row
     kept = []
     for (case, method), row in best.items():
         ours = motion_time(case, row["error"])

@@ -5,8 +5,9 @@ the origin. A sweep moves the object instead, whose large mass keeps its speed; 
 both frames. `mj_rnePostConstraint` yields the reaction at the base.
 
 Without damping and contact, semi-implicit Euler steps (symplectic) need less time than RK4 for the same error. In the
-sweep, the integrator `discrete` (implicit in stiffness, damping and contact) has smaller errors than `implicitfast`,
-and RK4 is unstable. Harder contacts flicker when they pass from link to link, softer ones hold the whisker too late.
+sweep, the integrator `discrete` (implicit in stiffness, damping and contact) has smaller errors than `implicitfast`;
+RK4 is explicit in the damping and needs far smaller steps. Harder contacts flicker when they pass from link to link,
+and softer ones yield.
 """
 
 import mujoco
