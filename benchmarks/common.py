@@ -23,8 +23,8 @@ PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "numpy")
 DIGITS = 8  # significant digits of stored numbers
 
 
-def environment() -> dict[str, str]:
-    """Machine, cores, load, versions and date."""
+def environment(*packages: str) -> dict[str, str]:
+    """Machine, cores, load, versions (also those of further packages) and date."""
     model = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -37,7 +37,7 @@ def environment() -> dict[str, str]:
         "cores": str(os.cpu_count()),
         "load": f"{os.getloadavg()[0]:.1f}",
         "python": platform.python_version(),
-        **{name: version(name) for name in PACKAGES},
+        **{name: version(name) for name in (*PACKAGES, *packages)},
     }
 
 
@@ -77,11 +77,11 @@ def read(name: str) -> dict:
     return {"environment": stored["environment"], "rows": rows}
 
 
-def write(name: str, rows: list[dict]) -> None:
-    """Print the rows as a table and store them with the environment."""
+def write(name: str, rows: list[dict], *packages: str) -> None:
+    """Print the rows as a table and store them with the environment, in which further packages may be named."""
     print(table(rows))
     RESULTS.mkdir(exist_ok=True)
-    (RESULTS / f"{name}.json").write_text(serialised(environment(), rows))
+    (RESULTS / f"{name}.json").write_text(serialised(environment(*packages), rows))
 
 
 def serialised(surroundings: dict[str, str], rows: list[dict]) -> str:

@@ -84,6 +84,65 @@ def speed_up() -> str:
     return table(kept)
 
 
+def motion_time(case: str, error: float) -> dict:
+    """The fastest setting of `simulate` whose error in this case is not larger.
+
+    Errors below twice the difference between two references count as equal.
+    """
+    rows = [row for row in read("motion")["rows"] if row["case"] == case]
+    known = next(row["error"] for row in rows if "check" in row["method"])
+    enough = [row for row in rows if row["method"] == "jaxwhisker" and row["error"] <= max(error, 2 * known)]
+    return min(enough, key=lambda row: row["time, s"])
+
+
+def motion_best() -> str:
+    """The smallest error of each simulator of motion beside the fastest setting of `simulate` that reaches it."""
+    best: dict[tuple, dict] = {}
+    for row in read("motion")["rows"]:
+        if row["method"] in ("MuJoCo", "PyElastica"):
+            key = row["case"], row["method"]
+            if key not in best or row["error"] < best[key]["error"]:
+                best[key] = row
+    kept = []
+    for (case, method), row in best.items():
+        ours = motion_time(case, row["error"])
+        kept.append({
+            "case": case,
+            "smallest error of": f"{method}, {row['setting']}",
+            "error": row["error"],
+            "time, s": row["time, s"],
+            "`simulate`": ours["setting"],
+            "its error": ours["error"],
+            "its time, s": ours["time, s"],
+            "ratio": row["time, s"] / ours["time, s"],
+        })  # fmt: skip
+    return table(kept)
+
+
+def motion() -> str:
+    """Every simulator of motion at every setting, and checks of the reference."""
+    e, kept = read("motion")["environment"], []
+    for row in read("motion")["rows"]:
+        other = row["method"] in ("MuJoCo", "PyElastica")
+        kept.append({
+            "case": row["case"],
+            "method": row["method"],
+            "setting": row["setting"],
+            "time, s": row["time, s"],
+            "first call, s": row["first call, s"],
+            "error": row["error"],
+            "time / that of `simulate` at this error": (
+                row["time, s"] / motion_time(row["case"], row["error"])["time, s"] if other else None
+            ),
+            "mz, means of 0.2 T": row["error of means"],
+            "mz, largest": row["largest"],
+            "fx": row["fx"],
+            "fy": row["fy"],
+        })  # fmt: skip
+    others = ", ".join(f"{name} {e[name]}" for name in ("mujoco", "pyelastica", "numba"))
+    return f"{table(kept)}\n\n{environment('motion')[:-1]}; {others}."
+
+
 def in_short() -> str:
     """The README's table: integrated rods beside the closed form."""
     settings = {"integrated": "splitting of order 6, 8 steps", "closed form": "elliptic functions"}
@@ -322,7 +381,7 @@ WHOLE = (
     "soak_shafts",
     *("identify_guesses", "identify_noise", "reconstruct"),
 )
-SELECTED = (in_short, work_precision, speed_up, models, settings, claims)
+SELECTED = (in_short, work_precision, speed_up, motion, motion_best, models, settings, claims)
 SELECTED += (known_subsets, known_errors, known_networks, known_friction, revealed_friction, films, sliders)
 TABLES = {function.__name__: function for function in SELECTED}
 TABLES |= {"growth": partial(whole, "growth", "failed")} | {name: partial(whole, name) for name in WHOLE}

@@ -1,6 +1,6 @@
 """Draw the figures of stored benchmark results: python figures/results.py
 
-Writes docs/work_precision.png, numbers.png, supports.png, whiskers.png and known.png.
+Writes docs/work_precision.png, motion_precision.png, numbers.png, supports.png, whiskers.png and known.png.
 """
 
 import sys
@@ -76,6 +76,33 @@ def draw_work_precision() -> None:
     handles, labels = axs[0, 0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     fig.savefig(DOCS / "work_precision.png", dpi=130)
+
+
+MOVING = {
+    "jaxwhisker": METHODS["jaxwhisker, integrated"],
+    "MuJoCo": METHODS["MuJoCo: hinge chain"],
+    "PyElastica": METHODS["PyElastica"],
+}
+
+
+def draw_motion() -> None:
+    """Error against time of simulators of motion, one panel per case."""
+    rows = read("motion")["rows"]
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    fig, axs = plt.subplots(1, len(cases), figsize=(11, 3.8), layout="constrained")
+    for ax, case in zip(axs, cases, strict=True):
+        for method, (colour, marker) in MOVING.items():
+            own = [row for row in rows if row["case"] == case and row["method"] == method]
+            own.sort(key=lambda row: row["time, s"])
+            x, y = [row["time, s"] for row in own], [row["error"] for row in own]
+            ax.loglog(x, y, color=colour, marker=marker, ms=4, lw=1, label=method)
+        ax.set_title(case, fontsize=10)
+        ax.set_xlabel("run time (s)")
+        ax.grid(alpha=0.3, lw=0.5)
+    axs[0].set_ylabel("largest error of the tip (L)")
+    axs[1].set_ylabel("rms error of mz, relative to the peak")
+    fig.legend(*axs[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    fig.savefig(DOCS / "motion_precision.png", dpi=130)
 
 
 def draw_numbers() -> None:
@@ -238,7 +265,7 @@ def draw_known() -> None:
 
 def main() -> None:
     """Draw all figures."""
-    for draw in (draw_work_precision, draw_numbers, draw_supports, draw_whiskers, draw_known):
+    for draw in (draw_work_precision, draw_motion, draw_numbers, draw_supports, draw_whiskers, draw_known):
         draw()
 
 
