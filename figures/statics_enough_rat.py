@@ -95,6 +95,7 @@ def draw_whisking() -> None:
     first, damping = rat_damping()
     air, errors = whisking(16_000, 12)
     s = np.linspace(0.0, float(RAT.length), 2001)
+    assert callable(RAT.mass_per_length)
     inertia = np.trapezoid(np.asarray(jax.vmap(RAT.mass_per_length)(jnp.asarray(s))) * s**2, s)
     rigid = AMPLITUDE * (2 * np.pi * FREQUENCIES) ** 2 * inertia
     square = (FREQUENCIES / first) ** 2
@@ -156,7 +157,8 @@ def draw_damping() -> None:
         ax.loglog(frequency[:, 1], ratio[1], "o", color=colour, markersize=4, markerfacecolor="none")
         print(
             f"  {name}: mass_damping {mass:.1f} / s, stiffness_damping {1e3 * stiffness:.3f} ms;"
-            f" first modes inside the range of frequencies {ratio[0][inside].min():.3f} to {ratio[0][inside].max():.3f},"
+            f" inside the range of frequencies: first modes {ratio[0][inside].min():.3f} to"
+            f" {ratio[0][inside].max():.3f},"
             f" second {ratio[1][inside].min():.3f} to {ratio[1][inside].max():.3f}"
         )
     print(
