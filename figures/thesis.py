@@ -25,7 +25,8 @@ The models of jaxwhisker come from a master's thesis on elastically coupled vibr
 whisker, one whisker on a spring (FB), two coupled whiskers without feedback (FBFB) and with it (FBFBR), and three
 whiskers (FBFBFBR). On this page you can compare the tables, figures and claims of the thesis with what jaxwhisker
 computes. `python figures/thesis.py` writes it. `make demo` or `jaxwhisker reproduce` writes all results with pictures
-and data to `out/`.
+and data to `out/`. [When is statics enough?](when_statics_is_enough.md) examines where the differences between its
+quasi-static and its multi-body model come from.
 """
 CLAIMS_ABOUT = """
 These are the claims of chapter 6 in the order of the thesis, after the limit that bounds them. A claim that holds "in
