@@ -111,7 +111,7 @@ def draw_whisking() -> None:
         right.loglog(square, errors[name + ", largest"], "o--", color=COLOURS[k], markersize=3, label="largest")
     right.loglog(square, errors["light damping"], "s-", color=COLOURS[2], label="the same with damping ratio 0.01: rms")
     right.loglog(square, square, color="0.6", linestyle=":", label="(f / f1)²")
-    right.set(ylabel="error of statics relative to the peak of mz")
+    right.set(ylabel="error of statics relative to the peak of mz", ylim=(5e-4, 10))
     for ax in (left, right):
         ax.set(xlabel="(f / f1)²; top: f (Hz)")
         top = ax.secondary_xaxis(
