@@ -19,7 +19,7 @@ from jaxwhisker._dynamics.legendre import Basis, basis
 from jaxwhisker._model.motion import AbstractMotion, Pose
 from jaxwhisker._model.network import along_all_axes
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
+from jaxwhisker._model.scene import Scene, Sensor, time_unit, units_of
 from jaxwhisker._model.spring import AXES
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -127,10 +127,9 @@ class MotionUnits(NamedTuple):
 
 def motion_units(scene: Scene | Sensor) -> MotionUnits:
     """Units in which a scene with masses is dimensionless."""
-    unit: Units = units_of(scene.whiskers[0], scene.motion)
-    mass = scene.whiskers[0].mass_at(jnp.zeros(()))
-    time = unit.length * jnp.sqrt(mass / unit.force)
-    return MotionUnits(unit.length, unit.force, unit.moment, time)
+    first = scene.whiskers[0]
+    unit = units_of(first, scene.motion)
+    return MotionUnits(unit.length, unit.force, unit.moment, time_unit(first))
 
 
 def system_of(scene: Scene | Sensor, damping: Damping, n: int) -> System:

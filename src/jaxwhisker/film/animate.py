@@ -3,18 +3,14 @@
 import base64
 import tempfile
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from jaxwhisker._base import checks
-from jaxwhisker._dynamics.simulation import Simulation
-from jaxwhisker._path.path import Status
-from jaxwhisker._scan.quantities import UnitSystem, check_units
-from jaxwhisker.plot.runs import Run, check_one_run, places
+from jaxwhisker._scan.quantities import check_units
 
-SECONDS = 12.0  # duration of a run
-REAL = 0.005  # relative difference from real time that is not worth a word
+if TYPE_CHECKING:
+    from jaxwhisker.plot.runs import Run
+
 FPS = 25  # a frame takes a whole number of hundredths of a second, as GIFs require
 FASTEST = 60  # frames per second
 LONGEST = 300.0  # seconds
@@ -43,7 +39,7 @@ class Film:
 
 
 def animate(
-    result: Run,
+    result: "Run",
     path: str | Path | None = None,
     *,
     seconds: float | None = None,
@@ -91,11 +87,11 @@ def animate(
     """
     from tqdm import tqdm
 
-    from jaxwhisker.film import canvas, frames, writers
+    from jaxwhisker.film import canvas, frames, pace, writers
 
-    seconds = _seconds(check_one_run(result), seconds, speed)
+    seconds = pace.duration_of_film(result, seconds, speed, longest=LONGEST)
     path = check(path, seconds, fps, width, units)
-    _check_begun(result)
+    pace.check_begun(result)
     if path is None:
         kind = "video/mp4" if writers.has_ffmpeg() else "image/gif"
         with tempfile.TemporaryDirectory() as folder:
@@ -103,48 +99,12 @@ def animate(
             animate(result, made, seconds=seconds, fps=fps, width=width, units=units, progress=progress)
             return Film(kind, made.read_bytes())
     shown, marks = frames.frames(result, max(2, round(seconds * fps)))
-    pace = _pace(result, seconds, units)
-    drawn = canvas.Canvas(result, shown, marks, fps=fps, width=width, units=units, pace=pace)
+    words = pace.in_words(result, seconds, units)
+    drawn = canvas.Canvas(result, shown, marks, fps=fps, width=width, units=units, pace=words)
     hidden = None if progress is None else not progress
     with tqdm(range(drawn.count), desc="film", unit=" frames", leave=False, disable=hidden) as counted:
         writers.write(path, drawn, counted, fps=fps)
     return path
-
-
-def _seconds(result: Run, seconds: float | None, speed: float | None) -> float:
-    """Duration of a run in its film."""
-    if speed is None:
-        return SECONDS if seconds is None else seconds
-    if not isinstance(result, Simulation):
-        checks.fail("speed", "None for the film of a scan, which has no time", repr(speed))
-    if seconds is not None:
-        checks.fail("speed", "None if `seconds` is given", repr(speed))
-    checks.number("speed", speed, positive=True)
-    seconds, least = _duration(result) / speed, _duration(result) / LONGEST
-    if seconds > LONGEST:
-        checks.fail("speed", f"at least {least:.3g} for a film of at most {LONGEST:g} seconds", f"{speed:g}")
-    return seconds
-
-
-def _check_begun(result: Run) -> None:
-    status = int(np.asarray(result.status)[0])
-    if isinstance(result, Simulation) and status != Status.ok:
-        checks.fail("result", "a simulation whose first sample is ok", f"the status {Status(status).name}")
-
-
-def _duration(motion: Simulation) -> float:
-    time = places(motion, "time")
-    return float(time[-1] - time[0])
-
-
-def _pace(result: Run, seconds: float, units: str) -> str:
-    """The speed of a film in words, if times are in seconds."""
-    if not isinstance(result, Simulation) or UnitSystem(result.scene, units).dimensionless:
-        return ""
-    slower = seconds / _duration(result)
-    if not slower > 0 or abs(slower - 1) < REAL:
-        return " (real time)" if slower > 0 else ""
-    return f" ({max(slower, 1 / slower):.3g} times {'slower' if slower > 1 else 'faster'})"
 
 
 def check(path: Any, seconds: Any, fps: Any, width: Any, units: Any = "auto") -> Path | None:
