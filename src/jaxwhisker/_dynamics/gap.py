@@ -15,7 +15,7 @@ from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 class Gap(NamedTuple):
     """A point of a whisker and a point of the object; they are closest if `foot` and `end` vanish."""
 
-    gap: Float[Array, ""]  # distance along the object's normal, positive outside
+    distance: Float[Array, ""]  # along the object's normal, positive outside
     foot: Float[Array, ""]  # distance along the object's tangent
     end: Float[Array, ""]  # arc length beyond the point, or decrease of the gap with the arc length on the shaft
     at_tip: Float[Array, ""]  # positive if the tip is the closest point, negative if a point of the shaft is
@@ -46,7 +46,7 @@ def gap_at(
     beyond, is_least = 1 - arc, _is_least(basis, profile, length, angle, arc, parameter, apart @ normal)
     inner = (closes < beyond) & is_least
     return Gap(
-        gap=apart @ normal,
+        distance=apart @ normal,
         foot=apart @ tangent,
         end=jnp.where(inner, closes, beyond),
         at_tip=jnp.where(inner, closes - beyond, jnp.abs(closes - beyond)),

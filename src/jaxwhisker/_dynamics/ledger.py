@@ -24,22 +24,29 @@ def booked(
     work = jnp.sum(reaction * (after.base - before.base))
     if system.network is not None:
         given = jnp.sum(slid * load)
-        stored = system.strain(new.z) + system.strain(old.z)
-        lost += given - jnp.sum(slid * system.elastic(stored / 2))
+        lost += given - jnp.sum(slid * system.elastic(system.strain(old.z + old.ahead * slid)))
         work += given
     ledger = ledger._replace(work=ledger.work + work, damping=ledger.damping + lost)
     if after.touching is None or before.touching is None:
         return ledger
     turned, shifted = after.angle - before.angle, (after.base - before.base)[:, :2]
-    first, last = before.touching, after.touching
-    closed = jnp.sum((first.across + last.across) / 2 * turned, axis=-1)
-    closed += jnp.sum((first.normal + last.normal) / 2 * shifted, axis=-1)
-    slipped = jnp.sum((first.along + last.along) / 2 * turned, axis=-1)
-    slipped += jnp.sum((first.tangent + last.tangent) / 2 * shifted, axis=-1)
-    done = last.force * closed
-    begins = ~first.touches  # the force that ends an approach takes energy from it
+    across, normal, along, tangent = before.touching.directions(after.touching.gap, after.touching.arc)
+    closed = jnp.sum(across * turned, axis=-1) + jnp.sum(normal * shifted, axis=-1)
+    slipped = jnp.sum(along * turned, axis=-1) + jnp.sum(tangent * shifted, axis=-1)
+    done = after.touching.force * closed
+    begins = ~before.touching.lasts(after.touching.arc)  # the force that ends an approach takes energy from it
+    faded = _faded(system, old, new)
     return ledger._replace(
-        impact=ledger.impact - jnp.sum(jnp.where(begins, done, 0.0)),
+        impact=ledger.impact + (old.ahead - 0.5) * faded - jnp.sum(jnp.where(begins, done, 0.0)),
         contact=ledger.contact + jnp.sum(jnp.where(begins, 0.0, done)),
-        friction=ledger.friction - jnp.sum(last.drag * slipped),
+        friction=ledger.friction - jnp.sum(after.touching.drag * slipped),
     )
+
+
+def _faded(system: System, old: Moving, new: Moving) -> Scalar:
+    """Twice the energy of the changes in a step, of which the implicit step after an impact loses the half."""
+    changes, spun = new.rod.velocity - old.rod.velocity, new.rod.spin - old.rod.spin
+    bent, slid = new.rod.q - old.rod.q, new.z - old.z
+    faded = jnp.sum(system.rods.mass[:, None] * changes**2) + jnp.sum(system.rods.inertia * spun**2)
+    faded += jnp.sum(bent[:, :, None] * system.rods.stiffness * bent[:, None, :])
+    return faded if system.network is None else faded + jnp.sum(slid * system.elastic(slid))

@@ -6,7 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.gap import Gap
 from jaxwhisker._dynamics.moving import System
+
+LEAP = 0.05  # fraction of the length beyond which a contact does not move in a step, but begins elsewhere
 
 PerWhisker = Float[Array, "*whiskers"]
 
@@ -16,16 +19,26 @@ class Touching(NamedTuple):
 
     arc: PerWhisker  # fraction of the length
     parameter: PerWhisker  # of the object
+    gap: Gap
     force: PerWhisker  # along the normal, mean over the last step
     drag: PerWhisker  # along the tangent, likewise
-    gap: PerWhisker
-    at_tip: PerWhisker  # positive if the tip is closest
-    normal: Float[Array, "*whiskers 2"]
-    across: Float[Array, "*whiskers points"]  # derivative of the gap by the angles
-    tangent: Float[Array, "*whiskers 2"]
-    along: Float[Array, "*whiskers points"]
     touches: Bool[Array, "*whiskers"]
     slip: Int[Array, "*whiskers"]  # direction along the tangent; 0 if the contact sticks
+    began: Bool[Array, "*whiskers"]  # in the last step
+
+    def lasts(self, arc: PerWhisker) -> Bool[Array, "*whiskers"]:
+        """Whether a contact at this point of the whisker, one step later, continues this one."""
+        return self.touches & (jnp.abs(arc - self.arc) < LEAP)
+
+    def directions(self, gap: Gap, arc: PerWhisker) -> tuple[Array, Array, Array, Array]:
+        """Directions of the contact forces of a step that starts here and ends with this gap at this point.
+
+        They are means over the step. A contact that begins acts at its end: before, other points were closest.
+        """
+        lasts = self.lasts(arc)[..., None]
+        first, last = ((at.across, at.normal, at.along, at.tangent) for at in (self.gap, gap))
+        across, normal, along, tangent = (jnp.where(lasts, (a + b) / 2, b) for a, b in zip(first, last, strict=True))
+        return across, normal, along, tangent
 
 
 class Rod(NamedTuple):
@@ -59,6 +72,12 @@ class Moving(NamedTuple):
     change: Float[Array, "2 unknowns"]  # in the last two steps
     ledger: Ledger
     solved: Bool[Array, ""]
+
+    @property
+    def ahead(self) -> Scalar:
+        """Fraction of the next step at which forces and velocities have their means: 1/2, or 1 if a contact begins."""
+        touching = self.rod.touching
+        return jnp.where(jnp.any(touching.began), 1.0, 0.5) if touching is not None else jnp.asarray(0.5)
 
 
 def angles_of(system: System, q: Float[Array, "whiskers n"], base: Float[Array, "whiskers 3"]) -> Array:

@@ -178,7 +178,7 @@ def _simulate(
     first = _initial(system, unit, start, poses[0], rates[0])
     clear = jnp.asarray(True)
     if first.rod.touching is not None:
-        clear = jnp.all(first.rod.touching.gap > -(INSIDE if start is None else INSIDE_BENT))
+        clear = jnp.all(first.rod.touching.gap.distance > -(INSIDE if start is None else INSIDE_BENT))
     good = valid & clear & jnp.all(jnp.isfinite(poses))
     first = first._replace(solved=good)
 
@@ -195,12 +195,15 @@ def _simulate(
     samples = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, samples)
     forces, trace = jax.tree.map(lambda leaf: leaf.reshape(steps, *leaf.shape[2:]), (forces, trace))
     trace = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), _traced(system, first), trace)
-    result = _result(given, system, unit, samples, _at_samples(forces, every), time[::every], control, shapes)
+    result = _result(given, system, unit, samples, _at_samples(forces, every))
     events = events_of(trace, time, control) if trace is not None else _no_events()
     status = jnp.where(good, jnp.where(samples.solved, Status.ok, Status.lost), Status.invalid)
     ok = status == Status.ok
     blank = {name: _where_ok(ok, value) for name, value in result.items()}
-    return Simulation(**blank, status=status, events=events, scene=given), clear | ~valid
+    at = time[::every]
+    return Simulation(
+        **blank, time=at, control=jnp.asarray(jax.vmap(control)(at)), status=status, events=events, scene=given
+    ), clear | ~valid
 
 
 def _where_ok(ok: Bool[Array, " samples"], tree: Any) -> Any:
@@ -249,8 +252,7 @@ def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Arra
             return jnp.asarray(arc), jnp.asarray(parameter), gap
 
         arc, parameter, gap = jax.vmap(nearest)(system.rods.length, base[:, :2], angle)
-        shape = (gap.gap, gap.at_tip, gap.normal, gap.across, gap.tangent, gap.along)
-        touching = Touching(arc, parameter, none, none, *shape, touches, none.astype(int))
+        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches)
     count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
@@ -265,14 +267,14 @@ def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Arra
     gap = gap_at(system.basis, system.profile, rod.length, base[:2], angle, arc, parameter)
     across = gap.across @ system.basis.angles
     bends = inverse(rod.stiffness) @ across
-    return jnp.where(touches, q - bends * gap.gap / (across @ bends), q)
+    return jnp.where(touches, q - bends * gap.distance / (across @ bends), q)
 
 
 def _traced(system: System, moving: Moving) -> Trace | None:
     at = moving.rod.touching
     if at is None:
         return None
-    return Trace(at.touches, at.force, at.gap, at.at_tip, at.normal[:, 0])
+    return Trace(at.touches, at.force, at.gap.distance, at.gap.at_tip, at.gap.normal[:, 0])
 
 
 def _at_samples(forces: Forces, every: int) -> Forces:
@@ -293,25 +295,18 @@ def _no_events() -> TimedEvents:
 
 
 def _result(
-    scene: Scene | Sensor,
-    system: System,
-    unit: MotionUnits,
-    samples: Moving,
-    forces: Forces,
-    time: Float[Array, " samples"],
-    control: Callable[[Scalar], Scalar],
-    shapes: int,
+    scene: Scene | Sensor, system: System, unit: MotionUnits, samples: Moving, forces: Forces
 ) -> dict[str, Any]:
-    """Fields of the Simulation but its status and events."""
+    """Fields of the Simulation that are unknown after a failure."""
     rods, base = system.rods, samples.rod.base
     tip, touching = samples.rod.at[..., -1], samples.rod.touching
     zero = jnp.zeros_like(samples.rod.spin)
     contact: dict[str, Any] = dict.fromkeys(("contact_slope", "contact_arc", "contact_x", "contact_y"), zero)
     gap, phase = jnp.full_like(zero, jnp.inf), jnp.full_like(zero, int(Phase.free), int)
-    if touching is not None and system.profile is not None:
-        at = jax.vmap(jax.vmap(system.profile.point))(touching.parameter)
-        gap, touches = touching.gap * unit.length, touching.touches
-        phase = jnp.where(touching.at_tip > 0, Phase.tip, Phase.tangential)
+    if touching is not None:
+        at, touches = touching.gap.object, touching.touches
+        gap = touching.gap.distance * unit.length
+        phase = jnp.where(touching.gap.at_tip > 0, Phase.tip, Phase.tangential)
         phase = jnp.where(touches, phase, Phase.free)
         values = (
             jnp.arctan2(at.sin, at.cos),
@@ -339,8 +334,6 @@ def _result(
         **contact,
         **friction,
         "phase": phase,
-        "time": time,
-        "control": jax.vmap(control)(time),
         "gap": gap,
         "spring_length": scene.support.spring_length(d),
         "energy": _energy(system, unit, samples),

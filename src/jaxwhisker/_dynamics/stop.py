@@ -64,9 +64,9 @@ def _impulse(
     apart = rod.at - rod.base[:2, None]
     about = jnp.stack([-apart[1], apart[0]])  # velocities of the nodes when the base turns
     moves = rods.length * (shapes.reach @ (turning[:, :, None] * shapes.angles))
-    gradients = [jnp.stack([touching.across, touching.along]) @ shapes.angles]
-    turns = jnp.stack([jnp.sum(touching.across), jnp.sum(touching.along)])
-    directions = jnp.stack([touching.normal, touching.tangent])
+    gradients = [jnp.stack([touching.gap.across, touching.gap.along]) @ shapes.angles]
+    turns = jnp.stack([jnp.sum(touching.gap.across), jnp.sum(touching.gap.along)])
+    directions = jnp.stack([touching.gap.normal, touching.gap.tangent])
     own, spin = rod.velocity - carried[:2, None] - carried[2] * about, rod.spin - carried[2]
     if system.free:
         shifts = jnp.broadcast_to(frame[:, None, :], (*apart.shape, 2))
@@ -104,4 +104,7 @@ def _balanced(system: System, slip: Array, rates: Float[Array, "2"], ease: Float
     slides = -rates[0] / (ease[0, 0] + against * ease[0, 1])
     det = ease[0, 0] * ease[1, 1] - ease[0, 1] * ease[1, 0]
     stops = jnp.stack([ease[0, 1] * rates[1] - ease[1, 1] * rates[0], ease[1, 0] * rates[0] - ease[0, 0] * rates[1]])
-    return jnp.where(slip == 0, stops / det, jnp.stack([slides, against * slides]))
+    # Sliding friction may push a contact into the object (Painleve), or turn its slip round: such contacts stick.
+    sliding = jnp.stack([slides, against * slides])
+    still = (ease[0, 0] + against * ease[0, 1] <= 0) | (slip * (rates[1] + ease[1] @ sliding) < 0)
+    return jnp.where((slip == 0) | still, stops / det, sliding)

@@ -1,0 +1,206 @@
+"""One time step of moving whiskers: an energy-momentum method with contact at position level.
+
+The nodes of a whisker (base, Gauss points, tip) have positions r(q) and velocities v of their own (Betsch and
+Leyendecker 2006). A step from q0 to q1 solves
+
+    D(q0, q1)^T m a + K q* = f c + base reaction,     a = (v1 - v0) / h,     v* = (r1 - r0) / h,
+
+with q* = (q0 + q1) / 2, likewise v*, and the difference quotient D of the positions, D (q1 - q0) = r1 - r0: the change
+of (cos phi, sin phi) is (-sin, cos)(mean angle) sinc(half the change) times the change of the angle. Multiplying by
+q1 - q0 shows that kinetic plus elastic energy change by exactly the work of contact and base. The method has order 2
+and is stable for any step. It does not damp vibrations that are faster than the step, though, which impacts excite:
+the step after a contact begins is therefore implicit, with q* = q1 and v* = v1 (Rannacher 1984).
+
+At the end of the step the gap g and the contact force f satisfy 0 <= g, 0 <= f, g f = 0; the direction c of the contact
+force is the mean of the gap's gradients at both ends, or that at the end if the contact begins. Where f > 0, an impulse
+then removes the velocity along the normal: impacts have no restitution. This is also what keeps lasting contacts free
+of oscillations (as in RATTLE).
+
+Coulomb friction holds for the mean tangential force t and the slip d of the material point in contact: d = 0 and
+abs(t) <= mu f, or t = -mu f sign(d). The impulses obey the same law.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.gap import Gap, gap_at
+from jaxwhisker._dynamics.motion_state import Moving, Rod
+from jaxwhisker._dynamics.moving import Rods, System
+
+EMERGES = 0.97  # ratio of penetrations, which held contacts leave behind, after one step: at once would take energy
+
+PerWhisker = Float[Array, " whiskers"]
+
+
+class Mode(NamedTuple):
+    """Which equations contacts satisfy at the end of a step."""
+
+    touches: Bool[Array, "*whiskers"]
+    slip: Int[Array, "*whiskers"]  # +1 or -1 along the object; 0 if the contact sticks or is held
+    held: Bool[Array, "*whiskers"]  # at its old point of the whisker, without friction
+
+    @property
+    def sticks(self) -> Bool[Array, "*whiskers"]:
+        """Whether the contact sticks to the object."""
+        return self.touches & (self.slip == 0) & ~self.held
+
+
+class Forces(NamedTuple):
+    """Mean forces of a step."""
+
+    reaction: Float[Array, "whiskers 3"]  # support on whisker, in the scene: fx, fy, mz
+    normal: PerWhisker
+    drag: PerWhisker
+
+
+class Trial(NamedTuple):
+    """The end of a step of one whisker for trial values of its unknowns, and what follows from it."""
+
+    angle: Array
+    at: Array
+    gap: Gap | None
+    mode: Mode
+
+
+class Step(NamedTuple):
+    """What the equations of a step depend on."""
+
+    system: System
+    old: Moving
+    drive: Float[Array, "3"]  # its pose at the end
+    h: Scalar
+
+
+class Rows(NamedTuple):
+    """Residuals of one whisker for trial values, and the reaction of its support."""
+
+    bending: Float[Array, " n"]
+    contact: Float[Array, " contact"]  # as the unknowns: end, foot, gap or force, slip or drag
+    reaction: Float[Array, "3"]
+
+    def flat(self) -> Array:
+        """All of them in one array."""
+        return jnp.concatenate(self)
+
+
+def rows_of(
+    step: Step, rods: Rods, old: Rod, mode: Mode | Bool[Array, ""], q: Array, contact: Array, base: Array
+) -> tuple[Rows, Trial]:
+    """Residuals of one whisker in a mode; or in that which trial values suggest for a contact that is held or not."""
+    system, h, ahead = step.system, step.h, step.old.ahead
+    shapes = system.basis
+    angle = jnp.pi / 2 + base[2] + rods.rest + shapes.angles @ q
+    turned = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    at = base[:2, None] + rods.length * (turned @ shapes.reach.T)
+    mean = (at - old.at) / h
+    force = rods.mass * ((mean - old.velocity) / (ahead * h) + system.mass_damping * mean)
+    half, middle = (angle - old.angle) / 2, (angle + old.angle) / 2
+    moments = force @ shapes.reach
+    torque = rods.length * _sinc(half) * (jnp.cos(middle) * moments[1] - jnp.sin(middle) * moments[0])
+    push = jnp.sum(force, axis=-1)
+    gap, rows = None, jnp.zeros(0)
+    if system.profile is not None:
+        assert old.touching is not None
+        gap = gap_at(shapes, system.profile, rods.length, base[:2], angle, contact[0], contact[1])
+        above = gap.distance - jnp.minimum(0.0, EMERGES * old.touching.gap.distance)
+        across, normal, along, tangent = old.touching.directions(gap, contact[0])
+        torque -= contact[2] * across
+        push -= contact[2] * normal
+        slipped = along @ (angle - old.angle) + tangent @ (base - old.base)[:2]
+        mode = mode if isinstance(mode, Mode) else _mode(system, contact, above, slipped, mode)
+        end = jnp.where(mode.held, contact[0] - old.touching.arc, gap.end)
+        rows = jnp.stack([end, gap.foot, jnp.where(mode.touches, above, contact[2])])
+        if system.friction is not None:
+            torque -= contact[3] * along
+            push -= contact[3] * tangent
+            dragged = contact[3] + system.friction * mode.slip * contact[2]
+            rows = jnp.append(rows, jnp.where(mode.sticks, slipped, dragged))
+    mode = mode if isinstance(mode, Mode) else Mode(jnp.asarray(False), jnp.asarray(0), mode)
+    bending = old.q + (ahead + system.stiffness_damping / h) * (q - old.q)
+    bent = torque @ shapes.angles + jnp.sum(rods.stiffness * bending, axis=-1)
+    twist = jnp.sum(torque) + rods.inertia / (ahead * h) * ((base[2] - old.base[2]) / h - old.spin)
+    return Rows(bent, rows, jnp.append(push, twist)), Trial(angle, at, gap, mode)
+
+
+def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar, held: Bool[Array, ""]) -> Mode:
+    """Whether a whisker touches and slips, by the signs of trial gaps, forces and slips."""
+    touches = contact[2] > gap
+    if system.friction is None:
+        return Mode(touches, jnp.asarray(0), held)
+    drag, limit = contact[3] - slipped, system.friction * jnp.maximum(contact[2], 0.0)
+    return Mode(touches, jnp.where(held | (jnp.abs(drag) < limit), 0, -jnp.sign(drag)).astype(int), held)
+
+
+def _sinc(x: Array) -> Array:
+    """sin(x) / x; angles change by less than a radian in a step, and jnp.sinc compiles to a polynomial of its own."""
+    square = x * x
+    small = 1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72)))
+    large = jnp.abs(x) > 0.1
+    return jnp.where(large, jnp.sin(x) / jnp.where(large, x, 1.0), small)
+
+
+class Unknowns(NamedTuple):
+    """What a step solves for."""
+
+    q: Float[Array, "whiskers n"]
+    contact: Float[Array, "whiskers contact"]  # arc, parameter, normal force, with friction also drag
+    z: Float[Array, " free"]
+
+    def flat(self) -> Float[Array, " unknowns"]:
+        """All unknowns in one array."""
+        return jnp.concatenate([jnp.ravel(part) for part in self])
+
+
+def unknowns_of(system: System, flat: Float[Array, " unknowns"]) -> Unknowns:
+    """The unknowns in one array, by name."""
+    whiskers, n, c = system.rods.length.shape[0], system.n, system.contact_unknowns
+    q, contact, z = jnp.split(flat, [whiskers * n, whiskers * (n + c)])
+    return Unknowns(q.reshape(whiskers, n), contact.reshape(whiskers, c), z)
+
+
+def unknowns_at(moving: Moving, system: System) -> Unknowns:
+    """The unknowns of a state."""
+    at, c = moving.rod.touching, system.contact_unknowns
+    if at is None:
+        return Unknowns(moving.rod.q, jnp.zeros((moving.rod.q.shape[0], 0)), moving.z)
+    return Unknowns(moving.rod.q, jnp.stack([at.arc, at.parameter, at.force, at.drag][:c], axis=-1), moving.z)
+
+
+def every(step: Step, mode: Mode, x: Unknowns) -> tuple[Rows, Trial]:
+    """Residuals and reactions of all whiskers."""
+
+    def one(rods, old, mode, q, contact, base):
+        return rows_of(step, rods, old, mode, q, contact, base)
+
+    bases = step.system.bases(x.z, step.drive)
+    return jax.vmap(one)(step.system.rods, step.old.rod, mode, x.q, x.contact, bases)
+
+
+def load_of(step: Step, reaction: Array) -> Float[Array, " free"]:
+    """Load on the free coordinates of the bases, in the mean frame of the drive."""
+    cos, sin = ((turn(step.old.drive[2]) + turn(step.drive[2])) / 2 for turn in (jnp.cos, jnp.sin))
+    fx, fy, mz = reaction.T
+    load = -jnp.stack([cos * fx + sin * fy, cos * fy - sin * fx, mz], axis=-1)
+    return jnp.ravel(load)[jnp.array(step.system.free, int)]
+
+
+def spring_rows(step: Step, z: Array, load: Array) -> Float[Array, " free"]:
+    """Residuals of the springs."""
+    system, old, h = step.system, step.old, step.h
+    if system.network is None:
+        return jnp.zeros(0)
+    rate = (z - old.z) / h
+    strain = system.strain(old.z + old.ahead * (z - old.z)) + system.stiffness_damping * rate
+    return strain - system.network.compliance @ (load - system.network.damping @ rate)
+
+
+def residual(step: Step, mode: Mode, flat: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
+    """All residuals of a step."""
+    x = unknowns_of(step.system, flat)
+    rows, _ = every(step, mode, x)
+    springs = spring_rows(step, x.z, load_of(step, rows.reaction))
+    return Unknowns(rows.bending, rows.contact, springs).flat()
