@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def columns(result: Any) -> dict[str, np.ndarray]:
     """Every signal by name: control, fx_1, fy_1, mz_1, base_x_1, ..., spring_1, ..., phase_1, status."""
-    moves = isinstance(result, State) and hasattr(result, "time")
+    moves = _is_motion(result)
     if moves:
         check_not_batched(result, "a single simulation")
     else:
@@ -29,6 +29,10 @@ def columns(result: Any) -> dict[str, np.ndarray]:
     for name, values in (("spring", result.spring_length), ("phase", result.phase)):
         found |= {f"{name}_{k + 1}": column for k, column in enumerate(np.asarray(values).T)}
     return found | {"status": np.asarray(result.status)}
+
+
+def _is_motion(result: Any) -> bool:
+    return isinstance(result, State) and hasattr(result, "time")
 
 
 def to_dataframe(result: Any) -> "pd.DataFrame":
@@ -69,7 +73,8 @@ def to_csv(result: Any, path: str | Path) -> None:
     """
     table = columns(result)
     comment = (
-        f"{result.scene}; lengths in the unit of L, forces in EI/L^2, moments in EI/L, angles and slopes in rad; "
-        "phase 0 free, 1 tip, 2 tangential; status 0 ok"
+        f"{result.scene}; lengths in the unit of L, forces in EI/L^2, moments in EI/L, "
+        + "times in L^2 sqrt(rho A/EI), " * ("time" in table)
+        + "angles and slopes in rad; phase 0 free, 1 tip, 2 tangential; status 0 ok"
     )
     write_columns(table, Path(path), comment)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 STEP = 0.005  # default of the largest time step, in T = L^2 sqrt(rho A / EI)
 MOST_STEPS = 2_000_000
 # A motion ends later than the scan, in T: fast whiskers lose the contact later, and then vibrate.
-LATER = 3.0
+LATER = 2.0
 NEEDED = ("mass_per_length", "stiffness_damping", "time_step", "playback_speed")  # options that need a drive speed
 
 

@@ -40,7 +40,7 @@ def run_scan(args: argparse.Namespace) -> int:
     pandas.read_csv(file, comment="#").
 
     With --drive-speed, the motion in time is simulated instead, with a sample at
-    every drive position. By default it ends 3 T later than the scan. The unit of
+    every drive position. By default it ends 2 T later than the scan. The unit of
     time is L^2 sqrt(RHO/EI), or seconds if all options are in SI units. The CSV then
     has the columns time, gap_1, tip_x_1 and tip_y_1 as well. Peaks contain impacts,
     whose height depends on the time step.
@@ -63,10 +63,9 @@ def run_scan(args: argparse.Namespace) -> int:
     with options.usage_errors():
         result = run_of(args)
     if touches_object(result):
-        events = (
-            event_table(result, args.units) if isinstance(result, Result) else timed_event_table(result, args.units)
-        )
-        print(f"\n{events}\n\n{peak_table(result, args.units)}\n")
+        units = args.units
+        events = event_table(result, units) if isinstance(result, Result) else timed_event_table(result, units)
+        print(f"\n{events}\n\n{peak_table(result, units)}\n")
     print(status_line(result)[1])
     if args.csv is not None:
         to_csv(result, args.csv)
