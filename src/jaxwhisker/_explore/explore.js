@@ -96,7 +96,7 @@ export function explore(el, { sliders, position, phases, statuses }, ask) {
   const show = make("button", { type: "button", ariaExpanded: "false" }, "Python code");
   const copy = make("button", { type: "button", hidden: true }, "copy");
   const code = make("pre", { hidden: true, tabIndex: 0, ariaLabel: "Python code of the scene" });
-  const parts = [title, summary, message, canvases, controls, play, numbers, show, copy, code];
+  const parts = [title, summary, message, canvases, play, controls, numbers, show, copy, code];
   const root = make("div", { className: "jaxwhisker", ariaBusy: "true" }, ...parts);
   el.replaceChildren(root);
 

@@ -58,7 +58,8 @@ def motion_of(args: argparse.Namespace, scene: Scene) -> "Simulation":
     if control is None or control.size < 2:
         raise ValueError("--step must leave at least two positions between --start and --stop for a motion.")
     largest = STEP * unit if args.time_step is None else args.time_step
-    every = math.ceil(abs(control[1] - control[0]) / speed / largest - 1e-9)  # whole numbers may be rounded up
+    # Without the factor, a whole number might be rounded up.
+    every = math.ceil(abs(control[1] - control[0]) / speed / largest * (1 - 1e-9))
     steps = (control.size - 1) * every
     if steps > MOST_STEPS:
         limit = f"at most {MOST_STEPS:,} time steps, got {speed:g}, which leaves {steps:,} (see --time-step)"
