@@ -26,10 +26,10 @@ def explore(build: "Callable[..., Scene | Simulation]", /, **ranges: Any) -> Any
 
         def build(stiffness, speed):
             scene = jw.Scene(jw.Whisker(mass_per_length=1.0), jw.Parabola(0.2), jw.Support.fb(stiffness))
-            drive, settings = np.array([0.75, -1.6]), {"steps": 1600, "every": 4, "stiffness_damping": 0.02}
-            return jw.simulate(scene, drive, 2.35 / speed, **settings)
+            settings = {"steps": 800, "every": 2, "stiffness_damping": 0.02, "shapes": 8}
+            return jw.simulate(scene, np.array([0.75, -1.6]), 2.35 / speed, **settings)
 
-        jw.explore(build, stiffness=(30, 500), speed=(0.1, 1.0, 0.2))
+        jw.explore(build, stiffness=(30, 500), speed=(0.15, 1.5, 0.3))
 
     In Jupyter the sliders are a widget, which appears if the call is the last line of a cell. Elsewhere they are a
     local page, which opens in the browser and stays until Ctrl-C. The first picture waits for the compiler unless
