@@ -79,19 +79,24 @@ class Session:
         try:
             numbers = self._checked(values)
             before = compilations()
-            scene = self._built(numbers)
-            note = RECOMPILED_MOTION if compilations() > before else ""
-            if not isinstance(scene, self._kind):
-                checks.fail("build", f"a function that always returns a {self._kind.__name__}", repr(scene))
-            if isinstance(scene, Simulation):
-                picture = jax.tree.map(np.asarray, picture_of_motion(scene))
-                return packed_picture(picture, scene.scene, code_of_call(self._build, numbers), note)
-            comment = ", ".join(f"{name} = {value!r}" for name, value in numbers.items())
-            reused, new = self._functions.reused(scene)
-            picture = jax.tree.map(np.asarray, picture_of(jax.tree.map(checks.as_float, reused)))
-            return packed_picture(picture, scene, code_of(scene, comment), RECOMPILED if new else "")
+            built = self._built(numbers)
+            if not isinstance(built, self._kind):
+                checks.fail("build", f"a function that always returns a {self._kind.__name__}", repr(built))
+            if isinstance(built, Simulation):
+                return self._of_motion(built, numbers, RECOMPILED_MOTION if compilations() > before else "")
+            return self._of_scan(built, numbers)
         except Exception as error:  # the sliders must stay usable, whatever `build` raises
             return packed_error(error)
+
+    def _of_scan(self, scene: Scene, numbers: Mapping[str, float]) -> bytes:
+        comment = ", ".join(f"{name} = {value!r}" for name, value in numbers.items())
+        reused, new = self._functions.reused(scene)
+        picture = jax.tree.map(np.asarray, picture_of(jax.tree.map(checks.as_float, reused)))
+        return packed_picture(picture, scene, code_of(scene, comment), RECOMPILED if new else "")
+
+    def _of_motion(self, motion: Simulation, numbers: Mapping[str, float], note: str) -> bytes:
+        picture = jax.tree.map(np.asarray, picture_of_motion(motion))
+        return packed_picture(picture, motion.scene, code_of_call(self._build, numbers), note)
 
     def _built(self, values: Mapping[str, float]) -> Scene | Simulation:
         """What `build` makes of values."""
