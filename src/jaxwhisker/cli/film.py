@@ -26,10 +26,10 @@ def add_film(commands) -> None:
     add_motion(command)
     add = command.add_argument_group("film").add_argument
     number = options.parse_number
-    text = f"duration of the scan or motion (default: {SECONDS:g}, or as --playback-speed says)"
-    add("--seconds", type=number, metavar="S", help=text)
-    text = "time of the motion per second of the film; 0.1 is ten times slower (default: as --seconds says)"
-    add("--playback-speed", type=number, metavar="S", help=text)
+    text = f"duration of the scan or motion in the film (default: {SECONDS:g}, or that of --playback-speed)"
+    add("--seconds", type=number, metavar="T", help=text)
+    text = "time of the motion per second of the film; 0.1 is ten times slower (default: that of --seconds)"
+    add("--playback-speed", type=number, metavar="V", help=text)
     add("--fps", type=int, default=FPS, metavar="N", help="frames per second (default: %(default)s)")
     add("--width", type=int, default=960, metavar="PIXELS", help="width of the film (default: %(default)s)")
     options.add_units(add)

@@ -19,10 +19,10 @@ NEEDED = ("mass_per_length", "stiffness_damping", "time_step", "playback_speed")
 
 def add_motion(command: argparse.ArgumentParser) -> None:
     """Add the options of motion in time."""
-    text = "with --drive-speed, whiskers move in time, with inertia; T = L^2 sqrt(RHO/EI) is the unit of time"
+    text = "With --drive-speed, whiskers move in time, with inertia.\nT = L^2 sqrt(RHO/EI) is the unit of time."
     add, number = command.add_argument_group("motion", text).add_argument, options.parse_number
     add("--drive-speed", type=number, metavar="V", help="speed of the drive (default: a scan, which has no time)")
-    text = "mass per length of the whiskers, such as 1, or in kg/m in SI units (default: none)"
+    text = "mass per length of the whiskers, in kg/m if all options are in SI units (default: none)"
     add("--mass-per-length", type=number, metavar="RHO", help=text)
     text = "time constant of damping in whiskers and springs (default: 0)"
     add("--stiffness-damping", type=number, metavar="TAU", help=text)

@@ -41,9 +41,9 @@ def run_scan(args: argparse.Namespace) -> int:
 
     With --drive-speed, the motion in time is simulated instead, with a sample at
     every drive position. By default it ends 2 T later than the scan. The unit of
-    time is L^2 sqrt(RHO/EI), or seconds if all options are in SI units. The CSV then
-    has the columns time, gap_1, tip_x_1 and tip_y_1 as well. Peaks contain impacts,
-    whose height depends on the time step.
+    time is T = L^2 sqrt(RHO/EI), or a second if all options are in SI units. The
+    CSV has the columns time, gap_1, tip_x_1 and tip_y_1 as well. Peaks contain
+    impacts, whose height depends on the time step.
 
     exit codes:
       0  every step is ok
