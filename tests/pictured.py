@@ -59,10 +59,13 @@ def failed(result, steps):
     return jw.Result(**jax.tree.map(fail, fields), **kept)
 
 
-def swept():
-    """A simulated sweep across the object, in a unit of time of 0.5."""
-    scene = jw.Scene(jw.Whisker(mass_per_length=0.25), jw.Parabola(0.2), jw.Support.fb(70.0))
-    return jw.simulate(scene, np.array([0.75, -1.6]), 3.0, steps=300, every=3, stiffness_damping=0.05, shapes=5)
+def swept(stiffness=70.0, length=1.0, bending_stiffness=1.0):
+    """A simulated sweep across the object, in a unit of time of 0.5; the same motion in all units."""
+    whisker = jw.Whisker(length, bending_stiffness, mass_per_length=0.25 * bending_stiffness / length**4)
+    support = jw.Support.fb(stiffness * bending_stiffness / length**3, 0.2 * length)
+    scene = jw.Scene(whisker, jw.Parabola(0.2 * length, 1 / length), support)
+    drive = length * np.array([0.75, -1.6])
+    return jw.simulate(scene, drive, 3.0, steps=300, every=3, stiffness_damping=0.05, shapes=5)
 
 
 def failed_motion(motion, first):

@@ -20,9 +20,11 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._explore.hosts import served
 from jaxwhisker._explore.session import Session
+from pictured import swept
 
 SHOWN = 1e-6  # numbers are shown with six decimals
 LONG = 600.0  # s, for the first picture, which is compiled, perhaps on a busy machine
+PLAYED = 60.0  # s, for a motion that is played in 8 seconds
 FLAGS = (
     "headless=new no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
     "disable-component-update disable-sync force-device-scale-factor=2"
@@ -41,8 +43,8 @@ RANGES = {"stiffness": (10, 500, 70.0), "distance": (0.1, 0.9, 0.25)}
 class Watched(Session):
     """A session that records its requests."""
 
-    def __init__(self):
-        super().__init__(build, RANGES)
+    def __init__(self, build=build, ranges=RANGES):
+        super().__init__(build, ranges)
         self.asked = []
 
     def answer(self, values):
@@ -93,6 +95,22 @@ def shown(driver, url):
     driver.get(url)
     settle(driver)
     yield driver
+    assert [entry["message"] for entry in driver.get_log("browser")] == []
+
+
+@pytest.fixture(scope="module")
+def motions():
+    """Motions of a whisker whose spring has a slider."""
+    return Watched(swept, {"stiffness": (30, 500, 70.0)})
+
+
+@pytest.fixture
+def moving(driver, motions):
+    """The page of motions with its first picture; its console must be empty in the end."""
+    with served(motions) as url:
+        driver.get(url)
+        settle(driver)
+        yield driver
     assert [entry["message"] for entry in driver.get_log("browser")] == []
 
 
@@ -291,6 +309,53 @@ def test_a_page_whose_command_has_ended_says_so(driver, sliders):
     assert "has ended" in find(driver, ".message").text
     driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline | {"offline": False})
     driver.get_log("browser")  # drop the messages about the lost connection
+
+
+def place(driver):
+    """Time and control at the position of the slider."""
+    found = find(driver, "input[name=time]").get_attribute("aria-valuetext").split(", ")
+    return [float(text.split(" = ")[1]) for text in found]
+
+
+def test_the_slider_of_a_motion_is_time(moving, motions, tmp_path):
+    asked = len(motions.asked)
+    set_slider(moving, "time", 0.4)
+    assert len(motions.asked) == asked
+    set_slider(moving, "stiffness", 0.6)
+    assert len(motions.asked) == asked + 1
+    motion = swept(value(moving, "stiffness"))
+    np.testing.assert_allclose(place(moving), [motion.time[40] / 0.5, motion.control[40]], atol=SHOWN)  # T = 0.5
+    phase, *found = numbers(moving)
+    assert phase == jw.Phase(int(motion.phase[40, 0])).name
+    expected = [getattr(motion, name)[40, 0] for name in ("fx", "fy", "mz", "base_x", "contact_arc")]
+    np.testing.assert_allclose([*map(float, found)], expected, atol=SHOWN)
+    events = [item.text for item in moving.find_elements("css selector", ".jaxwhisker li")]
+    assert events == [str(event._replace(time=event.time / 0.5)) for event in motion.events]
+    assert moving.save_screenshot(str(tmp_path / "motion.png"))
+
+
+def test_a_motion_is_played_to_its_end_or_until_it_is_paused(moving):
+    def wait(condition):
+        deadline = time.monotonic() + PLAYED
+        while not condition():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+
+    play, end = moving.find_element("xpath", "//button[text()='play']"), float(swept().time[-1]) / 0.5
+    set_slider(moving, "time", 0.98)
+    play.click()
+    wait(lambda: play.text == "play")
+    assert place(moving)[0] == pytest.approx(end)
+    play.click()  # at the end: play again from the start
+    wait(lambda: 0.0 < place(moving)[0] < end)
+    play.click()
+    stopped = place(moving)
+    time.sleep(0.3)
+    assert play.text == "play" and place(moving) == stopped
+
+
+def test_a_scan_is_not_played(shown):
+    assert not find(shown, ".jaxwhisker > button").is_displayed()
 
 
 NOTEBOOK = """\

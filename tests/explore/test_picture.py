@@ -12,8 +12,8 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._base import checks
 from jaxwhisker._explore.code import code_of
-from jaxwhisker._explore.picture import SCAN_STEPS, packed_error, packed_picture, picture_of
-from pictured import unpacked
+from jaxwhisker._explore.picture import SCAN_STEPS, packed_error, packed_picture, picture_of, picture_of_motion
+from pictured import LENGTH, STIFFNESS, failed_motion, swept, unpacked
 
 SAME = 1e-9  # of the peak: the path depends slightly on the end of its control, the states do not
 SINGLE = 1e-6  # relative: lines are sent in float32
@@ -79,7 +79,7 @@ def test_dimensionless_scenes_have_dimensionless_labels(reply):
     assert header["labels"] == {
         "x": "x/L", "y": "y/L", "fx": "fx L²/EI", "fy": "fy L²/EI", "mz": "mz L/EI", "u": "u/L"
     }  # fmt: skip
-    assert header["dimensionless"] and header["unit"] == "" and header["length"] == 1.0
+    assert header["dimensionless"] and header["length"] == 1.0 and header["places"] == [["u", "control", ""]]
     assert header["columns"][0] == ["fx", "fx"] and header["columns"][-1] == ["contact_arc", "contact arc"]
 
 
@@ -90,14 +90,15 @@ def test_other_scenes_are_shown_in_si_units_with_prefixes(reply):
     assert header["labels"] == {
         "x": "x (mm)", "y": "y (mm)", "fx": "fx (mN)", "fy": "fy (mN)", "mz": "mz (mN mm)", "u": "u (mm)"
     }  # fmt: skip
-    assert (header["unit"], header["length"], header["dimensionless"]) == (" mm", 50.0, False)
+    assert (header["length"], header["dimensionless"]) == (50.0, False)
+    assert header["places"] == [["u", "control", " mm"]]
     assert header["columns"][2:4] == [["mz", "mz (mN mm)"], ["base_x", "base x (mm)"]]
     sizes = dict.fromkeys(("control", "base_x", "contact_y", "line_x", "outline_y", "drive_x"), 50.0)
     for name, size in {**sizes, "fx": 9.6, "mz": 480.0, "contact_slope": 1.0}.items():
         expected = size * reply[1][name]
         np.testing.assert_allclose(arrays[name], expected, rtol=0, atol=SINGLE * np.abs(expected).max())
     assert header["events"][0]["text"] == "u = +33.301270189 mm  touch of whisker 1"
-    np.testing.assert_allclose(header["events"][0]["control"], 50 * reply[0]["events"][0]["control"], rtol=SAME)
+    np.testing.assert_allclose(header["events"][0]["place"], 50 * reply[0]["events"][0]["place"], rtol=SAME)
 
 
 def test_failed_steps_are_counted_and_leave_gaps():
@@ -130,6 +131,61 @@ def test_the_code_prints_the_numbers_of_the_picture(reply):
         text = re.search(rf"{name} = (\S+?)(,|$)", printed[1])
         assert text is not None
         np.testing.assert_allclose(float(text[1]), arrays[name][217, 0], rtol=PRINTED)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return swept()
+
+
+def moving(motion):
+    """Header and arrays of the picture of a motion."""
+    return unpacked(packed_picture(jax.tree.map(np.asarray, picture_of_motion(motion)), motion.scene, ""))
+
+
+def test_a_motion_is_shown_over_time(motion):
+    header, arrays = moving(motion)
+    assert header["places"] == [["t", "time", ""], ["u", "control", ""]]
+    assert (header["labels"]["t"], header["summary"]) == ("t/T", "101 samples: 101 ok")
+    np.testing.assert_allclose(arrays["time"], motion.time / 0.5, rtol=SAME)  # T = 0.5
+    for name in ("control", "fx", "fy", "mz", "base_x", "contact_force", "contact_x"):
+        np.testing.assert_array_equal(arrays[name], getattr(motion, name))
+    lines = motion.shapes(arrays["line_x"].shape[-1])
+    np.testing.assert_allclose(arrays["line_x"], lines.x, rtol=0, atol=SINGLE)
+    np.testing.assert_allclose(arrays["line_y"], lines.y, rtol=0, atol=SINGLE)
+    events = list(motion.events)
+    assert [event["place"] for event in header["events"]] == [event.time / 0.5 for event in events]
+    assert header["events"][0]["text"] == str(events[0]._replace(time=events[0].time / 0.5))
+
+
+def test_a_motion_in_si_units_has_prefixes(motion):
+    header, arrays = moving(swept(70.0, LENGTH, STIFFNESS))
+    assert header["places"] == [["t", "time", " ms"], ["u", "control", " mm"]] and header["labels"]["t"] == "t (ms)"
+    np.testing.assert_allclose(arrays["time"], 1000 * motion.time, rtol=SAME)
+    shown = re.fullmatch(r"t = (\S+) ms, u = (\S+) mm  touch of whisker 1", header["events"][0]["text"])
+    assert shown is not None
+    first = motion.events[0]
+    np.testing.assert_allclose([*map(float, shown.groups())], [1000 * first.time, 50 * first.control], rtol=PRINTED)
+
+
+def test_a_motion_that_fails_leaves_a_gap_and_keeps_its_times(motion):
+    header, arrays = moving(failed_motion(motion, 60))
+    assert (header["failed"], header["summary"]) == (41, "101 samples: 60 ok, 41 lost")
+    np.testing.assert_allclose(arrays["time"], motion.time / 0.5, rtol=SAME)
+    assert np.isnan(arrays["fx"][60:]).all() and np.isnan(arrays["control"][60:]).all()
+    with pytest.raises(ValueError, match="The scene has no motion: 101 samples: 1 ok, 100 lost"):
+        moving(failed_motion(motion, 1))
+
+
+def test_the_code_of_a_motion_prints_the_numbers_of_the_picture(motion):
+    header, arrays = moving(motion)
+    printed: list[str] = []
+    exec("result = made\n" + "40".join(header["code"]), {"made": motion, "print": lambda text: printed.append(text)})
+    assert printed[0] is motion
+    t, u, fx = (float(re.search(rf"{name} = (\S+?),", printed[1])[1]) for name in ("t", "u", "fx"))  # pyright: ignore
+    np.testing.assert_allclose(
+        [t, u, fx], [motion.time[40], *(arrays[n][40].item() for n in ("control", "fx"))], PRINTED
+    )
 
 
 def test_errors_have_a_message_and_no_arrays():

@@ -102,7 +102,7 @@ def test_other_values_are_an_error_and_the_session_goes_on(values, message, unso
         (build, {"stiffness": (10, 20, 15, 16)}, "(low, high)"),
         (build, {"stiffness": ("soft", "stiff")}, "(low, high)"),
         (build, {"stiffness": (10, 500, 5)}, "`stiffness` must start from 10 to 500, got 5."),
-        (lambda x: None, {"x": (1, 2)}, "`build` must return a Scene, got None."),
+        (lambda x: None, {"x": (1, 2)}, "`build` must return a Scene or a Simulation, got None."),
         (lambda x, /: fixed(x), {"x": (1, 2)}, "`ranges` must name the parameters of `build`, which takes (x, /)"),
         (70.0, {}, "`build` must be a function that returns a Scene, got 70.0."),
         (fixed, {"x": (-1, 1, -0.5)}, "`distance` must be a positive finite number"),
@@ -149,6 +149,47 @@ def test_a_function_of_other_values_is_another_function(values):
     assert new
     assert float(scene.whiskers[0].stiffness_at(0.4)) == (1 - values["taper"] * 0.4) ** 4
     assert float(profile.g(0.5)) == 0.2 + (0.5 / float(values.get("width", 1.0))) ** 2
+
+
+def vibrating(steps=4.0, mass=1.0):
+    """A small motion, which is compiled for each number of steps."""
+    whisker = jw.Whisker(mass_per_length=mass)
+    return jw.simulate(jw.Sensor(whisker), np.array([0.0, 0.1]), 1.0, steps=int(steps), shapes=2)
+
+
+def test_the_answer_of_a_simulation_is_its_picture():
+    motions = Session(vibrating, {"mass": (0.5, 2.0)})
+    assert motions.description["position"] == "time"
+    header, arrays = unpacked(motions.answer({"mass": 0.75}))
+    np.testing.assert_array_equal(arrays["mz"], vibrating(mass=0.75).mz)
+    assert header["title"] == "clamped: 1 whisker, no object" and header["note"] == ""
+    assert "result = vibrating(mass=0.75)" in header["code"][0]
+    assert arrays["outline_x"].size == 0 and Session(build, RANGES).description["position"] == "drive"
+
+
+def test_a_motion_that_is_compiled_for_a_value_says_so():
+    motions = Session(vibrating, {"steps": (2, 9, 4)})
+    notes = [unpacked(motions.answer({"steps": steps}))[0]["note"] for steps in (4.0, 5.0, 5.0)]
+    assert notes == ["", session.RECOMPILED_MOTION, ""]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda x: build(70.0) if x > 1 else vibrating(),
+            "`build` must be a function that always returns a Simulation",
+        ),
+        (
+            lambda x: jax.vmap(lambda mass: vibrating(mass=mass))(jnp.array([0.5, x + 1])),
+            "`result` must be a single simulation, got a batch of shape (2,)",
+        ),
+    ],
+    ids=["kind", "batch"],
+)
+def test_other_simulations_are_an_error(make, message):
+    header, _ = unpacked(Session(make, {"x": (0, 2, 1)}).answer({"x": 2.0}))
+    assert header["error"].startswith(message)
 
 
 def test_a_picture_that_is_compiled_for_a_new_function_says_so(unsolved):

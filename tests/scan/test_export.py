@@ -12,6 +12,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._inverse.observations import read_observations
 from jaxwhisker._scan.quantities import REACTIONS
+from pictured import swept
 from scenes import model
 
 CONTROL = np.linspace(0.72, -1.62, 118)
@@ -79,6 +80,20 @@ def test_the_table_of_a_clamped_whisker_has_no_springs(result):
     clamped = model("clamped")
     table = jw.to_dataframe(jw.Result(**fields | {"spring_length": jnp.zeros((CONTROL.size, 0)), "scene": clamped}))
     assert not any(name.startswith("spring") for name in table)
+
+
+def test_the_table_of_a_motion_has_its_times(tmp_path):
+    motion, path = swept(), tmp_path / "motion.csv"
+    table = jw.to_dataframe(motion)
+    assert list(table)[:3] == ["time", "control", "fx_1"] and len(table) == motion.time.size
+    for name, column in {"time": motion.time, "mz_1": motion.mz[:, 0], "tip_y_1": motion.tip_y[:, 0]}.items():
+        np.testing.assert_array_equal(table[name], column)
+    jw.to_csv(motion, path)
+    assert_same(read_observations(path), motion)
+    assert "times in L^2 sqrt(rho A/EI)" in path.read_text().splitlines()[0]
+    batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), motion)
+    with pytest.raises(ValueError, match=r"`result` must be a single simulation, got a batch of shape \(2,\)"):
+        jw.to_dataframe(batch)
 
 
 @pytest.mark.unchecked

@@ -1,12 +1,15 @@
 """Printed tables of scans: numbers, units of scenes in SI units, events that do not fit, CSV files."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxwhisker as jw
 from handmade import SI, handmade_scan
+from jaxwhisker._dynamics.simulation import TimedEvents
 from jaxwhisker._scan import report
 
 DIMENSIONLESS = 1.0, 1.0
@@ -72,3 +75,18 @@ def test_columns_and_rows_become_csv(tmp_path):
     assert (tmp_path / "a.csv").read_text() == "# two columns\na,b\n1,0.0\n2,0.25\n"
     report.write_rows([["x", "y"], ["1", "-"]], tmp_path / "b.csv")
     assert (tmp_path / "b.csv").read_text() == "x,y\n1,\n"
+
+
+def test_events_of_a_motion_have_times_with_units():
+    touch, first = jnp.array([int(jw.EventKind.touch)]), jnp.array([1])
+    events = TimedEvents(touch, first, jnp.array([0.03]), jnp.array([0.035]), jnp.asarray(70))
+    # T = 20 ms
+    whisker = jw.Whisker(*SI, mass_per_length=SI[1] / SI[0] ** 4 * 0.02**2)
+    motion = SimpleNamespace(scene=jw.Scene(whisker, jw.Parabola(0.01, 20.0)), events=events)
+    for units, heading, expected in (
+        ("SI", ["time", "(ms)", "control", "(mm)"], ["30.0000", "35.00000"]),
+        ("dimensionless", ["time", "(T)", "control", "(L)"], ["1.50000", "0.700000"]),
+    ):
+        header, _, row, missing = report.timed_event_table(motion, units).splitlines()
+        assert header.split() == [*heading, "event", "whisker"] and row.split() == [*expected, "touch", "1"]
+        assert missing == "Only the first 1 of 70 events fit into the result."

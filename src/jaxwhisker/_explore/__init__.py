@@ -1,16 +1,19 @@
-"""Sliders: the parameters of a scene in Jupyter, or on a local page."""
+"""Sliders: the parameters of a scene or of a motion in Jupyter, or on a local page."""
 
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxwhisker._model.scene import Scene
+
+if TYPE_CHECKING:
+    from jaxwhisker._dynamics.simulation import Simulation
 
 __all__ = ["explore"]
 
 
-def explore(build: Callable[..., Scene], /, **ranges: Any) -> Any:
+def explore(build: "Callable[..., Scene | Simulation]", /, **ranges: Any) -> Any:
     """Change the parameters of a scene and move its drive with sliders; shapes, signals and events follow.
 
         def build(stiffness, distance):
@@ -18,15 +21,27 @@ def explore(build: Callable[..., Scene], /, **ranges: Any) -> Any:
 
         jw.explore(build, stiffness=(10, 500), distance=(0.1, 0.9, 0.2))
 
+    If `build` returns a Simulation, signals are drawn over time, one slider moves through time, and a button plays the
+    motion:
+
+        def build(stiffness, speed):
+            scene = jw.Scene(jw.Whisker(mass_per_length=1.0), jw.Parabola(0.2), jw.Support.fb(stiffness))
+            settings = {"steps": 800, "every": 2, "stiffness_damping": 0.02, "shapes": 8}
+            return jw.simulate(scene, np.array([0.75, -1.6]), 2.35 / speed, **settings)
+
+        jw.explore(build, stiffness=(30, 500), speed=(0.15, 1.5, 0.3))
+
     In Jupyter the sliders are a widget, which appears if the call is the last line of a cell. Elsewhere they are a
     local page, which opens in the browser and stays until Ctrl-C. The first picture waits for the compiler unless
-    the cache has its programs; further scenes with the same structure take some milliseconds. A button shows Python
-    code for the scene.
+    the cache has its programs; further scenes with the same structure take some milliseconds, and motions as long as
+    `simulate`. A button shows Python code for the scene or the motion.
 
     Args:
-        build: makes a Scene from numbers given by name. It is called again for every picture and may branch on their
-            values. A change of the scene's structure needs another compilation: another kind of object, more springs,
-            or a plain function that depends on a slider (an `equinox.Module` with numeric fields does not).
+        build: makes a Scene or a Simulation from numbers given by name. It is called again for every picture and may
+            branch on their values. A change of the scene's structure needs another compilation: another kind of object,
+            more springs, or a plain function that depends on a slider (an `equinox.Module` with numeric fields does
+            not). So does a number of time steps that depends on a slider. Every sample of a simulation is drawn: a few
+            hundred are enough (`every`).
         ranges: (low, high) or (low, high, start) for each parameter by name, in the unit of the parameter. By default a
             slider starts in the middle. It is logarithmic if high/low > 20 and low > 0. Parameters of `build` without
             a range keep their defaults.
@@ -36,7 +51,8 @@ def explore(build: Callable[..., Scene], /, **ranges: Any) -> Any:
 
     Raises:
         ValueError: if a range is not valid or is not that of a parameter of `build`; if a parameter without a default
-            has no range; if `build` does not return a Scene at the start values; if JAX is in float32 mode.
+            has no range; if `build` does not return a Scene or a Simulation at the start values; if JAX is in float32
+            mode.
         ImportError: if tornado or anywidget is missing: `pip install 'jaxwhisker[explore]'`.
     """
     from jaxwhisker._explore.hosts import Explorer, serve

@@ -1,7 +1,8 @@
-"""Python code of a scene: constructor calls with numbers, which run in a new process."""
+"""Python code of a scene or a motion: calls with numbers, which run in a new process."""
 
 import inspect
 import re
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -23,8 +24,9 @@ _signature = lru_cache(inspect.signature)  # cached for twenty pictures a second
 _PRINT = """
 for k in range(result.fx.shape[1]):
     fx, fy, mz = (f"{name} = {getattr(result, name)[step, k]:.7g}" for name in ("fx", "fy", "mz"))
-    print(f"u = {result.control[step]:.7g}, whisker {k + 1}: {fx}, {fy}, {mz}")
+    print(f"PLACE, whisker {k + 1}: {fx}, {fy}, {mz}")
 """
+_CONTROL, _TIME = "u = {result.control[step]:.7g}", "t = {result.time[step]:.7g}"
 
 
 def code_of(scene: Scene, comment: str = "") -> str:
@@ -35,16 +37,26 @@ def code_of(scene: Scene, comment: str = "") -> str:
     """
     writer = _Writer()
     arguments = "".join(f"    {argument},\n" for argument in writer.arguments(scene))
-    head = "\n".join([*_HEAD, *sorted(writer.imports)])
-    needed = [f"# Define these first: {', '.join(writer.needed)}."] * bool(writer.needed)
-    comments = [*[f"# {comment}"] * bool(comment), *needed]
-    return "\n".join([head, "", _FLOAT64, "", *comments, f"scene = jw.Scene(\n{arguments})\n"])
+    return writer.code([f"# {comment}"] * bool(comment), f"scene = jw.Scene(\n{arguments})\n")
+
+
+def code_of_call(build: Callable, values: Mapping[str, float]) -> str:
+    """Code that calls a user's function, whose result it names `result`."""
+    writer = _Writer()
+    name = writer.name(build, "build")
+    return writer.code([], f"result = {name}({', '.join(f'{key}={value!r}' for key, value in values.items())})\n")
 
 
 def code_of_scan(scene_code: str, control: Float[np.ndarray, " steps"]) -> list[str]:
     """Code that constructs a scene, scans it and prints one step, as the texts before and after the step's number."""
     positions = f"np.linspace({float(control[0])!r}, {float(control[-1])!r}, {control.size})"
-    return [f"{scene_code}\nresult = jw.scan(scene, {positions})\nprint(result)\n\nstep = ", _PRINT]
+    scanned = f"{scene_code}\nresult = jw.scan(scene, {positions})\nprint(result)\n\nstep = "
+    return [scanned, _PRINT.replace("PLACE", _CONTROL)]
+
+
+def code_of_motion(code: str) -> list[str]:
+    """Code that makes a simulation and prints one sample, as the texts before and after the sample's number."""
+    return [f"{code}print(result)\n\nstep = ", _PRINT.replace("PLACE", f"{_TIME}, {_CONTROL}")]
 
 
 class _Writer:
@@ -53,6 +65,12 @@ class _Writer:
     def __init__(self):
         self.imports: set[str] = set()
         self.needed: dict[str, Any] = {}  # user-defined functions and classes that cannot be imported
+
+    def code(self, comments: list[str], statement: str) -> str:
+        """A statement with the imports and comments that it needs."""
+        head = "\n".join([*_HEAD, *sorted(self.imports)])
+        needed = [f"# Define these first: {', '.join(self.needed)}."] * bool(self.needed)
+        return "\n".join([head, "", _FLOAT64, "", *comments, *needed, statement])
 
     def arguments(self, value: Any) -> list[str]:
         """The constructor's arguments as `name=expression`, without those that have their default."""
@@ -74,13 +92,13 @@ class _Writer:
             parts = [self.expression(part, name) for part in value]
             return f"({', '.join(parts)}{',' * (len(parts) == 1)})"
         if isinstance(value, PlainFunction):
-            return self._name(value.function, name)
+            return self.name(value.function, name)
         if not isinstance(value, eqx.Module):
-            return self._name(value, name)
+            return self.name(value, name)
         try:
             return self._shorter(value) or f"{self._class(type(value))}({', '.join(self.arguments(value))})"
         except AttributeError:  # a user-defined class that does not store its constructor's arguments
-            return self._name(value, name)
+            return self.name(value, name)
 
     def _shorter(self, value: Any) -> str | None:
         """A shorter expression that calls a class method; None if there is none."""
@@ -129,9 +147,9 @@ class _Writer:
         return f"jw.Whisker({length}, {text}.bending_stiffness, {', '.join(further)})"
 
     def _class(self, kind: type) -> str:
-        return f"jw.{kind.__name__}" if kind.__module__.startswith("jaxwhisker.") else self._name(kind, kind.__name__)
+        return f"jw.{kind.__name__}" if kind.__module__.startswith("jaxwhisker.") else self.name(kind, kind.__name__)
 
-    def _name(self, value: Any, default: str) -> str:
+    def name(self, value: Any, default: str) -> str:
         """The name of a user-defined function or class."""
         name, module = getattr(value, "__qualname__", ""), getattr(value, "__module__", "__main__")
         if name.isidentifier() and module != "__main__":

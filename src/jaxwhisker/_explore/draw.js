@@ -1,4 +1,4 @@
-// Drawing on canvases: the scene at one step of a picture, and the signals over the control.
+// Drawing on canvases: the scene at one step of a picture, and the signals over the control or the time.
 
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"]; // Okabe and Ito; then text colour
 const SIGNALS = ["fx", "fy", "mz"];
@@ -178,7 +178,7 @@ function drawWhisker(context, picture, at, X, Y, style) {
   const points = [(k) => X(picture.line_x[first + k]), (k) => Y(picture.line_y[first + k])];
   line(context, picture.points, ...points, style, 2.5);
   dot(context, X(picture.base_x[at]), Y(picture.base_y[at]), 4, style);
-  const share = picture.contact_force[at] / picture.largestForce;
+  const share = Math.min(picture.contact_force[at] / picture.largestForce, 1);
   if (!(share > 0)) return;
   const [slope, reach] = [picture.contact_slope[at], (0.1 + 0.25 * share) * picture.length];
   const [tipX, tipY] = [picture.contact_x[at], picture.contact_y[at]];
@@ -240,19 +240,19 @@ function drawSignals(canvas, picture, step) {
     const [top, bottom] = [8 + number * row, (number + 1) * row - 6];
     const box = { left: MARGINS.left, right: width - MARGINS.right, top, bottom };
     const last = number === SIGNALS.length - 1;
-    const labels = { x: last && picture.labels.u, y: picture.labels[name] };
+    const labels = { x: last && picture.labels[picture.symbol], y: picture.labels[name] };
     const { X, Y } = axes(sheet, box, picture.range, rounded(extremes(picture[name])), labels);
-    for (const { control, whiskers, snap } of picture.events) {
+    for (const { place, whiskers, snap } of picture.events) {
       const style = whiskers.length === 1 ? colour(whiskers[0], ink) : ink;
       const look = snap ? { alpha: 0.8, dashes: [4, 4] } : { width: 2 };
-      segment(context, [X(control), snap ? top : bottom - 7, X(control), bottom], style, look);
+      segment(context, [X(place), snap ? top : bottom - 7, X(place), bottom], style, look);
     }
-    const now = X(picture.control[step]);
+    const now = X(picture.along[step]);
     segment(context, [now, top, now, bottom], ink, { alpha: 0.8 });
     for (let whisker = 0; whisker < picture.whiskers; whisker++) {
       const style = colour(whisker, ink);
       const value = (k) => Y(picture[name][k * picture.whiskers + whisker]);
-      line(context, picture.steps, (k) => X(picture.control[k]), value, style, 1.8);
+      line(context, picture.steps, (k) => X(picture.along[k]), value, style, 1.8);
       dot(context, now, value(step), 3.5, style);
     }
   });

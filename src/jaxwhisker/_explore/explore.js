@@ -1,10 +1,12 @@
 // Sliders for a scene. Together with draw.js, this is a single module for Jupyter (anywidget) and for the local page.
 //
-// A host provides `ask(values)`, which returns a promise of a picture (see picture.py). A picture is a whole scan, so
-// moving the drive needs no request.
+// A host provides `ask(values)`, which returns a promise of a picture (see picture.py). A picture is a whole scan or
+// motion, so moving the drive, or the time, needs no request.
 
 const POSITIONS = 1000; // of a slider
 const MOST_REQUESTS = 2; // at a time: one is on its way while the other is computed
+const PLAYED = 8000; // milliseconds in which a whole motion is played
+const IMPACTS = 0.02; // share of the states in contact of a motion that may be impacts, whose arrows are not longer
 const COMPILING = "Compiling. The first picture of such a scene takes some seconds.";
 const ARRAYS = { f8: Float64Array, f4: Float32Array, i1: Int8Array };
 
@@ -22,8 +24,12 @@ function unpacked(packed) {
     at += picture[name].byteLength;
     if (name === "line_x") [picture.steps, picture.whiskers, picture.points] = shape;
   }
-  picture.range = extremes(picture.control);
-  picture.largestForce = extremes(picture.contact_force)[1];
+  const [[symbol, along]] = picture.places;
+  picture.symbol = symbol;
+  picture.along = picture[along]; // the control of a scan, the time of a motion
+  picture.range = extremes(picture.along);
+  const forces = picture.contact_force.filter((force) => force > 0).sort();
+  picture.largestForce = forces[Math.floor((forces.length - 1) * (symbol === "t" ? 1 - IMPACTS : 1))];
   picture.viewAt = viewOf(picture);
   return picture;
 }
@@ -65,9 +71,9 @@ function format(value, dimensionless) {
 }
 
 /** Show the sliders in an element; returns a function that removes them. */
-export function explore(el, { sliders, phases, statuses }, ask) {
+export function explore(el, { sliders, position, phases, statuses }, ask) {
   const values = Object.fromEntries(sliders.map(({ name, start }) => [name, start]));
-  let picture, step, wishedControl, outdated, nextFrame;
+  let picture, step, wished, outdated, nextFrame, playing;
   let [sent, latest, waiting, drawn] = [0, 0, 0, 0]; // numbers of requests; the answer to `latest` is shown
 
   const title = make("p", { className: "title" });
@@ -76,17 +82,21 @@ export function explore(el, { sliders, phases, statuses }, ask) {
   const scene = make("canvas", { role: "img" });
   const signals = make("canvas", { role: "img", className: "signals" });
   const canvases = make("div", { className: "pictures" }, scene, signals);
-  const drive = slider("drive", "", (position) => moveTo(reversed(position)));
-  const controls = make("div", { className: "sliders" }, drive.element);
+  const place = slider(position, "", (at) => {
+    pause();
+    moveTo(reversed(at));
+  });
+  const controls = make("div", { className: "sliders" }, place.element);
+  const play = make("button", { type: "button", hidden: position !== "time" }, "play");
   const head = make("tr", {});
   const rows = make("tbody", {});
   const table = make("div", { className: "table" }, make("table", {}, make("thead", {}, head), rows));
-  const events = make("ol", { ariaLabel: "events of the scan" });
+  const events = make("ol", { ariaLabel: "events" });
   const numbers = make("div", { className: "numbers" }, table, events);
   const show = make("button", { type: "button", ariaExpanded: "false" }, "Python code");
   const copy = make("button", { type: "button", hidden: true }, "copy");
   const code = make("pre", { hidden: true, tabIndex: 0, ariaLabel: "Python code of the scene" });
-  const parts = [title, summary, message, canvases, controls, numbers, show, copy, code];
+  const parts = [title, summary, message, canvases, play, controls, numbers, show, copy, code];
   const root = make("div", { className: "jaxwhisker", ariaBusy: "true" }, ...parts);
   el.replaceChildren(root);
 
@@ -101,20 +111,42 @@ export function explore(el, { sliders, phases, statuses }, ask) {
     controls.append(element);
   }
 
-  /** Convert the position of the drive's slider to a step, or back: the slider runs along u, the scan either way. */
-  function reversed(position) {
-    return picture && picture.control[0] > picture.control[picture.steps - 1] ? picture.steps - 1 - position : position;
+  /** Convert the position of the first slider to a step, or back: the slider runs along u, the scan either way. */
+  function reversed(at) {
+    return picture && picture.along[0] > picture.along[picture.steps - 1] ? picture.steps - 1 - at : at;
   }
 
-  function nearestStep(u) {
-    const distance = (k) => Math.abs(picture.control[k] - u);
-    return picture.control.reduce((best, _, k) => (distance(k) < distance(best) ? k : best), 0);
+  function nearestStep(value) {
+    const distance = (k) => Math.abs(picture.along[k] - value);
+    return picture.along.reduce((best, _, k) => (distance(k) < distance(best) ? k : best), 0);
   }
 
   function moveTo(nextStep) {
     if (!picture) return;
-    [step, wishedControl] = [nextStep, picture.control[nextStep]];
+    [step, wished] = [nextStep, picture.along[nextStep]];
     draw();
+  }
+
+  /** Play a motion to its end, from the start if it is at its end. */
+  function run() {
+    play.textContent = "pause";
+    let before;
+    let exact = step === picture.steps - 1 ? 0 : step;
+    const advance = (now) => {
+      const last = picture.steps - 1;
+      exact = Math.min(exact + (last * (now - (before ?? now))) / PLAYED, last);
+      before = now;
+      moveTo(Math.floor(exact));
+      if (exact < last) playing = requestAnimationFrame(advance);
+      else pause();
+    };
+    playing = requestAnimationFrame(advance);
+  }
+
+  function pause() {
+    cancelAnimationFrame(playing);
+    playing = undefined;
+    play.textContent = "play";
   }
 
   /** Ask for the current values, now or when a request has been answered. */
@@ -148,11 +180,11 @@ export function explore(el, { sliders, phases, statuses }, ask) {
 
   function take(next) {
     picture = next;
-    wishedControl ??= (picture.range[0] + picture.range[1]) / 2;
-    step = nearestStep(wishedControl);
-    drive.input.max = picture.steps - 1;
+    wished ??= (picture.range[0] + picture.range[1]) / 2;
+    step = nearestStep(wished);
+    place.input.max = picture.steps - 1;
     title.textContent = scene.ariaLabel = picture.title;
-    signals.ariaLabel = `${SIGNALS.join(", ")} of all whiskers over the drive's position`;
+    signals.ariaLabel = `${SIGNALS.join(", ")} of all whiskers over the ${position === "time" ? "time" : "drive's position"}`;
     summary.textContent = picture.summary;
     summary.classList.toggle("wrong", picture.failed > 0);
     const texts = picture.events.length ? picture.events.map(({ text }) => text) : ["no events"];
@@ -187,11 +219,12 @@ export function explore(el, { sliders, phases, statuses }, ask) {
     });
   }
 
-  /** Write the numbers at the position of the drive. */
+  /** Write the numbers at this step. */
   function write(failure) {
     const text = (value) => format(value, picture.dimensionless);
-    drive.input.value = reversed(step);
-    drive.setText(`u = ${text(picture.control[step])}${picture.unit}`);
+    place.input.value = reversed(step);
+    const read = ([symbol, name, unit]) => `${symbol} = ${text(picture[name][step])}${unit}`;
+    place.setText(picture.places.map(read).join(", "));
     [...rows.children].forEach(({ children }, whisker) => {
       const at = step * picture.whiskers + whisker;
       const known = picture.columns.map(([name]) => (failure ? "" : text(picture[name][at])));
@@ -204,6 +237,7 @@ export function explore(el, { sliders, phases, statuses }, ask) {
   const follow = ({ offsetX }) => {
     if (!picture) return;
     const share = (offsetX - MARGINS.left) / (signals.clientWidth - MARGINS.left - MARGINS.right);
+    pause();
     moveTo(nearestStep(picture.range[0] + share * (picture.range[1] - picture.range[0])));
   };
   signals.addEventListener("pointerdown", (event) => {
@@ -211,6 +245,7 @@ export function explore(el, { sliders, phases, statuses }, ask) {
     follow(event);
   });
   signals.addEventListener("pointermove", (event) => event.buttons && follow(event));
+  play.addEventListener("click", () => picture && (playing ? pause() : run()));
   show.addEventListener("click", () => {
     code.hidden = copy.hidden = !code.hidden;
     show.ariaExpanded = `${!code.hidden}`;
@@ -228,6 +263,7 @@ export function explore(el, { sliders, phases, statuses }, ask) {
   dark.addEventListener("change", draw);
   refresh();
   return () => {
+    pause();
     resized.disconnect();
     themed.disconnect();
     dark.removeEventListener("change", draw);

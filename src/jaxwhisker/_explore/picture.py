@@ -1,4 +1,4 @@
-"""Pictures: a scan of a scene with all shapes, as bytes that a page can draw.
+"""Pictures: a scan of a scene, or a motion, with all shapes, as bytes that a page can draw.
 
 The bytes are the length of the header (four bytes, little-endian), the header in JSON, padded to a total multiple of
 eight bytes, and the arrays one after the other, those with the largest items first.
@@ -7,6 +7,7 @@ eight bytes, and the arrays one after the other, those with the largest items fi
 import json
 import struct
 import textwrap
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -16,13 +17,14 @@ from jaxtyping import Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
-from jaxwhisker._explore.code import code_of_scan
+from jaxwhisker._dynamics.simulation import Simulation, TimedEvent
+from jaxwhisker._explore.code import code_of_motion, code_of_scan
 from jaxwhisker._model.motion import Pose
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import Scene, Sensor, objects_of
 from jaxwhisker._model.silhouette import silhouette
-from jaxwhisker._scan.quantities import QUANTITIES, REACTIONS, STATE, Unit, UnitSystem, control_kind
+from jaxwhisker._scan.quantities import REACTIONS, STATE, Unit, UnitSystem, control_kind, quantity
 from jaxwhisker._scan.report import status_line
-from jaxwhisker._scan.result import Event, Result
+from jaxwhisker._scan.result import Event, Result, check_not_batched
 from jaxwhisker._scan.scan import scan_across
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.state import state_of
@@ -37,9 +39,9 @@ TABLE_COLUMNS = {"fx": "fx", "fy": "fy", "mz": "mz", "base_x": "base x", "contac
 
 
 class Picture(NamedTuple):
-    """A scan and its geometry, in the scene's units."""
+    """A scan or a motion and its geometry, in the scene's units."""
 
-    result: Result
+    result: Result | Simulation
     lines: Shapes  # fields (steps, whiskers, points)
     drive: Pose  # fields (steps,)
     outline: Float[jax.Array, "points 2"]  # of the object; NaN where a graph ends
@@ -52,61 +54,81 @@ def picture_of(scene: Scene) -> Picture:
     return Picture(result, lines, *_around(scene, result.control))
 
 
+def picture_of_motion(motion: Simulation) -> Picture:
+    """The picture of a motion, whose samples are its steps.
+
+    Raises:
+        ValueError: if it is a batch.
+    """
+    check_not_batched(motion, "a single simulation")
+    return Picture(motion, _lines(motion), *_around(motion.scene, motion.control))
+
+
 @Program
-def _around(scene: Scene, control: Float[jax.Array, " steps"]) -> tuple[Pose, Float[jax.Array, "points 2"]]:
+def _lines(motion: Simulation) -> Shapes:
+    return motion.shapes(PAGE_LINE_POINTS)
+
+
+@Program
+def _around(scene: Scene | Sensor, control: Float[jax.Array, " steps"]) -> tuple[Pose, Float[jax.Array, "points 2"]]:
     """The drive at all steps, and the outlines of all objects, between which are NaN."""
-    outlines = []
-    for one in scene.profile.objects:
+    outlines = [jnp.zeros((0, 2))]
+    for one in objects_of(scene):
         outlines += [silhouette(one, scene.whiskers[0].length, points=OUTLINE_POINTS), jnp.full((1, 2), jnp.nan)]
-    return jax.vmap(scene.motion.pose)(control), jnp.concatenate(outlines[:-1])
+    return jax.vmap(scene.motion.pose)(control), jnp.concatenate(outlines)[:-1]
 
 
-def packed_picture(picture: Picture, scene: Scene, code: str, note: str = "") -> bytes:
+def packed_picture(picture: Picture, scene: Scene | Sensor, code: str, note: str = "") -> bytes:
     """Pack a picture, its labels and its code, with all numbers in the units in which the scene is shown.
 
     Args:
         picture: a picture with numpy arrays.
         scene: the scene of the picture, with the numbers that the user gave.
-        code: Python code that constructs the scene.
+        code: Python code that constructs the scene, or makes the motion.
         note: a message for the user.
 
     Raises:
-        ValueError: if the scene has no default control to scan.
+        ValueError: if the scene has no default control to scan, or the motion has no second sample.
     """
     result = picture.result
+    shown, places = {"u": "control"}, np.asarray(result.control)
+    if isinstance(result, Simulation):
+        shown, time = {"t": "time"} | shown, np.asarray(result.time)
+        places = time[0] + (time[1] - time[0]) * np.arange(time.size)  # known even where the simulation has failed
     failed, summary = status_line(result)
-    if not np.isfinite(result.control).all():
-        raise ValueError(f"The scene has no scan: {summary}.")
+    if not np.isfinite(places).all():
+        raise ValueError(f"The scene has no {'motion' if 't' in shown else 'scan'}: {summary}.")
     units = UnitSystem(scene)
-    length, along = units.of_kind("length").size, units.unit("control")
+    length = units.of_kind("length").size
     header = {
         "title": str(scene),
         "note": note,
         "dimensionless": units.dimensionless,
-        "unit": _after_number(along),
-        "labels": _labels(units),
+        "places": [[symbol, name, _after_number(units.unit(name))] for symbol, name in shown.items()],
+        "labels": _labels(units, shown),
         "columns": [[name, heading + _in_brackets(units.unit(name))] for name, heading in TABLE_COLUMNS.items()],
         "failed": failed,
         "summary": summary,
-        "events": [_event(event, along) for event in result.events],
+        "events": [_event(event, units) for event in result.events],
         "springs": _springs(scene, length),
         "lowest": min(0.0, *(float(mount.y) / length for mount in scene.support.mounts)),
         "length": float(scene.whiskers[0].length) / length,
-        "code": code_of_scan(code, np.asarray(result.control)),
+        "code": code_of_motion(code) if isinstance(result, Simulation) else code_of_scan(code, places),
     }
-    return _packed(header, _arrays(picture, units))
+    first = next(iter(shown.values()))
+    return _packed(header, _arrays(picture, units) | {first: units.shown(first, places)})
 
 
 def _arrays(picture: Picture, units: UnitSystem) -> dict[str, Any]:
     result, lines, drive, outline = picture
     length = units.of_kind("length").size
     arrays: dict[str, Any] = {
-        name: units.shown(name, getattr(result, name)).astype(QUANTITIES[name].dtype)
+        name: units.shown(name, getattr(result, name)).astype(quantity(name).dtype)
         for name in ("control", *STATE, "status")
         if getattr(result, name) is not None
     }
     arrays |= {"drive_x": drive.x / length, "drive_y": drive.y / length, "drive_angle": drive.angle}
-    if len(result.scene.profile.objects) == 1:
+    if len(objects_of(result.scene)) == 1:
         outline = outline[np.isfinite(outline).all(axis=1)]
     coarse = {"line_x": lines.x, "line_y": lines.y, "outline_x": outline[:, 0], "outline_y": outline[:, 1]}
     return arrays | {name: (values / length).astype(np.float32) for name, values in coarse.items()}
@@ -128,7 +150,7 @@ def _packed(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> bytes:
 
 
 # How a symbol is made dimensionless, in plain text.
-_DIMENSIONLESS = {"length": "/L", "force": " L²/EI", "moment": " L/EI"}
+_DIMENSIONLESS = {"length": "/L", "force": " L²/EI", "moment": " L/EI", "time": "/T"}
 
 
 def _after_number(unit: Unit) -> str:
@@ -139,29 +161,38 @@ def _in_brackets(unit: Unit) -> str:
     return f" ({unit.name})" * bool(unit.name)
 
 
-def _labels(units: UnitSystem) -> dict[str, str]:
-    """Labels of axes: symbols with units."""
+def _labels(units: UnitSystem, shown: Mapping[str, str]) -> dict[str, str]:
+    """Labels of axes: symbols with units; `shown` are the symbols of control and time."""
 
     def label(symbol: str, kind: str) -> str:
         return symbol + (_DIMENSIONLESS[kind] if units.dimensionless else _in_brackets(units.of_kind(kind)))
 
     along_x = control_kind(units.scene) == "length"
     labels = {"x": label("x", "length"), "y": label("y", "length")}
-    labels |= {name: label(name, QUANTITIES[name].kind) for name in REACTIONS}
+    labels |= {name: label(name, quantity(name).kind) for name in REACTIONS}
+    labels |= {symbol: label(symbol, "time") for symbol in shown if symbol == "t"}
     return labels | {"u": label("u", "length") if along_x else units.label("control")}
 
 
-def _event(event: Event, unit: Unit) -> dict[str, Any]:
-    control = event.control / unit.size
+def _event(event: Event | TimedEvent, units: UnitSystem) -> dict[str, Any]:
+    along = units.unit("control")
+    place = control = event.control / along.size
+    event = event._replace(control=control)
+    if isinstance(event, TimedEvent):
+        unit, whiskers = units.unit("time"), (event.whisker,)
+        place = event.time / unit.size
+        text = str(event._replace(time=place)).replace(",", f"{_after_number(unit)},", 1)
+    else:
+        text, whiskers = str(event), event.whiskers
     return {
-        "text": str(event._replace(control=control)).replace("  ", f"{_after_number(unit)}  ", 1),
-        "control": control,
-        "whiskers": [number - 1 for number in event.whiskers],
+        "text": text.replace("  ", f"{_after_number(along)}  ", 1),
+        "place": place,
+        "whiskers": [number - 1 for number in whiskers],
         "snap": event.kind.name.startswith("snap"),
     }
 
 
-def _springs(scene: Scene, length: float) -> list[dict[str, Any]]:
+def _springs(scene: Scene | Sensor, length: float) -> list[dict[str, Any]]:
     """Data for drawing the springs; lengths are divided by `length`."""
     if scene.support.on_shafts:
         checks.fail("build", "a function that returns a scene without springs on shafts", scene.support.name)

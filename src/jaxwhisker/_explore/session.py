@@ -1,6 +1,6 @@
 """A session: sliders for the parameters of a scene, and a picture for any of their values.
 
-Every picture is a whole scan with all shapes, so moving the drive needs no further request.
+Every picture is a whole scan or motion with all shapes, so moving the drive, or the time, needs no further request.
 """
 
 import math
@@ -14,10 +14,11 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import PlainFunction
+from jaxwhisker._base.program import compilations
+from jaxwhisker._dynamics.simulation import Simulation
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._explore.code import code_of
-from jaxwhisker._explore.picture import packed_error, packed_picture, picture_of
-from jaxwhisker._inverse.parameters import build_scene
+from jaxwhisker._explore.code import code_of, code_of_call
+from jaxwhisker._explore.picture import packed_error, packed_picture, picture_of, picture_of_motion
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 
@@ -27,6 +28,10 @@ DIGITS = 4  # of the value in the middle of a range, like those of values to whi
 RECOMPILED = (
     "A function of the scene depends on the sliders, so every picture is compiled (about 10 seconds). "
     "An equinox.Module with numeric fields instead of the function avoids this."
+)
+RECOMPILED_MOTION = (
+    "A function or the number of time steps depends on the sliders, so every picture is compiled (10 to 20 seconds). "
+    "A fixed number of `steps`, and samples of the drive or jw.Whisking, avoid this."
 )
 
 
@@ -41,10 +46,10 @@ class Slider(NamedTuple):
 
 
 class Session:
-    """Pictures of the scenes that `build` makes from the values of the sliders. It answers one caller at a time.
+    """Pictures of what `build` makes from the values of the sliders. It answers one caller at a time.
 
     Args:
-        build: makes a Scene from numbers given by name.
+        build: makes a Scene or a Simulation from numbers given by name.
         ranges: a range for each slider; see `jw.explore`.
 
     Raises:
@@ -53,17 +58,18 @@ class Session:
 
     sliders: tuple[Slider, ...]
 
-    def __init__(self, build: Callable[..., Scene], ranges: Mapping[str, Any]):
+    def __init__(self, build: Callable[..., Scene | Simulation], ranges: Mapping[str, Any]):
         checks.float64_mode()
         self.sliders = tuple(slider_of(name, given) for name, given in ranges.items())
         self._build, self._functions = build, _Functions()
-        build_scene("ranges", build, {slider.name: slider.start for slider in self.sliders})
+        self._kind = type(self._built({slider.name: slider.start for slider in self.sliders}))
 
     @property
     def description(self) -> dict[str, Any]:
         """What a page needs before the first picture."""
         return {
             "sliders": [slider._asdict() for slider in self.sliders],
+            "position": "time" if issubclass(self._kind, Simulation) else "drive",
             "phases": [phase.name for phase in Phase],
             "statuses": [status.name for status in Status],
         }
@@ -72,13 +78,33 @@ class Session:
         """The picture for the values of the sliders, or the error that prevents it."""
         try:
             numbers = self._checked(values)
-            scene = build_scene("ranges", self._build, numbers)
-            comment = ", ".join(f"{name} = {value!r}" for name, value in numbers.items())
-            reused, new = self._functions.reused(scene)
-            picture = jax.tree.map(np.asarray, picture_of(jax.tree.map(checks.as_float, reused)))
-            return packed_picture(picture, scene, code_of(scene, comment), RECOMPILED if new else "")
+            before = compilations()
+            built = self._built(numbers)
+            if not isinstance(built, self._kind):
+                checks.fail("build", f"a function that always returns a {self._kind.__name__}", repr(built))
+            if isinstance(built, Simulation):
+                return self._of_motion(built, numbers, RECOMPILED_MOTION if compilations() > before else "")
+            return self._of_scan(built, numbers)
         except Exception as error:  # the sliders must stay usable, whatever `build` raises
             return packed_error(error)
+
+    def _of_scan(self, scene: Scene, numbers: Mapping[str, float]) -> bytes:
+        comment = ", ".join(f"{name} = {value!r}" for name, value in numbers.items())
+        reused, new = self._functions.reused(scene)
+        picture = jax.tree.map(np.asarray, picture_of(jax.tree.map(checks.as_float, reused)))
+        return packed_picture(picture, scene, code_of(scene, comment), RECOMPILED if new else "")
+
+    def _of_motion(self, motion: Simulation, numbers: Mapping[str, float], note: str) -> bytes:
+        picture = jax.tree.map(np.asarray, picture_of_motion(motion))
+        return packed_picture(picture, motion.scene, code_of_call(self._build, numbers), note)
+
+    def _built(self, values: Mapping[str, float]) -> Scene | Simulation:
+        """What `build` makes of values."""
+        checks.arguments("ranges", self._build, list(values))
+        built = self._build(**values)
+        if not isinstance(built, Scene | Simulation):
+            raise ValueError(f"`build` must return a Scene or a Simulation, got {built!r}.")
+        return built
 
     def _checked(self, values: Any) -> dict[str, float]:
         names = [slider.name for slider in self.sliders]

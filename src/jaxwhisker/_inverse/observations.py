@@ -9,11 +9,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxwhisker._scan.quantities import QUANTITIES, REACTIONS
+from jaxwhisker._scan.quantities import MOTION, QUANTITIES, REACTIONS
 from jaxwhisker._scan.result import Result
 
-# Other columns of scans and studies, which are ignored.
-_IGNORED = re.compile(rf"(?:{'|'.join(QUANTITIES)}|spring|time|event_.*|n_events)(?:_\d+)?")
+# Other columns of scans, studies and simulations, which are ignored.
+_IGNORED = re.compile(rf"(?:{'|'.join((*QUANTITIES, *MOTION))}|spring|event_.*|n_events)(?:_\d+)?")
 
 
 class Observations(eqx.Module):

@@ -254,6 +254,8 @@ def unit_in_words(kind: str, dimensionless: bool, per: str = "number") -> str:
 
     Datasets and files hold numbers in the scene's own units, whose names the library does not know.
     """
+    if kind == "time":
+        return "T" if dimensionless else "time"
     force, length = (a - b for a, b in zip(KINDS[kind], KINDS[per], strict=True))
     powers = {"EI": force, "L": length - 2 * force} if dimensionless else {"force": force, "length": length}
     return _product({"rad": (kind == "angle") - (per == "angle")} | powers)

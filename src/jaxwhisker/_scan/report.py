@@ -1,9 +1,10 @@
-"""Text output of scans: aligned tables of events and peaks, and CSV files."""
+"""Text output of scans and simulations: aligned tables of events and peaks, and CSV files."""
 
 import math
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._scan.dataset import counted
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, kind_of, unit_in_words
 from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.state import State
 
 ROUNDED = 1e-9  # relative to the unit; smaller numbers are printed as zero
 LEAST_DECIMALS, MOST_DECIMALS = -1, 9  # decimals of six significant digits; outside, numbers get powers of ten
@@ -54,7 +56,7 @@ class _Printed(UnitSystem):
         return f"{name} ({unit})" if unit not in ("", "1") else name
 
     def cell(self, name: str, value: float) -> str:
-        """Six significant digits relative to L, EI/L^2 or EI/L; one more for the control, which is more accurate."""
+        """Six significant digits relative to L, EI/L^2, EI/L or T; one more for the control, which is more accurate."""
         size = self.unit(name).size
         ratio = float(self.natural.control) / size if name == "control" else self.scale(kind_of(name, self.scene))
         decimals = (6 if name == "control" else 5) - math.floor(math.log10(ratio))
@@ -87,16 +89,41 @@ def event_table(result: Result, units: str = "auto") -> str:
         for (when, state), whisker in product(sides.items(), whiskers):
             values = [printed.cell(name, float(getattr(state, name)[whisker - 1])) for name in names]
             rows.append([control, kind, str(whisker), when, *values])
+    return _with_omitted(result, header, rows)
+
+
+def timed_event_table(motion: Any, units: str = "auto") -> str:
+    """Table of the events of a single simulation, with the time and the drive position of each.
+
+    A last line says how many events did not fit into the result.
+
+    Args:
+        motion: a Simulation.
+        units: "auto", "SI" or "dimensionless".
+
+    Raises:
+        ValueError: if `units` is none of these.
+    """
+    printed, names = _Printed(motion.scene, units), ("time", "control")
+    rows = [
+        [*(printed.cell(name, getattr(event, name)) for name in names), event.kind.name, str(event.whisker)]
+        for event in motion.events
+    ]
+    return _with_omitted(motion, [*map(printed.heading, names), "event", "whisker"], rows)
+
+
+def _with_omitted(result: Any, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of events, and a line that says how many are missing in it."""
     count, shown = int(result.events.count), len(result.events)
     missing = f"\nOnly the first {shown:,} of {count:,} events fit into the result." if count > shown else ""
     return (table(header, rows) if rows else "No events.") + missing
 
 
-def peak_table(result: Result, units: str = "auto") -> str:
+def peak_table(result: Any, units: str = "auto") -> str:
     """Table of extremes: one row per whisker and reaction, with the drive positions at which the extremes occur.
 
     Args:
-        result: the Result of a single scan.
+        result: the result of a single scan or simulation.
         units: "auto", "SI" or "dimensionless".
 
     Raises:
@@ -119,16 +146,16 @@ def peak_table(result: Result, units: str = "auto") -> str:
     return table(["whisker", "reaction", "minimum", place, "maximum", place], rows)
 
 
-def touches_object(result: Result) -> bool:
+def touches_object(result: State) -> bool:
     """Whether any whisker touches the object at any step."""
     return bool(np.any(np.asarray(result.phase) != Phase.free))
 
 
-def status_line(result: Result) -> tuple[int, str]:
-    """Number of failed steps, and a line that counts the steps by status."""
+def status_line(result: Any) -> tuple[int, str]:
+    """Number of failed steps or samples, and a line that counts them by status."""
     counts, steps = counted(result.status), np.size(result.status)
     words = ", ".join(f"{count} {name}" for name, count in counts.items())
-    return steps - counts.get("ok", 0), f"{steps} steps: {words}"
+    return steps - counts.get("ok", 0), f"{steps} {'samples' if hasattr(result, 'time') else 'steps'}: {words}"
 
 
 def write_columns(columns: dict[str, np.ndarray], path: Path, comment: str) -> None:

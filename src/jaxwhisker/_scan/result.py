@@ -147,12 +147,21 @@ def check_one_scan(result: Any) -> Result:
     """
     if not isinstance(result, Result):
         raise ValueError(f"`result` must be the Result of a scan, got {result!r}.")
+    check_not_batched(result, "the result of a single scan")
+    return result
+
+
+def check_not_batched(result: Any, what: str) -> None:
+    """Check that a result of a scan or a simulation is not a batch.
+
+    Raises:
+        ValueError: if it is; the message says what it must be.
+    """
     if np.ndim(result.control) != 1 or np.ndim(result.fx) != 2:
         raise ValueError(
-            "`result` must be the result of a single scan, got a batch of shape "
-            f"{np.shape(result.fx)[:-2]}: select one, such as jax.tree.map(lambda leaf: leaf[0], result)."
+            f"`result` must be {what}, got a batch of shape {np.shape(result.fx)[:-2]}: select one, such as "
+            "jax.tree.map(lambda leaf: leaf[0], result)."
         )
-    return result
 
 
 def arrays_of(result: Result, names: Iterable[str] = tuple(QUANTITIES)) -> dict[str, Array]:

@@ -29,6 +29,12 @@ PROFILES = {
     "circle": (Circle, {"radius": 1.0}),
     "ellipse": (Ellipse, {"a": 1.0, "b": 0.8}),
 }
+# Arguments of functions whose options have other names.
+OPTIONS = {
+    "control": "control (--start, --stop and --step)",
+    "drive": "the drive (--start)",
+    "speed": "--playback-speed",
+}
 OK, NOT_ALL_OK, USAGE, NO_CONTACT, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
 
 
@@ -42,7 +48,10 @@ def usage_errors() -> Iterator[None]:
     try:
         yield
     except (ValueError, ImportError) as error:
-        raise UsageError(str(error).replace("`control`", "control (--start, --stop and --step)")) from None
+        message = str(error)
+        for argument, option in OPTIONS.items():
+            message = message.replace(f"`{argument}`", option)
+        raise UsageError(message) from None
 
 
 # Types of option values
@@ -201,8 +210,8 @@ def values_of_parameters(args: argparse.Namespace) -> dict[str, Any]:
     """
     shape = _chosen(args, ("a", "b", "radius"), PROFILES[args.profile][1], f"--profile {args.profile}")
     others = {name: getattr(args, name) for name in ("length", "bending_stiffness", "distance", "position")}
-    friction = {} if args.friction is None else {"friction": args.friction}
-    return springs_of(args) | others | shape | friction
+    optional = {name: getattr(args, name, None) for name in ("friction", "mass_per_length")}
+    return springs_of(args) | others | shape | {name: value for name, value in optional.items() if value is not None}
 
 
 def option_of(name: str) -> str:
@@ -222,7 +231,8 @@ def make_scene(args: argparse.Namespace, rod: AbstractRod | None = None, /, **va
     """The scene of the chosen model and profile with these values of its parameters."""
     kind, shape = PROFILES[args.profile]
     profile = kind(**{name: values[name] for name in ("distance", "position", *shape)})
-    whisker = Whisker(values["length"], values["bending_stiffness"])
+    mass = values.get("mass_per_length")
+    whisker = Whisker(values["length"], values["bending_stiffness"], mass_per_length=mass)
     friction, detect = values.get("friction"), getattr(args, "detect", None)
     return Scene(whisker, profile, support_of(args, values), rod or Shooting(), friction=friction, detect=detect)
 
@@ -257,10 +267,16 @@ def positions(start: float, stop: float, step: float) -> np.ndarray:
     return start + np.sign(stop - start) * step * np.arange(int(steps + 1e-9) + 1)
 
 
-def control_of(args: argparse.Namespace, scene: Scene | None) -> np.ndarray | None:
-    """Drive positions of the scan of a scene, or of all scans of a study; None for the default ones."""
+def control_of(args: argparse.Namespace, scene: Scene | None, *, further: float = 0.0) -> np.ndarray | None:
+    """Drive positions of the scan of a scene, or of all scans of a study; None for the default ones.
+
+    Args:
+        args: the options.
+        scene: the scene, or None for a study.
+        further: how far the drive moves beyond the default end of a scan, which is towards -x.
+    """
     given = {option: value for option in ("start", "stop", "step") if (value := getattr(args, option)) is not None}
-    if not given:
+    if not given and not further:
         return None
     missing = [option for option in ("start", "stop") if option not in given]
     if missing and scene is None:
@@ -268,7 +284,7 @@ def control_of(args: argparse.Namespace, scene: Scene | None) -> np.ndarray | No
         raise ValueError(f"--{missing[0]} must be given with --{with_one}: all scans of a study share their control.")
     if scene is not None and missing:
         first, *_, last = default_control(scene)
-        given = {"start": first, "stop": last} | given
+        given = {"start": first, "stop": last - further} | given
     return positions(given["start"], given["stop"], _step_of(args))
 
 

@@ -1,12 +1,17 @@
 """The command `scan`: one scene."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from jaxwhisker._scan.export import to_csv
-from jaxwhisker._scan.report import event_table, peak_table, status_line, touches_object
+from jaxwhisker._scan.report import event_table, peak_table, status_line, timed_event_table, touches_object
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import scan
 from jaxwhisker.cli import options
+from jaxwhisker.cli.motion import add_motion, check_motion, motion_of
+
+if TYPE_CHECKING:
+    from jaxwhisker.plot.runs import Run
 
 
 def add_scan(commands) -> None:
@@ -16,6 +21,7 @@ def add_scan(commands) -> None:
     options.add_object(command)
     options.add_drive(command)
     options.add_detect(command)
+    add_motion(command)
     add = options.add_output(command, csv="control, reactions, base positions, spring lengths, phases, status")
     options.add_units(add)
 
@@ -33,6 +39,12 @@ def run_scan(args: argparse.Namespace) -> int:
     The CSV has the units of the options. It begins with a comment line:
     pandas.read_csv(file, comment="#").
 
+    With --drive-speed, the motion in time is simulated instead, with a sample at
+    every drive position. By default it ends 2 T later than the scan. The unit of
+    time is T = L^2 sqrt(RHO/EI), or a second if all options are in SI units. The
+    CSV has the columns time, gap_1, tip_x_1 and tip_y_1 as well. Peaks contain
+    impacts, whose height depends on the time step.
+
     exit codes:
       0  every step is ok
       1  some steps failed: they contain NaN and a status with the reason
@@ -44,12 +56,16 @@ def run_scan(args: argparse.Namespace) -> int:
           --plot fig.png --csv scan.csv
       jaxwhisker scan --model FBFB --stiffness 70,inf --rest-length 0.2,0.3
       jaxwhisker scan --model clamped --profile circle --start 0.5 --stop -1
+      jaxwhisker scan --drive-speed 0.1 --mass-per-length 1 \
+          --stiffness-damping 0.02 --csv motion.csv
     """
     options.check_outputs(args.plot, args.csv)
     with options.usage_errors():
-        result = scan_of(args)
+        result = run_of(args)
     if touches_object(result):
-        print(f"\n{event_table(result, args.units)}\n\n{peak_table(result, args.units)}\n")
+        units = args.units
+        events = event_table(result, units) if isinstance(result, Result) else timed_event_table(result, units)
+        print(f"\n{events}\n\n{peak_table(result, units)}\n")
     print(status_line(result)[1])
     if args.csv is not None:
         to_csv(result, args.csv)
@@ -58,20 +74,21 @@ def run_scan(args: argparse.Namespace) -> int:
     return exit_code(result)
 
 
-def scan_of(args: argparse.Namespace) -> Result:
-    """Print the scene that the options describe, and scan it."""
+def run_of(args: argparse.Namespace) -> "Run":
+    """Print the scene that the options describe, and scan it, or simulate its motion."""
     scene = options.scene_of(args)
     options.check_drive(args)
+    check_motion(args)
     print(scene, flush=True)
-    return scan(scene, options.control_of(args, scene))
+    return scan(scene, options.control_of(args, scene)) if args.drive_speed is None else motion_of(args, scene)
 
 
-def exit_code(result: Result) -> int:
-    """The exit code for a scan; print a line if no whisker touches the object."""
+def exit_code(result: "Run") -> int:
+    """The exit code for a scan or a motion; print a line if no whisker touches the object."""
     failed, _ = status_line(result)
     if failed:
         return options.NOT_ALL_OK
     if touches_object(result):
         return options.OK
-    print("No whisker touches the object: all reactions are zero.")
+    print("No whisker touches the object" + ": all reactions are zero" * isinstance(result, Result) + ".")
     return options.NO_CONTACT

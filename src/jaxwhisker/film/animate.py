@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 FPS = 25  # a frame takes a whole number of hundredths of a second, as GIFs require
 FASTEST = 60  # frames per second
-LONGEST = 300.0  # seconds
+SECONDS, LONGEST = 12.0, 300.0  # default and largest duration of a run
 LEAST_WIDTH, MOST_WIDTH = 64, 4096  # pixels
 
 
@@ -89,7 +89,7 @@ def animate(
 
     from jaxwhisker.film import canvas, frames, pace, writers
 
-    seconds = pace.duration_of_film(result, seconds, speed, longest=LONGEST)
+    seconds = pace.duration_of_film(result, seconds, speed, default=SECONDS, longest=LONGEST)
     path = check(path, seconds, fps, width, units)
     pace.check_begun(result)
     if path is None:

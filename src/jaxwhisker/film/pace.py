@@ -10,11 +10,12 @@ from jaxwhisker._path.path import Status
 from jaxwhisker._scan.quantities import UnitSystem
 from jaxwhisker.plot.runs import Run, check_one_run, places
 
-SECONDS = 12.0  # duration of a run
 REAL = 0.005  # relative difference from real time that is not worth a word
 
 
-def duration_of_film(result: Any, seconds: float | None, speed: float | None, *, longest: float) -> float:
+def duration_of_film(
+    result: Any, seconds: float | None, speed: float | None, *, default: float, longest: float
+) -> float:
     """How long the film of a run takes, without snaps and the last frame.
 
     Raises:
@@ -22,7 +23,7 @@ def duration_of_film(result: Any, seconds: float | None, speed: float | None, *,
     """
     check_one_run(result)
     if speed is None:
-        return SECONDS if seconds is None else seconds
+        return default if seconds is None else seconds
     if not isinstance(result, Simulation):
         checks.fail("speed", "None for the film of a scan, which has no time", repr(speed))
     if seconds is not None:

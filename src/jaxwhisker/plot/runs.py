@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._dynamics.simulation import Simulation
 from jaxwhisker._scan.quantities import DRAWN, MOTION
-from jaxwhisker._scan.result import Event, Result, check_one_scan
+from jaxwhisker._scan.result import Event, Result, check_not_batched, check_one_scan
 from jaxwhisker._scan.shapes import Shapes
 from jaxwhisker._scan.state import State, state_of
 
@@ -26,11 +26,7 @@ def check_one_run(result: Any) -> Run:
     """
     if not isinstance(result, Simulation):
         return check_one_scan(result)
-    if np.ndim(result.time) != 1:
-        raise ValueError(
-            "`result` must be a single simulation, got a batch of shape "
-            f"{np.shape(result.time)[:-1]}: select one, such as jax.tree.map(lambda leaf: leaf[0], result)."
-        )
+    check_not_batched(result, "a single simulation")
     return result
 
 
