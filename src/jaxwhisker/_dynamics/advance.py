@@ -7,9 +7,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.gap import CLOSEST, MOST, closest, gap_at
+from jaxwhisker._dynamics.gap import MOST, closest, followed, gap_at
 from jaxwhisker._dynamics.ledger import booked
-from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching
+from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, posed
 from jaxwhisker._dynamics.moving import System
 from jaxwhisker._dynamics.stop import stopped
 from jaxwhisker._dynamics.time_step import (
@@ -68,7 +68,7 @@ def _newton(step: Step, x: Unknowns, held: Bool[Array, ""]) -> tuple[Unknowns, M
 
     size = whiskers * c
     touching = (jnp.eye(whiskers)[:, None, :, None] * outer[:, :c, None, :c]).reshape(size, size)
-    by_base = jnp.einsum("wcb,wbf->wcf", outer[:, :c, c:-1], moves).reshape(size, -1)
+    by_base = jnp.einsum("wcb,wbf->wcf", outer[:, :c, c:-1], moves).reshape(size, len(free))
     pushes = jnp.eye(whiskers)[:, None, :, None] * jnp.swapaxes(outer[:, c:, :c], 1, 2)[:, :, None]
     by_contact = jax.vmap(loads)(pushes.reshape(size, whiskers, 3))
     by_move = jax.vmap(loads, in_axes=2, out_axes=1)(jnp.einsum("wbk,wkf->wbf", outer[:, c:, c:-1], moves))
@@ -192,22 +192,25 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
 
 def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
     """The state with the closest points where the step has not found them: of held contacts and of free whiskers."""
-    profile, shapes, lengths, rod = system.profile, system.basis, system.rods.length, moving.rod
-    at = rod.touching
-    assert profile is not None and at is not None
-    lost = mode.held | (~mode.touches & ~(jnp.abs(at.gap.end) + jnp.abs(at.gap.foot) < CLOSEST))
-    base, angle = jax.lax.stop_gradient((rod.base[:, :2], rod.angle))
+    rod, at = moving.rod, moving.rod.touching
+    assert at is not None
+    poses = system.rods.length, rod.base, rod.angle
+    fixed, still, known = jax.lax.stop_gradient((system, poses, (at.arc, at.parameter)))
+    near, found = jax.vmap(lambda pose, points: followed(posed(fixed, *pose), *points))(still, known)
+    found &= ~mode.held
+    missing = mode.held | ~mode.touches
 
     def search(carry):
-        _, points = carry
-        found = jax.vmap(lambda *own: closest(shapes, profile, *own))(lengths, base, angle)
-        return jnp.zeros_like(lost), jax.tree.map(lambda new, old: jnp.where(lost, new, old), found, points)
+        lost, points = carry
+        anew = jax.vmap(lambda *pose: closest(posed(fixed, *pose)))(*still)
+        return jnp.zeros_like(lost), jax.tree.map(lambda new, old: jnp.where(lost, new, old), anew, points)
 
     # Below vmap, a loop skips the search if no whisker of the batch needs it; `cond` would not.
-    start = lost, jax.lax.stop_gradient((at.arc, at.parameter))
-    _, points = jax.lax.while_loop(lambda carry: jnp.any(carry[0]), search, start)
-    arc, parameter = (jnp.where(lost, *pair) for pair in zip(points, (at.arc, at.parameter), strict=True))
-    gap = jax.vmap(lambda *own: gap_at(shapes, profile, *own))(lengths, rod.base[:, :2], rod.angle, arc, parameter)
+    lost = missing & ~found
+    _, points = jax.lax.while_loop(lambda carry: jnp.any(carry[0]), search, (lost, near))
+    changes = jax.tree.map(lambda new, old: jnp.where(missing, new - old, 0.0), points, known)
+    arc, parameter = at.arc + changes[0], at.parameter + changes[1]
+    gap = jax.vmap(lambda pose, *points: gap_at(posed(system, *pose), *points))(poses, arc, parameter)
     last = unknowns_of(system, moving.change[0])
     last = last._replace(contact=jnp.where(lost[:, None], 0.0, last.contact))
     return moving._replace(

@@ -26,16 +26,19 @@ class Gap(NamedTuple):
     object: ContactPoint
 
 
-def gap_at(
-    basis: Basis,
-    profile: AbstractProfile,
-    length: Scalar,
-    base: Float[Array, "2"],
-    angle: Float[Array, " points"],
-    arc: Scalar,
-    parameter: Scalar,
-) -> Gap:
+class Posed(NamedTuple):
+    """A whisker in one pose, and the object."""
+
+    basis: Basis
+    profile: AbstractProfile
+    length: Scalar
+    base: Float[Array, "2"]
+    angle: Float[Array, " points"]
+
+
+def gap_at(posed: Posed, arc: Scalar, parameter: Scalar) -> Gap:
     """The gap between the whisker at a fraction `arc` of its length and the object at a parameter."""
+    basis, profile, length, base, angle = posed
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     weights, at = weights_at(basis, arc), profile.point(parameter)
     direction, way = weights @ jnp.stack([cos, sin], axis=-1)
@@ -43,7 +46,7 @@ def gap_at(
     reach = length * weights[1]
     apart = base + length * way - jnp.stack([at.x, at.y])
     closes = -normal @ direction
-    beyond, is_least = 1 - arc, _is_least(basis, profile, length, angle, arc, parameter, apart @ normal)
+    beyond, is_least = 1 - arc, _is_least(posed, arc, parameter, apart @ normal)
     inner = (closes < beyond) & is_least
     return Gap(
         distance=apart @ normal,
@@ -58,14 +61,13 @@ def gap_at(
     )
 
 
-def _is_least(
-    basis: Basis, profile: AbstractProfile, length: Scalar, angle: Array, arc: Scalar, parameter: Scalar, gap: Scalar
-) -> Bool[Array, ""]:
+def _is_least(posed: Posed, arc: Scalar, parameter: Scalar, gap: Scalar) -> Bool[Array, ""]:
     """Whether the gap, as a function of the arc length, has a minimum where it is stationary; otherwise the tip counts.
 
     A whisker that vibrates may be bent towards the object more than the object is curved.
     """
-    angle, arc, parameter, gap = jax.lax.stop_gradient((angle, arc, parameter, gap))
+    basis, profile, length, _, _ = posed
+    angle, arc, parameter, gap = jax.lax.stop_gradient((posed.angle, arc, parameter, gap))
     turned = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
     one = jnp.ones_like(arc)
     direction, bend = jax.jvp(lambda arc: weights_at(basis, arc)[0] @ turned, (arc,), (one,))
@@ -75,19 +77,24 @@ def _is_least(
     return (at.sin * bend[0] - at.cos * bend[1]) / length + curvature * along**2 / (1 + curvature * gap) > 0
 
 
-SAMPLES = 65  # points of the whisker, for the first guess of the closest point
-PARAMETERS = 1025  # points of the object, likewise
-ITERATIONS = 20  # of Newton's method from the first guess
+CLOSEST = 1e-7  # accepted residual of closest points
+MOST = 0.2  # largest change of the closest points in one iteration
+SAMPLES = 33  # points of the whisker, for the first guess of the closest point
+PARAMETERS = 257  # points of the object, likewise
+ITERATIONS = 12  # of Newton's method from the first guess
+FOLLOWING = 3  # of Newton's method from points that were the closest one step before
+
+Points = tuple[Float[Array, ""], Float[Array, ""]]  # fraction of the length, parameter of the object
 
 
-def closest(
-    basis: Basis,
-    profile: AbstractProfile,
-    length: Scalar,
-    base: Float[Array, "2"],
-    angle: Float[Array, " points"],
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Fraction of the length and parameter of the closest points, from scratch and without derivatives."""
+def followed(posed: Posed, arc: Scalar, parameter: Scalar) -> tuple[Points, Bool[Array, ""]]:
+    """The closest points near these, and whether they were found; without derivatives."""
+    return _improved(posed, jnp.stack([arc, parameter]), FOLLOWING)
+
+
+def closest(posed: Posed) -> Points:
+    """The closest points from scratch, without derivatives."""
+    basis, profile, length, base, angle = posed
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     arcs = jnp.linspace(1 / SAMPLES, 1.0, SAMPLES)
     reach = length * jax.vmap(lambda s: weights_at(basis, s)[1])(arcs)
@@ -100,8 +107,24 @@ def closest(
     own = jax.tree.map(lambda leaf: leaf[nearest], at)
     k = jnp.argmin((x - own.x) * own.sin - (y - own.y) * own.cos)
 
+    def improve_foot(_, parameter):
+        value, slope = jax.value_and_grad(lambda parameter: gap_at(posed, arcs[k], parameter).foot)(parameter)
+        return jnp.clip(parameter - jnp.clip(value / slope, -MOST, MOST), first, last)
+
+    # A whisker may have several points with a least gap, or none but the tip: then the sample is good enough.
+    sample = jnp.stack([arcs[k], jax.lax.fori_loop(0, ITERATIONS, improve_foot, parameters[nearest[k]])])
+    exact, found = _improved(posed, sample, ITERATIONS)
+    better = found & (jnp.abs(exact[0] - sample[0]) < MOST)
+    arc, parameter = jax.lax.stop_gradient(jnp.where(better, jnp.stack(exact), sample))
+    return arc, parameter
+
+
+def _improved(posed: Posed, guess: Float[Array, "2"], iterations: int) -> tuple[Points, Bool[Array, ""]]:
+    """Closest points by Newton's method, and whether it has converged."""
+    first, last = posed.profile.ends()
+
     def equations(guess):
-        gap = gap_at(basis, profile, length, base, angle, *guess)
+        gap = gap_at(posed, *guess)
         return jnp.stack([gap.end, gap.foot])
 
     def improve(_, guess):
@@ -109,20 +132,5 @@ def closest(
         change = jnp.clip(solve(slope, value[:, None])[:, 0], -MOST, MOST)
         return jnp.clip(guess - change, jnp.stack([0.0, first]), jnp.stack([1.0, last]))
 
-    def improve_foot(_, parameter):
-        def foot(parameter):
-            return gap_at(basis, profile, length, base, angle, arcs[k], parameter).foot
-
-        value, slope = jax.value_and_grad(foot)(parameter)
-        return jnp.clip(parameter - jnp.clip(value / slope, -MOST, MOST), first, last)
-
-    # A whisker may have several points with a least gap, or none but the tip: then the sample is good enough.
-    sample = jnp.stack([arcs[k], jax.lax.fori_loop(0, ITERATIONS, improve_foot, parameters[nearest[k]])])
-    exact = jax.lax.fori_loop(0, ITERATIONS, improve, sample)
-    better = jnp.all(jnp.abs(equations(exact)) < CLOSEST) & (jnp.abs(exact[0] - sample[0]) < MOST)
-    arc, parameter = jax.lax.stop_gradient(jnp.where(better, exact, sample))
-    return arc, parameter
-
-
-CLOSEST = 1e-7  # accepted residual of closest points
-MOST = 0.2  # largest change of the closest points in one iteration
+    arc, parameter = exact = jax.lax.fori_loop(0, iterations, improve, guess)
+    return (arc, parameter), jnp.all(jnp.abs(equations(exact)) < CLOSEST)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.gap import Gap
+from jaxwhisker._dynamics.gap import Gap, Posed
 from jaxwhisker._dynamics.moving import System
 
 LEAP = 0.05  # fraction of the length beyond which a contact does not move in a step, but begins elsewhere
@@ -78,6 +78,12 @@ class Moving(NamedTuple):
         """Fraction of the next step at which forces and velocities have their means: 1/2, or 1 if a contact begins."""
         touching = self.rod.touching
         return jnp.where(jnp.any(touching.began), 1.0, 0.5) if touching is not None else jnp.asarray(0.5)
+
+
+def posed(system: System, length: Scalar, base: Float[Array, "3"], angle: Float[Array, " points"]) -> Posed:
+    """One whisker and the object."""
+    assert system.profile is not None
+    return Posed(system.basis, system.profile, length, base[:2], angle)
 
 
 def angles_of(system: System, q: Float[Array, "whiskers n"], base: Float[Array, "whiskers 3"]) -> Array:

@@ -16,7 +16,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.advance import Forces, advance
 from jaxwhisker._dynamics.drive import drive_of
 from jaxwhisker._dynamics.gap import closest, gap_at
-from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of
+from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
 from jaxwhisker._dynamics.moving import Damping, MotionUnits, Rods, System, drive_pose, motion_units, system_of
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
 from jaxwhisker._dynamics.start import Start, start_of
@@ -237,8 +237,6 @@ def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Arra
     velocity = carried[:, :2, None] + carried[:, 2, None, None] * jnp.stack([-apart[:, 1], apart[:, 0]], axis=1)
     touching = None
     if system.profile is not None:
-        shapes, profile = system.basis, system.profile
-
         none = jnp.zeros(whiskers)
         touches = none > 0 if start is None else start.touches
         for _ in range(0 if start is None else CLOSINGS):
@@ -246,13 +244,13 @@ def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Arra
         angle = angles_of(system, q, base)
         at = nodes_of(system, base, angle)
 
-        def nearest(length, base, angle):
-            arc, parameter = closest(shapes, profile, length, base, angle)
-            gap = gap_at(shapes, profile, length, base, angle, arc, parameter)
-            return jnp.asarray(arc), jnp.asarray(parameter), gap
+        def nearest(*pose):
+            points = closest(posed(system, *pose))
+            return *points, gap_at(posed(system, *pose), *points)
 
-        arc, parameter, gap = jax.vmap(nearest)(system.rods.length, base[:, :2], angle)
-        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches)
+        touching = Touching(
+            *jax.vmap(nearest)(system.rods.length, base, angle), none, none, touches, none.astype(int), touches
+        )
     count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
@@ -261,10 +259,9 @@ def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Arra
 
 def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Array, ""]) -> Array:
     """The shape of a touching whisker, bent by a change of the contact force that closes the gap to first order."""
-    assert system.profile is not None
     angle = jnp.pi / 2 + base[2] + rod.rest + system.basis.angles @ q
-    arc, parameter = closest(system.basis, system.profile, rod.length, base[:2], angle)
-    gap = gap_at(system.basis, system.profile, rod.length, base[:2], angle, arc, parameter)
+    here = posed(system, rod.length, base, angle)
+    gap = gap_at(here, *closest(here))
     across = gap.across @ system.basis.angles
     bends = inverse(rod.stiffness) @ across
     return jnp.where(touches, q - bends * gap.distance / (across @ bends), q)

@@ -28,10 +28,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.gap import Gap, gap_at
-from jaxwhisker._dynamics.motion_state import Moving, Rod
+from jaxwhisker._dynamics.motion_state import Moving, Rod, posed
 from jaxwhisker._dynamics.moving import Rods, System
 
-EMERGES = 0.97  # ratio of penetrations, which held contacts leave behind, after one step: at once would take energy
+EMERGES = 0.99  # ratio of penetrations, which held contacts leave behind, after one step: at once would take energy
 
 PerWhisker = Float[Array, " whiskers"]
 
@@ -105,7 +105,7 @@ def rows_of(
     gap, rows = None, jnp.zeros(0)
     if system.profile is not None:
         assert old.touching is not None
-        gap = gap_at(shapes, system.profile, rods.length, base[:2], angle, contact[0], contact[1])
+        gap = gap_at(posed(system, rods.length, base, angle), contact[0], contact[1])
         above = gap.distance - jnp.minimum(0.0, EMERGES * old.touching.gap.distance)
         across, normal, along, tangent = old.touching.directions(gap, contact[0])
         torque -= contact[2] * across
