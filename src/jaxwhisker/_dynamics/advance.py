@@ -1,5 +1,7 @@
 """One time step of moving whiskers: the solution of its equations, and the state at its end."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,9 +9,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.gap import MOST, closest, followed, gap_at
+from jaxwhisker._dynamics.gap import CLOSEST, MOST, Points, closest, followed, gap_at
 from jaxwhisker._dynamics.ledger import booked
-from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, posed
+from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, nodes_of, posed
 from jaxwhisker._dynamics.moving import System
 from jaxwhisker._dynamics.stop import stopped
 from jaxwhisker._dynamics.time_step import (
@@ -165,16 +167,17 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     x = unknowns_of(system, flat)
     rows, trial = every(step, mode, x)
     base, c = system.bases(x.z, drive), system.contact_unknowns
+    at = nodes_of(system, base, trial.angle)
     touching, none = None, jnp.zeros(base.shape[0])
     normal, drag = (x.contact[:, k] if c > k else none for k in (2, 3))
     if trial.gap is not None and old.rod.touching is not None:
         arc, parameter, *_ = x.contact.T
         began = mode.touches & ~old.rod.touching.lasts(arc)
         touching = Touching(arc, parameter, trial.gap, normal, drag, mode.touches, mode.slip, began)
-    velocity = old.rod.velocity + ((trial.at - old.rod.at) / h - old.rod.velocity) / old.ahead
+    velocity = old.rod.velocity + ((at - old.rod.at) / h - old.rod.velocity) / old.ahead
     spin = old.rod.spin + ((base[:, 2] - old.rod.base[:, 2]) / h - old.rod.spin) / old.ahead
     new = Moving(
-        rod=Rod(x.q, base, trial.angle, trial.at, velocity, spin, touching),
+        rod=Rod(x.q, base, trial.angle, at, velocity, spin, touching),
         z=x.z,
         drive=drive,
         change=jnp.stack([_extrapolated(system, flat - before), old.change[0]]),
@@ -196,27 +199,40 @@ def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
     assert at is not None
     poses = system.rods.length, rod.base, rod.angle
     fixed, still, known = jax.lax.stop_gradient((system, poses, (at.arc, at.parameter)))
-    near, found = jax.vmap(lambda pose, points: followed(posed(fixed, *pose), *points))(still, known)
-    found &= ~mode.held
-    missing = mode.held | ~mode.touches
 
-    def search(carry):
-        lost, points = carry
-        anew = jax.vmap(lambda *pose: closest(posed(fixed, *pose)))(*still)
-        return jnp.zeros_like(lost), jax.tree.map(lambda new, old: jnp.where(lost, new, old), anew, points)
+    def follow(points):
+        return jax.vmap(lambda pose, points: followed(posed(fixed, *pose), *points))(still, points)
 
-    # Below vmap, a loop skips the search if no whisker of the batch needs it; `cond` would not.
-    lost = missing & ~found
-    _, points = jax.lax.while_loop(lambda carry: jnp.any(carry[0]), search, (lost, near))
-    changes = jax.tree.map(lambda new, old: jnp.where(missing, new - old, 0.0), points, known)
+    def search(points):
+        return jax.vmap(lambda *pose: closest(posed(fixed, *pose)))(*still), jnp.ones_like(mode.held)
+
+    off = jnp.abs(at.gap.end) + jnp.abs(at.gap.foot) > CLOSEST
+    points, found = _where(~mode.touches & off & ~mode.held, follow, known, ~mode.held)
+    points, _ = _where(~found, search, points, found)
+    changes = jax.tree.map(jnp.subtract, points, known)
     arc, parameter = at.arc + changes[0], at.parameter + changes[1]
     gap = jax.vmap(lambda pose, *points: gap_at(posed(system, *pose), *points))(poses, arc, parameter)
     last = unknowns_of(system, moving.change[0])
-    last = last._replace(contact=jnp.where(lost[:, None], 0.0, last.contact))
+    last = last._replace(contact=jnp.where(found[:, None], last.contact, 0.0))
     return moving._replace(
         rod=rod._replace(touching=at._replace(arc=arc, parameter=parameter, gap=gap)),
         change=moving.change.at[0].set(last.flat()),
     )
+
+
+def _where(needed: Array, found: Callable, points: Points, are_found: Array) -> tuple[Points, Array]:
+    """Points, and whether they are found, for whiskers that need it, and these ones for others.
+
+    A loop skips the computation if no whisker needs it, even of a batch below vmap; there, `cond` would not.
+    """
+
+    def body(carry):
+        needed, values = carry
+        return jnp.zeros_like(needed), jax.tree.map(
+            lambda new, old: jnp.where(needed, new, old), found(values[0]), values
+        )
+
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[0]), body, (needed, (points, are_found)))[1]
 
 
 def _extrapolated(system: System, change: Array) -> Array:

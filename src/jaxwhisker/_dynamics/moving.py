@@ -33,6 +33,8 @@ class Rods(NamedTuple):
     stiffness: Float[Array, "whiskers n n"]
     mass: Float[Array, "whiskers nodes"]
     inertia: Float[Array, " whiskers"]  # at the base
+    first: Float[Array, "whiskers points"]  # mass times reach, summed over the nodes
+    second: Float[Array, "whiskers points points"]  # mass times the product of two reaches, likewise
 
 
 class Network(NamedTuple):
@@ -165,12 +167,15 @@ def _rod(whisker: Whisker, unit: MotionUnits, shapes: Basis) -> Rods:
     )
     # The interpolating polynomials of the Gauss points integrate the intrinsic curvature.
     rest = length * shapes.reach[1:-1] @ jax.vmap(whisker.curvature_at)(s)
+    mass = jnp.concatenate([(base / mass_unit)[None], along, (tip / mass_unit)[None]])
     return Rods(
         own,
         rest,
         jnp.asarray(shapes.curvatures.T @ ((shapes.weights * stiffness)[:, None] * shapes.curvatures) / own),
-        jnp.concatenate([(base / mass_unit)[None], along, (tip / mass_unit)[None]]),
+        mass,
         inertia / (mass_unit * unit.length**2),
+        jnp.asarray(mass @ shapes.reach),
+        jnp.asarray((mass[:, None] * shapes.reach).T @ shapes.reach),
     )
 
 

@@ -61,7 +61,6 @@ class Trial(NamedTuple):
     """The end of a step of one whisker for trial values of its unknowns, and what follows from it."""
 
     angle: Array
-    at: Array
     gap: Gap | None
     mode: Mode
 
@@ -95,13 +94,13 @@ def rows_of(
     shapes = system.basis
     angle = jnp.pi / 2 + base[2] + rods.rest + shapes.angles @ q
     turned = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
-    at = base[:2, None] + rods.length * (turned @ shapes.reach.T)
-    mean = (at - old.at) / h
-    force = rods.mass * ((mean - old.velocity) / (ahead * h) + system.mass_damping * mean)
+    # Inertial forces are m (rate at - known); only their sum and their moments about the base count.
+    rate = (1 / (ahead * h) + system.mass_damping) / h
+    known = rods.mass * (rate * old.at + old.velocity / (ahead * h))
+    moments = rate * (rods.length * (turned @ rods.second) + base[:2, None] * rods.first) - known @ shapes.reach
+    push = rate * (rods.length * (turned @ rods.first) + base[:2] * jnp.sum(rods.mass)) - jnp.sum(known, axis=-1)
     half, middle = (angle - old.angle) / 2, (angle + old.angle) / 2
-    moments = force @ shapes.reach
     torque = rods.length * _sinc(half) * (jnp.cos(middle) * moments[1] - jnp.sin(middle) * moments[0])
-    push = jnp.sum(force, axis=-1)
     gap, rows = None, jnp.zeros(0)
     if system.profile is not None:
         assert old.touching is not None
@@ -123,7 +122,7 @@ def rows_of(
     bending = old.q + (ahead + system.stiffness_damping / h) * (q - old.q)
     bent = torque @ shapes.angles + jnp.sum(rods.stiffness * bending, axis=-1)
     twist = jnp.sum(torque) + rods.inertia / (ahead * h) * ((base[2] - old.base[2]) / h - old.spin)
-    return Rows(bent, rows, jnp.append(push, twist)), Trial(angle, at, gap, mode)
+    return Rows(bent, rows, jnp.append(push, twist)), Trial(angle, gap, mode)
 
 
 def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar, held: Bool[Array, ""]) -> Mode:
