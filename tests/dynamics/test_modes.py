@@ -267,6 +267,23 @@ def test_whiskers_on_one_network_vibrate_together():
     assert found.shape.shape == (2, 2, 65, 2) and found.mz.shape == (2, 2)
 
 
+def test_a_map_of_frequencies_by_a_study(scanned, found):
+    data = jw.study(
+        lambda stiffness, distance: heavy(model("FB", stiffness=stiffness, distance=distance)),
+        control=scanned.control,
+        stiffness=[70.0, 40.0, -1.0],
+        distance=[scanned.scene.profile.distance],
+        outputs=(),
+        channels=lambda result: {"omega": jw.modes(result).omega},
+    )
+    omega = np.stack([data[f"omega_{k}"] for k in (1, 2, 3, 4)], axis=-1)[:, 0]
+    assert np.isnan(omega[2]).all()
+    np.testing.assert_allclose(omega[0], found.omega, rtol=ROUNDING)
+    softer = jw.modes(jw.scan(heavy(model("FB", stiffness=40.0)), scanned.control))
+    np.testing.assert_allclose(omega[1], softer.omega, rtol=ROUNDING)
+    assert np.all(omega[1, 0] < omega[0, 0])
+
+
 def test_a_scan_pays_nothing_for_masses(scanned):
     before = compilations()
     jw.scan(model("FB", distance=0.21), np.array([0.9, 0.4, 0.1, -0.3, -1.1, -1.5]))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxwhisker._base import announce, checks
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._inverse import parameters
-from jaxwhisker._inverse.channels import Channels, arguments_of, channels_from, table_of_result
+from jaxwhisker._inverse.channels import Channels, channels_from, table_of_result
 from jaxwhisker._inverse.features import features, neighbour_scatter
 from jaxwhisker._inverse.fit import Fit, FitProblem, FittedRecording, Recording
 from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum, possible_decrease
@@ -23,6 +23,7 @@ from jaxwhisker._inverse.statistics import FitStatus, chi_squared, correlation, 
 from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
+from jaxwhisker._scan.channels import arguments_of
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import turns_of
 from jaxwhisker._scan.scan import BLOCK
