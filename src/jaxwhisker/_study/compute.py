@@ -45,11 +45,11 @@ class Job:
     names: tuple[str, ...]  # of the parameters
     control: Float[np.ndarray, " steps"]
     outputs: tuple[str, ...]  # quantities that are computed
-    channels: ChannelsFunction | None  # computes further ones
-    channel_names: tuple[str, ...]
     derivatives: tuple[str, ...]  # parameters
     summary: bool  # summarise the signals
     kept: tuple[str, ...]  # variables of the study
+    channels: ChannelsFunction | None = None  # computes further quantities
+    channel_names: tuple[str, ...] = ()
     key: str = ""  # identifies the job in a worker
 
 

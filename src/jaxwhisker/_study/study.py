@@ -115,9 +115,9 @@ def study(
         if visible:
             print(f"study: compiling, then {parameters.total:,} scans", file=sys.stderr)
         layout, blocks = resumed or _planned(layout, build, computed, memory, client)
-        kept = tuple(layout.variables)
-        outputs = computed, channels, names
-        kernel = Kernel(Job(build, tuple(parameters.values), layout.control, *outputs, derivatives, summary, kept))
+        arguments, kept = tuple(parameters.values), tuple(layout.variables)
+        job = Job(build, arguments, layout.control, computed, derivatives, summary, kept, channels, names)
+        kernel = Kernel(job)
         if any(VARIABLES[name].axes[:1] == ("event",) for name in computed):
             layout = layout._replace(events=event_room(layout.scene.whiskers))
         _compute(kernel, target, layout, blocks, client, visible)
