@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from vibrating import beam, in_contact
+from vibrating import beam, held_at, in_contact, on_corner, on_face, on_parabola, rolling_on_parabola
 
 import jaxwhisker as jw
 from jaxwhisker._base.program import compilations
@@ -20,7 +20,7 @@ from scenes import model
 REFERENCE = json.loads((Path(__file__).parents[1] / "data" / "modes.json").read_text())
 PRINTED = 1e-6  # the reference has six decimals, and the last one may be off by one
 ELEMENTS = 2e-6  # relative error of the third frequency of a beam of 60 cubic elements
-CHAIN = 1e-5  # relative error of extrapolated chains of 16 and 32 cells, three modes
+CHAIN = 1e-5  # relative error of extrapolated chains of n and 2 n cells, three modes
 ROUNDING = 1e-9
 DIFFERENCES = 1e-6  # relative error of central differences
 ROD = jw.Whisker(mass_per_length=1.0)
@@ -146,17 +146,57 @@ def test_shapes_have_unit_mass_and_their_inertia_is_the_reaction():
     assert np.all(np.asarray(found.mz) > 0)
 
 
+def check_contact(result, found, step, contact, forces, rests=False):
+    """Compare the frequencies about a step, on a spring of stiffness 70, with those of a chain."""
+    names = ("base_x", "fx", "fy", "mz", "contact_arc")
+    base_x, fx, fy, mz, arc = (float(getattr(result, name)[step, 0]) for name in names)
+    size = 32 if rests else 16  # the modes of a shaft that rests on a face are shorter
+    each = [in_contact(base_x, (fx, fy, mz), arc, contact, forces, 70.0, n, rests) for n in (size, 2 * size)]
+    for _, miss, slope in each:  # the oracle's chain is in equilibrium
+        np.testing.assert_allclose(miss, 0, atol=1e-7)
+        np.testing.assert_allclose(slope, 0, atol=1e-7)
+    coarse, fine = (frequencies[:3] for frequencies, _, _ in each)
+    np.testing.assert_allclose(found.omega[step, :3], (4 * fine - coarse) / 3, rtol=CHAIN)
+
+
+def contact_of(result, step):
+    """Force, position and slope of the contact, and the force of the object on the whisker."""
+    names = ("contact_force", "contact_x", "contact_y", "contact_slope", "fx", "fy")
+    force, x, y, slope, fx, fy = (float(getattr(result, name)[step, 0]) for name in names)
+    return force, x, y, slope, (-fx, -fy)
+
+
 def test_a_whisker_in_contact_keeps_it(scanned, found):
     for k, phase in ((1, jw.Phase.tip), (3, jw.Phase.tangential)):
         assert scanned.phase[k, 0] == phase
-        names = ("base_x", "fx", "fy", "mz", "contact_force", "contact_arc")
-        base_x, fx, fy, mz, force, arc = (float(getattr(scanned, name)[k, 0]) for name in names)
-        each = [in_contact(base_x, (fx, fy, mz), force, arc, 0.2, 70.0, cells) for cells in (16, 32)]
-        for _, gap, slope in each:  # the oracle's chain is in equilibrium
-            np.testing.assert_allclose(gap, 0, atol=1e-7)
-            np.testing.assert_allclose(slope, 0, atol=1e-7)
-        coarse, fine = (frequencies[:3] for frequencies, _, _ in each)
-        np.testing.assert_allclose(found.omega[k, :3], (4 * fine - coarse) / 3, rtol=CHAIN)
+        force, x, *_ = contact_of(scanned, k)
+        check_contact(scanned, found, k, on_parabola(0.2, x, phase == jw.Phase.tip), [force])
+
+
+def test_contacts_with_friction_stick():
+    scene = heavy(model("FB"))
+    rough = jw.Scene(scene.whisker, scene.profile, scene.support, friction=0.3)
+    result = jw.scan(rough, np.array([0.9, 0.4, 0.1, -0.3, -0.28, -1.1]))
+    found = jw.modes(result)
+    assert list(result.phase[1:5, 0]) == [jw.Phase.tip, *[jw.Phase.tangential] * 3]
+    assert result.slip[1, 0] != 0 and result.slip[4, 0] == 0
+    for k in (1, 4):
+        _, x, y, _, pushes = contact_of(result, k)
+        contact = held_at(x, y) if k == 1 else rolling_on_parabola(0.2, x)
+        check_contact(result, found, k, contact, pushes)
+
+
+def test_edges_and_straight_faces():
+    polygon = jw.Polygon([(-0.45, 0.7), (-0.3, 0.35), (0.1, 0.2), (0.4, 0.35), (0.45, 0.75)])
+    scene = jw.Scene(ROD, polygon, jw.Support.fb(70.0, 0.2))
+    result = jw.scan(scene, np.array([0.5, -0.018, -0.191, -0.882, -1.055, -1.4]))
+    found = jw.modes(result)
+    np.testing.assert_allclose(found.omega[0], jw.modes(scene).omega, rtol=ROUNDING)
+    assert list(result.phase[1:5, 0]) == [*[jw.Phase.tangential] * 3, jw.Phase.tip]
+    for k in (1, 2, 4):
+        force, x, y, slope, _ = contact_of(result, k)
+        contact = on_corner(x, y) if k == 1 else on_face(x, y, slope)
+        check_contact(result, found, k, contact, [force], rests=k == 2)
 
 
 def test_steps_of_a_result(scanned, found):
@@ -309,7 +349,6 @@ def test_a_scan_pays_nothing_for_masses(scanned):
         (lambda: jw.modes(ROD, stiffness_damping="1"), "`stiffness_damping` must be a non-negative finite number"),
         (lambda: jw.modes(ROD, base_damping=(0.0, -1.0, 0.0)), "`base_damping` must be a non-negative finite number"),
         (lambda: jw.modes(ROD, base_damping=(0.0, 1.0)), "`base_damping` must be a number, or a tuple of three"),
-        (lambda: jw.modes(jw.Scene(ROD, (jw.Parabola(0.2), jw.Circle(0.2, 0.1, 5.0)))), "a scene with one object"),
         (lambda: jw.modes(ROD, support=jw.Support.hill(2)), "without springs between the shafts of two whiskers"),
         (
             lambda: jw.modes(jw.deflect(ROD, jw.PointForce(1.0, follower=True))),
