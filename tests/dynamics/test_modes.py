@@ -15,7 +15,8 @@ from vibrating import beam, held_at, in_contact, on_corner, on_face, on_parabola
 
 import jaxwhisker as jw
 from jaxwhisker._base.program import compilations
-from scenes import model
+from jaxwhisker._model.objects import as_one
+from scenes import follicle, model
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "data" / "modes.json").read_text())
 PRINTED = 1e-6  # the reference has six decimals, and the last one may be off by one
@@ -197,6 +198,50 @@ def test_edges_and_straight_faces():
         force, x, y, slope, _ = contact_of(result, k)
         contact = on_corner(x, y) if k == 1 else on_face(x, y, slope)
         check_contact(result, found, k, contact, [force], rests=k == 2)
+
+
+def test_one_of_several_objects():
+    first, second = jw.Parabola(0.2, 4.0), jw.Parabola(0.3, 2.0, -3.0)
+    control = np.array([0.9, 0.3, -0.3, -1.5, -2.9, -3.3])
+    both, *alone = (
+        jw.scan(eqx.tree_at(lambda s: s.profile, heavy(model("FB")), one), control)
+        for one in (as_one((first, second)), first, second)
+    )
+    assert set(both.contact_object[:, 0].tolist()) == {0, 1, 2}
+    found, *apart = (jw.modes(result) for result in (both, *alone))
+    for name in ("omega", "fx", "mz"):
+        on_first, on_second = (getattr(one, name) for one in apart)
+        expected = jnp.where(
+            both.contact_object[:, 0].reshape(-1, *[1] * (on_first.ndim - 1)) == 2, on_second, on_first
+        )
+        np.testing.assert_allclose(getattr(found, name), expected, rtol=1e-7, err_msg=name)
+    np.testing.assert_allclose(found.omega[3], jw.modes(both.scene).omega, rtol=ROUNDING)
+
+
+def turned(angle, mount=0.0, x=70.0, motion=None, start=1.0):
+    """Modes about the last step of a scan that ends where the object is turned by this angle about the base."""
+    profile = jw.Tilted(jw.Parabola(0.2, 1.0, 0.2), angle)
+    support = follicle(x=x, y=500.0, phi=50.0, mount=(0.0, 0.0, mount))
+    scene = jw.Scene(
+        jw.Whisker(mass_per_length=1.0, base_mass=0.2), profile, support, motion=motion or jw.Translation()
+    )
+    result = jw.scan(scene, np.array([start, (start + angle) / 2, 0.0 if motion is None else angle]))
+    return jw.modes(result, 3, step=2, base_damping=(1.0, 2.0, 0.1), points=5)
+
+
+def test_turned_drives_and_mounts():
+    # Turning everything about the base changes the directions of reactions and shapes, but nothing else.
+    angle = 0.2
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    rotated = turned(angle, motion=jw.Rotation(), start=-1.2)
+    # The axes of springs turn with the drive but not with the mount, where they must all be equally stiff.
+    leaning = turned(angle, mount=angle, x=500.0)
+    for actual, expected in ((rotated, turned(0.0)), (leaning, turned(0.0, x=500.0))):
+        for name in ("omega", "damping_ratio", "mz"):
+            np.testing.assert_allclose(getattr(actual, name), getattr(expected, name), rtol=1e-7, err_msg=name)
+        forces = np.stack([expected.fx, expected.fy], axis=-1) @ turn
+        np.testing.assert_allclose(np.stack([actual.fx, actual.fy], axis=-1), forces, rtol=1e-7)
+        np.testing.assert_allclose(actual.shape, expected.shape @ turn, atol=1e-7)
 
 
 def test_steps_of_a_result(scanned, found):
