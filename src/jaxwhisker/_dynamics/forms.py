@@ -158,7 +158,6 @@ def _kept(
     of_tip = bend.turn / jnp.where(bend.speed > 0, bend.speed, 1.0) * _square(along)
     if body.friction_angle is not None:
         constraints.append(along)
-        a, of_tip = jnp.zeros_like(a), jnp.zeros_like(of_tip)
     if body.profile.has_edges:
         constraints.append(jnp.where(contact.rests, turn, 0.0))
     flat = jnp.where(contact.rests | contact.free | contact.tip, 1.0, bend.turn + bend.speed * k)
