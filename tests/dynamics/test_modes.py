@@ -23,6 +23,7 @@ PRINTED = 1e-6  # the reference has six decimals, and the last one may be off by
 ELEMENTS = 2e-6  # relative error of the third frequency of a beam of 60 cubic elements
 CHAIN = 1e-5  # relative error of extrapolated chains of n and 2 n cells, three modes
 ROUNDING = 1e-9
+FITTED = 1e-6  # relative error of estimates: least squares stop at 1e-7
 DIFFERENCES = 1e-6  # relative error of central differences
 ROD = jw.Whisker(mass_per_length=1.0)
 
@@ -350,6 +351,36 @@ def test_whiskers_on_one_network_vibrate_together():
     moved = np.asarray(found.shape)[:, :, 0, 0]
     assert moved[0, 0] / moved[0, 1] > 0 > moved[1, 0] / moved[1, 1]
     assert found.shape.shape == (2, 2, 65, 2) and found.mz.shape == (2, 2)
+
+
+def frequencies(result):
+    return {"omega": jw.modes(result).omega[:, :2]}
+
+
+def vibrating(stiffness, mass):
+    return heavy(model("FB", stiffness=stiffness), mass)
+
+
+def test_measured_frequencies_give_stiffness_and_mass():
+    control, truth, sigma = np.linspace(0.7, -1.2, 11), {"stiffness": 70.0, "mass": 1.2}, 0.05
+
+    def measured(**values):
+        return frequencies(jw.scan(vibrating(**values), control))["omega"]
+
+    omega = measured(**truth)
+    table = {"control": control, "omega_1": omega[:, 0], "omega_2": omega[:, 1]}
+    guess = {"stiffness": 100.0, "mass": 0.8}
+    fit = jw.identify(vibrating, guess, table, channels=frequencies, sigma=sigma, snaps=False, starts=0)
+    assert fit.status == jw.FitStatus.ok
+    # The curvature of the misfit at its minimum, from differences of frequencies.
+    rates = []
+    for name, value in truth.items():
+        more, less = (measured(**truth | {name: value * (1 + step)}) for step in (1e-4, -1e-4))
+        rates.append(np.ravel(more - less) / (2e-4 * value * sigma))
+    errors = np.sqrt(np.diag(np.linalg.inv(np.array(rates) @ np.array(rates).T)))
+    for (name, value), error in zip(truth.items(), errors, strict=True):
+        assert fit.estimates[name] == pytest.approx(value, rel=FITTED), name
+        assert fit.standard_error[name] == pytest.approx(error, rel=1e-5), name
 
 
 def test_a_map_of_frequencies_by_a_study(scanned, found):
