@@ -181,7 +181,7 @@ def test_contacts_with_friction_stick():
     result = jw.scan(rough, np.array([0.9, 0.4, 0.1, -0.3, -0.28, -1.1]))
     found = jw.modes(result)
     assert list(result.phase[1:5, 0]) == [jw.Phase.tip, *[jw.Phase.tangential] * 3]
-    assert result.slip[1, 0] != 0 and result.slip[4, 0] == 0
+    assert result.slip is not None and result.slip[1, 0] != 0 and result.slip[4, 0] == 0
     for k in (1, 4):
         _, x, y, _, pushes = contact_of(result, k)
         contact = held_at(x, y) if k == 1 else rolling_on_parabola(0.2, x)
@@ -208,13 +208,12 @@ def test_one_of_several_objects():
         jw.scan(eqx.tree_at(lambda s: s.profile, heavy(model("FB")), one), control)
         for one in (as_one((first, second)), first, second)
     )
-    assert set(both.contact_object[:, 0].tolist()) == {0, 1, 2}
+    on = np.ravel(both.contact_object)
+    assert set(on) == {0, 1, 2}
     found, *apart = (jw.modes(result) for result in (both, *alone))
     for name in ("omega", "fx", "mz"):
         on_first, on_second = (getattr(one, name) for one in apart)
-        expected = jnp.where(
-            both.contact_object[:, 0].reshape(-1, *[1] * (on_first.ndim - 1)) == 2, on_second, on_first
-        )
+        expected = np.where(on.reshape(-1, *[1] * (on_first.ndim - 1)) == 2, on_second, on_first)
         np.testing.assert_allclose(getattr(found, name), expected, rtol=1e-7, err_msg=name)
     np.testing.assert_allclose(found.omega[3], jw.modes(both.scene).omega, rtol=ROUNDING)
 
