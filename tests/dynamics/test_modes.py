@@ -11,17 +11,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from vibrating import beam, in_contact
+from vibrating import beam, held_at, in_contact, on_corner, on_face, on_parabola, rolling_on_parabola
 
 import jaxwhisker as jw
 from jaxwhisker._base.program import compilations
-from scenes import model
+from jaxwhisker._model.objects import as_one
+from scenes import follicle, model
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "data" / "modes.json").read_text())
 PRINTED = 1e-6  # the reference has six decimals, and the last one may be off by one
 ELEMENTS = 2e-6  # relative error of the third frequency of a beam of 60 cubic elements
-CHAIN = 1e-5  # relative error of extrapolated chains of 16 and 32 cells, three modes
+CHAIN = 1e-5  # relative error of extrapolated chains of n and 2 n cells, three modes
 ROUNDING = 1e-9
+FITTED = 1e-6  # relative error of estimates: least squares stop at 1e-7
 DIFFERENCES = 1e-6  # relative error of central differences
 ROD = jw.Whisker(mass_per_length=1.0)
 
@@ -146,17 +148,100 @@ def test_shapes_have_unit_mass_and_their_inertia_is_the_reaction():
     assert np.all(np.asarray(found.mz) > 0)
 
 
+def check_contact(result, found, step, contact, forces, rests=False):
+    """Compare the frequencies about a step, on a spring of stiffness 70, with those of a chain."""
+    names = ("base_x", "fx", "fy", "mz", "contact_arc")
+    base_x, fx, fy, mz, arc = (float(getattr(result, name)[step, 0]) for name in names)
+    size = 32 if rests else 16  # the modes of a shaft that rests on a face are shorter
+    each = [in_contact(base_x, (fx, fy, mz), arc, contact, forces, 70.0, n, rests) for n in (size, 2 * size)]
+    for _, miss, slope in each:  # the oracle's chain is in equilibrium
+        np.testing.assert_allclose(miss, 0, atol=1e-7)
+        np.testing.assert_allclose(slope, 0, atol=1e-7)
+    coarse, fine = (frequencies[:3] for frequencies, _, _ in each)
+    np.testing.assert_allclose(found.omega[step, :3], (4 * fine - coarse) / 3, rtol=CHAIN)
+
+
+def contact_of(result, step):
+    """Force, position and slope of the contact, and the force of the object on the whisker."""
+    names = ("contact_force", "contact_x", "contact_y", "contact_slope", "fx", "fy")
+    force, x, y, slope, fx, fy = (float(getattr(result, name)[step, 0]) for name in names)
+    return force, x, y, slope, (-fx, -fy)
+
+
 def test_a_whisker_in_contact_keeps_it(scanned, found):
     for k, phase in ((1, jw.Phase.tip), (3, jw.Phase.tangential)):
         assert scanned.phase[k, 0] == phase
-        names = ("base_x", "fx", "fy", "mz", "contact_force", "contact_arc")
-        base_x, fx, fy, mz, force, arc = (float(getattr(scanned, name)[k, 0]) for name in names)
-        each = [in_contact(base_x, (fx, fy, mz), force, arc, 0.2, 70.0, cells) for cells in (16, 32)]
-        for _, gap, slope in each:  # the oracle's chain is in equilibrium
-            np.testing.assert_allclose(gap, 0, atol=1e-7)
-            np.testing.assert_allclose(slope, 0, atol=1e-7)
-        coarse, fine = (frequencies[:3] for frequencies, _, _ in each)
-        np.testing.assert_allclose(found.omega[k, :3], (4 * fine - coarse) / 3, rtol=CHAIN)
+        force, x, *_ = contact_of(scanned, k)
+        check_contact(scanned, found, k, on_parabola(0.2, x, phase == jw.Phase.tip), [force])
+
+
+def test_contacts_with_friction_stick():
+    scene = heavy(model("FB"))
+    rough = jw.Scene(scene.whisker, scene.profile, scene.support, friction=0.3)
+    result = jw.scan(rough, np.array([0.9, 0.4, 0.1, -0.3, -0.28, -1.1]))
+    found = jw.modes(result)
+    assert list(result.phase[1:5, 0]) == [jw.Phase.tip, *[jw.Phase.tangential] * 3]
+    assert result.slip is not None and result.slip[1, 0] != 0 and result.slip[4, 0] == 0
+    for k in (1, 4):
+        _, x, y, _, pushes = contact_of(result, k)
+        contact = held_at(x, y) if k == 1 else rolling_on_parabola(0.2, x)
+        check_contact(result, found, k, contact, pushes)
+
+
+def test_edges_and_straight_faces():
+    polygon = jw.Polygon([(-0.45, 0.7), (-0.3, 0.35), (0.1, 0.2), (0.4, 0.35), (0.45, 0.75)])
+    scene = jw.Scene(ROD, polygon, jw.Support.fb(70.0, 0.2))
+    result = jw.scan(scene, np.array([0.5, -0.018, -0.191, -0.882, -1.055, -1.4]))
+    found = jw.modes(result)
+    np.testing.assert_allclose(found.omega[0], jw.modes(scene).omega, rtol=ROUNDING)
+    assert list(result.phase[1:5, 0]) == [*[jw.Phase.tangential] * 3, jw.Phase.tip]
+    for k in (1, 2, 4):
+        force, x, y, slope, _ = contact_of(result, k)
+        contact = on_corner(x, y) if k == 1 else on_face(x, y, slope)
+        check_contact(result, found, k, contact, [force], rests=k == 2)
+
+
+def test_one_of_several_objects():
+    first, second = jw.Parabola(0.2, 4.0), jw.Parabola(0.3, 2.0, -3.0)
+    control = np.array([0.9, 0.3, -0.3, -1.5, -2.9, -3.3])
+    both, *alone = (
+        jw.scan(eqx.tree_at(lambda s: s.profile, heavy(model("FB")), one), control)
+        for one in (as_one((first, second)), first, second)
+    )
+    on = np.ravel(jnp.asarray(both.contact_object))
+    assert set(on) == {0, 1, 2}
+    found, *apart = (jw.modes(result) for result in (both, *alone))
+    for name in ("omega", "fx", "mz"):
+        on_first, on_second = (getattr(one, name) for one in apart)
+        expected = np.where(on.reshape(-1, *[1] * (on_first.ndim - 1)) == 2, on_second, on_first)
+        np.testing.assert_allclose(getattr(found, name), expected, rtol=1e-7, err_msg=name)
+    np.testing.assert_allclose(found.omega[3], jw.modes(both.scene).omega, rtol=ROUNDING)
+
+
+def turned(angle, mount=0.0, x=70.0, motion=None, start=1.0):
+    """Modes about the last step of a scan that ends where the object is turned by this angle about the base."""
+    profile = jw.Tilted(jw.Parabola(0.2, 1.0, 0.2), angle)
+    support = follicle(x=x, y=500.0, phi=50.0, mount=(0.0, 0.0, mount))
+    scene = jw.Scene(
+        jw.Whisker(mass_per_length=1.0, base_mass=0.2), profile, support, motion=motion or jw.Translation()
+    )
+    result = jw.scan(scene, np.array([start, (start + angle) / 2, 0.0 if motion is None else angle]))
+    return jw.modes(result, 3, step=2, base_damping=(1.0, 2.0, 0.1), points=5)
+
+
+def test_turned_drives_and_mounts():
+    # Turning everything about the base changes the directions of reactions and shapes, but nothing else.
+    angle = 0.2
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    rotated = turned(angle, motion=jw.Rotation(), start=-1.2)
+    # The axes of springs turn with the drive but not with the mount, where they must all be equally stiff.
+    leaning = turned(angle, mount=angle, x=500.0)
+    for actual, expected in ((rotated, turned(0.0)), (leaning, turned(0.0, x=500.0))):
+        for name in ("omega", "damping_ratio", "mz"):
+            np.testing.assert_allclose(getattr(actual, name), getattr(expected, name), rtol=1e-7, err_msg=name)
+        forces = np.stack([expected.fx, expected.fy], axis=-1) @ turn
+        np.testing.assert_allclose(np.stack([actual.fx, actual.fy], axis=-1), forces, rtol=1e-7)
+        np.testing.assert_allclose(actual.shape, expected.shape @ turn, atol=1e-7)
 
 
 def test_steps_of_a_result(scanned, found):
@@ -267,6 +352,53 @@ def test_whiskers_on_one_network_vibrate_together():
     assert found.shape.shape == (2, 2, 65, 2) and found.mz.shape == (2, 2)
 
 
+def frequencies(result):
+    return {"omega": jw.modes(result).omega[:, :2]}
+
+
+def vibrating(stiffness, mass):
+    return heavy(model("FB", stiffness=stiffness), mass)
+
+
+def test_measured_frequencies_give_stiffness_and_mass():
+    control, truth, sigma = np.linspace(0.7, -1.2, 11), {"stiffness": 70.0, "mass": 1.2}, 0.05
+
+    def measured(**values):
+        return frequencies(jw.scan(vibrating(**values), control))["omega"]
+
+    omega = measured(**truth)
+    table = {"control": control, "omega_1": omega[:, 0], "omega_2": omega[:, 1]}
+    guess = {"stiffness": 100.0, "mass": 0.8}
+    fit = jw.identify(vibrating, guess, table, channels=frequencies, sigma=sigma, snaps=False, starts=0)
+    assert fit.status == jw.FitStatus.ok
+    # The curvature of the misfit at its minimum, from differences of frequencies.
+    rates = []
+    for name, value in truth.items():
+        more, less = (measured(**truth | {name: value * (1 + step)}) for step in (1e-4, -1e-4))
+        rates.append(np.ravel(more - less) / (2e-4 * value * sigma))
+    errors = np.sqrt(np.diag(np.linalg.inv(np.array(rates) @ np.array(rates).T)))
+    for (name, value), error in zip(truth.items(), errors, strict=True):
+        assert fit.estimates[name] == pytest.approx(value, rel=FITTED), name
+        assert fit.standard_error[name] == pytest.approx(error, rel=1e-5), name
+
+
+def test_a_map_of_frequencies_by_a_study(scanned, found):
+    data = jw.study(
+        lambda stiffness, distance: heavy(model("FB", stiffness=stiffness, distance=distance)),
+        control=scanned.control,
+        stiffness=[70.0, 40.0, -1.0],
+        distance=[scanned.scene.profile.distance],
+        outputs=(),
+        channels=lambda result: {"omega": jw.modes(result).omega},
+    )
+    omega = np.stack([data[f"omega_{k}"] for k in (1, 2, 3, 4)], axis=-1)[:, 0]
+    assert np.isnan(omega[2]).all()
+    np.testing.assert_allclose(omega[0], found.omega, rtol=ROUNDING)
+    softer = jw.modes(jw.scan(heavy(model("FB", stiffness=40.0)), scanned.control))
+    np.testing.assert_allclose(omega[1], softer.omega, rtol=ROUNDING)
+    assert np.all(omega[1, 0] < omega[0, 0])
+
+
 def test_a_scan_pays_nothing_for_masses(scanned):
     before = compilations()
     jw.scan(model("FB", distance=0.21), np.array([0.9, 0.4, 0.1, -0.3, -1.1, -1.5]))
@@ -292,7 +424,6 @@ def test_a_scan_pays_nothing_for_masses(scanned):
         (lambda: jw.modes(ROD, stiffness_damping="1"), "`stiffness_damping` must be a non-negative finite number"),
         (lambda: jw.modes(ROD, base_damping=(0.0, -1.0, 0.0)), "`base_damping` must be a non-negative finite number"),
         (lambda: jw.modes(ROD, base_damping=(0.0, 1.0)), "`base_damping` must be a number, or a tuple of three"),
-        (lambda: jw.modes(jw.Scene(ROD, (jw.Parabola(0.2), jw.Circle(0.2, 0.1, 5.0)))), "a scene with one object"),
         (lambda: jw.modes(ROD, support=jw.Support.hill(2)), "without springs between the shafts of two whiskers"),
         (
             lambda: jw.modes(jw.deflect(ROD, jw.PointForce(1.0, follower=True))),

@@ -206,6 +206,7 @@ TABLE = {"control": np.linspace(0.7, -1.3, 50), "fx": np.ones(50)}
         ({"offsets": 0.0}, "`offsets` must be True or False, got 0.0"),
         ({"offsets": None}, "`offsets` must be True or False, got None"),
         ({"shift": "no"}, "`shift` must be True or False, got 'no'"),
+        ({"snaps": 1}, "`snaps` must be True or False, got 1"),
         ({"near": 1}, "`near` must be True or False, got 1"),
         ({"build": lambda c, q: 3.0}, "`build`"),
         ({"build": lambda c, q: fb(50.0, q)}, "depends on c"),

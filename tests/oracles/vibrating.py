@@ -70,20 +70,79 @@ def _shape(base_x, reaction, arcs):
     return np.array(found)
 
 
-def in_contact(base_x, reaction, force, arc, q, spring, cells):
-    """Frequencies of a uniform whisker (EI = L = rho A = 1) that touches the parabola y = q + x^2.
+def on_parabola(q, x, tip):
+    """Gap between a whisker and the parabola y = q + x^2 near a contact at x; of the tip alone, or of the shaft."""
+
+    def gap(right_end, height, here):
+        p, ahead = x, 0.0
+        for _ in range(4):  # Newton steps for the nearest points of parabola and shaft
+
+            def distance(both):
+                p, ahead = both
+                right, up = right_end + ahead * jnp.cos(here) - p, height + ahead * jnp.sin(here) - q - p**2
+                normal = jnp.stack([2 * p, -1.0]) / jnp.sqrt(1 + 4 * p**2)
+                return normal[0] * right + normal[1] * up, (right + 2 * p * up, 2 * p * jnp.cos(here) - jnp.sin(here))
+
+            def equations(both):
+                _, (foot, parallel) = distance(both)
+                return jnp.stack([foot, both[1] if tip else parallel])
+
+            both = jnp.stack([p, ahead])
+            p, ahead = both - jnp.linalg.solve(jax.jacfwd(equations)(both), equations(both))
+        return distance(jnp.stack([p, ahead]))[0][None]
+
+    return gap
+
+
+def rolling_on_parabola(q, x):
+    """Distance of the point at which a shaft that has rolled along y = q + x^2 from a contact at x should touch."""
+
+    def arc(p):
+        return (2 * p * jnp.sqrt(1 + 4 * p**2) + jnp.arcsinh(2 * p)) / 4
+
+    def miss(right, up, angle):
+        p = jnp.tan(angle) / 2
+        rolled = jnp.sign(jnp.cos(angle)) * (arc(p) - arc(x))
+        return jnp.stack([right + rolled * jnp.cos(angle) - p, up + rolled * jnp.sin(angle) - q - p**2])
+
+    return miss
+
+
+def held_at(x, y):
+    """Distance of a point that is held in place."""
+    return lambda right, up, angle: jnp.stack([right - x, up - y])
+
+
+def on_corner(x, y):
+    """Gap between a shaft and a corner."""
+
+    def gap(right, up, angle):
+        way = jnp.sign(jnp.cos(angle))
+        return way * (jnp.sin(angle) * (right - x) - jnp.cos(angle) * (up - y))[None]
+
+    return gap
+
+
+def on_face(x, y, slope):
+    """Gap between a point and a straight face through (x, y)."""
+    return lambda right, up, angle: (jnp.sin(slope) * (right - x) - jnp.cos(slope) * (up - y))[None]
+
+
+def in_contact(base_x, reaction, arc, contact, forces, spring, cells, rests=False):
+    """Frequencies of a uniform whisker (EI = L = rho A = 1) that keeps a contact.
 
     Args:
         base_x: position of its base, which a spring holds.
         reaction: fx, fy, mz on the whisker.
-        force: contact force.
-        arc: contact arc; 1 for the tip, whose gap is then that of the tip alone.
-        q: height of the parabola's vertex.
+        arc: contact arc; 1 for the tip.
+        contact: a vector that vanishes while the contact is kept, of the position and angle of the whisker there.
+        forces: generalised forces of the contact that belong to this vector.
         spring: stiffness of the base's spring.
         cells: number of cells on either side of the contact.
+        rests: whether the whisker lies on a straight face from the contact to the tip.
 
     Returns:
-        The frequencies; the gap and the slope of the energy, which are zero in equilibrium.
+        The frequencies; the vector of the contact and the slope of the energy, which are zero in equilibrium.
     """
     tip = arc >= 1
     arcs = (
@@ -113,29 +172,14 @@ def in_contact(base_x, reaction, force, arc, q, spring, cells):
         change = jnp.concatenate([jnp.zeros(1), z[1:]])
         return z[0], change, exact + inside(change)
 
-    def gap(z):
+    def kept(z):
         shift, change, angle = changed(z)
         x = base_x + shift + jnp.sum(((jnp.cos(angle) @ weights) * steps)[:at])
         y = jnp.sum(((jnp.sin(angle) @ weights) * steps)[:at])
-        here, ahead = angles[at] + change[at], 0.0
-        p = x_contact
-        for _ in range(4):  # Newton steps for the nearest points of parabola and shaft
+        miss = contact(x, y, angles[at] + change[at])
+        return jnp.concatenate([miss, change[at:]]) if rests else miss
 
-            def distance(both):
-                p, ahead = both
-                right, up = x + ahead * jnp.cos(here) - p, y + ahead * jnp.sin(here) - q - p**2
-                normal = jnp.stack([2 * p, -1.0]) / jnp.sqrt(1 + 4 * p**2)
-                return normal[0] * right + normal[1] * up, (right + 2 * p * up, 2 * p * jnp.cos(here) - jnp.sin(here))
-
-            def equations(both):
-                _, (foot, parallel) = distance(both)
-                return jnp.stack([foot, both[1] if tip else parallel])
-
-            both = jnp.stack([p, ahead])
-            p, ahead = both - jnp.linalg.solve(jax.jacfwd(equations)(both), equations(both))
-        return distance(jnp.stack([p, ahead]))[0]
-
-    x_contact = loaded[-1, 0]
+    forces = jnp.concatenate([jnp.array(forces), jnp.zeros(len(arcs) - at if rests else 0)])
 
     def energy(z):
         shift, change, _ = changed(z)
@@ -146,8 +190,11 @@ def in_contact(base_x, reaction, force, arc, q, spring, cells):
         return jnp.sum(steps * (bent**2 / 2 + mean * bent)) + spring * (base_x + shift - rest) ** 2 / 2
 
     z = jnp.zeros(len(arcs))
-    lagrangian = jax.jit(jax.hessian(lambda z: energy(z) - force * gap(z)))
-    slope = jax.grad(lambda z: energy(z) - force * gap(z))(z)
+
+    def lagrangian(z):
+        return energy(z) - forces @ kept(z)
+
+    stiffness, slope = np.asarray(jax.jit(jax.hessian(lagrangian))(z)), jax.grad(lagrangian)(z)
 
     def kinetic(rate):
         shift, _, _ = changed(rate)
@@ -165,10 +212,6 @@ def in_contact(base_x, reaction, force, arc, q, spring, cells):
         return total / 2
 
     mass = np.asarray(jax.jit(jax.hessian(kinetic))(z))
-    across = np.asarray(jax.grad(gap)(z))[None]
-    kept = np.linalg.svd(across)[2][1:].T
-    return (
-        frequencies(kept.T @ np.asarray(lagrangian(z)) @ kept, kept.T @ mass @ kept),
-        float(gap(z)),
-        np.asarray(slope),
-    )
+    across = np.asarray(jax.jacfwd(kept)(z))
+    free = np.linalg.svd(across)[2][len(across) :].T
+    return frequencies(free.T @ stiffness @ free, free.T @ mass @ free), np.asarray(kept(z)), np.asarray(slope)

@@ -5,6 +5,7 @@ import math
 import re
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -136,6 +137,42 @@ class TestDerivatives:
         assert "d_status_d_stiffness" not in found
 
 
+def _sensor(result):
+    """Three signals of a sensor: a scaled moment, and the base's position twice."""
+    return {"volts": 3.0 * result.mz[:, 0], "way": jnp.concatenate([result.base_x, -result.base_x], axis=1)}
+
+
+class TestChannels:
+    def test_are_what_the_function_computes(self, data):
+        axes: dict[str, Any] = {"stiffness": STIFFNESS, "distance": DISTANCE}
+        sensed = jw.study(build, control=CONTROL, outputs="all", channels=_sensor, summary=True, **axes)
+        np.testing.assert_array_equal(sensed.volts, 3.0 * data.mz.isel(whisker=0))
+        np.testing.assert_array_equal(sensed.way_1, data.base_x.isel(whisker=0))
+        np.testing.assert_array_equal(sensed.way_2, -sensed.way_1)
+        assert sensed.volts.dims == ("stiffness", "distance", "control")
+        assert sensed.volts.attrs == {"long_name": "volts"}  # nothing is known about its unit
+        assert "mz" not in sensed and "max_mz" in sensed
+
+    def test_have_derivatives(self):
+        options: dict[str, Any] = {"control": CONTROL[:40], "stiffness": [70.0], "distance": [0.2]}
+        found = jw.study(build, outputs="mz", channels=_sensor, derivatives="stiffness", **options)
+        np.testing.assert_allclose(found.d_volts_d_stiffness, 3.0 * found.d_mz_d_stiffness.isel(whisker=0))
+        assert np.abs(found.d_volts_d_stiffness).max() > 0
+
+    def test_belong_to_the_store(self, tmp_path):
+        options: dict[str, Any] = {"control": CONTROL[:5], "stiffness": [70.0], "distance": [0.2], "outputs": ()}
+
+        def stored(channels):
+            return jw.study(build, channels=channels, store=tmp_path / "study.zarr", **options)
+
+        first = stored(lambda result: {"volts": result.mz[:, 0]}).volts.values
+        np.testing.assert_array_equal(stored(lambda r: {"volts": r.mz[:, 0]}).volts, first)
+        with pytest.raises(ValueError, match="its `channels` other signals"):
+            stored(lambda result: {"volts": 2.0 * result.mz[:, 0]})
+        with pytest.raises(ValueError, match="its variables lack current and also contain volts"):
+            stored(lambda result: {"current": result.mz[:, 0]})
+
+
 class TestLabels:
     def test_everything_has_units_and_a_long_name(self, data):
         for name in data.variables:
@@ -230,6 +267,17 @@ class TestErrors:
             (dict(derivatives="radius"), "`derivatives` must be among stiffness, distance, got 'radius'"),
             (dict(control=[]), "`control` must be a non-empty"),
             (dict(control=[0.0, np.nan]), "`control` must be"),
+            (dict(channels=3), "`channels` must be a function of the result of a scan, got 3"),
+            (dict(channels=lambda result: {}), "`channels` must return a mapping from names to arrays"),
+            (
+                dict(channels=lambda result: {"a": result.fx[0]}),
+                r"of shape \(steps,\) or \(steps, n\), got \(1,\) for a",
+            ),
+            (dict(channels=lambda result: {"mz": result.mz}), "name of a variable of the Dataset, got `mz`"),
+            (dict(channels=lambda result: {"distance": result.mz}), "name of an axis must not be .* got `distance`"),
+            (dict(channels=lambda result, gain: {"a": result.mz}), "of the result alone, got further arguments gain"),
+            (dict(channels=lambda result: {"a": result.events.control}), "`channels` must not depend on events"),
+            (dict(channels=lambda result: {"a": float(result.mz[0, 0])}), "`channels` must be a function that JAX can"),
             (dict(summary="fx"), "`summary` must be True or False, got 'fx'"),
             (dict(memory=-1.0), "`memory` must be a positive number"),
             (dict(client=3), "`client` must be a dask.distributed.Client, got 3"),

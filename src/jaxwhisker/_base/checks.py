@@ -6,7 +6,8 @@ arguments are unknown here: solvers check those and return a status.
 
 import inspect
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import jax
@@ -237,6 +238,22 @@ def _not_a_number(value: Any) -> str | None:
         return f"a value of type {type(value).__name__}"
     shape, kind = np.shape(value), jnp.result_type(value)
     return None if shape == () and kind.kind in "iuf" else f"an array of shape {shape} and type {kind}"
+
+
+@contextmanager
+def traceable(argument: str, name: str) -> Iterator[None]:
+    """Check that JAX can trace a user's function, as every compiled program must, while it is traced.
+
+    Raises:
+        ValueError: if not; the message names the argument, the function and the remedy.
+    """
+    try:
+        yield
+    except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
+        raise ValueError(
+            f"`{argument}` must be a function that JAX can trace, got {name}, which raised {type(error).__name__}. Use "
+            "jnp.where instead of `if`, jnp.interp instead of np.interp, and jax.numpy instead of math and numpy."
+        ) from error
 
 
 def float64_mode() -> None:

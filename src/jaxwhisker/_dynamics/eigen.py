@@ -31,8 +31,8 @@ class Eigenpairs(NamedTuple):
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
 def slowest(flexibility: Float[Array, "n n"], mass: Float[Array, "n n"], count: int) -> Eigenpairs:
     """The slowest modes. Derivatives are those of simple eigenvalues; at multiple ones they are infinite or NaN."""
-    # Subspace iteration (Bathe and Wilson 1972). With jax 0.10, programs with LAPACK
-    # calls that run at the same time may wait for each other forever.
+    # Subspace iteration (Bathe and Wilson 1972). With jax 0.10, programs with LAPACK calls that run at the same time
+    # may wait for each other forever, even if each product of matrices runs in one thread.
     size = count + FURTHER + count % 2
 
     def improved(_, modes):

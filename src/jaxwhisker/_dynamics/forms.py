@@ -19,7 +19,8 @@ phi and k = (n_o . n) kappa0,
 
     delta^2 g = (k a^2 - 2 a b - R b^2) / (1 + R k).
 
-With friction, contacts stick: the tip stays where it is, and a shaft rolls (a = 0).
+With friction, contacts stick: the tip stays where it is, and a shaft rolls (a = 0). With R to infinity and k = 0, a
+shaft on a straight face cannot turn (b = 0). The part beyond the contact then lies on the face, along which it moves.
 """
 
 from typing import NamedTuple
@@ -30,9 +31,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.elements import WEIGHTS, Fields, bending, fields, quadratic
+from jaxwhisker._dynamics.elements import ORDER, WEIGHTS, Fields, bending, fields, quadratic
 from jaxwhisker._dynamics.line import Equilibrium, Line, beyond
-from jaxwhisker._dynamics.object import bend_at
+from jaxwhisker._dynamics.object import Bend, bend_of_each
 from jaxwhisker._equilibrium.contact import Body, Phase
 from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, end_of, stretched, tension_of
 from jaxwhisker._model.motion import Frame
@@ -61,7 +62,10 @@ class Forms(NamedTuple):
 
 def forms_of(body: Body, at: Equilibrium, line: Line, masses: Masses) -> Forms:
     """The quadratic forms of one whisker."""
+    contact = _contact_of(body, at, line)
     moves = fields(line.lengths, line.cos, line.sin)
+    if body.profile.has_edges:
+        moves = _at_rest(moves, contact.rests, beyond(body))
     over = line.lengths[:, None] * WEIGHTS  # integrates along the whisker
     position, angle, tip = moves.at[:, :, :2], moves.at[:, :, 2], moves.ends[-1]
     mass = quadratic(position, jnp.stack([over * masses.along] * 2, axis=-1))
@@ -84,8 +88,8 @@ def forms_of(body: Body, at: Equilibrium, line: Line, masses: Masses) -> Forms:
             sin = tissue.sin * drive.cos + tissue.cos * drive.sin
             held = tissue.stiffness * jax.vmap(tissue.share)(starts + line.lengths / 2)
             stiffness += quadratic(cos * position[:, :, 0] + sin * position[:, :, 1], over * held[:, None])
-    bent, constraints, defined = _contact(body, at, line, moves)
-    return Forms(mass, stiffness + bent, below, constraints, defined, moves)
+    bent, constraints = _kept(body, at, contact, moves)
+    return Forms(mass, stiffness + bent, below, constraints, ~contact.sharp, moves)
 
 
 def quadratic_of(left: Float[Array, "*batch k n"], weight: Float[Array, "*batch k k"]) -> Float[Array, "n n"]:
@@ -112,36 +116,55 @@ def _spring_stiffness(spring: ShaftSprings, laws: Laws, state: tuple, drive: Fra
     return jax.jacfwd(pull)(jnp.zeros(3))
 
 
-def _contact(
-    body: Body, at: Equilibrium, line: Line, moves: Fields
-) -> tuple[Float[Array, "n n"], Float[Array, "constraints n"], Bool[Array, ""]]:
-    """Stiffness of the contact, and its constraints."""
-    free, tip, shaft = at.phase == Phase.free, at.phase == Phase.tip, -1 - beyond(body)
-    # Free whiskers have no contact. That at the lowest point of the object is as good as any.
-    low_x, low_y = body.profile.vertex()
-    contact = (at.contact_x, at.contact_y, at.contact_slope)
-    x, y, slope = (jnp.where(free, low, one) for low, one in zip((low_x, low_y, 0.0), contact, strict=True))
-    bend = bend_at(body.profile, x, y, slope)
-    cos, sin = jnp.cos(slope), jnp.sin(slope)
-    here = jnp.where(tip, moves.ends[-1], moves.ends[shaft])
-    along, across, turn = cos * here[0] + sin * here[1], sin * here[0] - cos * here[1], here[2]
-    sharp = tip & (bend.speed <= 0)
-    _, _, line_cos, line_sin = (values[shaft] for values in line.ends)
-    same = jnp.where(line_cos * cos + line_sin * sin > 0, 1.0, -1.0)  # direction of the whisker along the object
+class _Contact(NamedTuple):
+    free: Bool[Array, ""]
+    tip: Bool[Array, ""]
+    bend: Bend  # of the object
+    same: Scalar  # 1 if the whisker runs along the object with growing x, else -1
+    curvature: Scalar  # k
+    sharp: Bool[Array, ""]  # an edge touches the tip
+    rests: Bool[Array, ""]  # a straight shaft lies on a straight face
+
+
+def _contact_of(body: Body, at: Equilibrium, line: Line) -> _Contact:
+    free, tip = at.phase == Phase.free, at.phase == Phase.tip
+    number = jnp.where(free, 0, 1 if at.contact_object is None else at.contact_object)
+    bend = bend_of_each(body.profile, number, (at.contact_x, at.contact_y, at.contact_slope))
+    _, _, cos, sin = (values[-1 - beyond(body)] for values in line.ends)
+    same = jnp.where(cos * jnp.cos(at.contact_slope) + sin * jnp.sin(at.contact_slope) > 0, 1.0, -1.0)
     curvature = body.section.curvature(at.contact_arc) if isinstance(body.section, Section) else 0.0
-    k, a, b = -same * curvature, same * along, -same * turn
-    flat = bend.turn + bend.speed * k
-    flat = jnp.where(flat > 0, flat, 1.0)
-    zero = jnp.zeros_like(a)
-    sticks = body.friction_angle is not None
-    if sticks:
-        a = zero
-    of_tip = zero[:, None] * zero if sticks else bend.turn / jnp.where(bend.speed > 0, bend.speed, 1.0) * _square(along)
+    k = -same * curvature
+    rests = ~free & ~tip & (bend.turn + bend.speed * k <= 0)
+    return _Contact(free, tip, bend, same, k, tip & (bend.speed <= 0), rests)
+
+
+def _at_rest(moves: Fields, rests: Bool[Array, ""], last: int) -> Fields:
+    """The fields, without those of the coordinates of the last elements if they rest on a straight face."""
+    size = moves.ends.shape[-1] - 3
+    lies = (jnp.arange(size + 3) // ORDER >= size // ORDER - last) & (jnp.arange(size + 3) < size)
+    return jax.tree.map(lambda leaf: jnp.where(rests & lies, 0.0, leaf), moves)
+
+
+def _kept(
+    body: Body, at: Equilibrium, contact: _Contact, moves: Fields
+) -> tuple[Float[Array, "n n"], Float[Array, "constraints n"]]:
+    """Stiffness of the contact, and its constraints."""
+    bend, k = contact.bend, contact.curvature
+    cos, sin = jnp.cos(at.contact_slope), jnp.sin(at.contact_slope)
+    here = jnp.where(contact.tip, moves.ends[-1], moves.ends[-1 - beyond(body)])
+    along, across, turn = cos * here[0] + sin * here[1], sin * here[0] - cos * here[1], here[2]
+    constraints = [across]
+    a, b = contact.same * along, -contact.same * turn
+    of_tip = bend.turn / jnp.where(bend.speed > 0, bend.speed, 1.0) * _square(along)
+    if body.friction_angle is not None:
+        constraints.append(along)
+    if body.profile.has_edges:
+        constraints.append(jnp.where(contact.rests, turn, 0.0))
+    flat = jnp.where(contact.rests | contact.free | contact.tip, 1.0, bend.turn + bend.speed * k)
     of_shaft = (bend.turn * (k * _square(a) - _product(a, b)) - bend.speed * _square(b)) / flat
-    gap = jnp.where(tip, of_tip, of_shaft)
-    constraints = jnp.stack([across, along] if sticks else [across])
-    touches = jnp.where(free, 0.0, 1.0)
-    return -touches * at.contact_force * gap, touches * constraints, ~sharp
+    gap = jnp.where(contact.tip, of_tip, of_shaft)
+    touches = jnp.where(contact.free, 0.0, 1.0)
+    return -touches * at.contact_force * gap, touches * jnp.stack(constraints)
 
 
 def _square(form: Float[Array, " n"]) -> Float[Array, "n n"]:

@@ -32,6 +32,7 @@ class Equilibrium(NamedTuple):
     contact_x: Float[Array, "*batch"]
     contact_y: Float[Array, "*batch"]
     phase: Int[Array, "*batch"]
+    contact_object: Int[Array, "*batch"] | None = None  # None with a single object
 
 
 class DeadLoads(NamedTuple):

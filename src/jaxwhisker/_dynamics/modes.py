@@ -165,8 +165,6 @@ def _prepared(scene: Scene) -> tuple[Problem, tuple[Whisker, ...]]:
     _check_masses(scene.whiskers)
     if scene.support.shaft_loads:
         checks.fail("at", "one without springs between the shafts of two whiskers", str(scene))
-    if len(scene.profile.objects) > 1:
-        checks.fail("at", "a scene with one object", str(scene))
     scene = jax.tree.map(checks.as_float, scene)
     still = scene.without_masses()
     return (problem_of if checks.is_staged(scene) else problem_now)(still), scene.whiskers
@@ -296,7 +294,9 @@ def _unloaded_modes(
     z, _ = problem.unloaded(u)
     side = jnp.ones_like(problem.length)
     friction = None if problem.friction_angle is None else slipping_from(side)
-    state, _ = signals(problem, z, u, Mode(jnp.zeros(side.size, int), side, jnp.asarray(False), friction=friction))
+    free = jnp.zeros(side.size, int)
+    piece = free if problem.profile.has_pieces else None
+    state, _ = signals(problem, z, u, Mode(free, side, jnp.asarray(False), friction=friction, piece=piece))
     at = Equilibrium(**{name: getattr(state, name) for name in Equilibrium._fields})
     status = jnp.asarray(Status.ok)
     return _found(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)
@@ -314,8 +314,7 @@ def _deflection_modes(
     points: int,
 ) -> Modes:
     zero = jnp.zeros(())
-    fields = (*base, *[zero] * 5, jnp.asarray(Phase.free))
-    at = Equilibrium(**{name: jnp.reshape(leaf, 1) for name, leaf in zip(Equilibrium._fields, fields, strict=True)})
+    at = Equilibrium(*(jnp.reshape(leaf, 1) for leaf in (*base, *[zero] * 5, jnp.asarray(Phase.free))))
     each = sorted_loads(whiskers[0], loads)
     force_x, force_y = each.force * jnp.cos(each.direction), each.force * jnp.sin(each.direction)
     dead = DeadLoads(each.position, force_x, force_y, each.moment)

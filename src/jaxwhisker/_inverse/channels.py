@@ -1,6 +1,5 @@
 """The channels of a sensor: the reactions of every whisker, or what a function computes from the result of a scan."""
 
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -9,17 +8,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxwhisker._base.leaves import Deferred
 from jaxwhisker._base.program import Program
-from jaxwhisker._inverse.parameters import check_traceable, hashable
+from jaxwhisker._inverse.parameters import hashable
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._path.path import Status
+from jaxwhisker._scan.channels import arguments_of, columns_of, example_of, result_of, traced_channels
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.springs import bases_of, spring_lengths
-from jaxwhisker._scan.state import FRICTION, OBJECTS, State
-
-EXAMPLE_STEPS = 2  # with which a function is tried before it is compiled
+from jaxwhisker._scan.state import State
 
 
 class Channels(NamedTuple):
@@ -38,7 +33,7 @@ class Channels(NamedTuple):
         """The signals of a scan, with values of the function's further arguments."""
         if self.function is None:
             return jnp.stack([getattr(result, name) for name in self.names], axis=-1)
-        columns = _columns(self.function(result, **values), result.control.shape[0])
+        columns = columns_of(self.function(result, **values), result.control.shape[0])
         return jnp.stack([columns[name] for name in self.names], axis=-1)[:, None]
 
 
@@ -56,32 +51,9 @@ def channels_from(function: Any, scene: Scene, guess: Mapping[str, float]) -> tu
         if name not in guess:
             raise ValueError(f"`guess` must hold a value of every argument of `channels`, got none of {name}.")
     own = {name: guess[name] for name in arguments_of(function)}
-    names: list[str] = []
-
-    def numbers(**values):
-        control = jnp.zeros(EXAMPLE_STEPS)
-        columns = _columns(function(result_of(scene, _example(scene), control), **values), EXAMPLE_STEPS)
-        names.extend(columns)
-        return list(columns.values())
-
-    check_traceable(numbers, own, called="channels", name=getattr(function, "__name__", type(function).__name__))
+    traced = traced_channels(function, lambda values: function(example_of(scene), **values), own)
     rest = {name: value for name, value in guess.items() if name not in own}
-    return Channels(tuple(dict.fromkeys(names)), hashable(function), tuple(own)), rest
-
-
-def arguments_of(function: Any) -> tuple[str, ...]:
-    """Names of the arguments of a channels' function, after the result.
-
-    Raises:
-        ValueError: if it is not a function of the result.
-    """
-    if function is None:
-        return ()
-    try:
-        _, *further = inspect.signature(function).parameters
-    except (TypeError, ValueError):
-        raise ValueError(f"`channels` must be a function of the result of a scan, got {function!r}.") from None
-    return tuple(further)
+    return Channels(traced.names, hashable(function), tuple(own)), rest
 
 
 def table_of_result(channels: Channels, result: Result) -> dict[str, Any]:
@@ -97,54 +69,6 @@ def table_of_result(channels: Channels, result: Result) -> dict[str, Any]:
         )
     signals = channels.of_result(result, {})
     return {"control": result.control} | {name: signals[:, 0, c] for c, name in enumerate(channels.names)}
-
-
-def _example(scene: Scene) -> State:
-    """A state of the scene, at every step of an example."""
-    zero = jnp.zeros((EXAMPLE_STEPS, len(scene.whiskers)))
-    fields: dict[str, Any] = dict.fromkeys(State.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
-    fields |= dict.fromkeys(FRICTION) if scene.friction is None else {"slip": zero.astype(int)}
-    loads = scene.support.shaft_loads
-    fields["shaft_loads"] = (zero,) * loads if loads else None
-    fields |= dict.fromkeys(OBJECTS, None if len(scene.profile.objects) == 1 else zero.astype(int))
-    return State(**fields)
-
-
-def _columns(signals: Any, steps: int) -> dict[str, Array]:
-    """One column (steps,) for each channel: arrays (steps, n) of several whiskers or springs become n channels."""
-    if not isinstance(signals, Mapping) or not signals:
-        raise ValueError(f"`channels` must return a mapping from names to arrays (steps,), got {signals!r}.")
-    columns = {}
-    for name, values in signals.items():
-        values = jnp.asarray(values, dtype=float)
-        if values.ndim not in (1, 2) or values.shape[0] != steps:
-            raise ValueError(
-                f"`channels` must return arrays of shape (steps,) or (steps, n), got {values.shape} for {name} of "
-                f"{steps} steps."
-            )
-        parts = jnp.reshape(values, (steps, -1)).T
-        columns |= {name if len(parts) == 1 else f"{name}_{k}": part for k, part in enumerate(parts, 1)}
-    return columns
-
-
-def result_of(scene: Scene, state: State, control: Float[Array, " steps"]) -> Result:
-    """The result of a scan from its states, for a user's function; without events."""
-    return Result(
-        **{name: getattr(state, name) for name in State.__dataclass_fields__},
-        control=control,
-        spring_length=spring_lengths(scene, bases_of(scene, state), control),
-        status=jnp.where(jnp.isfinite(state.base_x[:, 0]), Status.ok, Status.lost),
-        deferred_events=_WithoutEvents(tuple),
-        scene=scene,
-    )
-
-
-class _WithoutEvents(Deferred):
-    """The events of a result that has none; to JAX a leaf, so that nothing but the user's function asks for it."""
-
-    @property
-    def value(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
-        raise ValueError("`channels` must not depend on events, got a function that asks for them.")
 
 
 def _signals_and_slopes(

@@ -41,11 +41,12 @@ class Scatter(NamedTuple):
     count: int  # number of differences in the estimate of the kind with the fewest
 
 
-def features(observations: Observations) -> Features:
-    """Find touches, releases and jumps in the signals alone."""
+def features(observations: Observations, *, snaps: bool = True) -> Features:
+    """Find touches, releases and, if these are snaps, jumps in the signals alone."""
     travel = np.asarray(route_of(observations.control).travel)
     noise = np.nan_to_num(observations.sigma)
-    low, high = _jumps(travel, observations.values / observations.peaks, noise / observations.peaks)
+    values = observations.values if snaps else np.zeros_like(observations.values)
+    low, high = _jumps(travel, values / observations.peaks, noise / observations.peaks)
     contact = in_contact(observations)
     ends = [_contact(travel, observations.values[:, k], contact[:, k]) for k in range(contact.shape[1])]
     touch, touch_error, release = np.array(ends).T

@@ -11,7 +11,7 @@ import numpy as np
 from jaxwhisker._base import announce, checks
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._inverse import parameters
-from jaxwhisker._inverse.channels import Channels, arguments_of, channels_from, table_of_result
+from jaxwhisker._inverse.channels import Channels, channels_from, table_of_result
 from jaxwhisker._inverse.features import features, neighbour_scatter
 from jaxwhisker._inverse.fit import Fit, FitProblem, FittedRecording, Recording
 from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum, possible_decrease
@@ -23,6 +23,7 @@ from jaxwhisker._inverse.statistics import FitStatus, chi_squared, correlation, 
 from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
+from jaxwhisker._scan.channels import arguments_of
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import turns_of
 from jaxwhisker._scan.scan import BLOCK
@@ -54,6 +55,7 @@ def identify(
     transform: Mapping[str, str] | None = None,
     starts: int = 16,
     near: bool = False,
+    snaps: bool = True,
 ) -> Fit:
     """Estimate the parameters of a scene from the measured signals of one scan or of several.
 
@@ -88,6 +90,8 @@ def identify(
         transform: "log" or "linear" by name. Default: log for parameters that `build` rejects if they are negative.
         starts: largest number of further fits if the first one is not plausible; 0 for none.
         near: whether the guess is close to the solution; the first stage is then skipped.
+        snaps: whether jumps of the signals are snaps, whose positions are then compared. Use False for `channels` that
+            jump for other reasons, such as frequencies, which change suddenly at the first touch.
 
     Returns:
         A Fit. Unless its status is `ok`, `reason` says why and there are no standard errors: `implausible` (noise does
@@ -102,7 +106,7 @@ def identify(
     checks.float64_mode()
     guess = parameters.read_parameters("guess", guess)
     checks.count("starts", starts, least=0)
-    for name, value in {"offsets": offsets, "gains": gains, "shift": shift, "near": near}.items():
+    for name, value in {"offsets": offsets, "gains": gains, "shift": shift, "near": near, "snaps": snaps}.items():
         checks.instance(name, value, bool, "True or False")
     own = arguments_of(channels)
     scene = parameters.build_scene("guess", build, {name: v for name, v in guess.items() if name not in own})
@@ -127,7 +131,7 @@ def identify(
         scatter = neighbour_scatter(*observations)
         noise = np.maximum(scatter.sigma, LEAST_NOISE * np.max([one.peaks for one in observations], axis=0))
         observations, centred = ([one.with_sigma(noise) for one in several] for several in (observations, centred))
-    recordings = tuple(_recording(*pair, scene) for pair in zip(observations, centred, strict=True))
+    recordings = tuple(_recording(*pair, scene, snaps) for pair in zip(observations, centred, strict=True))
     with announce.progress("fitting") as report:
         solve = LeastSquares(build, unknowns, transforms, report)
         solve, start = _ready(solve, [*values.values(), *further.values()], baselines, recordings)
@@ -149,9 +153,10 @@ def _read(measured: Any, sigma: Any, channels: Channels, whiskers: int) -> list[
     return [read_observations(table, sigma, whiskers=1, kinds=channels.names) for table in tables]
 
 
-def _recording(observations: Observations, centred: Observations, scene: Scene) -> Recording:
+def _recording(observations: Observations, centred: Observations, scene: Scene, snaps: bool) -> Recording:
     first_leg = slice(0, min([*turns_of(observations.control), observations.control.size - 1]) + 1)
-    return Recording(observations, features(centred), first_leg, features(centred.at(first_leg)), scene)
+    landmarks = (features(one, snaps=snaps) for one in (centred, centred.at(first_leg)))
+    return Recording(observations, next(landmarks), first_leg, next(landmarks), scene)
 
 
 def _baseline(observations: Observations) -> np.ndarray:

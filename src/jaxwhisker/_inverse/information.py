@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Control
-from jaxwhisker._inverse.channels import Channels, arguments_of, channels_from
+from jaxwhisker._inverse.channels import Channels, channels_from
 from jaxwhisker._inverse.linearised import LinearisedScan
 from jaxwhisker._inverse.observations import Observations, channel_pattern, read_observations
 from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
@@ -18,6 +18,7 @@ from jaxwhisker._inverse.residuals import UNIFORM
 from jaxwhisker._inverse.statistics import Identifiability, correlation, identifiability
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import SNAPS, EventKind
+from jaxwhisker._scan.channels import arguments_of
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.report import table
 from jaxwhisker._scan.route import route_of

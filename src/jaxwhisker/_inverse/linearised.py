@@ -35,6 +35,7 @@ from jaxwhisker._scan.signals import control_at_event, event_nodes
 from jaxwhisker._scan.steps import Solutions, states
 
 REACTION_CHANNELS = Channels()
+LEAST_STEPS = 64  # for which a function of the result is compiled
 WIDTH = 4  # directions are padded to a multiple of this, so that different numbers of parameters share programs
 
 
@@ -250,7 +251,17 @@ class LinearisedScan:
         if fields is not None:
             return Signals(*state)
         values = self._values, np.eye(self._values.size, self.width, self._first)
-        return Signals(*channels_and_slopes_now(self._channels, *self._scene, *state, control, slopes, values))
+        # The function may be slow, and most steps of a block may be padding: copies of the last one.
+        size = _padded(control, travel)
+        *some, control, slopes = jax.tree.map(lambda leaf: np.asarray(leaf)[:size], (*state, control, slopes))
+        found = channels_and_slopes_now(self._channels, *self._scene, *some, control, slopes, values)
+        return Signals(*(np.pad(leaf, [(0, BLOCK - size), *[(0, 0)] * (leaf.ndim - 1)], mode="edge") for leaf in found))
+
+
+def _padded(control: np.ndarray, travel: np.ndarray) -> int:
+    """How many steps of a block need to be computed if its last one is repeated: a power of 2, or the whole block."""
+    other = np.flatnonzero((control != control[-1]) | (travel != travel[-1]))
+    return min(BLOCK, max(LEAST_STEPS, 2 ** math.ceil(math.log2(other[-1] + 2 if other.size else 1))))
 
 
 def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import name_of
 from jaxwhisker._inverse.statistics import NORMAL_95
 from jaxwhisker._model.scene import Scene
 
@@ -203,19 +204,11 @@ def hashable(function: Callable) -> Callable:
     return function
 
 
-def check_traceable(
-    build: Callable[..., Any], values: Mapping[str, float], called: str = "build", name: str = ""
-) -> None:
+def check_traceable(build: Callable[..., Any], values: Mapping[str, float], called: str = "build") -> None:
     """Check that JAX can trace a user's function, as every compiled program must.
 
     Raises:
         ValueError: if not; the message names the function and the remedy.
     """
-    try:
+    with checks.traceable(called, name_of(build)):
         jax.eval_shape(lambda values: numbers_of(build(**values)), {k: jnp.asarray(v) for k, v in values.items()})
-    except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
-        name = name or getattr(build, "__name__", type(build).__name__)
-        raise ValueError(
-            f"`{called}` must be a function that JAX can trace, got {name}, which raised {type(error).__name__}. Use "
-            "jnp.where instead of `if`, jnp.interp instead of np.interp, and jax.numpy instead of math and numpy."
-        ) from error

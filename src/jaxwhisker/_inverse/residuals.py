@@ -23,7 +23,6 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._inverse.channels import result_of
 from jaxwhisker._inverse.features import JUMPS, Features
 from jaxwhisker._inverse.linearised import EventTable, event_table
 from jaxwhisker._inverse.observations import Observations
@@ -31,6 +30,7 @@ from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.unknowns import Unknowns, split
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, is_snap
+from jaxwhisker._scan.channels import result_of
 from jaxwhisker._scan.memory import places_of, remembered, with_places
 from jaxwhisker._scan.route import Route
 from jaxwhisker._scan.scan import BLOCK, follow_path

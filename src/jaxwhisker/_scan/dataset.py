@@ -70,8 +70,9 @@ class SceneLayout(NamedTuple):
     def attributes(self, name: str, quantity: Quantity) -> dict[str, Any]:
         """Attributes of a variable: long name, units, and the meaning of a positive sign and of flags."""
         kind = self.control_kind if quantity.kind == CONTROL else quantity.kind
-        units = unit_in_words(kind, self.dimensionless, quantity.per)
-        found: dict[str, Any] = {"long_name": quantity.description, "units": units}
+        found: dict[str, Any] = {"long_name": quantity.description}
+        if kind:
+            found["units"] = unit_in_words(kind, self.dimensionless, quantity.per)
         if quantity.sign:
             found["positive_means"] = quantity.sign
         if name == "spring_length" and any(" phi" in spring for spring in self.springs):

@@ -32,7 +32,7 @@ class Quantity(NamedTuple):
 
     description: str
     symbol: str  # LaTeX
-    kind: str  # a key of KINDS, or CONTROL
+    kind: str  # a key of KINDS, or CONTROL; empty if the unit is unknown
     axes: tuple[str, ...]
     sign: str = ""  # meaning of a positive value, unless it is obvious
     dtype: str = "float64"

@@ -2,7 +2,7 @@
 
 import hashlib
 import threading
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,17 +18,19 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import MARGIN
+from jaxwhisker._scan.channels import columns_of
 from jaxwhisker._scan.dataset import VARIABLES, first_failure
-from jaxwhisker._scan.result import arrays_of
+from jaxwhisker._scan.result import Result, arrays_of
 from jaxwhisker._scan.route import across
 from jaxwhisker._scan.scan import STEP, follow_path_now, prepare, problem_now, scan
-from jaxwhisker._study.layout import POINT_STATUS, derivative_name
+from jaxwhisker._study.layout import POINT_STATUS, channel_quantities, derivative_name
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, lanes_for
-from jaxwhisker._study.structure import fingerprint, sampled
+from jaxwhisker._study.structure import channels_of, fingerprint, sampled
 from jaxwhisker._study.summary import summarise
 
 Arrays = dict[str, np.ndarray]
 Write = Callable[[BlockIndex, Arrays], None]  # stores the variables of a block
+ChannelsFunction = Callable[[Result], Mapping[str, Any]]
 
 MOST_POSITIONS = 100_000  # largest number of positions of the default control
 BLOCKS_AHEAD = 2  # blocks submitted for each thread of a cluster: one is computed, one waits
@@ -46,6 +48,8 @@ class Job:
     derivatives: tuple[str, ...]  # parameters
     summary: bool  # summarise the signals
     kept: tuple[str, ...]  # variables of the study
+    channels: ChannelsFunction | None = None  # computes further quantities
+    channel_names: tuple[str, ...] = ()
     key: str = ""  # identifies the job in a worker
 
 
@@ -55,11 +59,15 @@ class Kernel:
     def __init__(self, job: Job):
         self.job = job
         self._names = tuple(dict.fromkeys((*job.outputs, "status")))
-        self._smooth = [name for name in self._names if VARIABLES[name].dtype == "float64"]
+        self._quantities = {name: VARIABLES[name] for name in self._names} | channel_quantities(job.channel_names)
+        self._smooth = [name for name, quantity in self._quantities.items() if quantity.dtype == "float64"]
 
     def _outputs(self, varied: dict, values: dict) -> tuple[dict, dict]:
         """The smooth outputs at one point, which have derivatives, and all outputs."""
-        arrays = arrays_of(scan(self.job.build(**values | varied), self.job.control), self._names)
+        result = scan(self.job.build(**values | varied), self.job.control)
+        arrays = arrays_of(result, self._names)
+        if self.job.channels is not None:
+            arrays |= columns_of(self.job.channels(result), self.job.control.size)
         return {name: arrays[name] for name in self._smooth}, arrays
 
     def _slopes(self, values: dict) -> tuple[dict, dict]:
@@ -71,7 +79,7 @@ class Kernel:
         """Compute the variables of some points; their first axis runs over the points."""
         job, point = self.job, self._slopes if self.job.derivatives else partial(self._outputs, {})
         slopes, arrays = jax.tree.map(np.asarray, jax.vmap(point)(values))
-        found = {name: array.astype(VARIABLES[name].dtype) for name, array in arrays.items()}
+        found = {name: array.astype(self._quantities[name].dtype) for name, array in arrays.items()}
         for name, parameter in product(self._smooth, job.derivatives):
             slope = np.where(np.isnan(found[name]), np.nan, slopes[name][parameter])
             found[derivative_name(name, parameter)] = slope
@@ -154,6 +162,8 @@ def key_of(job: Job, samples: list[dict[str, float]]) -> str:
     """A hash of the job, of the versions that compute it, and of the scenes at some points."""
     parts = [version("jaxwhisker"), jax.__version__, fingerprint(job.build, samples), job.control.tobytes()]
     parts += [job.names, job.outputs, job.derivatives, job.summary, job.kept]
+    if job.channels is not None:
+        parts.append(channels_of(job.channels, job.build, samples))
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 

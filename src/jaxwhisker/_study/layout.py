@@ -44,10 +44,19 @@ def chosen(outputs: Sequence[str] | str, absent: Sequence[str] = ()) -> tuple[st
     return tuple(name for name in VARIABLES if name in wanted and field_of(name) not in absent)
 
 
+def channel_quantities(names: Sequence[str]) -> dict[str, Quantity]:
+    """The channels of a user's function, whose units are unknown."""
+    return {name: Quantity(name.replace("_", " "), "", "", ("control",)) for name in names}
+
+
 def variables_of(
-    outputs: Sequence[str] | str, derivatives: Sequence[str], summarised: bool, absent: Sequence[str] = OPTIONAL
+    outputs: Sequence[str] | str,
+    derivatives: Sequence[str],
+    summarised: bool,
+    absent: Sequence[str] = OPTIONAL,
+    channels: Sequence[str] = (),
 ) -> dict[str, Quantity]:
-    """The variables of a study; those along the control are left out if they are summarised.
+    """The variables of a study; those along the control, except for channels, are left out if they are summarised.
 
     Raises:
         ValueError: if `outputs` contains a name that is unknown, or one that the scenes do not have.
@@ -59,6 +68,7 @@ def variables_of(
             raise ValueError(f"`outputs` must be names of what the scenes have, but they have no {lack}: got {name!r}.")
     if summarised:
         kept = {name: quantity for name, quantity in kept.items() if "control" not in quantity.axes}
+    kept |= channel_quantities(channels)
     for name, quantity in list(kept.items()):
         for parameter in derivatives if quantity.dtype == "float64" else ():
             words = f"derivative of the {quantity.description} with respect to {parameter}"
@@ -91,7 +101,7 @@ class Layout(NamedTuple):
 
     parameters: Parameters
     scene: SceneLayout
-    build: str  # hash of the scenes, see structure.fingerprint
+    build: str  # hash of the scenes and channels, see structure.fingerprint
     control: Float[np.ndarray, " steps"]
     default_control: bool
     variables: dict[str, Quantity]
@@ -156,7 +166,9 @@ class Layout(NamedTuple):
         for name, attribute in versions.items():
             if stored.attrs[attribute] != frame.attrs[attribute]:
                 return f"its {name} is {stored.attrs[attribute]}, here {frame.attrs[attribute]}"
-        return None if stored.attrs["build"] == self.build else "its `build` makes other scenes"
+        if stored.attrs["build"] != self.build:
+            return "its `build` makes other scenes, or its `channels` other signals"
+        return None
 
 
 RESERVED = {"control", "whisker", "spring", "event", "point", "between"}

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._model.scene import Scene
+from jaxwhisker._scan.channels import arguments_of, example_of, traced_channels
 from jaxwhisker._scan.dataset import SceneLayout, layout_of
 from jaxwhisker._study.parameters import Parameters
 
@@ -131,6 +132,20 @@ def _other_statics(one: Any, other: Any, path: str) -> Iterator[str]:
         one, other = one.__code__, other.__code__
     if type(one) is not type(other) or one != other:
         yield path
+
+
+def channels_of(function: Callable, build: Callable, points: list[dict[str, float]]) -> tuple[tuple[str, ...], str]:
+    """Names of the channels that a function computes from the results of these scenes, and a hash of its code.
+
+    Raises:
+        ValueError: if it is not such a function, or JAX cannot trace it.
+    """
+    if further := arguments_of(function):
+        raise ValueError(
+            f"`channels` must be a function of the result alone, got further arguments {', '.join(further)}."
+        )
+    names, code = traced_channels(function, lambda values: function(example_of(build(**values))), points[0])
+    return names, f"sha256:{hashlib.sha256(code.lower().as_text().encode()).hexdigest()}"
 
 
 def sampled(parameters: Parameters) -> list[dict[str, float]]:

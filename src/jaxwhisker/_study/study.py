@@ -3,7 +3,7 @@
 import importlib
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
@@ -16,17 +16,22 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.dataset import VARIABLES, omitted_events, points_in_words
 from jaxwhisker._scan.quantities import Quantity
+from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.signals import event_room
 from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster
 from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, chosen, variables_of
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, blocks_of, parameters_of
 from jaxwhisker._study.store import Memory, Store
-from jaxwhisker._study.structure import fingerprint, layout_of_scenes, sampled
+from jaxwhisker._study.structure import channels_of, fingerprint, layout_of_scenes, sampled
+from jaxwhisker._study.summary import SUMMARY
 
 if TYPE_CHECKING:
     import xarray as xr
 
-OPTIONS = ("control", "points", "outputs", "derivatives", "summary", "store", "client", "memory", "progress")
+OPTIONS = (
+    *("control", "points", "outputs", "channels", "derivatives"),
+    *("summary", "store", "client", "memory", "progress"),
+)
 SUMMARISED = ("reactions", "base_x", "status", "events", "event_states")  # outputs from which a summary is made
 
 
@@ -36,6 +41,7 @@ def study(
     control: Control | None = None,
     points: Any = None,
     outputs: Sequence[str] | str = DEFAULT,
+    channels: Callable[[Result], Mapping[str, Any]] | None = None,
     derivatives: Sequence[str] | str = (),
     summary: bool = False,
     store: Any = None,
@@ -60,9 +66,14 @@ def study(
         points: a table with one column per parameter (a mapping or a DataFrame) and one row per point, instead of axes.
         outputs: variables, or groups of them: `reactions` (fx fy mz), `status`, `events`, `contact`, `springs`
             (base_x base_y base_angle spring_length), `event_states`, `all`.
+        channels: a function of the result of a scan that returns further variables along the control by name, as for
+            `identify`: arrays (steps,), or (steps, n) for n variables name_1 to name_n. It is traced and must not use
+            the result's events. For example, frequencies of vibration:
+            `lambda result: {"omega": jw.modes(result, 2, points=2).omega}`.
         derivatives: parameters with respect to which every real-valued variable is differentiated, at fixed control.
         summary: keep peaks, positions of events, widths and work (see `summary`) instead of variables along the
-            control. The signals of a block are dropped as soon as they are summarised, to save memory.
+            control, except for `channels`. The signals of a block are dropped as soon as they are summarised, to save
+            memory.
         store: path of a zarr store for the results. The same call on an unfinished store computes what is missing.
             Default: the results stay in memory.
         client: a `dask.distributed.Client` whose workers compute the blocks. Default: this machine.
@@ -89,8 +100,12 @@ def study(
     parameters = parameters_of(build, points, axes, OPTIONS)
     derivatives = _checked_derivatives(derivatives, parameters)
     layout = _layout(build, parameters, control)
-    variables = variables_of(outputs, derivatives, summary, layout.scene.absent)
-    _check_names(parameters, variables)
+    names: tuple[str, ...] = ()
+    if channels is not None:
+        names, code = channels_of(channels, build, sampled(parameters))
+        layout = layout._replace(build=f"{layout.build}, channels {code}")
+    variables = variables_of(outputs, derivatives, summary, layout.scene.absent, names)
+    _check_names(parameters, variables, names)
     layout = layout._replace(variables=variables)
     summarised = chosen(SUMMARISED, layout.scene.absent) if summary else ()
     computed = tuple(name for name in VARIABLES if name in layout.variables or name in summarised)
@@ -100,15 +115,19 @@ def study(
         if visible:
             print(f"study: compiling, then {parameters.total:,} scans", file=sys.stderr)
         layout, blocks = resumed or _planned(layout, build, computed, memory, client)
-        names, kept = tuple(parameters.values), tuple(layout.variables)
-        kernel = Kernel(Job(build, names, layout.control, computed, derivatives, summary, kept))
+        arguments, kept = tuple(parameters.values), tuple(layout.variables)
+        job = Job(build, arguments, layout.control, computed, derivatives, summary, kept, channels, names)
+        kernel = Kernel(job)
         if any(VARIABLES[name].axes[:1] == ("event",) for name in computed):
             layout = layout._replace(events=event_room(layout.scene.whiskers))
         _compute(kernel, target, layout, blocks, client, visible)
         return _finished(target, build, layout, visible)
 
 
-def _check_names(parameters: Parameters, variables: dict[str, Quantity]) -> None:
+def _check_names(parameters: Parameters, variables: dict[str, Quantity], channels: Sequence[str]) -> None:
+    for name in channels:
+        if name in {*RESERVED, *VARIABLES, *SUMMARY, POINT_STATUS}:
+            raise ValueError(f"`channels` must not have the name of a variable of the Dataset, got `{name}`.")
     for name in parameters.values:
         if name in RESERVED or name in VARIABLES or name in variables:
             raise ValueError(
