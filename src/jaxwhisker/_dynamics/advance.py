@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.gap import CLOSEST, MOST, Points, closest, followed, gap_at
+from jaxwhisker._dynamics.gap import CLOSEST, MOST, closest, followed, gap_at
 from jaxwhisker._dynamics.ledger import booked
 from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, nodes_of, posed
 from jaxwhisker._dynamics.moving import System
@@ -220,7 +220,9 @@ def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
     )
 
 
-def _where(needed: Array, found: Callable, points: Points, are_found: Array) -> tuple[Points, Array]:
+def _where(
+    needed: Array, found: Callable, points: tuple[Array, Array], are_found: Array
+) -> tuple[tuple[Array, Array], Array]:
     """Points, and whether they are found, for whiskers that need it, and these ones for others.
 
     A loop skips the computation if no whisker needs it, even of a batch below vmap; there, `cond` would not.
