@@ -1,6 +1,7 @@
 """The gap between a moving whisker and the object: the points of both that are closest to each other."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,16 +39,17 @@ class Posed(NamedTuple):
 
 def gap_at(posed: Posed, arc: Scalar, parameter: Scalar) -> Gap:
     """The gap between the whisker at a fraction `arc` of its length and the object at a parameter."""
-    basis, profile, length, base, angle = posed
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
-    weights, at = weights_at(basis, arc), profile.point(parameter)
-    direction, way = weights @ jnp.stack([cos, sin], axis=-1)
+    cos, sin = jnp.cos(posed.angle), jnp.sin(posed.angle)
+    weights, bends = _with_rate(lambda arc: weights_at(posed.basis, arc), arc)
+    at, moves = _with_rate(posed.profile.point, parameter)
+    turned = jnp.stack([cos, sin], axis=-1)
+    direction, way = weights @ turned
     normal, tangent = jnp.stack([at.sin, -at.cos]), jnp.stack([at.cos, at.sin])
-    reach = length * weights[1]
-    apart = base + length * way - jnp.stack([at.x, at.y])
+    reach = posed.length * weights[1]
+    apart = posed.base + posed.length * way - jnp.stack([at.x, at.y])
     closes = -normal @ direction
-    beyond, is_least = 1 - arc, _is_least(posed, arc, parameter, apart @ normal)
-    inner = (closes < beyond) & is_least
+    beyond = 1 - arc
+    inner = (closes < beyond) & _is_least(at, moves, direction, bends[0] @ turned / posed.length, apart @ normal)
     return Gap(
         distance=apart @ normal,
         foot=apart @ tangent,
@@ -61,20 +63,22 @@ def gap_at(posed: Posed, arc: Scalar, parameter: Scalar) -> Gap:
     )
 
 
-def _is_least(posed: Posed, arc: Scalar, parameter: Scalar, gap: Scalar) -> Bool[Array, ""]:
+def _with_rate(function: Callable[[Scalar], Any], at: Scalar) -> tuple[Any, Any]:
+    """Values and their derivative, which is computed once instead of in all directions; exact to first order."""
+    here = jax.lax.stop_gradient(at)
+    values, rates = jax.jvp(function, (here,), (jnp.ones_like(here),))
+    return jax.tree.map(lambda value, rate: value + rate * (at - here), values, rates), rates
+
+
+def _is_least(at: ContactPoint, moves: ContactPoint, direction: Array, bend: Array, gap: Scalar) -> Bool[Array, ""]:
     """Whether the gap, as a function of the arc length, has a minimum where it is stationary; otherwise the tip counts.
 
-    A whisker that vibrates may be bent towards the object more than the object is curved.
+    A whisker that vibrates may be bent towards the object more than the object is curved. `moves` is the derivative of
+    the object's point by its parameter, `bend` that of the whisker's direction by the arc length.
     """
-    basis, profile, length, _, _ = posed
-    angle, arc, parameter, gap = jax.lax.stop_gradient((posed.angle, arc, parameter, gap))
-    turned = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
-    one = jnp.ones_like(arc)
-    direction, bend = jax.jvp(lambda arc: weights_at(basis, arc)[0] @ turned, (arc,), (one,))
-    at, moves = jax.jvp(profile.point, (parameter,), (one,))
     curvature = (at.cos * moves.sin - at.sin * moves.cos) / jnp.hypot(moves.x, moves.y)
     along = at.cos * direction[0] + at.sin * direction[1]
-    return (at.sin * bend[0] - at.cos * bend[1]) / length + curvature * along**2 / (1 + curvature * gap) > 0
+    return at.sin * bend[0] - at.cos * bend[1] + curvature * along**2 / (1 + curvature * gap) > 0
 
 
 CLOSEST = 1e-7  # accepted residual of closest points
