@@ -1,9 +1,10 @@
-"""Small dense systems, unrolled and by LAPACK."""
+"""Small dense systems, unrolled and in loops."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 
 from jaxwhisker._base.linear_algebra import UNROLLED, eigenvalues_are_positive, inverse, positive_definite, solve
 
@@ -18,9 +19,25 @@ def test_solutions(n):
     np.testing.assert_allclose(solve(jnp.asarray(matrix), jnp.asarray(right)), np.linalg.solve(matrix, right), ROUNDING)
 
 
-def test_a_vanishing_pivot_needs_another_row():
-    matrix = jnp.array([[0.0, 2.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 1.0]])
-    np.testing.assert_allclose(matrix @ solve(matrix, jnp.eye(3)), np.eye(3), atol=ROUNDING)
+@pytest.mark.parametrize("n", (3, UNROLLED + 1))
+def test_a_vanishing_pivot_needs_another_row(n):
+    matrix = jnp.eye(n).at[:3, :3].set(jnp.array([[0.0, 2.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]))
+    np.testing.assert_allclose(matrix @ solve(matrix, jnp.eye(n)), np.eye(n), atol=ROUNDING)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_derivatives_of_solutions_in_both_modes(n):
+    rng = np.random.default_rng(n)
+    matrix, right = 3 * jnp.eye(n) + rng.normal(size=(n, n)), jnp.asarray(rng.normal(size=(n, 2)))
+    check_grads(jax.jit(solve), (matrix, right), order=2, modes=("fwd", "rev"))
+
+
+@pytest.mark.parametrize("function", (lambda m: solve(m, m), inverse, positive_definite, eigenvalues_are_positive))
+def test_lapack_is_not_called(function):
+    # Two batches in LAPACK at the same time would wait for each other forever.
+    batch = jax.ShapeDtypeStruct((600, UNROLLED + 2, UNROLLED + 2), float)
+    assert "lapack" not in jax.jit(jax.vmap(function)).lower(batch).as_text()
+    assert "lapack" in jax.jit(jnp.linalg.inv).lower(batch).as_text()
 
 
 def test_inverses_and_their_derivatives():

@@ -1,10 +1,13 @@
-"""Linear algebra for small dense systems, such as networks of a few whiskers."""
+"""Linear algebra for small dense systems, such as networks of a few whiskers.
+
+LAPACK is not used: with jax 0.10, two of its batched calls that run at the same time may wait for each other forever.
+"""
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-UNROLLED = 4  # elimination is unrolled up to this size; for larger systems, LAPACK's batched calls compile faster
+UNROLLED = 4  # elimination is unrolled up to this size; for larger systems, loops compile faster
 
 
 def solve(matrix: Float[Array, "n n"], right: Float[Array, "n k"]) -> Float[Array, "n k"]:
@@ -15,7 +18,7 @@ def solve(matrix: Float[Array, "n n"], right: Float[Array, "n k"]) -> Float[Arra
     """
     n = matrix.shape[0]
     if n > UNROLLED:
-        return jnp.linalg.solve(matrix, right)
+        return _solve_in_loop(matrix, right)
     rows = [jnp.concatenate([matrix[i], right[i]]) for i in range(n)]
     for i in range(n):
         for j in range(i + 1, n):
@@ -30,11 +33,41 @@ def solve(matrix: Float[Array, "n n"], right: Float[Array, "n k"]) -> Float[Arra
     return jnp.stack(solution)
 
 
+def _solve_in_loop(matrix: Float[Array, "n n"], right: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    def times(x):  # a batch of small products is faster as sums
+        return jnp.sum(matrix[:, :, None] * x, axis=1)
+
+    return jax.lax.custom_linear_solve(
+        times, right, lambda _, b: _eliminated(matrix, b), lambda _, b: _eliminated(matrix.T, b)
+    )
+
+
+def _eliminated(matrix: Float[Array, "n n"], right: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    """The solution by Gauss-Jordan elimination with partial pivoting, in a loop, without derivatives of its own."""
+    n = matrix.shape[0]
+    rows = jnp.arange(n)
+
+    def eliminate(k, both):
+        pivot = jnp.argmax(jnp.where(rows >= k, jnp.abs(both[:, k]), -1.0))
+        order = jnp.where(rows == k, pivot, jnp.where(rows == pivot, k, rows))
+        both = both[order]
+        row = both[k] / both[k, k]
+        return jnp.where((rows == k)[:, None], row, both - both[:, k, None] * row)
+
+    return jax.lax.fori_loop(0, n, eliminate, jnp.concatenate([matrix, right], axis=1))[:, n:]
+
+
 def positive_definite(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
     """Whether the symmetric matrix is positive definite; False if it contains NaN."""
     n = matrix.shape[0]
     if n > UNROLLED:
-        return jnp.all(jnp.isfinite(jnp.linalg.cholesky(matrix)))
+
+        def eliminate(i, carry):
+            matrix, definite = carry
+            below = jnp.where(jnp.arange(n) > i, matrix[:, i] / matrix[i, i], 0.0)
+            return matrix - below[:, None] * matrix[i], definite & (matrix[i, i] > 0)
+
+        return jax.lax.fori_loop(0, n, eliminate, (matrix, jnp.asarray(True)))[1]
     rows = [matrix[i] for i in range(n)]
     definite = rows[0][0] > 0
     for i in range(n - 1):
@@ -81,23 +114,11 @@ def times_block_diagonal(
 
 @jax.custom_jvp
 def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Invert a matrix of a few dozen rows by Gauss-Jordan elimination with partial pivoting.
+    """Invert a matrix of a few dozen rows.
 
-    A singular matrix gives infinities or NaN in its own batch element. With jax 0.10, programs with LAPACK's triangular
-    solves that run at the same time may wait for each other forever.
+    A singular matrix gives infinities or NaN in its own batch element.
     """
-    n = matrix.shape[0]
-    rows = jnp.arange(n)
-
-    def eliminate(k, both):
-        pivot = jnp.argmax(jnp.where(rows >= k, jnp.abs(both[:, k]), -1.0))
-        order = jnp.where(rows == k, pivot, jnp.where(rows == pivot, k, rows))
-        both = both[order]
-        row = both[k] / both[k, k]
-        return jnp.where((rows == k)[:, None], row, both - both[:, k, None] * row)
-
-    both = jnp.concatenate([matrix, jnp.eye(n)], axis=1)
-    return jax.lax.fori_loop(0, n, eliminate, both)[:, n:]
+    return _eliminated(matrix, jnp.eye(matrix.shape[0]))
 
 
 @inverse.defjvp
