@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
@@ -80,7 +81,7 @@ def simulate(
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
-            positive, samples that are not finite), the drive starts inside the object, or the scene has springs on
+            positive, a drive that is not finite), the drive starts inside the object, or the scene has springs on
             shafts, rigid or nonlinear springs, foundations, or an object with edges, which are not simulated.
 
     Derivatives of first order exist in both modes, with respect to all numbers of the scene, the drive, the duration
@@ -119,7 +120,12 @@ def simulate(
     result, clear = _simulate(
         scene, control, duration, begin, damping, steps=-(-steps // every) * every, every=every, shapes=shapes
     )
-    if not checks.is_traced(clear) and not bool(clear):
+    if checks.is_traced(clear):
+        return result
+    gaps = np.flatnonzero(~np.isfinite(result.control))
+    if gaps.size:
+        checks.fail("drive", "finite at all times", f"{result.control[gaps[0]]} at time {result.time[gaps[0]]:g}")
+    if not bool(clear):
         u = float(control(jnp.zeros(())))
         raise ValueError(f"`drive` must start where no whisker is inside the object, got a drive that starts at {u:g}.")
     return result
