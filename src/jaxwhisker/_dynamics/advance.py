@@ -223,9 +223,9 @@ def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
 def _where(
     needed: Array, found: Callable, points: tuple[Array, Array], are_found: Array
 ) -> tuple[tuple[Array, Array], Array]:
-    """Points, and whether they are found, for whiskers that need it, and these ones for others.
+    """Points, and whether they are found: computed anew for the whiskers that need it, and unchanged for the others.
 
-    A loop skips the computation if no whisker needs it, even of a batch below vmap; there, `cond` would not.
+    The loop runs once, or not at all if no whisker needs it. Below vmap, `cond` would always compute them.
     """
 
     def body(carry):

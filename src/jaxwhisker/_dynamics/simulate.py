@@ -75,7 +75,8 @@ def simulate(
 
     Returns:
         A Simulation. If a parameter is outside its domain under tracing, or the drive starts inside the object, the
-        status is `invalid`; if a time step is not solved, it is `lost` from there on. Values are then NaN.
+        status is `invalid`; if a time step is not solved, it is `lost` from there on. Values are then NaN,
+        but for `time` and `control`.
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not

@@ -82,7 +82,7 @@ class MotionEnergy(eqx.Module):
     springs: Float[Array, " samples"]
     work: Float[Array, " samples"]  # of the drive
     damping: Float[Array, " samples"]  # lost to material, air and dampers of the bases
-    impact: Float[Array, " samples"]  # lost when contacts begin
+    impact: Float[Array, " samples"]  # lost when contacts begin, and by the implicit step after it
     friction: Float[Array, " samples"]
     contact: Float[Array, " samples"]  # work of normal contact forces, zero but for the error of the method
 
@@ -98,7 +98,7 @@ class Simulation(State):
     Poses, contact points and phases are those at the sample's time. Reactions and contact forces are means over the
     two time steps before and after it, which makes them accurate to second order; an impact is contained in them as its
     impulse divided by the time step. Contact fields of a free whisker are zero, its reactions are not. If a time step
-    fails, its status says so, and all later values are NaN.
+    fails, its status says so, and all later values but time and control are NaN.
     """
 
     time: Float[Array, " samples"]
