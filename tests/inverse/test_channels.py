@@ -9,7 +9,6 @@ import jaxwhisker as jw
 from jaxwhisker._inverse.channels import channels_from
 from recordings import CONTROL, TRUTH, exact, fb
 
-
 RECOVERED = 1e-6  # relative: least squares stop at 1e-7
 LIKELY = 4.0  # standard errors: one in 16,000 estimates is further off
 DIFFERENCE = 1e-5  # error of central differences, relative to the largest derivative

@@ -63,9 +63,7 @@ def follicle():
 
 
 OTHERS = {
-    "curved cone": lambda: jw.Scene(
-        cone(0.2, curvature=(0.4, 0.6)), jw.Parabola(0.2), jw.Support.fb(70.0), jw.Shooting(steps=16)
-    ),
+    "curved cone": lambda: jw.Scene(cone(0.2, curvature=(0.4, 0.6)), jw.Parabola(0.2), jw.Support.fb(70.0)),
     "springs along all axes, two kinds of whisker": follicle,
     "rotation, other units": lambda: jw.Scene(
         jw.Whisker(10.0, 3.0), jw.Circle(3.0, 6.0), jw.Support.follicle(0.15, 0.24, 2.7, mount=jw.Mount(0.0, 2.0, 0.1)),

@@ -9,10 +9,9 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._inverse.points import PointStatus
-from scenes import all_ok
+from scenes import all_ok, in_tissue
 
-POINT = 1e-7  # of the length; 1e-11 is usual
-ROD = jw.Shooting(steps=16)  # so that the signals are as exact
+POINT = 1e-7  # of the length; 1e-10 is usual
 SIGMA = {"fx": 0.02, "fy": 0.02, "mz": 0.005}
 STRONG = 50.0  # standard deviations that a contact force has to have for errors to be linear in the noise
 CALLS, RECORDINGS = 2, 6  # noisy recordings of one call, which is padded to 512 steps anyway
@@ -39,19 +38,13 @@ def follicles():
     )
     mounts = jw.Mount(0.05, 0.02, 0.1), jw.Mount()
     support = jw.Support(springs, mounts, free=("phi",))
-    return jw.Scene((jw.Whisker(), jw.Whisker(1.1, 2.0)), jw.Parabola(0.3), support, ROD, friction=0.2)
-
-
-def tapered():
-    whisker = jw.Whisker(1.0, lambda s: (1 - s / 2) ** 4)
-    support = jw.Support(foundation=jw.Foundation(0.0, 0.2, 500.0))
-    return jw.Scene(whisker, jw.Parabola(0.3), support, ROD, jw.Rotation((0.3, -0.3), 0.4))
+    return jw.Scene((jw.Whisker(), jw.Whisker(1.1, 2.0)), jw.Parabola(0.3), support, friction=0.2)
 
 
 SCENES = {
-    "prestressed": lambda: jw.Scene(jw.Whisker(), jw.Parabola(0.2), prestressed(), ROD),
+    "prestressed": lambda: jw.Scene(jw.Whisker(), jw.Parabola(0.2), prestressed()),
     "follicles, friction": follicles,
-    "tapered on tissue, rotation": tapered,
+    "tapered in tissue, rotation": in_tissue,
 }
 
 
