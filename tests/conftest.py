@@ -89,27 +89,6 @@ def pytest_configure(config: pytest.Config) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-OPTIMISED = {"xla_backend_optimization_level": 3}  # what XLA does by default
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _optimise(request: pytest.FixtureRequest):
-    """Optimise the programs of modules that compute for longer than they compile."""
-    if request.node.get_closest_marker("optimised") is None:
-        yield
-        return
-    from jaxwhisker._base import program  # after the import hook
-
-    options = {one: one._options for one in program._PROGRAMS}
-    for one in options:
-        one._options = OPTIMISED | one._options
-    program.clear()
-    yield
-    for one, kept in options.items():
-        one._options = kept
-    program.clear()
-
-
 MAPPINGS = 20_000  # of memory; Linux allows 65,530 per process, beyond which the compiler crashes
 MEMORY = 1.2e9  # bytes that a worker may use when the next module begins
 

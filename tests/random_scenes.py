@@ -111,6 +111,6 @@ def scans(network: str, profile: str, rod: jw.AbstractRod):
     def one(p: Drawn):
         return jw.scan(scene_of(network, profile, p, rod), p.control)
 
-    # Optimised, because this computes for longer than it compiles, also where tests are not optimised otherwise.
+    # Optimised, unlike other programs of tests, because this computes for longer than it compiles.
     options = {"xla_backend_optimization_level": 3}
     return jax.jit(lambda p: jax.vmap(one)(jax.tree.map(jnp.asarray, p)), compiler_options=options)

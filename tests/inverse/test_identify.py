@@ -8,8 +8,6 @@ import jaxwhisker as jw
 from jaxwhisker._inverse.identify import _status_of
 from recordings import CONTROL, NOISE, STEPS, TRUTH, exact, fb, noisy, reversed_order
 
-pytestmark = pytest.mark.optimised
-
 RECOVERED = 1e-6  # relative: least squares stop at 1e-7, signals by the closed form and by integration agree to 1e-9
 LIKELY = 4.0  # standard errors: one in 16,000 estimates is further off
 
