@@ -6,7 +6,7 @@ workers too. The shapes are
 
 - one, two or three uniform whiskers on springs along x (`model`: FB, FBFBR, FBFBFBR), below a parabola or a circle;
 - one whisker on springs along x, y and phi (`follicle`), on a moving drive or below a tilted object;
-- one conical, curved whisker on one spring (`cone`), and a straight one with springs on its shaft (`in_tissue`);
+- one conical, curved whisker on one spring (`cone`);
 - and the few others that are the subject of a test.
 
 Functions of a scene are modules with fields. A lambda is a new shape in every test, and is not stored.
@@ -42,13 +42,6 @@ def cone(ratio, *, length=1.0, stiffness=1.0, curvature: tuple[float, float] | N
     """
     section = RoundSection(stiffness * 64 / np.pi, LinearTaper(1.0, ratio, length))
     return jw.Whisker(length, section, None if curvature is None else LinearTaper(*curvature, length))
-
-
-def in_tissue():
-    """A tapered whisker that an axial spring and a foundation hold on a drive that rotates."""
-    axial = jw.Spring((0, 1), 70.0, 0.2, axis="axial", at=0.1, anchor=(0.01, 0.08))
-    support = jw.Support((axial,), foundation=jw.Foundation(0.05, 0.2, 300.0, 0.2))
-    return jw.Scene(cone(0.5), jw.Parabola(0.3), support, motion=jw.Rotation((0.3, -0.3), 0.4))
 
 
 def from_reference(case):

@@ -9,7 +9,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._inverse.points import PointStatus
-from scenes import all_ok, in_tissue
+from scenes import all_ok, cone
 
 POINT = 1e-7  # of the length; 1e-10 is usual
 SIGMA = {"fx": 0.02, "fy": 0.02, "mz": 0.005}
@@ -41,10 +41,15 @@ def follicles():
     return jw.Scene((jw.Whisker(), jw.Whisker(1.1, 2.0)), jw.Parabola(0.3), support, friction=0.2)
 
 
+def tapered():
+    support = jw.Support(foundation=jw.Foundation(0.0, 0.2, 500.0))
+    return jw.Scene(cone(0.5), jw.Parabola(0.3), support, motion=jw.Rotation((0.3, -0.3), 0.4))
+
+
 SCENES = {
     "prestressed": lambda: jw.Scene(jw.Whisker(), jw.Parabola(0.2), prestressed()),
     "follicles, friction": follicles,
-    "tapered in tissue, rotation": in_tissue,
+    "tapered on tissue, rotation": tapered,
 }
 
 

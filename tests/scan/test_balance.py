@@ -10,7 +10,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._scan import balance
-from scenes import all_ok, follicle, in_tissue, model
+from scenes import all_ok, cone, follicle, model
 
 BALANCE = 1e-8  # relative to the largest work: the accuracy of rods in eight steps
 NOTHING = 1e-10  # relative to the largest work: rounding
@@ -34,15 +34,21 @@ def yielding(**options):
     return one(follicle(x=70.0, y=200.0, phi=5.0, mount=(0.05, 0.02, 0.1)), **options)
 
 
-def on_shaft():
+def on_shaft(*springs, whisker=None, **options):
     axial = jw.Spring((0, 1), 70.0, 0.2, axis="axial", at=0.1, anchor=(0.01, 0.08))
-    support = jw.Support((axial, jw.Spring((0, 1), 5.0, 0.1, axis="phi", at=0.05)))
-    return jw.Scene(jw.Whisker(), jw.Parabola(0.3), support, motion=jw.Rotation((0.3, -0.2), 0.4))
+    support = jw.Support((axial, *springs), **{key: options.pop(key) for key in ("foundation",) if key in options})
+    return jw.Scene(whisker or jw.Whisker(), jw.Parabola(0.3), support, **options)
 
 
 SCENES = {
-    "shaft": (on_shaft, np.linspace(-1.2, 1.0, 40)),
-    "tissue": (in_tissue, np.linspace(-1.1, 0.9, 61)),
+    "shaft": (
+        lambda: on_shaft(jw.Spring((0, 1), 5.0, 0.1, axis="phi", at=0.05), motion=jw.Rotation((0.3, -0.2), 0.4)),
+        np.linspace(-1.2, 1.0, 40),
+    ),
+    "tissue": (
+        lambda: on_shaft(whisker=cone(0.5), foundation=jw.Foundation(0.05, 0.2, 300.0, 0.2)),
+        OUT,
+    ),
     "clamped": (lambda: one(jw.Support.clamped()), OUT),
     "snap-off": (lambda: model("FB"), OUT),
     "snap-through": (lambda: model("FB", 10.0), OUT),
