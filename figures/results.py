@@ -82,6 +82,8 @@ MOVING = {
     "jaxwhisker": METHODS["jaxwhisker, integrated"],
     "MuJoCo": METHODS["MuJoCo: hinge chain"],
     "PyElastica": METHODS["PyElastica"],
+    "diffrax, Kvaerno5": METHODS["diffrax and optimistix"],
+    "diffrax, Dopri8": ("#56B4E9", "D"),
 }
 
 
@@ -95,13 +97,14 @@ def draw_motion() -> None:
             own = [row for row in rows if row["case"] == case and row["method"] == method]
             own.sort(key=lambda row: row["time, s"])
             x, y = [row["time, s"] for row in own], [row["error"] for row in own]
-            ax.loglog(x, y, color=colour, marker=marker, ms=4, lw=1, label=method)
+            if own:
+                ax.loglog(x, y, color=colour, marker=marker, ms=4, lw=1, label=method)
         ax.set_title(case, fontsize=10)
         ax.set_xlabel("run time (s)")
         ax.grid(alpha=0.3, lw=0.5)
     axs[0].set_ylabel("largest error of the tip (L)")
     axs[1].set_ylabel("rms error of mz, relative to the peak")
-    fig.legend(*axs[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    fig.legend(*axs[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     fig.savefig(DOCS / "motion_precision.png", dpi=130)
 
 
