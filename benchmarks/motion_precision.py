@@ -143,7 +143,7 @@ def methods(case: str, motion: RingDown | Sweep, state: jw.State, few: bool) -> 
             (16, 8000),
         ]
         add("jaxwhisker", shapes, ours, settings)
-        implicit = [(6, 0.1), (10, 0.1), (10, 0.01), (12, 0.01), (15, 0.01), (16, 0.001)]
+        implicit = [(6, 0.1), (10, 0.1), (10, 0.01), (12, 0.01), (15, 0.01), (16, 0.01)]
         explicit = [(6, 0.001), (8, 0.001), (10, 0.001), (12, 0.001), (15, 0.001)]
         for solver, settings in ((diffrax.Kvaerno5(), implicit), (diffrax.Dopri8(), explicit)):
             call = partial(diffrax_motion.ring_down, solver=solver)

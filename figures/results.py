@@ -97,8 +97,7 @@ def draw_motion() -> None:
             own = [row for row in rows if row["case"] == case and row["method"] == method]
             own.sort(key=lambda row: row["time, s"])
             x, y = [row["time, s"] for row in own], [row["error"] for row in own]
-            if own:
-                ax.loglog(x, y, color=colour, marker=marker, ms=4, lw=1, label=method)
+            ax.loglog(x, y, color=colour, marker=marker, ms=4, lw=1, label=method)
         ax.set_title(case, fontsize=10)
         ax.set_xlabel("run time (s)")
         ax.grid(alpha=0.3, lw=0.5)

@@ -6,7 +6,7 @@ With the angles phi = A q at the Gauss points, and W = reach^T mass reach, Lagra
 
 diffrax chooses the steps and interpolates between them. Its solvers know no contact: only the ring-down is simulated.
 Of its implicit solvers, Kvaerno3 needs ten times as long as Kvaerno5; of the explicit ones, Tsit5 longer than Dopri8.
-Other coefficients of the controller, or a rougher Newton's method, do not save time at the same error.
+A controller with a proportional part has smaller errors in Kvaerno5 and needs less time in Dopri8.
 """
 
 import diffrax
@@ -63,6 +63,6 @@ def _solved(system: System, solver: diffrax.AbstractSolver, q, times, tolerance)
         (q, jnp.zeros_like(q)),
         system,
         saveat=diffrax.SaveAt(ts=times, fn=_tip),
-        stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+        stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance, pcoeff=0.3, icoeff=0.3),
         max_steps=MOST_STEPS,
     ).ys
