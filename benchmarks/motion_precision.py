@@ -1,4 +1,4 @@
-"""Error against run time of motion in time: jaxwhisker, MuJoCo and PyElastica, on one core.
+"""Error against run time of motion in time: jaxwhisker, MuJoCo, PyElastica and diffrax, on one core.
 
 python benchmarks/motion_precision.py [--quick]
 
@@ -7,7 +7,8 @@ the error is the largest distance of the tip from the reference up to t = 1. In 
 at 0.2 L/T; the error is the rms difference of mz over the whole motion, relative to the peak, with nothing left out.
 MuJoCo's joints have dampers, i.e. damping proportional to the stiffness; PyElastica damps in proportion to the mass.
 Each is compared with the reference that has the same damping: `simulate` with the most shape functions and tiny steps.
-Times are processor times. Calls take turns. The first call of `simulate` compiles; its time is separate.
+diffrax integrates the shape functions of `simulate`, without an object: it is in the ring-down only. Times are
+processor times. Calls take turns. First calls of `simulate` and diffrax compile; their times are separate.
 """
 
 import json
@@ -21,6 +22,7 @@ if hasattr(os, "sched_setaffinity"):  # before JAX starts its threads
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 os.environ["JAXWHISKER_CACHE"] = "off"  # first calls compile
 
+import diffrax
 import jax
 
 jax.config.update("jax_enable_x64", True)
@@ -29,7 +31,7 @@ import numpy as np
 
 import jaxwhisker as jw
 from common import TESTS, quick, summary, write
-from peers import moving_chain, moving_rod
+from peers import diffrax_motion, moving_chain, moving_rod
 from peers.motion import RingDown, Sweep
 
 ROD = jw.Whisker(mass_per_length=1.0)
@@ -110,7 +112,7 @@ class Method:
         seconds = summary(self.times * 2)  # a slow call is measured once
         row = {"case": self.case, "method": self.name, "setting": self.setting, "time, s": seconds["median"]}
         row |= {"lower quartile": seconds["lower"], "upper quartile": seconds["upper"]}
-        compiles = self.name == "jaxwhisker" and self.case != BY_AIR  # the sweeps share programs
+        compiles = self.name not in ("MuJoCo", "PyElastica") and self.case != BY_AIR  # the sweeps share programs
         row |= {"first call, s": self.first} if compiles else {}
         return row | self.errors
 
@@ -129,13 +131,29 @@ def methods(case: str, motion: RingDown | Sweep, state: jw.State, few: bool) -> 
         def ours(motion, *setting):
             return ring_down(motion, state, *setting)
 
-        settings = [(6, 200), (8, 400), (10, 600), (10, 1000), (12, 2000), (14, 4000), (16, 8000)]
+        settings = [
+            (6, 200),
+            (8, 400),
+            (9, 800),
+            (10, 1000),
+            (11, 1200),
+            (12, 2000),
+            (13, 3000),
+            (15, 4400),
+            (16, 8000),
+        ]
         add("jaxwhisker", shapes, ours, settings)
+        implicit = [(6, 0.1), (10, 0.1), (10, 0.01), (12, 0.01), (15, 0.01), (16, 0.01)]
+        explicit = [(6, 0.001), (8, 0.001), (10, 0.001), (12, 0.001), (15, 0.001)]
+        for solver, settings in ((diffrax.Kvaerno5(), implicit), (diffrax.Dopri8(), explicit)):
+            call = partial(diffrax_motion.ring_down, solver=solver)
+            add(f"diffrax, {type(solver).__name__}", "{} shapes, tolerance {}", call, settings)
         add("MuJoCo", chain, moving_chain.ring_down, [(10,), (20,), (40,), (80,), (160,)])
         thin = [(10, 0.04), (20, 0.02), (40, 0.01), (80, 0.005), (160, 0.0025)]
         add("PyElastica", rod, moving_rod.ring_down, thin)
         return made
-    settings = [(5, 350), (6, 350), (6, 700), (8, 700), (8, 1400), (10, 1400), (10, 2800), (12, 5600), (16, 11200)]
+    settings = [(5, 350), (6, 350), (6, 700), (8, 700), (8, 1050), (8, 1400), (10, 1400), (10, 2800), (12, 4200)]
+    settings += [(12, 5600), (16, 11200)]
     add("jaxwhisker", shapes, sweep, settings)
     if motion.stiffness_damping:
         finer = [(10, 32), (20, 32), (20, 128), (20, 512), (40, 512), (40, 2048), (80, 1024)]

@@ -84,27 +84,33 @@ def speed_up() -> str:
     return table(kept)
 
 
-def motion_time(case: str, error: float) -> dict:
-    """The fastest setting of `simulate` whose error in this case is not larger.
+def is_other(method: str) -> bool:
+    """Whether a row is about another simulator of motion than `simulate`, or another method of integration."""
+    return method != "jaxwhisker" and "check" not in method
+
+
+def enough(rows: list[dict], error: float) -> list[dict]:
+    """Rows of one case whose error is not larger.
 
     Errors below twice the difference between two references count as equal.
     """
-    rows = [row for row in read("motion")["rows"] if row["case"] == case]
     known = next(row["error"] for row in rows if "check" in row["method"])
-    enough = [row for row in rows if row["method"] == "jaxwhisker" and row["error"] <= max(error, 2 * known)]
-    return min(enough, key=lambda row: row["time, s"])
+    return [row for row in rows if "check" not in row["method"] and row["error"] <= max(error, 2 * known)]
+
+
+def motion_time(case: str, error: float) -> dict:
+    """The fastest setting of `simulate` whose error in this case is not larger."""
+    rows = enough([row for row in read("motion")["rows"] if row["case"] == case], error)
+    return min((row for row in rows if row["method"] == "jaxwhisker"), key=lambda row: row["time, s"])
 
 
 def motion_best() -> str:
     """The smallest error of each simulator of motion beside the fastest setting of `simulate` that reaches it."""
-    best: dict[tuple, dict] = {}
-    for row in read("motion")["rows"]:
-        if row["method"] in ("MuJoCo", "PyElastica"):
-            key = row["case"], row["method"]
-            if key not in best or row["error"] < best[key]["error"]:
-                best[key] = row
-    kept = []
-    for (case, method), row in best.items():
+    rows, kept = read("motion")["rows"], []
+    for case, method in dict.fromkeys((row["case"], row["method"]) for row in rows if is_other(row["method"])):
+        own = [row for row in rows if row["case"] == case and (row["method"] == method or "check" in row["method"])]
+        smallest = min(row["error"] for row in own if row["method"] == method)
+        row = min(enough(own, smallest), key=lambda row: row["time, s"])
         ours = motion_time(case, row["error"])
         kept.append({
             "case": case,
@@ -123,7 +129,7 @@ def motion() -> str:
     """Every simulator of motion at every setting, and checks of the reference."""
     e, kept = read("motion")["environment"], []
     for row in read("motion")["rows"]:
-        other = row["method"] in ("MuJoCo", "PyElastica")
+        other = is_other(row["method"])
         kept.append({
             "case": row["case"],
             "method": row["method"],

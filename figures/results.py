@@ -82,6 +82,8 @@ MOVING = {
     "jaxwhisker": METHODS["jaxwhisker, integrated"],
     "MuJoCo": METHODS["MuJoCo: hinge chain"],
     "PyElastica": METHODS["PyElastica"],
+    "diffrax, Kvaerno5": METHODS["diffrax and optimistix"],
+    "diffrax, Dopri8": ("#56B4E9", "D"),
 }
 
 
@@ -101,7 +103,7 @@ def draw_motion() -> None:
         ax.grid(alpha=0.3, lw=0.5)
     axs[0].set_ylabel("largest error of the tip (L)")
     axs[1].set_ylabel("rms error of mz, relative to the peak")
-    fig.legend(*axs[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    fig.legend(*axs[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     fig.savefig(DOCS / "motion_precision.png", dpi=130)
 
 
