@@ -11,11 +11,12 @@ from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.gap import CLOSEST, MOST, closest, followed, gap_at
 from jaxwhisker._dynamics.ledger import booked
-from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, nodes_of, posed
+from jaxwhisker._dynamics.motion_state import LEAP, Moving, Rod, Touching, nodes_of, posed
 from jaxwhisker._dynamics.moving import System
 from jaxwhisker._dynamics.stop import stopped
 from jaxwhisker._dynamics.time_step import (
     Forces,
+    Imposed,
     Mode,
     Step,
     Unknowns,
@@ -30,12 +31,13 @@ from jaxwhisker._dynamics.time_step import (
 
 CLOSE = 1e-6  # change of the unknowns at which Newton's method stops; the error is about its square
 RESTART = 10  # iteration that starts again from the last state, without extrapolation
-HOLD = 20  # iteration that starts again with contacts held at their old points of the whiskers
-MOST_ITERATIONS = 40
+LET_GO = 20  # likewise, without the forces of contacts that have not converged: they may slip off an edge
+HOLD = 30  # likewise, with contacts held at their old points of the whiskers; without edges, at once after LET_GO
+MOST_ITERATIONS = 50
 MOST_BENT = 2.0  # largest change of a coefficient of the curvature in one iteration
 
 
-def _newton(step: Step, x: Unknowns, held: Bool[Array, ""]) -> tuple[Unknowns, Mode]:
+def _newton(step: Step, x: Unknowns, imposed: Imposed) -> tuple[Unknowns, Mode]:
     """The change of the unknowns in one iteration of Newton's method, and the mode in which it was computed.
 
     The inner coordinates of each whisker are eliminated first; contacts and bases remain.
@@ -43,10 +45,10 @@ def _newton(step: Step, x: Unknowns, held: Bool[Array, ""]) -> tuple[Unknowns, M
     system, old, drive, h = step
     n, c, free = system.n, system.contact_unknowns, system.free
 
-    def one(rods, old, q, contact, base):
+    def one(rods, old, imposed, q, contact, base):
         def rows(unknowns):
             q, contact, moved = jnp.split(unknowns, [n, n + c])
-            rows, trial = rows_of(step, rods, old, held, q, contact, base + moved if free else base)
+            rows, trial = rows_of(step, rods, old, imposed, q, contact, base + moved if free else base)
             return rows.flat(), (rows.flat(), trial.mode)
 
         start = jnp.concatenate([q, contact, jnp.zeros(3 if free else 0)])
@@ -56,7 +58,7 @@ def _newton(step: Step, x: Unknowns, held: Bool[Array, ""]) -> tuple[Unknowns, M
         outer = right[n:] - jnp.sum(slope[n:, :n, None] * inner, axis=1)
         return inner, outer, mode
 
-    inner, outer, mode = jax.vmap(one)(system.rods, old.rod, x.q, x.contact, system.bases(x.z, drive))
+    inner, outer, mode = jax.vmap(one)(system.rods, old.rod, imposed, x.q, x.contact, system.bases(x.z, drive))
     if not free:
         contact = -solved_each(outer[:, :c, :c], outer[:, :c, -1])
         q = -inner[..., -1] - jnp.sum(inner[..., :-1] * contact[:, None], axis=-1)
@@ -113,32 +115,36 @@ def _iterate(step: Step, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
     system, c = step.system, step.system.contact_unknowns
     before = unknowns_at(step.old, system).flat()
     limit = jnp.array([MOST, MOST, jnp.inf, jnp.inf][:c])
+    hold = HOLD if system.profile is not None and system.profile.has_edges else LET_GO
     counted = jnp.array([1.0, 1.0, 0.0, 0.0][:c])
+    none, touching = jnp.zeros(system.rods.length.shape[0], int), step.old.rod.touching
+    slips_off = none > 0 if touching is None else touching.touches & (touching.arc > 1 - LEAP)
 
     def improve(carry):
-        flat, _, _, k = carry
-        flat = jnp.where((k == RESTART) | (k == HOLD), before, flat)
+        flat, mode, size, k = carry
+        flat = jnp.where((k == RESTART) | (k == LET_GO) | (k == hold), before, flat)
+        free = jnp.where(k == LET_GO, slips_off & (size > CLOSE), mode.imposed.free) & (k < hold)
         x = unknowns_of(system, flat)
-        change, mode = _newton(step, x, k >= HOLD)
+        change, mode = _newton(step, x, Imposed(free, jnp.full_like(free, k >= hold)))
         contact = jnp.clip(change.contact, -limit, limit)
         # The closest points of whiskers that do not touch need not converge: they are found again after the step.
         moved = contact * counted * mode.touches[:, None]
-        size = jnp.max(jnp.abs(Unknowns(change.q, moved, change.z).flat()))
+        size = jnp.max(jnp.abs(jnp.concatenate([change.q, moved], axis=1)), axis=1)
+        size = jnp.maximum(size, jnp.max(jnp.abs(change.z), initial=0.0))
         share = jnp.minimum(1.0, MOST_BENT / jnp.maximum(jnp.max(jnp.abs(change.q)), MOST_BENT))
         x = Unknowns(x.q + share * change.q, x.contact + share * contact, x.z + share * change.z)
-        if c > 0:  # forces are not counted, but their signs are
-            pulls = jnp.any(mode.touches & (x.contact[:, 2] < 0))
-            size = jnp.where(pulls, jnp.maximum(size, 2 * CLOSE), size)
+        if c > 0:  # forces are not counted, but their signs are, and whether whiskers without them are inside
+            wrong = mode.touches & ((x.contact[:, 2] < 0) | free)
+            size = jnp.where(wrong, jnp.maximum(size, 2 * CLOSE), size)
         return x.flat(), mode, size, k + 1
 
     def goes_on(carry):
         _, _, size, k = carry
-        return (size > CLOSE) & (k < MOST_ITERATIONS)  # NaN ends it, too
+        return ~jnp.all(size <= CLOSE) & ~jnp.any(jnp.isnan(size)) & (k < MOST_ITERATIONS)
 
-    none = jnp.zeros(system.rods.length.shape[0], int)
-    start = guess, Mode(none > 0, none, none > 0), jnp.asarray(jnp.inf), 0
+    start = guess, Mode(none > 0, none, Imposed(none > 0, none > 0)), jnp.full(none.shape, jnp.inf), 0
     flat, mode, size, _ = jax.lax.while_loop(goes_on, improve, start)
-    return flat, mode, size <= CLOSE
+    return flat, mode, jnp.all(size <= CLOSE)
 
 
 @eqx.filter_custom_jvp
@@ -204,10 +210,10 @@ def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
         return jax.vmap(lambda pose, points: followed(posed(fixed, *pose), *points))(still, points)
 
     def search(points):
-        return jax.vmap(lambda *pose: closest(posed(fixed, *pose)))(*still), jnp.ones_like(mode.held)
+        return jax.vmap(lambda *pose: closest(posed(fixed, *pose)))(*still), jnp.ones_like(mode.touches)
 
     off = jnp.abs(at.gap.end) + jnp.abs(at.gap.foot) > CLOSEST
-    points, found = _where(~mode.touches & off & ~mode.held, follow, known, ~mode.held)
+    points, found = _where(~mode.touches & off & ~mode.imposed.held, follow, known, ~mode.imposed.held)
     points, _ = _where(~found, search, points, found)
     changes = jax.tree.map(jnp.subtract, points, known)
     arc, parameter = at.arc + changes[0], at.parameter + changes[1]

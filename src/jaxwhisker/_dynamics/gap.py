@@ -49,10 +49,16 @@ def gap_at(posed: Posed, arc: Scalar, parameter: Scalar) -> Gap:
     apart = posed.base + posed.length * way - jnp.stack([at.x, at.y])
     closes = -normal @ direction
     beyond = 1 - arc
-    inner = (closes < beyond) & _is_least(at, moves, direction, bends[0] @ turned / posed.length, apart @ normal)
+    distance, foot = apart @ normal, apart @ tangent
+    inner = (closes < beyond) & _is_least(at, moves, direction, bends[0] @ turned / posed.length, distance)
+    if posed.profile.has_edges:
+        # An edge that the whisker touches is closest for any tangent, and one inside which it is, for none.
+        turn = at.cos * moves.sin - at.sin * moves.cos
+        steeper = turn * (jnp.maximum(jnp.abs(distance), LEAST) - distance)
+        foot = foot - jax.lax.stop_gradient(steeper) * (parameter - jax.lax.stop_gradient(parameter))
     return Gap(
-        distance=apart @ normal,
-        foot=apart @ tangent,
+        distance=distance,
+        foot=foot,
         end=jnp.where(inner, closes, beyond),
         at_tip=jnp.where(inner, closes - beyond, jnp.abs(closes - beyond)),
         normal=normal,
@@ -76,15 +82,17 @@ def _is_least(at: ContactPoint, moves: ContactPoint, direction: Array, bend: Arr
     A whisker that vibrates may be bent towards the object more than the object is curved. `moves` is the derivative of
     the object's point by its parameter, `bend` that of the whisker's direction by the arc length.
     """
-    curvature = (at.cos * moves.sin - at.sin * moves.cos) / jnp.hypot(moves.x, moves.y)
+    turn, speed = at.cos * moves.sin - at.sin * moves.cos, jnp.hypot(moves.x, moves.y)
     along = at.cos * direction[0] + at.sin * direction[1]
-    return at.sin * bend[0] - at.cos * bend[1] + curvature * along**2 / (1 + curvature * gap) > 0
+    return (at.sin * bend[0] - at.cos * bend[1]) * (speed + turn * jnp.maximum(gap, 0.0)) + turn * along**2 > 0
 
 
 CLOSEST = 1e-7  # accepted residual of closest points
 MOST = 0.2  # largest change of the closest points in one iteration
 SAMPLES = 33  # points of the whisker, for the first guess of the closest point
 PARAMETERS = 257  # points of the object, likewise
+LEAST = 1e-9  # distance from an edge below which its tangent is not iterated
+TIES = 1e-6  # weight of the normal distance among points of the object that are equally close
 ITERATIONS = 12  # of Newton's method from the first guess
 FOLLOWING = 3  # of Newton's method from points that were the closest one step before
 
@@ -103,11 +111,14 @@ def closest(posed: Posed) -> Points:
     arcs = jnp.linspace(1 / SAMPLES, 1.0, SAMPLES)
     reach = length * jax.vmap(lambda s: weights_at(basis, s)[1])(arcs)
     x, y = base[0] + reach @ cos, base[1] + reach @ sin
-    first, last = profile.ends()
+    first, last = _outline(profile)
     parameters = jnp.linspace(first, last, PARAMETERS)
     at = jax.vmap(profile.point)(parameters)
-    apart = (x[:, None] - at.x) ** 2 + (y[:, None] - at.y) ** 2
-    nearest = jnp.argmin(jnp.where(jnp.isfinite(apart), apart, jnp.inf), axis=1)
+    distance = jnp.hypot(x[:, None] - at.x, y[:, None] - at.y)
+    # On an edge, all tangents have the same point: that counts whose normal leads to the whisker.
+    along = (x[:, None] - at.x) * at.sin - (y[:, None] - at.y) * at.cos
+    distance = distance - TIES * along
+    nearest = jnp.argmin(jnp.where(jnp.isfinite(distance), distance, jnp.inf), axis=1)
     own = jax.tree.map(lambda leaf: leaf[nearest], at)
     k = jnp.argmin((x - own.x) * own.sin - (y - own.y) * own.cos)
 
@@ -123,9 +134,14 @@ def closest(posed: Posed) -> Points:
     return arc, parameter
 
 
+def _outline(profile: AbstractProfile) -> tuple[Scalar, Scalar]:
+    """Parameters of the first and the last point that may be closest: whiskers reach beyond the widest point."""
+    return profile.around() or profile.ends()
+
+
 def _improved(posed: Posed, guess: Float[Array, "2"], iterations: int) -> tuple[Points, Bool[Array, ""]]:
     """Closest points by Newton's method, and whether it has converged."""
-    first, last = posed.profile.ends()
+    first, last = _outline(posed.profile)
 
     def equations(guess):
         gap = gap_at(posed, *guess)

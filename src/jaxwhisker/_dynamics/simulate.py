@@ -33,6 +33,7 @@ STEP = 0.001  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
 MOST_STEPS = 10_000_000  # of the default step
 INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
 CLOSINGS = 3  # iterations that close the gaps of a given shape, whose projection does not touch exactly
+DEEPEST = 0.01  # penetration beyond which it is a second contact
 INSIDE_BENT = 1e-3  # accepted penetration of a given shape, which is projected onto the shape functions
 
 
@@ -76,13 +77,14 @@ def simulate(
 
     Returns:
         A Simulation. If a parameter is outside its domain under tracing, or the drive starts inside the object, the
-        status is `invalid`; if a time step is not solved, it is `lost` from there on. Values are then NaN,
-        but for `time` and `control`.
+        status is `invalid`; if a time step is not solved, it is `lost` from there on; if a whisker gets inside the
+        object by more than 0.01 lengths of the first whisker, because it has met it in a second place, the status is
+        `second_contact`. Values are then NaN, but for `time` and `control`.
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
             positive, a drive that is not finite), the drive starts inside the object, or the scene has springs on
-            shafts, rigid or nonlinear springs, foundations, or an object with edges, which are not simulated.
+            shafts, rigid or nonlinear springs, foundations, or several objects, which are not simulated.
 
     Derivatives of first order exist in both modes, with respect to all numbers of the scene, the drive, the duration
     and the damping. They are those of the discrete motion in which the same whiskers touch in the same steps: through
@@ -120,12 +122,9 @@ def simulate(
     result, clear = _simulate(
         scene, control, duration, begin, damping, steps=-(-steps // every) * every, every=every, shapes=shapes
     )
-    if checks.is_traced(clear):
-        return result
-    gaps = np.flatnonzero(~np.isfinite(result.control))
-    if gaps.size:
+    if not checks.is_traced(result.control) and (gaps := np.flatnonzero(~np.isfinite(result.control))).size:
         checks.fail("drive", "finite at all times", f"{result.control[gaps[0]]} at time {result.time[gaps[0]]:g}")
-    if not bool(clear):
+    if not checks.is_traced(clear) and not bool(clear):
         u = float(control(jnp.zeros(())))
         raise ValueError(f"`drive` must start where no whisker is inside the object, got a drive that starts at {u:g}.")
     return result
@@ -144,8 +143,8 @@ def _check_scene(scene: Any) -> None:
     for spring in scene.support.springs:
         if not checks.is_traced(spring.softness) and spring.is_rigid():
             checks.fail("stiffness", "finite for a simulation", spring.stiffness)
-    if isinstance(scene, Scene) and scene.profile.has_pieces:
-        checks.fail("profile", allowed.format("edges or several objects"), str(scene.profile))
+    if isinstance(scene, Scene) and len(scene.profile.objects) > 1:
+        checks.fail("profile", allowed.format("several objects"), str(scene.profile))
 
 
 def _default_steps(scene: Scene | Sensor, duration: Scalar) -> int:
@@ -204,13 +203,22 @@ def _simulate(
     trace = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), _traced(system, first), trace)
     result = _result(given, system, unit, samples, _at_samples(forces, every))
     events = events_of(trace, time, control) if trace is not None else _no_events()
-    status = jnp.where(good, jnp.where(samples.solved, Status.ok, Status.lost), Status.invalid)
+    status = jnp.where(good, _status(samples.solved, trace, every), Status.invalid)
     ok = status == Status.ok
     blank = {name: _where_ok(ok, value) for name, value in result.items()}
     at = time[::every]
     return Simulation(
         **blank, time=at, control=jnp.asarray(jax.vmap(control)(at)), status=status, events=events, scene=given
     ), clear | ~valid
+
+
+def _status(solved: Bool[Array, " samples"], trace: Trace | None, every: int) -> Array:
+    """The status of all samples: what fails first counts."""
+    deep = jnp.zeros_like(solved)
+    if trace is not None:
+        deep = jnp.cumsum(jnp.any(trace.gap < -DEEPEST, axis=1))[::every] > 0
+    failure = jnp.where(jnp.any(~solved & ~deep), Status.lost, Status.second_contact)
+    return jnp.where(solved & ~deep, Status.ok, failure)
 
 
 def _where_ok(ok: Bool[Array, " samples"], tree: Any) -> Any:

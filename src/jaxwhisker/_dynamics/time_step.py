@@ -28,12 +28,21 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.gap import Gap, gap_at
-from jaxwhisker._dynamics.motion_state import Moving, Rod, posed
+from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, posed
 from jaxwhisker._dynamics.moving import Rods, System
+from jaxwhisker._model.profile import AbstractProfile
 
 EMERGES = 0.99  # ratio of penetrations, which held contacts leave behind, after one step: at once would take energy
+SLIPS_IN = 5e-3  # penetration, in lengths, that is accepted in the step in which a contact slips off an edge
 
 PerWhisker = Float[Array, " whiskers"]
+
+
+class Imposed(NamedTuple):
+    """What is imposed on contacts for which Newton's method does not find a mode."""
+
+    free: Bool[Array, "*whiskers"]  # no force
+    held: Bool[Array, "*whiskers"]  # at its old point of the whisker or with the old normal of an edge; no friction
 
 
 class Mode(NamedTuple):
@@ -41,12 +50,17 @@ class Mode(NamedTuple):
 
     touches: Bool[Array, "*whiskers"]
     slip: Int[Array, "*whiskers"]  # +1 or -1 along the object; 0 if the contact sticks or is held
-    held: Bool[Array, "*whiskers"]  # at its old point of the whisker, without friction
+    imposed: Imposed
+
+    @property
+    def acts(self) -> Bool[Array, "*whiskers"]:
+        """Whether the gap is closed; otherwise there is no force."""
+        return self.touches & ~self.imposed.free
 
     @property
     def sticks(self) -> Bool[Array, "*whiskers"]:
         """Whether the contact sticks to the object."""
-        return self.touches & (self.slip == 0) & ~self.held
+        return self.acts & (self.slip == 0) & ~self.imposed.held
 
 
 class Forces(NamedTuple):
@@ -87,9 +101,9 @@ class Rows(NamedTuple):
 
 
 def rows_of(
-    step: Step, rods: Rods, old: Rod, mode: Mode | Bool[Array, ""], q: Array, contact: Array, base: Array
+    step: Step, rods: Rods, old: Rod, mode: Mode | Imposed, q: Array, contact: Array, base: Array
 ) -> tuple[Rows, Trial]:
-    """Residuals of one whisker in a mode; or in that which trial values suggest for a contact that is held or not."""
+    """Residuals of one whisker in a mode; or in that which trial values suggest, but for what is imposed."""
     system, h, ahead = step.system, step.h, step.old.ahead
     shapes = system.basis
     angle = jnp.pi / 2 + base[2] + rods.rest + shapes.angles @ q
@@ -111,8 +125,8 @@ def rows_of(
         push -= contact[2] * normal
         slipped = along @ (angle - old.angle) + tangent @ (base - old.base)[:2]
         mode = mode if isinstance(mode, Mode) else _mode(system, contact, above, slipped, mode)
-        end = jnp.where(mode.held, contact[0] - old.touching.arc, gap.end)
-        rows = jnp.stack([end, gap.foot, jnp.where(mode.touches, above, contact[2])])
+        end = jnp.where(mode.imposed.held, _held(system.profile, contact, old.touching), gap.end)
+        rows = jnp.stack([end, gap.foot, jnp.where(mode.acts, above, contact[2])])
         if system.friction is not None:
             torque -= contact[3] * along
             push -= contact[3] * tangent
@@ -125,13 +139,20 @@ def rows_of(
     return Rows(bent, rows, jnp.append(push, twist)), Trial(angle, gap, mode)
 
 
-def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar, held: Bool[Array, ""]) -> Mode:
+def _held(profile: AbstractProfile, contact: Array, old: Touching) -> Scalar:
+    """What vanishes for a held contact. On an edge the whisker may slide, while the normal stays."""
+    arc, piece = contact[0] - old.arc, profile.piece_at(old.parameter)
+    return arc if piece is None else jnp.where(piece % 2 == 0, contact[1] - old.parameter, arc)
+
+
+def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar, imposed: Imposed) -> Mode:
     """Whether a whisker touches and slips, by the signs of trial gaps, forces and slips."""
-    touches = contact[2] > gap
+    touches = contact[2] > gap + jnp.where(imposed.free, SLIPS_IN, 0.0)
     if system.friction is None:
-        return Mode(touches, jnp.asarray(0), held)
+        return Mode(touches, jnp.asarray(0), imposed)
     drag, limit = contact[3] - slipped, system.friction * jnp.maximum(contact[2], 0.0)
-    return Mode(touches, jnp.where(held | (jnp.abs(drag) < limit), 0, -jnp.sign(drag)).astype(int), held)
+    slips = (jnp.abs(drag) >= limit) & ~imposed.held
+    return Mode(touches, jnp.where(slips, -jnp.sign(drag), 0.0).astype(int), imposed)
 
 
 def _sinc(x: Array) -> Array:

@@ -1,0 +1,107 @@
+"""Moving whiskers and objects with edges or a back: sweeps, second contacts, closest points, derivatives."""
+
+# pyright: reportArgumentType=false
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker._dynamics.gap import closest, gap_at
+from jaxwhisker._dynamics.motion_state import angles_of, posed
+from jaxwhisker._dynamics.moving import Damping, system_of
+
+ROD = jw.Whisker(mass_per_length=1.0)
+START, STOP, SPEED, STEPS = 0.5, -1.5, 0.05, 4000
+# They have as many corners, so that they share a program.
+STEEP = np.array([(-0.42, 0.8), (-0.4, 0.3), (0.0, 0.28), (0.4, 0.3), (0.42, 0.8)])
+SLANTED = np.array([(-0.3, 0.5), (-0.2, 0.25), (0.0, 0.2), (0.2, 0.25), (0.35, 0.5)])
+LOW = np.array([(-0.474, 0.234), (-0.31, 0.166), (-0.075, 0.16), (0.068, 0.172), (0.474, 0.321)])
+SIGNALS = 0.015  # rms difference from the scan up to the first snap, relative to the peak: bouncing after the touch
+LATE = 0.02  # length: delay of the loss of contact
+BALANCED = 1e-9
+INSIDE = 0.01  # length: penetration by a second contact that ends a simulation
+DIFFERENCES = 1e-5
+
+
+def sweep(profile, stiffness=70.0):
+    scene = jw.Scene(ROD, profile, jw.Support.fb(stiffness))
+    motion = jw.simulate(
+        scene, np.array([START, STOP]), (START - STOP) / SPEED, steps=STEPS, every=10, stiffness_damping=0.02
+    )
+    e = motion.energy
+    return motion, e.total - (e.total[0] + e.work - e.damping - e.impact - e.friction + e.contact)
+
+
+@pytest.mark.parametrize(
+    ("profile", "until"),
+    [
+        (jw.Polygon(STEEP), -1.35),
+        (jw.Polygon(SLANTED), -0.3),  # then the shaft almost snaps onto a face, and vibrates
+        (jw.Cut(jw.Parabola(0.2), -0.3, 0.5), -1.22),
+        (jw.Circle(0.2, 0.05), -0.52),  # a pole, beyond whose widest point the whisker reaches
+    ],
+)
+def test_slow_sweeps_approach_scans(profile, until):
+    motion, unbalanced = sweep(profile)
+    assert np.all(motion.status == jw.Status.ok)
+    assert np.abs(unbalanced).max() < BALANCED
+    scan = jw.scan(jw.Scene(jw.Whisker(), profile, jw.Support.fb(70.0)), np.asarray(motion.control))
+    before = (motion.control < scan.events[0].control - 0.1) & (motion.control > until)
+    for name in ("fx", "fy", "mz"):
+        ours, theirs = (np.asarray(getattr(r, name))[:, 0] for r in (motion, scan))
+        assert np.sqrt(np.mean((ours - theirs)[before] ** 2)) < SIGNALS * np.abs(theirs).max(), name
+    (snap,) = scan.events.of(jw.EventKind.snap_off)
+    assert 0 < snap.control - motion.events.of(jw.EventKind.release)[-1].control < LATE
+    assert motion.gap.min() > -INSIDE
+
+
+def test_a_second_contact_ends_the_simulation():
+    """The whisker snaps onto the lower side and lies on two edges."""
+    motion, _ = sweep(jw.Polygon(LOW), 124.0)
+    first = int(np.argmax(motion.status != jw.Status.ok))
+    assert first > 0
+    np.testing.assert_array_equal(motion.status[first:], jw.Status.second_contact)
+    assert motion.gap[:first].min() > -INSIDE
+    assert np.isnan(motion.mz[first:]).all() and np.isfinite(motion.mz[:first]).all()
+    assert np.isfinite(motion.time).all() and "second_contact" in str(motion)
+
+
+@pytest.mark.parametrize(
+    ("profile", "x", "distance", "point"),
+    [
+        (jw.Box(0.3, 0.8, 0.5), 0.41, 0.01, None),  # beside a flank
+        (jw.Cut(jw.Parabola(0.2), -0.3, 0.5), 0.51, 0.01, (0.5, 0.45)),  # beside an edge
+        (jw.Polygon([(-0.1, 0.5), (0.0, 0.2), (0.1, 0.5)]), 0.11, 0.01, (0.1, 0.5)),
+        (jw.Polygon([(-0.1, 2.0), (0.0, 1.1), (0.1, 2.0)]), 0.0, 0.1, (0.0, 1.1)),  # above the tip
+        (jw.Polygon([(-0.1, 2.0), (0.0, 1.1), (0.1, 2.0)]), 0.05, np.hypot(0.05, 0.1), (0.0, 1.1)),
+    ],
+)
+def test_closest_points(profile, x, distance, point):
+    none = jnp.zeros(())
+    system = system_of(jw.Scene(ROD, profile, jw.Support.clamped()), Damping(none, none, (none, none, none)), 4)
+    base = jnp.array([[x, 0.0, 0.0]])
+    here = posed(system, jnp.ones(()), base[0], angles_of(system, jnp.zeros((1, 4)), base)[0])
+    gap = jax.jit(lambda here: gap_at(here, *closest(here)))(here)
+    assert gap.distance == pytest.approx(distance, abs=1e-6)
+    if point is not None:
+        assert (gap.object.x, gap.object.y) == pytest.approx(point, abs=1e-6)
+
+
+def measured(p):
+    """Signals of a whisker that slides over an edge onto a face, as a function of this edge and of the stiffness."""
+    corners = jnp.asarray(SLANTED).at[3].set(p[:2])
+    scene = jw.Scene(ROD, jw.Polygon(corners), jw.Support.fb(p[2]))
+    motion = jw.simulate(scene, np.array([0.1713, -0.4]), 2.5, steps=100, stiffness_damping=0.05, shapes=5)
+    return jnp.stack([motion.mz[-1, 0], motion.fy[-1, 0], motion.contact_arc[-1, 0], motion.contact_slope[-1, 0]])
+
+
+def test_derivatives_by_an_edge():
+    at = np.array([0.2, 0.25, 70.0])
+    forward = jax.jacfwd(measured)(at)
+    for k, size in enumerate((1e-6, 1e-6, 1e-4)):
+        change = size * np.eye(3)[k]
+        difference = (measured(at + change) - measured(at - change)) / (2 * size)
+        np.testing.assert_allclose(forward[:, k], difference, rtol=DIFFERENCES, atol=DIFFERENCES)
+    np.testing.assert_allclose(jax.grad(lambda p: measured(p)[0])(at), forward[0], rtol=1e-8, atol=1e-10)
+    assert np.all(np.abs(forward[0]) > 1e-4)
