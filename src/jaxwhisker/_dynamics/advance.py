@@ -190,6 +190,7 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     new = new._replace(ledger=booked(system, old, new, reaction, load_of(step, reaction), h))
     if system.rods.held is not None:
         pulls = jax.vmap(lambda *own: pulls_on(step, *own))(system.rods, old.rod, x.q, base, trial.angle)
+        assert pulls is not None
         new = new._replace(ledger=with_pulls(system, old, new.ledger, pulls))
         # What the shaft carries at its base is the load of everything at the base and below.
         under = (system.rods.held.springs.at <= 0)[..., None]

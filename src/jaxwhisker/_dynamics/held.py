@@ -7,6 +7,7 @@ the mean of the tension between its lengths at both ends of the step, along the 
 position of the spring's end.
 """
 
+from collections import Counter
 from typing import NamedTuple
 
 import jax
@@ -72,8 +73,9 @@ def held_of(scene: Scene | Sensor, shapes: Basis) -> tuple[Held | None, Laws]:
     found = attached(scene.support, section, unit)
     if found is None:
         return None, ()
-    own = [[whisker for spring in scene.support.attached for whisker, _ in spring.ends].count(k) for k in _numbers(scene)]
-    order = found.ranks[:, : max(own)]  # that of the support; fewer springs are followed by places without share
+    count = Counter(whisker for spring in scene.support.attached for whisker, _ in spring.ends)
+    most = max(count.values(), default=0)
+    order = found.ranks[:, :most]  # that of the support; fewer springs are followed by places without share
     springs = jax.tree.map(lambda leaf: jnp.take_along_axis(leaf, order, axis=1), found.held_by.springs)
     direction = jnp.eye(AXIAL + 1, 3)[springs.axis]
     if found.held_by.tissue is not None:
@@ -89,10 +91,6 @@ def held_of(scene: Scene | Sensor, shapes: Basis) -> tuple[Held | None, Laws]:
         each.append((reach, reach @ shapes.curvatures, rest))
     reach, bends, rest = (jnp.stack(parts) for parts in zip(*each, strict=True))
     return Held(springs, direction, reach, bends, rest), found.laws
-
-
-def _numbers(scene: Scene | Sensor) -> range:
-    return range(1, scene.support.whiskers + 1)
 
 
 def _row(tissue: Tissue) -> tuple[ShaftSprings, Float[Array, "places 3"]]:
@@ -131,12 +129,12 @@ def ends_of(held: Held, length: Scalar, q: Array, base: Array, angle: Array, dri
     apart = (here - anchor_of(held.springs)).T
     distance = jnp.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2 + SHORTEST**2)
     along = jnp.sum(held.direction * apart, axis=-1)
-    return Ends(at, apart, jnp.where(held.springs.axis == AXIAL, distance, along))
+    return Ends(jnp.asarray(at), apart, jnp.where(held.springs.axis == AXIAL, distance, along))
 
 
 def tensions(held: Held, laws: Laws, length: Float[Array, " places"]) -> Float[Array, " places"]:
     """Tensions of springs of these lengths."""
-    return jax.vmap(lambda spring, length: tension_of(spring, laws, length))(held.springs, length)
+    return jax.vmap(lambda spring, length: jnp.asarray(tension_of(spring, laws, length)))(held.springs, length)
 
 
 def energies(held: Held, laws: Laws, length: Float[Array, " places"]) -> Float[Array, " places"]:
@@ -152,16 +150,15 @@ def mean_tensions(held: Held, laws: Laws, first: Array, last: Array, ahead: Scal
     Springs that only pull or push begin to do so where they are unstrained, which divides the step.
     """
     change = last - first
-    moves = change != 0
-    split = jnp.where(moves, jnp.clip((held.springs.rest_length - first) / jnp.where(moves, change, 1.0), 0.0, 1.0), 0.0)
+    at_rest = (held.springs.rest_length - first) / jnp.where(change == 0, 1.0, change)
+    split = jnp.where(change == 0, 0.0, jnp.clip(at_rest, 0.0, 1.0))
 
-    def tension(at):
+    def mean(start, share):
+        at = start + share * MEAN[:, None]
         at += (2 * ahead - 1) * (1 - at)
-        return tensions(held, laws, first + at * change)
+        return share * jnp.mean(jax.vmap(lambda at: tensions(held, laws, first + at * change))(at), axis=0)
 
-    return sum(
-        (split * tension(split * at) + (1 - split) * tension(split + (1 - split) * at)) / MEAN.size for at in MEAN
-    )
+    return mean(0.0, split) + mean(split, 1 - split)
 
 
 def pulls_of(

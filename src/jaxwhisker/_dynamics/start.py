@@ -18,7 +18,7 @@ from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.result import Result, check_one_scan
-from jaxwhisker._scan.springs import Held, Holds, held, moment_at, outwards
+from jaxwhisker._scan.springs import Held, Holds, held, holds, moment_at, outwards
 from jaxwhisker._scan.state import State, base_of, state_of
 
 POINTS = 513  # along the loaded part of a whisker
@@ -70,8 +70,7 @@ def start_of(scene: Scene | Sensor, start: Any, control: Callable[[Scalar], Scal
     start = state_of(start)
     if start.fx.shape != (scene.support.whiskers,):
         checks.fail("start", f"a State of {scene.support.whiskers} whiskers", f"fields of shape {start.fx.shape}")
-    by = Holds(scene.support, scene.motion) if scene.support.on_shafts else None
-    return _from_state(*jax.tree.map(checks.as_float, (scene.whiskers, by)), start, at)
+    return _from_state(*jax.tree.map(checks.as_float, (scene.whiskers, holds(scene))), start, at)
 
 
 @Program

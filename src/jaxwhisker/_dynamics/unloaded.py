@@ -61,10 +61,8 @@ def _forces(system: System, share: Scalar, x: Float[Array, " unknowns"]) -> Floa
         q, z = parts(x)
         base = system.bases(z, none)
 
-        def one(held, *own):
-            return ends_of(held, *own, none).length
-
-        return jax.vmap(one)(held, system.rods.length, q, base, angles_of(system, q, base))
+        own = held, system.rods.length, q, base, angles_of(system, q, base)
+        return jax.vmap(lambda *own: ends_of(*own, none).length)(*own)
 
     length, pulled = jax.vjp(lengths, x)
     (force,) = pulled(share * jax.vmap(lambda held, length: tensions(held, system.laws, length))(held, length))

@@ -23,7 +23,7 @@ from jaxwhisker._equilibrium.shaft_springs import (
     walk,
 )
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, mounted
-from jaxwhisker._model.scene import Scene, Units, moves_along_x
+from jaxwhisker._model.scene import Scene, Sensor, Units, moves_along_x
 from jaxwhisker._model.spring import POINTS, WEIGHTS
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -54,8 +54,8 @@ class Held(NamedTuple):
     drive: Frame
 
 
-def holds(scene: Scene) -> Holds | None:
-    """What holds the whiskers of a scene by springs on their shafts; None without such springs."""
+def holds(scene: Scene | Sensor) -> Holds | None:
+    """What holds the whiskers of a scene or sensor by springs on their shafts; None without such springs."""
     return Holds(scene.support, scene.motion) if scene.support.on_shafts else None
 
 
@@ -134,7 +134,7 @@ def moment_at(
 ) -> Float[Array, " points"]:
     """Internal moments at these arc lengths, under the reaction at the base."""
     (x, y, _, _), load = _at_places(whisker, base, reaction, s, held)
-    return rod.moment(x, y, load)
+    return jnp.asarray(rod.moment(x, y, load))
 
 
 def _at_places(
