@@ -125,8 +125,8 @@ def ends_of(held: Held, length: Scalar, q: Array, base: Array, angle: Array, dri
         axis=-1,
     )
     cos, sin, (right, up, turned) = jnp.cos(drive[2]), jnp.sin(drive[2]), (at - drive).T
-    here = jnp.stack([right * cos + up * sin, up * cos - right * sin, turned])
-    apart = (here - anchor_of(held.springs)).T
+    here = jnp.stack([right * cos + up * sin, up * cos - right * sin, turned], axis=-1)
+    apart = here - jax.vmap(anchor_of)(held.springs)
     distance = jnp.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2 + SHORTEST**2)
     along = jnp.sum(held.direction * apart, axis=-1)
     return Ends(jnp.asarray(at), apart, jnp.where(held.springs.axis == AXIAL, distance, along))

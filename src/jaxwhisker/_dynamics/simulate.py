@@ -123,7 +123,7 @@ def simulate(
     result, clear = _simulate(
         scene, control, duration, begin, damping, steps=-(-steps // every) * every, every=every, shapes=shapes
     )
-    if checks.is_traced(clear):
+    if checks.is_traced((clear, result.control)):
         return result
     gaps = np.flatnonzero(~np.isfinite(result.control))
     if gaps.size:

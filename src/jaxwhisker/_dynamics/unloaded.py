@@ -60,9 +60,8 @@ def _forces(system: System, share: Scalar, x: Float[Array, " unknowns"]) -> Floa
     def lengths(x):
         q, z = parts(x)
         base = system.bases(z, none)
-
         own = held, system.rods.length, q, base, angles_of(system, q, base)
-        return jax.vmap(lambda *own: ends_of(*own, none).length)(*own)
+        return jax.vmap(ends_of, in_axes=(0, 0, 0, 0, 0, None))(*own, none).length
 
     length, pulled = jax.vjp(lengths, x)
     (force,) = pulled(share * jax.vmap(lambda held, length: tensions(held, system.laws, length))(held, length))
