@@ -68,11 +68,11 @@ class Pulls(NamedTuple):
 
 def held_of(scene: Scene | Sensor, shapes: Basis) -> tuple[Held | None, Laws]:
     """Dimensionless springs on the shafts of all whiskers, None without any, and the laws of those not linear."""
-    unit = units(scene)
-    section = sections(scene.whiskers, unit.length, unit.moment * unit.length)
-    found = attached(scene.support, section, unit)
-    if found is None:
+    if not scene.support.on_shafts:
         return None, ()
+    unit = units(scene)
+    found = attached(scene.support, sections(scene.whiskers, unit.length, unit.moment * unit.length), unit)
+    assert found is not None
     count = Counter(whisker for spring in scene.support.attached for whisker, _ in spring.ends)
     most = max(count.values(), default=0)
     order = found.ranks[:, :most]  # that of the support; fewer springs are followed by places without share

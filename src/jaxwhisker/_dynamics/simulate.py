@@ -65,27 +65,27 @@ def simulate(
             a time squared: seconds in SI units.
         start: equilibrium from which the whiskers are let go: the state of an event, a Deflection, or the Result of a
             scan, of which the step nearest to the initial drive position counts. The contact is that of the scene: a
-            Sensor lets the whiskers go without an object. Default: unloaded. In both cases whiskers are at rest
-            relative to the drive.
+            Sensor lets the whiskers go without an object. Default: unloaded, bent only by springs on their shafts that
+            disagree. In both cases whiskers are at rest relative to the drive.
         steps: number of time steps. Default: steps of 0.001 length^2 sqrt(mass_per_length / bending_stiffness) of the
             first whisker, a period of its first mode divided by 1787; required under tracing.
         every: number of time steps between two samples of the result.
         mass_damping: drag of the surrounding air, proportional to the mass, 1/time; not negative.
         stiffness_damping: time constant tau of a Kelvin-Voigt material, moment EI (kappa + tau d kappa / dt), and of
-            springs; not negative.
+            springs, tension T + tau dT / dt; not negative.
         base_damping: viscous damping of each base relative to the drive: force per velocity along x and y and moment
             per angular velocity, in the frame of its mount, as a tuple; or a number for x. Not negative.
         shapes: number of shape functions per whisker, from 2 to 20.
 
     Returns:
-        A Simulation. If a parameter is outside its domain under tracing, or the drive starts inside the object, the
-        status is `invalid`; if a time step is not solved, it is `lost` from there on. Values are then NaN,
+        A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, or springs
+        on shafts leave no unloaded equilibrium that can be found, the status is `invalid`; if a time step is not solved, it is `lost` from there on. Values are then NaN,
         but for `time` and `control`.
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
-            positive, a drive that is not finite), the drive starts inside the object, or the scene has springs on
-            shafts, rigid or nonlinear springs, foundations, or an object with edges, which are not simulated.
+            positive, a drive that is not finite), the drive starts inside the object, or the scene has springs between
+            the shafts of two whiskers, rigid springs, or an object with edges, which are not simulated.
 
     Derivatives of first order exist in both modes, with respect to all numbers of the scene, the drive, the duration
     and the damping. They are those of the discrete motion in which the same whiskers touch in the same steps: through
