@@ -78,9 +78,9 @@ def simulate(
         shapes: number of shape functions per whisker, from 2 to 20.
 
     Returns:
-        A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, or springs
-        on shafts leave no unloaded equilibrium that can be found, the status is `invalid`; if a time step is not solved, it is `lost` from there on. Values are then NaN,
-        but for `time` and `control`.
+        A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, or no
+        unloaded equilibrium with springs on shafts is found, the status is `invalid`; if a time step is not solved, it
+        is `lost` from there on. Values are then NaN, but for `time` and `control`.
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
