@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker.plot.drawing import drawing_at
 
 FREQUENCY = 1e-3  # relative error; the amplitude is 0.02
 DECAY = 1e-2  # relative error of the rate at which vibrations decay
@@ -18,6 +19,7 @@ RESTS = 1e-9  # rounding divided by the square of the time step
 EQUILIBRIUM = 5e-3  # of forces: eight shape functions, whose curvature has no kinks at the springs
 DIFFERENCES = 2e-5  # relative error of derivatives by central differences
 MODES = 1e-8  # relative difference of derivatives in both modes
+DRAWN = 1e-4  # centre lines have 64 points
 SAME = 1e-10  # uncoupled whiskers in one simulation or in two
 ROD = jw.Whisker(mass_per_length=1.0)
 STEPS, DAMPING = 1200, 0.02
@@ -80,6 +82,15 @@ def test_energy_is_conserved():
     assert np.ptp(motion.spring_length[:, 0]) > 0.02
     assert motion.energy.springs.max() > 0.1 * motion.energy.total[0]
     assert motion.energy.kinetic.max() > 0.5 * motion.energy.total[0]
+
+
+def test_pictures_show_springs_where_they_are():
+    motion = let_go(ALL, 0.0, 0.35)
+    for k in (0, 40):
+        axial, deep, _ = drawing_at(motion, k).springs
+        length = np.asarray(motion.spring_length[k])
+        assert abs(np.hypot(axial.x[-1] - axial.x[0], axial.y[-1] - axial.y[0]) - length[0]) < DRAWN
+        assert abs(deep.x[-1] - deep.x[0] - length[1]) < DRAWN
 
 
 def sweep(support, start, stop, speed, damping=DAMPING):

@@ -29,7 +29,7 @@ from jaxwhisker._scan.scan import problem_now
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.springs import holds, loads_of, on_shafts
-from jaxwhisker._scan.state import OPTIONAL, State, base_of
+from jaxwhisker._scan.state import OPTIONAL, State, base_of, state_of
 from jaxwhisker.plot.runs import Run, lines_of_motion, states_at
 
 # Lengths are in L of the first whisker.
@@ -234,7 +234,8 @@ def ends_on_shafts(scene: Scene | Sensor, state: State, control: float, lines: S
     by, size = holds(scene), float(units(scene).length)
     if by is None:
         return ()
-    given = jax.tree.map(checks.as_float, (by, scene.whiskers, base_of(state), loads_of(state), control))
+    known = state_of(state)
+    given = jax.tree.map(checks.as_float, (by, scene.whiskers, base_of(known), loads_of(known), control))
     every = jax.tree.map(lambda end: float(end) / size, _on_shafts(*given))
     places = []
     for spring, one in zip(scene.support.attached, every, strict=True):
