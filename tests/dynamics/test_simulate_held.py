@@ -16,7 +16,7 @@ QUASI_STATIC = 1e-2  # of the peak: lag of the damping at 0.08 L/T, 4e-3, and vi
 CONSERVED = 1e-9  # relative change of the energy; each step solves its equations to about 1e-12
 BALANCED = 1e-9  # of the ledger of energy
 RESTS = 1e-9  # rounding divided by the square of the time step
-EQUILIBRIUM = 5e-3  # of forces: eight shape functions, whose curvature has no kinks at the springs
+EQUILIBRIUM = 5e-3  # of forces: six shape functions, whose curvature has no kinks at the springs
 DIFFERENCES = 2e-5  # relative error of derivatives by central differences
 MODES = 1e-8  # relative difference of derivatives in both modes
 DRAWN = 1e-4  # centre lines have 64 points
@@ -55,7 +55,7 @@ def let_go(support, damping, at):
     bent = jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), support), np.array([0.75, at]))
     assert bent.phase[1, 0] == jw.Phase.tip
     return jw.simulate(
-        jw.Sensor(ROD, support), at, 16.0, start=bent, steps=STEPS, every=10, stiffness_damping=damping, shapes=8
+        jw.Sensor(ROD, support), at, 16.0, start=bent, steps=STEPS, every=10, stiffness_damping=damping, shapes=6
     )
 
 
@@ -97,7 +97,7 @@ def sweep(support, start, stop, speed, damping=DAMPING):
     scene = jw.Scene(ROD, jw.Parabola(0.2), support)
     duration = (start - stop) / speed if speed else 30.0
     return jw.simulate(
-        scene, np.array([start, stop]), duration, steps=STEPS, every=10, stiffness_damping=damping, shapes=8
+        scene, np.array([start, stop]), duration, steps=STEPS, every=10, stiffness_damping=damping, shapes=6
     )
 
 
@@ -170,7 +170,7 @@ def springs(p, whisker=1):
 
 def swung(p):
     sensor = jw.Sensor(ROD, jw.Support(springs(p), jw.Mount(0.0, 0.0, 0.1)), motion=jw.Rotation((0.1, -0.3)))
-    return jw.simulate(sensor, Swing(0.4), 0.8, steps=80, stiffness_damping=0.01, shapes=5)
+    return jw.simulate(sensor, Swing(0.4), 0.8, steps=80, stiffness_damping=0.01, shapes=3)
 
 
 def measured(p):
@@ -222,7 +222,7 @@ def test_whiskers_that_nothing_couples():
         free=("phi",),
     )
     sensor = jw.Sensor((ROD, ROD), both, motion=jw.Rotation((0.1, -0.3)))
-    motion = jw.simulate(sensor, Swing(0.4), 0.8, steps=80, stiffness_damping=0.01, shapes=5)
+    motion = jw.simulate(sensor, Swing(0.4), 0.8, steps=80, stiffness_damping=0.01, shapes=3)
     alone = swung(POINT)
     for name in ("fx", "fy", "mz", "base_x", "base_y", "tip_x"):
         np.testing.assert_allclose(getattr(motion, name)[:, 1], getattr(alone, name)[:, 0], atol=SAME, err_msg=name)

@@ -31,18 +31,20 @@ def unloaded(system: System) -> Unloaded:
     whiskers = system.rods.length.shape[0]
     start = jnp.concatenate([jnp.zeros(whiskers * system.n), system.at_rest])
 
-    def improve(x, share):
-        slope = jax.jacfwd(lambda x: _forces(still, share, x))(x)
-        change = -inverse(slope) @ _forces(still, share, x)
-        return x + change, jnp.max(jnp.abs(change))
-
     still = jax.lax.stop_gradient(system)
-    x, changes = jax.lax.scan(improve, jax.lax.stop_gradient(start), jnp.asarray(SHARES))
+
+    def improve(carry, share):
+        x, _ = carry
+        inverted = inverse(jax.jacfwd(lambda x: _forces(still, share, x))(x))
+        change = -inverted @ _forces(still, share, x)
+        return (x + change, inverted), jnp.max(jnp.abs(change))
+
+    first = jax.lax.stop_gradient(start), jnp.zeros((start.size, start.size))
+    last, changes = jax.lax.scan(improve, first, jnp.asarray(SHARES))
     found = changes[-1] < FOUND
-    x = jnp.where(found, x, start)
+    x, inverted = (jnp.where(found, value, 0.0) for value in jax.lax.stop_gradient(last))
     # One more iteration has the derivatives of the equilibrium, by the implicit function theorem.
-    slope = jax.jacfwd(lambda x: _forces(still, jnp.ones(()), x))(jax.lax.stop_gradient(x))
-    x = jax.lax.stop_gradient(x) - inverse(slope) @ _forces(system, jnp.ones(()), jax.lax.stop_gradient(x))
+    x = x - inverted @ _forces(system, jnp.ones(()), x)
     q, z = jnp.split(x, [whiskers * system.n])
     return Unloaded(q.reshape(whiskers, system.n), z, found)
 
