@@ -208,7 +208,7 @@ def test_momentum():
     scene = jax.tree.map(checks.as_float, heavy(model("FB"), friction=0.3))
     none, h, speed = jnp.zeros(()), jnp.asarray(0.02), -0.2
     system = system_of(scene, Damping(none, none + DAMPING, (none, none, none)), 5)
-    first = _initial(system, motion_units(scene), None, jnp.array([0.7, 0.0, 0.0]), jnp.array([speed, 0.0, 0.0]))
+    first, _ = _initial(system, motion_units(scene), None, jnp.array([0.7, 0.0, 0.0]), jnp.array([speed, 0.0, 0.0]))
 
     def momentum(moving):
         return jnp.sum(system.rods.mass[:, None] * moving.rod.velocity, axis=-1)[0]
@@ -342,7 +342,6 @@ def test_samples_and_whisking():
         ({"scene": jw.Sensor(jw.Whisker())}, "mass_per_length"),
         ({"scene": jw.Scene(ROD, (jw.Circle(0.2, 0.3), jw.Circle(0.2, 0.3, 1.0)))}, "profile"),
         ({"scene": jw.Sensor(ROD, jw.Support((jw.Spring((0, 1), np.inf),)))}, "stiffness"),
-        ({"scene": jw.Sensor(ROD, jw.Support((jw.Spring((0, 1), 9.0, at=0.1),)))}, "support"),
         ({"steps": 0}, "steps"),
         ({"every": 1.5}, "every"),
         ({"shapes": 1}, "shapes"),

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.gap import CLOSEST, MOST, closest, followed, gap_at
-from jaxwhisker._dynamics.ledger import booked
+from jaxwhisker._dynamics.ledger import booked, with_pulls
 from jaxwhisker._dynamics.motion_state import LEAP, Moving, Rod, Touching, nodes_of, posed
 from jaxwhisker._dynamics.moving import System
 from jaxwhisker._dynamics.stop import stopped
@@ -22,6 +22,7 @@ from jaxwhisker._dynamics.time_step import (
     Unknowns,
     every,
     load_of,
+    pulls_on,
     residual,
     rows_of,
     spring_rows,
@@ -77,7 +78,8 @@ def _newton(step: Step, x: Unknowns, imposed: Imposed) -> tuple[Unknowns, Mode]:
     by_contact = jax.vmap(loads)(pushes.reshape(size, whiskers, 3))
     by_move = jax.vmap(loads, in_axes=2, out_axes=1)(jnp.einsum("wbk,wkf->wbf", outer[:, c:, c:-1], moves))
     network = system.network
-    own = jnp.eye(len(free)) * (old.ahead + system.stiffness_damping / h)
+    own = jnp.eye(len(free)) if network.hold is None else jnp.eye(len(free)) - network.compliance * network.hold
+    own *= old.ahead + system.stiffness_damping / h
     own += network.compliance @ (network.damping / h - by_move)
     matrix = jnp.block([[touching, by_base], [-network.compliance @ by_contact.T, own]])
     springs = spring_rows(step, x.z, loads(outer[:, c:, -1]))
@@ -192,6 +194,13 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     )
     reaction = rows.reaction
     new = new._replace(ledger=booked(system, old, new, reaction, load_of(step, reaction), h))
+    if system.rods.held is not None:
+        pulls = jax.vmap(lambda *own: pulls_on(step, *own))(system.rods, old.rod, x.q, base, trial.angle)
+        assert pulls is not None
+        new = new._replace(ledger=with_pulls(system, old, new.ledger, pulls))
+        # What the shaft carries at its base is the load of everything at the base and below.
+        under = (system.rods.held.springs.at <= 0)[..., None]
+        reaction += jnp.sum(jnp.where(under, pulls.about_base, 0.0), axis=1)
     if touching is not None:
         new, impulse = stopped(system, new, rate)
         reaction, normal, drag = reaction + impulse.reaction / h, normal + impulse.normal / h, drag + impulse.drag / h

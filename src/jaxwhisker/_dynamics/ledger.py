@@ -1,9 +1,11 @@
 """Work and losses of a time step."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.held import Pulls, energies
 from jaxwhisker._dynamics.motion_state import Ledger, Moving
 from jaxwhisker._dynamics.moving import System
 
@@ -40,6 +42,25 @@ def booked(
         impact=ledger.impact + (old.ahead - 0.5) * faded - jnp.sum(jnp.where(begins, done, 0.0)),
         contact=ledger.contact + jnp.sum(jnp.where(begins, 0.0, done)),
         friction=ledger.friction - jnp.sum(after.touching.drag * slipped),
+    )
+
+
+def with_pulls(system: System, old: Moving, ledger: Ledger, pulls: Pulls) -> Ledger:
+    """The ledger after a step with these loads of springs on shafts."""
+    held, (first, last) = system.rods.held, (pulls.first, pulls.last)
+    assert held is not None
+
+    def energy(length):
+        return jnp.sum(jax.vmap(lambda held, length: energies(held, system.laws, length))(held, length))
+
+    stored, longer = energy(last.length) - energy(first.length), last.length - first.length
+    lost = jnp.sum(pulls.damped * longer)
+    faded = (2 * old.ahead - 1) * (jnp.sum(pulls.elastic * longer) - stored)
+    given = jnp.sum(pulls.load * (last.at - first.at))
+    return ledger._replace(
+        work=ledger.work + given + stored + lost + faded,
+        damping=ledger.damping + lost,
+        impact=ledger.impact + faded,
     )
 
 

@@ -68,6 +68,14 @@ def _(degree, primals, tangents):
     return values, (_derivative(degree) @ values) * change
 
 
+def sinc(x: Array) -> Array:
+    """sin(x) / x; angles change by less than a radian in a step, and jnp.sinc compiles to a polynomial of its own."""
+    square = x * x
+    small = 1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72)))
+    large = jnp.abs(x) > 0.1
+    return jnp.where(large, jnp.sin(x) / jnp.where(large, x, 1.0), small)
+
+
 def _polynomials(s, degree: int) -> list:
     x = 2 * s - 1
     values = [x * 0 + 1, x]

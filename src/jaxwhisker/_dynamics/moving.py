@@ -15,7 +15,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.held import Held, held_of
 from jaxwhisker._dynamics.legendre import Basis, basis
+from jaxwhisker._equilibrium.shaft_springs import Laws
 from jaxwhisker._model.motion import AbstractMotion, Pose
 from jaxwhisker._model.network import along_all_axes
 from jaxwhisker._model.profile import AbstractProfile
@@ -35,6 +37,7 @@ class Rods(NamedTuple):
     inertia: Float[Array, " whiskers"]  # at the base
     first: Float[Array, "whiskers points"]  # mass times reach, summed over the nodes
     second: Float[Array, "whiskers points points"]  # mass times the product of two reaches, likewise
+    held: Held | None = None  # springs on the shafts; None without any
 
 
 class Network(NamedTuple):
@@ -43,6 +46,9 @@ class Network(NamedTuple):
     compliance: Float[Array, "free free"]
     offset: Float[Array, "whiskers 3"]
     damping: Float[Array, "free free"]  # force per velocity
+    # Stiffness of springs that the compliance contains, but that do not exist: see `Support.flexibility`. Their forces
+    # are taken off again. None without springs on shafts.
+    hold: Float[Array, " free"] | None = None
 
 
 class Damping(eqx.Module):
@@ -63,6 +69,7 @@ class System(eqx.Module):
     friction: Scalar | None
     mass_damping: Scalar
     stiffness_damping: Scalar
+    laws: Laws  # of springs on shafts that are not linear
     free: tuple[int, ...] = eqx.field(static=True)  # free coordinates out of x, y, angle of base 1, then of base 2
     n: int = eqx.field(static=True)  # shape functions per whisker
 
@@ -92,7 +99,8 @@ class System(eqx.Module):
     def elastic(self, strain: Float[Array, " free"]) -> Float[Array, " free"]:
         """Elastic forces of the springs."""
         assert self.network is not None
-        return inverse(self.network.compliance) @ strain
+        force = inverse(self.network.compliance) @ strain
+        return force if self.network.hold is None else force - self.network.hold * strain
 
     @property
     def is_free(self) -> Bool[Array, "whiskers 3"]:
@@ -141,14 +149,16 @@ def system_of(scene: Scene | Sensor, damping: Damping, n: int) -> System:
     mounts = zip(*((m.x, m.y, m.angle) for m in scene.support.mounts), strict=True)
     x, y, angle = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in mounts)
     free = free_coordinates(scene.support)
+    held, laws = held_of(scene, shapes)
     return System(
-        rods=jax.tree.map(lambda *leaves: jnp.stack(leaves), *rods),
+        rods=jax.tree.map(lambda *leaves: jnp.stack(leaves), *rods)._replace(held=held),
         mount=Pose(x / unit.length, y / unit.length, angle),
         network=_network(scene.support, damping.base, angle, unit, free) if free else None,
         profile=scene.profile.in_unit(unit.length) if isinstance(scene, Scene) else None,
         friction=scene.friction if isinstance(scene, Scene) else None,
         mass_damping=damping.mass * unit.time,
         stiffness_damping=damping.stiffness / unit.time,
+        laws=laws,
         free=free,
         n=n,
     )
@@ -181,13 +191,8 @@ def _rod(whisker: Whisker, unit: MotionUnits, shapes: Basis) -> Rods:
 
 def free_coordinates(support: Support) -> tuple[int, ...]:
     """Indices of the coordinates of the bases that springs leave free: x, y, angle of base 1, then of base 2."""
-    freed = {
-        len(AXES) * (end - 1) + AXES.index(spring.axis)
-        for spring in support.springs
-        for end in spring.between
-        if end > 0 and spring.linear
-    }
-    return tuple(sorted(freed))
+    freed = ((base, k) for k, axis in enumerate(AXES) for base in support.freed(axis))
+    return tuple(sorted(len(AXES) * (base - 1) + k for base, k in freed))
 
 
 def _network(
@@ -197,7 +202,8 @@ def _network(
     unit: MotionUnits,
     free: tuple[int, ...],
 ) -> Network:
-    flexibility = support.flexibility()
+    hold = support.hold(unit.force / unit.length, unit.moment) if support.on_shafts else None
+    flexibility = support.flexibility(hold)
     assert flexibility is not None
     if support.axes == ("x",):
         flexibility = along_all_axes({"x": flexibility})
@@ -214,6 +220,7 @@ def _network(
         (flexibility.matrix * loads / lengths[:, None])[jnp.ix_(index, index)],
         (flexibility.offset / lengths).reshape(-1, 3),
         rate[jnp.ix_(index, index)],
+        None if hold is None else (jnp.ravel(hold) * lengths / loads)[index],
     )
 
 

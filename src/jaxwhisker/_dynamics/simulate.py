@@ -17,12 +17,15 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.advance import Forces, advance
 from jaxwhisker._dynamics.drive import drive_of
 from jaxwhisker._dynamics.gap import closest, gap_at
+from jaxwhisker._dynamics.held import ends_of, energies
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
 from jaxwhisker._dynamics.moving import Damping, MotionUnits, Rods, System, drive_pose, motion_units, system_of
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
 from jaxwhisker._dynamics.start import Start, start_of
+from jaxwhisker._dynamics.unloaded import unloaded
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene, Sensor
+from jaxwhisker._model.support import Support
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.result import Result
@@ -63,28 +66,28 @@ def simulate(
             a time squared: seconds in SI units.
         start: equilibrium from which the whiskers are let go: the state of an event, a Deflection, or the Result of a
             scan, of which the step nearest to the initial drive position counts. The contact is that of the scene: a
-            Sensor lets the whiskers go without an object. Default: unloaded. In both cases whiskers are at rest
-            relative to the drive.
+            Sensor lets the whiskers go without an object. Default: unloaded, bent only by springs on their shafts that
+            disagree. In both cases whiskers are at rest relative to the drive.
         steps: number of time steps. Default: steps of 0.001 length^2 sqrt(mass_per_length / bending_stiffness) of the
             first whisker, a period of its first mode divided by 1787; required under tracing.
         every: number of time steps between two samples of the result.
         mass_damping: drag of the surrounding air, proportional to the mass, 1/time; not negative.
         stiffness_damping: time constant tau of a Kelvin-Voigt material, moment EI (kappa + tau d kappa / dt), and of
-            springs; not negative.
+            springs, tension T + tau dT / dt; not negative.
         base_damping: viscous damping of each base relative to the drive: force per velocity along x and y and moment
             per angular velocity, in the frame of its mount, as a tuple; or a number for x. Not negative.
         shapes: number of shape functions per whisker, from 2 to 20.
 
     Returns:
-        A Simulation. If a parameter is outside its domain under tracing, or the drive starts inside the object, the
-        status is `invalid`; if a time step is not solved, it is `lost` from there on; if a whisker gets inside the
-        object by more than 0.01 lengths of the first whisker, because it has met it in a second place, the status is
-        `second_contact`. Values are then NaN, but for `time` and `control`.
+        A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, or no
+        unloaded equilibrium with springs on shafts is found, the status is `invalid`; if a time step is not solved, it
+        is `lost` from there on; if a whisker gets inside the object by more than 0.01 lengths of the first whisker,
+        because it has met it in a second place, `second_contact`. Values are then NaN, but for `time` and `control`.
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
-            positive, a drive that is not finite), the drive starts inside the object, or the scene has springs on
-            shafts, rigid or nonlinear springs, foundations, or several objects, which are not simulated.
+            positive, a drive that is not finite), the drive starts inside the object, or the scene has springs between
+            the shafts of two whiskers, rigid springs, or several objects, which are not simulated.
 
     Derivatives of first order exist in both modes, with respect to all numbers of the scene, the drive, the duration
     and the damping. They are those of the discrete motion in which the same whiskers touch in the same steps: through
@@ -136,12 +139,10 @@ def _check_scene(scene: Any) -> None:
         if whisker.mass_per_length is None:
             checks.fail("mass_per_length", "given for every whisker that moves", None)
     allowed = "one without {} for a simulation"
-    if scene.support.on_shafts or not all(spring.linear for spring in scene.support.springs):
-        checks.fail(
-            "support", allowed.format("springs on shafts, nonlinear springs and foundations"), scene.support.name
-        )
+    if scene.support.shaft_loads:
+        checks.fail("support", allowed.format("springs between the shafts of two whiskers"), scene.support.name)
     for spring in scene.support.springs:
-        if not checks.is_traced(spring.softness) and spring.is_rigid():
+        if spring.linear and not checks.is_traced(spring.softness) and spring.is_rigid():
             checks.fail("stiffness", "finite for a simulation", spring.stiffness)
     if isinstance(scene, Scene) and len(scene.profile.objects) > 1:
         checks.fail("profile", allowed.format("several objects"), str(scene.profile))
@@ -181,11 +182,11 @@ def _simulate(
 
     poses, rates = jax.vmap(lambda t: jax.jvp(pose, (t,), (jnp.ones_like(t),)))(time)
     rates = rates * unit.time
-    first = _initial(system, unit, start, poses[0], rates[0])
+    first, found = _initial(system, unit, start, poses[0], rates[0])
     clear = jnp.asarray(True)
     if first.rod.touching is not None:
         clear = jnp.all(first.rod.touching.gap.distance > -(INSIDE if start is None else INSIDE_BENT))
-    good = valid & clear & jnp.all(jnp.isfinite(poses))
+    good = valid & found & clear & jnp.all(jnp.isfinite(poses))
     first = first._replace(solved=good)
 
     def step(moving, drive):
@@ -236,13 +237,19 @@ def _valid(scene: Scene | Sensor, duration: Array, damping: Damping, control: An
     valid &= jnp.all((rates >= 0) & jnp.isfinite(rates)) & checks.all_finite(control)
     for whisker in scene.whiskers:
         valid &= whisker.valid() & whisker.valid_masses()
+    for _, whisker, place in scene.support.attachments():
+        valid &= jnp.asarray(place) < scene.whiskers[whisker - 1].length
     return valid & scene.profile.valid() if isinstance(scene, Scene) else valid
 
 
-def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Array, rate: Array) -> Moving:
-    """Whiskers at rest relative to the drive."""
-    whiskers = system.rods.length.shape[0]
+def _initial(
+    system: System, unit: MotionUnits, start: Start | None, drive: Array, rate: Array
+) -> tuple[Moving, Bool[Array, ""]]:
+    """Whiskers at rest relative to the drive, and whether they are known."""
+    whiskers, found = system.rods.length.shape[0], jnp.asarray(True)
     q, z = jnp.zeros((whiskers, system.n)), system.at_rest
+    if start is None and system.rods.held is not None:
+        q, z, found = unloaded(system)
     if start is not None:
         q, z = start.coefficients(system.n), start.free(system, drive, unit)
     base, carried = jax.jvp(lambda drive: system.bases(z, drive), (drive,), (rate,))
@@ -269,7 +276,7 @@ def _initial(system: System, unit: MotionUnits, start: Start | None, drive: Arra
     count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
-    return Moving(rod, z, drive, jnp.zeros((2, count)), ledger, jnp.asarray(True))
+    return Moving(rod, z, drive, jnp.zeros((2, count)), ledger, jnp.asarray(True)), found
 
 
 def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Array, ""]) -> Array:
@@ -334,7 +341,7 @@ def _result(
         friction = {"normal_force": forces.normal * unit.force, "friction_force": forces.drag * unit.force}
         friction["slip"] = jnp.where(touching.touches, touching.slip, 0)
     fx, fy, mz = jnp.moveaxis(forces.reaction, -1, 0)
-    d = jax.vmap(system.displacement)(samples.z) * jnp.stack([unit.length, unit.length, 1.0])
+    length = _lengths_on_shafts(system, samples)
     return {
         "base_x": base[..., 0] * unit.length,
         "base_y": base[..., 1] * unit.length,
@@ -347,15 +354,44 @@ def _result(
         **friction,
         "phase": phase,
         "gap": gap,
-        "spring_length": scene.support.spring_length(d),
-        "energy": _energy(system, unit, samples),
+        "spring_length": _spring_lengths(scene.support, system, unit, samples, length),
+        "energy": _energy(system, unit, samples, length),
         "curvature": samples.rod.q,
         "tip_x": tip[..., 0] * unit.length,
         "tip_y": tip[..., 1] * unit.length,
     }
 
 
-def _energy(system: System, unit: MotionUnits, samples: Moving) -> MotionEnergy:
+def _lengths_on_shafts(system: System, samples: Moving) -> Float[Array, "samples whiskers places"] | None:
+    if system.rods.held is None:
+        return None
+
+    def one(held, length, rod, drive):
+        return ends_of(held, length, rod.q, rod.base, rod.angle, drive).length
+
+    each = jax.vmap(one, in_axes=(0, 0, 0, None))
+    rod = samples.rod._replace(touching=None)
+    return jax.vmap(each, in_axes=(None, None, 0, 0))(system.rods.held, system.rods.length, rod, samples.drive)
+
+
+def _spring_lengths(
+    support: Support, system: System, unit: MotionUnits, samples: Moving, on_shafts: Array | None
+) -> Float[Array, "samples springs"]:
+    """Lengths of all springs in the order of the support, in its units."""
+    d = jax.vmap(system.displacement)(samples.z) * jnp.stack([unit.length, unit.length, 1.0])
+    linear = support.spring_length(d)
+    if on_shafts is None:
+        return linear
+    own, network = [iter(jnp.moveaxis(one, -1, 0)) for one in jnp.moveaxis(on_shafts, 1, 0)], iter(linear.T)
+    lengths = [
+        next(network) if spring.linear else next(own[whisker - 1]) * (1.0 if spring.axis == "phi" else unit.length)
+        for spring in support.springs
+        for whisker in spring.between[1:]
+    ]
+    return jnp.stack(lengths, axis=-1) if lengths else linear
+
+
+def _energy(system: System, unit: MotionUnits, samples: Moving, length: Array | None) -> MotionEnergy:
     rods, rod = system.rods, samples.rod
     kinetic = jnp.sum(rods.mass[:, None] * rod.velocity**2, axis=(1, 2, 3)) / 2
     kinetic += jnp.sum(rods.inertia * rod.spin**2, axis=-1) / 2
@@ -364,6 +400,9 @@ def _energy(system: System, unit: MotionUnits, samples: Moving) -> MotionEnergy:
     if system.network is not None:
         strain = jax.vmap(system.strain)(samples.z)
         springs = jnp.sum(strain * jax.vmap(system.elastic)(strain), axis=-1) / 2
+    if length is not None:
+        each = jax.vmap(lambda held, length: energies(held, system.laws, length))
+        springs += jnp.sum(jax.vmap(lambda length: each(system.rods.held, length))(length), axis=(1, 2))
     ledger = samples.ledger
     parts = (kinetic, bending, springs, ledger.work, ledger.damping, ledger.impact, ledger.friction, ledger.contact)
     return MotionEnergy(*(jnp.asarray(part * unit.moment) for part in parts))

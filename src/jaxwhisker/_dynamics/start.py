@@ -18,7 +18,7 @@ from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.result import Result, check_one_scan
-from jaxwhisker._scan.springs import outwards
+from jaxwhisker._scan.springs import Held, Holds, held, holds, moment_at, outwards
 from jaxwhisker._scan.state import State, base_of, state_of
 
 POINTS = 513  # along the loaded part of a whisker
@@ -66,11 +66,11 @@ def start_of(scene: Scene | Sensor, start: Any, control: Callable[[Scalar], Scal
     if isinstance(start, Result):
         check_one_scan(start)
         k = jnp.argmin(jnp.abs(start.control - at))
-        start = jax.tree.map(lambda leaf: leaf[k], state_of(start))
+        at, start = start.control[k], jax.tree.map(lambda leaf: leaf[k], state_of(start))
     start = state_of(start)
     if start.fx.shape != (scene.support.whiskers,):
         checks.fail("start", f"a State of {scene.support.whiskers} whiskers", f"fields of shape {start.fx.shape}")
-    return _from_state(jax.tree.map(checks.as_float, scene.whiskers), start)
+    return _from_state(*jax.tree.map(checks.as_float, (scene.whiskers, holds(scene))), start, at)
 
 
 @Program
@@ -86,22 +86,28 @@ def _from_deflection(whisker: Whisker, motion: AbstractMotion, start: Deflection
 
 
 @Program
-def _from_state(whiskers: tuple[Whisker, ...], state: State) -> Start:
-    each = [_shape(w, jax.tree.map(lambda leaf, k=k: leaf[k], state)) for k, w in enumerate(whiskers)]
+def _from_state(whiskers: tuple[Whisker, ...], by: Holds | None, state: State, control: Scalar) -> Start:
+    holds = [None] * len(whiskers) if by is None else held(by, whiskers, control, None)[0]
+    states = [jax.tree.map(lambda leaf, k=k: leaf[k], state) for k in range(len(whiskers))]
+    each = [_shape(*own) for own in zip(whiskers, states, holds, strict=True)]
     s, curvature = (jnp.stack(parts) for parts in zip(*each, strict=True))
     base = jnp.stack([state.base_x, state.base_y, state.base_angle], axis=-1)
     return Start(s, curvature, base, state.phase != Phase.free)
 
 
-def _shape(whisker: Whisker, at: State) -> tuple[Array, Array]:
+def _shape(whisker: Whisker, at: State, by: Held | None) -> tuple[Array, Array]:
     """Arc lengths and curvatures of one whisker, loaded up to its contact."""
     touches = at.phase != Phase.free
     length = jnp.asarray(whisker.length, dtype=float)
-    arc = jnp.where(touches, at.contact_arc, length)
-    x, y, _, _ = outwards(whisker, base_of(at), (at.fx, at.fy, at.mz), arc, count=POINTS)
+    arc, reaction = jnp.where(touches, at.contact_arc, length), (at.fx, at.fy, at.mz)
     s = arc * jnp.linspace(0.0, 1.0, POINTS)
-    moment = -at.mz + (x - at.base_x) * at.fy - (y - at.base_y) * at.fx
+    if by is None:
+        x, y, _, _ = outwards(whisker, base_of(at), reaction, arc, count=POINTS)
+        moment = -at.mz + (x - at.base_x) * at.fy - (y - at.base_y) * at.fx
+    else:
+        moment = moment_at(whisker, base_of(at), reaction, s, by)
     stiffness = jax.vmap(whisker.stiffness_at)(s)
     stiff = stiffness > 0
-    extra = jnp.where(stiff & touches, moment / jnp.where(stiff, stiffness, 1.0), 0.0)
+    loaded = stiff & touches if by is None else stiff
+    extra = jnp.where(loaded, moment / jnp.where(stiff, stiffness, 1.0), 0.0)
     return jnp.append(s, length) / length, jnp.append(extra, 0.0) * length

@@ -28,6 +28,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.gap import Gap, gap_at
+from jaxwhisker._dynamics.held import Pulls, ends_of, pulls_of
+from jaxwhisker._dynamics.legendre import sinc
 from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, posed
 from jaxwhisker._dynamics.moving import Rods, System
 from jaxwhisker._model.profile import AbstractProfile
@@ -113,8 +115,12 @@ def rows_of(
     known = rods.mass * (rate * old.at + old.velocity / (ahead * h))
     moments = rate * (rods.length * (turned @ rods.second) + base[:2, None] * rods.first) - known @ shapes.reach
     push = rate * (rods.length * (turned @ rods.first) + base[:2] * jnp.sum(rods.mass)) - jnp.sum(known, axis=-1)
+    pulls = pulls_on(step, rods, old, q, base, angle)
+    if pulls is not None and rods.held is not None:
+        moments -= pulls.load[:, :2].T @ rods.held.reach
+        push -= jnp.sum(pulls.load[:, :2], axis=0)
     half, middle = (angle - old.angle) / 2, (angle + old.angle) / 2
-    torque = rods.length * _sinc(half) * (jnp.cos(middle) * moments[1] - jnp.sin(middle) * moments[0])
+    torque = rods.length * sinc(half) * (jnp.cos(middle) * moments[1] - jnp.sin(middle) * moments[0])
     gap, rows = None, jnp.zeros(0)
     if system.profile is not None:
         assert old.touching is not None
@@ -136,6 +142,9 @@ def rows_of(
     bending = old.q + (ahead + system.stiffness_damping / h) * (q - old.q)
     bent = torque @ shapes.angles + jnp.sum(rods.stiffness * bending, axis=-1)
     twist = jnp.sum(torque) + rods.inertia / (ahead * h) * ((base[2] - old.base[2]) / h - old.spin)
+    if pulls is not None and rods.held is not None:
+        bent -= pulls.load[:, 2] @ rods.held.bends
+        twist -= jnp.sum(pulls.about_base[:, 2])
     return Rows(bent, rows, jnp.append(push, twist)), Trial(angle, gap, mode)
 
 
@@ -143,6 +152,18 @@ def _held(profile: AbstractProfile, contact: Array, old: Touching) -> Scalar:
     """What vanishes for a held contact. On an edge the whisker may slide, while the normal stays."""
     arc, piece = contact[0] - old.arc, profile.piece_at(old.parameter)
     return arc if piece is None else jnp.where(piece % 2 == 0, contact[1] - old.parameter, arc)
+
+
+def pulls_on(step: Step, rods: Rods, old: Rod, q: Array, base: Array, angle: Array) -> Pulls | None:
+    """What the springs on the shaft of one whisker do in a step with this end; None without any."""
+    if rods.held is None:
+        return None
+    own = rods.held, rods.length
+    first = ends_of(*own, old.q, old.base, old.angle, step.old.drive)
+    last = ends_of(*own, q, base, angle, step.drive)
+    turns = jnp.stack([step.old.drive[2], step.drive[2]]), jnp.stack([old.base[2], base[2]])
+    lag = step.system.stiffness_damping / step.h
+    return pulls_of(rods.held, step.system.laws, first, last, turns, step.old.ahead, lag)
 
 
 def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar, imposed: Imposed) -> Mode:
@@ -153,14 +174,6 @@ def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar, imposed:
     drag, limit = contact[3] - slipped, system.friction * jnp.maximum(contact[2], 0.0)
     slips = (jnp.abs(drag) >= limit) & ~imposed.held
     return Mode(touches, jnp.where(slips, -jnp.sign(drag), 0.0).astype(int), imposed)
-
-
-def _sinc(x: Array) -> Array:
-    """sin(x) / x; angles change by less than a radian in a step, and jnp.sinc compiles to a polynomial of its own."""
-    square = x * x
-    small = 1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72)))
-    large = jnp.abs(x) > 0.1
-    return jnp.where(large, jnp.sin(x) / jnp.where(large, x, 1.0), small)
 
 
 class Unknowns(NamedTuple):
@@ -209,12 +222,14 @@ def load_of(step: Step, reaction: Array) -> Float[Array, " free"]:
 
 
 def spring_rows(step: Step, z: Array, load: Array) -> Float[Array, " free"]:
-    """Residuals of the springs."""
+    """Residuals of the springs between the bases."""
     system, old, h = step.system, step.old, step.h
     if system.network is None:
         return jnp.zeros(0)
     rate = (z - old.z) / h
     strain = system.strain(old.z + old.ahead * (z - old.z)) + system.stiffness_damping * rate
+    if system.network.hold is not None:
+        load += system.network.hold * strain
     return strain - system.network.compliance @ (load - system.network.damping @ rate)
 
 

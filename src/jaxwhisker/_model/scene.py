@@ -94,20 +94,10 @@ class Scene(eqx.Module):
         if self.support.on_shafts and not isinstance(self.rod, Shooting):
             allowed = "Shooting() for springs on shafts, which change the load along the whisker"
             checks.fail("rod", allowed, f"{type(self.rod).__name__}()")
-        self._check_attachments()
-        tissue = any(one is not None for one in self.support.foundations)
-        if tissue and any(w.intrinsic_curvature is not None for w in self.whiskers):
-            checks.fail("whisker", "straight on a Foundation", "one with an intrinsic curvature")
         known = isinstance(self.detect, tuple) and all(name in DETECTABLE for name in self.detect)
         if self.detect is not None and not known:
             allowed = f"{' or '.join(map(repr, DETECTABLE))}, or a tuple of these"
             checks.fail("detect", allowed, repr(self.detect))
-
-    def _check_attachments(self) -> None:
-        for name, whisker, place in self.support.attachments():
-            length = self.whiskers[whisker - 1].length
-            if not checks.is_traced((place, length)) and not float(place) < float(length):
-                checks.fail(name, f"less than the whisker's length {length}", place)
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
@@ -222,6 +212,14 @@ def _check_sensor(whisker: Any, support: Any, motion: Any, friction: Any) -> Non
         checks.fail("whisker", allowed, f"a tuple of {len(whiskers)}")
     if friction is not None:
         checks.number("friction", friction, non_negative=True)
+    whiskers = _each_whisker(whisker, support)
+    for name, number, place in support.attachments():
+        length = whiskers[number - 1].length
+        if not checks.is_traced((place, length)) and not float(place) < float(length):
+            checks.fail(name, f"less than the whisker's length {length}", place)
+    tissue = any(one is not None for one in support.foundations)
+    if tissue and any(w.intrinsic_curvature is not None for w in whiskers):
+        checks.fail("whisker", "straight on a Foundation", "one with an intrinsic curvature")
 
 
 def _each_whisker(whisker: Whisker | tuple[Whisker, ...], support: Support) -> tuple[Whisker, ...]:

@@ -130,19 +130,19 @@ class Support(Published):
     @property
     def axes(self) -> tuple[str, ...]:
         """The axes along which bases are free, at least some."""
-        return tuple(axis for axis in AXES if self._freed(axis) - {0})
+        return tuple(axis for axis in AXES if self.freed(axis))
 
-    def _freed(self, axis: str) -> set[int]:
+    def freed(self, axis: str) -> set[int]:
         """The bases that are free along an axis."""
         freed = {end for spring in self.springs for end in spring.between if spring.axis in _acting(axis)}
         if axis == "x":
             freed |= {base for base, one in enumerate(self.foundations, 1) if one is not None}
-        return freed | (self._attached if axis in self.free else set())
+        return (freed | (self._attached if axis in self.free else set())) - {0}
 
     def _held(self, axis: str) -> list[int]:
         """A base of each part of the network that is free along an axis, but not connected to the drive along it."""
         held: list[int] = []
-        while loose := self._freed(axis) - connected((*self.along(axis), *(Spring((0, k), 1.0) for k in held))):
+        while loose := self.freed(axis) - connected((*self.along(axis), *(Spring((0, k), 1.0) for k in held))):
             # If the part has none with a spring on its shaft, nothing holds it at all.
             held.append(min(loose & self._attached or loose))
         return held

@@ -23,7 +23,7 @@ from jaxwhisker._equilibrium.shaft_springs import (
     walk,
 )
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, mounted
-from jaxwhisker._model.scene import Scene, Units, moves_along_x
+from jaxwhisker._model.scene import Scene, Sensor, Units, moves_along_x
 from jaxwhisker._model.spring import POINTS, WEIGHTS
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -54,8 +54,8 @@ class Held(NamedTuple):
     drive: Frame
 
 
-def holds(scene: Scene) -> Holds | None:
-    """What holds the whiskers of a scene by springs on their shafts; None without such springs."""
+def holds(scene: Scene | Sensor) -> Holds | None:
+    """What holds the whiskers of a scene or sensor by springs on their shafts; None without such springs."""
     return Holds(scene.support, scene.motion) if scene.support.on_shafts else None
 
 
@@ -120,17 +120,32 @@ def shaft_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, 
     inside = jnp.clip(held.held_by.springs.at, 0.0, arc)
     ends = jnp.concatenate([jnp.zeros(1), jnp.sort(inside), jnp.reshape(arc, 1)])
     s = jnp.ravel(ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS)
+    (x, y, _, _), load = _at_places(whisker, base, reaction, s, held)
+    moment, stiffness = rod.moment(x, y, load), jax.vmap(whisker.stiffness_at)(s)
+    # A pointed tip has no stiffness and carries no moment.
+    density = jnp.where(stiffness > 0, moment**2 / (2 * jnp.where(stiffness > 0, stiffness, 1.0)), 0.0)
+    if held.held_by.tissue is not None:
+        density += jax.vmap(partial(held.held_by.tissue.energy, held.drive))(x, y, s)
+    return jnp.sum(jnp.ravel(jnp.diff(ends)[:, None] * WEIGHTS) * density)
+
+
+def moment_at(
+    whisker: Whisker, base: Pose, reaction: Reaction, s: Float[Array, " points"], held: Held
+) -> Float[Array, " points"]:
+    """Internal moments at these arc lengths, under the reaction at the base."""
+    (x, y, _, _), load = _at_places(whisker, base, reaction, s, held)
+    return jnp.asarray(rod.moment(x, y, load))
+
+
+def _at_places(
+    whisker: Whisker, base: Pose, reaction: Reaction, s: Float[Array, " points"], held: Held
+) -> tuple[rod.RodStates, rod.Load]:
+    """States of the rod at these arc lengths, and the loads there."""
     held_by, places = held.held_by.with_places(s)
     walked = walk_outwards(
         material(whisker), *at_base(base, reaction), held._replace(held_by=held_by), steps=STEPS_TO_POINTS
     )
-    (x, y, _, _), load = jax.tree.map(lambda leaf: leaf[places], (walked.passed, walked.loads))
-    moment, stiffness = rod.moment(x, y, load), jax.vmap(whisker.stiffness_at)(s)
-    # A pointed tip has no stiffness and carries no moment.
-    density = jnp.where(stiffness > 0, moment**2 / (2 * jnp.where(stiffness > 0, stiffness, 1.0)), 0.0)
-    if held_by.tissue is not None:
-        density += jax.vmap(partial(held_by.tissue.energy, held.drive))(x, y, s)
-    return jnp.sum(jnp.ravel(jnp.diff(ends)[:, None] * WEIGHTS) * density)
+    return jax.tree.map(lambda leaf: leaf[places], (walked.passed, walked.loads))
 
 
 class Stretched(NamedTuple):

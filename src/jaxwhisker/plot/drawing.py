@@ -29,7 +29,7 @@ from jaxwhisker._scan.scan import problem_now
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.springs import holds, loads_of, on_shafts
-from jaxwhisker._scan.state import OPTIONAL, State, base_of
+from jaxwhisker._scan.state import OPTIONAL, State, base_of, state_of
 from jaxwhisker.plot.runs import Run, lines_of_motion, states_at
 
 # Lengths are in L of the first whisker.
@@ -126,6 +126,7 @@ def drawing(
         assert isinstance(scene, Scene)
         lines = shapes_of(scene, jax.tree.map(np.asarray, state), control, points=LINE_POINTS)
     bases = Line(np.asarray(state.base_x) / size, np.asarray(state.base_y) / size)
+    ends = ends_on_shafts(scene, state, control, lines)
     drive, arm = drive_pose(scene, control), None
     forces = np.nan_to_num(np.asarray(state.contact_force))
     most = forces.max() if largest is None else largest
@@ -137,7 +138,7 @@ def drawing(
         arm,
         tuple(Line(*line) for line in zip(np.asarray(lines.x) / size, np.asarray(lines.y) / size, strict=True)),
         bases,
-        spring_lines(scene, drive, bases, np.asarray(state.base_angle), ends_on_shafts(scene, state, control)),
+        spring_lines(scene, drive, bases, np.asarray(state.base_angle), ends),
         tuple(force_arrow(state, k, most, size) for k in range(forces.size)),
     )
 
@@ -228,14 +229,29 @@ Place = tuple[float, float]
 Ends = Sequence[tuple[Place, Place]]  # on the drive and on the whisker
 
 
-def ends_on_shafts(scene: Scene | Sensor, state: State, control: float) -> Ends:
+def ends_on_shafts(scene: Scene | Sensor, state: State, control: float, lines: Shapes) -> Ends:
     """Ends of the springs on shafts, in the order of the support, in lengths of the first whisker."""
-    by, size = holds(scene) if isinstance(scene, Scene) else None, float(units(scene).length)
+    by, size = holds(scene), float(units(scene).length)
     if by is None:
         return ()
-    given = jax.tree.map(checks.as_float, (by, scene.whiskers, base_of(state), loads_of(state), control))
+    known = state_of(state)
+    given = jax.tree.map(checks.as_float, (by, scene.whiskers, base_of(known), loads_of(known), control))
     every = jax.tree.map(lambda end: float(end) / size, _on_shafts(*given))
-    return [((one.anchor_x, one.anchor_y), (one.x, one.y)) for one in every]
+    places = []
+    for spring, one in zip(scene.support.attached, every, strict=True):
+        # Whiskers in motion are not in equilibrium: their centre lines tell where springs end.
+        *first, last = [_on_line(lines, state, whisker - 1, float(at), size) for whisker, at in spring.ends]
+        places.append((first[0] if first else (one.anchor_x, one.anchor_y), last))
+    return places
+
+
+def _on_line(lines: Shapes, state: State, whisker: int, at: float, size: float) -> Place:
+    """The point of a centre line, or of the follicle below it, at an arc length."""
+    x, y = np.asarray(lines.x)[whisker], np.asarray(lines.y)[whisker]
+    arc = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
+    below, angle = min(at, 0.0), float(state.base_angle[whisker])
+    end_x, end_y = np.interp(at, arc, x) - below * np.sin(angle), np.interp(at, arc, y) + below * np.cos(angle)
+    return float(end_x) / size, float(end_y) / size
 
 
 _on_shafts = Program(on_shafts)
