@@ -65,6 +65,36 @@ def test_a_second_contact_ends_the_simulation():
     assert motion.gap[:first].min() > -INSIDE
     assert np.isnan(motion.mz[first:]).all() and np.isfinite(motion.mz[:first]).all()
     assert np.isfinite(motion.time).all() and "second_contact" in str(motion)
+    assert max(e.time for e in motion.events) < motion.time[first]
+
+
+def past_two(distance, position):
+    """The scan and a slow sweep past two circles."""
+    scene = jw.Scene(ROD, (jw.Circle(0.3, 0.15), jw.Circle(distance, 0.15, position)), jw.Support.fb(70.0))
+    drive = np.array([0.2, -2.3])
+    motion = jw.simulate(scene, drive, 2.5 / SPEED, steps=STEPS, every=10, stiffness_damping=0.05)
+    return jw.scan(scene, np.asarray(motion.control)), motion
+
+
+def test_several_objects():
+    scan, motion = past_two(0.4, -1.2)
+    assert np.all(motion.status == jw.Status.ok)
+    first, second = (e.control for e in scan.events.of(jw.EventKind.snap_off))
+    touch = scan.events.of(jw.EventKind.touch)
+    for start, stop, number in ((touch[0].control, first, 1), (touch[1].control, second, 2)):
+        during = (motion.control < start - 0.1) & (motion.control > stop + 0.02)
+        np.testing.assert_array_equal(motion.contact_object[during], number)
+        for name in ("fx", "fy", "mz"):
+            ours, theirs = (np.asarray(getattr(r, name))[:, 0] for r in (motion, scan))
+            assert np.sqrt(np.mean((ours - theirs)[during] ** 2)) < SIGNALS * np.abs(theirs).max(), name
+    assert np.all(motion.contact_object[motion.phase == jw.Phase.free] == 0)
+    assert 0 < second - motion.events.of(jw.EventKind.release)[-1].control < 2 * LATE
+
+
+def test_a_second_object_ends_the_simulation():
+    scan, motion = past_two(0.3, -0.5)
+    ours, theirs = (float(r.control[np.argmax(r.status == jw.Status.second_contact)]) for r in (motion, scan))
+    assert -1.0 < ours < -0.8 and theirs - 0.04 < ours <= theirs  # 0.01 inside
 
 
 @pytest.mark.parametrize(

@@ -340,7 +340,6 @@ def test_samples_and_whisking():
         ({"drive": np.array([0.8, np.nan, 0.6])}, "drive"),
         ({"drive": "fast"}, "drive"),
         ({"scene": jw.Sensor(jw.Whisker())}, "mass_per_length"),
-        ({"scene": jw.Scene(ROD, (jw.Circle(0.2, 0.3), jw.Circle(0.2, 0.3, 1.0)))}, "profile"),
         ({"scene": jw.Sensor(ROD, jw.Support((jw.Spring((0, 1), np.inf),)))}, "stiffness"),
         ({"steps": 0}, "steps"),
         ({"every": 1.5}, "every"),

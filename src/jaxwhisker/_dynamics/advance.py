@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.gap import CLOSEST, MOST, closest, followed, gap_at
+from jaxwhisker._dynamics.gap import CLOSEST, MOST, beside, closest, followed, gap_at
 from jaxwhisker._dynamics.ledger import booked, with_pulls
 from jaxwhisker._dynamics.motion_state import LEAP, Moving, Rod, Touching, nodes_of, posed
 from jaxwhisker._dynamics.moving import System
@@ -35,6 +35,7 @@ RESTART = 10  # iteration that starts again from the last state, without extrapo
 LET_GO = 20  # likewise, without the forces of contacts that have not converged: they may slip off an edge
 HOLD = 30  # likewise, with contacts held at their old points of the whiskers; without edges, at once after LET_GO
 MOST_ITERATIONS = 50
+NEAR = 0.01  # distance of another object, beyond that of the closest one, at which it is measured in every step
 MOST_BENT = 2.0  # largest change of a coefficient of the curvature in one iteration
 
 
@@ -181,7 +182,10 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     if trial.gap is not None and old.rod.touching is not None:
         arc, parameter, *_ = x.contact.T
         began = mode.touches & ~old.rod.touching.lasts(arc)
-        touching = Touching(arc, parameter, trial.gap, normal, drag, mode.touches, mode.slip, began)
+        others = old.rod.touching.beside
+        if others is not None:
+            others -= jnp.max(jnp.linalg.norm(jax.lax.stop_gradient(at - old.rod.at), axis=1), axis=1)
+        touching = Touching(arc, parameter, trial.gap, normal, drag, mode.touches, mode.slip, began, others)
     velocity = old.rod.velocity + ((at - old.rod.at) / h - old.rod.velocity) / old.ahead
     spin = old.rod.spin + ((base[:, 2] - old.rod.base[:, 2]) / h - old.rod.spin) / old.ahead
     new = Moving(
@@ -223,7 +227,17 @@ def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
 
     off = jnp.abs(at.gap.end) + jnp.abs(at.gap.foot) > CLOSEST
     points, found = _where(~mode.touches & off & ~mode.imposed.held, follow, known, ~mode.imposed.held)
-    points, _ = _where(~found, search, points, found)
+    if at.beside is None:
+        points, _ = _where(~found, search, points, found)
+    else:  # another object may be nearer
+        near, stays = at.beside < jnp.maximum(at.gap.distance, 0.0) + NEAR, mode.touches & ~mode.imposed.held
+
+        def renew(points):
+            points = jax.tree.map(lambda own, new: jnp.where(stays, own, new), points, search(points)[0])
+            return points, jax.vmap(lambda pose, parameter: beside(posed(fixed, *pose), parameter))(still, points[1])
+
+        points, others = _where(near | ~found, renew, points, at.beside)
+        at, found = at._replace(beside=others), found & (stays | ~near)
     changes = jax.tree.map(jnp.subtract, points, known)
     arc, parameter = at.arc + changes[0], at.parameter + changes[1]
     gap = jax.vmap(lambda pose, *points: gap_at(posed(system, *pose), *points))(poses, arc, parameter)

@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.legendre import Basis, weights_at
+from jaxwhisker._dynamics.outline import number_of, samples, span
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 
 
@@ -90,7 +91,7 @@ def _is_least(at: ContactPoint, moves: ContactPoint, direction: Array, bend: Arr
 CLOSEST = 1e-7  # accepted residual of closest points
 MOST = 0.2  # largest change of the closest points in one iteration
 SAMPLES = 33  # points of the whisker, for the first guess of the closest point
-PARAMETERS = 257  # points of the object, likewise
+PARAMETERS = 257  # points of each object, likewise
 LEAST = 1e-9  # distance from an edge below which its tangent is not iterated
 TIES = 1e-6  # weight of the normal distance among points of the object that are equally close
 ITERATIONS = 12  # of Newton's method from the first guess
@@ -104,23 +105,43 @@ def followed(posed: Posed, arc: Scalar, parameter: Scalar) -> tuple[Points, Bool
     return _improved(posed, jnp.stack([arc, parameter]), FOLLOWING)
 
 
-def closest(posed: Posed) -> Points:
-    """The closest points from scratch, without derivatives."""
+class _Sampled(NamedTuple):
+    """Points of a whisker, and of all objects."""
+
+    arcs: Float[Array, " samples"]
+    parameters: Float[Array, " parameters"]
+    nearest: Int[Array, " samples"]  # parameter of the closest point of each, an index
+    distance: Float[Array, " samples"]  # along its normal
+
+
+def _sampled(posed: Posed, but: Float[Array, ""] | None = None) -> _Sampled:
+    """Samples of the whisker and of the objects, without that with the parameter `but`."""
     basis, profile, length, base, angle = posed
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     arcs = jnp.linspace(1 / SAMPLES, 1.0, SAMPLES)
     reach = length * jax.vmap(lambda s: weights_at(basis, s)[1])(arcs)
     x, y = base[0] + reach @ cos, base[1] + reach @ sin
-    first, last = _outline(profile)
-    parameters = jnp.linspace(first, last, PARAMETERS)
+    parameters = samples(profile, PARAMETERS)
     at = jax.vmap(profile.point)(parameters)
     distance = jnp.hypot(x[:, None] - at.x, y[:, None] - at.y)
     # On an edge, all tangents have the same point: that counts whose normal leads to the whisker.
     along = (x[:, None] - at.x) * at.sin - (y[:, None] - at.y) * at.cos
-    distance = distance - TIES * along
-    nearest = jnp.argmin(jnp.where(jnp.isfinite(distance), distance, jnp.inf), axis=1)
-    own = jax.tree.map(lambda leaf: leaf[nearest], at)
-    k = jnp.argmin((x - own.x) * own.sin - (y - own.y) * own.cos)
+    sought = jnp.where(jnp.isfinite(distance), distance - TIES * along, jnp.inf)
+    if but is not None:
+        sought = jnp.where(number_of(profile, parameters) == number_of(profile, but), jnp.inf, sought)
+    nearest = jnp.argmin(sought, axis=1)
+    return _Sampled(arcs, parameters, nearest, jnp.take_along_axis(along, nearest[:, None], axis=1)[:, 0])
+
+
+def beside(posed: Posed, parameter: Float[Array, ""]) -> Float[Array, ""]:
+    """The distance of all objects but that with this parameter, approximately; without derivatives."""
+    return jnp.min(_sampled(posed, parameter).distance)
+
+
+def closest(posed: Posed) -> Points:
+    """The closest points from scratch, without derivatives."""
+    (first, last), (arcs, parameters, nearest, distance) = span(posed.profile), _sampled(posed)
+    k = jnp.argmin(distance)
 
     def improve_foot(_, parameter):
         value, slope = jax.value_and_grad(lambda parameter: gap_at(posed, arcs[k], parameter).foot)(parameter)
@@ -134,14 +155,9 @@ def closest(posed: Posed) -> Points:
     return arc, parameter
 
 
-def _outline(profile: AbstractProfile) -> tuple[Scalar, Scalar]:
-    """Parameters of the first and the last point that may be closest: whiskers reach beyond the widest point."""
-    return profile.around() or profile.ends()
-
-
 def _improved(posed: Posed, guess: Float[Array, "2"], iterations: int) -> tuple[Points, Bool[Array, ""]]:
     """Closest points by Newton's method, and whether it has converged."""
-    first, last = _outline(posed.profile)
+    first, last = span(posed.profile)
 
     def equations(guess):
         gap = gap_at(posed, *guess)

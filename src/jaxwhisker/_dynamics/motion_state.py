@@ -25,6 +25,7 @@ class Touching(NamedTuple):
     touches: Bool[Array, "*whiskers"]
     slip: Int[Array, "*whiskers"]  # direction along the tangent; 0 if the contact sticks
     began: Bool[Array, "*whiskers"]  # in the last step
+    beside: PerWhisker | None = None  # least distance that other objects may have; None without any
 
     def lasts(self, arc: PerWhisker) -> Bool[Array, "*whiskers"]:
         """Whether a contact at this point of the whisker, one step later, continues this one."""

@@ -17,6 +17,7 @@ from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.held import Held, held_of
 from jaxwhisker._dynamics.legendre import Basis, basis
+from jaxwhisker._dynamics.outline import outline
 from jaxwhisker._equilibrium.shaft_springs import Laws
 from jaxwhisker._model.motion import AbstractMotion, Pose
 from jaxwhisker._model.network import along_all_axes
@@ -154,7 +155,7 @@ def system_of(scene: Scene | Sensor, damping: Damping, n: int) -> System:
         rods=jax.tree.map(lambda *leaves: jnp.stack(leaves), *rods)._replace(held=held),
         mount=Pose(x / unit.length, y / unit.length, angle),
         network=_network(scene.support, damping.base, angle, unit, free) if free else None,
-        profile=scene.profile.in_unit(unit.length) if isinstance(scene, Scene) else None,
+        profile=outline(scene.profile.in_unit(unit.length)) if isinstance(scene, Scene) else None,
         friction=scene.friction if isinstance(scene, Scene) else None,
         mass_damping=damping.mass * unit.time,
         stiffness_damping=damping.stiffness / unit.time,

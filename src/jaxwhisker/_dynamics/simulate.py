@@ -16,10 +16,11 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.advance import Forces, advance
 from jaxwhisker._dynamics.drive import drive_of
-from jaxwhisker._dynamics.gap import closest, gap_at
+from jaxwhisker._dynamics.gap import beside, closest, gap_at
 from jaxwhisker._dynamics.held import ends_of, energies
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
 from jaxwhisker._dynamics.moving import Damping, MotionUnits, Rods, System, drive_pose, motion_units, system_of
+from jaxwhisker._dynamics.outline import Row, number_of
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
 from jaxwhisker._dynamics.start import Start, start_of
 from jaxwhisker._dynamics.unloaded import unloaded
@@ -87,7 +88,7 @@ def simulate(
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
             positive, a drive that is not finite), the drive starts inside the object, or the scene has springs between
-            the shafts of two whiskers, rigid springs, or several objects, which are not simulated.
+            the shafts of two whiskers or rigid springs, which are not simulated.
 
     Derivatives of first order exist in both modes, with respect to all numbers of the scene, the drive, the duration
     and the damping. They are those of the discrete motion in which the same whiskers touch in the same steps: through
@@ -144,8 +145,6 @@ def _check_scene(scene: Any) -> None:
     for spring in scene.support.springs:
         if spring.linear and not checks.is_traced(spring.softness) and spring.is_rigid():
             checks.fail("stiffness", "finite for a simulation", spring.stiffness)
-    if isinstance(scene, Scene) and len(scene.profile.objects) > 1:
-        checks.fail("profile", allowed.format("several objects"), str(scene.profile))
 
 
 def _default_steps(scene: Scene | Sensor, duration: Scalar) -> int:
@@ -191,20 +190,22 @@ def _simulate(
 
     def step(moving, drive):
         moving, forces = advance(system, moving, drive[:3], drive[3:], h)
-        return moving, (forces, _traced(system, moving))
+        return moving, (forces, moving.solved, _traced(system, moving))
 
     def sample(moving, drives):
         moving, traces = jax.lax.scan(step, moving, drives)
         return moving, (moving, traces)
 
     drives = jnp.concatenate([poses, rates], axis=-1)[1:].reshape(-1, every, 6)
-    _, (samples, (forces, trace)) = jax.lax.scan(sample, first, drives)
-    samples = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, samples)
-    forces, trace = jax.tree.map(lambda leaf: leaf.reshape(steps, *leaf.shape[2:]), (forces, trace))
-    trace = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), _traced(system, first), trace)
+    _, (samples, each) = jax.lax.scan(sample, first, drives)
+    forces, solved, trace = jax.tree.map(lambda leaf: leaf.reshape(steps, *leaf.shape[2:]), each)
+    samples, solved, trace = jax.tree.map(
+        lambda a, b: jnp.concatenate([a[None], b]), (first, good, _traced(system, first)), (samples, solved, trace)
+    )
     result = _result(given, system, unit, samples, _at_samples(forces, every))
-    events = events_of(trace, time, control) if trace is not None else _no_events()
-    status = jnp.where(good, _status(samples.solved, trace, every), Status.invalid)
+    status = jnp.where(good, _status(solved, trace), Status.invalid)
+    events = events_of(trace, status == Status.ok, time, control) if trace is not None else _no_events()
+    status = status[::every]
     ok = status == Status.ok
     blank = {name: _where_ok(ok, value) for name, value in result.items()}
     at = time[::every]
@@ -213,11 +214,11 @@ def _simulate(
     ), clear | ~valid
 
 
-def _status(solved: Bool[Array, " samples"], trace: Trace | None, every: int) -> Array:
-    """The status of all samples: what fails first counts."""
+def _status(solved: Bool[Array, " times"], trace: Trace | None) -> Array:
+    """The status after every step: what fails first counts."""
     deep = jnp.zeros_like(solved)
     if trace is not None:
-        deep = jnp.cumsum(jnp.any(trace.gap < -DEEPEST, axis=1))[::every] > 0
+        deep = jnp.cumsum(jnp.any(trace.gap < -DEEPEST, axis=1)) > 0
     failure = jnp.where(jnp.any(~solved & ~deep), Status.lost, Status.second_contact)
     return jnp.where(solved & ~deep, Status.ok, failure)
 
@@ -266,13 +267,15 @@ def _initial(
         angle = angles_of(system, q, base)
         at = nodes_of(system, base, angle)
 
-        def nearest(*pose):
-            points = closest(posed(system, *pose))
-            return *points, gap_at(posed(system, *pose), *points)
+        several = len(system.profile.objects) > 1
 
-        touching = Touching(
-            *jax.vmap(nearest)(system.rods.length, base, angle), none, none, touches, none.astype(int), touches
-        )
+        def nearest(*pose):
+            here = posed(system, *pose)
+            points = closest(here)
+            return *points, gap_at(here, *points), beside(here, points[1]) if several else None
+
+        arc, parameter, gap, others = jax.vmap(nearest)(system.rods.length, base, angle)
+        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, others)
     count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
@@ -293,7 +296,8 @@ def _traced(system: System, moving: Moving) -> Trace | None:
     at = moving.rod.touching
     if at is None:
         return None
-    return Trace(at.touches, at.force, at.gap.distance, at.gap.at_tip, at.gap.normal[:, 0])
+    gap = at.gap.distance if at.beside is None else jnp.minimum(at.gap.distance, at.beside)
+    return Trace(at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0])
 
 
 def _at_samples(forces: Forces, every: int) -> Forces:
@@ -334,6 +338,8 @@ def _result(
             at.y * unit.length,
         )
         contact = {name: jnp.where(touches, value, 0.0) for name, value in zip(contact, values, strict=True)}
+        if isinstance(system.profile, Row):
+            contact["contact_object"] = jnp.where(touches, number_of(system.profile, touching.parameter) + 1, 0)
     friction: dict[str, Any] = {}
     contact_force = forces.normal
     if system.friction is not None and touching is not None:

@@ -173,8 +173,8 @@ class Trace(NamedTuple):
     slope: Float[Array, "times whiskers"]  # sine of the object's slope
 
 
-def events_of(trace: Trace, time: Float[Array, " times"], control) -> TimedEvents:
-    """All events: where the trace changes, with times between two steps by linear interpolation."""
+def events_of(trace: Trace, ok: Bool[Array, " times"], time: Float[Array, " times"], control) -> TimedEvents:
+    """All events until a failure: where the trace changes, with times between two steps by linear interpolation."""
     h, before = time[1] - time[0], time[:-1, None]
     now, was = trace.touches[1:], trace.touches[:-1]
     lasts = now & was
@@ -206,6 +206,7 @@ def events_of(trace: Trace, time: Float[Array, " times"], control) -> TimedEvent
         ],
         axis=1,
     )
+    found &= ok[1:, None, None]
     times = jnp.stack([touch, before + h * release, turn_time, turn_time, pass_time], axis=1)
     (at,) = jnp.nonzero(jnp.ravel(found), size=EVENTS, fill_value=found.size)
     ahead = at < found.size
