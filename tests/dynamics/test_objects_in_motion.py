@@ -79,6 +79,7 @@ def past_two(distance, position):
 def test_several_objects():
     scan, motion = past_two(0.4, -1.2)
     assert np.all(motion.status == jw.Status.ok)
+    assert motion.contact_object is not None
     first, second = (e.control for e in scan.events.of(jw.EventKind.snap_off))
     touch = scan.events.of(jw.EventKind.touch)
     for start, stop, number in ((touch[0].control, first, 1), (touch[1].control, second, 2)):
