@@ -14,7 +14,7 @@ import jaxwhisker as jw
 from jaxwhisker._base import checks
 from jaxwhisker._dynamics.advance import advance
 from jaxwhisker._dynamics.moving import Damping, motion_units, system_of
-from jaxwhisker._dynamics.simulate import _initial
+from jaxwhisker._dynamics.start import initial
 from scenes import model
 
 RINGDOWN = json.loads((Path(__file__).parents[1] / "data" / "ringdown.json").read_text())["cases"][0]
@@ -208,7 +208,7 @@ def test_momentum():
     scene = jax.tree.map(checks.as_float, heavy(model("FB"), friction=0.3))
     none, h, speed = jnp.zeros(()), jnp.asarray(0.02), -0.2
     system = system_of(scene, Damping(none, none + DAMPING, (none, none, none)), 5)
-    first, _ = _initial(system, motion_units(scene), None, jnp.array([0.7, 0.0, 0.0]), jnp.array([speed, 0.0, 0.0]))
+    first, _ = initial(system, motion_units(scene), None, jnp.array([0.7, 0.0, 0.0]), jnp.array([speed, 0.0, 0.0]))
 
     def momentum(moving):
         return jnp.sum(system.rods.mass[:, None] * moving.rod.velocity, axis=-1)[0]

@@ -11,19 +11,16 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import safe_placeholder
-from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.advance import Forces, advance
 from jaxwhisker._dynamics.drive import drive_of
-from jaxwhisker._dynamics.gap import beside, closest, gap_at
 from jaxwhisker._dynamics.held import ends_of, energies
-from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
-from jaxwhisker._dynamics.moving import Damping, MotionUnits, Rods, System, drive_pose, motion_units, system_of
+from jaxwhisker._dynamics.motion_state import Moving
+from jaxwhisker._dynamics.moving import Damping, MotionUnits, System, drive_pose, motion_units, system_of
 from jaxwhisker._dynamics.outline import Row, number_of
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
-from jaxwhisker._dynamics.start import Start, start_of
-from jaxwhisker._dynamics.unloaded import unloaded
+from jaxwhisker._dynamics.start import Start, initial, start_of
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.support import Support
@@ -36,7 +33,6 @@ SHAPES = 12  # shape functions per whisker
 STEP = 0.001  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
 MOST_STEPS = 10_000_000  # of the default step
 INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
-CLOSINGS = 3  # iterations that close the gaps of a given shape, whose projection does not touch exactly
 DEEPEST = 0.01  # penetration beyond which it is a second contact
 INSIDE_BENT = 1e-3  # accepted penetration of a given shape, which is projected onto the shape functions
 
@@ -181,7 +177,7 @@ def _simulate(
 
     poses, rates = jax.vmap(lambda t: jax.jvp(pose, (t,), (jnp.ones_like(t),)))(time)
     rates = rates * unit.time
-    first, found = _initial(system, unit, start, poses[0], rates[0])
+    first, found = initial(system, unit, start, poses[0], rates[0])
     clear = jnp.asarray(True)
     if first.rod.touching is not None:
         clear = jnp.all(first.rod.touching.gap.distance > -(INSIDE if start is None else INSIDE_BENT))
@@ -241,55 +237,6 @@ def _valid(scene: Scene | Sensor, duration: Array, damping: Damping, control: An
     for _, whisker, place in scene.support.attachments():
         valid &= jnp.asarray(place) < scene.whiskers[whisker - 1].length
     return valid & scene.profile.valid() if isinstance(scene, Scene) else valid
-
-
-def _initial(
-    system: System, unit: MotionUnits, start: Start | None, drive: Array, rate: Array
-) -> tuple[Moving, Bool[Array, ""]]:
-    """Whiskers at rest relative to the drive, and whether they are known."""
-    whiskers, found = system.rods.length.shape[0], jnp.asarray(True)
-    q, z = jnp.zeros((whiskers, system.n)), system.at_rest
-    if start is None and system.rods.held is not None:
-        q, z, found = unloaded(system)
-    if start is not None:
-        q, z = start.coefficients(system.n), start.free(system, drive, unit)
-    base, carried = jax.jvp(lambda drive: system.bases(z, drive), (drive,), (rate,))
-    angle = angles_of(system, q, base)
-    at = nodes_of(system, base, angle)
-    apart = at - base[:, :2, None]
-    velocity = carried[:, :2, None] + carried[:, 2, None, None] * jnp.stack([-apart[:, 1], apart[:, 0]], axis=1)
-    touching = None
-    if system.profile is not None:
-        none = jnp.zeros(whiskers)
-        touches = none > 0 if start is None else start.touches
-        for _ in range(0 if start is None else CLOSINGS):
-            q = jax.vmap(lambda *own: _closed(system, *own))(system.rods, q, base, touches)
-        angle = angles_of(system, q, base)
-        at = nodes_of(system, base, angle)
-
-        several = len(system.profile.objects) > 1
-
-        def nearest(*pose):
-            here = posed(system, *pose)
-            points = closest(here)
-            return *points, gap_at(here, *points), beside(here, points[1]) if several else None
-
-        arc, parameter, gap, others = jax.vmap(nearest)(system.rods.length, base, angle)
-        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, others)
-    count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
-    rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
-    ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
-    return Moving(rod, z, drive, jnp.zeros((2, count)), ledger, jnp.asarray(True)), found
-
-
-def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Array, ""]) -> Array:
-    """The shape of a touching whisker, bent by a change of the contact force that closes the gap to first order."""
-    angle = jnp.pi / 2 + base[2] + rod.rest + system.basis.angles @ q
-    here = posed(system, rod.length, base, angle)
-    gap = gap_at(here, *closest(here))
-    across = gap.across @ system.basis.angles
-    bends = inverse(rod.stiffness) @ across
-    return jnp.where(touches, q - bends * gap.distance / (across @ bends), q)
 
 
 def _traced(system: System, moving: Moving) -> Trace | None:

@@ -1,4 +1,4 @@
-"""The equilibrium from which whiskers are let go, in the coordinates of a simulation."""
+"""The start of a simulation: the equilibrium from which whiskers are let go, in its coordinates."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -8,10 +8,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.gap import beside, closest, gap_at
 from jaxwhisker._dynamics.legendre import polynomials_at
-from jaxwhisker._dynamics.moving import MotionUnits, System
+from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
+from jaxwhisker._dynamics.moving import MotionUnits, Rods, System
+from jaxwhisker._dynamics.unloaded import unloaded
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import AbstractMotion, Pose
 from jaxwhisker._model.scene import Scene, Sensor
@@ -21,6 +25,7 @@ from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker._scan.springs import Held, Holds, held, holds, moment_at, outwards
 from jaxwhisker._scan.state import State, base_of, state_of
 
+CLOSINGS = 3  # iterations that close the gaps of a given shape, whose projection does not touch exactly
 POINTS = 513  # along the loaded part of a whisker
 
 
@@ -111,3 +116,52 @@ def _shape(whisker: Whisker, at: State, by: Held | None) -> tuple[Array, Array]:
     loaded = stiff & touches if by is None else stiff
     extra = jnp.where(loaded, moment / jnp.where(stiff, stiffness, 1.0), 0.0)
     return jnp.append(s, length) / length, jnp.append(extra, 0.0) * length
+
+
+def initial(
+    system: System, unit: MotionUnits, start: Start | None, drive: Array, rate: Array
+) -> tuple[Moving, Bool[Array, ""]]:
+    """Whiskers at rest relative to the drive, and whether they are known."""
+    whiskers, found = system.rods.length.shape[0], jnp.asarray(True)
+    q, z = jnp.zeros((whiskers, system.n)), system.at_rest
+    if start is None and system.rods.held is not None:
+        q, z, found = unloaded(system)
+    if start is not None:
+        q, z = start.coefficients(system.n), start.free(system, drive, unit)
+    base, carried = jax.jvp(lambda drive: system.bases(z, drive), (drive,), (rate,))
+    angle = angles_of(system, q, base)
+    at = nodes_of(system, base, angle)
+    apart = at - base[:, :2, None]
+    velocity = carried[:, :2, None] + carried[:, 2, None, None] * jnp.stack([-apart[:, 1], apart[:, 0]], axis=1)
+    touching = None
+    if system.profile is not None:
+        none = jnp.zeros(whiskers)
+        touches = none > 0 if start is None else start.touches
+        for _ in range(0 if start is None else CLOSINGS):
+            q = jax.vmap(lambda *own: _closed(system, *own))(system.rods, q, base, touches)
+        angle = angles_of(system, q, base)
+        at = nodes_of(system, base, angle)
+
+        several = len(system.profile.objects) > 1
+
+        def nearest(*pose):
+            here = posed(system, *pose)
+            points = closest(here)
+            return *points, gap_at(here, *points), beside(here, points[1]) if several else None
+
+        arc, parameter, gap, others = jax.vmap(nearest)(system.rods.length, base, angle)
+        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, others)
+    count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
+    rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
+    ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
+    return Moving(rod, z, drive, jnp.zeros((2, count)), ledger, jnp.asarray(True)), found
+
+
+def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Array, ""]) -> Array:
+    """The shape of a touching whisker, bent by a change of the contact force that closes the gap to first order."""
+    angle = jnp.pi / 2 + base[2] + rod.rest + system.basis.angles @ q
+    here = posed(system, rod.length, base, angle)
+    gap = gap_at(here, *closest(here))
+    across = gap.across @ system.basis.angles
+    bends = inverse(rod.stiffness) @ across
+    return jnp.where(touches, q - bends * gap.distance / (across @ bends), q)
