@@ -53,7 +53,8 @@ def gap_at(posed: Posed, arc: Scalar, parameter: Scalar) -> Gap:
     distance, foot = apart @ normal, apart @ tangent
     inner = (closes < beyond) & _is_least(at, moves, direction, bends[0] @ turned / posed.length, distance)
     if posed.profile.has_edges:
-        # An edge that the whisker touches is closest for any tangent, and one inside which it is, for none.
+        # On an edge, the derivative of `foot` by the parameter is minus the distance. Newton's method needs one that
+        # neither vanishes in contact nor changes its sign inside the object.
         turn = at.cos * moves.sin - at.sin * moves.cos
         steeper = turn * (jnp.maximum(jnp.abs(distance), LEAST) - distance)
         foot = foot - jax.lax.stop_gradient(steeper) * (parameter - jax.lax.stop_gradient(parameter))

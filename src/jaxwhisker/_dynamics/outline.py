@@ -50,7 +50,7 @@ class Row(AbstractProfile):
         (first, _), (_, last) = span(self.each[0]), span(self.each[-1])
         return first + self.shift[0], last + self.shift[-1]
 
-    # Nothing else is asked for.
+    # Nothing else is asked of the outline: it is made in the unit of the problem, after all checks.
 
     def first_touch(self, height, side):
         raise NotImplementedError
