@@ -32,6 +32,7 @@ from jaxwhisker._path.path import (
 
 ARRIVAL_MISS = 0.1  # the equilibrium at which a flow ends is nearer than this
 SLIP_NOISE = 1e-9  # rate of slip, per length of the path, that rounding may cause
+SLIPPED_BACK = 1e-9  # distance that a contact may slip back from the end of a flow to the equilibrium near it
 LEAN_NOISE = 1e-6  # a lean beyond its limit that is no rounding, not even where the force is smallest
 
 
@@ -78,6 +79,9 @@ def after_arrive(
     ends = [there.low, there.high] if there.low.size else []
     touches = each_touch(there.touch)
     wrong = jnp.any(jnp.concatenate([*touches, there.release, there.phase, there.slip, *ends]) < -MARGIN_NOISE)
+    back = slips_on(problem, state.mode, point.z, moved.z)
+    if back is not None:
+        wrong |= jnp.any(back < -SLIPPED_BACK)
     early = after_snap & (wrong | falls | ~near)
     flowing = state._replace(
         task=jnp.asarray(int(Task.flow)),
@@ -100,7 +104,7 @@ def after_arrive(
             (changed, retry),
             ((state.turn(tangent) <= 0) & trial.stable, undetermined),
         ]
-        onwards = onwards._replace(tries=jnp.zeros_like(state.tries))
+        onwards = onwards._replace(tries=jnp.zeros_like(state.tries), rests=jnp.zeros_like(state.rests))
         write &= over | first | ~changed
     return first_case(*cases, (falls, to_snap(onwards)), otherwise=onwards), write, node
 
@@ -118,7 +122,7 @@ def _changed_slips(
     backwards = (onwards < -SLIP_NOISE) | ((state.mode.phase != Phase.free) & unloaded & falls & (limit > 0))
     sticks = (state.mode.phase != Phase.free) & (slip == 0)
     exceeds = (jnp.abs(leans) > limit - SLIP_NOISE) & (jnp.sign(leans) * tangent.z[:, 1] > SLIP_NOISE)
-    exceeds = sticks & (exceeds | (jnp.abs(leans) > limit + LEAN_NOISE))
+    exceeds = sticks & ~state.rests & (exceeds | (jnp.abs(leans) > limit + LEAN_NOISE))
     can_stick = (~unloaded | (state.tries > 0)) & (limit > 0)
     changed = jnp.where(exceeds, jnp.sign(leans).astype(int), jnp.where(can_stick, 0, -slip))
     wrong = backwards | exceeds
@@ -180,6 +184,7 @@ def with_changed_slips(
         lead=weights,
         pending=pending,
         tries=state.tries + 1,
+        rests=changes & (slip == 0) if rest else state.rests,
     )
 
 

@@ -168,6 +168,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         count=jnp.asarray(0),
         status=jnp.asarray(int(Status.ok)),
         tries=None if friction is None else jnp.asarray(0),
+        rests=None if friction is None else jnp.zeros(n, bool),
     )
 
 

@@ -94,6 +94,9 @@ class MarchState(NamedTuple):
     count: Int[Array, ""]
     status: Int[Array, ""]
     tries: Int[Array, ""] | None = None  # of the slips with which the path leaves an event; None without friction
+    # Whiskers whose slip has come to rest here. The lean at which they stick does not change at first: rounding alone
+    # decides about the sign of its rate.
+    rests: Bool[Array, " whiskers"] | None = None
 
     def turn(self, tangent: Point) -> Scalar:
         """du/ds along a tangent, positive while the drive moves towards its stop."""

@@ -30,7 +30,7 @@ from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import newly_slipping
-from jaxwhisker._equilibrium.newton import Condensed, contact_parameters, slip_by_contact, with_slips
+from jaxwhisker._equilibrium.newton import Condensed, contact_parameters, slip_by_contact
 from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance, of_object
@@ -50,8 +50,8 @@ NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
 ITERATIONS = 3000
 TOUCH = 1e-8  # tolerance for the position of a base where its whisker touches, and thus for the force of a new contact
 SLIPPED = 1e-12  # distance that a contact may slip back before it sticks
-LEANING = 1e-12  # angle by which a contact that sticks may lean too far before it slips
-OVERSHOOT = 1e-3  # a step in which one leans too far by a larger angle is too long
+LEANING = 1e-12  # angle by which a contact that sticks may lean too far
+AT_LIMIT = 1e-8  # a contact that sticks begins to slip where its lean is this close to its limit
 LANDED = 1e-6  # tolerance for the base position at which a slipped whisker's slide or landing ends
 
 
@@ -76,6 +76,7 @@ class Flow(NamedTuple):
     exhausted: Bool[Array, ""]  # whether the flow has failed to come to rest
     way: PerWhisker | None = None  # +1 or -1: along its branch, or back, as a whisker slides; None without edges
     clamped: Bool[Array, ""] | None = None  # whether coupled shafts are stable with clamped bases; None without
+    share: Scalar | None = None  # of the next step that is taken; None without friction
 
 
 def start(mode: Mode, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
@@ -102,13 +103,15 @@ def start(mode: Mode, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
         exhausted=jnp.asarray(False),
         way=none + 1.0 if edges else None,
         clamped=jnp.asarray(False) if coupled else None,
+        share=None if mode.friction is None else jnp.asarray(1.0),
     )
 
 
 def kick(flow: Flow, point: Point, tangent: Point, tangent_pose: Poses) -> Flow:
     """Take the first step: onwards along the path that has just become unstable, with the drive at rest."""
     length = jnp.sqrt(jnp.sum((tangent.z / scale_of(point.z)) ** 2))
-    step = flow.step / jnp.maximum(length, 1e-3)
+    step = flow.step if flow.share is None else flow.share * flow.step
+    step = step / jnp.maximum(length, 1e-3)
     return flow._replace(guess=point.z + step * tangent.z, pose=flow.pose + step * tangent_pose)
 
 
@@ -149,6 +152,11 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     steps = jnp.where(slipping_now, jnp.where(slipping[:, None], to_land, 0.0), share * steps)
     moves = jnp.where(slipping_now, 0.0, share * moves)
     longer = jnp.where(resolved, jnp.where(share < 1, 0.7, 1.4), 0.25)
+    if flow.share is not None:
+        # With the slopes of another slip or phase of one contact, the others would be led astray.
+        looks = jnp.any(~loose & ~_branch_known(flow))
+        part = jnp.where(looks, 0.0, flow.share)
+        steps, moves, longer = part * steps, part * moves, jnp.where(looks, 1.0, longer)
     # Across the branches, bases are held where the flow puts them; along the branches, they follow the contacts. A base
     # whose branch is not known yet waits.
     moved = loose[:, None] | (_branch_known(flow)[:, None] & (jnp.arange(axes) > 0))
@@ -256,17 +264,11 @@ def advance(
         piece, z = after_step(problem.profile, piece, previous, z, ~free & _branch_known(flow))
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
     friction, turned = mode.friction, (phase != mode.phase) & ~free
-    if friction is not None:
-        directions = _slips(problem, mode, previous, z)
-        turned |= (directions != friction.slip) & ~free
-        stuck, friction = with_slips(problem, z, mode, directions)
     if piece is not None and edges:
         turned |= piece != mode.piece
     by_x = newton.condensed.by_x
     slip = _slip(problem, flow, mode, z, u, pose, at, newton.condensed)
 
-    if friction is not None:
-        z = stuck
     now = mode._replace(side=jnp.where(slip.lands, -mode.side, mode.side)).freed(slip.freed, at)
     side, beside, fresh = now.side, now.beside, slip.begins | slip.lands
     among, number = slip.among, None
@@ -321,6 +323,7 @@ def advance(
         step=jnp.minimum(2 * flow.step, LARGEST_CHANGE),
         time_step=jnp.where(jnp.any(slip.freed | fresh), FIRST_TIME_STEP, flow.time_step),
         clamped=None if flow.clamped is None else jnp.all(slip.holds),
+        share=None if flow.share is None else jnp.ones_like(flow.share),
     )
     return flow, Mode(phase, side, jnp.asarray(False), friction=friction, piece=piece, beside=beside), z
 
@@ -333,23 +336,55 @@ def _known_slopes(slopes: Slopes, unknown: Bool[Array, "whiskers 1"]) -> Slopes:
     return jnp.where(rows[:, None] | rows, 0.0, slopes)
 
 
-def _slips(problem: Problem, mode: Mode, previous: Contacts, z: Contacts) -> Int[Array, " whiskers"]:
-    """Directions in which contacts slip after a step; those that turned back stick, those that lean too far slip."""
+class Disagreement(NamedTuple):
+    """Contacts whose slips, with which a step was solved for, do not agree with how they move in it."""
+
+    wrong: Bool[Array, ""]  # whether the step must be repeated with other slips
+    slip: Int[Array, " whiskers"]  # these slips
+    share: Scalar  # of the step, up to which no lean exceeds its limit
+
+
+def disagreement(problem: Problem, flow: Flow, mode: Mode, previous: Contacts, z: Contacts) -> Disagreement:
+    """Compare the motion of contacts in a step with their slips.
+
+    A contact that slips back sticks from the start of the step on; one that sticks slips from where its lean reaches
+    the limit. Only the first of several is changed at a time (see leaving.py).
+    """
     assert mode.friction is not None and problem.friction_angle is not None
-    slip, lean = mode.friction.slip, z[:, 1]
+    slip, limit = mode.friction.slip, problem.friction_angle
+    known = (mode.phase != Phase.free) & _branch_known(flow) & ~flow.sliding
     slipped = slip * jnp.sum(slip_by_contact(problem, z, mode) * (z - previous), axis=-1)
-    backwards = jnp.where(problem.friction_angle > 0, 0, -slip)
-    slips = jnp.where(jnp.abs(lean) > problem.friction_angle + LEANING, jnp.sign(lean).astype(int), 0)
-    return jnp.where(slip == 0, slips, jnp.where(slipped < -SLIPPED, backwards, slip))
+    back = known & (slip != 0) & (slipped < -SLIPPED)
+    way = jnp.sign(z[:, 1])
+    before, after = way * previous[:, 1], way * z[:, 1]
+    leans = (mode.phase != Phase.free) & (slip == 0) & (after > limit + LEANING) & (after > before)
+    at_limit = leans & known & (before > limit - AT_LIMIT)
+    wrong = back | at_limit
+    changed = jnp.where(back, jnp.where(limit > 0, 0, -slip), way.astype(int))
+    # Half of the tolerance is left for the curvature of the branch.
+    share = jnp.where(leans & ~at_limit, (limit - before - AT_LIMIT / 2) / (after - before), 1.0)
+    first = wrong & (jnp.cumsum(wrong) == 1)
+    return Disagreement(jnp.any(wrong), jnp.where(first, changed, slip), jnp.min(share))
 
 
-def follows(problem: Problem, mode: Mode, solution: Solution) -> Bool[Array, ""]:
-    """Whether all whiskers can follow a step, and no contact that sticks began to slip well before its end."""
-    if mode.friction is None or problem.friction_angle is None:
-        return solution.converged
-    sticks = (mode.phase != Phase.free) & (mode.friction.slip == 0)
-    leans = jnp.abs(solution.point.z[:, 1])
-    return solution.converged & ~jnp.any(sticks & (leans > problem.friction_angle + OVERSHOOT))
+def repeated(flow: Flow, changed: Bool[Array, " whiskers"]) -> Flow:
+    """The flow before a step that is repeated, shorter, with other slips of these contacts."""
+    iterations = flow.iterations + 1
+    return flow._replace(
+        basis=jnp.where(changed[:, None, None], 0.0, flow.basis),
+        step=flow.step / 4,
+        time_step=flow.time_step / 4,
+        share=jnp.asarray(1.0),
+        iterations=iterations,
+        exhausted=iterations > ITERATIONS,
+    )
+
+
+def partly(flow: Flow, share: Scalar) -> Flow:
+    """The flow before a step of which only a share is taken."""
+    iterations = flow.iterations + 1
+    share = flow.share * jnp.clip(share, 1e-3, 0.999)
+    return flow._replace(share=share, iterations=iterations, exhausted=iterations > ITERATIONS)
 
 
 def shortened(flow: Flow) -> Flow:

@@ -395,10 +395,27 @@ def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, tr
         lead=Lead(none, jnp.zeros_like(flow.pose), state.direction),
     )
     shorter = state._replace(flow=snap_flow.shortened(state.flow))
-    followed = snap_flow.follows(problem, state.mode, solution)
+    cases, converged = [], solution.converged
+    if state.mode.friction is not None:
+        found = snap_flow.disagreement(problem, state.flow, state.mode, state.point.z, solution.point.z)
+        stuck, friction = with_slips(problem, state.point.z, state.mode, found.slip)
+        again = state._replace(
+            task=jnp.asarray(int(Task.flow)),
+            mode=state.mode._replace(friction=friction),
+            point=state.point._replace(z=stuck),
+            flow=snap_flow.repeated(state.flow, found.slip != state.mode.friction.slip),
+        )
+        partly = state._replace(flow=snap_flow.partly(state.flow, found.share))
+        exhausted = partly.flow.exhausted & converged & (found.wrong | (found.share < 1))
+        cases = [
+            (exhausted, state.stopped(Status.unsettled)),
+            (converged & found.wrong, again),
+            (converged & (found.share < 1), partly),
+        ]
     new = first_case(
-        (jnp.where(followed, flow.exhausted, shorter.flow.exhausted), state.stopped(Status.unsettled)),
-        (~followed, shorter),
+        *cases,
+        (jnp.where(converged, flow.exhausted, shorter.flow.exhausted), state.stopped(Status.unsettled)),
+        (~converged, shorter),
         otherwise=flowing,
     )
     return new, jnp.asarray(False), state.pending
