@@ -129,6 +129,9 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
     scale = scale_of(state.point.z)
     error, good = _prediction_error(state, trial, guess, scale)
+    if state.mode.friction is not None:
+        # A stable path does not turn back. A nearly straight whisker that sticks has another equilibrium close by.
+        good &= ~trial.stable | (state.turn(trial.tangent) > -FOLD_SLOPE)
     violated, target = first_violated(state, trial, state.step)
     dips, share = dip(problem, state, trial, state.step)
     dips &= ~violated
