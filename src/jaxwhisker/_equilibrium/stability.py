@@ -20,6 +20,7 @@ from jaxwhisker._base.linear_algebra import (
     solve,
     times_block_diagonal,
 )
+from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import Condensed, load_rows
 from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import PerWhisker, Problem
@@ -27,7 +28,19 @@ from jaxwhisker._equilibrium.problem import PerWhisker, Problem
 # Sign of `by_x` on a stable branch for an approach from the right; the branch has the direction grad turn x grad y.
 BRANCH_SIGN = -1.0
 
+RIGID = 1e-9  # rate `by_x` that may be rounding
+
 Slopes = Float[Array, "whiskers axes axes"] | Float[Array, "rows rows"]  # of each base, or of all bases coupled
+
+
+def is_rigid(mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
+    """Whether whiskers are straight rods between their base and a tip that sticks, with hardly any force.
+
+    Such a rod, which does not stretch, holds its base along its own line. It is stable, but rounding alone decides
+    about the signs of its huge stiffness and of its rate along the branch.
+    """
+    assert mode.friction is not None
+    return (mode.phase != Phase.free) & (mode.friction.slip == 0) & (jnp.abs(by_x) < RIGID)
 
 
 def load_slopes(problem: Problem, mode: Mode, at: Condensed) -> Slopes:
@@ -47,7 +60,10 @@ def load_slopes(problem: Problem, mode: Mode, at: Condensed) -> Slopes:
     along = at.load_by[:, :, 0] / by_x
     columns = [along]
     columns += [at.load_by[:, :, k] - along * at.pose_by[:, :1, k] for k in range(1, at.load.shape[-1])]
-    return jnp.where(problem.solved(mode.phase)[:, None, None], jnp.stack(columns, axis=-1), 0.0)
+    known = problem.solved(mode.phase)
+    if mode.friction is not None:
+        known &= ~is_rigid(mode, at.by_x)
+    return jnp.where(known[:, None, None], jnp.stack(columns, axis=-1), 0.0)
 
 
 def network_is_stable(problem: Problem, slope: Slopes) -> Bool[Array, ""]:
@@ -70,7 +86,8 @@ def on_stable_branch(problem: Problem, mode: Mode, by_x: PerWhisker) -> Bool[Arr
     There the base moves along the branch in the same direction as just after first touch; between two folds it moves
     back.
     """
-    return problem.bends_from(mode.phase, mode.side) * by_x * BRANCH_SIGN > 0
+    holds = problem.bends_from(mode.phase, mode.side) * by_x * BRANCH_SIGN > 0
+    return holds if mode.friction is None else holds | is_rigid(mode, by_x)
 
 
 def clamped_is_stable(problem: Problem, mode: Mode, at: Condensed) -> Bool[Array, ""]:
