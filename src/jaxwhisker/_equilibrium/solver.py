@@ -14,8 +14,8 @@ from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 
 
-FINER = 100.0  # factor by which leans must be more accurate than other unknowns
-ROUNDING = 4e-15  # residual that rounding may leave
+FINER = 100.0  # factor by which leans of large forces must be more accurate than other unknowns
+ROUNDING = 1e-14  # residual that rounding may leave
 
 
 class _NewtonState(NamedTuple):
@@ -66,13 +66,13 @@ class StructuredNewton(optx.AbstractRootFinder):
 def _with_leans(changes: Contacts, z: Contacts, mode: Mode, residual: Float[Array, "*batch"]) -> Contacts:
     """The changes of contacts in a Newton step, with those of leans weighted.
 
-    The equations of a nearly straight whisker that sticks with its tip hardly depend on the lean of its force. Newton's
-    method converges slowly, and rounding limits the accuracy: that of the force across the normal, force times lean.
+    The equations of a nearly straight whisker that sticks with its tip hardly depend on the lean of its force: Newton's
+    method converges slowly, and rounding may keep the lean from converging at all. Then the residual decides.
     """
     assert mode.friction is not None
     sticks = (mode.phase != Phase.free) & (mode.friction.slip == 0)
     counts = (residual > ROUNDING)[..., None]
-    weight = jnp.where(sticks, jnp.where(counts, FINER * jnp.clip(z[..., 0], 0.0, 1.0), 0.0), 1.0)
+    weight = jnp.where(sticks, jnp.where(counts, jnp.clip(FINER * z[..., 0], 1.0, FINER), 0.0), 1.0)
     return changes.at[..., 1].multiply(weight)
 
 
