@@ -124,7 +124,8 @@ def with_slips(problem: Problem, z: Contacts, mode: Mode, slip: Int[Array, " whi
     )
     leans = jnp.clip(jnp.where(old.slip == 0, z[:, 1], old.slip * limit), -limit, limit)
     light = begins & (z[:, 0] <= LIGHT)
-    leans = jnp.where(light, 0.0, leans)  # a first guess
+    # A first guess: the force that begins to bend a straight whisker acts across it.
+    leans = jnp.where(light, mode.side * jnp.minimum(z[:, 2], 0.0), leans)
     z = z.at[:, 0].set(jnp.where(light, LIGHT, z[:, 0])).at[:, 1].set(jnp.where(slip == 0, leans, at))
     return z, friction
 

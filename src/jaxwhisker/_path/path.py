@@ -147,7 +147,8 @@ def each_touch(margins: PerObject) -> list[PerWhisker]:
 
 
 TOUCH, RELEASE, PHASE, VERTEX, AT_STOP, SLIP, LOW, HIGH = range(len(Margins._fields))  # indices into Margins
-CONE_NOISE = 1e-8  # accuracy of the force across the normal, in EI/L^2: of a nearly straight whisker that sticks
+LEAN_NOISE = 1e-6  # largest error of the lean of a nearly straight whisker that sticks
+CONE_NOISE = 1e-8  # ... and of this whisker's force across the normal, in EI/L^2
 MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
 
 
@@ -185,7 +186,7 @@ def margins(
         phase=jnp.where(free, far, jnp.where(mode.phase == Phase.tip, -slack, slack)),
         vertex=jnp.where(free, far, ahead),
         stop=jnp.reshape(remaining, 1),
-        slip=_sticking(mode, lambda limit: _weight(force) * (limit - jnp.abs(lean)) + CONE_NOISE, friction_angle, far),
+        slip=_sticking(mode, lambda limit: limit - jnp.abs(lean) + lean_noise(force), friction_angle, far),
         low=low,
         high=high,
     )
@@ -193,28 +194,23 @@ def margins(
 
 def margin_rates(problem: Problem, mode: Mode, point: Point, direction: Point, pose_rate: Poses) -> Margins:
     """Derivatives of the margins along the path; zero for vertex and stop, which are passed only once."""
-    free, force, lean = mode.phase == Phase.free, point.z[:, 0], point.z[:, 1]
+    free, lean = mode.phase == Phase.free, point.z[:, 1]
     moves = jnp.where(free, 0.0, direction.z[:, 1]) if problem.profile.has_edges else NOTHING
-
-    def slip(limit):
-        grows = jnp.where(force < 1, direction.z[:, 0] * (limit - jnp.abs(lean)), 0.0)
-        return grows - _weight(force) * jnp.sign(lean) * direction.z[:, 1]
-
     return Margins(
         touch=jnp.where(free, problem.touch_rate(mode.standing, pose_rate), 0.0),
         release=jnp.where(free, 0.0, direction.z[:, 0]),
         phase=jnp.where(free, 0.0, jnp.where(mode.phase == Phase.tip, -1.0, 1.0) * direction.z[:, 2]),
         vertex=jnp.zeros_like(mode.side),
         stop=jnp.zeros(1),
-        slip=_sticking(mode, slip, problem.friction_angle, 0.0),
+        slip=_sticking(mode, lambda _: -jnp.sign(lean) * direction.z[:, 1], problem.friction_angle, 0.0),
         low=moves,
         high=-moves,
     )
 
 
-def _weight(force: PerWhisker) -> PerWhisker:
-    """Weight of leans in margins: the lean of a small force is not accurate."""
-    return jnp.clip(force, 0.0, 1.0)
+def lean_noise(force: PerWhisker) -> PerWhisker:
+    """Angle by which rounding may make the leans of contacts that stick exceed their limit."""
+    return jnp.minimum(LEAN_NOISE, CONE_NOISE / jnp.maximum(force, CONE_NOISE))
 
 
 def _sticking(
