@@ -15,6 +15,7 @@ from jaxwhisker._equilibrium.problem import Problem
 
 
 FINER = 100.0  # factor by which leans of large forces must be more accurate than other unknowns
+SMALL = 1e-3  # force below which other unknowns must be more accurate
 ROUNDING = 1e-14  # residual that rounding may leave
 
 
@@ -46,7 +47,7 @@ class StructuredNewton(optx.AbstractRootFinder):
         step, changes = newton.step, jnp.abs(newton.step.z) / scale_of(y.z)
         _, mode, _ = args
         if mode.friction is not None:
-            changes = _with_leans(changes, y.z, mode, newton.residual)
+            changes = _of_sticking(changes, y.z, mode, newton.residual)
         size = jnp.maximum(jnp.max(changes, axis=(-2, -1)), jnp.abs(step.u))
         if size.ndim > 0:
             solved = state.step_size < self.atol
@@ -63,17 +64,20 @@ class StructuredNewton(optx.AbstractRootFinder):
         return y, aux, {}
 
 
-def _with_leans(changes: Contacts, z: Contacts, mode: Mode, residual: Float[Array, "*batch"]) -> Contacts:
-    """The changes of contacts in a Newton step, with those of leans weighted.
+def _of_sticking(changes: Contacts, z: Contacts, mode: Mode, residual: Float[Array, "*batch"]) -> Contacts:
+    """The changes of contacts in a Newton step, with those of contacts that stick weighted.
 
-    The equations of a nearly straight whisker that sticks with its tip hardly depend on the lean of its force: Newton's
-    method converges slowly, and rounding may keep the lean from converging at all. Then the residual decides.
+    Next to a small force, small changes of the other unknowns matter. The equations of a nearly straight whisker hardly
+    depend on the lean of its force: Newton's method converges slowly, and rounding may keep the lean from converging at
+    all. Then the residual decides.
     """
     assert mode.friction is not None
-    sticks = (mode.phase != Phase.free) & (mode.friction.slip == 0)
-    counts = (residual > ROUNDING)[..., None]
-    weight = jnp.where(sticks, jnp.where(counts, jnp.clip(FINER * z[..., 0], 1.0, FINER), 0.0), 1.0)
-    return changes.at[..., 1].multiply(weight)
+    sticks = ((mode.phase != Phase.free) & (mode.friction.slip == 0))[..., None]
+    counts, force = (residual > ROUNDING)[..., None], z[..., 0]
+    by_lean = jnp.where(counts, jnp.clip(FINER * force, 1.0, FINER), 0.0)
+    others = jnp.clip(SMALL / jnp.maximum(force, SMALL * SMALL), 1.0, 1 / SMALL)[..., None]
+    weights = jnp.broadcast_to(jnp.where(counts[..., None], others, 1.0), changes.shape).at[..., 1].set(by_lean)
+    return changes * jnp.where(sticks, weights, 1.0)
 
 
 class Solution(NamedTuple):
