@@ -29,8 +29,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.friction import newly_slipping
-from jaxwhisker._equilibrium.newton import Condensed, contact_parameters, slip_by_contact
+from jaxwhisker._equilibrium.friction import newly_slipping, slipping_from
+from jaxwhisker._equilibrium.newton import LIGHT, Condensed, contact_parameters, slip_by_contact
 from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance, of_object
@@ -360,7 +360,10 @@ def disagreement(problem: Problem, flow: Flow, mode: Mode, previous: Contacts, z
     leans = (mode.phase != Phase.free) & (slip == 0) & (after > limit + LEANING) & (after > before)
     at_limit = leans & known & (before > limit - AT_LIMIT)
     wrong = back | at_limit
-    changed = jnp.where(back, jnp.where(limit > 0, 0, -slip), way.astype(int))
+    # A contact that has just begun may slip either way or, if neither agrees with its motion, stick.
+    unloaded = (previous[:, 0] <= LIGHT) & (slip == slipping_from(mode.side).slip)
+    after_back = jnp.where((limit > 0) & ~unloaded, 0, -slip)
+    changed = jnp.where(back, after_back, way.astype(int))
     # Half of the tolerance is left for the curvature of the branch.
     share = jnp.where(leans & ~at_limit, (limit - before - AT_LIMIT / 2) / (after - before), 1.0)
     first = wrong & (jnp.cumsum(wrong) == 1)

@@ -261,7 +261,16 @@ def after_event(problem: Problem, state: MarchState, trial: Trial):
         step=_step_to_fold(_turn_at_start(problem, state), distance, turn, jnp.inf),
     )
     node = _event_node(problem, state, trial, change, z_before)
+    cases = []
+    if problem.frames_move:
+        # Where the whisker touches, its tip may point the other way than where it was expected to touch.
+        tip, slack = target.phase == Phase.tip, jnp.where(change.touches, solution.point.z[:, 2], 0.0)
+        other = solution.converged & (jnp.where(tip, slack, -slack) > MARGIN_NOISE)
+        phase = jnp.where(other, jnp.where(tip, Phase.tangential, Phase.tip), target.phase)
+        contact = target.contact.at[:, 2].multiply(~other)
+        cases = [(jnp.any(other), state._replace(target=target._replace(phase=phase, contact=contact)))]
     new = first_case(
+        *cases,
         (~good & (again.step < SHORTEST_STEP), state.stopped(Status.lost)),
         (~good, again),
         (violated, state._replace(target=earlier)),
