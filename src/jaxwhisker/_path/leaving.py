@@ -18,6 +18,7 @@ from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
 from jaxwhisker._path.march_state import Lead, MarchState, Task, Trial, slips_on
 from jaxwhisker._path.path import (
+    LEAN_NOISE,
     MARGIN_NOISE,
     NO_EVENT,
     STOP,
@@ -33,7 +34,6 @@ from jaxwhisker._path.path import (
 ARRIVAL_MISS = 0.1  # the equilibrium at which a flow ends is nearer than this
 SLIP_NOISE = 1e-9  # rate of slip, per length of the path, that rounding may cause
 SLIPPED_BACK = 1e-9  # distance that a contact may slip back from the end of a flow to the equilibrium near it
-LEAN_NOISE = 1e-6  # a lean beyond its limit that is no rounding, not even where the force is smallest
 
 
 def after_arrive(
@@ -122,7 +122,9 @@ def _changed_slips(
     backwards = (onwards < -SLIP_NOISE) | ((state.mode.phase != Phase.free) & unloaded & falls & (limit > 0))
     sticks = (state.mode.phase != Phase.free) & (slip == 0)
     exceeds = (jnp.abs(leans) > limit - SLIP_NOISE) & (jnp.sign(leans) * tangent.z[:, 1] > SLIP_NOISE)
-    exceeds = sticks & ~state.rests & (exceeds | (jnp.abs(leans) > limit + LEAN_NOISE))
+    # A contact that sticks from its first touch may have a lean that no friction allows.
+    allowed = jnp.abs(leans) < limit + LEAN_NOISE
+    exceeds = sticks & ~state.rests & (exceeds | (~allowed & is_light(state.mode, state.point.z)))
     can_stick = (~unloaded | (state.tries > 0)) & (limit > 0)
     changed = jnp.where(exceeds, jnp.sign(leans).astype(int), jnp.where(can_stick, 0, -slip))
     wrong = backwards | exceeds
