@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.newton import LIGHT, is_light, slip_by_contact, slope_sines, with_slips
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
-from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.problem import PerWhisker, Problem
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
 from jaxwhisker._path.march_state import Lead, MarchState, Task, Trial, slips_on
@@ -148,6 +148,10 @@ def with_changed_slips(
     before, earlier = state.mode.friction, state.pending.friction_before
     assert before is not None and earlier is not None and state.tries is not None
     z, friction = with_slips(problem, node.point.z, state.mode, slip)
+    if not rest:
+        starts = is_light(state.mode._replace(friction=friction), z) & (before.slip != 0)
+        known, leans = _first_leans(problem, state, arriving)
+        z = z.at[:, 1].set(jnp.where(starts & known, leans, z[:, 1]))
     fresh = state.tries == 0
     # Slips at an event are changed after the event itself.
     z_before = jnp.where(fresh, node.point.z, state.pending.z_before)
@@ -188,6 +192,24 @@ def with_changed_slips(
         tries=state.tries + 1,
         rests=changes & (slip == 0) if rest else state.rests,
     )
+
+
+def _first_leans(problem: Problem, state: MarchState, tangent: Point) -> tuple[Bool[Array, " whiskers"], PerWhisker]:
+    """Leans of contacts that stick from their first touch, where neither slip is possible; and whether they are known.
+
+    At vanishing force the equations are linear. The path with a contact that sticks is therefore that combination of
+    the paths with slips in both directions in which the contact does not slip. The tangent is that with the present
+    slips, and the pending node arrives along that with the slips tried before.
+    """
+    friction, limit, other = state.mode.friction, problem.friction_angle, state.pending.arriving
+    assert friction is not None and limit is not None
+    by_contact = slip_by_contact(problem, state.point.z, state.mode)
+    rate, other_rate = (jnp.sum(by_contact * one.z, axis=-1) for one in (tangent, other))
+    force, other_force = other_rate * tangent.z[:, 0], -rate * other.z[:, 0]
+    onwards = jnp.where(state.direction * (other_rate * tangent.u - rate * other.u) < 0, -1.0, 1.0)
+    across = friction.slip * jnp.sin(limit) * (force - other_force)
+    along = jnp.cos(limit) * (force + other_force)
+    return onwards * along > 0, jnp.arctan2(onwards * across, onwards * along)
 
 
 def _is_over(
