@@ -190,7 +190,11 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
         (state, *empty),
         (state.stopped(Status.invalid), *empty),
     )
-    most = 8 * capacity // CHUNK
+    room = capacity
+    if problem.friction_angle is not None:
+        # No more for stops that only pad a traced control.
+        room = capacity * jnp.maximum(1, (last + 1) // 2) // max(1, stops.shape[0] // 2)
+    most = 8 * room // CHUNK
 
     def running(carry):
         # The second condition is never the first to fail. Without it, XLA takes the task for a counter and analyses the
@@ -207,7 +211,7 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
 
         state, (index, rows) = jax.lax.scan(iteration, state, None, length=CHUNK)
         table = table.at[jnp.where(index < 0, capacity, index)].set(rows, mode="drop")
-        full = (state.count >= capacity) | (used >= most)
+        full = (state.count >= room) | (used >= most)
         return select(full, state.stopped(Status.too_long), state), table, used + 1
 
     state, table, _ = jax.lax.while_loop(running, chunk, start)

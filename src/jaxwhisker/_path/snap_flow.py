@@ -47,11 +47,12 @@ LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; 
 SHORTEST = 1e-7  # smallest such change that is tried if a whisker cannot follow a larger one
 FIRST_TIME_STEP = 1e-3
 NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
-ITERATIONS = 3000
+ITERATIONS = 2000  # fewer than a march may have in all: a flow that does not end is `unsettled`, not `too_long`
 TOUCH = 1e-8  # tolerance for the position of a base where its whisker touches, and thus for the force of a new contact
 SLIPPED = 1e-12  # distance that a contact may slip back before it sticks
 LEANING = 1e-12  # angle by which a contact that sticks may lean too far
 AT_LIMIT = 1e-8  # a contact that sticks begins to slip where its lean is this close to its limit
+ASTRAY = 0.5  # relative distance between the guess and the solution of a step that is too long
 LANDED = 1e-6  # tolerance for the base position at which a slipped whisker's slide or landing ends
 
 
@@ -368,6 +369,20 @@ def disagreement(problem: Problem, flow: Flow, mode: Mode, previous: Contacts, z
     share = jnp.where(leans & ~at_limit, (limit - before - AT_LIMIT / 2) / (after - before), 1.0)
     first = wrong & (jnp.cumsum(wrong) == 1)
     return Disagreement(jnp.any(wrong), jnp.where(first, changed, slip), jnp.min(share))
+
+
+def goes_astray(mode: Mode, previous: Contacts, guess: Contacts, z: Contacts) -> Bool[Array, ""]:
+    """Whether a step ends so far from its guess that branches are curved more strongly than it resolves.
+
+    A whisker that just reaches a blunt object passes it within a small part of the usual step.
+    """
+    assert mode.friction is not None
+    scale = scale_of(previous)
+    # The leans of small forces are not accurate.
+    weight = jnp.where(mode.friction.slip == 0, jnp.clip(previous[:, 0], 0.0, 1.0), 1.0)
+    scale = scale.at[:, 1].divide(jnp.maximum(weight, LIGHT))
+    step, miss = (jnp.max(jnp.abs(difference) / scale) for difference in (guess - previous, z - guess))
+    return (step > 0) & (miss > ASTRAY * step)
 
 
 def repeated(flow: Flow, changed: Bool[Array, " whiskers"]) -> Flow:

@@ -409,6 +409,10 @@ def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, tr
     shorter = state._replace(flow=snap_flow.shortened(state.flow))
     cases, converged = [], solution.converged
     if state.mode.friction is not None:
+        converged &= ~snap_flow.goes_astray(state.mode, state.point.z, proposed.guess, solution.point.z)
+        # The first step must not leave the object: contacts may be lighter than it is long.
+        touching = state.mode.phase != Phase.free
+        converged &= (state.task != Task.kick) | ~jnp.any(touching & (solution.point.z[:, 0] < 0))
         found = snap_flow.disagreement(problem, state.flow, state.mode, state.point.z, solution.point.z)
         stuck, friction = with_slips(problem, state.point.z, state.mode, found.slip)
         again = state._replace(
