@@ -16,7 +16,8 @@ from jaxwhisker._equilibrium.problem import Problem
 
 FINER = 100.0  # factor by which leans of large forces must be more accurate than other unknowns
 SMALL = 1e-3  # force below which other unknowns must be more accurate
-ROUNDING = 1e-14  # residual that rounding may leave
+SMALLEST = 1e-6  # force below which they need not be still more accurate
+ROUNDING = 1e-8  # residual that rounding may leave, divided by a small force
 
 
 class _NewtonState(NamedTuple):
@@ -69,14 +70,15 @@ def _of_sticking(changes: Contacts, z: Contacts, mode: Mode, residual: Float[Arr
 
     Next to a small force, small changes of the other unknowns matter. The equations of a nearly straight whisker hardly
     depend on the lean of its force: Newton's method converges slowly, and rounding may keep the lean from converging at
-    all. Then the residual decides.
+    all. Where no residual is left but that of rounding, only the change of the force itself counts.
     """
     assert mode.friction is not None
     sticks = ((mode.phase != Phase.free) & (mode.friction.slip == 0))[..., None]
-    counts, force = (residual > ROUNDING)[..., None], z[..., 0]
-    by_lean = jnp.where(counts, jnp.clip(FINER * force, 1.0, FINER), 0.0)
-    others = jnp.clip(SMALL / jnp.maximum(force, SMALL * SMALL), 1.0, 1 / SMALL)[..., None]
-    weights = jnp.broadcast_to(jnp.where(counts[..., None], others, 1.0), changes.shape).at[..., 1].set(by_lean)
+    force = jnp.clip(z[..., 0], SMALLEST, 1.0)
+    counts = residual[..., None] > ROUNDING * jnp.minimum(force, SMALL)
+    by_lean = jnp.where(counts, jnp.maximum(FINER * force, 1.0), force)
+    others = jnp.where(counts, jnp.maximum(SMALL / force, 1.0), 1.0)[..., None]
+    weights = jnp.broadcast_to(others, changes.shape).at[..., 1].set(by_lean)
     return changes * jnp.where(sticks, weights, 1.0)
 
 

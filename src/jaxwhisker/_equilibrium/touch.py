@@ -15,6 +15,9 @@ from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
 SHAFT_FIRST = 1e-12  # a first contact is tangential if more than this share of the length lies above it
+# A whisker that reaches less than this share of its length beyond the lowest point of the object passes below it. At such
+# heights rounding decides where it touches, and it would touch on less than 1e-5 of its length.
+GRAZE = 5e-11
 POINTS = 65  # along a whisker that is not upright and straight, at which the first touch is searched for
 SAME_HEIGHT = 1e-6  # dimensionless tolerance for whisker and object at the same height, and for equal distances
 HALVINGS = 20  # of two cells around the point of the whisker that touches first: to within 1e-8 of the length
@@ -84,7 +87,7 @@ def first_touch_upright(profile: AbstractProfile, length: Scalar, side: Scalar) 
     # An upright whisker never points below the tangent of an object that ends in a wall.
     angle = jnp.arctan2(jnp.abs(at.cos), side * at.sin)
     slack = jnp.where(beyond > SHAFT_FIRST * length, beyond, -angle)
-    reaches = jnp.asarray(length > profile.vertex()[1])
+    reaches = jnp.asarray((1 - GRAZE) * length > profile.vertex()[1])
     return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), reaches, touch.piece)
 
 

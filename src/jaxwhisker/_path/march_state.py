@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase, beyond
-from jaxwhisker._equilibrium.newton import slip_by_contact, slope_sines
+from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance
@@ -172,7 +172,7 @@ def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop
         there=margins_there,
         stance=there,
         standing=problem.updated_side(free, state.mode.standing, there),
-        slips_on=slips_on(problem, state.mode, solution.point.z, tangent.z),
+        slips_on=loaded_slips_on(problem, state.mode, solution.point.z, tangent.z),
         friction_angle=problem.friction_angle,
         reason=reason,
         ends=_ends(problem, state.mode),
@@ -197,6 +197,12 @@ def slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> Per
     slips = (mode.phase != Phase.free) & (mode.friction.slip != 0)
     rates = jnp.sum(slip_by_contact(problem, z, mode) * z_rate, axis=-1)
     return jnp.where(slips, mode.friction.slip * rates, jnp.inf)
+
+
+def loaded_slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
+    """The same, infinite also for contacts of hardly any force: these of straight whiskers slip at no rate."""
+    rates = slips_on(problem, mode, z, z_rate)
+    return None if rates is None else jnp.where(z[:, 0] > LIGHT, rates, jnp.inf)
 
 
 def _direction_of_parabola(

@@ -21,7 +21,7 @@ from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, of_objec
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.leaving import SLIP_NOISE, to_snap, with_changed_slips
-from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, slips_on
+from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, loaded_slips_on
 from jaxwhisker._path.path import (
     AT_STOP,
     HIGH,
@@ -176,7 +176,7 @@ def _lowest(turn: Scalar, slips_on: PerWhisker | None) -> Scalar:
 
 
 def _turn_at_start(problem: Problem, state: MarchState) -> Scalar:
-    slips = slips_on(problem, state.mode, state.point.z, state.tangent.z)
+    slips = loaded_slips_on(problem, state.mode, state.point.z, state.tangent.z)
     return _lowest(state.turn(state.tangent), slips)
 
 
