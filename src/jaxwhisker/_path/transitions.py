@@ -43,6 +43,7 @@ from jaxwhisker._path.path import (
 )
 
 PREDICTION_ERROR = 2e-3  # target; states between nodes are then interpolated to about 1e-6 before they are solved for
+FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact that sticks
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
 FOLD_SLOPE = 1e-9  # du/ds below which a fold counts as located: the error of the state is of this size, of u its square
@@ -132,6 +133,7 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     if state.mode.friction is not None:
         # A stable path does not turn back. A nearly straight whisker that sticks has another equilibrium close by.
         good &= ~trial.stable | (state.turn(trial.tangent) > -FOLD_SLOPE)
+        good &= _forces_are_near(state, guess.z[:, 0], trial.solution.point.z[:, 0])
     violated, target = first_violated(state, trial, state.step)
     dips, share = dip(problem, state, trial, state.step)
     dips &= ~violated
@@ -200,6 +202,18 @@ def _prediction_error(state: MarchState, trial: Trial, guess: Point, scale: Cont
     error = jnp.sqrt(dot(miss, miss, scale))
     straight = dot(state.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
     return error, solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
+
+
+def _forces_are_near(state: MarchState, guess: PerWhisker, force: PerWhisker) -> Bool[Array, ""]:
+    """Whether the forces of contacts that stick are near their predictions, relative to their sizes.
+
+    Without any force, a contact at rest satisfies the equations with every lean. Where forces are small, Newton's method
+    may arrive there.
+    """
+    assert state.mode.friction is not None
+    sticks = (state.mode.phase != Phase.free) & (state.mode.friction.slip == 0)
+    size = jnp.maximum(jnp.abs(guess), state.point.z[:, 0])
+    return jnp.all(~sticks | (jnp.abs(force - guess) < FORCE_ERROR * size))
 
 
 def _onwards(
