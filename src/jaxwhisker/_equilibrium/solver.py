@@ -16,6 +16,7 @@ from jaxwhisker._equilibrium.problem import Problem
 FINER = 100.0  # factor by which leans of large forces must be more accurate than other unknowns
 SMALL = 1e-3  # force below which other unknowns must be more accurate
 SMALLEST = 1e-6  # force below which they need not be still more accurate
+TENFOLD = 10.0  # the same factor for forces across the normal, where rounding limits the accuracy
 STALLED = 0.5  # a Newton step that is not smaller than the one before by this factor consists of rounding errors
 NOISE = 1e-6  # residual that rounding may leave, divided by the smallest force, up to the size `SMALL`
 
@@ -89,7 +90,7 @@ def _of_sticking(changes: Contacts, z: Contacts, mode: Mode) -> tuple[Contacts, 
     force = jnp.clip(z[..., 0], SMALLEST, 1.0)
     others = jnp.broadcast_to(jnp.maximum(SMALL / force, 1.0)[..., None], changes.shape)
     strict = others.at[..., 1].set(jnp.maximum(FINER * force, 1.0))
-    loose = jnp.ones_like(changes).at[..., 1].set(force)
+    loose = jnp.ones_like(changes).at[..., 1].set(TENFOLD * force)
     return changes * jnp.where(sticks, strict, 1.0), changes * jnp.where(sticks, loose, 1.0)
 
 

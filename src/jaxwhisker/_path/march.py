@@ -47,6 +47,7 @@ from jaxwhisker._path.path import (
 )
 from jaxwhisker._path.transitions import after_advance, after_event, after_flow
 
+STOPS = 8  # stops of a route that turns are padded to a multiple of this
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
 
@@ -172,6 +173,13 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
     )
 
 
+def capacity_of(problem: Problem, stops: int) -> int:
+    """Largest number of nodes on a path to this many stops."""
+    n, objects = problem.length.shape[0], problem.profile.objects
+    pieces = sum(1 + one.breaks().size for one in objects)
+    return ((256 + 60 * n) * len(objects) + 4 * pieces * n) * max(1, stops // 2)
+
+
 def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], *, capacity: int) -> Path:
     """Follow the path from where all whiskers are free to stops[0], stops[1], ..., stops[last].
 
@@ -192,8 +200,9 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     )
     room = capacity
     if problem.friction_angle is not None:
-        # No more for stops that only pad a traced control.
-        room = capacity * jnp.maximum(1, (last + 1) // 2) // max(1, stops.shape[0] // 2)
+        # A traced control is padded with more stops than it needs, and has no more room for them.
+        used_stops = STOPS * -(-(last + 1) // STOPS)
+        room = jnp.minimum(capacity, capacity_of(problem, 2) * jnp.where(last <= 1, 1, used_stops // 2))
     most = 8 * room // CHUNK
 
     def running(carry):

@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxwhisker._path.march import STOPS
 from jaxwhisker._path.path import Status
-
-STOPS = 8  # stops of a route that turns are padded to a multiple of this; a traced route has room for twice as many
 
 
 class Route(NamedTuple):

@@ -27,7 +27,7 @@ from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import approach_of
-from jaxwhisker._path.march import march
+from jaxwhisker._path.march import capacity_of, march
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.detect import detect, without_gains
 from jaxwhisker._scan.memory import places_of, remembered, with_places
@@ -234,13 +234,6 @@ class ScanPath(NamedTuple):
     stop: Float[Array, ""]
 
 
-def _capacity(problem: Problem, stops: int) -> int:
-    """Largest number of nodes on a path to this many stops."""
-    n, objects = problem.length.shape[0], problem.profile.objects
-    pieces = sum(1 + one.breaks().size for one in objects)
-    return ((256 + 60 * n) * len(objects) + 4 * pieces * n) * max(1, stops // 2)
-
-
 def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:
     """March to all stops, given in the scene's units; right across the object if the first one is NaN.
 
@@ -250,7 +243,7 @@ def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array
     unit, approach = problem.unit, approach_of(problem)
     limits, whole = approach.limits(), jnp.isnan(stops[0])
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
-    path = march(problem, stops, jnp.asarray(last), capacity=_capacity(problem, stops.shape[0]))
+    path = march(problem, stops, jnp.asarray(last), capacity=capacity_of(problem, stops.shape[0]))
     path, start, stop = approach.crop(path, whole, limits)
     path = detect(problem, without_gains(problem, path))
     return ScanPath(path, jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control))
