@@ -1,4 +1,4 @@
-"""Ordinary scenes with friction: plain whiskers, sizes and springs as in experiments; one kind per combination of parts.
+"""Ordinary scenes with friction: plain whiskers on springs as in experiments, one kind for each combination of parts.
 
 Extreme random scenes hide how often an ordinary one fails. All scenes of a kind have one problem shape.
 """

@@ -1,7 +1,7 @@
 """The overdamped flow of bases at a fixed drive, with friction: an explicit differential equation with hysteresis.
 
-Each whisker is clamped to a base at (x, 0) and bends to the left. Its force on the base is a hysteresis operator F of the
-path of x: the contact slips one way or the other, or sticks where it came to rest. The bases move with the velocities
+Each whisker is clamped to a base at (x, 0) and bends to the left. Its force on the base is a hysteresis operator F of
+the path of x: the contact slips one way or the other, or sticks where it came to rest. The bases move with velocities
 
     x_i' = F_i - [K (x - rest)]_i.
 
@@ -20,10 +20,12 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 from scipy.special import ellipj
 
-TOLERANCE = 1e-6  # of the integration
-STILL = 1e-8  # speed of bases that have come to rest
-LONG = 1e6  # pseudo-time
+TOLERANCE = 1e-8  # of the integration
+STILL = 1e-6  # speed of bases that have come to rest, by then
+FIRST_STEP = 1e-7
+LONG = 1e4  # pseudo-time
 PUSH = 1e-5  # of the drive, by which a flow leaves the equilibrium that lost its stability
+SLOW = 1e-7  # speed at which contacts may slip back because of rounding
 DIFFERENCE = 1e-6  # of the base, for rates
 REFINED = 3  # times that a step across a fold is divided by SHARES
 SHARES = 20
@@ -32,11 +34,11 @@ EVALUATIONS = 4000  # of the velocities, more than which take too long
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
-class NotCovered(Exception):
+class NotCoveredError(Exception):
     """The flow does what this oracle does not compute."""
 
 
-class Fold(Exception):
+class FoldError(Exception):
     """A whisker has passed a fold of its branch."""
 
     def __init__(self, whisker: "Whisker"):
@@ -147,7 +149,7 @@ class Whisker:
         c = self.of(solution)
         near = np.max(np.abs(solution - start)[1:]) < 0.3
         if not (near and np.max(np.abs(residual(solution))) < 1e-9 and self.orientation(c) == self.sign):
-            raise Fold(self)
+            raise FoldError(self)
         return c
 
     def rate(self, base_x: float) -> float:
@@ -174,7 +176,7 @@ def rest_of(
         nonlocal evaluations
         evaluations += 1
         if evaluations > EVALUATIONS:
-            raise NotCovered("it takes too long")
+            raise NotCoveredError("it takes too long")
         at, total = np.concatenate([[drive - PUSH], x]), np.zeros(len(x) + 1)
         for first, second, stiffness, rest in springs:
             tension = stiffness * (at[second] - at[first] - rest)
@@ -195,21 +197,19 @@ def rest_of(
                 return -c.slack if one.tip else c.slack
             if kind == "force":
                 return c.force
-            return one.slip * one.rate(x[k]) * velocities(x)[k]
+            return one.slip * one.rate(x[k]) * velocities(x)[k] + SLOW
 
         value.terminal, value.direction = True, -1
         return value
 
     last: list = []  # accepted steps
 
-    def still(t, x):
-        value = np.max(np.abs(velocities(x))) - STILL
+    def accepted(t, x):
+        """Remember an accepted step; this is no event."""
         last.append((t, np.array(x)))
         for k, one in enumerate(whiskers):
             one.contact = None if one.contact is None else one.at(x[k])
-        return value
-
-    still.terminal = True
+        return 1.0
 
     def follow(x, events):
         """Integrate to the next event or fold; return the bases and which event happens, or the whisker."""
@@ -222,35 +222,42 @@ def rest_of(
                     *((0, LONG), x, "LSODA"),
                     events=events,
                     rtol=TOLERANCE,
-                    atol=1e-8,
+                    atol=1e-10,
+                    first_step=min(FIRST_STEP, step),
                     max_step=step,
                 )
-            except Fold as fold:
-                times = [t for t, _ in last]
-                step = max(times[-1] - times[-2] if len(times) > 1 else times[-1], 1e-9) / SHARES
-                x, which = last[-1][1], fold.whisker
+            except ValueError as error:
+                raise NotCoveredError("an event is not resolved") from error
+            except FoldError as fold:
+                times, x, which = [t for t, _ in last], last[-1][1] if last else x, fold.whisker
+                if len(times) < 2 or times[-1] == times[-2]:
+                    break  # the flow begins at a fold
+                step = (times[-1] - times[-2]) / SHARES
                 continue
             return path.y[:, -1], [number for number, times in enumerate(path.t_events) if len(times)]
         return x, which
 
     x = np.array(bases, dtype=float)
     for _ in range(EVENTS):
+        for k, one in enumerate(whiskers):
+            if one.contact is not None and one.slip != 0 and margin(k, "slip")(0.0, x) < 0:
+                one.begins(slip=0)
         kinds = [
             (k, kind)
             for k, one in enumerate(whiskers)
             if one.contact is not None
             for kind in ("phase", "force", "slip" if one.slip != 0 else "limit")
         ]
-        x, happened = follow(x, [still, *(margin(*kind) for kind in kinds)])
+        x, happened = follow(x, [accepted, *(margin(*kind) for kind in kinds)])
         if isinstance(happened, Whisker):
             k = whiskers.index(happened)
             if x[k] > -reach(happened):
-                raise NotCovered("the whisker lands on the far side")
+                raise NotCoveredError("the whisker lands on the far side")
             happened.contact = None
-        elif happened == [0]:
+        elif not happened:
+            if np.max(np.abs(velocities(x))) > STILL:
+                raise NotCoveredError("the flow does not end")
             return x
-        elif not happened or 0 in happened:
-            raise NotCovered("the flow does not end")
         else:
             k, kind = kinds[happened[0] - 1]
             one = whiskers[k]
@@ -262,8 +269,8 @@ def rest_of(
             else:
                 one.begins(slip=0 if kind == "slip" else int(np.sign(one.contact.lean)))
         if any(one.contact is None and abs(x[k]) < reach(one) for k, one in enumerate(whiskers)):
-            raise NotCovered("a free whisker touches")
-    raise NotCovered("too many events")
+            raise NotCoveredError("a free whisker touches")
+    raise NotCoveredError("too many events")
 
 
 def reach(one: Whisker) -> float:

@@ -6,10 +6,10 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from snap_with_friction import NotCovered, Whisker, rest_of
+from snap_with_friction import Whisker, rest_of
 
 import jaxwhisker as jw
-from ordinary_scenes import drawn, scene_of
+from ordinary_scenes import KINDS, drawn, scene_of
 from scenes import all_ok
 
 CASES = json.loads((Path(__file__).parent.parent / "data/snap_friction.json").read_text())["cases"]
@@ -18,7 +18,6 @@ STORED = 5e-4  # accuracy of the bases after the snap that the reference is good
 BASES = 5e-4  # where contacts stick on the way, they do so within a step of the flow
 SNAP_AT = 1e-6  # the reference gives six digits
 DIGITS = 6e-4  # of the energies
-COMPARED = 24  # snaps
 
 
 @pytest.mark.parametrize("number", range(len(CASES)))
@@ -53,20 +52,19 @@ def by_oracle(scene, snap):
     return rest_of(whiskers, before.base_x, springs, snap.control)
 
 
-@pytest.mark.parametrize(("kind", "count"), [("two whiskers", 14), ("three whiskers", 4), ("weak friction", 4)])
-def test_snaps_end_where_the_explicit_flow_comes_to_rest(kind, count):
-    p, compared = drawn(kind, 40), 0
-    for number in range(40):
-        scene = scene_of(kind, jax.tree.map(lambda leaf: leaf[number], p))
-        result = jw.scan(scene, np.array([1.2, -5.0]))
+@pytest.mark.parametrize(("kind", "scenes"), [("two whiskers", 15), ("weak friction", 3), ("three whiskers", 3)])
+def test_snaps_end_where_the_explicit_flow_comes_to_rest(kind, scenes):
+    p = drawn(kind, scenes)
+    compared = 0
+    for number in range(scenes):
+        scene = scene_of(kind, jax.tree.map(lambda leaf, number=number: leaf[number], p))
+        result = jw.scan(scene, np.array(KINDS[kind].control))
         assert all_ok(result)
-        for snap in (event for event in result.events if event.kind in SNAPS):
-            try:
-                bases = by_oracle(scene, snap)
-            except NotCovered:
-                continue
+        snaps = [event for event in result.events if event.kind in SNAPS]
+        # Where all whiskers are free, nothing is left to compare.
+        touching = [snap for snap in snaps if np.any(np.asarray(snap.after.phase) != jw.Phase.free)]
+        for snap in (touching or snaps)[-1:]:
+            bases = by_oracle(scene, snap)
             np.testing.assert_allclose(snap.after.base_x, bases, atol=BASES, err_msg=f"{kind} {number}")
             compared += 1
-        if compared >= count:
-            return
-    raise AssertionError(f"only {compared} snaps were compared")
+    assert compared == scenes

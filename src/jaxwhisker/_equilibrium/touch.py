@@ -15,8 +15,8 @@ from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
 SHAFT_FIRST = 1e-12  # a first contact is tangential if more than this share of the length lies above it
-# A whisker that reaches less than this share of its length beyond the lowest point of the object passes below it. At such
-# heights rounding decides where it touches, and it would touch on less than 1e-5 of its length.
+# A whisker that reaches beyond the lowest point of the object by less than this share of its length passes below it.
+# There, rounding decides where it touches, and it would do so on a way of 1e-5 of its length.
 GRAZE = 5e-11
 POINTS = 65  # along a whisker that is not upright and straight, at which the first touch is searched for
 SAME_HEIGHT = 1e-6  # dimensionless tolerance for whisker and object at the same height, and for equal distances

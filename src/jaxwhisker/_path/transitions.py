@@ -207,8 +207,8 @@ def _prediction_error(state: MarchState, trial: Trial, guess: Point, scale: Cont
 def _forces_are_near(state: MarchState, guess: PerWhisker, force: PerWhisker) -> Bool[Array, ""]:
     """Whether the forces of contacts that stick are near their predictions, relative to their sizes.
 
-    Without any force, a contact at rest satisfies the equations with every lean. Where forces are small, Newton's method
-    may arrive there.
+    Without any force, a contact at rest satisfies the equations with every lean: where forces are small, Newton's
+    method may arrive there.
     """
     assert state.mode.friction is not None
     sticks = (state.mode.phase != Phase.free) & (state.mode.friction.slip == 0)
