@@ -3,7 +3,7 @@
 Extreme random scenes hide how often an ordinary one fails. All scenes of a kind have one problem shape.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -41,16 +41,17 @@ KINDS = {
 class Drawn(NamedTuple):
     """Numbers of scenes of one kind; leading axis: scenes."""
 
-    stiffness: np.ndarray  # (scenes, springs)
-    friction: np.ndarray
-    distance: np.ndarray
-    curvature: np.ndarray
+    stiffness: Any  # (scenes, springs)
+    friction: Any
+    distance: Any
+    curvature: Any
 
 
 def drawn(kind: str, count: int, seed: int = 0) -> Drawn:
     """Random numbers: stiffnesses log-uniform, the others uniform."""
     k, rng = KINDS[kind], np.random.default_rng([seed, list(KINDS).index(kind)])
-    stiffness = np.exp(rng.uniform(*np.log(k.stiffness), (count, k.springs)))
+    soft, stiff = np.log(k.stiffness)
+    stiffness = np.exp(rng.uniform(soft, stiff, (count, k.springs)))
     friction, distance = rng.uniform(*k.friction, count), rng.uniform(*k.distance, count)
     return Drawn(stiffness, friction, distance, rng.uniform(*(k.curvature or (0.0, 0.0)), count))
 

@@ -45,8 +45,8 @@ def by_oracle(scene, snap):
         one = Whisker(1.0, 1.0, float(profile.a), float(profile.distance), mu)
         if before.phase[k] != jw.Phase.free:
             lean = -np.arctan2(before.friction_force[k], before.normal_force[k])
-            contact = before.contact_force[k], before.contact_slope[k], lean, before.contact_arc[k]
-            one.touches(*map(float, contact), int(before.slip[k]), before.phase[k] == jw.Phase.tip)
+            force, slope, arc = (float(v[k]) for v in (before.contact_force, before.contact_slope, before.contact_arc))
+            one.touches(force, slope, float(lean), arc, int(before.slip[k]), before.phase[k] == jw.Phase.tip)
         whiskers.append(one)
     springs = [(*s.between, float(s.stiffness), float(s.rest_length)) for s in scene.support.springs]
     return rest_of(whiskers, before.base_x, springs, snap.control)

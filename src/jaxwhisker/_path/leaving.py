@@ -104,7 +104,8 @@ def after_arrive(
             (changed, retry),
             ((state.turn(tangent) <= 0) & trial.stable, undetermined),
         ]
-        onwards = onwards._replace(tries=jnp.zeros_like(state.tries), rests=jnp.zeros_like(state.rests))
+        none = jnp.zeros_like(state.mode.phase, bool)
+        onwards = onwards._replace(tries=jnp.zeros_like(state.tries), rests=none)
         write &= over | first | ~changed
     return first_case(*cases, (falls, to_snap(onwards)), otherwise=onwards), write, node
 
@@ -115,7 +116,8 @@ def _changed_slips(
     """Whether a contact breaks a law of friction along the tangent, and the slips after the first one is changed."""
     friction, limit = state.mode.friction, problem.friction_angle
     onwards = slips_on(problem, state.mode, point.z, tangent.z)
-    assert friction is not None and limit is not None and onwards is not None and state.tries is not None
+    assert friction is not None and limit is not None and onwards is not None
+    assert state.tries is not None and state.rests is not None
     slip, force, leans = friction.slip, point.z[:, 0], point.z[:, 1]
     # A contact that has just begun may slip either way or, if neither presses on, stick.
     unloaded = (slip != 0) & (force <= LIGHT)

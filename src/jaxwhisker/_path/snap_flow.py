@@ -400,6 +400,7 @@ def repeated(flow: Flow, changed: Bool[Array, " whiskers"]) -> Flow:
 
 def partly(flow: Flow, share: Scalar) -> Flow:
     """The flow before a step of which only a share is taken."""
+    assert flow.share is not None
     iterations = flow.iterations + 1
     share = flow.share * jnp.clip(share, 1e-3, 0.999)
     return flow._replace(share=share, iterations=iterations, exhausted=iterations > ITERATIONS)
