@@ -45,7 +45,8 @@ from jaxwhisker._path.path import (
     Status,
     select,
 )
-from jaxwhisker._path.transitions import after_advance, after_event, after_flow
+from jaxwhisker._path.settling import after_flow
+from jaxwhisker._path.transitions import after_advance, after_event
 
 STOPS = 8  # stops of a route that turns are padded to a multiple of this
 CHUNK = 16  # iterations between two checks of whether the whole batch is done

@@ -29,8 +29,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.friction import newly_slipping, slipping_from
-from jaxwhisker._equilibrium.newton import LIGHT, Condensed, contact_parameters, slip_by_contact
+from jaxwhisker._equilibrium.friction import newly_slipping
+from jaxwhisker._equilibrium.newton import Condensed, contact_parameters
 from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance, of_object
@@ -44,15 +44,12 @@ from jaxwhisker._equilibrium.stability import (
 )
 
 LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; the flow is first order in it
+FIRST_CHANGE = 0.0025  # the same for the first step with friction: contacts may turn soon after it, and then stick
 SHORTEST = 1e-7  # smallest such change that is tried if a whisker cannot follow a larger one
 FIRST_TIME_STEP = 1e-3
 NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
 ITERATIONS = 2000  # fewer than a march may have in all: a flow that does not end is `unsettled`, not `too_long`
 TOUCH = 1e-8  # tolerance for the position of a base where its whisker touches, and thus for the force of a new contact
-SLIPPED = 1e-12  # distance that a contact may slip back before it sticks
-LEANING = 1e-12  # angle by which a contact that sticks may lean too far
-AT_LIMIT = 1e-8  # a contact that sticks begins to slip where its lean is this close to its limit
-ASTRAY = 0.5  # relative distance between the guess and the solution of a step that is too long
 LANDED = 1e-6  # tolerance for the base position at which a slipped whisker's slide or landing ends
 
 
@@ -93,7 +90,7 @@ def start(mode: Mode, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
         slope=jnp.zeros((n * axes, n * axes) if coupled else (n, axes, axes)),
         load=jnp.zeros_like(pose),
         gap=none,
-        step=jnp.asarray(LARGEST_CHANGE),
+        step=jnp.asarray(LARGEST_CHANGE if mode.friction is None else FIRST_CHANGE),
         time_step=jnp.asarray(FIRST_TIME_STEP),
         slipped=no,
         sliding=no,
@@ -155,12 +152,12 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     longer = jnp.where(resolved, jnp.where(share < 1, 0.7, 1.4), 0.25)
     if flow.share is not None:
         # With the slopes of another slip or phase of one contact, the others would be led astray.
-        looks = jnp.any(~loose & ~_branch_known(flow))
+        looks = jnp.any(~loose & ~branch_known(flow))
         part = jnp.where(looks, 0.0, flow.share)
         steps, moves, longer = part * steps, part * moves, jnp.where(looks, 1.0, longer)
     # Across the branches, bases are held where the flow puts them; along the branches, they follow the contacts. A base
     # whose branch is not known yet waits.
-    moved = loose[:, None] | (_branch_known(flow)[:, None] & (jnp.arange(axes) > 0))
+    moved = loose[:, None] | (branch_known(flow)[:, None] & (jnp.arange(axes) > 0))
     return flow._replace(
         guess=point.z + jnp.sum(flow.basis * steps[:, None, :], axis=-1),
         pose=flow.pose + jnp.where(moved, moves, 0.0),
@@ -176,7 +173,8 @@ def _step_to_landing(problem: Problem, flow: Flow, mode: Mode) -> PerWhisker:
     return jnp.where(flow.sliding & ~on_stable_branch(problem, mode, by_x), step, to_land)
 
 
-def _branch_known(flow: Flow) -> Bool[Array, " whiskers"]:
+def branch_known(flow: Flow) -> Bool[Array, " whiskers"]:
+    """Whether the direction of each whisker's branch is known."""
     return jnp.any(flow.basis[:, :, 0] != 0, axis=-1)
 
 
@@ -262,7 +260,7 @@ def advance(
     piece, edges = mode.piece, problem.profile.has_edges
     if piece is not None and edges:
         # The first point on a new piece is solved for from its end, and may lie a little beyond it.
-        piece, z = after_step(problem.profile, piece, previous, z, ~free & _branch_known(flow))
+        piece, z = after_step(problem.profile, piece, previous, z, ~free & branch_known(flow))
     phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
     friction, turned = mode.friction, (phase != mode.phase) & ~free
     if piece is not None and edges:
@@ -337,75 +335,6 @@ def _known_slopes(slopes: Slopes, unknown: Bool[Array, "whiskers 1"]) -> Slopes:
     return jnp.where(rows[:, None] | rows, 0.0, slopes)
 
 
-class Disagreement(NamedTuple):
-    """Contacts whose slips, with which a step was solved for, do not agree with how they move in it."""
-
-    wrong: Bool[Array, ""]  # whether the step must be repeated with other slips
-    slip: Int[Array, " whiskers"]  # these slips
-    share: Scalar  # of the step, up to which no lean exceeds its limit
-
-
-def disagreement(problem: Problem, flow: Flow, mode: Mode, previous: Contacts, z: Contacts) -> Disagreement:
-    """Compare the motion of contacts in a step with their slips.
-
-    A contact that slips back sticks from the start of the step on; one that sticks slips from where its lean reaches
-    the limit. Only the first of several is changed at a time (see leaving.py).
-    """
-    assert mode.friction is not None and problem.friction_angle is not None
-    slip, limit = mode.friction.slip, problem.friction_angle
-    known = (mode.phase != Phase.free) & _branch_known(flow) & ~flow.sliding
-    slipped = slip * jnp.sum(slip_by_contact(problem, z, mode) * (z - previous), axis=-1)
-    back = known & (slip != 0) & (slipped < -SLIPPED)
-    way = jnp.sign(z[:, 1])
-    before, after = way * previous[:, 1], way * z[:, 1]
-    leans = (mode.phase != Phase.free) & (slip == 0) & (after > limit + LEANING) & (after > before)
-    at_limit = leans & known & (before > limit - AT_LIMIT)
-    wrong = back | at_limit
-    # A contact that has just begun may slip either way or, if neither agrees with its motion, stick.
-    unloaded = (previous[:, 0] <= LIGHT) & (slip == slipping_from(mode.side).slip)
-    after_back = jnp.where((limit > 0) & ~unloaded, 0, -slip)
-    changed = jnp.where(back, after_back, way.astype(int))
-    # Half of the tolerance is left for the curvature of the branch.
-    share = jnp.where(leans & ~at_limit, (limit - before - AT_LIMIT / 2) / (after - before), 1.0)
-    first = wrong & (jnp.cumsum(wrong) == 1)
-    return Disagreement(jnp.any(wrong), jnp.where(first, changed, slip), jnp.min(share))
-
-
-def goes_astray(mode: Mode, previous: Contacts, guess: Contacts, z: Contacts) -> Bool[Array, ""]:
-    """Whether a step ends so far from its guess that branches are curved more strongly than it resolves.
-
-    A whisker that just reaches a blunt object passes it within a small part of the usual step.
-    """
-    assert mode.friction is not None
-    scale = scale_of(previous)
-    # The leans of small forces are not accurate.
-    weight = jnp.where(mode.friction.slip == 0, jnp.clip(previous[:, 0], 0.0, 1.0), 1.0)
-    scale = scale.at[:, 1].divide(jnp.maximum(weight, LIGHT))
-    step, miss = (jnp.max(jnp.abs(difference) / scale) for difference in (guess - previous, z - guess))
-    return (step > 0) & (miss > ASTRAY * step)
-
-
-def repeated(flow: Flow, changed: Bool[Array, " whiskers"]) -> Flow:
-    """The flow before a step that is repeated, shorter, with other slips of these contacts."""
-    iterations = flow.iterations + 1
-    return flow._replace(
-        basis=jnp.where(changed[:, None, None], 0.0, flow.basis),
-        step=flow.step / 4,
-        time_step=flow.time_step / 4,
-        share=jnp.asarray(1.0),
-        iterations=iterations,
-        exhausted=iterations > ITERATIONS,
-    )
-
-
-def partly(flow: Flow, share: Scalar) -> Flow:
-    """The flow before a step of which only a share is taken."""
-    assert flow.share is not None
-    iterations = flow.iterations + 1
-    share = flow.share * jnp.clip(share, 1e-3, 0.999)
-    return flow._replace(share=share, iterations=iterations, exhausted=iterations > ITERATIONS)
-
-
 def shortened(flow: Flow) -> Flow:
     """The flow before a step that a whisker could not follow, with a shorter step to try."""
     step, iterations = flow.step / 4, flow.iterations + 1
@@ -415,7 +344,7 @@ def shortened(flow: Flow) -> Flow:
 def at_rest(problem: Problem, flow: Flow, mode: Mode, u: Scalar) -> Bool[Array, ""]:
     """Whether a stable equilibrium is near enough for Newton's method to take over."""
     loose = ~problem.solved(mode.phase)
-    known = jnp.all(loose | _branch_known(flow))
+    known = jnp.all(loose | branch_known(flow))
     slope = _known_slopes(flow.slope, loose[:, None])
     pull = problem.rest(u) + problem.displacement(flow.load) - flow.pose
     moves = _implicit_displacement(problem, pull, slope, jnp.asarray(0.0))

@@ -18,7 +18,6 @@ from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, slope_sin
 from jaxwhisker._equilibrium.pieces import where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, of_object
-from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.leaving import SLIP_NOISE, to_snap, with_changed_slips
 from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, loaded_slips_on
@@ -391,61 +390,3 @@ def _pulling(at: Condensed) -> tuple[Poses, PerWhisker]:
     along = force[:, :1] / by_x
     weight = -jnp.concatenate([along, force[:, 1:] - along * at.pose_by[:, 0, 1:]], axis=1)
     return weight, jnp.zeros_like(by_x[:, 0]) if at.pose_by_u is None else -jnp.sum(weight * at.pose_by_u, axis=1)
-
-
-def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, trial: Trial):
-    """Handle a step of the overdamped bases."""
-    solution, at = trial.solution, trial.stance
-    flow, mode, z = snap_flow.advance(problem, proposed, state.mode, state.point.z, solution, at)
-    rested = snap_flow.at_rest(problem, flow, mode, state.point.u)
-    freed = flow.slipped & (mode.phase == Phase.free)
-    kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
-    none = jnp.zeros_like(z)
-    pending = state.pending._replace(
-        phase=mode.phase,
-        side=mode.side,
-        friction=mode.friction,
-        piece=mode.piece,
-        beside=mode.beside,
-        travel=state.travel,
-        kind=kind,
-        whiskers=flow.slipped,
-    )
-    flowing = state._replace(
-        task=jnp.where(rested, Task.arrive, Task.flow),
-        mode=mode,
-        point=Point(z, state.point.u),
-        pose=flow.pose,
-        flow=flow,
-        pending=pending,
-        lead=Lead(none, jnp.zeros_like(flow.pose), state.direction),
-    )
-    shorter = state._replace(flow=snap_flow.shortened(state.flow))
-    cases, converged = [], solution.converged
-    if state.mode.friction is not None:
-        converged &= ~snap_flow.goes_astray(state.mode, state.point.z, proposed.guess, solution.point.z)
-        # The first step must not leave the object: contacts may be lighter than it is long.
-        touching = state.mode.phase != Phase.free
-        converged &= (state.task != Task.kick) | ~jnp.any(touching & (solution.point.z[:, 0] < 0))
-        found = snap_flow.disagreement(problem, state.flow, state.mode, state.point.z, solution.point.z)
-        stuck, friction = with_slips(problem, state.point.z, state.mode, found.slip)
-        again = state._replace(
-            task=jnp.asarray(int(Task.flow)),
-            mode=state.mode._replace(friction=friction),
-            point=state.point._replace(z=stuck),
-            flow=snap_flow.repeated(state.flow, found.slip != state.mode.friction.slip),
-        )
-        partly = state._replace(flow=snap_flow.partly(state.flow, found.share))
-        exhausted = partly.flow.exhausted & converged & (found.wrong | (found.share < 1))
-        cases = [
-            (exhausted, state.stopped(Status.unsettled)),
-            (converged & found.wrong, again),
-            (converged & (found.share < 1), partly),
-        ]
-    new = first_case(
-        *cases,
-        (jnp.where(converged, flow.exhausted, shorter.flow.exhausted), state.stopped(Status.unsettled)),
-        (~converged, shorter),
-        otherwise=flowing,
-    )
-    return new, jnp.asarray(False), state.pending

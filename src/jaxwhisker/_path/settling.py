@@ -1,0 +1,153 @@
+"""Settling: how a snap goes on from one step of the flow of the bases to the next, until they come to rest.
+
+With friction, a step of the flow is solved for with given slips, and accepted if they agree with how the contacts move
+in it. In a short step the bases follow the pull of the network, which then decides about all slips.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.friction import slipping_from
+from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, with_slips
+from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._path import snap_flow
+from jaxwhisker._path.march_state import Lead, MarchState, Task, Trial
+from jaxwhisker._path.path import EventKind, Status, first_case
+from jaxwhisker._path.snap_flow import ITERATIONS, Flow, branch_known
+
+SLIPPED = 1e-12  # distance that a contact may slip back before it sticks
+LEANING = 1e-12  # angle by which a contact that sticks may lean too far
+AT_LIMIT = 1e-8  # a contact that sticks begins to slip where its lean is this close to its limit
+ASTRAY = 0.5  # relative distance between the guess and the solution of a step that is too long
+
+
+def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, trial: Trial):
+    """Handle a step of the overdamped bases."""
+    solution, at = trial.solution, trial.stance
+    flow, mode, z = snap_flow.advance(problem, proposed, state.mode, state.point.z, solution, at)
+    rested = snap_flow.at_rest(problem, flow, mode, state.point.u)
+    freed = flow.slipped & (mode.phase == Phase.free)
+    kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
+    none = jnp.zeros_like(z)
+    pending = state.pending._replace(
+        phase=mode.phase,
+        side=mode.side,
+        friction=mode.friction,
+        piece=mode.piece,
+        beside=mode.beside,
+        travel=state.travel,
+        kind=kind,
+        whiskers=flow.slipped,
+    )
+    flowing = state._replace(
+        task=jnp.where(rested, Task.arrive, Task.flow),
+        mode=mode,
+        point=Point(z, state.point.u),
+        pose=flow.pose,
+        flow=flow,
+        pending=pending,
+        lead=Lead(none, jnp.zeros_like(flow.pose), state.direction),
+    )
+    shorter = state._replace(flow=snap_flow.shortened(state.flow))
+    cases, converged = [], solution.converged
+    if state.mode.friction is not None:
+        converged &= ~goes_astray(state.mode, state.point.z, proposed.guess, solution.point.z)
+        # The first step must not leave the object: contacts may be lighter than it is long.
+        touching = state.mode.phase != Phase.free
+        converged &= (state.task != Task.kick) | ~jnp.any(touching & (solution.point.z[:, 0] < 0))
+        found = disagreement(problem, state.flow, state.mode, state.point.z, solution.point.z)
+        stuck, friction = with_slips(problem, state.point.z, state.mode, found.slip)
+        again = state._replace(
+            task=jnp.asarray(int(Task.flow)),
+            mode=state.mode._replace(friction=friction),
+            point=state.point._replace(z=stuck),
+            flow=repeated(state.flow, found.slip != state.mode.friction.slip),
+        )
+        cut = state._replace(flow=partly(state.flow, found.share))
+        exhausted = cut.flow.exhausted & converged & (found.wrong | (found.share < 1))
+        cases = [
+            (exhausted, state.stopped(Status.unsettled)),
+            (converged & found.wrong, again),
+            (converged & (found.share < 1), cut),
+        ]
+    new = first_case(
+        *cases,
+        (jnp.where(converged, flow.exhausted, shorter.flow.exhausted), state.stopped(Status.unsettled)),
+        (~converged, shorter),
+        otherwise=flowing,
+    )
+    return new, jnp.asarray(False), state.pending
+
+
+class Disagreement(NamedTuple):
+    """Contacts whose slips, with which a step was solved for, do not agree with how they move in it."""
+
+    wrong: Bool[Array, ""]  # whether the step must be repeated with other slips
+    slip: Int[Array, " whiskers"]  # these slips
+    share: Scalar  # of the step, up to which no lean exceeds its limit
+
+
+def disagreement(problem: Problem, flow: Flow, mode: Mode, previous: Contacts, z: Contacts) -> Disagreement:
+    """Compare the motion of contacts in a step with their slips.
+
+    A contact that slips back sticks from the start of the step on; one that sticks slips from where its lean reaches
+    the limit. Only the first of several is changed at a time (see leaving.py).
+    """
+    assert mode.friction is not None and problem.friction_angle is not None
+    slip, limit = mode.friction.slip, problem.friction_angle
+    known = (mode.phase != Phase.free) & branch_known(flow) & ~flow.sliding
+    slipped = slip * jnp.sum(slip_by_contact(problem, z, mode) * (z - previous), axis=-1)
+    back = known & (slip != 0) & (slipped < -SLIPPED)
+    way = jnp.sign(z[:, 1])
+    before, after = way * previous[:, 1], way * z[:, 1]
+    leans = (mode.phase != Phase.free) & (slip == 0) & (after > limit + LEANING) & (after > before)
+    at_limit = leans & known & (before > limit - AT_LIMIT)
+    wrong = back | at_limit
+    # A contact that has just begun may slip either way or, if neither agrees with its motion, stick.
+    unloaded = (previous[:, 0] <= LIGHT) & (slip == slipping_from(mode.side).slip)
+    after_back = jnp.where((limit > 0) & ~unloaded, 0, -slip)
+    changed = jnp.where(back, after_back, way.astype(int))
+    # Half of the tolerance is left for the curvature of the branch.
+    share = jnp.where(leans & ~at_limit, (limit - before - AT_LIMIT / 2) / (after - before), 1.0)
+    first = wrong & (jnp.cumsum(wrong) == 1)
+    return Disagreement(jnp.any(wrong), jnp.where(first, changed, slip), jnp.min(share))
+
+
+def goes_astray(mode: Mode, previous: Contacts, guess: Contacts, z: Contacts) -> Bool[Array, ""]:
+    """Whether a step ends so far from its guess that branches are curved more strongly than it resolves.
+
+    A whisker that just reaches a blunt object passes it within a small part of the usual step.
+    """
+    assert mode.friction is not None
+    scale = scale_of(previous)
+    # The leans of small forces are not accurate.
+    weight = jnp.where(mode.friction.slip == 0, jnp.clip(previous[:, 0], 0.0, 1.0), 1.0)
+    scale = scale.at[:, 1].divide(jnp.maximum(weight, LIGHT))
+    step, miss = (jnp.max(jnp.abs(difference) / scale) for difference in (guess - previous, z - guess))
+    return (step > 0) & (miss > ASTRAY * step)
+
+
+def repeated(flow: Flow, changed: Bool[Array, " whiskers"]) -> Flow:
+    """The flow before a step that is repeated, shorter, with other slips of these contacts."""
+    iterations = flow.iterations + 1
+    return flow._replace(
+        basis=jnp.where(changed[:, None, None], 0.0, flow.basis),
+        step=flow.step / 4,
+        time_step=flow.time_step / 4,
+        share=jnp.asarray(1.0),
+        iterations=iterations,
+        exhausted=iterations > ITERATIONS,
+    )
+
+
+def partly(flow: Flow, share: Scalar) -> Flow:
+    """The flow before a step of which only a share is taken."""
+    assert flow.share is not None
+    iterations = flow.iterations + 1
+    share = flow.share * jnp.clip(share, 1e-3, 0.999)
+    return flow._replace(share=share, iterations=iterations, exhausted=iterations > ITERATIONS)
