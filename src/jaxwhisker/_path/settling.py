@@ -56,7 +56,9 @@ def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, tr
     shorter = state._replace(flow=snap_flow.shortened(state.flow))
     cases, converged = [], solution.converged
     if state.mode.friction is not None:
-        converged &= ~goes_astray(state.mode, state.point.z, proposed.guess, solution.point.z)
+        astray = goes_astray(state.mode, state.point.z, proposed.guess, solution.point.z)
+        # The first step goes along the path at a fixed drive, but frames that move with the drive move along the path.
+        converged &= ~(astray & ((state.task != Task.kick) | (not problem.frames_move)))
         # The first step must not leave the object: contacts may be lighter than it is long.
         touching = state.mode.phase != Phase.free
         converged &= (state.task != Task.kick) | ~jnp.any(touching & (solution.point.z[:, 0] < 0))
