@@ -16,11 +16,13 @@ SAME = 1e-7  # positions of events may differ by rounding, next to events that a
 SOUND = 1e-7  # largest relative residual of a law
 # Contacts that are not modelled: whiskers that are wound around the object, or pressed against it below a spring.
 NOT_MODELLED = {jw.Status.second_contact, jw.Status.at_spring}
+# Kinds that are also compiled without vmap: one of each problem shape that differs in how contacts stick.
+ONE_BY_ONE = ("two whiskers", "curved", "follicle")
 NETWORKS = {"two whiskers": "FBFB", "weak friction": "FBFBR", "feedback": "FBFBR", "three whiskers": "FBFBFBR"}
 
 
 @cache
-def scanned(kind, vmapped=False):
+def scanned(kind, vmapped=True):
     """All scans of a kind, in one compiled program."""
     return jax.tree.map(np.asarray, scans(kind, vmapped)(drawn(kind, SCENES)))
 
@@ -34,11 +36,8 @@ def test_no_scene_fails(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_eager_staged_and_batched_scans_agree(kind):
-    p, staged, batched = drawn(kind, SCENES), scanned(kind), scanned(kind, vmapped=True)
-    assert np.array_equal(staged.status, batched.status)
-    assert np.array_equal(staged.events.kind, batched.events.kind)
-    np.testing.assert_allclose(staged.events.control, batched.events.control, atol=SAME)
+def test_eager_and_staged_scans_agree(kind):
+    p, staged = drawn(kind, SCENES), scanned(kind)
     for number in range(SCENES):
         one = jax.tree.map(lambda leaf, number=number: leaf[number], p)
         eager = jw.scan(scene_of(kind, one), control_of(kind))
@@ -48,6 +47,14 @@ def test_eager_staged_and_batched_scans_agree(kind):
         np.testing.assert_allclose(
             [e.control for e in eager.events], staged.events.control[number][: len(kinds)], atol=SAME, err_msg=number
         )
+
+
+@pytest.mark.parametrize("kind", ONE_BY_ONE)
+def test_staged_scans_agree_with_batches(kind):
+    single, batched = scanned(kind, vmapped=False), scanned(kind)
+    assert np.array_equal(single.status, batched.status)
+    assert np.array_equal(single.events.kind, batched.events.kind)
+    np.testing.assert_allclose(single.events.control, batched.events.control, atol=SAME)
 
 
 @pytest.mark.parametrize("kind", NETWORKS)
