@@ -16,7 +16,7 @@ SAME = 1e-7  # positions of events may differ by rounding, next to events that a
 SOUND = 1e-7  # largest relative residual of a law
 # Contacts that are not modelled: whiskers that are wound around the object, or pressed against it below a spring.
 NOT_MODELLED = {jw.Status.second_contact, jw.Status.at_spring}
-# A curved whisker on a follicle whose snap does not end in a batch, although it does alone: not solved yet.
+# A curved whisker on a follicle that ends `too_long` in a batch: not solved yet. Alone, it has not been examined.
 UNSOLVED = {"curved follicle": {29}}
 # Kinds that are also compiled without vmap: one of each problem shape that differs in how contacts stick.
 ONE_BY_ONE = ("two whiskers", "curved", "follicle")
