@@ -134,16 +134,23 @@ def parameter(
     return z[1] if friction is None else contact_parameter(profile, z[1], beyond(z[2], phase), side, friction)
 
 
+def across_force(
+    at: ContactPoint, leans: Float[Array, "*batch"] | None
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """Cosine and sine of the direction normal to the contact force: without friction, that of the object."""
+    if leans is None:
+        return at.cos, at.sin
+    cos, sin = jnp.cos(leans), jnp.sin(leans)
+    return at.cos * cos + at.sin * sin, at.sin * cos - at.cos * sin
+
+
 def in_scene(
     at: ContactPoint, leans: Float[Array, ""] | None, end: Float[Array, "4 *points"], force: Scalar, side: Scalar
 ) -> Base:
     """Pose of the base and load on it, from the rod's end in the frame of the contact; or poses of several points."""
     x, y, cos, sin = end
     x, cos = side * x, side * cos
-    along_cos, along_sin = at.cos, at.sin  # direction normal to the force
-    if leans is not None:
-        lean_cos, lean_sin = jnp.cos(leans), jnp.sin(leans)
-        along_cos, along_sin = at.cos * lean_cos + at.sin * lean_sin, at.sin * lean_cos - at.cos * lean_sin
+    along_cos, along_sin = across_force(at, leans)
     return Base(
         x=at.x + x * along_cos - y * along_sin,
         y=at.y + x * along_sin + y * along_cos,

@@ -102,6 +102,7 @@ def contact_parameters(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
     return jnp.asarray(jax.vmap(lambda piece, *at: contact.parameter(problem.profile.on(piece), *at))(*own))
 
 
+ROUNDING = 1e-15  # residual, relative to its terms, that rounding may cause
 LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is unknown
 
 
@@ -128,6 +129,15 @@ def with_slips(problem: Problem, z: Contacts, mode: Mode, slip: Int[Array, " whi
     leans = jnp.where(light, mode.side * jnp.minimum(z[:, 2], 0.0), leans)
     z = z.at[:, 0].set(jnp.where(light, LIGHT, z[:, 0])).at[:, 1].set(jnp.where(slip == 0, leans, at))
     return z, friction
+
+
+def _beyond_rounding(residual: Array, terms: Array | float) -> Array:
+    """A residual of lengths or angles, zero where it is no larger than the rounding errors of its terms.
+
+    A short or nearly straight whisker that sticks is held by an axial force on which its shape hardly depends: rounding
+    errors of 1e-16 would change this force by 1e-6, and differently in every Newton step.
+    """
+    return jnp.where(jnp.abs(residual) > ROUNDING * (1 + jnp.abs(terms)), residual, 0.0)
 
 
 class Condensed(NamedTuple):
@@ -231,6 +241,11 @@ def newton_step(
 ) -> NewtonStep:
     """Solve the linearised equations of all whiskers, the network and the row."""
     linear = linearise_all(problem, point, mode, problem.rod if rates is None else rates, in_turn)
+    if mode.friction is not None:
+        y, turn = (0.0, 0.0) if mode.held is None else mode.held.T
+        value = linear.value
+        value = value._replace(y=y + _beyond_rounding(value.y - y, y), turn=turn + _beyond_rounding(value.turn - turn, turn))
+        linear = linear._replace(value=value)
     return solve_coupled(problem, mode, row, point, condense(problem, point.z, mode, linear))
 
 
@@ -238,7 +253,10 @@ def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Cond
     """Solve the linearised equations of the network and the row for condensed whiskers."""
     solved = problem.solved(mode.phase)[:, None]
     coupled = solved & ~mode.separate
-    network = jnp.where(coupled, at.pose - problem.rest(point.u) - problem.displacement(at.load), 0.0)
+    rest, displacement = problem.rest(point.u), problem.displacement(at.load)
+    network = jnp.where(coupled, at.pose - rest - displacement, 0.0)
+    if mode.friction is not None:
+        network = _beyond_rounding(network, jnp.abs(at.pose) + jnp.abs(rest) + jnp.abs(displacement))
     slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
     row_residual = row.residual(Point(point.z + at.particular, point.u), slope_sin)
     row_residual = jnp.where(mode.separate, 0.0, row_residual)

@@ -16,14 +16,10 @@ from jaxwhisker._equilibrium.problem import Problem
 FINER = 100.0  # factor by which leans of large forces must be more accurate than other unknowns
 SMALL = 1e-3  # force below which other unknowns must be more accurate
 SMALLEST = 1e-6  # force below which they need not be still more accurate
-TENFOLD = 10.0  # the same factor for forces across the normal, where rounding limits the accuracy
-STALLED = 0.5  # a Newton step that is not smaller than the one before by this factor consists of rounding errors
-NOISE = 1e-6  # residual that rounding may leave, divided by the smallest force, up to the size `SMALL`
 
 
 class _NewtonState(NamedTuple):
     step_size: Float[Array, "*batch"]
-    strict: Float[Array, "*batch"] | None = None  # before allowance for rounding; None without friction
 
 
 class StructuredNewton(optx.AbstractRootFinder):
@@ -41,33 +37,23 @@ class StructuredNewton(optx.AbstractRootFinder):
     norm: Any = optx.max_norm
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        del fn, options, f_struct, aux_struct, tags
-        none = jnp.full_like(y.u, jnp.inf)
-        _, mode, _ = args
-        return _NewtonState(none, None if mode.friction is None else none)
+        del fn, args, options, f_struct, aux_struct, tags
+        return _NewtonState(jnp.full_like(y.u, jnp.inf))
 
     def step(self, fn, y, args, options, state, tags):
         del options, tags
         _, newton = fn(y, args)
         step = newton.step
-        changes = jnp.abs(step.z) / scale_of(y.z)
         _, mode, _ = args
-
-        def largest(changes):
-            return jnp.maximum(jnp.max(changes, axis=(-2, -1)), jnp.abs(step.u))
-
-        strict = None
-        if mode.friction is None:
-            size = largest(changes)
-        else:
-            (strict, loose), noise = map(largest, _of_sticking(changes, y.z, mode)), _noise(y.z, mode)
-            stalls = (strict > STALLED * jnp.asarray(state.strict)) & (newton.residual < noise)
-            size = jnp.where(stalls & (loose < self.atol), loose, strict)
+        changes = jnp.abs(step.z) / scale_of(y.z)
+        if mode.friction is not None:
+            changes = _of_sticking(changes, y.z, mode)
+        size = jnp.maximum(jnp.max(changes, axis=(-2, -1)), jnp.abs(step.u))
         if size.ndim > 0:
             solved = state.step_size < self.atol
             step = Point(jnp.where(solved[:, None, None], 0.0, step.z), jnp.where(solved, 0.0, step.u))
             size = jnp.where(solved, state.step_size, size)
-        return jax.tree.map(jnp.add, y, step), _NewtonState(size, strict), newton
+        return jax.tree.map(jnp.add, y, step), _NewtonState(size), newton
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags
@@ -78,27 +64,17 @@ class StructuredNewton(optx.AbstractRootFinder):
         return y, aux, {}
 
 
-def _of_sticking(changes: Contacts, z: Contacts, mode: Mode) -> tuple[Contacts, Contacts]:
-    """The changes of contacts in a Newton step, with those of contacts that stick weighted: strictly, and loosely.
+def _of_sticking(changes: Contacts, z: Contacts, mode: Mode) -> Contacts:
+    """The changes of contacts in a Newton step, with those of contacts that stick weighted.
 
-    Next to a small force, small changes of the other unknowns matter. The equations of a nearly straight whisker hardly
-    depend on the lean of its force: Newton's method converges slowly, and rounding may keep the lean from converging at
-    all. Where steps do not shrink any more, only the change of the force itself counts.
+    Next to a small force, small changes of the other unknowns matter.
     """
     assert mode.friction is not None
     sticks = ((mode.phase != Phase.free) & (mode.friction.slip == 0))[..., None]
     force = jnp.clip(z[..., 0], SMALLEST, 1.0)
     others = jnp.broadcast_to(jnp.maximum(SMALL / force, 1.0)[..., None], changes.shape)
-    strict = others.at[..., 1].set(jnp.maximum(FINER * force, 1.0))
-    loose = jnp.ones_like(changes).at[..., 1].set(TENFOLD * force)
-    return changes * jnp.where(sticks, strict, 1.0), changes * jnp.where(sticks, loose, 1.0)
-
-
-def _noise(z: Contacts, mode: Mode) -> Float[Array, "*batch"]:
-    """Residual that rounding may leave next to contacts that stick."""
-    assert mode.friction is not None
-    sticks = (mode.phase != Phase.free) & (mode.friction.slip == 0)
-    return NOISE * jnp.min(jnp.where(sticks, jnp.clip(z[..., 0], SMALLEST, SMALL), SMALL), axis=-1)
+    weight = others.at[..., 1].set(jnp.maximum(FINER * force, 1.0))
+    return changes * jnp.where(sticks, weight, 1.0)
 
 
 class Solution(NamedTuple):

@@ -104,7 +104,8 @@ def disagreement(problem: Problem, flow: Flow, mode: Mode, previous: Contacts, z
     slip, limit = mode.friction.slip, problem.friction_angle
     known = (mode.phase != Phase.free) & branch_known(flow) & ~flow.sliding
     slipped = slip * jnp.sum(slip_by_contact(problem, z, mode) * (z - previous), axis=-1)
-    back = known & (slip != 0) & (slipped < -SLIPPED)
+    # A contact that has landed beyond its place goes back to it.
+    back = known & (slip != 0) & (slipped < -SLIPPED) & (~flow.landing | (previous[:, 0] <= LIGHT))
     way = jnp.sign(z[:, 1])
     before, after = way * previous[:, 1], way * z[:, 1]
     leans = (mode.phase != Phase.free) & (slip == 0) & (after > limit + LEANING) & (after > before)

@@ -28,8 +28,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.friction import newly_slipping
+from jaxwhisker._equilibrium.contact import Phase, across_force
+from jaxwhisker._equilibrium.friction import lean, newly_slipping
 from jaxwhisker._equilibrium.newton import Condensed, contact_parameters
 from jaxwhisker._equilibrium.pieces import after_step, where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
@@ -45,6 +45,7 @@ from jaxwhisker._equilibrium.stability import (
 
 LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; the flow is first order in it
 FIRST_CHANGE = 0.0025  # the same for the first step with friction: contacts may turn soon after it, and then stick
+FARTHEST = 5.0  # largest motion of a base per change of contacts: a flat object moves far beneath a steady contact
 SHORTEST = 1e-7  # smallest such change that is tried if a whisker cannot follow a larger one
 FIRST_TIME_STEP = 1e-3
 NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
@@ -72,7 +73,8 @@ class Flow(NamedTuple):
     near: Scalar  # distance from the equilibrium at which Newton's method takes over
     iterations: Int[Array, ""]
     exhausted: Bool[Array, ""]  # whether the flow has failed to come to rest
-    way: PerWhisker | None = None  # +1 or -1: along its branch, or back, as a whisker slides; None without edges
+    # +1 or -1: along its branch, or back, as a whisker slides; None without edges and friction.
+    way: PerWhisker | None = None
     clamped: Bool[Array, ""] | None = None  # whether coupled shafts are stable with clamped bases; None without
     share: Scalar | None = None  # of the next step that is taken; None without friction
 
@@ -99,7 +101,7 @@ def start(mode: Mode, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
         near=jnp.asarray(NEAR),
         iterations=jnp.asarray(0),
         exhausted=jnp.asarray(False),
-        way=none + 1.0 if edges else None,
+        way=none + 1.0 if edges or mode.friction is not None else None,
         clamped=jnp.asarray(False) if coupled else None,
         share=None if mode.friction is None else jnp.asarray(1.0),
     )
@@ -107,9 +109,11 @@ def start(mode: Mode, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
 
 def kick(flow: Flow, point: Point, tangent: Point, tangent_pose: Poses) -> Flow:
     """Take the first step: onwards along the path that has just become unstable, with the drive at rest."""
-    length = jnp.sqrt(jnp.sum((tangent.z / scale_of(point.z)) ** 2))
-    step = flow.step if flow.share is None else flow.share * flow.step
-    step = step / jnp.maximum(length, 1e-3)
+    length = jnp.maximum(jnp.sqrt(jnp.sum((tangent.z / scale_of(point.z)) ** 2)), 1e-3)
+    step = flow.step
+    if flow.share is not None:
+        step, length = flow.share * step, jnp.maximum(length, jnp.max(jnp.abs(tangent_pose)) / FARTHEST)
+    step = step / length
     return flow._replace(guess=point.z + step * tangent.z, pose=flow.pose + step * tangent_pose)
 
 
@@ -144,7 +148,10 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     steps = jnp.where(loose[:, None], 0.0, _steps(flow, moves))
     # A free base may move half-way to where its whisker would touch.
     reach = (flow.step + 0.5 * flow.gap)[:, None]
-    size = jnp.max(jnp.maximum(jnp.where(free[:, None], jnp.abs(moves) / reach, 0.0), jnp.abs(steps) / flow.step))
+    sizes = jnp.maximum(jnp.where(free[:, None], jnp.abs(moves) / reach, 0.0), jnp.abs(steps) / flow.step)
+    if flow.share is not None:
+        sizes = jnp.maximum(sizes, jnp.where(loose[:, None], 0.0, jnp.abs(moves) / (FARTHEST * flow.step)))
+    size = jnp.max(sizes)
     share = jnp.minimum(1.0, 1 / jnp.maximum(size, 1e-300))
     to_land = jnp.zeros_like(steps).at[:, 0].set(_step_to_landing(problem, flow, mode))
     steps = jnp.where(slipping_now, jnp.where(slipping[:, None], to_land, 0.0), share * steps)
@@ -167,9 +174,11 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
 
 def _step_to_landing(problem: Problem, flow: Flow, mode: Mode) -> PerWhisker:
     """Step along the branch of a slipping whisker towards the base position at which its slip ends."""
-    by_x = flow.pose_by[:, 0, 0]
-    to_land = jnp.clip((flow.landing_x - flow.pose[:, 0]) / _nonzero(by_x), -flow.step, flow.step)
-    step = flow.step if flow.way is None else flow.way * flow.step
+    by_x, most = flow.pose_by[:, 0, 0], flow.step
+    if flow.share is not None:
+        most /= jnp.maximum(jnp.abs(by_x) / FARTHEST, 1.0)
+    to_land = jnp.clip((flow.landing_x - flow.pose[:, 0]) / _nonzero(by_x), -most, most)
+    step = most if flow.way is None else flow.way * most
     return jnp.where(flow.sliding & ~on_stable_branch(problem, mode, by_x), step, to_land)
 
 
@@ -213,7 +222,8 @@ def _slip(
     slips = ~free & ~slipping & ~ends & ~holds
     contact = jax.vmap(problem.profile.point_on)(mode.piece, contact_parameters(problem, z, mode))
     base = problem.in_scene(u, pose)
-    unbent = mode.side * ((contact.x - base.x) * contact.cos + (contact.y - base.y) * contact.sin) <= 0
+    cos, sin = across_force(contact, lean(z[:, 1], mode.friction, problem.friction_angle))
+    unbent = mode.side * ((contact.x - base.x) * cos + (contact.y - base.y) * sin) <= 0
     lands = flow.sliding & (unbent | (z[:, 0] < 0))
     if mode.beside is not None:
         return _slip_among_objects(problem, mode, mode.beside, at, _Slip(slips, slips, ends, free, lands, holds))
@@ -285,7 +295,8 @@ def advance(
         piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
     way = flow.way
     if way is not None:
-        # A tip that slips over a corner at once goes back along its branch, which begins at the corner.
+        # Where a tip slips over a corner, or a contact begins to slip, its branch begins, possibly past its fold. It may
+        # lead back.
         moved = jnp.sum(newton.condensed.basis[:, :, 0] * (z - previous) / scale_of(z) ** 2, axis=-1)
         way = jnp.where(slip.slides & (flow.iterations == 0) & (moved < 0), -1.0, way)
     landing_x = jnp.where(slip.slides if among is None else slip.slides | among.hits, pose[:, 0], flow.landing_x)

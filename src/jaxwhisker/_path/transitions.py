@@ -20,7 +20,7 @@ from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, of_object
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.leaving import SLIP_NOISE, to_snap, with_changed_slips
-from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, loaded_slips_on
+from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, slips_on
 from jaxwhisker._path.path import (
     AT_STOP,
     HIGH,
@@ -177,7 +177,7 @@ def _lowest(turn: Scalar, slips_on: PerWhisker | None) -> Scalar:
 
 
 def _turn_at_start(problem: Problem, state: MarchState) -> Scalar:
-    slips = loaded_slips_on(problem, state.mode, state.point.z, state.tangent.z)
+    slips = slips_on(problem, state.mode, state.point.z, state.tangent.z)
     return _lowest(state.turn(state.tangent), slips)
 
 
