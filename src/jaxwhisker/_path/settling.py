@@ -22,7 +22,7 @@ from jaxwhisker._path.snap_flow import ITERATIONS, Flow, branch_known
 
 SLIPPED = 1e-12  # distance that a contact may slip back before it sticks
 LEANING = 1e-12  # angle by which a contact that sticks may lean too far
-AT_LIMIT = 1e-8  # a contact that sticks begins to slip where its lean is this close to its limit
+AT_LIMIT = 1e-11  # a contact that sticks begins to slip where its lean is this close to its limit
 ASTRAY = 0.5  # relative distance between the guess and the solution of a step that is too long
 
 
@@ -103,13 +103,16 @@ def disagreement(problem: Problem, flow: Flow, mode: Mode, previous: Contacts, z
     assert mode.friction is not None and problem.friction_angle is not None
     slip, limit = mode.friction.slip, problem.friction_angle
     known = (mode.phase != Phase.free) & branch_known(flow) & ~flow.sliding
-    slipped = slip * jnp.sum(slip_by_contact(problem, z, mode) * (z - previous), axis=-1)
+    # Simpson's rule: a contact that nearly rolls moves much farther along the object than it slips.
+    start, middle, end = (slip_by_contact(problem, at, mode) for at in (previous, (previous + z) / 2, z))
+    slipped = slip * jnp.sum((start + 4 * middle + end) / 6 * (z - previous), axis=-1)
     # A contact that has landed beyond its place goes back to it.
     back = known & (slip != 0) & (slipped < -SLIPPED) & (~flow.landing | (previous[:, 0] <= LIGHT))
     way = jnp.sign(z[:, 1])
     before, after = way * previous[:, 1], way * z[:, 1]
-    leans = (mode.phase != Phase.free) & (slip == 0) & (after > limit + LEANING) & (after > before)
-    at_limit = leans & known & (before > limit - AT_LIMIT)
+    # While a branch is unknown nobody moves, but solving for the first point on it may change a lean.
+    leans = known & (slip == 0) & (after > limit + LEANING) & (after > before)
+    at_limit = leans & (before > limit - AT_LIMIT)
     wrong = back | at_limit
     # A contact that has just begun may slip either way or, if neither agrees with its motion, stick.
     unloaded = (previous[:, 0] <= LIGHT) & (slip == slipping_from(mode.side).slip)

@@ -160,7 +160,7 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     if flow.share is not None:
         # With the slopes of another slip or phase of one contact, the others would be led astray.
         looks = jnp.any(~loose & ~branch_known(flow))
-        part = jnp.where(looks, 0.0, flow.share)
+        part = jnp.where(looks | ~(resolved | slipping_now), 0.0, flow.share)
         steps, moves, longer = part * steps, part * moves, jnp.where(looks, 1.0, longer)
     # Across the branches, bases are held where the flow puts them; along the branches, they follow the contacts. A base
     # whose branch is not known yet waits.
