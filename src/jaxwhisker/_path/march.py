@@ -148,7 +148,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         bend=jax.tree.map(jnp.zeros_like, still),
         step=jnp.asarray(FIRST_STEP),
         unstable_at=jnp.asarray(jnp.inf),
-        unstable_turn=zero,
+        unstable_turn=zero if friction is None else jnp.zeros(1 + n),
         target=Target(
             jnp.asarray(0),
             jnp.zeros(n, bool),

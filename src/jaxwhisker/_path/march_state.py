@@ -82,7 +82,7 @@ class MarchState(NamedTuple):
     bend: Point  # change of the tangent per arc length
     step: Scalar  # length of the next step
     unstable_at: Scalar  # distance ahead of a known unstable equilibrium, or infinity
-    unstable_turn: Scalar  # du/ds there
+    unstable_turn: Float[Array, "*rates"]  # du/ds there and, with friction, the slip rates of contacts
     target: Target
     lead: Lead
     before_vertex: PerWhisker  # sign of sin(alpha) until the whisker passes the vertex

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
@@ -46,11 +46,14 @@ FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact 
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
 FOLD_SLOPE = 1e-9  # du/ds below which a fold counts as located: the error of the state is of this size, of u its square
+STICK_SLOPE = 1e-8  # the same for slips that come to rest
 FOLD_BRACKET = 1e-9  # a loss of stability within a step this short counts as located, too
 NEAR_FOLD = 2e-4  # ... or within one this short, if no shorter step can be solved; u is off by less than its square
 RESOLVED_STEP = 0.02  # step within which du/ds is a parabola to a few percent of its change
 PARABOLA_ERROR = 0.25  # assumed error of the parabola's slopes, relative to that change, with a margin
 SHORTEST_DIP = 1e-4  # step within which du/ds changes by about 1e-6 at most: folds closer together are overlooked
+
+Turns = Float[Array, "*rates"]  # of the drive and, with friction, of slips
 
 
 def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
@@ -62,10 +65,13 @@ def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""
     return jnp.where(target.kind == PHASE, change, kinds[target.kind])
 
 
-def _step_to_fold(turn: Scalar, unstable_at: Scalar, unstable_turn: Scalar, otherwise: Scalar) -> Scalar:
+def _step_to_fold(turns: Turns, unstable_at: Scalar, unstable_turns: Turns, otherwise: Scalar) -> Scalar:
     """Length of the next step: if a loss of stability ahead is known, towards it but not beyond."""
-    # du/ds is nearly linear towards a fold, so its zero is a secant away; a loss without a fold is bisected.
-    share = jnp.where(unstable_turn < 0, turn / (turn - unstable_turn), 0.5)
+    # What turns back does so nearly linearly, so its zero is a secant away; a loss without a fold is bisected.
+    share = jnp.where(unstable_turns < 0, turns / (turns - unstable_turns), jnp.inf if turns.ndim else 0.5)
+    if turns.ndim:
+        share = jnp.min(share)
+        share = jnp.where(jnp.isfinite(share), share, 0.5)
     inside = unstable_at * jnp.clip(share, 1e-3, 0.999)
     return jnp.minimum(otherwise, jnp.where(jnp.isfinite(unstable_at), inside, jnp.inf))
 
@@ -144,18 +150,22 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     too_short = ~good & (shorter.step < SHORTEST_STEP)
     to_event = state._replace(task=jnp.asarray(int(Task.event)), target=target)
 
-    turn = _lowest(state.turn(trial.tangent), trial.slips_on)
+    turn = state.turn(trial.tangent)
     located = (jnp.abs(turn) < FOLD_SLOPE) | (state.step < FOLD_BRACKET)
+    holds = trial.stable
+    if trial.slips_on is not None:
+        back = jnp.min(trial.slips_on)
+        holds, located = holds & (back > -SLIP_NOISE), located | ((back <= -SLIP_NOISE) & (back > -STICK_SLOPE))
     node = _node(state, trial)
     moved = _moved(state, trial, node)
     turned = _turned(problem, moved, trial, node)
+    turns = _turns(turn, trial.slips_on)
     closer = state._replace(
         unstable_at=state.step,
-        unstable_turn=turn,
-        step=_step_to_fold(_turn_at_start(problem, state), state.step, turn, jnp.inf),
+        unstable_turn=turns,
+        step=_step_to_fold(_turns_at_start(problem, state), state.step, turns, jnp.inf),
     )
     at_fold = jnp.isfinite(state.unstable_at) & (turn < FOLD_SLOPE)
-    holds = trial.stable if trial.slips_on is None else trial.stable & jnp.all(trial.slips_on > -SLIP_NOISE)
     new = first_case(
         # If several whiskers become unstable at once, Newton's method fails close to the fold: this is near enough.
         (too_short & (state.unstable_at < NEAR_FOLD), to_snap(state)),
@@ -171,14 +181,13 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     return new, good & ~violated & (holds | located) & trial.sound, node
 
 
-def _lowest(turn: Scalar, slips_on: PerWhisker | None) -> Scalar:
-    """The lowest rate along the path of what must not turn back: the drive, and the slips of contacts."""
-    return turn if slips_on is None else jnp.minimum(turn, jnp.min(slips_on))
+def _turns(turn: Scalar, slips_on: PerWhisker | None) -> Turns:
+    """Rates along the path of what must not turn back: the drive and, with friction, the slips of contacts."""
+    return turn if slips_on is None else jnp.concatenate([jnp.reshape(turn, 1), slips_on])
 
 
-def _turn_at_start(problem: Problem, state: MarchState) -> Scalar:
-    slips = slips_on(problem, state.mode, state.point.z, state.tangent.z)
-    return _lowest(state.turn(state.tangent), slips)
+def _turns_at_start(problem: Problem, state: MarchState) -> Turns:
+    return _turns(state.turn(state.tangent), slips_on(problem, state.mode, state.point.z, state.tangent.z))
 
 
 def _turned(problem: Problem, moved: MarchState, trial: Trial, node: Node) -> MarchState:
@@ -187,7 +196,7 @@ def _turned(problem: Problem, moved: MarchState, trial: Trial, node: Node) -> Ma
     friction, limit = moved.mode.friction, problem.friction_angle
     if trial.slips_on is None or friction is None or limit is None:
         return fold
-    sticks = trial.slips_on < jnp.minimum(FOLD_SLOPE, moved.turn(trial.tangent))
+    sticks = trial.slips_on < jnp.minimum(-SLIP_NOISE, moved.turn(trial.tangent))
     # Without any friction, slips that come to rest turn back at once.
     slip = jnp.where(sticks, jnp.where(limit > 0, 0, -friction.slip), friction.slip)
     stick = with_changed_slips(problem, moved, node, slip, trial.tangent, rest=True)
@@ -228,13 +237,13 @@ def _onwards(
     # The path is still stable there: lengths along a curve do not quite add up, and the loss is further ahead.
     left = jnp.where(left < FOLD_BRACKET, jnp.inf, left)
     bend = Point((trial.tangent.z - state.tangent.z) / state.step, (trial.tangent.u - state.tangent.u) / state.step)
-    turn = _lowest(state.turn(trial.tangent), trial.slips_on)
+    turns = _turns(state.turn(trial.tangent), trial.slips_on)
     return moved._replace(
         bend=bend,
         unstable_at=left,
         # The Illinois rule: otherwise false position creeps towards a fold from one side.
         unstable_turn=state.unstable_turn / 2,
-        step=_step_to_fold(turn, left, state.unstable_turn / 2, jnp.minimum(factor * state.step, longest)),
+        step=_step_to_fold(turns, left, state.unstable_turn / 2, jnp.minimum(factor * state.step, longest)),
     )
 
 
@@ -265,13 +274,13 @@ def after_event(problem: Problem, state: MarchState, trial: Trial):
     again = state._replace(
         task=jnp.asarray(int(Task.advance)), step=jnp.where(dips, share * distance, 0.4 * state.step)
     )
-    turn = _lowest(state.turn(trial.tangent), trial.slips_on)
+    turns = _turns(state.turn(trial.tangent), trial.slips_on)
     holds = trial.stable if trial.slips_on is None else trial.stable & jnp.all(trial.slips_on > -SLIP_NOISE)
     unstable = state._replace(
         task=jnp.asarray(int(Task.advance)),
         unstable_at=distance,
-        unstable_turn=turn,
-        step=_step_to_fold(_turn_at_start(problem, state), distance, turn, jnp.inf),
+        unstable_turn=turns,
+        step=_step_to_fold(_turns_at_start(problem, state), distance, turns, jnp.inf),
     )
     node = _event_node(problem, state, trial, change, z_before)
     cases = []
