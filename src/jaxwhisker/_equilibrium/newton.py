@@ -102,7 +102,7 @@ def contact_parameters(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
     return jnp.asarray(jax.vmap(lambda piece, *at: contact.parameter(problem.profile.on(piece), *at))(*own))
 
 
-ROUNDING = 1e-15  # residual, relative to its terms, that rounding may cause
+ROUNDING = 5e-15  # residual, relative to its terms, that rounding may cause
 LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is unknown
 
 
