@@ -43,7 +43,7 @@ def trial(end=None, tangent=None, stance=None, stable=True):
 @pytest.mark.parametrize("unstable_at", [1.0, 1e-3])
 def test_a_linear_fold_is_a_secant_away(unstable_at):
     # du/ds falls from 0.3 to -0.1 at the loss: its zero lies three quarters of the way.
-    found = _step_to_fold(0.3, jnp.asarray(unstable_at), -0.1, jnp.inf)
+    found = _step_to_fold(jnp.asarray(0.3), jnp.asarray(unstable_at), jnp.asarray(-0.1), jnp.inf)
     np.testing.assert_allclose(found, 0.75 * unstable_at, rtol=ROUNDING)
 
 
@@ -51,7 +51,7 @@ def test_a_loss_of_stability_without_a_fold_is_bisected():
     bracket = [0.0, 1.0]
     lost = 1 / np.pi
     for _ in range(30):
-        step = float(_step_to_fold(0.3, jnp.asarray(bracket[1] - bracket[0]), 0.2, jnp.inf))
+        step = float(_step_to_fold(jnp.asarray(0.3), jnp.asarray(bracket[1] - bracket[0]), jnp.asarray(0.2), jnp.inf))
         bracket[bracket[0] + step > lost] = bracket[0] + step
     assert bracket[0] <= lost <= bracket[1]
     np.testing.assert_allclose(bracket[1] - bracket[0], 0.5**30, rtol=1e-6)
@@ -59,10 +59,18 @@ def test_a_loss_of_stability_without_a_fold_is_bisected():
 
 @pytest.mark.parametrize(("turn", "unstable_turn"), [(1e-15, -1.0), (1.0, -1e-15), (0.0, -1.0), (1.0, -1e9)])
 def test_the_next_step_stays_inside_the_bracket(turn, unstable_turn):
+    turn, unstable_turn = jnp.asarray(turn), jnp.asarray(unstable_turn)
     step = float(_step_to_fold(turn, jnp.asarray(0.5), unstable_turn, jnp.inf))
     assert 0 < step < 0.5
     assert float(_step_to_fold(turn, jnp.asarray(0.5), unstable_turn, 1e-6)) == 1e-6
     assert float(_step_to_fold(turn, jnp.asarray(jnp.inf), unstable_turn, 0.1)) == 0.1
+
+
+def test_each_rate_has_a_secant_of_its_own():
+    # The drive turns back half-way. The slip hardly changes: its small rate says nothing about the drive.
+    drive, slip = (0.3, -0.3), (1e-10, 1e-10)
+    turns, unstable_turns = (jnp.asarray([drive[k], slip[k], jnp.inf]) for k in (0, 1))
+    np.testing.assert_allclose(_step_to_fold(turns, jnp.asarray(1.0), unstable_turns, jnp.inf), 0.5, rtol=ROUNDING)
 
 
 @pytest.mark.parametrize(

@@ -140,6 +140,13 @@ def _beyond_rounding(residual: Array, terms: Array | float) -> Array:
     return jnp.where(jnp.abs(residual) > ROUNDING * (1 + jnp.abs(terms)), residual, 0.0)
 
 
+def _without_rounding(value: BaseEquations, held: Float[Array, "whiskers 2"] | None) -> BaseEquations:
+    """The values with bases exactly at the height and angle at which they are held, if only rounding moves them."""
+    y, turn = (0.0, 0.0) if held is None else held.T
+    y, turn = y + _beyond_rounding(value.y - y, y), turn + _beyond_rounding(value.turn - turn, turn)
+    return value._replace(y=y, turn=turn)
+
+
 class Condensed(NamedTuple):
     """The linearised whiskers after elimination of their own equations.
 
@@ -242,10 +249,7 @@ def newton_step(
     """Solve the linearised equations of all whiskers, the network and the row."""
     linear = linearise_all(problem, point, mode, problem.rod if rates is None else rates, in_turn)
     if mode.friction is not None:
-        y, turn = (0.0, 0.0) if mode.held is None else mode.held.T
-        value = linear.value
-        value = value._replace(y=y + _beyond_rounding(value.y - y, y), turn=turn + _beyond_rounding(value.turn - turn, turn))
-        linear = linear._replace(value=value)
+        linear = linear._replace(value=_without_rounding(linear.value, mode.held))
     return solve_coupled(problem, mode, row, point, condense(problem, point.z, mode, linear))
 
 

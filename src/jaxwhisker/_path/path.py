@@ -147,8 +147,8 @@ def each_touch(margins: PerObject) -> list[PerWhisker]:
 
 
 TOUCH, RELEASE, PHASE, VERTEX, AT_STOP, SLIP, LOW, HIGH = range(len(Margins._fields))  # indices into Margins
-LEAN_NOISE = 1e-6  # largest error of the lean of a nearly straight whisker that sticks
-CONE_NOISE = 1e-12  # ... and of this whisker's force across the normal, in EI/L^2
+LEAN_NOISE = 1e-6  # largest error of the lean of a contact that sticks with hardly any force
+CONE_NOISE = 1e-12  # ... and of the force across the normal of others, in EI/L^2
 MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
 
 

@@ -295,8 +295,8 @@ def advance(
         piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
     way = flow.way
     if way is not None:
-        # Where a tip slips over a corner, or a contact begins to slip, its branch begins, possibly past its fold. It may
-        # lead back.
+        # Where a tip slips over a corner, or a contact begins to slip, a branch begins. The whisker slides back along it
+        # if it begins past its fold.
         moved = jnp.sum(newton.condensed.basis[:, :, 0] * (z - previous) / scale_of(z) ** 2, axis=-1)
         way = jnp.where(slip.slides & (flow.iterations == 0) & (moved < 0), -1.0, way)
     landing_x = jnp.where(slip.slides if among is None else slip.slides | among.hits, pose[:, 0], flow.landing_x)

@@ -150,12 +150,13 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     too_short = ~good & (shorter.step < SHORTEST_STEP)
     to_event = state._replace(task=jnp.asarray(int(Task.event)), target=target)
 
-    turn = state.turn(trial.tangent)
-    located = (jnp.abs(turn) < FOLD_SLOPE) | (state.step < FOLD_BRACKET)
-    holds = trial.stable
+    turn, holds = state.turn(trial.tangent), trial.stable
+    located = jnp.abs(turn) < FOLD_SLOPE
     if trial.slips_on is not None:
-        back = jnp.min(trial.slips_on)
-        holds, located = holds & (back > -SLIP_NOISE), located | ((back <= -SLIP_NOISE) & (back > -STICK_SLOPE))
+        back = jnp.min(jnp.where(trial.slips_on > -SLIP_NOISE, jnp.inf, trial.slips_on))
+        holds &= back > 0
+        located = jnp.where(back < turn, back > -STICK_SLOPE, located)
+    located |= state.step < FOLD_BRACKET
     node = _node(state, trial)
     moved = _moved(state, trial, node)
     turned = _turned(problem, moved, trial, node)
@@ -183,7 +184,7 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
 
 def _turns(turn: Scalar, slips_on: PerWhisker | None) -> Turns:
     """Rates along the path of what must not turn back: the drive and, with friction, the slips of contacts."""
-    return turn if slips_on is None else jnp.concatenate([jnp.reshape(turn, 1), slips_on])
+    return jnp.asarray(turn) if slips_on is None else jnp.concatenate([jnp.reshape(turn, 1), slips_on])
 
 
 def _turns_at_start(problem: Problem, state: MarchState) -> Turns:
