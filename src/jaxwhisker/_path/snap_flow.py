@@ -16,8 +16,8 @@ With the flexibility C = K^-1, one implicit step of pseudo-time dt is
 
 which is valid for rigid springs too. If the bases run away faster than dt resolves, the matrix is not positive
 definite. The destabilising part of D (D > 0 along x; in the plane, all of D) is then treated explicitly, and the next
-dt is shorter. Treating it explicitly throughout would be too slow: just below a critical stiffness the bases creep by a
-millionth of the distance per step.
+dt is shorter; with friction, nothing moves before dt is short enough. Treating it explicitly throughout would be too
+slow: just below a critical stiffness the bases creep by a millionth of the distance per step.
 """
 
 from typing import NamedTuple
@@ -295,8 +295,8 @@ def advance(
         piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
     way = flow.way
     if way is not None:
-        # Where a tip slips over a corner, or a contact begins to slip, a branch begins. The whisker slides back along it
-        # if it begins past its fold.
+        # Where a tip slips over a corner, or a contact begins to slip, a branch begins. A whisker slides back along one
+        # that begins past its fold.
         moved = jnp.sum(newton.condensed.basis[:, :, 0] * (z - previous) / scale_of(z) ** 2, axis=-1)
         way = jnp.where(slip.slides & (flow.iterations == 0) & (moved < 0), -1.0, way)
     landing_x = jnp.where(slip.slides if among is None else slip.slides | among.hits, pose[:, 0], flow.landing_x)
