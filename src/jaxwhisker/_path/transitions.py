@@ -151,15 +151,18 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     to_event = state._replace(task=jnp.asarray(int(Task.event)), target=target)
 
     turn, holds = state.turn(trial.tangent), trial.stable
-    located = jnp.abs(turn) < FOLD_SLOPE
+    located, rests = jnp.abs(turn) < FOLD_SLOPE, None
     if trial.slips_on is not None:
         back = jnp.min(jnp.where(trial.slips_on > -SLIP_NOISE, jnp.inf, trial.slips_on))
         holds &= back > 0
         located = jnp.where(back < turn, back > -STICK_SLOPE, located)
+        # A slip rate that is always small says nothing; one that is known to turn back ahead has come to rest here.
+        rests = jnp.isfinite(state.unstable_at) & (state.unstable_turn[1:] < -SLIP_NOISE)
+        rests &= trial.slips_on < FOLD_SLOPE
     located |= state.step < FOLD_BRACKET
     node = _node(state, trial)
     moved = _moved(state, trial, node)
-    turned = _turned(problem, moved, trial, node)
+    turned = _turned(problem, moved, trial, node, rests)
     turns = _turns(turn, trial.slips_on)
     closer = state._replace(
         unstable_at=state.step,
@@ -167,6 +170,7 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
         step=_step_to_fold(_turns_at_start(problem, state), state.step, turns, jnp.inf),
     )
     at_fold = jnp.isfinite(state.unstable_at) & (turn < FOLD_SLOPE)
+    at_fold = at_fold if rests is None else at_fold | jnp.any(rests)
     new = first_case(
         # If several whiskers become unstable at once, Newton's method fails close to the fold: this is near enough.
         (too_short & (state.unstable_at < NEAR_FOLD), to_snap(state)),
@@ -191,13 +195,16 @@ def _turns_at_start(problem: Problem, state: MarchState) -> Turns:
     return _turns(state.turn(state.tangent), slips_on(problem, state.mode, state.point.z, state.tangent.z))
 
 
-def _turned(problem: Problem, moved: MarchState, trial: Trial, node: Node) -> MarchState:
+def _turned(
+    problem: Problem, moved: MarchState, trial: Trial, node: Node, rests: Bool[Array, " whiskers"] | None
+) -> MarchState:
     """The state at a located turning point: the path loses stability at a fold, or a contact begins to stick."""
     fold = to_snap(moved)
     friction, limit = moved.mode.friction, problem.friction_angle
-    if trial.slips_on is None or friction is None or limit is None:
+    if trial.slips_on is None or friction is None or limit is None or rests is None:
         return fold
-    sticks = trial.slips_on < jnp.minimum(-SLIP_NOISE, moved.turn(trial.tangent))
+    sticks = (trial.slips_on < -SLIP_NOISE) | rests
+    sticks &= trial.slips_on < moved.turn(trial.tangent)
     # Without any friction, slips that come to rest turn back at once.
     slip = jnp.where(sticks, jnp.where(limit > 0, 0, -friction.slip), friction.slip)
     stick = with_changed_slips(problem, moved, node, slip, trial.tangent, rest=True)
