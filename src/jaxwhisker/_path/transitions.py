@@ -46,7 +46,7 @@ FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact 
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
 FOLD_SLOPE = 1e-9  # du/ds below which a fold counts as located: the error of the state is of this size, of u its square
-STICK_SLOPE = 2e-9  # the same for slips that come to rest: beyond the noise of slip rates
+STICK_SLOPE = 2e-9  # the same for slips that come to rest; larger than the noise of their rates
 FOLD_BRACKET = 1e-9  # a loss of stability within a step this short counts as located, too
 NEAR_FOLD = 2e-4  # ... or within one this short, if no shorter step can be solved; u is off by less than its square
 RESOLVED_STEP = 0.02  # step within which du/ds is a parabola to a few percent of its change
@@ -67,7 +67,7 @@ def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""
 
 def _step_to_fold(turns: Turns, unstable_at: Scalar, unstable_turns: Turns, otherwise: Scalar) -> Scalar:
     """Length of the next step: if a loss of stability ahead is known, towards it but not beyond."""
-    # What turns back does so nearly linearly, so its zero is a secant away; a loss without a fold is bisected.
+    # These rates fall nearly linearly, so that the first zero is a secant away; a loss without a fold is bisected.
     share = jnp.where(unstable_turns < 0, turns / (turns - unstable_turns), jnp.inf if turns.ndim else 0.5)
     if turns.ndim:
         share = jnp.min(share)
