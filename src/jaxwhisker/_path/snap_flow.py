@@ -48,6 +48,7 @@ FIRST_CHANGE = 0.0025  # the same for the first step with friction: contacts may
 FARTHEST = 5.0  # largest motion of a base per change of contacts: a flat object moves far beneath a steady contact
 SHORTEST = 1e-7  # smallest such change that is tried if a whisker cannot follow a larger one
 FIRST_TIME_STEP = 1e-3
+GROWTH = 1.4  # factor by which time steps that are short enough grow without friction
 NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
 ITERATIONS = 2000  # fewer than a march may have in all: a flow that does not end is `unsettled`, not `too_long`
 TOUCH = 1e-8  # tolerance for the position of a base where its whisker touches, and thus for the force of a new contact
@@ -126,6 +127,11 @@ def _implicit_displacement(problem: Problem, pull: Poses, slope, damping: Scalar
     return jnp.reshape(solve(system, jnp.ravel(pull)[:, None]), pull.shape)
 
 
+def _resolves(problem: Problem, slope: Slopes, time_step: Scalar) -> Bool[Array, ""]:
+    """Whether the system is stable even with half of the damping: otherwise, it would be badly conditioned."""
+    return network_is_stable(problem, slope - 0.5 / time_step * jnp.eye(slope.shape[-1]))
+
+
 def _steps(flow: Flow, displacement: Poses) -> Poses:
     """Steps along and across the branches that give the bases this displacement."""
     across = displacement[:, 1:]
@@ -138,10 +144,14 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     free, loose = mode.phase == Phase.free, ~problem.solved(mode.phase)
     axes = flow.pose.shape[1]
     pull = problem.rest(point.u) + problem.displacement(flow.load) - flow.pose
-    # The system must be stable even with half of the damping, or it would be badly conditioned.
-    resolved = network_is_stable(problem, flow.slope - 0.5 / flow.time_step * jnp.eye(flow.slope.shape[-1]))
+    time_step, growth = flow.time_step, GROWTH
+    resolved = _resolves(problem, flow.slope, time_step)
+    if flow.share is not None:
+        # Nothing moves before the time step is short enough. If it is too long, a shorter one is tried at once.
+        time_step, growth = jnp.where(resolved, time_step, time_step / 4), 4.0
+        resolved = _resolves(problem, flow.slope, time_step)
     slope = jnp.where(resolved, flow.slope, problem.not_destabilising(flow.slope))
-    moves = _implicit_displacement(problem, pull, slope, 1 / flow.time_step)
+    moves = _implicit_displacement(problem, pull, slope, 1 / time_step)
     # A slip takes no time: the other whiskers wait until it ends.
     slipping = flow.sliding | flow.landing
     slipping_now = jnp.any(slipping)
@@ -156,7 +166,7 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     to_land = jnp.zeros_like(steps).at[:, 0].set(_step_to_landing(problem, flow, mode))
     steps = jnp.where(slipping_now, jnp.where(slipping[:, None], to_land, 0.0), share * steps)
     moves = jnp.where(slipping_now, 0.0, share * moves)
-    longer = jnp.where(resolved, jnp.where(share < 1, 0.7, 1.4), 0.25)
+    longer = jnp.where(resolved, jnp.where(share < 1, 0.7, growth), 0.25)
     if flow.share is not None:
         # With the slopes of another slip or phase of one contact, the others would be led astray.
         looks = jnp.any(~loose & ~branch_known(flow))
@@ -168,7 +178,7 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     return flow._replace(
         guess=point.z + jnp.sum(flow.basis * steps[:, None, :], axis=-1),
         pose=flow.pose + jnp.where(moved, moves, 0.0),
-        time_step=flow.time_step * jnp.where(slipping_now, 1.0, longer),
+        time_step=jnp.where(slipping_now, flow.time_step, time_step * longer),
     )
 
 
