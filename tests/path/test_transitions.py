@@ -1,7 +1,6 @@
-"""Decisions of the march: lengths of steps, kinds of events, folds within a step, its end."""
+"""Decisions of the march: kinds of events, its end."""
 
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 import jaxwhisker as jw
@@ -9,13 +8,12 @@ from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._path.leaving import _is_over
 from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import Target, Trial
 from jaxwhisker._path.path import AT_STOP, PHASE, RELEASE, STOP, TOUCH, VERTEX, EventKind
-from jaxwhisker._path.transitions import SHORTEST_DIP, _event_kind, _may_fold_twice, _step_to_fold
+from jaxwhisker._path.transitions import _event_kind
 
 ROUNDING = 1e-12
 SCENE = scene(jw.Support.fb(70.0))
@@ -40,39 +38,6 @@ def trial(end=None, tangent=None, stance=None, stable=True):
     return Trial(*parts)  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize("unstable_at", [1.0, 1e-3])
-def test_a_linear_fold_is_a_secant_away(unstable_at):
-    # du/ds falls from 0.3 to -0.1 at the loss: its zero lies three quarters of the way.
-    found = _step_to_fold(jnp.asarray(0.3), jnp.asarray(unstable_at), jnp.asarray(-0.1), jnp.inf)
-    np.testing.assert_allclose(found, 0.75 * unstable_at, rtol=ROUNDING)
-
-
-def test_a_loss_of_stability_without_a_fold_is_bisected():
-    bracket = [0.0, 1.0]
-    lost = 1 / np.pi
-    for _ in range(30):
-        step = float(_step_to_fold(jnp.asarray(0.3), jnp.asarray(bracket[1] - bracket[0]), jnp.asarray(0.2), jnp.inf))
-        bracket[bracket[0] + step > lost] = bracket[0] + step
-    assert bracket[0] <= lost <= bracket[1]
-    np.testing.assert_allclose(bracket[1] - bracket[0], 0.5**30, rtol=1e-6)
-
-
-@pytest.mark.parametrize(("turn", "unstable_turn"), [(1e-15, -1.0), (1.0, -1e-15), (0.0, -1.0), (1.0, -1e9)])
-def test_the_next_step_stays_inside_the_bracket(turn, unstable_turn):
-    turn, unstable_turn = jnp.asarray(turn), jnp.asarray(unstable_turn)
-    step = float(_step_to_fold(turn, jnp.asarray(0.5), unstable_turn, jnp.inf))
-    assert 0 < step < 0.5
-    assert float(_step_to_fold(turn, jnp.asarray(0.5), unstable_turn, 1e-6)) == 1e-6
-    assert float(_step_to_fold(turn, jnp.asarray(jnp.inf), unstable_turn, 0.1)) == 0.1
-
-
-def test_each_rate_has_a_secant_of_its_own():
-    # The drive turns back half-way. The slip hardly changes: its small rate says nothing about the drive.
-    drive, slip = (0.3, -0.3), (1e-10, 1e-10)
-    turns, unstable_turns = (jnp.asarray([drive[k], slip[k], jnp.inf]) for k in (0, 1))
-    np.testing.assert_allclose(_step_to_fold(turns, jnp.asarray(1.0), unstable_turns, jnp.inf), 0.5, rtol=ROUNDING)
-
-
 @pytest.mark.parametrize(
     ("kind", "phase", "expected"),
     [
@@ -93,45 +58,6 @@ def test_kinds_of_events(kind, phase, expected):
     none = jnp.zeros((2, 3))
     target = Target(jnp.asarray(kind), whisker, jnp.asarray(0.0), none, phases, jnp.ones(2))
     assert _event_kind(target, phases) == expected
-
-
-def folds(state, start, end, mean, step=0.01, stable=True):
-    """Whether a step may fold twice, whose du/ds is a parabola with these values at its ends and this mean."""
-    at = state._replace(step=jnp.asarray(step), tangent=state.tangent._replace(u=jnp.asarray(-start)))
-    arrived = Point(state.point.z, state.point.u - mean * step)
-    twice, share = _may_fold_twice(at, trial(arrived, state.tangent._replace(u=jnp.asarray(-end)), stable=stable))
-    return bool(twice), float(share)
-
-
-def test_a_dip_of_the_turn_below_zero_is_a_pair_of_folds(state):
-    # du/ds = 1 - 5 t + 5 t^2 is lowest, -1/4, half-way; its mean is 1/6.
-    twice, share = folds(state, 1.0, 1.0, 1 / 6)
-    assert twice
-    np.testing.assert_allclose(share, 0.5, rtol=1e-9)
-    # 1 - 4 t + 3.6 t^2 is lowest at 5/9, with a margin for a slope that is not quite known; its mean is 1/5.
-    twice, share = folds(state, 1.0, 0.6, 0.2)
-    assert twice
-    np.testing.assert_allclose(share, 5 / 9, atol=0.02)
-    # du/ds = 1 - 2 t + 2 t^2 stays above 1/2; its mean is 2/3.
-    assert not folds(state, 1.0, 1.0, 2 / 3)[0]
-    # A long step does not resolve the parabola: half of its lowest end is too near to zero.
-    assert folds(state, 1.0, 1.0, 0.45, step=0.03)[0]
-    assert not folds(state, 1.0, 1.0, 0.45, step=0.01)[0]
-
-
-def test_a_dip_beside_the_end_of_a_step_counts(state):
-    # du/ds falls from 1 to 0.001 and turns up at the very end, if its slope there is wrong by a little.
-    assert folds(state, 1.0, 0.001, 0.33)[0]
-    assert not folds(state, 1.0, 0.5, 0.75)[0]
-
-
-def test_no_pair_of_folds(state):
-    dipping = 1.0, 1.0, 1 / 6
-    assert folds(state, *dipping)[0]
-    assert not folds(state, *dipping, stable=False)[0]  # located as a loss of stability
-    assert not folds(state, *dipping, step=SHORTEST_DIP / 2)[0]
-    assert not folds(state, 1.0, -0.1, 0.2)[0]  # a single fold lies at its end
-    assert not folds(state, 1.0, 1.0, 1.2)[0]  # a hump
 
 
 @pytest.mark.parametrize(

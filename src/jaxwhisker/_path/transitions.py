@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
@@ -19,8 +19,8 @@ from jaxwhisker._equilibrium.pieces import where_touching
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, of_object
 from jaxwhisker._path.approach import approach_of
-from jaxwhisker._path.leaving import SLIP_NOISE, to_snap, with_changed_slips
-from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated, slips_on
+from jaxwhisker._path.leaving import SLIP_NOISE, to_snap
+from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated
 from jaxwhisker._path.path import (
     AT_STOP,
     HIGH,
@@ -38,22 +38,25 @@ from jaxwhisker._path.path import (
     Status,
     first_case,
     margin_rates,
-    select,
+)
+from jaxwhisker._path.turning_points import (
+    FOLD_BRACKET,
+    FOLD_SLOPE,
+    after_turning_point,
+    before_loss,
+    may_fold_twice,
+    step_to_loss,
+    turning_point,
+    turns_of,
 )
 
 PREDICTION_ERROR = 2e-3  # target; states between nodes are then interpolated to about 1e-6 before they are solved for
 FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact that sticks
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
-FOLD_SLOPE = 1e-9  # du/ds below which a fold counts as located: the error of the state is of this size, of u its square
-STICK_SLOPE = 2e-9  # the same for slips that come to rest; larger than the noise of their rates
-FOLD_BRACKET = 1e-9  # a loss of stability within a step this short counts as located, too
-NEAR_FOLD = 2e-4  # ... or within one this short, if no shorter step can be solved; u is off by less than its square
-RESOLVED_STEP = 0.02  # step within which du/ds is a parabola to a few percent of its change
-PARABOLA_ERROR = 0.25  # assumed error of the parabola's slopes, relative to that change, with a margin
-SHORTEST_DIP = 1e-4  # step within which du/ds changes by about 1e-6 at most: folds closer together are overlooked
-
-Turns = Float[Array, "*rates"]  # of the drive and, with friction, of slips
+NEAR_FOLD = (
+    2e-4  # a loss this near counts as located if no shorter step can be solved; u is off by less than its square
+)
 
 
 def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
@@ -63,17 +66,6 @@ def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""
     kinds = [EventKind.touch, EventKind.release, 0, EventKind.vertex, STOP, EventKind.slip]
     kinds = jnp.array(kinds if target.piece is None else [*kinds, EventKind.edge, EventKind.edge])
     return jnp.where(target.kind == PHASE, change, kinds[target.kind])
-
-
-def _step_to_fold(turns: Turns, unstable_at: Scalar, unstable_turns: Turns, otherwise: Scalar) -> Scalar:
-    """Length of the next step: if a loss of stability ahead is known, towards it but not beyond."""
-    # These rates fall nearly linearly, so that the first zero is a secant away; a loss without a fold is bisected.
-    share = jnp.where(unstable_turns < 0, turns / (turns - unstable_turns), jnp.inf if turns.ndim else 0.5)
-    if turns.ndim:
-        share = jnp.min(share)
-        share = jnp.where(jnp.isfinite(share), share, 0.5)
-    inside = unstable_at * jnp.clip(share, 1e-3, 0.999)
-    return jnp.minimum(otherwise, jnp.where(jnp.isfinite(unstable_at), inside, jnp.inf))
 
 
 def _node(state: MarchState, trial: Trial) -> Node:
@@ -109,28 +101,6 @@ def _moved(state: MarchState, trial: Trial, node: Node) -> MarchState:
     )
 
 
-def _may_fold_twice(state: MarchState, trial: Trial) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether u may turn back and forth within a step whose ends are stable, and at which share of the step.
-
-    Within the step, du/ds is taken for a parabola with the values at the step's ends and the step's mean. Near a
-    critical stiffness it dips towards zero. Such a dip is passed in short steps; a dip below zero is a pair of folds.
-    """
-    start, end = state.turn(state.tangent), state.turn(trial.tangent)
-    mean = state.direction * (trial.solution.point.u - state.point.u) / state.step
-    least, highest = jnp.minimum(start, end), jnp.maximum(start, end)
-    slope, bend = 6 * mean - 4 * start - 2 * end, 3 * start + 3 * end - 6 * mean
-    # The lowest value that du/ds may have if the slope at either end is wrong by this much.
-    wrong = PARABOLA_ERROR * (highest - least)
-    bowl = jnp.where(bend > 0, bend, 1.0)
-    steeper, flatter = slope - wrong, slope + 2 * bend + wrong
-    at = -steeper / (2 * bowl)
-    lowest = start + at * (steeper + at * bend)
-    inside = (at > 0) & (at < 1) & ((lowest < 0) | ((state.step > RESOLVED_STEP) & (lowest < 0.5 * least)))
-    at_end = (slope < 0) & (flatter > 0) & (end < wrong**2 / (4 * bowl))
-    possible = trial.stable & (bend > 0) & (least > 0) & (state.step > SHORTEST_DIP)
-    return possible & (inside | at_end), jnp.where(inside, jnp.clip(at, 0.2, 0.8), 0.6)
-
-
 def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Point):
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
     scale = scale_of(state.point.z)
@@ -142,7 +112,7 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     violated, target = first_violated(state, trial, state.step)
     dips, share = dip(problem, state, trial, state.step)
     dips &= ~violated
-    twice, turn_share = _may_fold_twice(state, trial)
+    twice, turn_share = may_fold_twice(state, trial)
     share = jnp.where(twice, turn_share, share)
     dips = good & (dips | twice)
     good &= ~dips
@@ -150,27 +120,11 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
     too_short = ~good & (shorter.step < SHORTEST_STEP)
     to_event = state._replace(task=jnp.asarray(int(Task.event)), target=target)
 
-    turn, holds = state.turn(trial.tangent), trial.stable
-    located, rests = jnp.abs(turn) < FOLD_SLOPE, None
-    if trial.slips_on is not None:
-        back = jnp.min(jnp.where(trial.slips_on > -SLIP_NOISE, jnp.inf, trial.slips_on))
-        holds &= back > 0
-        located = jnp.where(back < turn, back > -STICK_SLOPE, located)
-        # A slip rate that is always small says nothing; one that is known to turn back ahead has come to rest here.
-        rests = jnp.isfinite(state.unstable_at) & (state.unstable_turn[1:] < -SLIP_NOISE)
-        rests &= trial.slips_on < FOLD_SLOPE
-    located |= state.step < FOLD_BRACKET
+    holds, located, reached, rests = turning_point(state, trial)
     node = _node(state, trial)
     moved = _moved(state, trial, node)
-    turned = _turned(problem, moved, trial, node, rests)
-    turns = _turns(turn, trial.slips_on)
-    closer = state._replace(
-        unstable_at=state.step,
-        unstable_turn=turns,
-        step=_step_to_fold(_turns_at_start(problem, state), state.step, turns, jnp.inf),
-    )
-    at_fold = jnp.isfinite(state.unstable_at) & (turn < FOLD_SLOPE)
-    at_fold = at_fold if rests is None else at_fold | jnp.any(rests)
+    turned = after_turning_point(problem, moved, trial, node, rests)
+    closer = before_loss(problem, state, trial, state.step)
     new = first_case(
         # If several whiskers become unstable at once, Newton's method fails close to the fold: this is near enough.
         (too_short & (state.unstable_at < NEAR_FOLD), to_snap(state)),
@@ -180,35 +134,10 @@ def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Poin
         (~holds & ~located, closer),
         (~holds, turned),
         (~trial.sound, state.stopped(trial.reason)),
-        (at_fold, turned),
+        (reached, turned),
         otherwise=_onwards(problem, state, moved, trial, error, scale),
     )
     return new, good & ~violated & (holds | located) & trial.sound, node
-
-
-def _turns(turn: Scalar, slips_on: PerWhisker | None) -> Turns:
-    """Rates along the path of what must not turn back: the drive and, with friction, the slips of contacts."""
-    return jnp.asarray(turn) if slips_on is None else jnp.concatenate([jnp.reshape(turn, 1), slips_on])
-
-
-def _turns_at_start(problem: Problem, state: MarchState) -> Turns:
-    return _turns(state.turn(state.tangent), slips_on(problem, state.mode, state.point.z, state.tangent.z))
-
-
-def _turned(
-    problem: Problem, moved: MarchState, trial: Trial, node: Node, rests: Bool[Array, " whiskers"] | None
-) -> MarchState:
-    """The state at a located turning point: the path loses stability at a fold, or a contact begins to stick."""
-    fold = to_snap(moved)
-    friction, limit = moved.mode.friction, problem.friction_angle
-    if trial.slips_on is None or friction is None or limit is None or rests is None:
-        return fold
-    sticks = (trial.slips_on < -SLIP_NOISE) | rests
-    sticks &= trial.slips_on < moved.turn(trial.tangent)
-    # Without any friction, slips that come to rest turn back at once.
-    slip = jnp.where(sticks, jnp.where(limit > 0, 0, -friction.slip), friction.slip)
-    stick = with_changed_slips(problem, moved, node, slip, trial.tangent, rest=True)
-    return select(jnp.any(sticks), stick, fold)
 
 
 def _prediction_error(state: MarchState, trial: Trial, guess: Point, scale: Contacts) -> tuple[Scalar, Bool[Array, ""]]:
@@ -245,13 +174,14 @@ def _onwards(
     # The path is still stable there: lengths along a curve do not quite add up, and the loss is further ahead.
     left = jnp.where(left < FOLD_BRACKET, jnp.inf, left)
     bend = Point((trial.tangent.z - state.tangent.z) / state.step, (trial.tangent.u - state.tangent.u) / state.step)
-    turns = _turns(state.turn(trial.tangent), trial.slips_on)
+    # The Illinois rule: otherwise false position creeps towards a fold from one side.
+    unstable_turn = state.unstable_turn / 2
+    to_loss = step_to_loss(turns_of(state, trial), left, unstable_turn)
     return moved._replace(
         bend=bend,
         unstable_at=left,
-        # The Illinois rule: otherwise false position creeps towards a fold from one side.
-        unstable_turn=state.unstable_turn / 2,
-        step=_step_to_fold(turns, left, state.unstable_turn / 2, jnp.minimum(factor * state.step, longest)),
+        unstable_turn=unstable_turn,
+        step=jnp.minimum(jnp.minimum(factor * state.step, longest), to_loss),
     )
 
 
@@ -282,14 +212,8 @@ def after_event(problem: Problem, state: MarchState, trial: Trial):
     again = state._replace(
         task=jnp.asarray(int(Task.advance)), step=jnp.where(dips, share * distance, 0.4 * state.step)
     )
-    turns = _turns(state.turn(trial.tangent), trial.slips_on)
     holds = trial.stable if trial.slips_on is None else trial.stable & jnp.all(trial.slips_on > -SLIP_NOISE)
-    unstable = state._replace(
-        task=jnp.asarray(int(Task.advance)),
-        unstable_at=distance,
-        unstable_turn=turns,
-        step=_step_to_fold(_turns_at_start(problem, state), distance, turns, jnp.inf),
-    )
+    unstable = before_loss(problem, state, trial, distance)._replace(task=jnp.asarray(int(Task.advance)))
     node = _event_node(problem, state, trial, change, z_before)
     cases = []
     if problem.frames_move:
