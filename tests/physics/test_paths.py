@@ -2,6 +2,7 @@
 
 import exact
 import numpy as np
+import pytest
 from scipy.optimize import brentq
 
 import jaxwhisker as jw
@@ -36,6 +37,19 @@ def test_out_and_back_without_a_snap_retraces_itself():
     kinds = [e[0] for e in event_list(result)]
     assert kinds.count("touch") == kinds.count("release") == 2
     assert kinds.count("vertex") % 2 == 0
+
+
+@pytest.mark.parametrize("beyond", [1e-8, 1e-10, 1e-11, 1e-13])
+def test_a_whisker_that_grazes_the_object_passes_it(beyond):
+    result = jw.scan(model("FB", distance=1 - beyond), np.linspace(-0.1995, -0.2005, 171))
+    assert all_ok(result)
+    events = event_list(result)
+    if beyond < 5e-11:  # too little to decide where it touches
+        assert not events and np.max(result.contact_force) == 0
+    else:
+        assert [e[0] for e in events] == ["touch", "vertex", "snap_off"]
+        np.testing.assert_allclose(events[0][2], -0.2 + np.sqrt(beyond), atol=EVENT)
+    assert result.fx[-1, 0] == 0
 
 
 def test_back_after_a_snap_through_stays_on_the_far_branch():
