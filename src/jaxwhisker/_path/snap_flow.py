@@ -48,7 +48,8 @@ FIRST_CHANGE = 0.0025  # the same for the first step with friction: contacts may
 FARTHEST = 5.0  # largest motion of a base per change of contacts: a flat object moves far beneath a steady contact
 SHORTEST = 1e-7  # smallest such change that is tried if a whisker cannot follow a larger one
 FIRST_TIME_STEP = 1e-3
-GROWTH = 1.4  # factor by which time steps that are short enough grow without friction
+GROWTH = 1.4  # factor by which time steps that are short enough grow
+FAST_GROWTH = 4.0  # the same with friction, where a time step that is too long costs nothing
 NEAR = 0.02  # distance from the equilibrium at which Newton's method takes over
 ITERATIONS = 2000  # fewer than a march may have in all: a flow that does not end is `unsettled`, not `too_long`
 TOUCH = 1e-8  # tolerance for the position of a base where its whisker touches, and thus for the force of a new contact
@@ -148,7 +149,7 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     resolved = _resolves(problem, flow.slope, time_step)
     if flow.share is not None:
         # Nothing moves before the time step is short enough. If it is too long, a shorter one is tried at once.
-        time_step, growth = jnp.where(resolved, time_step, time_step / 4), 4.0
+        time_step, growth = jnp.where(resolved, time_step, time_step / 4), FAST_GROWTH
         resolved = _resolves(problem, flow.slope, time_step)
     slope = jnp.where(resolved, flow.slope, problem.not_destabilising(flow.slope))
     moves = _implicit_displacement(problem, pull, slope, 1 / time_step)

@@ -54,9 +54,7 @@ PREDICTION_ERROR = 2e-3  # target; states between nodes are then interpolated to
 FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact that sticks
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
-NEAR_FOLD = (
-    2e-4  # a loss this near counts as located if no shorter step can be solved; u is off by less than its square
-)
+NEAR_FOLD = 2e-4  # a loss this near counts as located if no shorter step is solved; u is off by less than its square
 
 
 def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
