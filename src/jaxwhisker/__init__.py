@@ -15,7 +15,7 @@ from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.cut import Cut
 from jaxwhisker._model.foundation import Foundation
-from jaxwhisker._model.loads import PointForce, PointMoment
+from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment
 from jaxwhisker._model.motion import AbstractMotion, Motion, Mount, Rotation, Translation
 from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
@@ -66,6 +66,7 @@ __all__ = [
     "Foundation",
     "Graph",
     "Information",
+    "LineLoad",
     "Modes",
     "Motion",
     "Mount",

@@ -1,9 +1,11 @@
 """Deflection under given loads: the thesis's tables, balance, moments, several loads."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_bvp
 
 import jaxwhisker as jw
 
@@ -84,6 +86,126 @@ def test_a_follower_turns_with_the_whisker_and_a_dead_load_does_not():
     np.testing.assert_allclose([dead.fx, dead.fy], [2.0, 0.0], atol=EXACT)
 
 
+EULER = np.pi**2 / 4  # smallest axial load that buckles a cantilever
+MINUTES = np.radians(0.05)
+
+
+@pytest.mark.parametrize(
+    ("axial", "lateral", "tip"),
+    [
+        # Angle of the tip to the upright in degrees, towards -x, where the lateral load pushes.
+        (1.5, 0.01, 98.72),
+        (1.1, 0.001, 49.64),
+        (2.8 * np.cos(MINUTES) / EULER, 2.8 * np.sin(MINUTES), 57.05),
+        (1.1, 1e-6, 49.53),  # the bend of the branch is as narrow as 1e-4 of the load
+    ],
+)
+def test_branches_begin_at_rest(axial, lateral, tip):
+    for side in (1, -1):
+        push = jw.PointForce(side * lateral)
+        d = jw.deflect(jw.Whisker(), jw.PointForce(axial * EULER, direction=-np.pi / 2), push)
+        assert d.status == jw.Status.ok
+        np.testing.assert_allclose(np.degrees(d.angle[-1] - np.pi / 2), side * tip, atol=TENTHS)
+        assert side * d.x[-1] < 0
+
+
+TENTHS = 0.006  # degrees; the angles are rounded
+
+
+def test_columns_buckle_to_either_side():
+    status = [
+        int(jw.deflect(jw.Whisker(), jw.PointForce(share * EULER, direction=-np.pi / 2)).status)
+        for share in (0.99, 1.01, 20.0)  # the last one is beyond the second buckling load
+    ]
+    assert status == [jw.Status.ok, jw.Status.unstable, jw.Status.unstable]
+
+
+def test_pure_tension_is_stable():
+    assert jw.deflect(jw.Whisker(), jw.PointForce(50.0, direction=np.pi / 2)).status == jw.Status.ok
+
+
+def heavy(load, lateral):
+    """Tip of an upright whisker under its weight and a small lateral load, by a collocation method."""
+
+    def rates(s, values):
+        phi, moment, x, y = values
+        # Of everything beyond s: the weight times (1 - s) downwards, and the lateral load towards -x.
+        return np.stack([moment, (1 - s) * load * np.cos(phi) - lateral * np.sin(phi), np.cos(phi), np.sin(phi)])
+
+    def ends(base, tip):
+        return np.array([base[0] - np.pi / 2, base[2], base[3], tip[1]])
+
+    s = np.linspace(0, 1, 41)
+    guess = np.stack([np.pi / 2 + 2.2 * np.sin(np.pi * s / 2), 2 * (1 - s), -s, s * (1 - s)])
+    found = solve_bvp(rates, ends, s, guess, tol=1e-11, max_nodes=100_000)
+    assert found.success
+    return found.y[:, -1], found.y[1, 0]
+
+
+DISTRIBUTED = 1e-8  # of the collocation method and of deflections
+SIDEWAYS = 0.3
+
+
+@pytest.mark.parametrize("load", [6.0, 10.0])  # less and more than the 7.837 at which an upright column buckles
+def test_uniform_dead_weight(load):
+    (phi, _, x, y), moment = heavy(load, SIDEWAYS)
+    push = jw.PointForce(SIDEWAYS)
+    for d in (
+        jw.deflect(jw.Whisker(), jw.LineLoad(y=-load), push),
+        jw.deflect(jw.Whisker(mass_per_length=2.0), push, gravity=(0.0, -load / 2)),
+        jw.deflect(jw.Whisker(), jw.LineLoad(y=lambda s: -load + 0 * s), push),
+    ):
+        assert d.status == jw.Status.ok
+        np.testing.assert_allclose([d.angle[-1], d.x[-1], d.y[-1], -d.mz], [phi, x, y, moment], atol=DISTRIBUTED)
+        np.testing.assert_allclose([d.fx, d.fy], [SIDEWAYS, load], atol=EXACT)
+
+
+def test_heavy_columns_buckle_at_greenhills_load():
+    status = jax.vmap(lambda w: jw.deflect(jw.Whisker(), jw.LineLoad(y=-w), points=2).status)(np.array([7.83, 7.84]))
+    assert status.tolist() == [jw.Status.ok, jw.Status.unstable]
+
+
+def test_weights_include_the_tip_but_not_the_base():
+    whisker = jw.Whisker(2.0, 3.0, mass_per_length=0.4, tip_mass=0.3, base_mass=5.0)
+    d = jw.deflect(whisker, gravity=(-0.7, -0.1))
+    np.testing.assert_allclose([d.fx, d.fy], [1.1 * 0.7, 1.1 * 0.1], atol=EXACT)
+    along = np.trapezoid(0.4 * np.stack([d.x, d.y]), d.s)  # 0.7 and 0.1 times the moment of the distributed mass
+    x, y = along + 0.3 * np.array([d.x[-1], d.y[-1]])
+    assert abs(d.mz - (x * 0.1 - y * 0.7)) < TRAPEZOIDS
+
+
+TRAPEZOIDS = 1e-4  # the moment from 101 points of the shape
+
+
+class Growing(eqx.Module):
+    rate: jax.Array
+
+    def __call__(self, s):
+        return self.rate * s
+
+
+def test_derivatives_by_distributed_loads():
+    def tip(numbers):
+        x, rate, start, stop, length = numbers
+        d = jw.deflect(jw.Whisker(length), jw.LineLoad(x, Growing(rate), start, stop), points=3)
+        return jnp.stack([d.mz, d.x[-1], d.fy])
+
+    @jax.jit
+    def all_of(numbers, weights):
+        value, along = jax.linearize(tip, numbers)
+        columns = jax.vmap(along, out_axes=-1)(jnp.eye(numbers.size))
+        return value, columns, jax.linear_transpose(along, numbers)(weights)[0]
+
+    at, weights = jnp.array([-1.0, 0.7, 0.2, 0.9, 1.2]), jnp.array([1.0, -2.0, 0.5])
+    _, forward, reverse = all_of(at, weights)
+    np.testing.assert_allclose(reverse, weights @ np.asarray(forward), rtol=MODES)
+    for k in range(at.size):
+        step = 1e-5 * jnp.eye(at.size)[k]
+        difference = (all_of(at + step, weights)[0] - all_of(at - step, weights)[0]) / 2e-5
+        assert np.max(np.abs(difference)) > 0.1
+        np.testing.assert_allclose(forward[:, k], difference, atol=DIFFERENCES * np.max(np.abs(forward)))
+
+
 def test_deflections_in_si_units():
     one = jw.deflect(jw.Whisker(), jw.PointForce(5.0))
     length, stiffness = 0.02, 3e-7
@@ -114,11 +236,29 @@ def test_shapes_have_points_on_each_stretch():
     ("make", "message"),
     [
         (lambda: jw.deflect("whisker", jw.PointForce(1.0)), "`whisker` must be a Whisker, got 'whisker'"),  # pyright: ignore[reportArgumentType]
-        (lambda: jw.deflect(jw.Whisker()), r"`loads` must be one or more of PointForce and PointMoment, got \(\)"),
-        (lambda: jw.deflect(jw.Whisker(), 3.0), "`loads` must be one or more of PointForce and PointMoment, got"),  # pyright: ignore[reportArgumentType]
+        (
+            lambda: jw.deflect(jw.Whisker()),
+            r"`loads` must be one or more of PointForce, PointMoment and LineLoad, got \(\)",
+        ),
+        (
+            lambda: jw.deflect(jw.Whisker(), 3.0),
+            "`loads` must be one or more of PointForce, PointMoment and LineLoad, got",
+        ),  # pyright: ignore[reportArgumentType]
         (
             lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0, 1.5)),
             "`position` must be at most the length 1.0, got 1.5",
+        ),
+        (
+            lambda: jw.deflect(jw.Whisker(), jw.LineLoad(1.0, stop=2.0)),
+            "`stop` must be at most the length 1.0, got 2.0",
+        ),
+        (
+            lambda: jw.deflect(jw.Whisker(), jw.LineLoad(1.0, start=1.0)),
+            "`start` must be less than the length 1.0, got 1.0",
+        ),
+        (
+            lambda: jw.deflect(jw.Whisker(), gravity=(0.0, -1.0)),
+            "`mass_per_length` must be given for a whisker with a weight, got None",
         ),
         (
             lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0), points=1),

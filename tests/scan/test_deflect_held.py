@@ -1,4 +1,4 @@
-"""Deflection with springs on the shaft: laws for a rod integrated outwards, limits, derivatives, errors."""
+"""Deflection with springs on the shaft and distributed loads: laws for a rod integrated outwards, derivatives, errors."""
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,8 @@ BELOW = jw.Spring((0, 1), 40.0, 0.25, at=-0.1)
 BASE = jw.Spring((0, 1), 50.0, 0.2)
 TURN = jw.Spring((0, 1), 6.0, 0.05, axis="phi")
 TISSUE = jw.Foundation(0.1, 0.3, 200.0, 0.21)
+PATCH = jw.LineLoad(lambda s: -1.5 * s**2, 0.8, start=0.2, stop=0.7)
+HEAVY = jw.LineLoad(y=-2.0)
 SUPPORTS = {
     "springs": (WHISKER, jw.Support((BASE, AXIAL, TURN, ABOVE, TORSION, BELOW), jw.Mount(0.03, 0.02, 0.1))),
     "only above": (WHISKER, jw.Support((AXIAL,))),
@@ -36,22 +38,32 @@ SUPPORTS = {
 }
 
 
+def per_length(load):
+    return isinstance(load, jw.LineLoad)
+
+
 def outwards(whisker, support, loads, bent):
     """Load and moment beyond the tip, lengths of springs, and the rod at the points, from the base outwards."""
     mount, tissue = support.mounts[0], support.foundations[0]
     stiffness = whisker.bending_stiffness
 
-    def rates(s, values, on):
+    lines = [(load, float(load.start), float(load.stop or whisker.length)) for load in loads if per_length(load)]
+
+    def rates(s, values, on, middle):
         x, y, phi, fx, fy, about = values
         bend = stiffness(s) if callable(stiffness) else stiffness
-        push = -tissue.stiffness * (x - float(mount.x) - float(tissue.rest_length)) if on else 0.0
-        return [np.cos(phi), np.sin(phi), (about - x * fy + y * fx) / bend, -push, 0.0, y * push]
+        push = np.array([-tissue.stiffness * (x - float(mount.x) - float(tissue.rest_length)) if on else 0.0, 0.0])
+        for line, start, stop in lines:
+            if start < middle < stop:
+                push += [float(part(s) if callable(part) else part) for part in (line.x, line.y)]
+        return [np.cos(phi), np.sin(phi), (about - x * fy + y * fx) / bend, *-push, y * push[0] - x * push[1]]
 
     fx, fy, mz, x, y, angle = (float(v) for v in (bent.fx, bent.fy, bent.mz, bent.base_x, bent.base_y, bent.base_angle))
     values = np.array([x, y, np.pi / 2 + angle, -fx, -fy, -mz - x * fy + y * fx])
     below = np.zeros(3)  # force and moment about the base by springs at and below the base
     lengths = {}
-    loaded = [(float(load.position), load) for load in loads]
+    loaded = [(float(load.position or whisker.length), load) for load in loads if not per_length(load)]
+    loaded += [(end, None) for _, *both in lines for end in both]
     springs = [(float(spring.at), spring) for spring in support.springs if not spring.linear]
     ends = [] if tissue is None else [(tissue.start, None), (tissue.stop, None)]
     line, s = [], 0.0
@@ -60,7 +72,9 @@ def outwards(whisker, support, loads, bent):
         stop = max(at, 0.0)
         if stop > s:
             on = tissue is not None and tissue.start <= s < tissue.stop
-            path = solve_ivp(rates, (s, stop), values, args=(on,), rtol=1e-12, atol=1e-13, dense_output=True)
+            path = solve_ivp(
+                rates, (s, stop), values, args=(on, (s + stop) / 2), rtol=1e-12, atol=1e-13, dense_output=True
+            )
             inside = np.unique(wanted[(wanted >= s) & (wanted < stop)])
             line += list(zip(inside, *path.sol(inside)[:3], strict=True)) if inside.size else []
             values, s = path.y[:, -1], stop
@@ -93,12 +107,19 @@ def outwards(whisker, support, loads, bent):
     return values, below, lengths, np.array(line)
 
 
-@pytest.mark.parametrize("name", SUPPORTS)
+CASES = {name: (*both, LOADS) for name, both in SUPPORTS.items()} | {
+    "line loads": (WHISKER, jw.Support.clamped(), (PATCH, HEAVY)),
+    "all loads": (TAPERED, jw.Support((BASE, TURN)), (*LOADS, PATCH, HEAVY)),
+    "line loads on springs": (WHISKER, jw.Support((BASE, ABOVE), foundation=TISSUE), (HEAVY, PATCH, LOADS[1])),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
 def test_rods_from_the_base_end_without_a_load(name):
-    whisker, support = SUPPORTS[name]
-    bent = jw.deflect(whisker, *LOADS, support=support)
+    whisker, support, loads = CASES[name]
+    bent = jw.deflect(whisker, *loads, support=support)
     assert bent.status == jw.Status.ok
-    (x, y, phi, fx, fy, about), below, lengths, line = outwards(whisker, support, LOADS, bent)
+    (x, y, phi, fx, fy, about), below, lengths, line = outwards(whisker, support, loads, bent)
     np.testing.assert_allclose([fx, fy, about - x * fy + y * fx], 0.0, atol=EXACT)
     np.testing.assert_allclose([x, y, phi], [bent.x[-1], bent.y[-1], bent.angle[-1]], atol=EXACT)
     for field, exact in zip((bent.x, bent.y, bent.angle), line[:, 1:].T, strict=True):

@@ -25,7 +25,7 @@ from jaxwhisker._equilibrium.shaft_springs import past
 from jaxwhisker._inverse.inverse_rod import GUESSES, LARGEST_STEP, LAST_STEP, START, value_and_jacobian
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.deflect_held import DRIVE, HeldEquations
+from jaxwhisker._scan.loaded_rod import DRIVE, LoadedRod
 from jaxwhisker._scan.springs import Held, at_base, walk_outwards
 
 WALK_STEPS = 12  # of the rod between two springs
@@ -42,7 +42,7 @@ class HeldObservation(NamedTuple):
     reaction: Float[Array, "3"]  # in the scene
     weight: Float[Array, "3"]  # 1 / standard deviation
     drive: Float[Array, "3"]  # pose of the drive in the scene
-    equations: HeldEquations  # of the whisker in the drive's frame; its loads are not used
+    equations: LoadedRod  # of the whisker in the drive's frame; its loads are not used
     pose: Float[Array, "3"] | None  # measured pose of the base in the drive's frame; None: it follows from the springs
     lean: Scalar | None  # of the contact force: slope of the object minus angle of the force; None: no friction
 
@@ -117,7 +117,7 @@ def _components(load: rod.Load) -> Float[Array, "3"]:
     return jnp.stack([*map(jnp.asarray, (load.force_x, load.force_y, load.moment))])
 
 
-def _walked(pose: Float[Array, "3"], reaction: Float[Array, "3"], at: Float[Array, " places"], known: HeldEquations):
+def _walked(pose: Float[Array, "3"], reaction: Float[Array, "3"], at: Float[Array, " places"], known: LoadedRod):
     """States and loads at places along the whisker, from its base pose and the reaction there."""
     held_by, places = known.held_by.with_places(at)
     start, load = at_base(Pose(*pose), tuple(reaction))

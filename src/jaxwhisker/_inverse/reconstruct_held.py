@@ -16,9 +16,9 @@ from jaxwhisker._inverse.points import PointStatus, Step
 from jaxwhisker._model.loads import PointForce
 from jaxwhisker._model.scene import Sensor, units_of
 from jaxwhisker._model.support import Support
-from jaxwhisker._scan.deflect_held import HeldEquations, held_equations, held_state, solved_tip
+from jaxwhisker._scan.deflect import solved_top
+from jaxwhisker._scan.loaded_rod import LoadedRod, bent, loaded_rod
 
-ROD_STEPS = 32  # of the unloaded whisker between two springs
 # Chi-squared of exact signals that may show no contact: a prestressed whisker's reaction is accurate to 1e-8.
 EXACTLY_FREE = 1e-14
 
@@ -65,7 +65,7 @@ def alone(sensor: Sensor) -> tuple[Sensor, ...]:
 def held_contacts(sensor: Sensor, threshold: float, control, signals, noise, poses, slips) -> Step:
     """Contacts of one whisker at all steps, in the sensor's units; arguments have shape (steps, 1, ...)."""
     (whisker,), unit = sensor.whiskers, jax.tree.map(checks.as_float, units_of(sensor.whiskers[0], sensor.motion))
-    equations, _ = held_equations(whisker, (PointForce(0.0),), sensor.support)
+    equations, _ = loaded_rod(whisker, (PointForce(0.0),), sensor.support)
     sizes, lengths = jnp.stack([unit.force, unit.force, unit.moment]), jnp.stack([unit.length, unit.length, 1.0])
     reaction = signals[:, 0] / sizes
     if noise is None:
@@ -95,10 +95,10 @@ def held_contacts(sensor: Sensor, threshold: float, control, signals, noise, pos
     )
 
 
-def _unloaded(equations: HeldEquations) -> Float[Array, "3"]:
+def _unloaded(equations: LoadedRod) -> Float[Array, "3"]:
     """Reaction of the free whisker in the drive's frame; without derivatives."""
     equations = jax.lax.stop_gradient(equations)
-    return -held_state(equations, solved_tip(equations, 1, ROD_STEPS), 2, ROD_STEPS).load
+    return -bent(equations, solved_top(equations).unknowns, 2).load
 
 
 def _turned(vector: Float[Array, "3"], angle: Scalar) -> Float[Array, "3"]:
@@ -106,7 +106,7 @@ def _turned(vector: Float[Array, "3"], angle: Scalar) -> Float[Array, "3"]:
     return jnp.stack([cos * x - sin * y, sin * x + cos * y, rest])
 
 
-def _step(equations: HeldEquations, free, threshold: float, drive, reaction, deviation, pose, lean) -> Step:
+def _step(equations: LoadedRod, free, threshold: float, drive, reaction, deviation, pose, lean) -> Step:
     """Contact of the one whisker at one step, dimensionless."""
     missing = jnp.any(jnp.isnan(reaction))
     if pose is not None:

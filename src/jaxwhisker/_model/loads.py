@@ -1,11 +1,13 @@
-"""Loads on a whisker: forces and moments at points along it."""
+"""Loads on a whisker: forces and moments at points along it, and forces distributed along it."""
 
 import math
 
 import equinox as eqx
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import number_or_function
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._rod.rod import AlongRod
 
 
 class PointForce(eqx.Module):
@@ -62,3 +64,39 @@ class PointMoment(eqx.Module):
         checks.number("moment", self.moment)
         if self.position is not None:
             checks.number("position", self.position, positive=True)
+
+
+class LineLoad(eqx.Module):
+    """A force per length that keeps its direction, along the whisker or a part of it.
+
+    Args:
+        x: force per length along x (in EI/L^3 with the default whisker): a number, or a function of the arc length from
+            the base, which is smooth between `start` and `stop`.
+        y: force per length along y, likewise.
+        start: arc length from the base to the beginning of the loaded part, a length; not negative.
+        stop: arc length from the base to its end, a length; greater than `start`. Default: the tip.
+
+    Raises:
+        ValueError: if a number is not finite, JAX cannot trace a function with one number as its argument, or `start`
+            and `stop` are not as above.
+
+    Examples:
+        >>> sagging = jw.deflect(jw.Whisker(), jw.LineLoad(x=-0.8))
+        >>> print(f"{sagging.fx:.3f}, {sagging.mz:.3f}")  # about w L and -w L^2 / 2
+        0.800, -0.397
+    """
+
+    x: AlongRod = eqx.field(default=0.0, converter=number_or_function("x"))
+    y: AlongRod = eqx.field(default=0.0, converter=number_or_function("y"))
+    start: Scalar = 0.0
+    stop: Scalar | None = None
+
+    def __check_init__(self):
+        for name in ("x", "y"):
+            if not callable(getattr(self, name)):
+                checks.number(name, getattr(self, name))
+        checks.number("start", self.start, non_negative=True)
+        if self.stop is not None:
+            checks.number("stop", self.stop, positive=True)
+            if not checks.is_traced((self.start, self.stop)) and float(self.stop) <= float(self.start):
+                checks.fail("stop", f"greater than `start`, {self.start}", self.stop)

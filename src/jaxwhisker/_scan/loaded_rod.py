@@ -1,0 +1,322 @@
+"""The equilibrium of one whisker under given loads, on a support that may also hold its shaft.
+
+The rod is integrated from its top past all loads and springs to the base. The top is the tip, or the outermost load if
+the whisker beyond it is free. The pose of the base and the load there are related by the springs between the base and
+the drive. If something holds the shaft, its forces depend on where the whisker is: the pose of the top has three
+unknowns. Otherwise the direction of the whisker at the top is the only unknown, and the angle of the base is the only
+equation (Steigenberger 2013).
+"""
+
+import itertools
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.attach import attached
+from jaxwhisker._equilibrium.dimensionless import sections
+from jaxwhisker._equilibrium.implicit import without_rule
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, past, stretched
+from jaxwhisker._model.motion import Frame
+from jaxwhisker._model.scene import Units
+from jaxwhisker._model.support import Support
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod import rod
+from jaxwhisker._rod.foundation import integrate_on
+from jaxwhisker._rod.rod import Section
+from jaxwhisker._scan.applied_loads import Given, Line, Loads, lines_of, sorted_loads, with_load
+
+ROD_STEPS = 32  # of the rod between two places
+CHECKED = 17  # points on a stretch at which stability is checked
+LEAST_LOAD = 1e-3  # added to the size of loads, which may vanish
+DRIVE = Frame(0.0, 0.0, 1.0, 0.0)  # pyright: ignore[reportArgumentType] (arrays would start JAX at import)
+
+
+class LoadedRod(eqx.Module):
+    """The dimensionless equations of one whisker, its loads and its support."""
+
+    loads: Loads
+    lines: tuple[Line, ...]
+    section: Section | None  # None for a uniform whisker
+    rest: Float[Array, "3"]  # pose (x, y, angle to the upright) of the unloaded base
+    compliance: Float[Array, "3"]  # of the base to forces and moment; zero for a clamp
+    held: Float[Array, "3"]  # stiffness that is part of the compliance, but not of the support
+    held_by: Attachments | None  # what holds the shaft
+    laws: Laws
+
+    @property
+    def free_beyond(self) -> bool:
+        """Whether nothing acts on the whisker beyond the outermost load."""
+        return self.held_by is None and not self.lines
+
+    @property
+    def top(self) -> Float[Array, ""]:
+        """Arc length from the base to the top."""
+        return self.loads.position[0] if self.free_beyond else jnp.ones(())
+
+    @property
+    def load(self) -> Float[Array, ""]:
+        """Size of all loads together, positive."""
+        size = jnp.sum(jnp.abs(self.loads.force) + jnp.abs(self.loads.moment)) + LEAST_LOAD
+        for line in self.lines:
+            along = line.start + (line.stop - line.start) * np.linspace(0.0, 1.0, 5)
+            size += (line.stop - line.start) * jnp.mean(jnp.abs(jax.vmap(line.density)(along)))
+        return size
+
+    @property
+    def unbent(self) -> Float[Array, " unknowns"]:
+        """The unknowns without springs and loads."""
+        zero, (x, y, angle) = jnp.zeros(()), self.rest
+        start, nothing = (x, y, -jnp.sin(angle), jnp.cos(angle)), rod.Load(None, zero, None)
+        x, y, cos, sin = rod.integrate(start, -self.top, nothing, self.section, steps=16, from_base=zero)
+        pose = [x, y, jnp.arctan2(sin, cos)]
+        return jnp.stack(pose[2:] if self.held_by is None else pose)
+
+
+class _Place(NamedTuple):
+    """A place on the whisker: a spring, a load, or neither; the other fields are zero there."""
+
+    at: Scalar
+    load: Loads
+    spring: ShaftSprings | None
+
+
+class Bent(NamedTuple):
+    """A whisker in equilibrium, dimensionless, with its shape as in `deflect`."""
+
+    load: Float[Array, "3"]  # forces and moment that the shaft carries at its base
+    pose: Float[Array, "3"]  # of the base
+    lengths: Float[Array, " springs"]  # of springs on the shaft, from the tip to the base
+    states: rod.RodStates  # at the points of the shape, from the base to the tip
+    s: rod.Along
+    moment: rod.Along
+
+
+def loaded_rod(whisker: Whisker, loads: Given, support: Support) -> tuple[LoadedRod, Int[Array, " springs"]]:
+    """The equations, and the places of the support's springs on the shaft among `Bent.lengths`."""
+    length, stiffness = whisker.length, whisker.base_stiffness
+    unit = Units(*(jnp.asarray(u, dtype=float) for u in (length, stiffness / length**2, stiffness / length, length)))
+    springs = attached(support, sections((whisker,), length, stiffness), unit)
+    hold = None if springs is None else support.hold(unit.force / unit.length, unit.moment)
+    flexibility, mount = support.flexibility(hold), support.mounts[0]
+    rest = jnp.array([mount.x / length, mount.y / length, mount.angle], dtype=float)
+    compliance, held, held_by, ranks = jnp.zeros(3), jnp.zeros(3), None, jnp.zeros(0, int)
+    if flexibility is not None:
+        framed = flexibility.in_frames(jnp.zeros(1), unit.length, unit.force)
+        rest, compliance = rest + framed.offset, jnp.diagonal(framed.matrix)
+    if springs is not None:
+        assert hold is not None
+        held = hold[0] / jnp.stack([unit.force / unit.length, unit.force / unit.length, unit.moment])
+        held_by, ranks = jax.tree.map(lambda leaf: leaf[0], (springs.held_by, springs.ranks))
+    section = None if whisker.uniform else whisker.section(length, stiffness)
+    given, lines = sorted_loads(whisker, loads), lines_of(whisker, loads)
+    laws = () if springs is None else springs.laws
+    return LoadedRod(given, lines, section, rest, compliance, held, held_by, laws), ranks
+
+
+def _start(top: Float[Array, " unknowns"]) -> rod.RodState:
+    """State of the rod at the top; its position is the origin unless it is one of the unknowns."""
+    *position, angle = top
+    x, y = position or (jnp.zeros(()), jnp.zeros(()))
+    return x, y, jnp.cos(angle), jnp.sin(angle)
+
+
+def _walk(
+    rods: LoadedRod, top: Float[Array, " unknowns"], share: Scalar, factor: Scalar, grids: list[rod.Along], steps: int
+):
+    """From the top to the base, with a share of the springs and `factor` times the loads.
+
+    Args:
+        rods: see LoadedRod.
+        top: the unknowns: see there.
+        share: of the springs' tensions.
+        factor: of the loads.
+        grids: arc lengths of further points, the first of which is the top unless that is a load: beyond the outermost
+            load, between each load and the next one, and between the last one and the base.
+        steps: of the rod between two places.
+
+    Returns:
+        State and load at the end of the walk; states and loads at the further points and the base, and at the springs.
+    """
+    loads, held_by = rods.loads, None if rods.held_by is None else rods.held_by.weakened(share)
+    # Of places that coincide, the load comes before points below it, and springs come last: what the shaft carries at
+    # its base excludes those at the base and below.
+    ends = [end for line in rods.lines for end in (line.start, line.stop)]
+    beyond, *below = grids
+    parts = [beyond, *(part for load, own in zip(loads.position, below, strict=True) for part in (load[None], own))]
+    at = jnp.concatenate([*parts, jnp.zeros(1), *(end[None] for end in ends)])
+    loaded = np.cumsum([part.size for part in parts])[:-1:2]
+    points, sprung = np.setdiff1d(np.arange(at.size - len(ends)), loaded), np.arange(at.size, at.size)
+    springs = None
+    if held_by is not None:
+        none = jax.tree.map(lambda leaf: jnp.zeros(at.size, leaf.dtype), held_by.springs)._replace(at=at)
+        springs = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), none, held_by.springs)
+        sprung, at = np.arange(at.size, springs.at.size), springs.at
+    order = jnp.argsort(-jax.lax.stop_gradient(at), stable=True)
+    every = _Place(at, jax.tree.map(lambda leaf: jnp.zeros(at.size).at[loaded].set(leaf), loads), springs)
+    every = jax.tree.map(lambda leaf: leaf[order], every)
+
+    def behind(load: rod.Load, state: rod.RodState, place: _Place) -> rod.Load:
+        if place.spring is not None:
+            load = past(load, place.spring, rods.laws, state, DRIVE, 1.0)
+        return with_load(load, place.load, state, factor)
+
+    def piece(carry, place):
+        (state, load, s), stop = carry, jnp.maximum(place.at, 0.0)
+        state, load = _to_next(rods, held_by, (state, load), s, stop, factor, steps)
+        here = tuple(map(jnp.asarray, state)), load
+        return (state, behind(load, state, place), stop), here
+
+    first, others = (jax.tree.map(lambda leaf, part=part: leaf[part], every) for part in (0, slice(1, None)))
+    state, nothing = _start(top), rod.Load(*[jnp.zeros(())] * 3)
+    (end, load, _), passed = jax.lax.scan(piece, (state, behind(nothing, state, first), first.at), others)
+    passed = jax.tree.map(lambda start, rest: jnp.append(start, rest), (state, nothing), passed)
+    rank = jnp.argsort(order)
+    at_points, at_springs = (jax.tree.map(lambda leaf, k=k: leaf[rank[k]], passed) for k in (points, sprung))
+    return (end, load), at_points, at_springs
+
+
+def _to_next(
+    rods: LoadedRod,
+    held_by: Attachments | None,
+    here: tuple[rod.RodState, rod.Load],
+    s: Scalar,
+    stop: Scalar,
+    factor: Scalar,
+    steps: int,
+) -> tuple[rod.RodState, rod.Load]:
+    """State of the rod and the load on it at the next place; a foundation or line load holds for all of it or none."""
+    state, load = here
+    tissue = None if held_by is None else held_by.tissue
+    if tissue is None and not rods.lines:
+        return rod.integrate(state, s - stop, load, rods.section, steps=steps, from_base=s), load
+
+    def density(x: Scalar, y: Scalar, along: Scalar):
+        total = [factor * line.between(s, stop) * line.density(along) for line in rods.lines]
+        if tissue is not None:
+            total.append(tissue.share((s + stop) / 2) * jnp.stack(tissue.density(DRIVE, x, y, along)))
+        return tuple(sum(total[1:], total[0]))
+
+    return integrate_on(state, load, s - stop, rods.section, density, steps=steps, from_base=s)
+
+
+def _about(x: Scalar, y: Scalar, load: rod.Load) -> Float[Array, "3"]:
+    """Forces and the moment about a point."""
+    return jnp.stack([*map(jnp.asarray, (load.force_x, load.force_y, rod.moment(x, y, load)))])
+
+
+def _pose(state: rod.RodState | rod.RodStates) -> Float[Array, "*batch 3"]:
+    x, y, cos, sin = state
+    return jnp.stack([*map(jnp.asarray, (x, y, jnp.arctan2(-cos, sin)))], axis=-1)
+
+
+def _misfit(
+    rods: LoadedRod, end: tuple[rod.RodState, rod.Load], share: Scalar = 1.0
+) -> tuple[Float[Array, " unknowns"], Float[Array, "3"]]:
+    """Pose of the rod's end minus that of the base under the load there, as far as it must vanish; and the former."""
+    state, load = end
+    pose, total = _pose(state), _about(state[0], state[1], load)
+    total = total + share * rods.held * (pose - rods.rest)
+    missed = pose - rods.rest - rods.compliance * total
+    return missed if rods.held_by is not None else missed[2:], pose
+
+
+def misfit(
+    rods: LoadedRod, top: Float[Array, " unknowns"], share: Scalar = 1.0, factor: Scalar = 1.0
+) -> Float[Array, " unknowns"]:
+    """The equations, with a share of the springs and `factor` times the loads: see LoadedRod."""
+    end, _, _ = _walk(rods, top, share, factor, _no_points(rods), ROD_STEPS)
+    return _misfit(rods, end, share)[0]
+
+
+def _no_points(rods: LoadedRod) -> list[rod.Along]:
+    return [jnp.ones(0 if rods.free_beyond else 1), *[jnp.zeros(0)] * rods.loads.position.size]
+
+
+@eqx.filter_custom_jvp
+def differentiable(top: Float[Array, " unknowns"], rods: LoadedRod) -> Float[Array, " unknowns"]:
+    """The solved unknowns with their derivatives by the implicit function theorem (see implicit.py)."""
+    return without_rule(top, rods)
+
+
+@differentiable.def_jvp
+def _(primals, tangents):
+    top, rods = primals
+    here = differentiable(top, rods)
+    slope = jax.jacfwd(partial(misfit, rods))(here)
+    _, change = eqx.filter_jvp(lambda rods: misfit(rods, here), (rods,), (tangents[1],))
+    # With the inverse, the change enters linearly and JAX can transpose this.
+    return here, -jnp.sum(solve(slope, jnp.eye(here.size)) * change, axis=-1)
+
+
+class Checks(NamedTuple):
+    """What is known of a solution."""
+
+    error: Float[Array, ""]  # largest residual and change of the base's pose with twice as many steps of the rod
+    stable: Bool[Array, ""]
+
+
+def checks_of(rods: LoadedRod, top: Float[Array, " unknowns"], share: Scalar, factor: Scalar) -> Checks:
+    """Error and stability of a solution with a share of the springs and `factor` times the loads.
+
+    The poses along the rod change with the unknowns. An equilibrium under dead loads is stable if the determinant of
+    this change is positive everywhere, and that of the equations at the base as well: each zero of the determinant adds
+    an unstable mode to the part of the whisker beyond it, clamped there (Jacobi's condition).
+    """
+
+    def refined(top):
+        end, (states, _), _ = _walk(rods, top, share, factor, _grids(rods, CHECKED), -(-2 * ROD_STEPS // (CHECKED - 1)))
+        missed, pose = _misfit(rods, end, share)
+        along = _pose(states)
+        return (along if rods.held_by is not None else along[:, 2:], missed), (missed, pose)
+
+    (along, slope), (missed, pose) = jax.jacfwd(refined, has_aux=True)(top)
+    end, _, _ = _walk(rods, top, share, factor, _no_points(rods), ROD_STEPS)
+    coarse, coarse_pose = _misfit(rods, end, share)
+    error = jnp.max(jnp.abs(jnp.concatenate([missed, coarse, pose - coarse_pose])))
+    return Checks(error, jnp.all(jnp.linalg.det(along) > 0) & (jnp.linalg.det(slope) > 0))
+
+
+def _grids(rods: LoadedRod, points: int) -> list[rod.Along]:
+    """Equidistant arc lengths on each stretch between loads, from the top to the base, without the base."""
+    stops = jnp.concatenate([jnp.ones(1), rods.loads.position, jnp.zeros(1)])
+    # Rounding must not exchange points and loads, also on a stretch without length.
+    share = jnp.linspace(0.0, 1.0, points)
+    grids = [(a + (b - a) * share).at[-1].set(b) for a, b in itertools.pairwise(stops)]
+    return [grids[0][: 0 if rods.free_beyond else points], *grids[1:-1], grids[-1][:-1]]
+
+
+def bent(rods: LoadedRod, top: Float[Array, " unknowns"], points: int) -> Bent:
+    """The equilibrium with these unknowns, and its shape at `points` points on each stretch between loads."""
+    grids = _grids(rods, points)
+    _, (line, load), (passed, _) = _walk(rods, top, 1.0, 1.0, grids, -(-ROD_STEPS // (points - 1)))
+    s = jnp.concatenate([*grids, jnp.zeros(1)])
+    if rods.free_beyond:
+        nothing = rod.Load(*[jnp.zeros(())] * 3)
+        # A straight line needs two points.
+        count, beyond = 2 if rods.section is None else points, 1 - rods.top
+        free = rod.points(_start(top), -beyond, nothing, rods.section, count=count, from_base=rods.top)
+        line = jax.tree.map(lambda first, rest: jnp.concatenate([first[:0:-1], rest]), free, line)
+        load = jax.tree.map(lambda leaf: jnp.pad(leaf, (count - 1, 0)), load)
+        s = jnp.concatenate([(rods.top + beyond * jnp.linspace(0.0, 1.0, count))[:0:-1], s])
+    else:
+        # The outermost load is the last point beyond it and the first one below it.
+        line, load, s = jax.tree.map(lambda leaf: jnp.delete(leaf, points - 1), (line, load, s))
+    moment = jnp.asarray(rod.moment(line[0], line[1], load))
+    (x, y, cos, sin), carried = jax.tree.map(lambda leaf: leaf[-1], (line, load))
+    on_base, pose = _about(x, y, carried), _pose((x, y, cos, sin))
+    lengths = jnp.zeros(0)
+    if rods.held_by is None:
+        pose = rods.rest + rods.compliance * on_base
+        line = (line[0] - x + pose[0], line[1] - y + pose[1], *line[2:])
+    else:
+        springs = rods.held_by.springs
+        lengths = jax.vmap(lambda spring, state: jnp.asarray(stretched(spring, state, DRIVE)[0]))(springs, passed)
+    line, s, moment = jax.tree.map(lambda leaf: leaf[::-1], (line, s, moment))
+    return Bent(on_base, pose, lengths, line, s, moment)
