@@ -154,6 +154,10 @@ _METHODS = {
 }
 
 
+# Points of a step of the default method for sections at which it evaluates stiffness and curvature, and their weights.
+NODES, NODE_WEIGHTS = np.cumsum(_METHODS[10][0])[:-1], np.array(_METHODS[10][1])
+
+
 class Splitting(diffrax.AbstractSolver):
     """Splitting methods for rods: alternating shifts and rotations, of order 4 (6 rotations) or order 6 (10 or 11).
 
