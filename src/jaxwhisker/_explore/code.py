@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base.leaves import PlainFunction
+from jaxwhisker._model.along import LinearTaper, RoundMass, RoundSection
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
-from jaxwhisker._model.whisker import LinearTaper, RoundMass, RoundSection, Whisker
+from jaxwhisker._model.whisker import Whisker
 
 _HEAD = ["import jax", "import numpy as np", "", "import jaxwhisker as jw"]
 _FLOAT64 = 'jax.config.update("jax_enable_x64", True)'

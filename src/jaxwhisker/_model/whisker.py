@@ -1,6 +1,6 @@
 """The whisker: a slender, inextensible, shearless elastic rod, straight or curved when unloaded."""
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,10 +11,10 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, number_or_function
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._rod.rod import AlongRod, Section, at_arc
+from jaxwhisker._model.along import AlongWhisker, Breaks, LinearTaper, RoundMass, RoundSection
+from jaxwhisker._model.measured import Measured
+from jaxwhisker._rod.rod import Section, at_arc
 
-Breaks: TypeAlias = Float[Array, " breaks"] | Float[np.ndarray, " breaks"]
-AlongWhisker: TypeAlias = AlongRod  # a number, or a function of the arc length from the base
 CHECKED_POINTS = 65  # points at which a function of arc length is checked
 
 
@@ -25,10 +25,12 @@ def _as_breaks(value: Any) -> Breaks | None:
     if not checks.is_traced(value):
         checks.vector("breaks", value)
         return np.asarray(value, dtype=float)
-    return jnp.stack([jnp.asarray(part, dtype=float) for part in value]) if isinstance(value, tuple | list) else value
+    traced = jnp.stack([jnp.asarray(part, dtype=float) for part in value]) if isinstance(value, tuple | list) else value
+    checks.vector("breaks", traced)
+    return traced
 
 
-class Whisker(eqx.Module):
+class Whisker(Measured):
     """A whisker, clamped upright at its base.
 
     With the default values everything is dimensionless: lengths in L, forces in EI/L^2, moments in EI/L.
@@ -361,36 +363,3 @@ LAST_COLUMN = {
     "E": 5,
 }  # last column of each row for which the regression gives a length
 LEAST_TIP_RADIUS = 0.0015  # mm
-
-
-class LinearTaper(eqx.Module):
-    """A linear function of the arc length: `base` at 0 and `tip` at `length`."""
-
-    base: Scalar
-    tip: Scalar
-    length: Scalar
-
-    def __call__(self, s: Scalar) -> Scalar:
-        return self.base + (self.tip - self.base) * (s / self.length)
-
-
-class RoundSection(eqx.Module):
-    """Bending stiffness of a circular cross-section, E pi d^4 / 64; E and d may be functions of the arc length."""
-
-    youngs_modulus: AlongWhisker = eqx.field(converter=number_or_function("youngs_modulus"))
-    diameter: AlongWhisker = eqx.field(converter=number_or_function("diameter"))
-
-    def __call__(self, s: Scalar) -> Scalar:
-        modulus, diameter = (value(s) if callable(value) else value for value in (self.youngs_modulus, self.diameter))
-        return modulus * (np.pi / 64) * diameter**4
-
-
-class RoundMass(eqx.Module):
-    """Mass per length of a circular cross-section, rho pi d^2 / 4; rho and d may be functions of the arc length."""
-
-    density: AlongWhisker = eqx.field(converter=number_or_function("density"))
-    diameter: AlongWhisker = eqx.field(converter=number_or_function("diameter"))
-
-    def __call__(self, s: Scalar) -> Scalar:
-        density, diameter = (value(s) if callable(value) else value for value in (self.density, self.diameter))
-        return density * (np.pi / 4) * diameter**2

@@ -38,8 +38,8 @@ def warn_of_whisker(whisker: Whisker, steps: int, *, masses: bool = False) -> No
     if error > RESOLVED:
         warnings.warn(
             f"Integration steps do not resolve {' and '.join(f'`{name}`' for name in names)}: the estimated error is "
-            f"{error:.0e} rad or lengths. Pass the arc lengths of jumps and kinks as `Whisker(breaks=...)`. Where a "
-            "function is steep but smooth, breaks help as well, and so do more steps: `Scene(rod=Shooting(steps=...))`.",
+            f"{error:.0e} rad or lengths. Pass the arc lengths of jumps and kinks as `Whisker(breaks=...)`. Where "
+            "functions are steep but smooth, breaks help too, and so do more steps: `Scene(rod=Shooting(steps=...))`.",
             stacklevel=_outside(),
         )
 
