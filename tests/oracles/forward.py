@@ -6,6 +6,7 @@ and the moment everywhere, m(s) = (xi - x) F_y - (eta - y) F_x. The rod, integra
 at the contact, and must be parallel to it in tangential contact.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ class Rod(NamedTuple):
     bending_stiffness: Callable[..., Any]
     intrinsic_curvature: Callable[..., Any]
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    breaks: tuple[float, ...] = ()  # arc lengths at which a function jumps
 
 
 class State(NamedTuple):
@@ -67,6 +69,23 @@ def yielding(springs, whiskers: int) -> tuple[np.ndarray, np.ndarray]:
             flexibility[k][np.ix_(index - 1, index - 1)] = inverse
             rest[k, index - 1] = inverse @ force[index]
     return flexibility, rest
+
+
+def integrated(rate: Callable[..., Any], start: tuple, arc: float, breaks: tuple[float, ...] = ()) -> np.ndarray:
+    """The state at an arc length: each stretch between two breaks is integrated with the functions of its inside."""
+    ends = np.array([0.0, *(at for at in breaks if at < arc), arc])
+    for first, last in itertools.pairwise(ends):
+        inside = np.nextafter(first, last), np.nextafter(last, first)
+        own = solve_ivp(
+            lambda s, r, inside=inside: rate(np.clip(s, *inside), r),
+            (first, last),
+            start,
+            method="DOP853",
+            rtol=INTEGRATION,
+            atol=INTEGRATION,
+        )
+        start = own.y[:, -1]
+    return np.asarray(start)
 
 
 def equilibrium(
@@ -112,8 +131,7 @@ def equilibrium(
 
             start = state.base_x[k], state.base_y[k], np.pi / 2 + state.base_angle[k]
             if len(guess[k]):
-                span = (0.0, state.contact_arc[k])
-                end = solve_ivp(bent, span, start, method="DOP853", rtol=INTEGRATION, atol=INTEGRATION).y[:, -1]
+                end = integrated(bent, start, state.contact_arc[k], rod.breaks)
                 parallel = np.sin(end[2] - state.contact_slope[k])
                 off += [end[0] - contact_x[k], end[1] - contact_y[k], parallel][: len(guess[k])]
         return np.array(off)

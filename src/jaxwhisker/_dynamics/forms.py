@@ -32,7 +32,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import ORDER, WEIGHTS, Fields, bending, fields, quadratic
-from jaxwhisker._dynamics.line import Equilibrium, Line, beyond
+from jaxwhisker._dynamics.line import Equilibrium, Line
 from jaxwhisker._dynamics.object import Bend, bend_of_each
 from jaxwhisker._equilibrium.contact import Body, Phase
 from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, end_of, stretched, tension_of
@@ -65,7 +65,7 @@ def forms_of(body: Body, at: Equilibrium, line: Line, masses: Masses) -> Forms:
     contact = _contact_of(body, at, line)
     moves = fields(line.lengths, line.cos, line.sin)
     if body.profile.has_edges:
-        moves = _at_rest(moves, contact.rests, beyond(body))
+        moves = _at_rest(moves, contact.rests, line.contact)
     over = line.lengths[:, None] * WEIGHTS  # integrates along the whisker
     position, angle, tip = moves.at[:, :, :2], moves.at[:, :, 2], moves.ends[-1]
     mass = quadratic(position, jnp.stack([over * masses.along] * 2, axis=-1))
@@ -88,7 +88,7 @@ def forms_of(body: Body, at: Equilibrium, line: Line, masses: Masses) -> Forms:
             sin = tissue.sin * drive.cos + tissue.cos * drive.sin
             held = tissue.stiffness * jax.vmap(tissue.share)(starts + line.lengths / 2)
             stiffness += quadratic(cos * position[:, :, 0] + sin * position[:, :, 1], over * held[:, None])
-    bent, constraints = _kept(body, at, contact, moves)
+    bent, constraints = _kept(body, at, contact, moves, line.contact)
     return Forms(mass, stiffness + bent, below, constraints, ~contact.sharp, moves)
 
 
@@ -130,7 +130,7 @@ def _contact_of(body: Body, at: Equilibrium, line: Line) -> _Contact:
     free, tip = at.phase == Phase.free, at.phase == Phase.tip
     number = jnp.where(free, 0, 1 if at.contact_object is None else at.contact_object)
     bend = bend_of_each(body.profile, number, (at.contact_x, at.contact_y, at.contact_slope))
-    _, _, cos, sin = (values[-1 - beyond(body)] for values in line.ends)
+    _, _, cos, sin = (values[line.contact] for values in line.ends)
     same = jnp.where(cos * jnp.cos(at.contact_slope) + sin * jnp.sin(at.contact_slope) > 0, 1.0, -1.0)
     curvature = body.section.curvature(at.contact_arc) if isinstance(body.section, Section) else 0.0
     k = -same * curvature
@@ -138,20 +138,20 @@ def _contact_of(body: Body, at: Equilibrium, line: Line) -> _Contact:
     return _Contact(free, tip, bend, same, k, tip & (bend.speed <= 0), rests)
 
 
-def _at_rest(moves: Fields, rests: Bool[Array, ""], last: int) -> Fields:
-    """The fields, without those of the coordinates of the last elements if they rest on a straight face."""
+def _at_rest(moves: Fields, rests: Bool[Array, ""], contact: Scalar) -> Fields:
+    """The fields, without those of the elements beyond the contact if these rest on a straight face."""
     size = moves.ends.shape[-1] - 3
-    lies = (jnp.arange(size + 3) // ORDER >= size // ORDER - last) & (jnp.arange(size + 3) < size)
+    lies = (jnp.arange(size + 3) // ORDER > contact) & (jnp.arange(size + 3) < size)
     return jax.tree.map(lambda leaf: jnp.where(rests & lies, 0.0, leaf), moves)
 
 
 def _kept(
-    body: Body, at: Equilibrium, contact: _Contact, moves: Fields
+    body: Body, at: Equilibrium, contact: _Contact, moves: Fields, element: Scalar
 ) -> tuple[Float[Array, "n n"], Float[Array, "constraints n"]]:
     """Stiffness of the contact, and its constraints."""
     bend, k = contact.bend, contact.curvature
     cos, sin = jnp.cos(at.contact_slope), jnp.sin(at.contact_slope)
-    here = jnp.where(contact.tip, moves.ends[-1], moves.ends[-1 - beyond(body)])
+    here = jnp.where(contact.tip, moves.ends[-1], moves.ends[element])
     along, across, turn = cos * here[0] + sin * here[1], sin * here[0] - cos * here[1], here[2]
     constraints = [across]
     a, b = contact.same * along, -contact.same * turn

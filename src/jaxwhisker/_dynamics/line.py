@@ -1,6 +1,6 @@
 """The line of a whisker in equilibrium: its direction, and the force in it, at the Gauss points of its elements."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jaxwhisker._equilibrium.shaft_springs import ShaftSprings, past
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.foundation import integrate_on
 
+Tree = TypeVar("Tree")
 AT = np.concatenate([[0.0], POINTS, [1.0]])
 
 
@@ -55,15 +56,24 @@ class Line(NamedTuple):
     stiffness: Float[Array, "elements points"]
     ends: rod.RodStates  # states at the ends of the elements
     springs: ShaftSprings | None  # at these ends; those at the base and below have no share
+    contact: Scalar  # number of the element that ends at the contact
 
 
-def beyond(body: Body) -> int:
-    """Number of elements beyond the contact, which end the list of elements."""
-    return 1 if body.section is None else 2
+class Ends(NamedTuple):
+    """Arc lengths at which the elements of a whisker end, and the numbers of elements that end at certain places."""
+
+    arcs: Float[Array, " elements"]
+    contact: Scalar  # number of the element that ends at the contact
+    loads: Int[Array | np.ndarray, " loads"]  # at loads, or at springs on the shaft
+
+    def at_loads(self, tree: Tree) -> Tree:
+        """What is known at the loads or springs, as fields of all elements; zero for the others."""
+        nothing = [(0, self.arcs.size - self.loads.size)]
+        return jax.tree.map(lambda leaf: jnp.zeros_like(jnp.pad(leaf, nothing)).at[self.loads].set(leaf), tree)
 
 
-def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None) -> Float[Array, " elements"]:
-    """Arc lengths at which elements end: at loads, at springs on the shaft, at the contact and at the tip.
+def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None, breaks: rod.Along | None) -> Ends:
+    """Where elements end: at loads, at springs on the shaft, at the contact, at the tip and at breaks.
 
     A whisker without tangential contact is split anywhere instead. Whiskers that are not uniform are split twice more:
     the closer to the tip of a cone, the shorter its elements must be.
@@ -78,7 +88,15 @@ def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None) -> Float[Array
     stops = [split, body.length]
     if body.section is not None:
         stops = [_middle(body, top, split), split, _middle(body, split, body.length), body.length]
-    return jnp.concatenate([places, jnp.stack(stops)])
+    arcs = jnp.concatenate([places, jnp.stack(stops)])
+    contact, number = places.size + len(stops) // 2 - 1, np.arange(places.size)
+    if breaks is None:
+        return Ends(arcs, jnp.asarray(contact), number)
+    # Breaks come last where places coincide: a break at the tip would take its place.
+    arcs = jnp.append(arcs, breaks)
+    order = jnp.argsort(arcs)
+    rank = jnp.argsort(order)
+    return Ends(arcs[order], rank[contact], rank[number])
 
 
 def _middle(body: Body, start: Scalar, stop: Scalar) -> Scalar:
@@ -90,18 +108,17 @@ def _middle(body: Body, start: Scalar, stop: Scalar) -> Scalar:
     return start + (stop - start) * rod.graded(jnp.asarray(0.5), stiffness(start), stiffness(stop))
 
 
-def line_of(body: Body, at: Equilibrium, ends: Float[Array, " elements"], loads: DeadLoads | None) -> Line:
+def line_of(body: Body, at: Equilibrium, ends: Ends, loads: DeadLoads | None) -> Line:
     """The line of a whisker, from its base to its tip."""
-    material, (lengths, arcs) = material_of(body), node_arcs(ends)
+    material, (lengths, arcs) = material_of(body), node_arcs(ends.arcs)
     start = (at.base_x, at.base_y, -jnp.sin(at.base_angle), jnp.cos(at.base_angle))
     load = rod.Load(-at.fx, -at.fy, -at.mz - at.base_x * at.fy + at.base_y * at.fx)
-    unloads = (jnp.arange(ends.size) == ends.size - 1 - beyond(body)) & (at.phase == Phase.tangential)
+    unloads = (jnp.arange(ends.arcs.size) == ends.contact) & (at.phase == Phase.tangential)
     dead, springs = None, None
     if loads is not None:
-        dead = jax.tree.map(lambda leaf: jnp.pad(leaf, (0, ends.size - leaf.size)), loads)
+        dead = ends.at_loads(loads)
     elif body.sprung is not None:
-        springs = body.sprung.held_by.springs
-        springs = jax.tree.map(lambda leaf: jnp.pad(leaf[::-1], (0, ends.size - leaf.size)), springs)
+        springs = ends.at_loads(jax.tree.map(lambda leaf: leaf[::-1], body.sprung.held_by.springs))
         # The reaction is that of everything at the base and below.
         springs = springs._replace(share=jnp.where(springs.at > 0, springs.share, 0.0))
 
@@ -121,13 +138,13 @@ def line_of(body: Body, at: Equilibrium, ends: Float[Array, " elements"], loads:
         return (end, load), (*(values[1:-1] for values in (cos, sin, *forces)), end)
 
     start = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load))
-    each = ends - lengths, lengths, unloads, dead, springs
+    each = ends.arcs - lengths, lengths, unloads, dead, springs
     _, (cos, sin, force_x, force_y, states) = jax.lax.scan(element, start, each)
     if isinstance(material, rod.Section):
         stiffness = jax.vmap(jax.vmap(material.stiffness))(arcs)
     else:
         stiffness = jnp.full(arcs.shape, body.bending_stiffness)
-    return Line(lengths, cos, sin, force_x, force_y, stiffness, states, springs)
+    return Line(lengths, cos, sin, force_x, force_y, stiffness, states, springs, ends.contact)
 
 
 def _through(

@@ -28,6 +28,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.applied_loads import sorted_loads
 from jaxwhisker._scan.deflect import Deflection
+from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import in_blocks, problem_now
 from jaxwhisker._scan.signals import signals
@@ -165,6 +166,7 @@ def _prepared(scene: Scene) -> tuple[Problem, tuple[Whisker, ...]]:
     _check_masses(scene.whiskers)
     if scene.support.shaft_loads:
         checks.fail("at", "one without springs between the shafts of two whiskers", str(scene))
+    warn_of_steps(scene, masses=True)
     scene = jax.tree.map(checks.as_float, scene)
     still = scene.without_masses()
     return (problem_of if checks.is_staged(scene) else problem_now)(still), scene.whiskers

@@ -19,6 +19,7 @@ from jaxwhisker._dynamics.held import ends_of, energies
 from jaxwhisker._dynamics.motion_state import Moving
 from jaxwhisker._dynamics.moving import Damping, MotionUnits, System, drive_pose, motion_units, system_of
 from jaxwhisker._dynamics.outline import Row, number_of
+from jaxwhisker._dynamics.resolution import warn_of_shapes
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
 from jaxwhisker._dynamics.start import Start, initial, start_of
 from jaxwhisker._equilibrium.contact import Phase
@@ -113,6 +114,7 @@ def simulate(
         checks.fail("shapes", "at most 20", shapes)
     if steps is not None:
         checks.count("steps", steps)
+    warn_of_shapes(scene.whiskers, shapes)
     scene, duration, damping = jax.tree.map(
         checks.as_float, (scene, duration, Damping(mass_damping, stiffness_damping, base))
     )

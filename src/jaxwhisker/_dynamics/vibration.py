@@ -17,10 +17,10 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.eigen import slowest
 from jaxwhisker._dynamics.elements import interpolated, node_arcs
 from jaxwhisker._dynamics.forms import Condensed, Forms, Masses, condensed, forms_of, quadratic_of, reaction
-from jaxwhisker._dynamics.line import DeadLoads, Equilibrium, ends_of, line_of
+from jaxwhisker._dynamics.line import DeadLoads, Ends, Equilibrium, ends_of, line_of
 from jaxwhisker._equilibrium.contact import of_each
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._model.whisker import Whisker, with_equal_breaks
 
 NOISE = 1e-9  # of the flexibilities of modes: a negative one beyond it means that the equilibrium is not stable
 
@@ -63,8 +63,8 @@ def vibration(
         points: number of points of the shapes, equidistant along each whisker.
     """
     bodies = problem.bodies(u, problem.unloaded(u)[0])
-    ends = of_each(bodies, ends_of, at, loads)
-    masses = _masses(problem, whiskers, jax.vmap(lambda ends: node_arcs(ends)[1])(ends))
+    ends = of_each(bodies, ends_of, at, loads, _breaks(problem, whiskers))
+    masses = _masses(problem, whiskers, jax.vmap(lambda arcs: node_arcs(arcs)[1])(ends.arcs))
     forms = of_each(bodies, _forms, at, ends, loads, masses)
     each = jax.vmap(condensed)(forms)
     axes = _axes(problem, u)
@@ -77,7 +77,7 @@ def vibration(
     # The largest moment of a mode is positive.
     largest = jnp.take_along_axis(react[..., 2], jnp.argmax(jnp.abs(react[..., 2]), axis=1, keepdims=True), axis=1)
     sign = jnp.where(largest < 0, -1.0, 1.0)[:, :, None]
-    shape = jax.vmap(lambda own: jax.vmap(_shape, in_axes=(0, 0, 0, None))(forms, own, ends, points))(own)
+    shape = jax.vmap(lambda own: jax.vmap(_shape, in_axes=(0, 0, 0, None))(forms, own, ends.arcs, points))(own)
     fx, fy, mz = jnp.moveaxis(sign * react, -1, 0)
     return Vibration(mu**-0.5, fx, fy, mz, sign * base, sign[..., None] * shape, stable)
 
@@ -94,7 +94,13 @@ def _masses(problem: Problem, whiskers: tuple[Whisker, ...], arcs: Float[Array, 
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
 
 
-def _forms(body, at: Equilibrium, ends: Array, loads: DeadLoads | None, masses: Masses) -> Forms:
+def _breaks(problem: Problem, whiskers: tuple[Whisker, ...]) -> Float[Array, "whiskers breaks"] | None:
+    """Breaks of all whiskers, also those of their masses; None without any."""
+    each = [whisker.breaks for whisker in with_equal_breaks(whiskers)]
+    return None if each[0] is None else jnp.stack([jnp.asarray(own) for own in each]) / problem.unit.length
+
+
+def _forms(body, at: Equilibrium, ends: Ends, loads: DeadLoads | None, masses: Masses) -> Forms:
     return forms_of(body, at, line_of(body, at, ends, loads), masses)
 
 

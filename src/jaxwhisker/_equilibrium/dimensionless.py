@@ -17,7 +17,7 @@ from jaxwhisker._equilibrium.touch import Outline, Touch
 from jaxwhisker._model.motion import Pose, Translation
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, moves_along_x, units
-from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._model.whisker import Whisker, with_equal_breaks
 from jaxwhisker._rod.rod import Section
 
 
@@ -159,7 +159,7 @@ def sections(
     """Sections of all whiskers: None if all are uniform, stacked if they differ in numbers only, otherwise a tuple."""
     if all(whisker.uniform for whisker in whiskers):
         return None
-    whiskers = jax.tree.map(checks.as_float, whiskers)
+    whiskers = with_equal_breaks(jax.tree.map(checks.as_float, whiskers))
     length, stiffness = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit))
     each = tuple(whisker.section(length, stiffness) for whisker in whiskers)
     kinds = [(jax.tree.structure(section), [leaf.shape for leaf in jax.tree.leaves(section)]) for section in each]

@@ -13,7 +13,7 @@ from jaxwhisker._equilibrium.clearance import DEPTH, NEAREST_ERROR, nearest
 from jaxwhisker._equilibrium.shaft import Line, Shaft
 from jaxwhisker._model.profile import AbstractProfile
 
-CELLS = 64  # of each part of a shaft
+CELLS = 64  # of each part of a shaft, at least
 NEWTON_STEPS = 6
 SOLVED = 1e-7  # largest residual at the place where the shaft comes nearest
 CHORD = 0.01  # more than the distance between a shaft and its chords
@@ -22,6 +22,7 @@ CHORD = 0.01  # more than the distance between a shaft and its chords
 def meets(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
     """Whether a shaft dips into an object that it does not touch by more than `DEPTH`."""
     lines = [_divided(line) for line in (own.to_base, own.to_tip)]
+    last_below = lines[0].x.size - 1
     x, y, cos, sin, cell = (jnp.concatenate(parts) for parts in zip(*lines, strict=True))
     start = jax.lax.stop_gradient(jnp.asarray(profile.lowest(), dtype=float))
     above = y > profile.point(start).y
@@ -34,7 +35,7 @@ def meets(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
     gap = jnp.where(wanted & (jnp.abs(along) < NEAREST_ERROR), gap, jnp.inf)
     k = jnp.argmin(gap)
     # Curvature from the direction of the next point, or of the one before at the end of a part.
-    other = jnp.where((k == CELLS) | (k == gap.size - 1), k - 1, k + 1)
+    other = jnp.where((k == last_below) | (k == gap.size - 1), k - 1, k + 1)
     size = jnp.where(other > k, cell[k], -cell[k])
     curvature = (cos[k] * sin[other] - sin[k] * cos[other]) / jnp.where(size == 0, 1.0, size)
 
@@ -59,8 +60,8 @@ def meets(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
 
 
 def _divided(line: Line) -> Line:
-    """A line with `CELLS` cells, each of which has the size of its arc."""
-    parts = CELLS // line.cell.size
+    """A line with at least `CELLS` cells, each of which has the size of its arc."""
+    parts = -(-CELLS // line.cell.size)
     t = jnp.arange(parts) / parts
 
     def between(value, rate):
@@ -69,7 +70,9 @@ def _divided(line: Line) -> Line:
         bend, twist = 3 * rise - 2 * leaving - arriving, leaving + arriving - 2 * rise
         values = start + t * (leaving + t * (bend + t * twist))
         rates = leaving + t * (2 * bend + 3 * t * twist)
-        return jnp.append(values, value[-1]), jnp.append(rates / line.cell[:, None], rate[-1])
+        cells = line.cell[:, None]
+        rates = jnp.where(cells == 0, rate[:-1, None], rates / jnp.where(cells == 0, 1.0, cells))
+        return jnp.append(values, value[-1]), jnp.append(rates, rate[-1])
 
     (x, cos), (y, sin) = between(line.x, line.cos), between(line.y, line.sin)
     size = jnp.hypot(cos, sin)

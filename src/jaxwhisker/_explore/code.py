@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base.leaves import PlainFunction
+from jaxwhisker._model.along import LinearTaper, RoundMass, RoundSection
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
-from jaxwhisker._model.whisker import LinearTaper, RoundMass, RoundSection, Whisker
+from jaxwhisker._model.whisker import Whisker
 
 _HEAD = ["import jax", "import numpy as np", "", "import jaxwhisker as jw"]
 _FLOAT64 = 'jax.config.update("jax_enable_x64", True)'
@@ -136,7 +137,7 @@ class _Writer:
         else:
             diameter = self.expression(section.diameter, "diameter")
             text = f"jw.Whisker.from_material({material}, diameter={diameter}{density})"
-        for name in ("intrinsic_curvature", "mass_per_length", "tip_mass", "base_mass", "base_inertia"):
+        for name in ("intrinsic_curvature", "mass_per_length", "tip_mass", "base_mass", "base_inertia", "breaks"):
             value = getattr(whisker, name)
             if value is not None and not isinstance(value, RoundMass):
                 further.append(f"{name}={self.expression(value, name)}")

@@ -152,6 +152,8 @@ def _whisker_text(whisker: Whisker) -> str:
         text += f", kappa0 = {name_of(whisker.intrinsic_curvature)}(s)"
     elif whisker.intrinsic_curvature is not None:
         text += f", kappa0 = {as_text(whisker.intrinsic_curvature)}"
+    if whisker.breaks is not None:
+        text += f", {len(whisker.breaks)} break" + "s" * (len(whisker.breaks) > 1)
     return text
 
 

@@ -1,6 +1,6 @@
 """The whisker: a slender, inextensible, shearless elastic rod, straight or curved when unloaded."""
 
-from typing import TypeAlias
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,15 +9,28 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.leaves import number_or_function
+from jaxwhisker._base.leaves import as_text, number_or_function
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._rod.rod import AlongRod, Section, at_arc
+from jaxwhisker._model.along import AlongWhisker, Breaks, LinearTaper, RoundMass, RoundSection
+from jaxwhisker._model.measured import Measured
+from jaxwhisker._rod.rod import Section, at_arc
 
-AlongWhisker: TypeAlias = AlongRod  # a number, or a function of the arc length from the base
 CHECKED_POINTS = 65  # points at which a function of arc length is checked
 
 
-class Whisker(eqx.Module):
+def _as_breaks(value: Any) -> Breaks | None:
+    """Breaks as one array; None without any."""
+    if value is None or (isinstance(value, tuple | list) and not value):
+        return None
+    if not checks.is_traced(value):
+        checks.vector("breaks", value)
+        return np.asarray(value, dtype=float)
+    traced = jnp.stack([jnp.asarray(part, dtype=float) for part in value]) if isinstance(value, tuple | list) else value
+    checks.vector("breaks", traced)
+    return traced
+
+
+class Whisker(Measured):
     """A whisker, clamped upright at its base.
 
     With the default values everything is dimensionless: lengths in L, forces in EI/L^2, moments in EI/L.
@@ -39,11 +52,16 @@ class Whisker(eqx.Module):
             where springs let the base move along x or y. Default: none.
         base_inertia: rotary inertia of what is attached to the base, about the base, mass times length squared, not
             negative. Default: none.
+        breaks: arc lengths from the base at which one of these functions jumps or has a kink: numbers inside (0, L), in
+            ascending order. Integration steps and finite elements end there. The functions may have the value of either
+            side at a break. Derivatives with respect to a break need the same number in the function. Default: none;
+            then a warning says where functions are not resolved.
 
     Raises:
         ValueError: if the length is not a positive finite number, the bending stiffness or the mass per length is not
             positive and finite, another mass is negative, JAX cannot trace a function with one number as its argument,
-            or the unloaded whisker turns by a right angle or more.
+            the unloaded whisker turns by a right angle or more, or breaks are not inside the whisker, not in ascending
+            order, or given without a function.
 
     Examples:
         >>> jw.Whisker().uniform
@@ -64,9 +82,11 @@ class Whisker(eqx.Module):
     tip_mass: Scalar | None = eqx.field(default=None, kw_only=True)
     base_mass: Scalar | None = eqx.field(default=None, kw_only=True)
     base_inertia: Scalar | None = eqx.field(default=None, kw_only=True)
+    breaks: Breaks | None = eqx.field(default=None, kw_only=True, converter=_as_breaks)
 
     def __check_init__(self):
         checks.number("length", self.length, positive=True)
+        self._check_breaks()
         self._check_masses()
         if self.intrinsic_curvature is not None and not callable(self.intrinsic_curvature):
             checks.number("intrinsic_curvature", self.intrinsic_curvature)
@@ -94,6 +114,17 @@ class Whisker(eqx.Module):
         elif not checks.is_traced((self.length, self.mass_per_length)):
             self._check_along("mass_per_length", self.mass_per_length)
 
+    def _check_breaks(self) -> None:
+        if self.breaks is None:
+            return
+        if not any(map(callable, (self.bending_stiffness, self.intrinsic_curvature, self.mass_per_length))):
+            allowed = "absent unless bending stiffness, intrinsic curvature or mass per length is a function"
+            checks.fail("breaks", allowed, _text(self.breaks))
+        if checks.is_traced((self.breaks, self.length)):
+            return
+        if not _inside(np.asarray(self.breaks), float(self.length), np):
+            checks.fail("breaks", f"in ascending order inside (0, {float(self.length):g})", _text(self.breaks))
+
     def _check_along(self, name: str, value: AlongWhisker) -> None:
         """Check that a concrete function of arc length is positive and finite."""
         with jax.ensure_compile_time_eval():
@@ -120,6 +151,8 @@ class Whisker(eqx.Module):
     def valid(self):
         """Whether traced parameters are in the domain that the constructor checks."""
         length, (_, stiff) = jnp.asarray(self.length), self._samples(self.bending_stiffness)
+        if self.breaks is not None:
+            stiff &= _inside(jnp.asarray(self.breaks), length, jnp)
         return jnp.isfinite(length) & (length > 0) & jnp.all(stiff) & (self._largest_turn() < jnp.pi / 2)
 
     def valid_masses(self) -> Bool[Array, ""]:
@@ -136,7 +169,8 @@ class Whisker(eqx.Module):
 
     def without_masses(self) -> "Whisker":
         """The whisker without masses, which equilibria do not depend on."""
-        return eqx.tree_at(_masses, self, replace_fn=lambda _: None, is_leaf=lambda leaf: leaf is None)
+        kept = None if self.uniform else self.breaks  # the breaks of a uniform whisker are those of its mass
+        return eqx.tree_at(_masses_and_breaks, self, (*[None] * 4, kept), is_leaf=lambda leaf: leaf is None)
 
     def mass_at(self, s: Scalar) -> Float[Array, ""]:
         """rho A at the arc length s from the base, mass per length; zero if it is unknown."""
@@ -149,7 +183,9 @@ class Whisker(eqx.Module):
     def section(self, length_unit: Scalar, stiffness_unit: Scalar) -> Section:
         """Bending stiffness and intrinsic curvature along the whisker, in these units of length and EI."""
         one = jnp.asarray(1.0)  # an array, because the orientation of each whisker differs in a batch
-        return Section(self.bending_stiffness, self.intrinsic_curvature, length_unit, stiffness_unit, one)
+        stiffness, curvature, breaks = self.bending_stiffness, self.intrinsic_curvature, self.breaks
+        breaks = None if breaks is None else jnp.asarray(breaks)
+        return Section(stiffness, curvature, length_unit, stiffness_unit, one, breaks)
 
     def _largest_turn(self) -> Float[Array, ""]:
         """Largest angle between the unloaded whisker and the upright."""
@@ -292,6 +328,33 @@ def _masses(whisker: Whisker) -> tuple:
     return whisker.mass_per_length, whisker.tip_mass, whisker.base_mass, whisker.base_inertia
 
 
+def _masses_and_breaks(whisker: Whisker) -> tuple:
+    return *_masses(whisker), whisker.breaks
+
+
+def _inside(breaks: Any, length: Any, numpy: Any) -> Any:
+    """Whether breaks ascend and are inside the whisker."""
+    return numpy.all(numpy.diff(breaks) >= 0) & (breaks[0] > 0) & (breaks[-1] < length)
+
+
+def _text(breaks: Breaks) -> str:
+    return "(" + ", ".join(map(as_text, breaks)) + ")"
+
+
+def with_equal_breaks(whiskers: tuple[Whisker, ...]) -> tuple[Whisker, ...]:
+    """Whiskers with equal numbers of breaks, which can be stacked; additional breaks are at the base."""
+    own = [jnp.zeros(0) if whisker.breaks is None else jnp.asarray(whisker.breaks) for whisker in whiskers]
+    most = max(breaks.size for breaks in own)
+    if most == 0:
+        return whiskers
+    return tuple(
+        eqx.tree_at(
+            lambda w: w.breaks, whisker, jnp.pad(breaks, (most - breaks.size, 0)), is_leaf=lambda leaf: leaf is None
+        )
+        for whisker, breaks in zip(whiskers, own, strict=True)
+    )
+
+
 LAST_COLUMN = {
     "A": 4,
     "B": 4,
@@ -300,36 +363,3 @@ LAST_COLUMN = {
     "E": 5,
 }  # last column of each row for which the regression gives a length
 LEAST_TIP_RADIUS = 0.0015  # mm
-
-
-class LinearTaper(eqx.Module):
-    """A linear function of the arc length: `base` at 0 and `tip` at `length`."""
-
-    base: Scalar
-    tip: Scalar
-    length: Scalar
-
-    def __call__(self, s: Scalar) -> Scalar:
-        return self.base + (self.tip - self.base) * (s / self.length)
-
-
-class RoundSection(eqx.Module):
-    """Bending stiffness of a circular cross-section, E pi d^4 / 64; E and d may be functions of the arc length."""
-
-    youngs_modulus: AlongWhisker = eqx.field(converter=number_or_function("youngs_modulus"))
-    diameter: AlongWhisker = eqx.field(converter=number_or_function("diameter"))
-
-    def __call__(self, s: Scalar) -> Scalar:
-        modulus, diameter = (value(s) if callable(value) else value for value in (self.youngs_modulus, self.diameter))
-        return modulus * (np.pi / 64) * diameter**4
-
-
-class RoundMass(eqx.Module):
-    """Mass per length of a circular cross-section, rho pi d^2 / 4; rho and d may be functions of the arc length."""
-
-    density: AlongWhisker = eqx.field(converter=number_or_function("density"))
-    diameter: AlongWhisker = eqx.field(converter=number_or_function("diameter"))
-
-    def __call__(self, s: Scalar) -> Scalar:
-        density, diameter = (value(s) if callable(value) else value for value in (self.density, self.diameter))
-        return density * (np.pi / 4) * diameter**2

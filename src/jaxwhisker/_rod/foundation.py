@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._rod.rod import Load, Material, RodState, Section, moment
+from jaxwhisker._rod.rod import Load, Material, RodState, Section, has_breaks, moment, one_sided, step_ends
 
 # Force on the rod per length, along x and y, at a position and an arc length from the base.
 Density = Callable[[Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]
@@ -47,8 +47,11 @@ def integrate_on(
         from_base: arc length from the base to the beginning.
     """
 
-    def towards_base(t, values):
+    times = step_ends(arc, material, steps=steps, from_base=from_base)
+
+    def towards_base(t, values, ends):
         x, y, cos, sin, force_x, force_y, about_origin = values
+        t = one_sided(t, *ends) if has_breaks(material) else t
         s = from_base - t * arc
         bent = moment(x, y, Load(force_x, force_y, about_origin))
         if isinstance(material, Section):
@@ -66,17 +69,19 @@ def integrate_on(
             arc * (x * push_y - y * push_x),
         ])  # fmt: skip
 
-    def step(values, begin):
+    def step(values, ends):
+        size = ends[1] - ends[0]
+
         def stage(rates, row):
             k, time, weights = row
-            here = values + jnp.sum(weights[:, None] * rates, axis=0) / steps
-            return rates.at[k].set(towards_base(begin + time / steps, here)), None
+            here = values + jnp.sum(weights[:, None] * rates, axis=0) * size
+            return rates.at[k].set(towards_base(ends[0] + time * size, here, ends)), None
 
         # A loop of diffrax over the stages has derivatives in one mode only.
         rates, _ = jax.lax.scan(stage, jnp.zeros((STAGES, values.size)), (np.arange(STAGES), TIMES, WEIGHTS))
-        return values + jnp.sum(TOTAL[:, None] * rates, axis=0) / steps, None
+        return values + jnp.sum(TOTAL[:, None] * rates, axis=0) * size, None
 
     loads = load.force_x, load.force_y, load.moment
     values = jnp.stack([jnp.asarray(value, dtype=float) for value in (*start, *loads)])
-    (x, y, cos, sin, *loads), _ = jax.lax.scan(step, values, jnp.arange(steps) / steps)
+    (x, y, cos, sin, *loads), _ = jax.lax.scan(step, values, (times[:-1], times[1:]))
     return (x, y, cos, sin), Load(loads[0], loads[1], loads[2])

@@ -7,7 +7,7 @@ state is (x, y, cos phi, sin phi), and the right-hand side is a polynomial:
 
 The position changes with the angle only, and the angle with the position only. This suits Runge-Kutta-Nystroem
 splittings: shifts at constant direction alternate with rotations at constant moment. If EI or kappa0 depends on s, then
-s is advanced together with the position.
+s is advanced together with the position. Where they jump or have kinks, steps end.
 """
 
 import dataclasses
@@ -38,6 +38,7 @@ class Section(eqx.Module):
     length_unit: Scalar  # in the scene's units
     stiffness_unit: Scalar  # of EI, in the scene's units
     orientation: Scalar = 1.0  # -1.0 for the mirror image
+    breaks: Along | None = None  # arc lengths at which EI or curvature jumps or has a kink, in the scene's units
 
     def stiffness(self, s: Scalar) -> Float[Array, ""]:
         """EI at the arc length s from the base."""
@@ -54,6 +55,11 @@ class Section(eqx.Module):
         stiffness = self.stiffness(s)
         stiff = stiffness > 0
         return jnp.where(stiff, moment / jnp.where(stiff, stiffness, 1.0), 0.0) + self.curvature(s)
+
+    def break_times(self, arc: Scalar, from_base: Scalar) -> Along:
+        """Breaks as fractions of an arc towards the base; those outside the arc are at its ends."""
+        assert self.breaks is not None
+        return jnp.clip((from_base - self.breaks / self.length_unit) / jnp.where(arc == 0, 1.0, arc), 0.0, 1.0)
 
 
 def at_arc(value: AlongRod, s: Scalar) -> Float[Array, ""]:
@@ -77,6 +83,7 @@ class _RodArgs(eqx.Module):
     load: Load
     material: Material
     from_base: Scalar | None  # arc length from the base to the start of the integration; None for a uniform rod
+    step: tuple[Scalar, Scalar] | None = None  # ends of the step; None without breaks
 
 
 def moment(x: Scalar | Along, y: Scalar | Along, load: Load) -> Scalar | Along:
@@ -91,6 +98,7 @@ def _towards_base(t, state: RodState, args: _RodArgs) -> RodState:
     x, y, cos, sin = state
     bent = moment(x, y, args.load)
     if isinstance(args.material, Section):
+        t = t if args.step is None else one_sided(t, *args.step)
         bent = args.material.total_curvature(bent, args.from_base - t * args.arc)
     elif args.material is not None:
         bent = bent / args.material
@@ -144,6 +152,10 @@ _METHODS = {
         ),
     ),
 }
+
+
+# Points of a step of the default method for sections at which it evaluates stiffness and curvature, and their weights.
+NODES, NODE_WEIGHTS = np.cumsum(_METHODS[10][0])[:-1], np.array(_METHODS[10][1])
 
 
 class Splitting(diffrax.AbstractSolver):
@@ -248,19 +260,39 @@ def integrate(
 def step_ends(
     arc: Scalar, material: Material, *, steps: int, from_base: Scalar | None = None
 ) -> Float[Array, " points"]:
-    """Ends of integration steps as fractions of the arc length: equidistant, but for sections closer where thinner."""
+    """Ends of integration steps as fractions of the arc length: equidistant, but for sections closer where thinner.
+
+    The breaks of a section are further ends. Derivatives with respect to their positions pass through these ends.
+    """
     times = jnp.arange(steps + 1) / steps
     if not isinstance(material, Section):
         return times
     assert from_base is not None
-    return graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
+    times = graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
+    return jnp.sort(jnp.concatenate([times, material.break_times(arc, from_base)])) if has_breaks(material) else times
+
+
+def has_breaks(material: Material) -> bool:
+    """Whether the stiffness or the curvature of a rod jumps or has kinks."""
+    return isinstance(material, Section) and material.breaks is not None
+
+
+INWARDS = 1e-8  # of half a step: above rounding, and without effect on the error of a step
+
+
+def one_sided(t: Scalar, start: Scalar, stop: Scalar) -> Scalar:
+    """A point of a step, moved off its ends: there, functions that jump must have the values of this side."""
+    middle = (start + stop) / 2
+    return middle + (1 - INWARDS) * (t - middle)
 
 
 def _march(
     start: RodState, args: _RodArgs, times: Float[Array, " times"], solver: diffrax.AbstractSolver, keep: bool = False
 ) -> tuple[RodState, Any]:
     """The last state, and those after every step if they are kept. `times` are fractions of the arc length."""
-    terms, no = diffrax.ODETerm(_towards_base), jnp.asarray(False)
+    # The rate of change at the end of a step is not that at the beginning of the next one.
+    terms, breaks = diffrax.ODETerm(_towards_base), has_breaks(args.material)
+    jumps = jnp.asarray(breaks)
     if isinstance(solver, diffrax.AbstractRungeKutta) and solver.scan_kind is None:
         # This loop over stages supports forward derivatives only, and no others are taken through a rod.
         solver = dataclasses.replace(solver, scan_kind="lax")
@@ -268,11 +300,13 @@ def _march(
     def step(carry, ends):
         state, memory = carry
         t0, t1 = ends
-        state, _, _, memory, _ = solver.step(terms, t0, t1, state, args, memory, no)
+        within = dataclasses.replace(args, step=(t0, t1)) if breaks else args
+        state, _, _, memory, _ = solver.step(terms, t0, t1, state, within, memory, jumps)
         return (state, memory), state if keep else None
 
     start = jax.tree.map(jnp.asarray, start)
-    memory = solver.init(terms, times[0], times[1], start, args)
+    first = dataclasses.replace(args, step=(times[0], times[1])) if breaks else args
+    memory = solver.init(terms, times[0], times[1], start, first)
     (end, _), states = jax.lax.scan(step, (start, memory), (times[:-1], times[1:]))
     return end, states
 
@@ -312,6 +346,12 @@ def points(
     if at is None:
         assert count is not None
         at = jnp.linspace(0.0, 1.0, count)
+    wanted = np.arange(at.shape[0])
+    if isinstance(material, Section) and material.breaks is not None:
+        assert from_base is not None
+        at = jnp.concatenate([at, material.break_times(arc, from_base)])
+        order = jnp.argsort(at)
+        at, wanted = at[order], jnp.argsort(order)[wanted]
     _, states = _march(start, args, at, solver or default_solver(material), keep=True)
-    x, y, cos, sin = (jnp.append(first, rest) for first, rest in zip(start, states, strict=True))
+    x, y, cos, sin = (jnp.append(first, rest)[wanted] for first, rest in zip(start, states, strict=True))
     return x, y, cos, sin

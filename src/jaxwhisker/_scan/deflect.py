@@ -18,9 +18,11 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.applied_loads import Given, weight_of
 from jaxwhisker._scan.load_path import follow
-from jaxwhisker._scan.loaded_rod import LoadedRod, bent, checks_of, differentiable, loaded_rod, misfit
+from jaxwhisker._scan.loaded_rod import ROD_STEPS, LoadedRod, bent, checks_of, differentiable, loaded_rod, misfit
+from jaxwhisker._scan.resolution import warn_of_whisker
 
 ACCURACY = 1e-8  # largest accepted error of the base's angle and position, by comparison with twice as many steps
+UNEVEN_ACCURACY = 1e-4  # of whiskers with functions of arc length: a warning tells where steps do not resolve these
 CLAMP = Support.clamped()
 
 
@@ -93,7 +95,8 @@ def _solution(whisker: Whisker, loads: Given, support: Support) -> tuple[Array, 
     for _, _, place in support.attachments():
         valid &= jnp.asarray(place) < whisker.length
     # What the steps of the rod do not resolve is inexact, even if it seems to be unstable.
-    exact = (found.error < ACCURACY) & ((solved.loads == 1) | solved.lost)
+    by_steps = ACCURACY if whisker.uniform else UNEVEN_ACCURACY
+    exact = (found.residual < ACCURACY) & (found.by_steps < by_steps) & ((solved.loads == 1) | solved.lost)
     stable = found.stable & ~solved.lost
     status = jnp.where(exact, jnp.where(stable, Status.ok, Status.unstable), Status.inexact)
     return solved.unknowns, jnp.where(valid, status, Status.invalid)
@@ -167,6 +170,7 @@ def deflect(
         if whisker.mass_per_length is None:
             checks.fail("mass_per_length", "given for a whisker with a weight", "None")
         loads = (*loads, *weight_of(whisker, gravity))
+    warn_of_whisker(whisker, ROD_STEPS)
     whisker, loads, support = jax.tree.map(checks.as_float, (whisker, loads, support))
     return Deflection(
         **_deflect(whisker.without_masses(), loads, support, points), whisker=whisker, loads=loads, support=support

@@ -258,7 +258,8 @@ def _(primals, tangents):
 class Checks(NamedTuple):
     """What is known of a solution."""
 
-    error: Float[Array, ""]  # largest residual and change of the base's pose with twice as many steps of the rod
+    residual: Float[Array, ""]
+    by_steps: Float[Array, ""]  # residual and change of the base's pose with twice as many steps of the rod
     stable: Bool[Array, ""]
 
 
@@ -279,8 +280,8 @@ def checks_of(rods: LoadedRod, top: Float[Array, " unknowns"], share: Scalar, fa
     (along, slope), (missed, pose) = jax.jacfwd(refined, has_aux=True)(top)
     end, _, _ = _walk(rods, top, share, factor, _no_points(rods), ROD_STEPS)
     coarse, coarse_pose = _misfit(rods, end, share)
-    error = jnp.max(jnp.abs(jnp.concatenate([missed, coarse, pose - coarse_pose])))
-    return Checks(error, jnp.all(jnp.linalg.det(along) > 0) & (jnp.linalg.det(slope) > 0))
+    residual, by_steps = (jnp.max(jnp.abs(v)) for v in (coarse, jnp.concatenate([missed, pose - coarse_pose])))
+    return Checks(residual, by_steps, jnp.all(jnp.linalg.det(along) > 0) & (jnp.linalg.det(slope) > 0))
 
 
 def _grids(rods: LoadedRod, points: int) -> list[rod.Along]:

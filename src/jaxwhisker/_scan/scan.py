@@ -31,6 +31,7 @@ from jaxwhisker._path.march import capacity_of, march
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.detect import detect, without_gains
 from jaxwhisker._scan.memory import places_of, remembered, with_places
+from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
 from jaxwhisker._scan.signals import events
@@ -107,6 +108,7 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
     problem = problem_now(scene)
     if not checks.is_traced((scene, control)):
         check_valid(scene, problem)
+        warn_of_steps(scene)
     route, status = (None, None) if control is None else route_through(control)
     path, start, stop = path_along(problem, route, status)
     if route is None and steps is not None:

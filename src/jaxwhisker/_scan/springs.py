@@ -90,6 +90,16 @@ def outwards(
     return x, y, cos, sin
 
 
+def at_arcs(
+    whisker: Whisker, base: Pose, reaction: Reaction, s: Float[Array, " points"]
+) -> tuple[Float[Array, " points"], Float[Array, " points"]]:
+    """Positions of points of the whisker at increasing arc lengths, under the reaction at the base."""
+    start, load, arc = *at_base(base, reaction), s[-1]
+    fractions = jnp.append(0.0, s / jnp.where(arc > 0, arc, 1.0))
+    x, y, _, _ = rod.points(start, -arc, load, material(whisker), at=fractions, from_base=jnp.zeros_like(arc))
+    return x[1:], y[1:]
+
+
 def at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
     """State of the rod at its base, and the load there, which balances the reaction."""
     fx, fy, mz = reaction
@@ -117,7 +127,8 @@ def load_beyond(whisker: Whisker, base: Pose, reaction: Reaction, held: Held) ->
 
 def shaft_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held) -> Float[Array, ""]:
     """Elastic energy of a whisker and its foundation up to an arc length, by Gaussian quadrature between springs."""
-    inside = jnp.clip(held.held_by.springs.at, 0.0, arc)
+    places = held.held_by.springs.at if whisker.breaks is None else jnp.append(held.held_by.springs.at, whisker.breaks)
+    inside = jnp.clip(places, 0.0, arc)
     ends = jnp.concatenate([jnp.zeros(1), jnp.sort(inside), jnp.reshape(arc, 1)])
     s = jnp.ravel(ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS)
     (x, y, _, _), load = _at_places(whisker, base, reaction, s, held)
