@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 from vibrating import beam, held_at, in_contact, on_corner, on_face, on_parabola, rolling_on_parabola
 
 import jaxwhisker as jw
@@ -444,3 +445,28 @@ def test_wrong_steps(scanned):
     batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), scanned)
     with pytest.raises(ValueError, match="`at` must be the Result of a single scan"):
         jw.modes(batch)
+
+
+RITZ = 1e-7  # of frequencies by Rayleigh and Ritz with polynomials of degree 12
+
+
+def ritz(weight, spring, at):
+    """Frequencies of an upright cantilever under its weight, with a spring across at one place."""
+    degree = 12
+    each = [np.polynomial.Polynomial([0.0] * k + [1.0]) for k in range(2, degree + 1)]
+    s, w = np.polynomial.legendre.leggauss(2 * degree)
+    s, w = (s + 1) / 2, w / 2
+    value, slope, bend = (np.stack([p.deriv(n)(s) if n else p(s) for p in each]) for n in (0, 1, 2))
+    here = np.stack([p(at) for p in each])
+    stiffness = (bend * w) @ bend.T - weight * ((slope * w * (1 - s)) @ slope.T) + spring * here[:, None] * here
+    return np.sqrt(scipy.linalg.eigh(stiffness, (value * w) @ value.T, eigvals_only=True)[:3])
+
+
+@pytest.mark.parametrize("spring", [0.0, 70.0])
+def test_weight_lowers_frequencies_with_and_without_springs_on_the_shaft(spring):
+    support = jw.Support((jw.Spring((0, 1), spring, 0.0, at=0.5),)) if spring else jw.Support.clamped()
+    whisker = jw.Whisker(mass_per_length=2.0)
+    for weight in (0.0, 4.0):
+        bent = jw.deflect(whisker, gravity=(0.0, -weight / 2), support=support, points=3)
+        found = jw.modes(bent, count=3)
+        np.testing.assert_allclose(found.omega * np.sqrt(2), ritz(weight, spring, 0.5), rtol=RITZ)

@@ -128,7 +128,7 @@ def heavy(load, lateral):
     """Tip of an upright whisker under its weight and a small lateral load, by a collocation method."""
 
     def rates(s, values):
-        phi, moment, x, y = values
+        phi, moment, *_ = values
         # Of everything beyond s: the weight times (1 - s) downwards, and the lateral load towards -x.
         return np.stack([moment, (1 - s) * load * np.cos(phi) - lateral * np.sin(phi), np.cos(phi), np.sin(phi)])
 

@@ -1,4 +1,4 @@
-"""Deflection with springs on the shaft and distributed loads: laws for a rod integrated outwards, derivatives, errors."""
+"""Springs on the shaft and distributed loads: laws for a rod integrated outwards, derivatives, errors."""
 
 import jax
 import jax.numpy as jnp

@@ -13,6 +13,7 @@ from jaxwhisker._equilibrium.contact import Body, Phase, material_of
 from jaxwhisker._equilibrium.shaft_springs import ShaftSprings, past
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.foundation import integrate_on
+from jaxwhisker._scan.applied_loads import Line as LineLoads
 
 Tree = TypeVar("Tree")
 AT = np.concatenate([[0.0], POINTS, [1.0]])
@@ -37,12 +38,13 @@ class Equilibrium(NamedTuple):
 
 
 class DeadLoads(NamedTuple):
-    """Forces and moments that keep their directions, from the base to the tip, at the ends of elements."""
+    """Forces and moments that keep their directions, at the ends of elements, and those per length."""
 
     position: Float[Array, "*batch loads"]
     force_x: Float[Array, "*batch loads"]
     force_y: Float[Array, "*batch loads"]
     moment: Float[Array, "*batch loads"]
+    lines: tuple[LineLoads, ...]
 
 
 class Line(NamedTuple):
@@ -64,12 +66,12 @@ class Ends(NamedTuple):
 
     arcs: Float[Array, " elements"]
     contact: Scalar  # number of the element that ends at the contact
-    loads: Int[Array | np.ndarray, " loads"]  # at loads, or at springs on the shaft
+    loads: Int[Array | np.ndarray, " loads"]  # at loads and at the ends of line loads
+    springs: Int[Array | np.ndarray, " springs"]  # at springs on the shaft
 
-    def at_loads(self, tree: Tree) -> Tree:
-        """What is known at the loads or springs, as fields of all elements; zero for the others."""
-        nothing = [(0, self.arcs.size - self.loads.size)]
-        return jax.tree.map(lambda leaf: jnp.zeros_like(jnp.pad(leaf, nothing)).at[self.loads].set(leaf), tree)
+    def spread(self, tree: Tree, elements: Int[Array | np.ndarray, " places"]) -> Tree:
+        """What is known at the ends of some elements, as fields of all elements; zero for the others."""
+        return jax.tree.map(lambda leaf: jnp.zeros(self.arcs.size, leaf.dtype).at[elements].set(leaf), tree)
 
 
 def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None, breaks: rod.Along | None) -> Ends:
@@ -78,25 +80,24 @@ def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None, breaks: rod.Al
     A whisker without tangential contact is split anywhere instead. Whiskers that are not uniform are split twice more:
     the closer to the tip of a cone, the shorter its elements must be.
     """
-    places = jnp.zeros(0)
+    at_loads = jnp.zeros(0)
     if loads is not None:
-        places = loads.position
-    elif body.sprung is not None:
-        places = jnp.maximum(body.sprung.held_by.springs.at[::-1], 0.0)
-    top = places[-1] if places.size else jnp.zeros(())
+        ends = [end for line in loads.lines for end in (line.start, line.stop)]
+        at_loads = jnp.concatenate([loads.position, *(jnp.reshape(end, 1) for end in ends)])
+    at_springs = jnp.zeros(0) if body.sprung is None else jnp.maximum(body.sprung.held_by.springs.at, 0.0)
+    places = jnp.concatenate([at_loads, at_springs])
+    top = jnp.max(places, initial=0.0)
     split = jnp.where(at.phase == Phase.tangential, at.contact_arc, _middle(body, top, body.length))
     stops = [split, body.length]
     if body.section is not None:
         stops = [_middle(body, top, split), split, _middle(body, split, body.length), body.length]
-    arcs = jnp.concatenate([places, jnp.stack(stops)])
     contact, number = places.size + len(stops) // 2 - 1, np.arange(places.size)
-    if breaks is None:
-        return Ends(arcs, jnp.asarray(contact), number)
     # Breaks come last where places coincide: a break at the tip would take its place.
-    arcs = jnp.append(arcs, breaks)
+    arcs = jnp.concatenate([places, jnp.stack(stops), *([] if breaks is None else [breaks])])
     order = jnp.argsort(arcs)
     rank = jnp.argsort(order)
-    return Ends(arcs[order], rank[contact], rank[number])
+    of_loads, of_springs = jnp.split(rank[number], [at_loads.size])
+    return Ends(arcs[order], rank[contact], of_loads, of_springs)
 
 
 def _middle(body: Body, start: Scalar, stop: Scalar) -> Scalar:
@@ -116,15 +117,20 @@ def line_of(body: Body, at: Equilibrium, ends: Ends, loads: DeadLoads | None) ->
     unloads = (jnp.arange(ends.arcs.size) == ends.contact) & (at.phase == Phase.tangential)
     dead, springs = None, None
     if loads is not None:
-        dead = ends.at_loads(loads)
-    elif body.sprung is not None:
-        springs = ends.at_loads(jax.tree.map(lambda leaf: leaf[::-1], body.sprung.held_by.springs))
+        at_places = loads._replace(lines=())
+        dead = ends.spread(
+            jax.tree.map(lambda leaf: jnp.append(leaf, jnp.zeros(2 * len(loads.lines))), at_places), ends.loads
+        )
+    if body.sprung is not None:
+        springs = ends.spread(body.sprung.held_by.springs, ends.springs)
         # The reaction is that of everything at the base and below.
         springs = springs._replace(share=jnp.where(springs.at > 0, springs.share, 0.0))
 
+    lines = () if loads is None else loads.lines
+
     def element(carry, here):
         (state, load), (first, length, unloaded, dead, spring) = carry, here
-        states, inside = _through(body, state, load, first, length, material)
+        states, inside = _through(body, lines, state, load, first, length, material)
         end, load = jax.tree.map(lambda values: values[-1], (states, inside))
         if dead is not None:
             about = dead.moment + end[0] * dead.force_y - end[1] * dead.force_x
@@ -148,22 +154,31 @@ def line_of(body: Body, at: Equilibrium, ends: Ends, loads: DeadLoads | None) ->
 
 
 def _through(
-    body: Body, state: rod.RodState, load: rod.Load, first: Scalar, length: Scalar, material: rod.Material
+    body: Body,
+    lines: tuple[LineLoads, ...],
+    state: rod.RodState,
+    load: rod.Load,
+    first: Scalar,
+    length: Scalar,
+    material: rod.Material,
 ) -> tuple[rod.RodStates, rod.Load]:
     """States and loads at the start of an element, at its Gauss points and at its end."""
-    tissue = None if body.sprung is None else body.sprung.held_by.tissue
-    if tissue is None:
+    sprung = body.sprung
+    tissue = None if sprung is None else sprung.held_by.tissue
+    if tissue is None and not lines:
         # A negative arc integrates away from the base.
         states = rod.points(state, -length, load, material, at=jnp.asarray(AT), from_base=first)
         return states, jax.tree.map(lambda part: jnp.full(AT.shape, part), load)
-    assert body.sprung is not None
-    drive, on = body.sprung.drive, tissue._replace(stiffness=tissue.share(first + length / 2) * tissue.stiffness)
+
+    def density(x: Scalar, y: Scalar, s: Scalar):
+        total = [line.between(first, first + length) * line.density(s) for line in lines]
+        if sprung is not None and tissue is not None:
+            total.append(tissue.share(first + length / 2) * jnp.stack(tissue.density(sprung.drive, x, y, s)))
+        return tuple(sum(total[1:], total[0]))
 
     def step(carry, ends):
         (state, load), (start, stop) = carry, first + length * ends
-        carry = integrate_on(
-            state, load, start - stop, material, lambda *at: on.density(drive, *at), steps=1, from_base=start
-        )
+        carry = integrate_on(state, load, start - stop, material, density, steps=1, from_base=start)
         return carry, carry
 
     _, later = jax.lax.scan(step, (state, load), jnp.stack([AT[:-1], AT[1:]], axis=1))

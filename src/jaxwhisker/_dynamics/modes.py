@@ -26,7 +26,7 @@ from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.applied_loads import sorted_loads
+from jaxwhisker._scan.applied_loads import lines_of, sorted_loads
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
@@ -319,6 +319,6 @@ def _deflection_modes(
     at = Equilibrium(*(jnp.reshape(leaf, 1) for leaf in (*base, *[zero] * 5, jnp.asarray(Phase.free))))
     each = sorted_loads(whiskers[0], loads)
     force_x, force_y = each.force * jnp.cos(each.direction), each.force * jnp.sin(each.direction)
-    dead = DeadLoads(each.position, force_x, force_y, each.moment)
-    dead = jax.tree.map(lambda leaf: leaf[::-1][None], dead)
+    dead = DeadLoads(each.position, force_x, force_y, each.moment, lines_of(whiskers[0], loads))
+    dead = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], dead)
     return _found(problem, whiskers, _dimensionless(problem, at), status, zero, dead, damping, count, points)

@@ -61,7 +61,10 @@ def weight_of(whisker: Whisker, gravity: tuple[Scalar, Scalar]) -> Given:
     weight: Given = (LineLoad(x, y),)
     if whisker.tip_mass is None:
         return weight
-    each = [PointForce(whisker.tip_mass * along, direction=way) for along, way in zip(gravity, (0.0, jnp.pi / 2))]
+    each = [
+        PointForce(whisker.tip_mass * along, direction=way)
+        for along, way in zip(gravity, (0.0, jnp.pi / 2), strict=True)
+    ]
     return (*weight, *each)
 
 

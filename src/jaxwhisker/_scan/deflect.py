@@ -162,9 +162,9 @@ def deflect(
         place = getattr(load, name)
         if place is not None and not checks.is_traced((place, whisker)) and float(place) > float(whisker.length):
             checks.fail(name, f"at most the length {whisker.length}", place)
-        if isinstance(load, LineLoad) and place is None and not checks.is_traced((load.start, whisker)):
-            if float(load.start) >= float(whisker.length):
-                checks.fail("start", f"less than the length {whisker.length}", load.start)
+        beyond = isinstance(load, LineLoad) and not checks.is_traced((load.start, whisker))
+        if beyond and float(load.start) >= float(whisker.length):
+            checks.fail("start", f"less than the length {whisker.length}", load.start)
     if gravity is not None:
         checks.pair("gravity", gravity)
         if whisker.mass_per_length is None:
