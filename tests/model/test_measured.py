@@ -71,7 +71,7 @@ def test_code_of_a_table_runs():
     exec(code_of(scene), known)
     again = known["scene"].whisker
     np.testing.assert_array_equal(again.breaks, ROWS[::10][1:-1])
-    assert again.stiffness_at(0.011) == scene.whisker.stiffness_at(0.011)
+    assert again.stiffness_at(0.011) == scene.whiskers[0].stiffness_at(0.011)
 
 
 def points_of(curvature, count=60, *, turn=0.4, error=0.0):

@@ -198,6 +198,9 @@ def deflect(
         hundred EI/L^2) or no equilibrium is found, and NaN with status `invalid` if a traced parameter is outside its
         domain or a traced load or spring is beyond the tip.
 
+    Warns:
+        UserWarning: if the steps of the rod do not resolve a concrete function of arc length; see `Whisker(breaks=)`.
+
     Raises:
         ValueError: if an argument has the wrong type, there is no load, a load or a spring lies beyond the tip, the
             support is for several whiskers, `points` is less than 2, or JAX is in float32 mode.
