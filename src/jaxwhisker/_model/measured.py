@@ -216,4 +216,4 @@ def _curvature(powers: np.ndarray, first: float, last: float, scale: float) -> t
     if powers.size < 2:
         return length, float(powers[0]) / scale if powers.size else None
     own = np.polynomial.Polynomial(powers)(np.polynomial.Polynomial([first, last - first]))
-    return length, Polynomial(np.asarray(own.coef) / scale, length)
+    return length, Polynomial(np.asarray(own.coef, dtype=float) / scale, length)
