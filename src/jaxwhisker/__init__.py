@@ -12,6 +12,7 @@ from jaxwhisker._inverse.information import Information, design, information
 from jaxwhisker._inverse.points import PointStatus, Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus
+from jaxwhisker._model.along import Polynomial, Table
 from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.cut import Cut
 from jaxwhisker._model.foundation import Foundation
@@ -76,6 +77,7 @@ __all__ = [
     "PointMoment",
     "PointStatus",
     "Polygon",
+    "Polynomial",
     "ProfileFit",
     "Reconstruction",
     "Result",
@@ -90,6 +92,7 @@ __all__ = [
     "State",
     "Status",
     "Support",
+    "Table",
     "Tilted",
     "Translation",
     "Whisker",

@@ -87,6 +87,25 @@ def test_the_stiffness_may_vanish_at_the_tip():
     assert jw.Whisker(1.0, lambda s: 1.0 - s).stiffness_at(1.0) == 0
 
 
+def test_breaks_belong_to_functions():
+    stepped = jw.Whisker(2.0, Line(1.0, -0.1), mass_per_length=Line(1.0, 0.0), breaks=[0.5, 1.0])
+    np.testing.assert_array_equal(stepped.without_masses().breaks, [0.5, 1.0])
+    assert "2 breaks" in str(jw.Scene(stepped, jw.Parabola(0.2)))
+    # Those of a uniform whisker are those of its mass.
+    assert jw.Whisker(2.0, mass_per_length=Line(1.0, 0.0), breaks=(0.5,)).without_masses() == jw.Whisker(2.0)
+    assert jw.Whisker(breaks=()).breaks is None
+
+
+def test_traced_breaks_outside_the_whisker_are_invalid():
+    @jax.jit
+    def valid(first, second):
+        return jw.Whisker(2.0, Line(1.0, -0.1), breaks=(first, second)).valid()
+
+    assert valid(0.5, 1.0) and valid(0.5, 0.5)
+    for bad in [(0.0, 1.0), (1.0, 0.5), (0.5, 2.0), (jnp.nan, 1.0)]:
+        assert not valid(*bad), bad
+
+
 def test_parameters_of_a_module_are_differentiable():
     def middle(start, growth):
         return jw.Whisker(2.0, Line(start, growth)).stiffness_at(1.0)
@@ -124,6 +143,13 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
             lambda: jw.Whisker.conical(1.0, 1.0, 1.0, -1.0),
             "`tip_diameter` must be a non-negative finite number, got -1",
         ),
+        (lambda: jw.Whisker(breaks=(0.5,)), r"`breaks` must be absent unless .* is a function, got \(0.5\)"),
+        (
+            lambda: jw.Whisker(2.0, Line(1.0, 0.0), breaks=(0.5, 2.0)),
+            r"`breaks` must be in ascending order inside \(0, 2\), got \(0.5, 2\)",
+        ),
+        (lambda: jw.Whisker(2.0, Line(1.0, 0.0), breaks=(1.0, 0.5)), "`breaks` must be in ascending order"),
+        (lambda: jw.Whisker(2.0, Line(1.0, 0.0), breaks=0.5), "`breaks` must be a non-empty one-dimensional array"),
         (lambda: jw.Whisker(mass_per_length=0.0), "`mass_per_length` must be a positive finite number, got 0"),
         (
             lambda: jw.Whisker(mass_per_length=lambda s: 1.0 - 2.5 * s),

@@ -1,5 +1,7 @@
 """Whiskers whose stiffness, curvature and mass jump: against scipy, exact frequencies, derivatives by breaks."""
 
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOptionalMemberAccess=false
+# pyright: reportAttributeAccessIssue=false
 import warnings
 
 import diffrax

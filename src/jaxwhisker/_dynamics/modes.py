@@ -108,6 +108,9 @@ def modes(
             mass per length, a load of the Deflection is a follower force, which has no potential, or JAX is in float32
             mode.
 
+    Warns:
+        UserWarning: if stiffness, curvature or mass change too fast along a concrete whisker; see `Whisker(breaks=)`.
+
     Derivatives with respect to all numbers, in both modes, are those of simple frequencies; they do not exist for modes
     that share one frequency.
 

@@ -87,6 +87,9 @@ def simulate(
             positive, a drive that is not finite), the drive starts inside the object, or the scene has springs between
             the shafts of two whiskers or rigid springs, which are not simulated.
 
+    Warns:
+        UserWarning: if the shape functions do not resolve the bending stiffness of a concrete whisker, such as a jump.
+
     Derivatives of first order exist in both modes, with respect to all numbers of the scene, the drive, the duration
     and the damping. They are those of the discrete motion in which the same whiskers touch in the same steps: through
     smooth stretches, changes between tip and tangential contact, and releases. Where an impact begins, they are not

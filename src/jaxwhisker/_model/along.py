@@ -1,12 +1,13 @@
 """Functions of the arc length along a whisker, with differentiable parameters."""
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import number_or_function
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._rod.rod import AlongRod
@@ -16,32 +17,80 @@ Breaks: TypeAlias = Float[Array, " breaks"] | Float[np.ndarray, " breaks"]
 
 
 class Table(eqx.Module):
-    """Linear interpolation of a table; two rows with the same arc length are a jump.
+    """Linear interpolation of values along a whisker, for the arguments that may be functions of arc length.
+
+    A whisker needs the rows as its `breaks`; `Whisker.from_table` passes them. Beyond the ends, the first and the last
+    line continue. Differentiable with respect to all numbers.
 
     Args:
-        s: arc lengths from the base, ascending; at least two.
-        values: one value per arc length.
+        s: arc lengths from the base, shape (rows,), ascending; at least two. Two rows with the same arc length are a
+            jump.
+        values: one value per row, shape (rows,).
+
+    Raises:
+        ValueError: if an argument is not such an array.
+
+    Examples:
+        >>> diameter = jw.Table([0.0, 0.01, 0.02], [2e-4, 1.5e-4, 5e-5])
+        >>> print(f"{diameter(0.015):.1e}")
+        1.0e-04
     """
 
-    s: Float[Array, " rows"]
-    values: Float[Array, " rows"]
+    s: Float[Array, " rows"] = eqx.field(converter=lambda values: _array("s", values))
+    values: Float[Array, " rows"] = eqx.field(converter=lambda values: _array("values", values))
+
+    def __check_init__(self):
+        if self.s.shape != self.values.shape or self.s.shape[0] < 2:
+            checks.fail("values", f"two or more numbers, one per row ({self.s.shape[0]})", f"{self.values.shape[0]}")
+        if not checks.is_traced(self.s) and np.any(np.diff(np.asarray(self.s)) < 0):
+            checks.fail("s", "in ascending order", np.asarray(self.s).tolist())
 
     def __call__(self, s: Scalar) -> Float[Array, ""]:
-        at, values = jnp.asarray(self.s, dtype=float), jnp.asarray(self.values, dtype=float)
-        k = jnp.clip(jnp.sum(s > at), 1, at.size - 1)
-        size = at[k] - at[k - 1]
-        share = (s - at[k - 1]) / jnp.where(size > 0, size, 1.0)
-        return values[k - 1] + share * (values[k] - values[k - 1])
+        k = jnp.clip(jnp.sum(s > self.s), 1, self.s.shape[0] - 1)
+        (first, last), (start, stop) = (
+            (values[k - 1], values[k]) for values in map(jnp.asarray, (self.s, self.values))
+        )
+        size = last - first
+        return start + (stop - start) * ((s - first) / jnp.where(size > 0, size, 1.0))
 
 
 class Polynomial(eqx.Module):
-    """A polynomial of s / length, by its coefficients in ascending order."""
+    """A polynomial of s / length, for the arguments that may be functions of arc length.
 
-    coefficients: Float[Array, " degrees"]
+    Args:
+        coefficients: shape (degree + 1,), in ascending order: the first one is the value at the base.
+        length: a length; positive. With that of the whisker, the sum of the coefficients is the value at the tip.
+
+    Raises:
+        ValueError: if an argument is not a number or such an array.
+
+    Examples:
+        >>> spiral = jw.Whisker(0.04, 2.4e-8, jw.Polynomial([10.0, 12.0], length=0.04))
+        >>> print(f"{spiral.curvature_at(0.04):.1f}")
+        22.0
+    """
+
+    coefficients: Float[Array, " degrees"] = eqx.field(converter=lambda values: _array("coefficients", values))
     length: Scalar
 
+    def __check_init__(self):
+        checks.number("length", self.length, positive=True)
+
     def __call__(self, s: Scalar) -> Float[Array, ""]:
-        return jnp.polyval(jnp.asarray(self.coefficients, dtype=float)[::-1], s / self.length)
+        return jnp.polyval(jnp.asarray(self.coefficients)[::-1], s / self.length)
+
+
+def as_breaks(value: Any) -> Breaks | None:
+    """Breaks as one array; None without any."""
+    return None if value is None or (isinstance(value, tuple | list) and not value) else _array("breaks", value)
+
+
+def _array(name: str, value: Any) -> Any:
+    """A vector of floats, which is a NumPy array unless it is traced."""
+    if isinstance(value, tuple | list) and checks.is_traced(value):
+        value = jnp.stack([jnp.asarray(part, dtype=float) for part in value])
+    checks.vector(name, value)
+    return value if checks.is_traced(value) else np.asarray(value, dtype=float)
 
 
 class LinearTaper(eqx.Module):

@@ -205,7 +205,7 @@ def _distances(parameters: np.ndarray, places: np.ndarray, along: np.ndarray) ->
     feet = along
     for _ in range(FEET_STEPS):
         off_x, off_y = places[:, 0] - x - to_x(feet), places[:, 1] - y - to_y(feet)
-        feet = np.clip(feet + off_x * np.cos(angle(feet)) + off_y * np.sin(angle(feet)), *domain)
+        feet = np.clip(feet + off_x * np.cos(angle(feet)) + off_y * np.sin(angle(feet)), -OUTSIDE, 1 + OUTSIDE)
     off_x, off_y = places[:, 0] - x - to_x(feet), places[:, 1] - y - to_y(feet)
     return off_y * np.cos(angle(feet)) - off_x * np.sin(angle(feet)), feet
 
@@ -216,4 +216,4 @@ def _curvature(powers: np.ndarray, first: float, last: float, scale: float) -> t
     if powers.size < 2:
         return length, float(powers[0]) / scale if powers.size else None
     own = np.polynomial.Polynomial(powers)(np.polynomial.Polynomial([first, last - first]))
-    return length, Polynomial(own.coef / scale, length)
+    return length, Polynomial(np.asarray(own.coef, dtype=float) / scale, length)

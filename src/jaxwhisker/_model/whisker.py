@@ -11,23 +11,11 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, number_or_function
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.along import AlongWhisker, Breaks, LinearTaper, RoundMass, RoundSection
+from jaxwhisker._model.along import AlongWhisker, Breaks, LinearTaper, RoundMass, RoundSection, as_breaks
 from jaxwhisker._model.measured import Measured
 from jaxwhisker._rod.rod import Section, at_arc
 
 CHECKED_POINTS = 65  # points at which a function of arc length is checked
-
-
-def _as_breaks(value: Any) -> Breaks | None:
-    """Breaks as one array; None without any."""
-    if value is None or (isinstance(value, tuple | list) and not value):
-        return None
-    if not checks.is_traced(value):
-        checks.vector("breaks", value)
-        return np.asarray(value, dtype=float)
-    traced = jnp.stack([jnp.asarray(part, dtype=float) for part in value]) if isinstance(value, tuple | list) else value
-    checks.vector("breaks", traced)
-    return traced
 
 
 class Whisker(Measured):
@@ -82,7 +70,7 @@ class Whisker(Measured):
     tip_mass: Scalar | None = eqx.field(default=None, kw_only=True)
     base_mass: Scalar | None = eqx.field(default=None, kw_only=True)
     base_inertia: Scalar | None = eqx.field(default=None, kw_only=True)
-    breaks: Breaks | None = eqx.field(default=None, kw_only=True, converter=_as_breaks)
+    breaks: Breaks | None = eqx.field(default=None, kw_only=True, converter=as_breaks)
 
     def __check_init__(self):
         checks.number("length", self.length, positive=True)

@@ -62,8 +62,9 @@ class Shooting(AbstractRod):
 
     Args:
         steps: number of steps of equal size. Rods that are not uniform take twice as many, shorter where they are
-            thinner. No status reports that there are too few steps: with the default solver, 8 steps give errors of
-            1e-9, and of 1e-7 for a cone.
+            thinner; breaks of a whisker are further ends of steps. No status reports that there are too few steps: with
+            the default solver, 8 steps give errors of 1e-9, and of 1e-7 for a cone. `scan` warns where they do not
+            resolve a function of arc length.
         solver: any diffrax solver; its step-size control is not used. Default: a `Splitting` of order 6.
         newton_tolerance: largest size of the last Newton step, dimensionless. Convergence is quadratic: the error is
             about its square.

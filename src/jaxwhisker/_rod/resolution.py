@@ -29,7 +29,7 @@ def bending_error(length: Scalar, section: Section, steps: int) -> Float[Array, 
         coarse, fine = (_integrals(share * length, section, n) for n in (steps, 2 * steps))
         return jnp.max(jnp.abs(fine - coarse) / jnp.array([1.0, fine[0, 1]]))
 
-    return jnp.max(jax.vmap(loaded)(LOADED))
+    return jnp.max(jax.vmap(loaded)(jnp.asarray(LOADED)))
 
 
 def relative_error(length: Scalar, density: Section, steps: int) -> Float[Array, ""]:

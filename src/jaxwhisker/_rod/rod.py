@@ -98,6 +98,7 @@ def _towards_base(t, state: RodState, args: _RodArgs) -> RodState:
     x, y, cos, sin = state
     bent = moment(x, y, args.load)
     if isinstance(args.material, Section):
+        assert args.from_base is not None
         t = t if args.step is None else one_sided(t, *args.step)
         bent = args.material.total_curvature(bent, args.from_base - t * args.arc)
     elif args.material is not None:

@@ -131,6 +131,9 @@ def deflect(
         for the steps of the rod (beyond a few hundred EI/L^2) or no equilibrium is found, and with status `invalid` if
         a traced parameter is outside its domain or a traced load or spring is beyond the tip.
 
+    Warns:
+        UserWarning: if the steps of the rod do not resolve a concrete function of arc length; see `Whisker(breaks=)`.
+
     Raises:
         ValueError: if an argument has the wrong type, there is no load, a load or a spring lies beyond the tip, the
             support is for several whiskers, `gravity` is given for a whisker without a `mass_per_length`, `points` is

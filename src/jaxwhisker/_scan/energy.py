@@ -17,7 +17,6 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
@@ -27,13 +26,12 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.spring import POINTS, WEIGHTS
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.springs import at_arcs, bases_of, held, holds, shaft_energy, spring_length
 from jaxwhisker._scan.state import State, base_of, state_of
 
-INTERVALS = 16  # of Gaussian quadrature along a whisker that is not uniform; breaks are further ends
-_AT, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-POINTS, WEIGHTS = (_AT + 1) / 2, _WEIGHTS / 2  # of each interval
+INTERVALS = 4  # of Gaussian quadrature along a whisker that is not uniform; breaks are further ends
 
 
 def stored_energy(scene: Scene, state: State, control: Control | None = None) -> Float[Array, "*steps"]:

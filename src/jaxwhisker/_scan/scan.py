@@ -70,6 +70,9 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
             (springs so soft that the drive travels a thousand lengths), if a whisker is so curved that it would touch
             in two places, or if JAX is in float32 mode.
 
+    Warns:
+        UserWarning: if integration steps do not resolve a concrete function of arc length; see `Whisker(breaks=)`.
+
     `scan` works under jax.jit and jax.vmap. Signals, states and event positions have first and second derivatives, in
     both modes, with respect to every numeric field of the scene and to the control. Derivatives are taken at fixed
     control along the step's own branch; exactly at a change of phase they are those of the phase that begins. With
