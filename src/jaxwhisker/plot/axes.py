@@ -8,9 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
 
 from jaxwhisker._base import checks
 from jaxwhisker._model.scene import Scene
+from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.quantities import (
     QUANTITIES,
     Unit,
@@ -26,6 +28,20 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 DASHES = ("-", "--", ":", "-.")
 GREY = "#777777"
 OBJECT, SUPPORT = "#DDDDDD", "#555555"
+# Shape and filling of the marker of each kind of event.
+MARKERS = {
+    EventKind.touch: ("o", "white"),
+    EventKind.tip_to_tangential: ("^", "white"),
+    EventKind.vertex: ("v", "white"),
+    EventKind.tangential_to_tip: ("^", GREY),
+    EventKind.stick: ("<", GREY),
+    EventKind.slip: (">", GREY),
+    EventKind.edge: ("|", "black"),
+    EventKind.release: ("s", "white"),
+    EventKind.snap_through: ("D", "black"),
+    EventKind.snap_off: ("X", "black"),
+}
+EVENT_HEIGHT = 0.95  # of markers of events, as a share of the Axes
 
 CONTROL_AXIS = dimensionless_label(QUANTITIES["control"].symbol, "length")
 
@@ -119,10 +135,30 @@ def several_axes(axs: Any, count: int | None = None) -> np.ndarray:
     return axes
 
 
-def mark_events(ax: Axes, controls: Iterable[float]) -> None:
-    """Draw thin vertical lines at the controls of events."""
-    for control in dict.fromkeys(controls):
-        ax.axvline(control, color=GREY, linewidth=0.5, zorder=0)
+def mark_events(ax: Axes, at: Iterable[float], kinds: Iterable[EventKind]) -> list[Line2D]:
+    """Draw a thin vertical line with a marker at each event, and return the entries of a legend."""
+    events = dict.fromkeys(zip(at, kinds, strict=True))
+    for place, kind in events:
+        line = {"color": GREY, "linewidth": 0.5, "zorder": 0, "markevery": [1], "transform": ax.get_xaxis_transform()}
+        ax.plot([place] * 3, [0.0, EVENT_HEIGHT, 1.0], **line | event_marker(kind))
+    return event_entries(kind for _, kind in events)
+
+
+def event_marker(kind: EventKind) -> dict[str, Any]:
+    """Look of the marker of an event."""
+    shape, filled = MARKERS[kind]
+    look = {"marker": shape, "markerfacecolor": filled, "markeredgecolor": "black"}
+    return look | {"markersize": 5, "markeredgewidth": 0.8}
+
+
+def event_entries(kinds: Iterable[EventKind]) -> list[Line2D]:
+    """Entries of a legend for these kinds of events."""
+    found = set(kinds)
+    return [
+        Line2D([], [], label=kind.name.replace("_", "-"), linestyle="none", **event_marker(kind))
+        for kind in MARKERS
+        if kind in found
+    ]
 
 
 def legend_above(ax: Axes, handles: Sequence[Any] | None = None, *, least: int = 2, columns: int = 3) -> None:
