@@ -40,7 +40,7 @@ from jaxwhisker._study.summary import summary
 from jaxwhisker.film.animate import animate
 
 if TYPE_CHECKING:
-    from jaxwhisker._dynamics.drive import Whisking
+    from jaxwhisker._dynamics.drive import Sweep, Whisking
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
@@ -89,6 +89,7 @@ __all__ = [
     "State",
     "Status",
     "Support",
+    "Sweep",
     "Tilted",
     "Translation",
     "Whisker",
@@ -119,6 +120,7 @@ __version__ = "0.1.0"
 _DYNAMICS = {
     "Modes": "modes",
     "Simulation": "simulation",
+    "Sweep": "drive",
     "Whisking": "drive",
     "modes": "modes",
     "simulate": "simulate",

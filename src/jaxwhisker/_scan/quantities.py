@@ -97,7 +97,7 @@ MOTION = {
 }
 REACTIONS = ("fx", "fy", "mz")
 # What figures compute from a run.
-DERIVED = {"spring_extension": Quantity("extension of the spring", r"\ell-\lambda", "length", ("control", "spring"))}
+DERIVED = {"spring_extension": Quantity("extension of the spring", r"\Delta\ell", "length", ("control", "spring"))}
 OF_SPRINGS = ("spring_length", "spring_extension")
 # Quantities that can be plotted against the control.
 DRAWN = (*(name for name in STATE if name not in ("phase", "slip", "contact_object")), *OF_SPRINGS)

@@ -135,19 +135,25 @@ def several_axes(axs: Any, count: int | None = None) -> np.ndarray:
     return axes
 
 
-def mark_events(ax: Axes, at: Iterable[float], kinds: Iterable[EventKind]) -> list[Line2D]:
-    """Draw a thin vertical line with a marker at each event, and return the entries of a legend."""
-    events = dict.fromkeys(zip(at, kinds, strict=True))
-    for place, kind in events:
+def mark_events(ax: Axes, at: Iterable[float], events: Sequence[Any]) -> list[Line2D]:
+    """Draw a thin vertical line with a marker, in the colour of its whisker, at each event; return entries of a legend.
+
+    Args:
+        ax: where to draw.
+        at: places of the events along the horizontal axis.
+        events: the events, each with its `kind` and `whiskers`.
+    """
+    for place, event in zip(at, events, strict=True):
         line = {"color": GREY, "linewidth": 0.5, "zorder": 0, "markevery": [1], "transform": ax.get_xaxis_transform()}
-        ax.plot([place] * 3, [0.0, EVENT_HEIGHT, 1.0], **line | event_marker(kind))
-    return event_entries(kind for _, kind in events)
+        edge = colour(event.whiskers[0] - 1) if len(event.whiskers) == 1 else "black"
+        ax.plot([place] * 3, [0.0, EVENT_HEIGHT, 1.0], **line | event_marker(event.kind, edge))
+    return event_entries(event.kind for event in events)
 
 
-def event_marker(kind: EventKind) -> dict[str, Any]:
+def event_marker(kind: EventKind, edge: str = "black") -> dict[str, Any]:
     """Look of the marker of an event."""
     shape, filled = MARKERS[kind]
-    look = {"marker": shape, "markerfacecolor": filled, "markeredgecolor": "black"}
+    look = {"marker": shape, "markerfacecolor": filled, "markeredgecolor": edge}
     return look | {"markersize": 5, "markeredgewidth": 0.8}
 
 

@@ -112,8 +112,7 @@ def information(result: Information, *, units: str = "auto", ax: Axes | None = N
         collected = np.cumsum(result.density[:, k])
         if collected[-1] > 0:
             axes.plot(control, collected / collected[-1], color=colour(k), label=name)
-    places = system.shown("control", [event.control for event in result.events])
-    entries = mark_events(axes, places, [event.kind for event in result.events])
+    entries = mark_events(axes, system.shown("control", [event.control for event in result.events]), result.events)
     axes.set_xlabel(system.label("control"))
     axes.set_ylabel("share of information")
     legend_above(axes, axes.get_legend_handles_labels()[0] + entries, least=1)

@@ -32,7 +32,7 @@ from jaxwhisker.plot.runs import (
 )
 from jaxwhisker.plot.states import shapes
 
-_ANGLES = r"$\varphi$ (rad)", r"$\varphi-\lambda$ (rad)"  # of torsion springs: lengths and extensions
+_ANGLES = r"$\varphi$ (rad)", r"$\Delta\varphi$ (rad)"  # of torsion springs: lengths and extensions
 LEAST_HEIGHT = 1e-3  # of an axis, dimensionless: rounding errors of a constant quantity stay invisible
 LEAST_EXTENSION = 1e-9  # the same for extensions, which are small if springs are stiff
 
@@ -148,8 +148,8 @@ def _of_springs(result: Run, quantity: str, units: str, ax: Axes | None) -> Axes
 def _with_events(result: Run, quantity: str, units: str, ax: Axes) -> list[Line2D]:
     """Draw a quantity and the events, and return the entries of a legend for the events."""
     _draw(result, quantity, UnitSystem(result.scene, units), ax)
-    over, kinds = abscissa(result), [event.kind for event in events_of(result)]
-    return mark_events(ax, UnitSystem(result.scene, units).shown(over, places_of_events(result, over)).tolist(), kinds)
+    over = abscissa(result)
+    return mark_events(ax, UnitSystem(result.scene, units).shown(over, places_of_events(result, over)).tolist(), events_of(result))
 
 
 def _name_curves_and_events(ax: Axes, entries: list[Line2D]) -> None:
