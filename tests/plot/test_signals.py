@@ -3,6 +3,7 @@
 # pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -117,7 +118,7 @@ def test_extensions_are_lengths_beyond_rest_lengths(result, turned):
 def test_an_axial_spring_is_not_extended_at_the_absolute_value_of_its_rest_length(result):
     spring = jw.Spring((0, 1), 70.0, -0.2, axis="axial", at=0.1)
     scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support((spring, jw.Spring((0, 1), 70.0))))
-    lengths = np.tile([0.25, 0.0], (result.control.size, 1))
+    lengths = jnp.tile(jnp.array([0.25, 0.0]), (result.control.size, 1))
     fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
     axial = jw.Result(**fields | {"scene": scene, "spring_length": lengths})
     ax = plot.spring_extensions(axial)
@@ -130,7 +131,7 @@ def test_stiff_springs_are_not_drawn_as_flat_lines(result, size):
     scale = size / np.ptp(result.spring_length[:, 0])
     fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
     rest = np.array([spring.rest_length for spring in result.scene.support.springs])
-    stiff = jw.Result(**fields | {"spring_length": rest + scale * (np.asarray(result.spring_length) - rest)})
+    stiff = jw.Result(**fields | {"spring_length": rest + scale * (result.spring_length - rest)})
     low, high = plot.spring_extensions(stiff).get_ylim()
     assert (high - low < 5 * size) if size else (high - low > signals.LEAST_EXTENSION)
 

@@ -161,7 +161,8 @@ def summarise(
     found = _summarise(arrays, control)
     for parameter in parameters:
         slopes = {name: arrays.get(derivative_name(name, parameter)) for name in arrays}
-        ahead = _summarise({name: _ahead(array, slopes[name]) for name, array in arrays.items()}, control)
+        with np.errstate(invalid="ignore"):  # unlike real NaN, complex NaN warn when they are compared
+            ahead = _summarise({name: _ahead(array, slopes[name]) for name, array in arrays.items()}, control)
         for name, values in ahead.items():
             if np.iscomplexobj(values):
                 found[derivative_name(name, parameter)] = np.where(np.isnan(found[name]), np.nan, values.imag / STEP)

@@ -21,6 +21,7 @@ from jaxwhisker._scan.quantities import (
     dimensionless_label,
     with_prefix,
 )
+from jaxwhisker._scan.quantities import quantity as named
 from jaxwhisker.plot.runs import Run, check_quantity
 
 # The palette of Okabe and Ito, whose colours remain distinct for colour-blind readers; black comes last.
@@ -64,7 +65,7 @@ def axis_label(quantity: str, scene: Scene | None = None, *, units: str = "auto"
     """
     check_quantity(quantity)
     if scene is None:
-        return dimensionless_label(QUANTITIES[quantity].symbol, QUANTITIES[quantity].kind)
+        return dimensionless_label(named(quantity).symbol, named(quantity).kind)
     checks.instance("scene", scene, Scene, "a Scene")
     return UnitSystem(scene, units).label(quantity)
 

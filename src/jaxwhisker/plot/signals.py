@@ -65,8 +65,9 @@ def overview(result: Run, *, units: str = "auto") -> Figure:
     if springs:
         _with_events(result, "spring_extension", units, axes[3])
         legend_above(axes[3])
-    if over == "time":
-        low, high = system.shown(over, places(result, over))[[0, -1]]
+    times = system.shown("time", places(result, "time")) if over == "time" else np.empty(0)
+    if np.isfinite(times).any():
+        low, high = np.nanmin(times), np.nanmax(times)
     for ax in axes:
         ax.set_xlim(low, high)
     for ax in axes[:-1]:
@@ -149,7 +150,9 @@ def _with_events(result: Run, quantity: str, units: str, ax: Axes) -> list[Line2
     """Draw a quantity and the events, and return the entries of a legend for the events."""
     _draw(result, quantity, UnitSystem(result.scene, units), ax)
     over = abscissa(result)
-    return mark_events(ax, UnitSystem(result.scene, units).shown(over, places_of_events(result, over)).tolist(), events_of(result))
+    return mark_events(
+        ax, UnitSystem(result.scene, units).shown(over, places_of_events(result, over)).tolist(), events_of(result)
+    )
 
 
 def _name_curves_and_events(ax: Axes, entries: list[Line2D]) -> None:
