@@ -69,8 +69,8 @@ def drawn(name, result, turned):
 
 
 FIGURES = """
-scene scene_turning shapes shapes_several shapes_turning reactions spring_lengths spring_extensions phases phases_and_back compare
-study_line study_map information fit contour deflection
+scene scene_turning shapes shapes_several shapes_turning reactions spring_lengths spring_extensions phases
+phases_and_back compare study_line study_map information fit contour deflection
 """.split()  # noqa: SIM905
 
 

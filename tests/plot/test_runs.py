@@ -41,7 +41,7 @@ def test_an_overview_shows_the_whole_motion(motion):
 
 
 def test_times_outside_the_motion_are_rejected(motion):
-    with pytest.raises(ValueError, match="`at` must be within the times of the simulation, from 0 to 3, got 3.5"):
+    with pytest.raises(ValueError, match=r"`at` must be within the times of the simulation, from 0 to 3, got 3\.5"):
         plot.shapes(motion, 3.5)
 
 

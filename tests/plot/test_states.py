@@ -41,7 +41,7 @@ def test_positions_outside_the_scan_are_rejected(result, result_in_si):
             draw(result, 9.0)
     with pytest.raises(ValueError, match=words + "-1.7"):
         plot.shapes(result, [0.0, -1.7])
-    with pytest.raises(ValueError, match="from -0.081 to 0.036, got -0.5"):
+    with pytest.raises(ValueError, match=r"from -0\.081 to 0\.036, got -0\.5"):
         plot.shapes(result_in_si, MIDDLE)
     ends = plot.shapes(result, [0.72 + ROUNDING, -1.62 - ROUNDING])
     assert ends.get_legend().get_title().get_text() == "$u/L$: 0.72, \N{MINUS SIGN}1.62"

@@ -148,11 +148,9 @@ def _of_springs(result: Run, quantity: str, units: str, ax: Axes | None) -> Axes
 
 def _with_events(result: Run, quantity: str, units: str, ax: Axes) -> list[Line2D]:
     """Draw a quantity and the events, and return the entries of a legend for the events."""
-    _draw(result, quantity, UnitSystem(result.scene, units), ax)
-    over = abscissa(result)
-    return mark_events(
-        ax, UnitSystem(result.scene, units).shown(over, places_of_events(result, over)).tolist(), events_of(result)
-    )
+    system, over = UnitSystem(result.scene, units), abscissa(result)
+    _draw(result, quantity, system, ax)
+    return mark_events(ax, system.shown(over, places_of_events(result, over)).tolist(), events_of(result))
 
 
 def _name_curves_and_events(ax: Axes, entries: list[Line2D]) -> None:
