@@ -336,7 +336,7 @@ def test_a_sweep_holds_its_position():
     """The drive stops at once, and damping brings the whisker to rest."""
     up, down = jw.Sweep(0.1, 0.5, 0.4), jw.Sweep(0.1, -0.3, 0.4)
     for sweep, way in ((up, 1), (down, -1)):
-        np.testing.assert_allclose([sweep(t) for t in (0.0, 0.5, 2.0)], 0.1 + way * np.array([0.0, 0.2, 0.4]))
+        np.testing.assert_allclose([float(sweep(t)) for t in (0.0, 0.5, 2.0)], 0.1 + way * np.array([0.0, 0.2, 0.4]))
         assert jax.grad(lambda speed, s=sweep: jw.Sweep(s.start, s.stop, speed)(0.5))(0.4) == way * 0.5
         assert jax.grad(lambda stop, s=sweep: jw.Sweep(s.start, stop, s.speed)(2.0))(sweep.stop) == 1.0
     motion = jw.simulate(FREE, down, 8.0, steps=800, stiffness_damping=0.2, shapes=4)

@@ -165,7 +165,7 @@ def summarise(
             ahead = _summarise({name: _ahead(array, slopes[name]) for name, array in arrays.items()}, control)
         for name, values in ahead.items():
             if np.iscomplexobj(values):
-                found[derivative_name(name, parameter)] = np.where(np.isnan(found[name]), np.nan, values.imag / STEP)
+                found[derivative_name(name, parameter)] = np.where(np.isnan(found[name]), np.nan, np.imag(values) / STEP)
     return found
 
 
@@ -218,7 +218,7 @@ class _Scans:
             self.arrays[name] = array.reshape((math.prod(self.lead), *shape))
         self.reactions = [name for name in REACTIONS if name in arrays]
         self.has_events = set(_EVENTS) <= set(arrays)
-        failures = [np.isnan(self.arrays[name].real).any(axis=(1, 2)) for name in self.reactions]
+        failures = [np.isnan(np.real(self.arrays[name])).any(axis=(1, 2)) for name in self.reactions]
         if "status" in arrays:
             failures.append(np.any(self.arrays["status"] != 0, axis=1))
         if self.has_events:
@@ -311,7 +311,7 @@ class _Scans:
 
 def _size(values: np.ndarray) -> np.ndarray:
     """Magnitude; of values after a complex step, that of their real part, whose derivative it keeps."""
-    return np.where(values.real < 0, -values, values)
+    return np.where(np.real(values) < 0, -values, values)
 
 
 def _values_at(values: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -355,6 +355,6 @@ def _extremum(x: list[np.ndarray], y: list[np.ndarray], control: list[np.ndarray
         beside = (at - x[middle - 1]) * (at - x[middle + 1]) <= 0
         where, *_ = _newton_polynomial(x, _divided_differences(x, control), at)
         # A polynomial needs a drive that does not turn.
-        ways = np.sign(np.diff(np.stack(x), axis=0).real)
+        ways = np.sign(np.real(np.diff(np.stack(x), axis=0)))
         monotonic = np.abs(ways.sum(axis=0)) == len(ways)
         return np.where(beside & monotonic, _newton_polynomial(x, factor, at)[0], np.nan), where
