@@ -75,8 +75,8 @@ class Sweep(eqx.Module):
 
     def __call__(self, t: Scalar) -> Scalar:
         """The control at a time."""
-        way = self.stop - self.start
-        return self.start + jnp.sign(way) * jnp.minimum(self.speed * t, jnp.abs(way))
+        way, travelled = self.stop - self.start, self.speed * t
+        return jnp.where(travelled < jnp.abs(way), self.start + jnp.sign(way) * travelled, self.stop)
 
 
 class Samples(eqx.Module):

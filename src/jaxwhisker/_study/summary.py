@@ -165,7 +165,8 @@ def summarise(
             ahead = _summarise({name: _ahead(array, slopes[name]) for name, array in arrays.items()}, control)
         for name, values in ahead.items():
             if np.iscomplexobj(values):
-                found[derivative_name(name, parameter)] = np.where(np.isnan(found[name]), np.nan, np.imag(values) / STEP)
+                slope = np.where(np.isnan(found[name]), np.nan, np.imag(values) / STEP)
+                found[derivative_name(name, parameter)] = slope
     return found
 
 
