@@ -263,30 +263,33 @@ def thousandths(error: float | None) -> str | None:
 
 
 def known_subsets() -> str:
-    """Standard errors of the unknown parameters when the others are known."""
-    rows, kept = read("known_subsets")["rows"], []
+    """What is identifiable, and standard errors, when some parameters are known: three tables."""
+    rows, counted, errors, contours = read("known_subsets")["rows"], [], [], []
     by_case = {(row["scene"], row["shape"], tuple(row["known"])): row for row in rows}
     for scene in dict.fromkeys(row["scene"] for row in rows):
         for known in KNOWN:
             row = by_case[scene, "parabola", (*known, "whisker")]
             free = by_case.get((scene, "any", (*known, "whisker")), {})
-            counted = (row["shifts"], "shift"), (row["pre-strains"], "strain")
-            kept.append({
-                "scene": scene,
-                "known": ", ".join(known) or "nothing",
+            lost = (row["shifts"], "shift"), (row["pre-strains"], "strain")
+            case = {"scene": scene, "known": ", ".join(known) or "nothing"}
+            counted.append(case | {
                 "unknown": ", ".join(row["unknown"]),
                 "identifiable": f"{row['rank']} of {row['number']}",
                 "condition": f"{row['condition']:.0f}" if row["rank"] == row["number"] else "infinite",
+                "not identifiable": ", ".join(f"{n} x {kind}" for n, kind in lost if n) or None,
+            })  # fmt: skip
+            errors.append(case | {
                 "stiffness": percent(row["stiffness"]),
                 "q": percent(row["distance"]),
                 "a": percent(row["curvature"]),
+            })  # fmt: skip
+            contours.append(case | {
                 "base 1": thousandths(row["position of base 1"]),
                 "spacing": thousandths(row["spacing of bases"]),
                 "any shape: stiffness": percent(free.get("stiffness")),
                 "contour": thousandths(free.get("contour")),
-                "not identifiable": ", ".join(f"{n} x {kind}" for n, kind in counted if n) or None,
             })  # fmt: skip
-    return table(kept)
+    return "\n\n".join(map(table, (counted, errors, contours)))
 
 
 def known_errors() -> str:
@@ -320,24 +323,28 @@ def known_errors() -> str:
 
 
 def known_networks() -> str:
-    """Standard errors for each network and stiffness."""
-    kept = [
-        {
+    """Standard errors for each network and stiffness: those of a parabola, and those of any shape."""
+    parabola, any_shape = [], []
+    for row in read("known_networks")["rows"]:
+        if row["stiffness"] == 200:
+            continue  # only in the figure
+        parabola.append({
             "scene": row["scene"],
             "c": row["stiffness"],
-            "signals": row["channels"],
             "worst stiffness": percent(row["worst stiffness"]),
             "c1": percent(row["first stiffness"]),
             "q": percent(row["q"]),
             "a": percent(row["a"]),
+        })  # fmt: skip
+        any_shape.append({
+            "scene": row["scene"],
+            "c": row["stiffness"],
+            "signals": row["channels"],
             "any shape: worst stiffness": percent(row["worst stiffness, any shape"]),
             "any shape: q": percent(row["q, any shape"]),
             "contour": thousandths(row["contour"]),
-        }
-        for row in read("known_networks")["rows"]
-        if row["stiffness"] != 200  # only in the figure
-    ]
-    return f"{table(kept)}\n\n{environment('known_networks')}"
+        })  # fmt: skip
+    return f"{table(parabola)}\n\n{table(any_shape)}\n\n{environment('known_networks')}"
 
 
 # Films and sliders
@@ -347,7 +354,7 @@ def known_friction() -> str:
     """Errors of contour and parameters for each assumed friction coefficient."""
     kept = [
         {"assumed friction": row["assumed"]}
-        | {name: row[name] for name in ("contour, mean", "contour, largest")}
+        | {"contour, mean / largest": f"{row['contour, mean']:.3g} / {row['contour, largest']:.3g}"}
         | {f"{name} off by": f"{row[f'{name} off by']:+.1%}" for name in ("c", "q", "a")}
         | {"reduced chi^2": row["reduced chi^2 without noise"] + 1}
         for row in read("known_friction")["rows"]

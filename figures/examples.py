@@ -1,9 +1,12 @@
 """Draw the figures that show results of examples: python figures/examples.py
 
-Writes docs/derivatives.png, information.png, contour.png and film.gif.
+Writes docs/scan.png, worked_example.png, derivatives.png, information.png, contour.png and film.gif.
 """
 
+import contextlib
+import re
 import sys
+import tempfile
 from pathlib import Path
 
 import jax
@@ -30,6 +33,19 @@ DATA = EXAMPLES / "measured.csv"
 def scan_fb(stiffness, control):
     """FB before a parabola."""
     return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(stiffness, 0.2)), control)
+
+
+def draw_overviews() -> None:
+    """The output of `overview` for two coupled whiskers, and that of the code on the page docs/worked_example.md."""
+    scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfbr(70.0, 0.2))
+    jw.plot.save(jw.plot.overview(jw.scan(scene)), DOCS / "scan.png", dpi=130)
+    names, page = {}, (DOCS / "worked_example.md").read_text("utf-8")
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        for block in re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL):
+            exec(block, names)
+            if "figure" in names:
+                break
+    jw.plot.save(names["figure"], DOCS / "worked_example.png", dpi=130)
 
 
 def draw_derivatives() -> None:
@@ -105,7 +121,7 @@ def draw_film() -> None:
 
 def main() -> None:
     """Draw all figures."""
-    for draw in (draw_derivatives, draw_information, draw_contour, draw_film):
+    for draw in (draw_overviews, draw_derivatives, draw_information, draw_contour, draw_film):
         draw()
 
 

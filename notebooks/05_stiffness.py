@@ -85,17 +85,13 @@ assert max(map(abs, deviation.values())) < 3
 axs = jw.plot.fit(fit)
 
 # %% [markdown]
-# Dots are measured, lines are fitted; time runs to the right here. A snap contributes
-# through its position, because the size of signals on the wrong side of it contains no
-# information.
+# Dots are measured, lines are fitted. A snap contributes through its position, because
+# the size of signals on the wrong side of it contains no information.
 #
-# Does noise explain the residuals? If so, they look like noise everywhere, including
-# near the snaps.
+# Does noise explain the residuals on the right? If so, they look like noise everywhere,
+# including near the snaps.
 
 # %%
-figure, ax = pyplot.subplots(figsize=(6.4, 2.2), layout="constrained")
-ax.plot(fit.measured.control, fit.residuals[:, :, 2], ".", markersize=2)
-ax.set(xlabel="$u/L$", ylabel="measured $-$ fitted $m_z$")
 print(
     f"standard deviation: {np.nanstd(fit.residuals[:, :, 2]):.4f};",
     "the noise was 0.045",

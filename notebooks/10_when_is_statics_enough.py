@@ -12,8 +12,8 @@
 #
 # It compares `jw.scan` with `jw.simulate`: for a steel wire that sweeps across a
 # parabola at 0.25 m/s, over a range of speeds, and for a whisker of a rat that whisks at
-# 2 to 20 Hz. The page docs/when_statics_is_enough.md has the complete results. The
-# notebook takes one to two minutes.
+# 2 to 20 Hz. The page docs/numerics_statics.md has the complete results. The notebook
+# takes one to two minutes.
 
 # %%
 import jax

@@ -41,7 +41,7 @@ from jaxwhisker._study.summary import summary
 from jaxwhisker.film.animate import animate
 
 if TYPE_CHECKING:
-    from jaxwhisker._dynamics.drive import Whisking
+    from jaxwhisker._dynamics.drive import Sweep, Whisking
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
@@ -92,6 +92,7 @@ __all__ = [
     "State",
     "Status",
     "Support",
+    "Sweep",
     "Table",
     "Tilted",
     "Translation",
@@ -123,6 +124,7 @@ __version__ = "0.1.0"
 _DYNAMICS = {
     "Modes": "modes",
     "Simulation": "simulation",
+    "Sweep": "drive",
     "Whisking": "drive",
     "modes": "modes",
     "simulate": "simulate",

@@ -106,6 +106,10 @@ def test_the_argument_is_named(name, make, allowed):
             lambda: checks.vector("v", [1.0, 2.0, inf]),
             "`v` must be a non-empty one-dimensional array of finite numbers, got inf at index 2.",
         ),
+        (
+            lambda: checks.within("at", [0.0, -2], [1.0, nan, -1.0], "scan"),
+            "`at` must be within the scan, from -1 to 1, got -2.",
+        ),
         (lambda: checks.count("n", True), "`n` must be a positive int, got True."),
         (lambda: checks.count("n", 1, least=2), "`n` must be an int of at least 2, got 1."),
         (lambda: checks.instance("s", 3, str, "a name"), "`s` must be a name, got 3."),
@@ -139,6 +143,7 @@ def test_right_values_pass():
     checks.pair("p", (1, 2.0))
     checks.acute_angle("a", -1.5)
     checks.vector("v", [1, 2])
+    checks.within("at", [1.0 + 1e-12, -1.0], [1.0, nan, -1.0], "scan")
     checks.count("n", 2, least=2)
     checks.function("f", jnp.sin)
     checks.function("f", lambda u: (u, 0, jnp.zeros(())), ("x", "y", "angle"))

@@ -80,6 +80,22 @@ def test_tables_agree_with_the_stored_results(page):
     assert report.written(text) == text, "run `python benchmarks/report.py`"
 
 
+def columns_of(line):
+    return len(re.findall(r"(?<!\\)\|", line.strip())) - 1
+
+
+def test_tables_of_the_page_on_prior_knowledge_fit_on_a_screen():
+    lines = (ROOT / "docs" / "known.md").read_text("utf-8").splitlines()
+    tables = [line for line in lines if line.startswith("|")]
+    assert tables and max(map(columns_of, tables)) <= 6
+
+
+def test_guides_have_no_tables_of_benchmarks():
+    """The numbers of friction and motion are in the part of the site on numerics."""
+    for name in ("dynamics", "friction", "when_statics_is_enough"):
+        assert "<!-- table:" not in (ROOT / "docs" / f"{name}.md").read_text("utf-8"), name
+
+
 def test_every_table_is_on_a_page():
     pages = "".join(page.read_text("utf-8") for page in report.PAGES)
     assert all(f"<!-- table: {name} -->" in pages for name in report.TABLES)

@@ -79,6 +79,7 @@ OF_A_SCAN = {
     "shapes": plot.shapes,
     "reactions": plot.reactions,
     "spring_lengths": plot.spring_lengths,
+    "spring_extensions": plot.spring_extensions,
     "phases": plot.phases,
     "overview": plot.overview,
     "signal": lambda result: plot.signal(result, "fx"),
@@ -112,7 +113,7 @@ OTHERS = {
     "study": (plot.study, "`data` must be a Dataset of jw.summary, got"),
     "fit": (plot.fit, "`result` must be the Fit of jw.identify, got"),
     "information": (plot.information, "`result` must be the Information of jw.information, got"),
-    "contour": (plot.contour, "`result` must be the result of jw.reconstruct or jw.fit_contour, got"),
+    "contour": (plot.contour, "`result` must be the result of jw.reconstruct, jw.fit_profile or jw.fit_contour, got"),
 }
 
 
@@ -143,6 +144,7 @@ def test_wrong_objects_are_rejected_by_name(name, wrong):
         (lambda r: plot.signal(r, "fz"), "`quantity` must be one of .*, got 'fz'"),
         (lambda r: plot.compare({"a": r}, "fx", index=3), "`index` must lie between 1 and 2, got 3"),
         (lambda r: plot.compare({"a": r}, "fx", index="1"), "`index` must lie between 1 and 2, got '1'"),
+        (lambda r: plot.spring_extensions(clamped(r)), "`result` must have whiskers on springs, got"),
         (lambda r: plot.spring_lengths(clamped(r)), "`result` must have whiskers on springs, got"),
         (lambda r: plot.deflection({"a": r}), "`results` must be a non-empty mapping"),
         (lambda r: plot.study(summarised(), "fx"), "`name` must be one of max_mz, got 'fx'"),

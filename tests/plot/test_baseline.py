@@ -33,9 +33,9 @@ SEVERAL = (0.4, -0.2, -0.8)
 def drawn(name, result, turned):
     """Draw a small figure without text, because fonts differ between machines."""
     figure = Figure(figsize=SIZE, dpi=DPI)
-    rows = {"reactions": 3, "fit": 3}.get(name, 1)
+    rows, columns = {"reactions": (3, 1), "fit": (3, 2)}.get(name, (1, 1))
     figure.subplots_adjust(left=0.02, right=0.98, bottom=0.03, top=0.97)
-    axs = figure.subplots(rows, 1, squeeze=False)[:, 0]
+    axs = figure.subplots(rows, columns, squeeze=False).ravel()
     ax = axs[0]
     {
         "scene": lambda: plot.scene(result.scene, ax=ax),
@@ -45,6 +45,7 @@ def drawn(name, result, turned):
         "shapes_turning": lambda: plot.shapes(turned, ax=ax),
         "reactions": lambda: plot.reactions(result, axs=axs),
         "spring_lengths": lambda: plot.spring_lengths(result, ax=ax),
+        "spring_extensions": lambda: plot.spring_extensions(result, ax=ax),
         "phases": lambda: plot.phases(result, ax=ax),
         "phases_and_back": lambda: plot.phases(failed(there_and_back(result), slice(60, 90)), ax=ax),
         "compare": lambda: plot.compare({"a": result, "b": of_steps(result, slice(0, 150))}, "mz", index=2, ax=ax),
@@ -68,8 +69,8 @@ def drawn(name, result, turned):
 
 
 FIGURES = """
-scene scene_turning shapes shapes_several shapes_turning reactions spring_lengths phases phases_and_back compare
-study_line study_map information fit contour deflection
+scene scene_turning shapes shapes_several shapes_turning reactions spring_lengths spring_extensions phases
+phases_and_back compare study_line study_map information fit contour deflection
 """.split()  # noqa: SIM905
 
 
@@ -123,8 +124,8 @@ def upright_drive(monkeypatch):
 
 
 def no_events(monkeypatch):
-    monkeypatch.setattr(signals, "mark_events", lambda *_: None)
-    monkeypatch.setattr(inverse, "mark_events", lambda *_: None)
+    monkeypatch.setattr(signals, "mark_events", lambda *_: [])
+    monkeypatch.setattr(inverse, "mark_events", lambda *_: [])
 
 
 def tip_is_tangential(monkeypatch):
@@ -133,7 +134,7 @@ def tip_is_tangential(monkeypatch):
 
 
 def no_markers(monkeypatch):
-    monkeypatch.setattr(phase_strips, "_MARKERS", {})
+    monkeypatch.setattr(phase_strips, "_IN_STRIPS", tuple(jw.EventKind))
 
 
 MISTAKES = [

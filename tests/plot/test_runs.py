@@ -31,7 +31,18 @@ def test_signals_are_drawn_over_time(motion):
     assert plot.signal(motion, "tip_x").get_ylabel() == "$x_1/L$"
     assert plot.signal(motion, "mz", units="SI").get_xlabel() == "$t$ (ms)"
     np.testing.assert_allclose(curve(plot.signal(motion, "mz", units="SI"))[0], 1000 * motion.time)
-    assert plot.overview(motion).axes[-1].get_xlabel() == "$t/T$"
+
+
+def test_an_overview_shows_the_whole_motion(motion):
+    page = plot.overview(motion)
+    assert page.axes[-1].get_xlabel() == "$t/T$"
+    for ax in page.axes[1:]:
+        np.testing.assert_allclose(ax.get_xlim(), np.array([0.0, motion.time[-1]]) / T)
+
+
+def test_times_outside_the_motion_are_rejected(motion):
+    with pytest.raises(ValueError, match=r"`at` must be within the times of the simulation, from 0 to 3, got 3\.5"):
+        plot.shapes(motion, 3.5)
 
 
 def test_simulations_are_compared_over_time_and_with_scans_over_the_control(motion, result):

@@ -3,10 +3,14 @@
 # pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 
+import jax.numpy as jnp
 import numpy as np
+import pytest
 from matplotlib.axes import Axes
 
+import jaxwhisker as jw
 from jaxwhisker import plot
+from jaxwhisker.plot import signals
 from pictured import LENGTH, STIFFNESS, failed
 
 MILLI = 1000
@@ -30,7 +34,24 @@ def test_signals_are_those_of_the_scan(result):
         assert marked == [event.control for event in result.events]
     assert [ax.get_ylabel() for ax in rows] == [r"$f_x\,L^2/EI$", r"$f_y\,L^2/EI$", r"$m_z\,L/EI$"]
     assert [ax.get_xlabel() for ax in rows] == ["", "", "$u/L$"]
-    assert [text.get_text() for text in rows[0].get_legend().get_texts()] == ["whisker 1", "whisker 2"]
+    kinds = ["touch", "tip-to-tangential", "vertex", "tangential-to-tip", "snap-off"]
+    assert [text.get_text() for text in rows[0].get_legend().get_texts()] == ["whisker 1", "whisker 2", *kinds]
+    assert rows[1].get_legend() is None
+
+
+def test_events_have_the_marker_of_their_kind(result):
+    ax = plot.reactions(result)[0]
+    shown = {text.get_text(): entry.get_marker() for entry, text in entries(ax)}
+    lines = [line for line in ax.get_lines() if line not in curves(ax)]
+    for line, event in zip(lines, result.events, strict=True):
+        assert line.get_marker() == shown[event.kind.name.replace("_", "-")]
+        assert line.get_markeredgecolor() == plot.COLOURS[event.whiskers[0] - 1]
+        (marked,) = np.asarray(line.get_ydata())[line.get_markevery()]
+        assert 0.9 < marked < 1  # within the Axes, where they do not hide the curves
+
+
+def entries(ax):
+    return zip(ax.get_legend().legend_handles, ax.get_legend().get_texts(), strict=True)
 
 
 def test_signals_in_si_units_have_prefixes(result, result_in_si):
@@ -69,8 +90,9 @@ def test_the_range_of_contact_has_the_units_of_the_axis(result, result_in_si):
     assert low < last < touch < high < low + 1.1 * (touch - last)
     np.testing.assert_allclose(plot.contact_range([result_in_si]), (MILLI * LENGTH * low, MILLI * LENGTH * high))
     page = plot.overview(result_in_si)
+    assert all(ax.get_xlim() == page.axes[1].get_xlim() for ax in page.axes[2:])
     np.testing.assert_allclose(page.axes[1].get_xlim(), (MILLI * LENGTH * low, MILLI * LENGTH * high))
-    assert page.axes[-1].get_ylabel() == r"$\ell$ (mm)" and page.axes[0].get_xlabel() == "$x$ (mm)"
+    assert page.axes[-1].get_ylabel() == r"$\Delta\ell$ (mm)" and page.axes[0].get_xlabel() == "$x$ (mm)"
     assert plot.overview(result_in_si, units="dimensionless").axes[-1].get_xlabel() == "$u/L$"
 
 
@@ -84,12 +106,51 @@ def test_springs_have_the_colours_of_their_whiskers(result, turned):
     assert ax.get_ylabel() == r"$\ell/L$, $\varphi$ (rad)" and ax.get_xlabel() == "angle of the drive (rad)"
 
 
+def test_extensions_are_lengths_beyond_rest_lengths(result, turned):
+    lengths, extensions = curves(plot.spring_lengths(result)), curves(plot.spring_extensions(result))
+    for length, extension, spring in zip(lengths, extensions, result.scene.support.springs, strict=True):
+        expected = np.asarray(length.get_ydata()) - float(spring.rest_length)
+        np.testing.assert_array_equal(extension.get_ydata(), expected)
+        assert extension.get_color() == length.get_color() and extension.get_linestyle() == length.get_linestyle()
+    assert plot.spring_extensions(turned).get_ylabel() == r"$\Delta\ell/L$, $\Delta\varphi$ (rad)"
+
+
+def test_an_axial_spring_is_not_extended_at_the_absolute_value_of_its_rest_length(result):
+    spring = jw.Spring((0, 1), 70.0, -0.2, axis="axial", at=0.1)
+    scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support((spring, jw.Spring((0, 1), 70.0))))
+    lengths = jnp.tile(jnp.array([0.25, 0.0]), (result.control.size, 1))
+    fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
+    axial = jw.Result(**fields | {"scene": scene, "spring_length": lengths})
+    ax = plot.spring_extensions(axial)
+    np.testing.assert_allclose(curves(ax)[0].get_ydata(), 0.05)
+    assert curves(ax)[0].get_label() == "spring 1"
+
+
+@pytest.mark.parametrize("size", [1e-7, 0.0])
+def test_stiff_springs_are_not_drawn_as_flat_lines(result, size):
+    scale = size / np.ptp(result.spring_length[:, 0])
+    fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
+    rest = np.array([spring.rest_length for spring in result.scene.support.springs])
+    stiff = jw.Result(**fields | {"spring_length": rest + scale * (result.spring_length - rest)})
+    low, high = plot.spring_extensions(stiff).get_ylim()
+    assert (high - low < 5 * size) if size else (high - low > signals.LEAST_EXTENSION)
+
+
+def test_curves_have_legends(result, result_in_si):
+    def texts(ax):
+        return [text.get_text() for text in ax.get_legend().get_texts()]
+
+    assert texts(plot.compare({"a": result, "b": result_in_si}, "mz")) == ["a", "b"]
+    assert texts(plot.compare({"one": result}, "mz")) == ["one"]
+    assert texts(plot.signal(result, "mz")) == ["whisker 1", "whisker 2"]
+
+
 def test_failed_steps_leave_gaps(result):
     lost = failed(result, slice(60, 90))
     ax = plot.reactions(lost)[0]
     assert np.isnan(np.asarray(curves(ax)[0].get_ydata())).sum() == 30
     assert plot.shapes(lost, float(result.control[70])).get_title() == ""
     nothing = failed(result, slice(None))
-    for draw in (plot.shapes, plot.spring_lengths, plot.phases, plot.overview):
+    for draw in (plot.shapes, plot.spring_lengths, plot.spring_extensions, plot.phases, plot.overview):
         draw(nothing)
     plot.reactions(nothing)

@@ -31,7 +31,20 @@ def test_shapes_are_at_the_nearest_steps(result):
     assert whiskers[0].get_alpha() > whiskers[2].get_alpha()
     assert ax.get_legend().get_title().get_text() == "$u/L$: 0.40, \N{MINUS SIGN}0.50"
     assert plot.in_words(result, MIDDLE) == "1: tangential, 2: tangential"
-    assert plot.in_words(result, 9.0) == "1: free, 2: free"
+    assert plot.in_words(result, 0.72) == "1: free, 2: free"
+
+
+def test_positions_outside_the_scan_are_rejected(result, result_in_si):
+    words = "`at` must be within the drive positions of the scan, from -1.62 to 0.72, got "
+    for draw in (plot.shapes, plot.in_words):
+        with pytest.raises(ValueError, match=words + "9"):
+            draw(result, 9.0)
+    with pytest.raises(ValueError, match=words + "-1.7"):
+        plot.shapes(result, [0.0, -1.7])
+    with pytest.raises(ValueError, match=r"from -0\.081 to 0\.036, got -0\.5"):
+        plot.shapes(result_in_si, MIDDLE)
+    ends = plot.shapes(result, [0.72 + ROUNDING, -1.62 - ROUNDING])
+    assert ends.get_legend().get_title().get_text() == "$u/L$: 0.72, \N{MINUS SIGN}1.62"
 
 
 def test_shapes_are_spread_over_the_contact(result):
@@ -51,6 +64,17 @@ def test_a_scene_is_drawn_before_the_touch(turned):
     # The base stands on its mount, 0.1 in front of the drive.
     assert np.hypot(x[0], y[0] + 0.5) == pytest.approx(0.4)
     assert np.arctan2(x[0] - x[-1], y[-1] - y[0]) == pytest.approx(start + 0.2)
+
+
+def test_every_object_is_in_the_window(result):
+    other = jw.Circle(0.3, 0.2, -3.0)
+    fields = {name: getattr(result, name) for name in jw.Result.__dataclass_fields__}
+    scene = jw.Scene(result.scene.whiskers, (result.scene.profile, other), result.scene.support)
+    several = jw.Result(**fields | {"scene": scene})
+    for ax in (plot.shapes(several, MIDDLE), plot.scene(scene), plot.overview(several).axes[0]):
+        left, right = ax.get_xlim()
+        assert left <= -3.0 - 0.2 - 0.2 and right >= 0.5
+        assert ax.get_aspect() == 1
 
 
 def test_the_same_state_in_si_units_has_millimetres(result, result_in_si):

@@ -8,6 +8,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._scan.quantities import (
     CONTROL,
+    DERIVED,
     DRAWN,
     KINDS,
     QUANTITIES,
@@ -40,7 +41,7 @@ def test_every_field_of_a_result_is_in_the_table():
     assert others - set(QUANTITIES) == {"deferred_events", "scene"}
     assert {f"{when}_{name}" for when in ("before", "after") for name in fields} <= set(QUANTITIES)
     assert set(REACTIONS) < set(STATE)
-    assert set(DRAWN) <= set(QUANTITIES) and "phase" not in DRAWN
+    assert set(DRAWN) <= set(QUANTITIES | DERIVED) and "phase" not in DRAWN
 
 
 @pytest.mark.parametrize("name", QUANTITIES)

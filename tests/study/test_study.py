@@ -15,6 +15,8 @@ from jax.core import Tracer
 import jaxwhisker as jw
 from jaxwhisker._base.program import compilations
 from jaxwhisker._study.compute import Kernel
+from jaxwhisker._study.study import SUMMARISED
+from jaxwhisker._study.summary import SUMMARY
 
 CONTROL = np.linspace(0.8, -1.6, 61)
 STIFFNESS = np.array([70.0, -1.0, 40.0, np.nan, 200.0])  # two of them are invalid
@@ -22,6 +24,7 @@ DISTANCE = np.array([0.2, 0.3, 1.5])  # the last out of reach
 ROUNDING = 1e-9  # two solutions of Newton's method, relative to the peak of about 20
 SLOPE = 1e-6  # of central differences with STRETCH, relative to the largest slope
 STRETCH = 1e-3
+SUMMARY_SLOPE = 1e-6  # of the same: differences of peaks of about 20 are accurate to 1e-12 / STRETCH and STRETCH^2
 
 
 def build(stiffness, distance):
@@ -135,6 +138,30 @@ class TestDerivatives:
             assert np.nanmax(np.abs(slope)) > 0, name
         assert found.d_mz_d_stiffness.attrs["units"] == "L^2"
         assert "d_status_d_stiffness" not in found
+
+    def test_those_of_a_summary_are_central_differences(self):
+        options: dict[str, Any] = {
+            "control": CONTROL,
+            "stiffness": 70.0 + STRETCH * np.array([-1.0, 0.0, 1.0, np.nan]),
+            "distance": [0.2],
+            "derivatives": "stiffness",
+        }
+        brief = jw.study(build, summary=True, **options)
+        steps = jw.study(build, outputs=SUMMARISED, **options)
+        whole = jw.summary(steps)
+        real = [name for name, quantity in SUMMARY.items() if quantity.dtype == "float64"]
+        for name in ("control_of_max_mz", "last_contact", "contact_width", "half_width_mz", "snap_work"):
+            assert abs(brief[f"d_{name}_d_stiffness"].values[1]).max() > 100 * SUMMARY_SLOPE, name
+        for name in real:
+            low, _, high, _ = brief[name].values
+            slope, central = brief[f"d_{name}_d_stiffness"].values[1], (high - low) / (2 * STRETCH)
+            np.testing.assert_allclose(slope, central, atol=SUMMARY_SLOPE, rtol=SUMMARY_SLOPE, err_msg=name)
+            xr.testing.assert_allclose(brief[f"d_{name}_d_stiffness"], whole[f"d_{name}_d_stiffness"], rtol=ROUNDING)
+            assert np.isnan(brief[f"d_{name}_d_stiffness"].values[3]).all(), name
+        assert brief.d_max_mz_d_stiffness.attrs == whole.d_max_mz_d_stiffness.attrs
+        assert brief.d_last_contact_d_stiffness.attrs == whole.d_last_contact_d_stiffness.attrs
+        assert brief.d_max_mz_d_stiffness.attrs["units"] == "L^2"
+        assert "d_snaps_d_stiffness" not in brief and "d_mz_d_stiffness" not in brief
 
 
 def _sensor(result):

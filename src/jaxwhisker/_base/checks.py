@@ -17,6 +17,7 @@ from jax.core import Tracer
 from jax.errors import NonConcreteBooleanIndexError
 
 RIGHT_ANGLE = math.pi / 2
+ROUNDING = 1e-9  # relative error of the ends of a range that was computed in another unit or order
 
 
 def is_traced(tree: Any) -> bool:
@@ -138,6 +139,23 @@ def vector(name: str, value: Any, *, finite: bool = True) -> None:
     if finite and not isinstance(array, Tracer) and not np.isfinite(array).all():
         k = int(np.argmin(np.isfinite(array)))
         fail(name, allowed, f"{array[k]} at index {k}")
+
+
+def within(name: str, values: Any, places: Any, what: str) -> None:
+    """Check that numbers lie within the range of the known places of a run, such as its drive positions.
+
+    Traced values, of which only the shape is known, pass.
+    """
+    if is_traced((values, places)):
+        return
+    known = np.asarray(places)[np.isfinite(places)]
+    if known.size == 0:
+        return
+    low, high = known.min(), known.max()
+    room = ROUNDING * max(abs(low), abs(high))
+    for value in np.atleast_1d(values):
+        if not low - room <= value <= high + room:
+            fail(name, f"within the {what}, from {low:g} to {high:g}", f"{value:g}")
 
 
 def rows(name: str, value: Any, *, columns: int, least: int = 1) -> None:

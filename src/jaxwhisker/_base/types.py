@@ -1,6 +1,7 @@
 """Argument types that several signatures share."""
 
 from collections.abc import Sequence
+from enum import Enum, IntEnum
 from typing import TypeAlias
 
 import numpy as np
@@ -10,3 +11,12 @@ Scalar: TypeAlias = Float[Array, ""] | Int[Array, ""] | float | int | np.number 
 # One value for all springs, or one value per spring.
 PerSpring: TypeAlias = Scalar | Sequence[Scalar] | Num[Array, " springs"] | Num[np.ndarray, " springs"]
 Control: TypeAlias = Num[Array, " steps"] | Num[np.ndarray, " steps"] | Sequence[Scalar]  # drive positions
+
+
+class NamedInt(IntEnum):
+    """Integers with names, as which they are printed."""
+
+    def __str__(self) -> str:
+        return self.name
+
+    __format__ = Enum.__format__  # that of IntEnum formats the number

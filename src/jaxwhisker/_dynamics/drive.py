@@ -44,6 +44,41 @@ class Whisking(eqx.Module):
         return self.offset + self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * t + self.phase)
 
 
+class Sweep(eqx.Module):
+    """Drive that moves at a constant speed and then holds its position.
+
+    control(t) = start + speed t towards stop, and stop from the time |stop - start| / speed on. It stops at once: the
+    whiskers vibrate until their damping brings them to rest.
+
+    Args:
+        start: in the unit of the control: a length, or an angle in rad for a Rotation.
+        stop: in the unit of the control.
+        speed: in the unit of the control per time; positive.
+
+    Raises:
+        ValueError: if a value is not a finite number, or the speed is not positive.
+
+    Examples:
+        >>> sweep = jw.Sweep(start=0.8, stop=-0.2, speed=0.5)
+        >>> print(f"{sweep(1.0):.2f} {sweep(2.0):.2f} {sweep(5.0):.2f}")
+        0.30 -0.20 -0.20
+    """
+
+    start: Scalar
+    stop: Scalar
+    speed: Scalar
+
+    def __check_init__(self):
+        for name in ("start", "stop"):
+            checks.number(name, getattr(self, name))
+        checks.number("speed", self.speed, positive=True)
+
+    def __call__(self, t: Scalar) -> Scalar:
+        """The control at a time."""
+        way, travelled = self.stop - self.start, self.speed * t
+        return jnp.where(travelled < jnp.abs(way), self.start + jnp.sign(way) * travelled, self.stop)
+
+
 class Samples(eqx.Module):
     """Control through equidistant samples, the first at time 0 and the last at the end: smooth cubics."""
 

@@ -57,9 +57,9 @@ def simulate(
         scene: whiskers, object and support; or a Sensor, whose whiskers move without an object. All whiskers need a
             `mass_per_length`.
         drive: drive position u as a function of time, which JAX must be able to trace (parameters of an
-            `equinox.Module`, such as `Whisking`, are differentiable); or an array of samples, equidistant from time 0
-            to the end, between which a cubic runs; or a number for a drive at rest. The unit of u is that of the
-            scene's motion: a length, or rad for a Rotation.
+            `equinox.Module`, such as `Whisking` or `Sweep`, are differentiable); or an array of samples, equidistant
+            from time 0 to the end, between which a cubic runs; or a number for a drive at rest. The unit of u is that
+            of the scene's motion: a length, or rad for a Rotation.
         duration: a time; positive. The unit of time is that in which mass_per_length * length^4 / bending_stiffness is
             a time squared: seconds in SI units.
         start: equilibrium from which the whiskers are let go: the state of an event, a Deflection, or the Result of a

@@ -13,7 +13,6 @@ x, y, and the angle to the upright. If springs connect the shafts of two whisker
 
 import dataclasses
 from collections.abc import Callable
-from enum import IntEnum
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,7 +22,7 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.program import is_array
-from jaxwhisker._base.types import Scalar
+from jaxwhisker._base.types import NamedInt, Scalar
 from jaxwhisker._equilibrium.couplings import moved
 from jaxwhisker._equilibrium.friction import Friction, contact_parameter, lean
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, base_of_walk, pressed
@@ -33,7 +32,7 @@ from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Load, Material, RodState, Section, moment
 
 
-class Phase(IntEnum):
+class Phase(NamedInt):
     """Contact phase of a whisker."""
 
     free = 0

@@ -55,6 +55,8 @@ class ProfileFit(eqx.Module):
     chi2: float  # sum of squares of the whitened residuals
     degrees_of_freedom: int = eqx.field(static=True)
     status: FitStatus = eqx.field(static=True)
+    slopes: tuple[float, float] = eqx.field(static=True)  # smallest and largest slope angle of the points, rad
+    length: float = eqx.field(static=True)  # of the first whisker of a Reconstruction; else 1
 
     def band(self, slopes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """x and y at slope angles (rad), and the first-order standard error across the profile; lengths (slopes,)."""
@@ -114,7 +116,7 @@ def fit_profile(
     degrees = observed.x.size * (2 if observed.has_slope else 1) - values.size
     if degrees < 0:
         raise ValueError(f"`points` must be enough for {values.size} parameters, got {observed.x.size} points.")
-    values, residual, gradient = _fitted_values(like, values, observed.padded())
+    values, residual, gradient, feet = _fitted_values(like, values, observed.padded())
     residual, gradient = np.asarray(residual).ravel(), np.asarray(gradient).reshape(-1, values.size)
     chi2 = chi_squared(residual)
     status, covariance = _judge(residual, gradient)
@@ -132,6 +134,8 @@ def fit_profile(
         chi2=chi2,
         degrees_of_freedom=degrees,
         status=status,
+        slopes=(float(np.min(feet)), float(np.max(feet))),
+        length=float(points.length) if isinstance(points, Reconstruction) else 1.0,
     )
 
 
@@ -378,7 +382,9 @@ def _fitted_values(like: _Family, values, observed: _Points):
     weights = _weights(like, values, observed)
     residual = _residuals(like, values, observed, weights)
     gradient = jax.jacfwd(lambda values: _residuals(like, values, observed, weights))(values)
-    return values, residual, gradient
+    profile = like.profile(values)
+    feet, _ = jax.vmap(lambda x, y: _foot(profile, profile, x, y))(observed.x, observed.y)
+    return values, residual, gradient, feet
 
 
 @Program

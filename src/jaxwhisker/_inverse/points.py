@@ -1,6 +1,5 @@
 """The result of a reconstruction: points of the object, their uncertainty, and what follows from them."""
 
-from enum import IntEnum
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.types import NamedInt
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._inverse.statistics import NORMAL_95
 
@@ -17,7 +17,7 @@ SIGNIFICANT = 20.0  # standard deviations: below, errors are not linear in the n
 LARGEST_CONDITION = 1e12  # of a polynomial's normal matrix
 
 
-class PointStatus(IntEnum):
+class PointStatus(NamedInt):
     """Status of one whisker at one step."""
 
     ok = 0

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
+
+from jaxwhisker._base.types import NamedInt
 
 NORMAL_95 = 1.959963984540054  # standard deviations on either side of the mean that hold 95 %
 CHI2_95 = NORMAL_95**2  # rise of chi-squared at the ends of a 95 % interval of one parameter
@@ -18,7 +19,7 @@ NAMED = 0.05  # of a direction's largest component: parameters with smaller comp
 INVOLVED = 1e-4  # a parameter with a larger component in a direction that changes no signal is not identified
 
 
-class FitStatus(IntEnum):
+class FitStatus(NamedInt):
     """How a fit ended; only a fit with status `ok` has standard errors."""
 
     ok = 0

@@ -5,7 +5,6 @@ path before and after each. Every corner of the path (an event, a turning point 
 """
 
 from collections.abc import Callable
-from enum import IntEnum
 from typing import NamedTuple
 
 import jax
@@ -13,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.types import Scalar
+from jaxwhisker._base.types import NamedInt, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.pieces import ends_of
@@ -22,7 +21,7 @@ from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Proble
 from jaxwhisker._model.profile import AbstractProfile
 
 
-class Status(IntEnum):
+class Status(NamedInt):
     """Status of a step of the scan; a step that is not `ok` holds NaN."""
 
     ok = 0
@@ -39,7 +38,7 @@ class Status(IntEnum):
     at_spring = 11  # a contact has reached a spring or a foundation on its shaft
 
 
-class EventKind(IntEnum):
+class EventKind(NamedInt):
     """Kind of an event."""
 
     touch = 0  # contact begins, with zero force

@@ -3,7 +3,6 @@
 import platform
 from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
-from enum import IntEnum
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxwhisker._base.checks import is_traced
+from jaxwhisker._base.types import NamedInt
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.scene import units as natural_units
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-class Slip(IntEnum):
+class Slip(NamedInt):
     """Direction of slip along the object."""
 
     backwards = -1  # towards -x
@@ -41,7 +41,7 @@ class Slip(IntEnum):
 
 VARIABLES = {name: quantity for name, quantity in QUANTITIES.items() if name != "control"}
 # Integers that stand for words, and the word for -1.
-FLAGS: dict[str, tuple[type[IntEnum], str | None]] = {
+FLAGS: dict[str, tuple[type[NamedInt], str | None]] = {
     "phase": (Phase, None),
     "status": (Status, "not_computed"),
     "event_kind": (EventKind, "none"),

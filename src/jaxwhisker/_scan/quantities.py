@@ -96,13 +96,16 @@ MOTION = {
     "tip_y": Quantity("height of the tip", "y_1", "length", _SAMPLE),
 }
 REACTIONS = ("fx", "fy", "mz")
+# What figures compute from a run.
+DERIVED = {"spring_extension": Quantity("extension of the spring", r"\Delta\ell", "length", ("control", "spring"))}
+OF_SPRINGS = ("spring_length", "spring_extension")
 # Quantities that can be plotted against the control.
-DRAWN = (*(name for name in STATE if name not in ("phase", "slip", "contact_object")), "spring_length")
+DRAWN = (*(name for name in STATE if name not in ("phase", "slip", "contact_object")), *OF_SPRINGS)
 
 
 def quantity(name: str) -> Quantity:
     """The quantity of a scan or a simulation with this name."""
-    return QUANTITIES[name] if name in QUANTITIES else MOTION[name]
+    return (QUANTITIES | MOTION | DERIVED)[name]
 
 
 def kind_of(name: str, scene: Scene | Sensor) -> str:
@@ -197,7 +200,7 @@ class UnitSystem:
     def shown(self, name: str, values: Any) -> np.ndarray:
         """Values of a quantity in the unit in which it is shown."""
         values = np.asarray(values)
-        if name == "spring_length":  # torsion springs have an angle, in rad
+        if name in OF_SPRINGS:  # torsion springs have an angle, in rad
             size = self.unit(name).size
             return values / [1.0 if spring.axis == "phi" else size for spring in self.scene.support.springs]
         return np.asarray(values / self.unit(name).size)

@@ -47,13 +47,14 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
 
     Raises:
         ValueError: if `result` is not the result of a single scan, `at` is not a non-empty one-dimensional array of
-            finite numbers, or `points` is less than 3.
+            finite numbers within the scan, or `points` is less than 3.
     """
     check_one_scan(result)
     checks.count("points", points, least=3)
     index = np.arange(result.control.shape[0])
     if at is not None:
         checks.vector("at", at)
+        checks.within("at", at, result.control, "drive positions of the scan")
         index = np.argmin(np.abs(np.asarray(result.control)[:, None] - np.asarray(at)), axis=0)
     state = state_of(result)
     if checks.is_traced(state):

@@ -23,10 +23,10 @@ from jaxwhisker._scan.dataset import VARIABLES, first_failure
 from jaxwhisker._scan.result import Result, arrays_of
 from jaxwhisker._scan.route import across
 from jaxwhisker._scan.scan import STEP, follow_path_now, prepare, problem_now, scan
-from jaxwhisker._study.layout import POINT_STATUS, channel_quantities, derivative_name
+from jaxwhisker._study.layout import POINT_STATUS, channel_quantities
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, lanes_for
 from jaxwhisker._study.structure import channels_of, fingerprint, sampled
-from jaxwhisker._study.summary import summarise
+from jaxwhisker._study.summary import derivative_name, summarise
 
 Arrays = dict[str, np.ndarray]
 Write = Callable[[BlockIndex, Arrays], None]  # stores the variables of a block
@@ -85,7 +85,7 @@ class Kernel:
             found[derivative_name(name, parameter)] = slope
         found[POINT_STATUS] = first_failure(found["status"])
         if job.summary:
-            found |= summarise(found, job.control)
+            found |= summarise(found, job.control, job.derivatives)
         return {name: found[name] for name in job.kept}
 
 

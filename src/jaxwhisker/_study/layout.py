@@ -10,7 +10,7 @@ from jaxwhisker._scan.dataset import VARIABLES, SceneLayout
 from jaxwhisker._scan.quantities import REACTIONS, STATE, Quantity, unit_in_words
 from jaxwhisker._scan.state import FRICTION, OPTIONAL
 from jaxwhisker._study.parameters import Parameters
-from jaxwhisker._study.summary import SUMMARY, comment_on
+from jaxwhisker._study.summary import SUMMARY, comment_on, derivative_in_words, derivative_name
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -68,24 +68,19 @@ def variables_of(
             raise ValueError(f"`outputs` must be names of what the scenes have, but they have no {lack}: got {name!r}.")
     if summarised:
         kept = {name: quantity for name, quantity in kept.items() if "control" not in quantity.axes}
-    kept |= channel_quantities(channels)
+    kept |= channel_quantities(channels) | (SUMMARY if summarised else {})
     for name, quantity in list(kept.items()):
         for parameter in derivatives if quantity.dtype == "float64" else ():
-            words = f"derivative of the {quantity.description} with respect to {parameter}"
+            words = derivative_in_words(quantity, parameter)
             slope = quantity._replace(description=words, symbol="", sign="", per=kind_of_axis(parameter))
             kept[derivative_name(name, parameter)] = slope
     status = Quantity("first status of the point that is not ok", "", "number", (), dtype="int8")
-    return kept | (SUMMARY if summarised else {}) | {POINT_STATUS: status}
+    return kept | {POINT_STATUS: status}
 
 
 def field_of(name: str) -> str:
     """The field of a state that a variable holds, also before or after an event."""
     return name.removeprefix("before_").removeprefix("after_")
-
-
-def derivative_name(name: str, parameter: str) -> str:
-    """The variable that holds the derivative of another one with respect to a parameter."""
-    return f"d_{name}_d_{parameter}"
 
 
 def kind_of_axis(name: str) -> str:

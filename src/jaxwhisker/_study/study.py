@@ -23,7 +23,7 @@ from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, ch
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, blocks_of, parameters_of
 from jaxwhisker._study.store import Memory, Store
 from jaxwhisker._study.structure import channels_of, fingerprint, layout_of_scenes, sampled
-from jaxwhisker._study.summary import SUMMARY
+from jaxwhisker._study.summary import SUMMARY, derivative_name
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -70,7 +70,8 @@ def study(
             `identify`: arrays (steps,), or (steps, n) for n variables name_1 to name_n. It is traced and must not use
             the result's events. For example, frequencies of vibration:
             `lambda result: {"omega": jw.modes(result, 2, points=2).omega}`.
-        derivatives: parameters with respect to which every real-valued variable is differentiated, at fixed control.
+        derivatives: parameters with respect to which every real-valued variable is differentiated, also those of a
+            summary; at fixed control.
         summary: keep peaks, positions of events, widths and work (see `summary`) instead of variables along the
             control, except for `channels`. The signals of a block are dropped as soon as they are summarised, to save
             memory.
@@ -114,7 +115,7 @@ def study(
         resumed = target.resumed(layout)
         if visible:
             print(f"study: compiling, then {parameters.total:,} scans", file=sys.stderr)
-        layout, blocks = resumed or _planned(layout, build, computed, memory, client)
+        layout, blocks = resumed or _planned(layout, build, computed, derivatives, memory, client)
         arguments, kept = tuple(parameters.values), tuple(layout.variables)
         job = Job(build, arguments, layout.control, computed, derivatives, summary, kept, channels, names)
         kernel = Kernel(job)
@@ -164,12 +165,18 @@ def _checked_derivatives(derivatives: Sequence[str] | str, parameters: Parameter
 
 
 def _planned(
-    layout: Layout, build: Callable[..., Scene], computed: Sequence[str], memory: float, client: Any
+    layout: Layout,
+    build: Callable[..., Scene],
+    computed: Sequence[str],
+    derivatives: Sequence[str],
+    memory: float,
+    client: Any,
 ) -> tuple[Layout, Blocks]:
     """The layout with its control, and blocks that fit into memory."""
     if layout.default_control:
         layout = layout._replace(control=common_control(build, layout.parameters, layout.scene.onwards))
-    held = {name: VARIABLES[name] for name in computed} | layout.variables
+    slopes = {derivative_name(name, parameter): VARIABLES[name] for name in computed for parameter in derivatives}
+    held = {name: VARIABLES[name] for name in computed} | slopes | layout.variables
     workers = threads() if client is None else 1
     return layout, blocks_of(layout.parameters.shape, layout.sizes, held.values(), memory, workers)
 

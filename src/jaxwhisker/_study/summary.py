@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ WIDTHS = ("contact_width", "half_width_mz")
 _EVENTS = ("event_kind", "event_control", "event_whisker", "event_count")
 _ENERGIES = ("event_energy_before", "event_energy_after")
 _PER_SCENE = ("control", "whisker", "spring", "event")
+STEP = 1e-30  # of complex-step derivatives (Squire and Trapp 1998), which are exact for any small step
 
 
 def _summary() -> dict[str, Quantity]:
@@ -59,7 +61,8 @@ def summary(data: xr.Dataset) -> xr.Dataset:
         control_of_...; first_touch, last_contact, contact_width; half_width_mz; snap_work, snaps, steps_failed; in the
         units of the study. The control may rise or fall; widths are positive. They are NaN, with a `comment`, if the
         control changes direction. Values are NaN where steps failed or contact begins or ends outside the control; so
-        is the position of a peak that is zero.
+        is the position of a peak that is zero. If the data have derivatives of their variables (see `derivatives` of
+        `study`), the Dataset has those of the summary, such as d_max_mz_d_stiffness.
 
     Raises:
         ValueError: if `data` is not the Dataset of a study with its steps.
@@ -74,14 +77,20 @@ def summary(data: xr.Dataset) -> xr.Dataset:
         raise ValueError(f"`data` must be the Dataset of a study with its steps or events, got one with {has}.")
     axes = [dim for dim in data.sizes if dim not in _PER_SCENE]
     control = data["control"].values
-    found = _in_blocks(data, known, axes, control)
-    units = {VARIABLES[name].kind: data[name].attrs.get("units", "1") for name in known}
-    units |= {CONTROL: data["control"].attrs.get("units", "1"), "number": "1"}
+    parameters = [str(name) for name in data.coords if any(derivative_name(own, str(name)) in data for own in known)]
+    found = _in_blocks(data, known, axes, control, parameters)
     variables = {}
-    for name, values in found.items():
-        quantity = SUMMARY[name]
-        attributes = {"long_name": quantity.description, "units": units[quantity.kind]} | comment_on(name, control)
-        variables[name] = ((*axes, *quantity.axes), values, attributes)
+    for parameter in (None, *parameters):
+        label = str if parameter is None else partial(derivative_name, parameter=parameter)
+        shown = {VARIABLES[name].kind: data[label(name)] for name in known if label(name) in data}
+        units = {kind: variable.attrs.get("units", "1") for kind, variable in shown.items()}
+        if parameter is None:
+            units |= {CONTROL: data["control"].attrs.get("units", "1"), "number": "1"}
+        for name, quantity in SUMMARY.items():
+            if label(name) in found:
+                words = quantity.description if parameter is None else derivative_in_words(quantity, parameter)
+                attributes = {"long_name": words, "units": units[quantity.kind]} | comment_on(name, control)
+                variables[label(name)] = ((*axes, *quantity.axes), found[label(name)], attributes)
     kept = {name: c for name, c in data.coords.items() if set(c.dims) <= {*axes, "whisker"}}
     return xr.Dataset(variables, kept, data.attrs)
 
@@ -93,15 +102,30 @@ def comment_on(name: str, control: np.ndarray) -> dict[str, str]:
     return {"comment": "NaN because the control changes direction: two positions do not determine the distance between"}
 
 
-def _in_blocks(data: xr.Dataset, known: list[str], axes: list[Hashable], control: np.ndarray) -> dict[str, np.ndarray]:
-    """The variables of the summary, computed in blocks of scenes."""
-    fields = {name: data[name].transpose(*axes, *VARIABLES[name].axes) for name in known}
+def derivative_name(name: str, parameter: str) -> str:
+    """The variable that holds the derivative of another one with respect to a parameter."""
+    return f"d_{name}_d_{parameter}"
+
+
+def derivative_in_words(quantity: Quantity, parameter: str) -> str:
+    """Description of the derivative of a quantity with respect to a parameter."""
+    return f"derivative of the {quantity.description} with respect to {parameter}"
+
+
+def _in_blocks(
+    data: xr.Dataset, known: list[str], axes: list[Hashable], control: np.ndarray, parameters: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """The variables of the summary and their derivatives, computed in blocks of scenes."""
+    slopes = {derivative_name(name, parameter): name for name, parameter in product(known, parameters)}
+    own = {name: name for name in known} | {slope: name for slope, name in slopes.items() if slope in data}
+    fields = {name: data[name].transpose(*axes, *VARIABLES[of].axes) for name, of in own.items()}
     found: dict[str, np.ndarray] = {}
     for block in _blocks(data, axes):
         arrays = {name: field.isel(block).values for name, field in fields.items()}
-        for name, values in summarise(arrays, control).items():
-            whole = tuple(data.sizes[dim] for dim in (*axes, *SUMMARY[name].axes))
-            found.setdefault(name, np.empty(whole, SUMMARY[name].dtype))[tuple(block.values())] = values
+        for name, values in summarise(arrays, control, parameters).items():
+            whole = tuple(data.sizes[dim] for dim in axes) + values.shape[len(axes) :]
+            dtype = SUMMARY[name].dtype if name in SUMMARY else float
+            found.setdefault(name, np.empty(whole, dtype))[tuple(block.values())] = values
     return found
 
 
@@ -119,24 +143,51 @@ def _blocks(data: xr.Dataset, axes: list[Hashable]) -> Iterator[dict[Hashable, s
         yield {dim: slice(k, k + length[dim]) for dim, k in zip(axes, corner, strict=True)}
 
 
-def summarise(arrays: Mapping[str, np.ndarray], control: np.ndarray) -> dict[str, np.ndarray]:
+def summarise(
+    arrays: Mapping[str, np.ndarray], control: np.ndarray, parameters: Sequence[str] = ()
+) -> dict[str, np.ndarray]:
     """Summarise scans along one control; variables that need a missing array are left out.
 
     Args:
         arrays: variables of a study by name, (..., control, whisker), (..., control), (..., event, whisker) or
             (..., event): fx, fy, mz, base_x, status, event_*, and the states at events, before_* and after_*, if known.
         control: drive positions.
+        parameters: parameters with respect to which the arrays include derivatives, by `derivative_name`.
 
     Returns:
-        The variables of `SUMMARY`, (..., whisker) or (...). Peaks, widths and work of a scan with failed steps are NaN.
+        The variables of `SUMMARY`, (..., whisker) or (...), and their derivatives. Peaks, widths and work of a scan
+        with failed steps are NaN.
     """
+    found = _summarise(arrays, control)
+    for parameter in parameters:
+        slopes = {name: arrays.get(derivative_name(name, parameter)) for name in arrays}
+        with np.errstate(invalid="ignore"):  # unlike real NaN, complex NaN warn when they are compared
+            ahead = _summarise({name: _ahead(array, slopes[name]) for name, array in arrays.items()}, control)
+        for name, values in ahead.items():
+            if np.iscomplexobj(values):
+                slope = np.where(np.isnan(found[name]), np.nan, np.imag(values) / STEP)
+                found[derivative_name(name, parameter)] = slope
+    return found
+
+
+def _ahead(values: np.ndarray, slopes: np.ndarray | None) -> np.ndarray:
+    """Values after a complex step along a parameter."""
+    if slopes is None:
+        return values
+    found = np.array(values, dtype=complex)
+    found.imag = STEP * np.asarray(slopes)
+    return found
+
+
+def _summarise(arrays: Mapping[str, np.ndarray], control: np.ndarray) -> dict[str, np.ndarray]:
+    """The summary of real arrays, or of complex ones, whose real parts decide where peaks and events are."""
     scans = _Scans(arrays, np.asarray(control, dtype=float))
     found: dict[str, np.ndarray] = {}
     for name in scans.reactions:
         for which, sign in (("max", 1.0), ("min", -1.0)):
             found[f"{which}_{name}"], found[f"control_of_{which}_{name}"] = scans.peak(name, sign)
     if "mz" in scans.reactions:
-        found["half_width_mz"] = scans.half_width("mz", np.maximum(np.abs(found["max_mz"]), np.abs(found["min_mz"])))
+        found["half_width_mz"] = scans.half_width("mz", np.maximum(_size(found["max_mz"]), _size(found["min_mz"])))
     if scans.reactions and scans.has_events:
         found["first_touch"], found["last_contact"] = scans.contact(1), scans.contact(-1)
         found["contact_width"] = scans.distance(found["first_touch"], found["last_contact"])
@@ -168,7 +219,7 @@ class _Scans:
             self.arrays[name] = array.reshape((math.prod(self.lead), *shape))
         self.reactions = [name for name in REACTIONS if name in arrays]
         self.has_events = set(_EVENTS) <= set(arrays)
-        failures = [np.isnan(self.arrays[name]).any(axis=(1, 2)) for name in self.reactions]
+        failures = [np.isnan(np.real(self.arrays[name])).any(axis=(1, 2)) for name in self.reactions]
         if "status" in arrays:
             failures.append(np.any(self.arrays["status"] != 0, axis=1))
         if self.has_events:
@@ -179,7 +230,7 @@ class _Scans:
 
     def distance(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Distance of the drive between two positions."""
-        return np.full_like(start, np.nan) if self.turns else np.abs(end - start)
+        return np.full_like(start, np.nan) if self.turns else _size(end - start)
 
     def peak(self, name: str, sign: float) -> tuple[np.ndarray, np.ndarray]:
         """Largest (sign 1) or smallest (-1) value of every whisker, and its position, NaN if the peak is zero."""
@@ -244,7 +295,7 @@ class _Scans:
 
     def half_width(self, name: str, peak: np.ndarray) -> np.ndarray:
         """Distance of the drive between the first and the last position at which the magnitude is half its peak."""
-        size, half = np.abs(self.arrays[name]), peak / 2
+        size, half = _size(self.arrays[name]), peak / 2
         above = size >= np.where(half > 0, half, np.inf)[:, None]
         end = self.control.size - 1
         first, last = np.argmax(above, axis=1), end - np.argmax(above[:, ::-1], axis=1)
@@ -257,6 +308,11 @@ class _Scans:
         width = self.distance(crossing(first, np.maximum(first - 1, 0)), crossing(last, np.minimum(last + 1, end)))
         known = above.any(axis=1) & (first > 0) & (last < end) & ~self.failed[:, None]
         return np.where(known, width, np.nan)
+
+
+def _size(values: np.ndarray) -> np.ndarray:
+    """Magnitude; of values after a complex step, that of their real part, whose derivative it keeps."""
+    return np.where(np.real(values) < 0, -values, values)
 
 
 def _values_at(values: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -300,6 +356,6 @@ def _extremum(x: list[np.ndarray], y: list[np.ndarray], control: list[np.ndarray
         beside = (at - x[middle - 1]) * (at - x[middle + 1]) <= 0
         where, *_ = _newton_polynomial(x, _divided_differences(x, control), at)
         # A polynomial needs a drive that does not turn.
-        ways = np.sign(np.diff(np.stack(x), axis=0))
+        ways = np.sign(np.real(np.diff(np.stack(x), axis=0)))
         monotonic = np.abs(ways.sum(axis=0)) == len(ways)
         return np.where(beside & monotonic, _newton_polynomial(x, factor, at)[0], np.nan), where

@@ -10,7 +10,15 @@ from jaxwhisker._scan.quantities import DRAWN as QUANTITIES
 from jaxwhisker.plot.axes import COLOURS, CONTROL_AXIS, axis_label, control_axis, save
 from jaxwhisker.plot.inverse import contour, fit, information
 from jaxwhisker.plot.phase_strips import phases
-from jaxwhisker.plot.signals import compare, contact_range, overview, reactions, signal, spring_lengths
+from jaxwhisker.plot.signals import (
+    compare,
+    contact_range,
+    overview,
+    reactions,
+    signal,
+    spring_extensions,
+    spring_lengths,
+)
 from jaxwhisker.plot.states import deflection, in_words, profile, same_window, scene, shapes
 from jaxwhisker.plot.studies import study
 
@@ -36,6 +44,7 @@ __all__ = [
     "scene",
     "shapes",
     "signal",
+    "spring_extensions",
     "spring_lengths",
     "study",
 ]

@@ -8,9 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
 
 from jaxwhisker._base import checks
 from jaxwhisker._model.scene import Scene
+from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.quantities import (
     QUANTITIES,
     Unit,
@@ -19,6 +21,7 @@ from jaxwhisker._scan.quantities import (
     dimensionless_label,
     with_prefix,
 )
+from jaxwhisker._scan.quantities import quantity as named
 from jaxwhisker.plot.runs import Run, check_quantity
 
 # The palette of Okabe and Ito, whose colours remain distinct for colour-blind readers; black comes last.
@@ -26,6 +29,20 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 DASHES = ("-", "--", ":", "-.")
 GREY = "#777777"
 OBJECT, SUPPORT = "#DDDDDD", "#555555"
+# Shape and filling of the marker of each kind of event.
+MARKERS = {
+    EventKind.touch: ("o", "white"),
+    EventKind.tip_to_tangential: ("^", "white"),
+    EventKind.vertex: ("v", "white"),
+    EventKind.tangential_to_tip: ("^", GREY),
+    EventKind.stick: ("<", GREY),
+    EventKind.slip: (">", GREY),
+    EventKind.edge: ("|", "black"),
+    EventKind.release: ("s", "white"),
+    EventKind.snap_through: ("D", "black"),
+    EventKind.snap_off: ("X", "black"),
+}
+EVENT_HEIGHT = 0.95  # of markers of events, as a share of the Axes
 
 CONTROL_AXIS = dimensionless_label(QUANTITIES["control"].symbol, "length")
 
@@ -48,7 +65,7 @@ def axis_label(quantity: str, scene: Scene | None = None, *, units: str = "auto"
     """
     check_quantity(quantity)
     if scene is None:
-        return dimensionless_label(QUANTITIES[quantity].symbol, QUANTITIES[quantity].kind)
+        return dimensionless_label(named(quantity).symbol, named(quantity).kind)
     checks.instance("scene", scene, Scene, "a Scene")
     return UnitSystem(scene, units).label(quantity)
 
@@ -119,10 +136,36 @@ def several_axes(axs: Any, count: int | None = None) -> np.ndarray:
     return axes
 
 
-def mark_events(ax: Axes, controls: Iterable[float]) -> None:
-    """Draw thin vertical lines at the controls of events."""
-    for control in dict.fromkeys(controls):
-        ax.axvline(control, color=GREY, linewidth=0.5, zorder=0)
+def mark_events(ax: Axes, at: Iterable[float], events: Sequence[Any]) -> list[Line2D]:
+    """Draw a thin vertical line with a marker, in the colour of its whisker, at each event; return entries of a legend.
+
+    Args:
+        ax: where to draw.
+        at: places of the events along the horizontal axis.
+        events: the events, each with its `kind` and `whiskers`.
+    """
+    for place, event in zip(at, events, strict=True):
+        line = {"color": GREY, "linewidth": 0.5, "zorder": 0, "markevery": [1], "transform": ax.get_xaxis_transform()}
+        edge = colour(event.whiskers[0] - 1) if len(event.whiskers) == 1 else "black"
+        ax.plot([place] * 3, [0.0, EVENT_HEIGHT, 1.0], **line | event_marker(event.kind, edge))
+    return event_entries(event.kind for event in events)
+
+
+def event_marker(kind: EventKind, edge: str = "black") -> dict[str, Any]:
+    """Look of the marker of an event."""
+    shape, filled = MARKERS[kind]
+    look = {"marker": shape, "markerfacecolor": filled, "markeredgecolor": edge}
+    return look | {"markersize": 5, "markeredgewidth": 0.8}
+
+
+def event_entries(kinds: Iterable[EventKind]) -> list[Line2D]:
+    """Entries of a legend for these kinds of events."""
+    found = set(kinds)
+    return [
+        Line2D([], [], label=kind.name.replace("_", "-"), linestyle="none", **event_marker(kind))
+        for kind in MARKERS
+        if kind in found
+    ]
 
 
 def legend_above(ax: Axes, handles: Sequence[Any] | None = None, *, least: int = 2, columns: int = 3) -> None:

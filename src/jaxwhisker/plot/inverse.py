@@ -12,14 +12,16 @@ from matplotlib.axes import Axes
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._inverse.fit import Fit
-from jaxwhisker._inverse.fit_contour import ContourFit
+from jaxwhisker._inverse.fit_contour import Band, ContourFit
+from jaxwhisker._inverse.fit_profile import ProfileFit
 from jaxwhisker._inverse.information import Information
 from jaxwhisker._inverse.points import Reconstruction, bar_ends
-from jaxwhisker._inverse.statistics import NORMAL_95
+from jaxwhisker._inverse.statistics import NORMAL_95, FitStatus
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem
 from jaxwhisker.plot.axes import (
     COLOURS,
+    GREY,
     colour,
     grid_of_axes,
     label_coordinates,
@@ -34,17 +36,20 @@ DRAWN_POINTS = 241  # of a profile that is drawn for comparison
 
 
 def fit(result: Fit, *, recording: int = 0, units: str = "auto", axs: Iterable[Axes] | None = None) -> np.ndarray:
-    """Draw measured signals (dots) and those of the fit (lines), one Axes for each measured channel.
+    """Draw measured signals (dots) and those of the fit (lines), and their differences beside them.
+
+    Each measured channel has two Axes. The grey band of the residuals, measured - fitted, holds 95 % of the noise that
+    the fit assumes. Samples that the fit leaves out, beside snaps, have no residual.
 
     Args:
         result: result of `identify`.
         recording: which recording of a fit to several, from 0.
         units: "auto", "SI" (with prefixes: mm, mN) or "dimensionless" (in L and EI of the first whisker). "auto" is
             "dimensionless" for a first whisker with L = EI = 1, else "SI".
-        axs: where to draw, one Axes for each measured channel; a new figure by default.
+        axs: where to draw, two Axes for each measured channel (signals, residuals); a new figure by default.
 
     Returns:
-        The Axes.
+        The Axes, channel by channel.
 
     Raises:
         ValueError: if `result` is not a Fit, there is no such recording, the number of `axs` is wrong, or `units` is
@@ -63,26 +68,31 @@ def fit(result: Fit, *, recording: int = 0, units: str = "auto", axs: Iterable[A
     def shown(kind: str, values: np.ndarray) -> np.ndarray:
         return system.shown(kind, values) if in_units else values
 
-    axes = grid_of_axes(axs, rows=len(channels), sharex=True)
+    axes = grid_of_axes(axs, rows=len(channels), columns=2, sharex=True, figsize=(9.0, 1.2 + 1.5 * len(channels)))
     control = system.shown("control", measured.control)
-    for ax, c in zip(axes, channels, strict=True):
-        dots, lines = (shown(kinds[c], values[..., c]) for values in (measured.values, fitted.signals))
+    for ax, beside, c in zip(axes[::2], axes[1::2], channels, strict=True):
+        arrays = measured.values, fitted.signals, fitted.residuals, NORMAL_95 * measured.sigma
+        dots, lines, residuals, noise = (shown(kinds[c], values[..., c]) for values in arrays)
         for k in range(measured.values.shape[1]):
             ax.plot(control, dots[:, k], ".", color=colour(k), markersize=2, alpha=0.4)
             ax.plot(control, lines[:, k], color=colour(k), linewidth=1, label=f"whisker {k + 1}")
+            beside.plot(control, residuals[:, k], ".", color=colour(k), markersize=2)
+        widest = np.max(noise, axis=1)
+        beside.fill_between(control, -widest, widest, color=GREY, alpha=0.2, linewidth=0, zorder=0)
         ax.set_ylabel(system.label(kinds[c]) if in_units else kinds[c])
-    axes[-1].set_xlabel(system.label("control"))
+    for ax in axes[-2:]:
+        ax.set_xlabel(system.label("control"))
     if measured.values.shape[1] > 1:
         legend_above(axes[0])
-    title(axes[0], "measured (dots) and fitted" + ("" if result.status == 0 else f": {result.status.name}"))
-    _in_order_of_time(axes, control)
+    title(axes[0], "measured (dots) and fitted" + ("" if result.status == FitStatus.ok else f": {result.status}"))
+    title(axes[1], "measured $-$ fitted; grey: 95 % of the noise")
     return axes
 
 
 def information(result: Information, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     """Draw the share of the information about each parameter that has been collected up to each step of a scan.
 
-    The signals are most informative where a line is steep; grey lines are events.
+    The signals are most informative where a line is steep; thin lines with markers are events.
 
     Args:
         result: result of `jw.information`.
@@ -102,28 +112,27 @@ def information(result: Information, *, units: str = "auto", ax: Axes | None = N
         collected = np.cumsum(result.density[:, k])
         if collected[-1] > 0:
             axes.plot(control, collected / collected[-1], color=colour(k), label=name)
-    mark_events(axes, system.shown("control", [event.control for event in result.events]))
+    entries = mark_events(axes, system.shown("control", [event.control for event in result.events]), result.events)
     axes.set_xlabel(system.label("control"))
     axes.set_ylabel("share of information")
-    legend_above(axes, least=1)
-    _in_order_of_time([axes], control)
+    legend_above(axes, axes.get_legend_handles_labels()[0] + entries, least=1)
     return axes
 
 
 def contour(
-    result: Reconstruction | ContourFit,
+    result: Reconstruction | ProfileFit | ContourFit,
     *,
     profile: AbstractProfile | None = None,
     units: str = "auto",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw reconstructed points with 95 % bars across the contour, or a fitted contour with its 95 % band.
+    """Draw reconstructed points with 95 % bars across the contour, or a fitted profile or contour with its 95 % band.
 
-    Only points clear of the noise are drawn, and only the part of a fitted contour that the signals determine. Both
-    axes have the same scale.
+    Only points clear of the noise are drawn, only the part of a fitted profile that has points, and only the part of a
+    fitted contour that the signals determine. Both axes have the same scale.
 
     Args:
-        result: result of `reconstruct` or `fit_contour`.
+        result: result of `reconstruct`, `fit_profile` or `fit_contour`.
         profile: a profile to draw as a black line for comparison: the true object, or one that was fitted to points.
         units: "auto", "SI" (with prefixes: mm) or "dimensionless" (in L of the first whisker). "auto" is "SI" unless
             L = 1.
@@ -133,18 +142,18 @@ def contour(
         The Axes.
 
     Raises:
-        ValueError: if `result` is neither a Reconstruction nor a ContourFit, `profile` is not a profile, or `units` is
-            invalid.
+        ValueError: if `result` is not one of these, `profile` is not a profile, or `units` is invalid.
     """
-    checks.instance("result", result, (Reconstruction, ContourFit), "the result of jw.reconstruct or jw.fit_contour")
+    words = "the result of jw.reconstruct, jw.fit_profile or jw.fit_contour"
+    checks.instance("result", result, (Reconstruction, ProfileFit, ContourFit), words)
     checks.instance("profile", profile, (AbstractProfile, NoneType), "a profile such as jw.Parabola(0.2)")
     axes = one_axes(ax)
-    if isinstance(result, ContourFit):
-        unit = length_unit(float(result.sensor.whiskers[0].length), units)
-        slopes, left, right = _draw_fitted(result, unit.size, axes)
-    else:
-        unit = length_unit(float(result.length), units)
+    length = result.sensor.whiskers[0].length if isinstance(result, ContourFit) else result.length
+    unit = length_unit(float(length), units)
+    if isinstance(result, Reconstruction):
         slopes, left, right = _draw_points(result, unit.size, axes)
+    else:
+        slopes, left, right = _draw_fitted(result, unit.size, axes)
     if profile is not None:
         at = _between(jax.tree.map(checks.as_float, profile), jnp.asarray(slopes))
         # Slopes are less certain than points, so the range of the points limits the line as well.
@@ -156,14 +165,19 @@ def contour(
     return axes
 
 
-def _draw_fitted(result: ContourFit, unit: float, axes: Axes) -> tuple[np.ndarray, float, float]:
-    """Draw a fitted contour and its band; return the slopes at its ends and its range in x."""
-    band = result.band()
-    known = np.isfinite(band.error) if np.isfinite(band.error).any() else np.ones(band.error.shape, bool)
+def _draw_fitted(result: ProfileFit | ContourFit, unit: float, axes: Axes) -> tuple[np.ndarray, float, float]:
+    """Draw a fitted profile or contour and its band; return the slopes at its ends and its range in x."""
+    if isinstance(result, ProfileFit):
+        at = np.linspace(*result.slopes, DRAWN_POINTS)
+        band = Band(at, *result.band(at))
+    else:
+        band = result.band()
+    certain = np.isfinite(band.error).any()  # a fit whose status is not ok has no band
+    known = np.isfinite(band.error) if certain else np.ones(band.error.shape, bool)
     slope, x, y, error = (values[known] / size for values, size in zip(band, (1.0, unit, unit, unit), strict=True))
     (x_out, x_in), (y_out, y_in) = _bars(x, y, slope, error)
     axes.fill(np.append(x_out, x_in[::-1]), np.append(y_out, y_in[::-1]), color=COLOURS[0], alpha=0.25, linewidth=0)
-    axes.plot(x, y, color=COLOURS[0], label="fitted, 95 % band")
+    axes.plot(x, y, color=COLOURS[0], label="fitted, 95 % band" if certain else "fitted")
     return slope[[0, -1]], x.min(), x.max()
 
 
@@ -193,10 +207,3 @@ def _between(profile: AbstractProfile, slopes: Float[jax.Array, " 2"]) -> Contac
     """Points of a profile between two slope angles."""
     ends = jnp.asarray(jax.vmap(profile.at_slope)(slopes))
     return jax.vmap(profile.point)(jnp.linspace(ends[0], ends[1], DRAWN_POINTS))
-
-
-def _in_order_of_time(axes: Iterable[Axes], control: np.ndarray) -> None:
-    """Reverse the horizontal axis if the control falls: time then runs to the right."""
-    if control[-1] < control[0]:
-        for ax in axes:
-            ax.set_xlim(float(np.max(control)), float(np.min(control)))

@@ -6,26 +6,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import UnitSystem
-from jaxwhisker.plot.axes import GREY, colour, legend_above, one_axes
+from jaxwhisker.plot.axes import GREY, colour, event_entries, event_marker, legend_above, one_axes
 from jaxwhisker.plot.runs import Run, abscissa, check_one_run, events_of, places, places_of_events, progress
 
 _HEIGHT = 0.6  # of the strips of a whisker; rows are 1 apart
-_MARKERS = {
-    EventKind.touch: ("o", "white"),
-    EventKind.vertex: ("v", "white"),
-    EventKind.stick: ("<", GREY),
-    EventKind.slip: (">", GREY),
-    EventKind.edge: ("|", "black"),
-    EventKind.release: ("s", "white"),
-    EventKind.snap_through: ("D", "black"),
-    EventKind.snap_off: ("X", "black"),
-}
+_IN_STRIPS = (EventKind.tip_to_tangential, EventKind.tangential_to_tip)  # events that the strips show without a marker
 
 
 def phases(result: Run, *, units: str = "auto", ax: Axes | None = None) -> Axes:
@@ -66,13 +56,14 @@ def phases(result: Run, *, units: str = "auto", ax: Axes | None = None) -> Axes:
                 left, right = sorted(np.interp(ends, travel[part], control[part]))
                 ax.broken_barh([(left, right - left)], (top, tall), **_bar(kind, colour(k)))
             for n in own:
-                if travel[first] <= happens[n] <= travel[last] and events[n].kind in _MARKERS:
-                    ax.plot(at[n], top + tall / 2, **_marker(events[n].kind))
+                if travel[first] <= happens[n] <= travel[last] and events[n].kind not in _IN_STRIPS:
+                    ax.plot(at[n], top + tall / 2, linestyle="none", zorder=4, **event_marker(events[n].kind))
     ax.set_xlabel(system.label(over))
     ax.set_yticks(range(1, whiskers + 1), [f"whisker {k + 1}" for k in range(whiskers)])
     ax.set_ylim(whiskers + 0.5, 0.5)
     ax.tick_params(left=False)
-    _legend(ax, [kind for kind in _MARKERS if kind in {event.kind for event in events}])
+    handles: list[Any] = [Patch(label=kind.name, **_bar(kind, GREY)) for kind in Phase]
+    legend_above(ax, handles + event_entries(event.kind for event in events if event.kind not in _IN_STRIPS))
     return ax
 
 
@@ -112,15 +103,3 @@ def _bar(kind: Phase, own: str) -> dict[str, Any]:
     if kind == Phase.tip:
         return {"facecolor": "white", "edgecolor": own, "hatch": "/////", "linewidth": 0.8, "zorder": 2}
     return {"facecolor": own, "edgecolor": own, "linewidth": 0.8, "zorder": 2}
-
-
-def _marker(kind: EventKind) -> dict[str, Any]:
-    shape, filled = _MARKERS[kind]
-    look = {"marker": shape, "markerfacecolor": filled, "markeredgecolor": "black", "linestyle": "none"}
-    return look | {"markersize": 5, "markeredgewidth": 0.8, "zorder": 4}
-
-
-def _legend(ax: Axes, events: list[EventKind]) -> None:
-    handles: list[Any] = [Patch(label=kind.name, **_bar(kind, GREY)) for kind in Phase]
-    handles += [Line2D([], [], label=kind.name.replace("_", "-"), **_marker(kind)) for kind in events]
-    legend_above(ax, handles)

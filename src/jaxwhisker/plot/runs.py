@@ -43,6 +43,15 @@ def places(run: Run, over: str) -> Float[np.ndarray, " steps"]:
     return values
 
 
+def values_of(run: Run, quantity: str) -> np.ndarray:
+    """Values (steps, whiskers or springs) of a quantity that can be drawn."""
+    if quantity != "spring_extension":
+        return np.asarray(getattr(run, quantity))
+    # The sign of an axial spring's rest length only says on which side it is.
+    rest = [abs(s.rest_length) if s.axis == "axial" else s.rest_length for s in run.scene.support.springs]
+    return np.asarray(run.spring_length) - np.asarray(rest, dtype=float)
+
+
 def check_quantity(quantity: Any, *runs: Run) -> None:
     """Check that a quantity of these runs can be drawn over the control or time."""
     allowed = DRAWN

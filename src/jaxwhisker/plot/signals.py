@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from jaxwhisker._base import checks
-from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, check_units, kind_of
+from jaxwhisker._scan.quantities import OF_SPRINGS, REACTIONS, UnitSystem, check_units, kind_of
 from jaxwhisker.plot.axes import (
     COLOURS,
     DASHES,
@@ -19,15 +20,27 @@ from jaxwhisker.plot.axes import (
     one_axes,
     unit_systems,
 )
-from jaxwhisker.plot.runs import Run, abscissa, check_one_run, check_quantity, places, places_of_events
+from jaxwhisker.plot.runs import (
+    Run,
+    abscissa,
+    check_one_run,
+    check_quantity,
+    events_of,
+    places,
+    places_of_events,
+    values_of,
+)
 from jaxwhisker.plot.states import shapes
 
-_ANGLES = r"$\varphi$ (rad)"
+_ANGLES = r"$\varphi$ (rad)", r"$\Delta\varphi$ (rad)"  # of torsion springs: lengths and extensions
 LEAST_HEIGHT = 1e-3  # of an axis, dimensionless: rounding errors of a constant quantity stay invisible
+LEAST_EXTENSION = 1e-9  # the same for extensions, which are small if springs are stiff
 
 
 def overview(result: Run, *, units: str = "auto") -> Figure:
-    """Draw a scan or a simulation on one page: a state, the reactions and the lengths of the springs.
+    """Draw a scan or a simulation on one page: a state, the reactions and the extensions of the springs.
+
+    A scan is drawn where any whisker is in contact; a simulation from start to end, because whiskers ring down.
 
     Args:
         result: of `scan` or `simulate`.
@@ -42,15 +55,19 @@ def overview(result: Run, *, units: str = "auto") -> Figure:
     """
     springs = bool(check_one_run(result).scene.support.springs)
     low, high = contact_range([result], units=units)
+    over, system = abscissa(result), UnitSystem(result.scene, units)
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     figure.suptitle(str(result.scene), fontsize=11)
     grid = figure.add_gridspec(len(REACTIONS) + springs, 2, width_ratios=(1, 1.2))
-    middle = (low + high) / 2 * UnitSystem(result.scene, units).unit(abscissa(result)).size
-    shapes(result, middle, units=units, ax=figure.add_subplot(grid[:, 0]))
+    shapes(result, (low + high) / 2 * system.unit(over).size, units=units, ax=figure.add_subplot(grid[:, 0]))
     axes = [figure.add_subplot(grid[row, 1]) for row in range(grid.nrows)]
     reactions(result, units=units, axs=axes[:3])
     if springs:
-        spring_lengths(result, units=units, ax=axes[3])
+        _with_events(result, "spring_extension", units, axes[3])
+        legend_above(axes[3])
+    times = system.shown("time", places(result, "time")) if over == "time" else np.empty(0)
+    if np.isfinite(times).any():
+        low, high = np.nanmin(times), np.nanmax(times)
     for ax in axes:
         ax.set_xlim(low, high)
     for ax in axes[:-1]:
@@ -60,7 +77,7 @@ def overview(result: Run, *, units: str = "auto") -> Figure:
 
 
 def reactions(result: Run, *, units: str = "auto", axs: Iterable[Axes] | None = None) -> np.ndarray:
-    """Draw fx, fy and mz of all whiskers over the control or time, with thin lines at events.
+    """Draw fx, fy and mz of all whiskers over the control or time, with thin lines and markers at events.
 
     Args:
         result: of `scan` or `simulate`.
@@ -76,11 +93,10 @@ def reactions(result: Run, *, units: str = "auto", axs: Iterable[Axes] | None = 
     check_one_run(result)
     check_units(units)
     axes = grid_of_axes(axs, rows=len(REACTIONS), sharex=True)
-    for ax, quantity in zip(axes, REACTIONS, strict=True):
-        _with_events(result, quantity, units, ax)
+    entries, *_ = [_with_events(result, quantity, units, ax) for ax, quantity in zip(axes, REACTIONS, strict=True)]
     for ax in axes[:-1]:
         ax.set_xlabel("")
-    legend_above(axes[0])
+    _name_curves_and_events(axes[0], entries)
     return axes
 
 
@@ -101,18 +117,45 @@ def spring_lengths(result: Run, *, units: str = "auto", ax: Axes | None = None) 
     Raises:
         ValueError: if `result` is not that of one scan or simulation, its bases are clamped, or `units` is invalid.
     """
+    return _of_springs(result, "spring_length", units, ax)
+
+
+def spring_extensions(result: Run, *, units: str = "auto", ax: Axes | None = None) -> Axes:
+    """Draw the extensions of all springs, length - rest_length, as `spring_lengths` draws their lengths.
+
+    Args:
+        result: of `scan` or `simulate`.
+        units: "auto", "SI" or "dimensionless", see `overview`.
+        ax: where to draw; a new figure by default.
+
+    Returns:
+        The Axes.
+
+    Raises:
+        ValueError: if `result` is not that of one scan or simulation, its bases are clamped, or `units` is invalid.
+    """
+    return _of_springs(result, "spring_extension", units, ax)
+
+
+def _of_springs(result: Run, quantity: str, units: str, ax: Axes | None) -> Axes:
     if not check_one_run(result).scene.support.springs:
         raise ValueError(f"`result` must have whiskers on springs, got a scan of {result.scene}.")
-    ax = _with_events(result, "spring_length", units, ax)
-    legend_above(ax)
+    check_units(units)
+    ax = one_axes(ax)
+    _name_curves_and_events(ax, _with_events(result, quantity, units, ax))
     return ax
 
 
-def _with_events(result: Run, quantity: str, units: str, ax: Axes | None) -> Axes:
-    ax = signal(result, quantity, units=units, ax=ax)
-    over = abscissa(result)
-    mark_events(ax, UnitSystem(result.scene, units).shown(over, places_of_events(result, over)).tolist())
-    return ax
+def _with_events(result: Run, quantity: str, units: str, ax: Axes) -> list[Line2D]:
+    """Draw a quantity and the events, and return the entries of a legend for the events."""
+    system, over = UnitSystem(result.scene, units), abscissa(result)
+    _draw(result, quantity, system, ax)
+    return mark_events(ax, system.shown(over, places_of_events(result, over)).tolist(), events_of(result))
+
+
+def _name_curves_and_events(ax: Axes, entries: list[Line2D]) -> None:
+    curves = ax.get_legend_handles_labels()[0]
+    legend_above(ax, (curves if len(curves) > 1 else []) + entries, least=1)
 
 
 def signal(result: Run, quantity: str, *, units: str = "auto", ax: Axes | None = None) -> Axes:
@@ -132,12 +175,18 @@ def signal(result: Run, quantity: str, *, units: str = "auto", ax: Axes | None =
     """
     system = UnitSystem(check_one_run(result).scene, units)
     check_quantity(quantity, result)
+    ax = one_axes(ax)
+    _draw(result, quantity, system, ax)
+    legend_above(ax)
+    return ax
+
+
+def _draw(result: Run, quantity: str, system: UnitSystem, ax: Axes) -> None:
     over = abscissa(result)
     x, values = _curve(result, over, quantity, system)
-    ax = one_axes(ax)
     for own, style in zip(values.T, _styles(result, quantity, values.shape[1]), strict=True):
         ax.plot(x, own, linewidth=1.3, **style)
-    return _finish(ax, [system], over, quantity)
+    _finish(ax, [system], over, quantity)
 
 
 def compare(
@@ -149,13 +198,13 @@ def compare(
     ax: Axes | None = None,
     colours: Sequence[str] = COLOURS,
 ) -> Axes:
-    """Draw one quantity of several scans or simulations.
+    """Draw one quantity of several scans or simulations, with a legend of their labels.
 
     Simulations are drawn over time. If there is a scan among them, all are drawn over the control.
 
     Args:
         results: results of `scan` or `simulate` by label.
-        quantity: one of `QUANTITIES`: "fx", "fy", "mz", "spring_length", "base_x", ...; of simulations also "gap",
+        quantity: one of `QUANTITIES`: "fx", "fy", "mz", "spring_extension", "base_x", ...; of simulations also "gap",
             "tip_x" or "tip_y".
         index: number of the whisker, or of the spring, from 1.
         units: "auto", "SI" or "dimensionless", see `overview`. SI units are those of the first result; if any is
@@ -185,7 +234,9 @@ def compare(
         # Later curves are drawn over earlier ones. Thinner lines leave those visible where both coincide.
         width = 1.8 - 0.9 * k / max(len(results) - 1, 1)
         ax.plot(*curve, color=colours[k % len(colours)], linewidth=width, label=label)
-    return _finish(ax, systems, over, quantity)
+    _finish(ax, systems, over, quantity)
+    legend_above(ax, least=1)
+    return ax
 
 
 def contact_range(results: Sequence[Run], margin: float = 0.04, *, units: str = "auto") -> tuple[float, float]:
@@ -223,32 +274,32 @@ def _all_runs(results: Any) -> Sequence[Run]:
 
 def _curve(run: Run, over: str, quantity: str, system: UnitSystem) -> tuple[np.ndarray, np.ndarray]:
     """Controls or times (steps,) and values (steps, whiskers or springs) in the units shown."""
-    return system.shown(over, places(run, over)), system.shown(quantity, getattr(run, quantity))
+    return system.shown(over, places(run, over)), system.shown(quantity, values_of(run, quantity))
 
 
 def _styles(result: Run, quantity: str, count: int) -> list[dict[str, Any]]:
     """Styles of the curves of whiskers or springs; a spring has the colour of its second base, the first is solid."""
-    if quantity != "spring_length":
+    if quantity not in OF_SPRINGS:
         return [{"color": colour(k), "label": f"whisker {k + 1}"} for k in range(count)]
     styles, bases = [], []
     for k, spring in enumerate(result.scene.support.springs):
         base = max(spring.between[1], 1)
         dashes = DASHES[bases.count(base) % len(DASHES)]
         bases.append(base)
-        along = {"x": "", "y": ", $y$", "phi": r", $\varphi$"}[spring.axis]
+        along = {"y": ", $y$", "phi": r", $\varphi$"}.get(spring.axis, "")
         styles.append({"color": colour(base - 1), "linestyle": dashes, "label": f"spring {k + 1}{along}"})
     return styles
 
 
-def _finish(ax: Axes, systems: Sequence[UnitSystem], over: str, quantity: str) -> Axes:
+def _finish(ax: Axes, systems: Sequence[UnitSystem], over: str, quantity: str) -> None:
     ax.set_xlabel(systems[-1].label(over))
     # Torsion springs have angles.
-    axes = {s.axis for system in systems for s in system.scene.support.springs} if quantity == "spring_length" else ""
-    label = systems[0].label(quantity)
-    ax.set_ylabel(label if "phi" not in axes else _ANGLES if axes == {"phi"} else f"{label}, {_ANGLES}")
+    axes = {s.axis for system in systems for s in system.scene.support.springs} if quantity in OF_SPRINGS else ""
+    label, angles = systems[0].label(quantity), _ANGLES[quantity == "spring_extension"]
+    ax.set_ylabel(label if "phi" not in axes else angles if axes == {"phi"} else f"{label}, {angles}")
     ax.grid(alpha=0.3)
     low, high = ax.get_ylim()
-    least = LEAST_HEIGHT * systems[0].scale(kind_of(quantity, systems[0].scene))
+    least = LEAST_EXTENSION if quantity == "spring_extension" else LEAST_HEIGHT
+    least = least * systems[0].scale(kind_of(quantity, systems[0].scene))
     if high - low < least:
         ax.set_ylim((low + high) / 2 - least, (low + high) / 2 + least)
-    return ax

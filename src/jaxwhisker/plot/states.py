@@ -36,7 +36,7 @@ PALEST = 0.25  # opacity of the earliest of several states
 NARROWEST = 1.3  # least width of a window
 WIDE = 3.0  # a narrower window has ticks about half an L apart
 WINDOW_MARGIN = 0.1  # around what is drawn
-BESIDE = 0.5  # least distance between the vertex and the sides of the window of a scene
+BESIDE = 0.5  # distance from the vertex of an object to both sides up to which it is shown
 
 
 def scene(setup: Scene, *, units: str = "auto", ax: Axes | None = None) -> Axes:
@@ -62,10 +62,6 @@ def scene(setup: Scene, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     ax = one_axes(ax)
     control = start_of(setup)
     _draw_states([drawing(setup, control, rest_state(setup, control))], system, True, ax)
-    # Show the object on both sides of its vertex, not only where it is touched first.
-    vertices = [float(system.shown("contact_x", one.vertex()[0])) for one in setup.profile.objects]
-    (left, right), beside = ax.get_xlim(), BESIDE * system.scale("length")
-    ax.set_xlim(min(left, min(vertices) - beside), max(right, max(vertices) + beside))
     return ax
 
 
@@ -88,8 +84,8 @@ def shapes(result: Run, at: Any = None, *, whole: bool = True, units: str = "aut
         The Axes.
 
     Raises:
-        ValueError: if `result` is not that of one scan or simulation, `at` is not finite numbers, or `units` is
-            invalid.
+        ValueError: if `result` is not that of one scan or simulation, `at` is not finite numbers within it, or `units`
+            is invalid.
     """
     system = UnitSystem(check_one_run(result).scene, units)
     steps = _steps_across(result) if at is None else _steps_at(result, at)
@@ -189,7 +185,7 @@ def in_words(result: Run, at: float) -> str:
         at: drive position or time in the scene's unit; the nearest step is described.
 
     Raises:
-        ValueError: if `result` is not that of one scan or simulation, or `at` is not a finite number.
+        ValueError: if `result` is not that of one scan or simulation, or `at` is not a finite number within it.
     """
     (step,) = _steps_at(check_one_run(result), at)
     return ", ".join(f"{k + 1}: {Phase(int(p)).name}" for k, p in enumerate(np.asarray(result.phase)[step]))
@@ -197,7 +193,9 @@ def in_words(result: Run, at: float) -> str:
 
 def _steps_at(result: Run, at: Any) -> list[int]:
     (checks.vector if np.ndim(at) else checks.number)("at", at)
-    all_places = places(result, abscissa(result))
+    over = abscissa(result)
+    all_places = places(result, over)
+    checks.within("at", at, all_places, "times of the simulation" if over == "time" else "drive positions of the scan")
     return [int(np.argmin(np.abs(all_places - one))) for one in np.atleast_1d(np.asarray(at, dtype=float))]
 
 
@@ -265,15 +263,17 @@ def _draw_support(state: Drawing, ax: Axes) -> None:
 
 
 def _set_window(drawn: Sequence[Drawing], system: UnitSystem, ax: Axes) -> None:
-    """Set limits that hold drive, whiskers, springs and forces, and the object down to its vertex."""
+    """Set limits that hold drive, whiskers, springs and forces, and every object on both sides of its vertex."""
     parts = [one.extent(springs=one is drawn[-1]) for one in drawn]
     x, y = (np.concatenate(coordinate) for coordinate in zip(*parts, strict=True))
     scale = system.scale("length")
-    heights = [one.vertex()[1] for one in objects_of(system.scene)]
-    vertex = max((float(system.shown("contact_y", height)) for height in heights), default=0.0) / scale
+    vertices = [system.shown("contact_x", np.asarray(one.vertex())) / scale for one in objects_of(system.scene)]
+    vertex = max((float(height) for _, height in vertices), default=0.0)
     if x.size:
         middle, reach = (x.min() + x.max()) / 2, max(np.ptp(x) / 2 + WINDOW_MARGIN, NARROWEST / 2)
-        ax.set_xlim(scale * (middle - reach), scale * (middle + reach))
+        left = min([middle - reach, *(float(at) - BESIDE for at, _ in vertices)])
+        right = max([middle + reach, *(float(at) + BESIDE for at, _ in vertices)])
+        ax.set_xlim(scale * left, scale * right)
     ax.set_ylim(scale * (y.min(initial=0.0) - WINDOW_MARGIN), scale * (max(y.max(initial=1.0), vertex) + WINDOW_MARGIN))
     if x.size and np.ptp(x) < WIDE:  # by default the ticks of a narrow window overlap
         for axis in (ax.xaxis, ax.yaxis):

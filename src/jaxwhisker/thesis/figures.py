@@ -119,6 +119,8 @@ class Signals:
                 plot.signal(next(iter(results.values())), quantity, ax=ax)
             else:
                 plot.compare(results, quantity, index=index, ax=ax, colours=_colours(self.cases))
+            if legend := ax.get_legend():
+                legend.remove()  # one legend above all panels is enough
             if row == 0 and len(indices) > 1:
                 ax.set_title(f"{'spring' if lengths else 'whisker'} {index}", fontsize=9)
             ax.set_xlim(low, high)
