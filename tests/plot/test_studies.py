@@ -33,6 +33,21 @@ def test_scenes_that_are_not_dimensionless_have_si_units():
     assert stored[0].get_ylim() == pytest.approx((0.05, 0.35))
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_the_critical_curve_has_the_units_of_the_map(known):
+    data = summarised()
+    critical = steepness(data)
+    data.attrs = {"typical_force": 9.6e-3, "typical_length": 0.05}
+    for name, units in {"stiffness": "force/length", "distance": "length", "max_mz": "force length"}.items():
+        data[name].attrs["units"] = units
+        if name in critical.coords:
+            critical[name].attrs = dict(data[name].attrs) if known else {}
+    curve = plot.study(data, critical=critical)[0].collections[1].get_paths()[0].vertices
+    # q = 100 to 300 mm, where the curve is c = 8.64 / q up to interpolation in a coarse grid
+    assert 100 <= curve[:, 1].min() < curve[:, 1].max() <= 300
+    np.testing.assert_allclose(curve[:, 0] * curve[:, 1], 8640.0, rtol=0.1)
+
+
 def test_the_critical_stiffness_is_interpolated():
     critical = steepness(summarised()).isel(distance=1)
     (at,) = studies._crossings(critical.stiffness.values, critical.values)

@@ -33,8 +33,8 @@ def study(
     Args:
         data: result of `summary`, or of `study` with `summary=True`.
         name: a variable with one value per whisker.
-        critical: steepest slope of the clamped whisker's force times the flexibility of the softest base, over the same
-            axes. It is 1 at the critical stiffness, below which scans snap through the vertex; this is marked.
+        critical: critical stiffness (`jw.critical_stiffness`) divided by the stiffness, over the same axes, with any
+            values along them. The figure marks where it is 1: softer springs snap through the vertex.
         units: "auto" (SI with prefixes, such as mm and mN, for scenes whose L and EI are not 1) or "stored" (the
             Dataset's own numbers).
         axs: where to draw: one Axes, or one per whisker for two axes of the study; a new figure by default.
@@ -55,7 +55,7 @@ def study(
     for dim in dims:  # no axis can show infinite parameters, such as the stiffness of a clamp
         data = data.isel({dim: np.isfinite(data[dim].values)}).sortby(dim)
     if units == "auto":
-        critical = None if critical is None else in_shown_units(critical, data.attrs)
+        critical = None if critical is None else in_shown_units(_with_units(critical, data, dims), data.attrs)
         data = in_shown_units(data, data.attrs)
     word = "critical" if data.sizes["whisker"] == 1 else "critical, estimated"
     count = 1 if len(dims) == 1 else data.sizes["whisker"]
@@ -73,6 +73,12 @@ def study(
             ax.label_outer()
     axes[0].figure.colorbar(mesh, ax=list(axes), label=_name_and_unit(data[name]))
     return axes
+
+
+def _with_units(critical: "xr.DataArray", data: "xr.Dataset", dims: list[str]) -> "xr.DataArray":
+    """The array with units of its axes: its own if they are known, else those of the Dataset."""
+    axes = {dim: (dim, critical[dim].values, data[dim].attrs | critical[dim].attrs) for dim in dims}
+    return critical.assign_coords(axes)
 
 
 def _check_dataset(data: Any, name: str) -> None:
