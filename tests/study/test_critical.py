@@ -85,7 +85,7 @@ def test_derivatives_agree_with_differences_in_both_modes(distance):
     for k, slope in enumerate(found):
         way = STEP * np.eye(4)[k]
         expected = (critical(*(at + way)) - critical(*(at - way))) / (2 * STEP)
-        np.testing.assert_allclose(slope, expected, rtol=SLOPES, atol=SLOPES * critical(*at))
+        np.testing.assert_allclose(slope, expected, rtol=SLOPES, atol=SLOPES * float(critical(*at)))
     forwards = jax.jvp(critical, at, (1.0, 2.0, 3.0, 4.0))[1]
     np.testing.assert_allclose(forwards, np.dot(found, [1.0, 2.0, 3.0, 4.0]), rtol=1e-12)
     # It is a stiffness: c L^3 / EI depends on q / L and a L only.
