@@ -44,6 +44,12 @@ def test_sliders_and_their_ranges_follow_the_options():
     assert set(ranges) == {"distance", "a", "b"}
 
 
+def test_parameters_have_the_kinds_of_the_options():
+    kinds = command._kinds(arguments("--model", "FBFB", "--profile", "ellipse"), ("a", "c2", "l1", "length"))
+    assert kinds == {"a": "length", "c2": "stiffness", "l1": "length"}
+    assert command._kinds(arguments("--model", "clamped"), ("a",)) == {"a": "curvature"}
+
+
 def test_scenes_are_those_of_the_options():
     build, _ = command._sliders(arguments("--model", "FBFB", "--stiffness", "70,inf", "--profile", "circle"))
     scene = build(c1=60.0, rest_length=0.1, distance=0.3, radius=2.0)

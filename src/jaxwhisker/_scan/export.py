@@ -99,8 +99,6 @@ def _unit(kind: str, scene: Scene | Sensor) -> str:
     dimensionless = is_dimensionless(scene)
     if kind == "time":  # of scenes with L = EI = 1, in T only if the mass per length is 1, too
         dimensionless &= bool(time_unit(scene.whiskers[0]) == 1)
-    if kind == "curvature":
-        return unit_in_words("number", dimensionless, per="length")
     return unit_in_words(kind, dimensionless)
 
 

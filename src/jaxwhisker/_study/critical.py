@@ -122,7 +122,7 @@ def _search(
     problem, path, *ends, start = jax.lax.stop_gradient((problem, path, first, last, start))
 
     def narrower(ends, _):
-        x = jnp.linspace(*ends, SEARCH_STEPS)
+        x = jnp.linspace(ends[0], ends[1], SEARCH_STEPS)
         solutions = solve_steps(problem, path, x, start - x)
         slope, force = _slopes(problem, x, solutions)
         k = jnp.argmax(jnp.where(jnp.isfinite(slope) & (force > 0), slope, -jnp.inf))

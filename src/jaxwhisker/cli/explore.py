@@ -1,7 +1,7 @@
 """The command `explore`: sliders for one scene, on a local page."""
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
 from jaxwhisker._model.motion import Translation
@@ -80,7 +80,8 @@ def run_explore(args: argparse.Namespace) -> int:
         from jaxwhisker._explore.hosts import serve
         from jaxwhisker._explore.session import Session
 
-        session = Session(*_sliders(args))
+        build, ranges = _sliders(args)
+        session = Session(build, ranges, _kinds(args, ranges))
     serve(session, port=args.port, browser=not args.no_browser)
     return options.OK
 
@@ -103,6 +104,12 @@ def _sliders(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, 
     ranges = {name: limits for name, value in given.items() if (limits := _range(name, value, sizes)) is not None}
     fixed = {name: value[0] for name, value in given.items() if name not in ranges}
     return partial(options.make_scene, args, ClosedForm(), **fixed), ranges
+
+
+def _kinds(args: argparse.Namespace, names: Iterable[str]) -> dict[str, str]:
+    """Kinds of quantities of those parameters that have a default, also of single springs."""
+    defaults = options.defaults_of(args)
+    return {name: defaults[option].kind for name in names if (option := options.option_of(name)) in defaults}
 
 
 def _range(name: str, value: Range, sizes: Mapping[str, float]) -> Range | None:

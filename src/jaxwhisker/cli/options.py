@@ -30,11 +30,10 @@ class Default(NamedTuple):
 
     number: float
     kind: str  # of quantities.KINDS
-    per: str = "number"  # the kind of what it is divided by
 
     def size(self, unit: Units) -> Any:
         """Its unit, in the units of the other options."""
-        force, length = (a - b for a, b in zip(KINDS[self.kind], KINDS[self.per], strict=True))
+        force, length = KINDS[self.kind]
         return unit.force**force * unit.length**length
 
     def value(self, unit: Units) -> Any:
@@ -42,11 +41,11 @@ class Default(NamedTuple):
         return self.number * self.size(unit)
 
     def __str__(self) -> str:
-        words = unit_in_words(self.kind, dimensionless=True, per=self.per)
+        words = unit_in_words(self.kind, dimensionless=True)
         return words if self.number == 1 else f"{self.number:g} {words}"
 
 
-LENGTH, PER_LENGTH = Default(1.0, "length"), Default(1.0, "number", per="length")
+LENGTH, PER_LENGTH = Default(1.0, "length"), Default(1.0, "curvature")
 SPRINGS = {"stiffness": Default(70.0, "stiffness"), "rest_length": Default(SPACING, "length")}
 DISTANCE = Default(0.2, "length")
 LETTERS = {"stiffness": "c", "rest_length": "l"}  # of the parameters of single springs: c1, c2, ..., l1, l2, ...
