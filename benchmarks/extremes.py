@@ -25,7 +25,6 @@ from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._scan.route import across, route_of
 from jaxwhisker._scan.scan import follow_path_now, problem_now
 from jaxwhisker._scan.steps import interpolate
-from jaxwhisker._study.critical import steepest
 
 # isort: split
 # After common, which puts the oracles on the search path.
@@ -115,7 +114,7 @@ def cases() -> list[Case]:
         ),
         Case("simultaneous events", "two whiskers, rigid", [((0, 1), INF, 0.2), ((0, 2), INF, 0.2)]),
     ]
-    critical = steepest(jw.Whisker(), jw.Parabola(0.1)).slope
+    critical = float(jw.critical_stiffness(jw.Whisker(), jw.Parabola(0.1)))
     made += [Case("critical stiffness", f"1 {sign} {size:.0e}", fb(critical * (1 + float(f"{sign}{size}"))),
                   profile=("parabola", {"distance": 0.1, "a": 1.0}), control=across)
              for size in (1e-3, 1e-6, 1e-9) for sign in "+-"]  # fmt: skip

@@ -24,7 +24,6 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np
 
 import jaxwhisker as jw
-from jaxwhisker._study.critical import steepest, steepness
 
 
 def build(stiffness, distance=0.2):
@@ -85,12 +84,9 @@ peaks[
 # spring, the base snaps past the states that contain the peak.
 
 # %%
-critical = steepest(jw.Whisker(), jw.Parabola(0.2))
-print(
-    f"critical stiffness {critical.slope:.3f} EI/L³,",
-    f"reached with the base at x0 = {critical.base_x:.3f} L",
-)
-ax = jw.plot.study(peaks, critical=steepness(build, peaks))[0]
+critical = float(jw.critical_stiffness(jw.Whisker(), jw.Parabola(0.2)))
+print(f"critical stiffness {critical:.3f} EI/L³")
+ax = jw.plot.study(peaks, critical=critical / peaks.stiffness)[0]
 
 # %% [markdown]
 # The largest moment over the stiffness. Right of the dashed line, it does not depend on
@@ -98,7 +94,7 @@ ax = jw.plot.study(peaks, critical=steepness(build, peaks))[0]
 # the position of the snap.
 
 # %%
-above = peaks.stiffness > critical.slope
+above = peaks.stiffness > critical
 unchanged, skipped = (
     peaks.max_mz.isel(whisker=0).sel(stiffness=which) for which in (above, ~above)
 )
@@ -129,7 +125,9 @@ relative.fraction.attrs = {
     "long_name": "largest mz, fraction of that with the stiffest spring",
     "units": "1",
 }
-ax = jw.plot.study(relative, "fraction", critical=steepness(build, both))[0]
+of_distance = jax.vmap(lambda q: jw.critical_stiffness(jw.Whisker(), jw.Parabola(q)))
+critical = both.distance.copy(data=of_distance(both.distance.values)) / both.stiffness
+ax = jw.plot.study(relative, "fraction", critical=critical)[0]
 
 # %% [markdown]
 # The largest moment as a fraction of that with the stiffest spring. It is 1 right of

@@ -30,13 +30,14 @@ import jaxwhisker as jw
 #
 # The diameter of `Whisker.conical` decreases linearly from base to tip. Positive
 # `intrinsic_curvature` bends the unloaded whisker towards -x, the direction of the
-# scan. With E = 64/pi and a base diameter of 1, the bending stiffness at the base is 1.
+# scan. With E = 64e4/pi and a base diameter of 0.1, the bending stiffness at the base
+# is 1.
 
 
 # %%
-def clamped(tip_diameter, curvature):
+def clamped(taper, curvature):
     cone = jw.Whisker.conical(
-        1.0, youngs_modulus=64 / np.pi, base_diameter=1.0, tip_diameter=tip_diameter
+        1.0, youngs_modulus=64e4 / np.pi, base_diameter=0.1, tip_diameter=0.1 * taper
     )
     return jw.Scene(
         jw.Whisker(1.0, cone.bending_stiffness, curvature), jw.Parabola(0.2)

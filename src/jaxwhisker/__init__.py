@@ -36,6 +36,7 @@ from jaxwhisker._scan.result import Event, Events, Result
 from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.shapes import Shapes, shapes
 from jaxwhisker._scan.state import State
+from jaxwhisker._study.critical import critical_stiffness
 from jaxwhisker._study.study import study
 from jaxwhisker._study.summary import summary
 from jaxwhisker.film.animate import animate
@@ -99,6 +100,7 @@ __all__ = [
     "Whisker",
     "Whisking",
     "animate",
+    "critical_stiffness",
     "deflect",
     "design",
     "energy_balance",

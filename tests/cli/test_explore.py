@@ -33,12 +33,21 @@ def test_sliders_and_their_ranges_follow_the_options():
         "a": (0.2, 5.0, 1.0),
     }
     _, ranges = command._sliders(arguments("--stiffness", "900", "--distance", "0.1:0.3", "--length", "1:2:1.5"))
-    assert ranges["stiffness"] == (10.0, 900.0, 900.0)
+    assert ranges["stiffness"] == (2.963, 900.0, 900.0)  # from 10 EI/L^3
     assert (ranges["distance"], ranges["length"]) == ((0.1, 0.3), (1.0, 2.0, 1.5))
+    _, ranges = command._sliders(arguments("--model", "FBFB", "--length", "0.08", "--bending-stiffness", "6.4e-4"))
+    expected = {"stiffness": (12.5, 625.0, 87.5), "rest_length": (0.0, 0.04, 0.016), "distance": (0.004, 0.076, 0.016)}
+    assert ranges == {name: pytest.approx(limits) for name, limits in (expected | {"a": (2.5, 62.5, 12.5)}).items()}
     _, ranges = command._sliders(arguments("--model", "FBFB", "--stiffness", "70,inf", "--rest-length", "0.1,0:1:0.3"))
     assert {"c1", "l1", "l2"} < set(ranges) and "c2" not in ranges and ranges["l2"] == (0.0, 1.0, 0.3)
     _, ranges = command._sliders(arguments("--model", "clamped", "--profile", "ellipse"))
     assert set(ranges) == {"distance", "a", "b"}
+
+
+def test_parameters_have_the_kinds_of_the_options():
+    kinds = command._kinds(arguments("--model", "FBFB", "--profile", "ellipse"), ("a", "c2", "l1", "length"))
+    assert kinds == {"a": "length", "c2": "stiffness", "l1": "length"}
+    assert command._kinds(arguments("--model", "clamped"), ("a",)) == {"a": "curvature"}
 
 
 def test_scenes_are_those_of_the_options():

@@ -30,7 +30,11 @@ def arguments(*argv):
         ),
         (
             ["--length", "2", "--bending-stiffness", "3", "--profile", "ellipse", "--b", "0.5", "--position", "0.1"],
-            jw.Scene(jw.Whisker(2.0, 3.0), jw.Ellipse(0.2, a=1.0, b=0.5, position=0.1), jw.Support.fb(70.0, 0.2)),
+            jw.Scene(jw.Whisker(2.0, 3.0), jw.Ellipse(0.4, a=2.0, b=0.5, position=0.1), jw.Support.fb(26.25, 0.4)),
+        ),
+        (
+            ["--model", "fbfbr", "--length", "0.5", "--bending-stiffness", "0.5", "--distance", "0.3"],
+            jw.Scene(jw.Whisker(0.5, 0.5), jw.Parabola(0.3, a=2.0), jw.Support.fbfbr(280.0, 0.1)),
         ),
     ],
 )

@@ -176,4 +176,4 @@ def test_one_range_is_drawn_as_lines(stored):
     np.testing.assert_array_equal(np.asarray(curve.get_xdata()), [-5.0, 50.0, 80.0])  # infinity is left out
     np.testing.assert_array_equal(np.asarray(curve.get_ydata()), found.max_mz.values[:3, 0])
     np.testing.assert_allclose(np.asarray(critical.get_xdata()), [60.0, 60.0])
-    assert ax.get_xlabel() == "stiffness [EI/L^3]" and ax.get_ylabel() == "largest mz [EI/L]"
+    assert ax.get_xlabel() == "stiffness (EI/L$^{3}$)" and ax.get_ylabel() == "largest $m_z$ (EI/L)"

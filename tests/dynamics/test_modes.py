@@ -62,9 +62,9 @@ def test_cones(case):
 
 
 def test_a_cone_of_a_density():
-    # E = 64 / pi and rho = 4 / pi: EI = d^4 and rho A = d^2.
+    # E = 64e4 / pi and rho = 400 / pi: EI = (10 d)^4 and rho A = (10 d)^2.
     case = REFERENCE["tapered"][1]
-    cone = jw.Whisker.conical(1.0, 64 / np.pi, 1.0, case["taper"], density=4 / np.pi)
+    cone = jw.Whisker.conical(1.0, 64e4 / np.pi, 0.1, 0.1 * case["taper"], density=400 / np.pi)
     np.testing.assert_allclose(jw.modes(cone).omega, case["omega"], rtol=0, atol=PRINTED)
 
 

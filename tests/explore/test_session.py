@@ -129,6 +129,18 @@ def test_wide_ranges_are_logarithmic_and_start_in_the_middle():
     assert [slider.start for slider in sliders] == [70.71, 105.0, 250.0, 249.5, 2.0]
 
 
+def test_sliders_of_scenes_in_si_show_units_with_prefixes():
+    def build(stiffness, distance, c1, x):
+        return jw.Scene(jw.Whisker(0.08, 6.4e-4), jw.Parabola(distance, 12.5, x), jw.Support.fb(stiffness + c1))
+
+    ranges = {"stiffness": (10, 500), "distance": (0.004, 0.07, 0.016), "c1": (0, 1), "x": (0, 0.01)}
+    sliders = Session(build, ranges, {"c1": "stiffness"}).description["sliders"]
+    units = [(each["unit"]["name"], pytest.approx(each["unit"]["size"])) for each in sliders]
+    assert units == [("N/m", 1.0), ("mm", 1e-3), ("N/m", 1.0), ("", 1.0)]
+    assert sliders[1]["start"] == 0.016  # the values themselves are those of the scene
+    assert Session(fixed, {"x": (0.1, 0.9)}).description["sliders"][0]["unit"] == {"name": "", "size": 1.0}
+
+
 def tapered(taper, width=1.0):
     return jw.Scene(jw.Whisker(1.0, lambda s: (1 - taper * s) ** 4), jw.Graph(lambda x: 0.2 + (x / width) ** 2))
 

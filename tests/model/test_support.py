@@ -23,6 +23,38 @@ def test_named_models():
     assert jw.Support.follicle(phi=3.0).name == "follicle"
 
 
+@pytest.mark.parametrize("length", [1.0, 80.0, 0.08])
+def test_default_rest_lengths_scale_with_the_first_whisker(length):
+    whiskers = (jw.Whisker(length), jw.Whisker(3 * length), jw.Whisker(length))
+    for each in (
+        jw.Scene(whiskers, jw.Parabola(0.2 * length), jw.Support.fbfbfbr(5.0)),
+        jw.Sensor(whiskers, jw.Support.fbfbfbr(5.0)),
+    ):
+        found = [spring.rest_length for spring in each.support.springs]
+        assert found == [spring.rest_length for spring in jw.Support.fbfbfbr(5.0, 0.2 * length).springs]
+    loose = jw.Support((jw.Spring((0, 1), 5.0, None), jw.Spring((2, 1), 5.0, None), jw.Spring((0, 2), 5.0, 0.3)))
+    found = jw.Sensor(jw.Whisker(length), loose).support.springs
+    assert [spring.rest_length for spring in found] == [0.2 * length, -0.2 * length, 0.3]
+    held = jw.deflect(jw.Whisker(length), jw.PointForce(1e-3 / length**2), support=jw.Support.fb(1e9), points=2)
+    np.testing.assert_allclose(held.base_x, 0.2 * length, rtol=1e-6)  # where the stiff spring holds it
+
+
+def test_default_rest_lengths_have_a_derivative_by_the_length():
+    def rest(length):
+        return jw.Sensor(jw.Whisker(length), jw.Support.fbfbr(5.0)).support.springs[2].rest_length
+
+    for slope in (jax.grad(rest), jax.jacfwd(rest), jax.jit(jax.grad(rest))):
+        np.testing.assert_allclose(slope(0.08), 0.4, rtol=EXACT)
+    np.testing.assert_allclose(jax.vmap(rest)(jnp.array([1.0, 0.08])), [0.4, 0.032], rtol=EXACT)
+
+
+def test_a_support_without_a_scene_has_a_flexibility_but_no_place():
+    flexibility, known = jw.Support.fbfbr(5.0).flexibility(), jw.Support.fbfbr(5.0, 0.2).flexibility()
+    assert flexibility is not None and known is not None
+    np.testing.assert_array_equal(flexibility.matrix, known.matrix)
+    assert np.isnan(flexibility.offset).all()
+
+
 def test_a_clamped_support_has_no_flexibility():
     assert jw.Support.clamped().flexibility() is None
     assert jw.Support.follicle().flexibility() is None
@@ -79,6 +111,12 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         ),
         (lambda: jw.Mount(angle=2.0), "`angle` must be less than a right angle, got 2 rad"),
         (lambda: jw.Support.fbfbr(jnp.inf, [0.2, 0.2, 0.5]), "`rest_length` must be the same along all paths"),
+        (
+            lambda: jw.Sensor(
+                jw.Whisker(3.0), jw.Support(jw.Support.fb(jnp.inf).springs + jw.Support.fb(jnp.inf, 0.2).springs)
+            ),
+            r"`rest_length` must be the same along all paths .*, got \[0.6\d*, 0.2\]",
+        ),
         (lambda: jw.Support.named("BFF", 70.0), "`model` must be one of clamped, FB, FBFB, .*, got 'BFF'"),
     ],
 )

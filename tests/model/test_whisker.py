@@ -35,7 +35,7 @@ def test_bending_stiffness_of_a_circular_section():
 
 
 def test_a_cone_has_a_linear_diameter():
-    cone = jw.Whisker.conical(2.0, 64 / np.pi, 1.0, 0.5)
+    cone = jw.Whisker.conical(2.0, 64e4 / np.pi, 0.1, 0.05)
     actual = [float(cone.stiffness_at(s)) for s in (0.0, 1.0, 2.0)]
     np.testing.assert_allclose(actual, [1.0, 0.75**4, 0.5**4], rtol=EXACT)
 
@@ -54,7 +54,7 @@ def test_a_rat_has_the_whiskers_of_the_regressions():
 
 
 def test_masses_follow_from_a_density():
-    cone = jw.Whisker.conical(2.0, 64 / np.pi, 1.0, 0.5, density=4 / np.pi)
+    cone = jw.Whisker.conical(2.0, 64e4 / np.pi, 0.1, 0.05, density=400 / np.pi)
     np.testing.assert_allclose([float(cone.mass_at(s)) for s in (0.0, 1.0, 2.0)], [1.0, 0.75**2, 0.5**2], rtol=EXACT)
     rod = jw.Whisker.from_material(0.05, 3e9, 2e-4, density=1300.0)
     assert float(rod.mass_at(0.02)) == pytest.approx(1300 * np.pi / 4 * 2e-4**2, rel=EXACT)
@@ -160,6 +160,13 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (lambda: jw.Whisker(base_inertia="1"), "`base_inertia` must be a non-negative finite number, got '1'"),
         (lambda: jw.Whisker.rat("C", 2, density=-1.0), "`density` must be a positive finite number, got -1"),
         (lambda: jw.Whisker.from_material(1.0, -1.0, 1.0), "`youngs_modulus` must be a positive finite number, got -1"),
+        (
+            lambda: jw.Whisker.from_material(0.06, 210e9, 0.3),
+            r"`diameter` must be at most 1/5 of the length 0.06, in the same unit: .*; got 0.3\.",
+        ),
+        (lambda: jw.Whisker.from_material(0.06, 210e9, lambda s: 1e-3 + s), "`diameter` must be at most .*; got 0.061"),
+        (lambda: jw.Whisker.conical(0.06, 3e9, 0.2, 0.0), "`base_diameter` must be at most 1/5 .*; got 0.2"),
+        (lambda: jw.Whisker.conical(0.06, 3e9, 2e-4, 0.1), "`tip_diameter` must be at most 1/5 .*; got 0.1"),
         (
             lambda: jw.Whisker(intrinsic_curvature=1.6),
             r"`intrinsic_curvature` must turn .* less than a right angle, got a turn of 91\.67 degrees",

@@ -129,7 +129,7 @@ def test_free_whiskers_have_their_unloaded_shape():
 
 
 # Length, Young's modulus, diameters at base and tip, curvatures at base and tip, stiffness of the spring.
-P = jnp.array([1.0, 64 / np.pi, 1.0, 0.3, 0.3, 0.7, 70.0])
+P = jnp.array([1.0, 64e4 / np.pi, 0.1, 0.03, 0.3, 0.7, 70.0])
 
 
 def observed(p):

@@ -12,7 +12,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._inverse.observations import read_observations
 from jaxwhisker._scan.quantities import REACTIONS
-from pictured import swept
+from pictured import summarised, swept
 from scenes import model
 
 CONTROL = np.linspace(0.72, -1.62, 118)
@@ -90,10 +90,80 @@ def test_the_table_of_a_motion_has_its_times(tmp_path):
         np.testing.assert_array_equal(table[name], column)
     jw.to_csv(motion, path)
     assert_same(read_observations(path), motion)
-    assert "times in L^2 sqrt(rho A/EI)" in path.read_text().splitlines()[0]
+    assert "; units: time (time), control (L), fx (EI/L^2)" in path.read_text().splitlines()[0]
     batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), motion)
     with pytest.raises(ValueError, match=r"`result` must be a single simulation, got a batch of shape \(2,\)"):
         jw.to_dataframe(batch)
+
+
+def with_scene(result, scene):
+    fields = {name: getattr(result, name) for name in type(result).__dataclass_fields__}
+    return type(result)(**fields | {"scene": scene})
+
+
+SPRINGS = jw.Support((jw.Spring((0, 1), 50.0, 0.01), jw.Spring((0, 1), 2.0, axis="phi")))
+IN_SI = jw.Scene(jw.Whisker(0.08, 1e-3), jw.Parabola(0.02), SPRINGS, motion=jw.Rotation((0.0, 0.0)))
+HEADERS = {
+    "scan": (lambda result: result, ["control (L)", "fx (EI/L^2)", "mz (EI/L)", "base_angle (rad)", "spring_3 (L)"]),
+    "scan in SI": (
+        lambda result: with_scene(result, IN_SI),
+        ["control (rad)", "fx (force)", "mz (force length)", "spring_1 (length)", "spring_2 (rad)"],
+    ),
+    "motion": (lambda _: swept(), ["time (time)", "gap (L)", "fx (EI/L^2)"]),
+    "motion of unit mass": (
+        lambda _: with_scene(swept(), jw.Scene(jw.Whisker(mass_per_length=1.0), jw.Parabola(0.2))),
+        ["time (T)", "gap (L)"],
+    ),
+    "deflection": (lambda _: jw.deflect(jw.Whisker(), jw.PointForce(1.0)), ["s (L)", "angle (rad)", "curvature (1/L)"]),
+    "deflection in SI": (
+        lambda _: jw.deflect(jw.Whisker(0.08, 1e-3), jw.PointForce(1e-2)),
+        ["x (length)", "curvature (1/length)", "reaction fx = 0.01", "in force and force length"],
+    ),
+    "summary": (lambda _: summarised(), ["stiffness (EI/L^3)", "distance (L)", "max_mz (EI/L)"]),
+}
+
+
+@pytest.mark.parametrize("kind", HEADERS)
+def test_the_header_names_the_units_of_the_columns(kind, result, tmp_path):
+    make, words = HEADERS[kind]
+    jw.to_csv(made := make(result), tmp_path / "table.csv")
+    head, names, *rows = (tmp_path / "table.csv").read_text().splitlines()
+    assert head.startswith("# ") and [word for word in words if word not in head] == []
+    assert ("such as N, m and s" in head) == any(unit in head for unit in ("force", "length)", "(time)"))
+    assert names.split(",") == list(jw.to_dataframe(made)) and len(rows) == len(jw.to_dataframe(made))
+
+
+def test_a_deflection_has_one_row_for_each_point():
+    bent = jw.deflect(jw.Whisker(), jw.PointForce(1.0))
+    table = jw.to_dataframe(bent)
+    assert list(table) == ["s", "x", "y", "angle", "curvature"]
+    np.testing.assert_array_equal(table.x, bent.x)
+
+
+def test_a_study_has_one_row_for_each_scene_and_drive_position(result, tmp_path):
+    peaks = summarised()
+    table = jw.to_dataframe(peaks)
+    assert list(table) == ["stiffness", "distance", "max_mz_1", "max_mz_2"] and len(table) == 21
+    at = table[(table.stiffness == 50.0) & (table.distance == 0.3)]
+    assert at.max_mz_2.item() == peaks.max_mz.sel(stiffness=50.0, distance=0.3, whisker=2).item()
+    data = result.to_xarray().expand_dims(length=[1.0, 2.0]).assign(peak=("length", [3.0, 4.0]))
+    jw.to_csv(data, tmp_path / "study.csv")
+    table = pd.read_csv(tmp_path / "study.csv", comment="#")
+    assert list(table)[:2] == ["length", "control"] and len(table) == 2 * CONTROL.size
+    assert not any(name.startswith(("event_kind", "before", "after")) for name in table)
+    second = table[table.length == 2.0]
+    np.testing.assert_allclose(second.mz_2, result.mz[:, 1], rtol=PARSED)
+    np.testing.assert_allclose(second.spring_3, result.spring_length[:, 2], rtol=PARSED)
+    np.testing.assert_array_equal(second.peak, 4.0)
+
+
+@pytest.mark.unchecked
+def test_tables_of_events_or_batches_are_rejected(result):
+    with pytest.raises(ValueError, match="`result` must be a Dataset with variables that do not belong to events"):
+        jw.to_dataframe(result.to_xarray()[["event_kind"]])
+    bent = jax.vmap(lambda f: jw.deflect(jw.Whisker(), jw.PointForce(f)))(jnp.array([1.0, 2.0]))
+    with pytest.raises(ValueError, match=r"`result` must be a single deflection, got a batch of shape \(2,\)"):
+        jw.to_dataframe(bent)
 
 
 @pytest.mark.unchecked

@@ -17,6 +17,7 @@ from jaxwhisker._scan.quantities import (
     UnitSystem,
     control_kind,
     control_name,
+    dimensionless_label,
     in_si,
     kind_of,
     unit_in_words,
@@ -98,8 +99,10 @@ def test_a_scene_in_si_units():
     for name, (unit, size) in expected.items():
         assert units.unit(name).name == unit
         np.testing.assert_allclose(units.unit(name).size, size, rtol=ROUNDING)
-    assert units.of_kind("stiffness").name == "mN/mm"
+    assert units.of_kind("stiffness").name == "N/m"
     np.testing.assert_allclose(units.of_kind("stiffness").size, 1.0, rtol=ROUNDING)
+    assert (units.of_kind("curvature").name, dimensionless_label("k", "curvature")) == ("1/mm", r"$k\,L$")
+    assert UnitSystem(jw.Scene(jw.Whisker(0.033, 2e-8), jw.Parabola(0.01))).of_kind("stiffness").name == "mN/m"
     assert units.of_kind("bending stiffness").name == "mN mm^2"
     assert (units.label("control"), units.label("mz")) == ("$u$ (mm)", "$m_z$ (mN mm)")
     np.testing.assert_allclose(units.shown("base_x", [0.012]), [12.0], rtol=ROUNDING)
@@ -143,8 +146,9 @@ def test_prefixes_leave_one_to_three_digits(size, unit):
     [
         ("force", ("mN", 1e-3)),
         ("force length", ("mN mm", 1e-6)),
-        ("force/length", ("mN/mm", 1.0)),
+        ("force/length", ("N/m", 1.0)),
         ("force length^2", ("mN mm^2", 1e-9)),
+        ("1/length", ("1/mm", 1e3)),
         ("length/force^2", ("mm/mN^2", 1e3)),
         ("rad/length", ("rad/mm", 1e3)),
         ("1", ("1", 1.0)),

@@ -1,6 +1,7 @@
 """The critical stiffness, compared with the closed form and with scans on both sides of it."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -64,9 +65,52 @@ def test_compliance_of_the_softest_base():
     for name, value in softness.items():
         assert abs(softest(jw.Support.named(name, 10.0)) - value / 10) < 1e-15
     assert softest(jw.Support.clamped()) == 0
+    assert softest(jw.Support.follicle(x=20.0, y=1.0, phi=0.1)) == 0.05  # along x only
+
+
+STEP = 1e-5
+SLOPES = 1e-6  # relative, of derivatives: both the differences and the position of the maximum limit it
+# Distance, a, length, bending stiffness. The maximum is at the vertex and moves with it.
+AT_VERTEX = (0.46, 1.0, 1.0, 1.0)
+
+
+def critical(distance, a, length, bending_stiffness):
+    return jw.critical_stiffness(jw.Whisker(length, bending_stiffness), jw.Parabola(distance, a))
+
+
+@pytest.mark.parametrize("distance", [0.1, 0.46])
+def test_derivatives_agree_with_differences_in_both_modes(distance):
+    at = (distance, *AT_VERTEX[1:])
+    found = jax.grad(critical, argnums=(0, 1, 2, 3))(*at)
+    for k, slope in enumerate(found):
+        way = STEP * np.eye(4)[k]
+        expected = (critical(*(at + way)) - critical(*(at - way))) / (2 * STEP)
+        np.testing.assert_allclose(slope, expected, rtol=SLOPES, atol=SLOPES * float(critical(*at)))
+    forwards = jax.jvp(critical, at, (1.0, 2.0, 3.0, 4.0))[1]
+    np.testing.assert_allclose(forwards, np.dot(found, [1.0, 2.0, 3.0, 4.0]), rtol=1e-12)
+    # It is a stiffness: c L^3 / EI depends on q / L and a L only.
+    np.testing.assert_allclose(found[3], critical(*at), rtol=SLOPES)
+
+
+def test_batches_are_those_of_single_values_and_the_hopeless_lane_has_no_derivative():
+    batch, slopes = jax.vmap(jax.value_and_grad(lambda q: critical(q, *AT_VERTEX[1:])))(jnp.array([0.1, 0.46, 1.3]))
+    assert np.isnan(batch[2]) and slopes[2] == 0
+    for k, q in enumerate((0.1, 0.46)):
+        np.testing.assert_allclose(batch[k], critical(q, *AT_VERTEX[1:]), rtol=1e-12)
+        np.testing.assert_allclose(slopes[k], jax.grad(critical)(q, *AT_VERTEX[1:]), rtol=1e-12)
+
+
+def test_it_can_be_compiled():
+    assert abs(jax.jit(critical)(*AT_VERTEX) / EXACT[0.46][0] - 1) < SLOPE
+
+
+def test_of_coupled_whiskers_and_several_objects():
+    far, near = jw.Parabola(0.4), jw.Parabola(0.1, position=-5.0)
+    assert abs(jw.critical_stiffness(jw.Whisker(), far, "FBFB") / EXACT[0.4][0] / 2 - 1) < SLOPE
+    assert abs(jw.critical_stiffness(jw.Whisker(), (far, near)) / EXACT[0.1][0] - 1) < SLOPE
 
 
 @pytest.mark.unchecked
-def test_a_traced_object_is_rejected():
-    with pytest.raises(ValueError, match="must be concrete, got traced ones"):
-        jax.jit(lambda q: steepest(jw.Whisker(), jw.Parabola(q)).slope)(0.2)
+def test_an_unknown_model_is_rejected():
+    with pytest.raises(ValueError, match=r"`model` must be one of clamped, FB, .*, got 'BF'"):
+        jw.critical_stiffness(jw.Whisker(), jw.Parabola(0.2), "BF")

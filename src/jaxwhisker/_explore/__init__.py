@@ -42,9 +42,10 @@ def explore(build: "Callable[..., Scene | Simulation]", /, **ranges: Any) -> Any
             more springs, or a plain function that depends on a slider (an `equinox.Module` with numeric fields does
             not). So does a number of time steps that depends on a slider. Every sample of a simulation is drawn: a few
             hundred are enough (`every`).
-        ranges: (low, high) or (low, high, start) for each parameter by name, in the unit of the parameter. By default a
-            slider starts in the middle. It is logarithmic if high/low > 20 and low > 0. Parameters of `build` without
-            a range keep their defaults.
+        ranges: (low, high) or (low, high, start) for each parameter by name, in the unit of the parameter. Sliders show
+            scenes in SI units with prefixes, as figures do, if their names end with `length`, `distance`, `radius`,
+            `position` or `stiffness`. By default a slider starts in the middle. It is logarithmic if high/low > 20 and
+            low > 0. Parameters of `build` without a range keep their defaults.
 
     Returns:
         The widget in Jupyter, else None.

@@ -59,6 +59,11 @@ function valueAt({ low, high, logarithmic }, position) {
   return share === 0 ? low : share === 1 ? high : Math.min(Math.max(value, low), high);
 }
 
+/** A value of a parameter in the unit in which it is shown. */
+function withUnit({ unit }, value) {
+  return `${Number((value / unit.size).toPrecision(12))} ${unit.name}`.trim();
+}
+
 function positionOf({ low, high, logarithmic }, value) {
   const share = logarithmic ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
   return Math.round(share * POSITIONS);
@@ -103,11 +108,11 @@ export function explore(el, { sliders, position, phases, statuses }, ask) {
   for (const range of sliders) {
     const { input, setText, element } = slider(range.name, range.logarithmic ? " (log)" : "", (position) => {
       values[range.name] = valueAt(range, position);
-      setText(`${values[range.name]}`);
+      setText(withUnit(range, values[range.name]));
       refresh();
     });
     input.value = positionOf(range, range.start);
-    setText(`${range.start}`);
+    setText(withUnit(range, range.start));
     controls.append(element);
   }
 

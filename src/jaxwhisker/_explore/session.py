@@ -21,6 +21,8 @@ from jaxwhisker._explore.code import code_of, code_of_call
 from jaxwhisker._explore.picture import packed_error, packed_picture, picture_of, picture_of_motion
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
+from jaxwhisker._scan.quantities import Unit, UnitSystem
+from jaxwhisker._study.layout import kind_of_axis
 
 LOGARITHMIC = 20.0  # a range from a positive number to more than this many times that number is logarithmic
 DIGITS = 4  # of the value in the middle of a range, like those of values to which a slider is dragged
@@ -43,6 +45,7 @@ class Slider(NamedTuple):
     high: float
     start: float
     logarithmic: bool
+    unit: Unit = Unit("", 1.0)  # in which the page shows its values
 
 
 class Session:
@@ -51,6 +54,7 @@ class Session:
     Args:
         build: makes a Scene or a Simulation from numbers given by name.
         ranges: a range for each slider; see `jw.explore`.
+        kinds: kinds of quantities, as in `quantities.KINDS`, of parameters whose names do not suggest them.
 
     Raises:
         ValueError: as for `jw.explore`.
@@ -58,17 +62,28 @@ class Session:
 
     sliders: tuple[Slider, ...]
 
-    def __init__(self, build: Callable[..., Scene | Simulation], ranges: Mapping[str, Any]):
+    def __init__(
+        self,
+        build: Callable[..., Scene | Simulation],
+        ranges: Mapping[str, Any],
+        kinds: Mapping[str, str] | None = None,
+    ):
         checks.float64_mode()
-        self.sliders = tuple(slider_of(name, given) for name, given in ranges.items())
+        sliders = [slider_of(name, given) for name, given in ranges.items()]
         self._build, self._functions = build, _Functions()
-        self._kind = type(self._built({slider.name: slider.start for slider in self.sliders}))
+        first = self._built({slider.name: slider.start for slider in sliders})
+        units = UnitSystem(first.scene if isinstance(first, Simulation) else first)
+        kind_of = {name: kind_of_axis(name) for name in ranges} | dict(kinds or {})
+        self.sliders = tuple(
+            s if units.dimensionless else s._replace(unit=units.of_kind(kind_of[s.name])) for s in sliders
+        )
+        self._kind = type(first)
 
     @property
     def description(self) -> dict[str, Any]:
         """What a page needs before the first picture."""
         return {
-            "sliders": [slider._asdict() for slider in self.sliders],
+            "sliders": [slider._asdict() | {"unit": slider.unit._asdict()} for slider in self.sliders],
             "position": "time" if issubclass(self._kind, Simulation) else "drive",
             "phases": [phase.name for phase in Phase],
             "statuses": [status.name for status in Status],

@@ -77,7 +77,8 @@ def flexibility(springs: tuple[Spring, ...], whiskers: int) -> Flexibility:
     """
     paths, loops = _spanning_tree(springs, whiskers)
     softness = [s.softness for s in springs]
-    rest = [jnp.asarray(s.rest_length, dtype=float) for s in springs]
+    # A default rest length is unknown without a whisker; then the offset is, but not the matrix.
+    rest = [jnp.asarray(jnp.nan if s.rest_length is None else s.rest_length, dtype=float) for s in springs]
     tree = sorted(set().union(*paths.values()))
     signs = jnp.array([[paths[base].get(k, 0.0) for k in tree] for base in range(1, whiskers + 1)])
     soft = jnp.stack([softness[k] for k in tree])

@@ -79,6 +79,9 @@ class Scene(eqx.Module):
     friction: Scalar | None = None
     detect: str | tuple[str, ...] | None = eqx.field(static=True, default=None, converter=_as_names)
 
+    def __post_init__(self):
+        self.support = _in_row(self.whisker, self.support)
+
     def __check_init__(self):
         allowed = "a Parabola, Circle, Ellipse, Graph, Contour, Polygon, Box, Cut or Tilted, or a tuple of these"
         checks.instance("profile", self.profile, AbstractProfile, allowed)
@@ -180,6 +183,9 @@ class Sensor(eqx.Module):
     motion: AbstractMotion = Translation()
     friction: Scalar | None = None
 
+    def __post_init__(self):
+        self.support = _in_row(self.whisker, self.support)
+
     def __check_init__(self):
         _check_sensor(self.whisker, self.support, self.motion, self.friction)
 
@@ -222,6 +228,12 @@ def _check_sensor(whisker: Any, support: Any, motion: Any, friction: Any) -> Non
     tissue = any(one is not None for one in support.foundations)
     if tissue and any(w.intrinsic_curvature is not None for w in whiskers):
         checks.fail("whisker", "straight on a Foundation", "one with an intrinsic curvature")
+
+
+def _in_row(whisker: Any, support: Any) -> Any:
+    """The support with the rest lengths that follow from the first whisker; wrong types are rejected later."""
+    first = whisker[0] if isinstance(whisker, tuple) and whisker else whisker
+    return support.in_row(first.length) if isinstance(support, Support) and isinstance(first, Whisker) else support
 
 
 def _each_whisker(whisker: Whisker | tuple[Whisker, ...], support: Support) -> tuple[Whisker, ...]:

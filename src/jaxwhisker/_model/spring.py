@@ -20,6 +20,7 @@ ONE_SIDED = ("tension", "compression")
 _K = np.arange(1, 16)
 _AT, _VECTORS = np.linalg.eigh(np.diag(_K / np.sqrt(4.0 * _K**2 - 1), -1))
 POINTS, WEIGHTS = (_AT + 1) / 2, _VECTORS[0] ** 2
+SPACING = 0.2  # default distance between neighbours in a row, in lengths of the first whisker
 
 
 class Spring(eqx.Module):
@@ -40,7 +41,8 @@ class Spring(eqx.Module):
             with one traced number, and the parameters of an `equinox.Module` are differentiable.
         rest_length: lambda, a length, or an angle in rad for a torsion spring: position of `second` relative to
             `first` at rest; may be negative. That of an axial spring is its absolute value, and its sign tells on which
-            side of `first`, along x, `second` is before any contact.
+            side of `first`, along x, `second` is before any contact. None, along x or axial: `second` - `first` times
+            0.2 lengths of the first whisker of the scene, so that the bases rest in a row at equal distances.
         axis: "x" or "y", across or along the upright whisker in the frame of the drive, "phi" for a torsion spring, or
             "axial" for a spring along the line between its ends, whichever way that turns. Lengths and angles are
             positive along +x, +y and counter-clockwise.
@@ -66,7 +68,7 @@ class Spring(eqx.Module):
 
     between: tuple[int, int] = eqx.field(static=True)
     stiffness: Scalar | Callable[[Any], Any] | None = eqx.field(default=None, converter=number_or_function("stiffness"))
-    rest_length: Scalar = 0.0
+    rest_length: Scalar | Any = 0.0  # None only until a scene replaces it by a number
     axis: str = eqx.field(static=True, default="x")
     compliance: Scalar | None = eqx.field(default=None, kw_only=True)
     at: Scalar | tuple[Scalar, Scalar] | None = eqx.field(default=None, kw_only=True)
@@ -88,9 +90,10 @@ class Spring(eqx.Module):
             checks.number("stiffness", self.stiffness, positive=True, finite=False)
         if self.compliance is not None:
             checks.number("compliance", self.compliance, non_negative=True)
-        checks.number("rest_length", self.rest_length)
         if self.axis not in (*AXES, "axial"):
             checks.fail("axis", f"one of {', '.join(AXES)}, axial", repr(self.axis))
+        if self.rest_length is not None or self.axis not in ("x", "axial"):
+            checks.number("rest_length", self.rest_length)
         if self.at is not None and self.between[0] != 0:
             checks.pair("at", self.at)
         elif self.at is not None:
@@ -130,6 +133,14 @@ class Spring(eqx.Module):
         if self.compliance is not None:
             return jnp.asarray(self.compliance, dtype=float)
         return 1 / jnp.asarray(self.stiffness, dtype=float)
+
+    def in_row(self, whisker: Scalar) -> "Spring":
+        """The spring with its rest length, whose default depends on the length of the first whisker."""
+        if self.rest_length is not None:
+            return self
+        first, second = self.between
+        rest = (second - first) * (SPACING * whisker)
+        return eqx.tree_at(lambda spring: spring.rest_length, self, rest, is_leaf=lambda leaf: leaf is None)
 
     def energy(self, length: Scalar) -> Float[Array, ""]:
         """Energy stored at this length or angle."""

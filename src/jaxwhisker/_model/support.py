@@ -1,5 +1,6 @@
 """The support: springs between the drive (0) and the whiskers (1 to N), and the mounts of the whiskers."""
 
+import dataclasses
 from collections import Counter
 from typing import Any
 
@@ -97,10 +98,18 @@ class Support(Published):
     def _check_rigid_loops(self) -> None:
         if checks.is_traced(self.springs) or not any(s.is_rigid() for s in self.springs):
             return
+        if any(s.rest_length is None for s in self.springs):  # checked when a scene sets it
+            return
         with jax.ensure_compile_time_eval():  # concrete values are checked inside jit, too
             if not all(flexibility(self._network(a, self.hold(1.0, 1.0)), self.whiskers).consistent for a in self.axes):
                 lengths = [float(s.rest_length) for s in self.springs]
                 checks.fail("rest_length", "the same along all paths of infinitely stiff springs", lengths)
+
+    def in_row(self, whisker: Scalar) -> "Support":
+        """The support with all rest lengths, whose default depends on the length of the first whisker."""
+        if all(spring.rest_length is not None for spring in self.springs):
+            return self
+        return dataclasses.replace(self, springs=tuple(spring.in_row(whisker) for spring in self.springs))
 
     def along(self, axis: str) -> tuple[Spring, ...]:
         """The linear springs between bases along an axis."""
@@ -232,22 +241,22 @@ class Support(Published):
         return cls()
 
     @classmethod
-    def fb(cls, stiffness: Scalar, rest_length: Scalar = 0.2) -> "Support":
+    def fb(cls, stiffness: Scalar, rest_length: Scalar | None = None) -> "Support":
         """One whisker: drive -c1- base 1. Arguments and errors are those of `named`."""
         return cls.named("FB", stiffness, rest_length)
 
     @classmethod
-    def fbfb(cls, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
+    def fbfb(cls, stiffness: PerSpring, rest_length: PerSpring | None = None) -> "Support":
         """Two whiskers in a row: drive -c1- base 1 -c2- base 2. Arguments and errors are those of `named`."""
         return cls.named("FBFB", stiffness, rest_length)
 
     @classmethod
-    def fbfbr(cls, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
+    def fbfbr(cls, stiffness: PerSpring, rest_length: PerSpring | None = None) -> "Support":
         """FBFB with feedback: c3 between drive and base 2. Arguments and errors are those of `named`."""
         return cls.named("FBFBR", stiffness, rest_length)
 
     @classmethod
-    def fbfbfbr(cls, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
+    def fbfbfbr(cls, stiffness: PerSpring, rest_length: PerSpring | None = None) -> "Support":
         """Three whiskers in a row (c1, c2, c3), with feedback c4 to base 2 and c5 to base 3.
 
         Arguments and errors are those of `named`.
@@ -274,7 +283,7 @@ class Support(Published):
         return cls(tuple(springs), mount)
 
     @classmethod
-    def named(cls, model: str, stiffness: PerSpring, rest_length: PerSpring = 0.2) -> "Support":
+    def named(cls, model: str, stiffness: PerSpring, rest_length: PerSpring | None = None) -> "Support":
         """A model of the thesis by name: `clamped`, `FB`, `FBFB`, `FBFBR`, `FBFBFBR`.
 
         Args:
@@ -283,7 +292,7 @@ class Support(Published):
                 positive.
             rest_length: one length per spring, or one length for each spring in the row. In the second case the rest
                 length of a feedback spring is the sum over the springs that it spans, and no spring is strained before
-                contact.
+                contact. Default: 0.2 lengths of the first whisker of the scene for each spring in the row.
 
         Raises:
             ValueError: if the model is unknown, the number of values is wrong, or a value is invalid for a Spring.
@@ -294,7 +303,8 @@ class Support(Published):
             checks.fail("model", f"one of clamped, {', '.join(_NAMED)}", repr(model))
         ends = _NAMED[model]
         stiffnesses = _per_spring("stiffness", stiffness, [1] * len(ends))
-        rest_lengths = _per_spring("rest_length", rest_length, [second - first for first, second in ends])
+        shares = [second - first for first, second in ends]
+        rest_lengths = [None] * len(ends) if rest_length is None else _per_spring("rest_length", rest_length, shares)
         return cls(tuple(map(Spring, ends, stiffnesses, rest_lengths)))
 
     def flexibility(self, hold: Float[Array, "whiskers axes"] | None = None) -> Flexibility | None:
@@ -302,7 +312,8 @@ class Support(Published):
 
         If all springs act along x, there is one row per base; otherwise three: x, y, angle of base 1, then of base 2.
         Bases that only springs on shafts connect to the drive have no flexibility of their own. They are held by a
-        further spring, which is not part of the support, with the stiffness `hold`.
+        further spring, which is not part of the support, with the stiffness `hold`. The offset is NaN while a rest
+        length has its default, which a scene determines.
 
         Raises:
             ValueError: if there are springs on shafts and `hold` is not given.

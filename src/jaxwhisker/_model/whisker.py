@@ -16,6 +16,7 @@ from jaxwhisker._model.measured import Measured
 from jaxwhisker._rod.rod import Section, at_arc
 
 CHECKED_POINTS = 65  # points at which a function of arc length is checked
+SLENDER = 5  # least ratio of length and diameter; real whiskers and wires have 50 and more
 
 
 class Whisker(Measured):
@@ -208,7 +209,7 @@ class Whisker(Measured):
             density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
 
         Raises:
-            ValueError: as for a Whisker.
+            ValueError: as for a Whisker, or if a diameter is more than a fifth of the length.
 
         Examples:
             >>> whisker = jw.Whisker.from_material(length=0.05, youngs_modulus=3e9, diameter=2e-4)
@@ -220,11 +221,13 @@ class Whisker(Measured):
                 checks.number(name, value, positive=True)
         section = RoundSection(youngs_modulus, diameter)
         mass = None if density is None else RoundMass(density, diameter)
-        return cls(
+        whisker = cls(
             length,
             section if callable(youngs_modulus) or callable(diameter) else section(0.0),
             mass_per_length=mass if mass is None or callable(density) or callable(diameter) else mass(0.0),
         )
+        _check_slender("diameter", diameter, length)
+        return whisker
 
     @classmethod
     def conical(
@@ -247,7 +250,7 @@ class Whisker(Measured):
             density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
 
         Raises:
-            ValueError: as for a Whisker, or if a diameter is negative.
+            ValueError: as for a Whisker, or if a diameter is negative or more than a fifth of the length.
 
         Examples:
             >>> cone = jw.Whisker.conical(length=0.05, youngs_modulus=3e9, base_diameter=2e-4, tip_diameter=5e-5)
@@ -256,6 +259,9 @@ class Whisker(Measured):
         """
         checks.number("base_diameter", base_diameter, positive=True)
         checks.number("tip_diameter", tip_diameter, non_negative=True)
+        checks.number("length", length, positive=True)
+        _check_slender("base_diameter", base_diameter, length)
+        _check_slender("tip_diameter", tip_diameter, length)
         taper = LinearTaper(base_diameter, tip_diameter, length)
         return cls.from_material(length, youngs_modulus, taper, density=density)
 
@@ -310,6 +316,18 @@ class Whisker(Measured):
         tip = jnp.maximum(base - 2 * slope * arc, 2 * LEAST_TIP_RADIUS)
         cone = cls.conical(arc * 1e-3, youngs_modulus, base * 1e-3, tip * 1e-3, density=density)
         return cls(cone.length, cone.bending_stiffness, intrinsic_curvature, mass_per_length=cone.mass_per_length)
+
+
+def _check_slender(name: str, diameter: AlongWhisker, length: Scalar) -> None:
+    """Check that a concrete diameter is that of a slender rod, and not in another unit than the length."""
+    if checks.is_traced((diameter, length)):
+        return
+    with jax.ensure_compile_time_eval():
+        places = jnp.linspace(0.0, 1.0, CHECKED_POINTS) * length
+        thickest = float(jnp.max(jax.vmap(diameter)(places)) if callable(diameter) else diameter)
+    if thickest > float(length) / SLENDER:
+        allowed = f"at most 1/{SLENDER} of the length {float(length):g}, in the same unit: rods are slender"
+        raise ValueError(f"`{name}` must be {allowed}; got {thickest:g}.")
 
 
 def _masses(whisker: Whisker) -> tuple:

@@ -155,6 +155,7 @@ def deflect(
     if not isinstance(support, Support) or support.whiskers != 1:
         checks.fail("support", "a Support of one whisker", repr(support))
     checks.count("points", points, least=2)
+    support = support.in_row(whisker.length)
     for name, _, place in support.attachments():
         if not checks.is_traced((place, whisker)) and float(place) >= float(whisker.length):
             checks.fail(name, f"less than the length {whisker.length}", place)

@@ -1,11 +1,14 @@
-"""Scans and simulations as tables: every signal by name, for other programs."""
+"""Scans, simulations, deflections and studies as tables: every signal by name, for other programs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxwhisker._scan.quantities import MOTION, STATE
+from jaxwhisker._base import checks
+from jaxwhisker._model.scene import Scene, Sensor, time_unit
+from jaxwhisker._scan.deflect import Deflection
+from jaxwhisker._scan.quantities import MOTION, STATE, is_dimensionless, kind_of, unit_in_words
 from jaxwhisker._scan.report import write_columns
 from jaxwhisker._scan.result import check_not_batched, check_one_scan
 from jaxwhisker._scan.state import State
@@ -13,19 +16,29 @@ from jaxwhisker._scan.state import State
 if TYPE_CHECKING:
     import pandas as pd
 
+# Columns of a deflection, and their kinds.
+POINTS = {"s": "length", "x": "length", "y": "length", "angle": "angle", "curvature": "curvature"}
+NUMBERED = ("whisker", "spring")  # dimensions of a Dataset whose labels become parts of names
+OWN_UNITS = "force, length and time are in the units of the scene's numbers, such as N, m and s"
+CODES = "phase 0 free, 1 tip, 2 tangential; status 0 ok"
+
 
 def columns(result: Any) -> dict[str, np.ndarray]:
     """Every signal by name: control, fx_1, fy_1, mz_1, base_x_1, ..., spring_1, ..., phase_1, status."""
+    if hasattr(result, "data_vars"):
+        return _columns_of_dataset(result)
+    if isinstance(result, Deflection):
+        if np.ndim(result.status):
+            checks.fail("result", "a single deflection", f"a batch of shape {np.shape(result.status)}")
+        return {name: np.asarray(getattr(result, name)) for name in POINTS}
     moves = _is_motion(result)
     if moves:
         check_not_batched(result, "a single simulation")
     else:
         check_one_scan(result)
     found = {name: np.asarray(getattr(result, name)) for name in ("time",) * moves + ("control",)}
-    further = [name for name in MOTION if moves and name != "time"]
-    signals = [name for name in (*STATE, *further) if name != "phase" and getattr(result, name) is not None]
     for k in range(result.fx.shape[1]):
-        found |= {f"{name}_{k + 1}": np.asarray(getattr(result, name))[:, k] for name in signals}
+        found |= {f"{name}_{k + 1}": np.asarray(getattr(result, name))[:, k] for name in _signals(result)}
     for name, values in (("spring", result.spring_length), ("phase", result.phase)):
         found |= {f"{name}_{k + 1}": column for k, column in enumerate(np.asarray(values).T)}
     return found | {"status": np.asarray(result.status)}
@@ -35,20 +48,83 @@ def _is_motion(result: Any) -> bool:
     return isinstance(result, State) and hasattr(result, "time")
 
 
-def to_dataframe(result: Any) -> "pd.DataFrame":
-    """Return the signals of a scan or a simulation as a pandas DataFrame with one row per step, in the scene's units.
+def _signals(result: Any) -> list[str]:
+    """Names of the signals of every whisker, without the phase."""
+    further = [name for name in MOTION if _is_motion(result) and name != "time"]
+    return [name for name in (*STATE, *further) if name != "phase" and getattr(result, name) is not None]
 
-    Columns: control; fx_1, fy_1, mz_1, base_x_1, base_y_1, base_angle_1, contact_force_1, contact_slope_1,
+
+def _columns_of_dataset(data: Any) -> dict[str, np.ndarray]:
+    """One row for each point, and for each position of the control if the Dataset has signals; without events."""
+    variables = {name: variable for name, variable in data.data_vars.items() if "event" not in variable.dims}
+    if not variables:
+        checks.fail("result", "a Dataset with variables that do not belong to events", f"{list(data.data_vars)}")
+    dims = {dim for variable in variables.values() for dim in variable.dims}
+    rows = [dim for dim in data.dims if dim in dims and dim not in NUMBERED]
+    places = {name: data[name] for name in data.coords if set(data[name].dims) <= set(rows)}
+    found = {}
+    for name, variable in (places | variables).items():
+        numbered = [dim for dim in variable.dims if dim in NUMBERED]
+        whole = variable.variable.set_dims({dim: data.sizes[dim] for dim in (*rows, *numbered)})
+        name = "spring" if name == "spring_length" else name
+        names = [f"{name}_{label}" for dim in numbered for label in data[dim].values] or [name]
+        found |= dict(zip(names, whole.values.reshape(-1, len(names)).T, strict=True))
+    return found
+
+
+def header(result: Any) -> str:
+    """What a table contains, with the unit of every signal that has one."""
+    if hasattr(result, "data_vars"):
+        named = {name: result[name].attrs.get("units", "1") for name in (*result.coords, *result.data_vars)}
+        text, codes = result.attrs.get("scene", "study"), f"; {CODES}"
+    elif isinstance(result, Deflection):
+        sensor, codes = Sensor(result.whisker, result.support), ""
+        named = {name: _unit(kind, sensor) for name, kind in POINTS.items()}
+        reaction = ", ".join(f"{name} = {float(getattr(result, name))!r}" for name in ("fx", "fy", "mz"))
+        text = f"{sensor}, deflected; reaction {reaction} in {_unit('force', sensor)} and {_unit('moment', sensor)}"
+    else:
+        scene, codes = result.scene, f"; {CODES}"
+        named = {name: _unit(kind_of(name, scene), scene) for name in ("control", *_signals(result))}
+        named |= {f"spring_{k + 1}": _unit_of_spring(s, scene) for k, s in enumerate(scene.support.springs)}
+        if _is_motion(result):
+            named = {"time": _unit("time", scene)} | named
+        text = str(scene)
+    units = ", ".join(f"{name} ({unit})" for name, unit in named.items() if unit != "1")
+    own = f"; {OWN_UNITS}" * any(word in units for word in ("force", "length", "time)"))
+    return f"{text}; units: {units}{own}{codes}"
+
+
+def _unit(kind: str, scene: Scene | Sensor) -> str:
+    """The unit of stored numbers, in words."""
+    dimensionless = is_dimensionless(scene)
+    if kind == "time":  # of scenes with L = EI = 1, in T only if the mass per length is 1, too
+        dimensionless &= bool(time_unit(scene.whiskers[0]) == 1)
+    return unit_in_words(kind, dimensionless)
+
+
+def _unit_of_spring(spring: Any, scene: Scene | Sensor) -> str:
+    return _unit("angle" if spring.axis == "phi" else "length", scene)
+
+
+def to_dataframe(result: Any) -> "pd.DataFrame":
+    """Return the signals of a result as a pandas DataFrame with one row per step, in the scene's units.
+
+    Columns of a scan: control; fx_1, fy_1, mz_1, base_x_1, base_y_1, base_angle_1, contact_force_1, contact_slope_1,
     contact_arc_1, contact_x_1, contact_y_1 and the same for further whiskers; spring_1, ...; phase_1, ... (0 free,
     1 tip, 2 tangential); status (0 ok); with friction, also slip_1, ..., normal_force_1, ..., friction_force_1, ...;
     with several objects, also contact_object_1, ... A simulation has the column time before control, and gap_1, tip_x_1
     and tip_y_1. Failed steps are NaN. `identify` and `reconstruct` read such tables.
 
+    A study has one row for each scene, and for each drive position if it contains signals: the parameters, then all
+    variables with the number of the whisker, such as max_mz_1. Variables of events are left out; `summary` has the
+    positions of the main ones. A deflection has one row for each point: s, x, y, angle and curvature.
+
     Args:
-        result: the Result of a scan, or a Simulation.
+        result: the Result of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary` or
+            `Result.to_xarray`.
 
     Raises:
-        ValueError: if `result` is not the result of a single scan or simulation.
+        ValueError: if `result` is none of these, or a batch.
         ImportError: if pandas is missing.
     """
     try:
@@ -59,22 +135,19 @@ def to_dataframe(result: Any) -> "pd.DataFrame":
 
 
 def to_csv(result: Any, path: str | Path) -> None:
-    """Write the signals of a scan or a simulation to a CSV file, in full precision and the scene's own units.
+    """Write the signals of a result to a CSV file, in full precision and the scene's own units.
 
-    There is one row per step or sample. A comment line, `# ...`, precedes the columns, which are those of
-    `to_dataframe`. `identify` and `reconstruct` read such files.
+    There is one row per step or sample, or per scene of a study. A comment line, `# ...`, precedes the columns, which
+    are those of `to_dataframe`: it describes the scene and names the units. `identify` and `reconstruct` read the files
+    of scans and simulations.
 
     Args:
-        result: the Result of a scan, or a Simulation.
+        result: the Result of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary` or
+            `Result.to_xarray`.
         path: path of the file; an existing file is overwritten.
 
     Raises:
-        ValueError: if `result` is not the result of a single scan or simulation.
+        ValueError: if `result` is none of these, or a batch.
     """
     table = columns(result)
-    comment = (
-        f"{result.scene}; lengths in the unit of L, forces in EI/L^2, moments in EI/L, "
-        + "times in L^2 sqrt(rho A/EI), " * ("time" in table)
-        + "angles and slopes in rad; phase 0 free, 1 tip, 2 tangential; status 0 ok"
-    )
-    write_columns(table, Path(path), comment)
+    write_columns(table, Path(path), header(result))

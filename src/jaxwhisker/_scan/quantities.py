@@ -4,6 +4,8 @@ Results, datasets, CSV headers, axis labels, printed tables and the reference pa
 """
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +22,7 @@ KINDS = {
     "moment": (1, 1),
     "energy": (1, 1),
     "stiffness": (1, -1),
+    "curvature": (0, -1),
     "bending stiffness": (1, 2),
     "angle": (0, 0),
     "number": (0, 0),
@@ -195,7 +198,7 @@ class UnitSystem:
         force, length = KINDS[kind]
         sizes = natural_units(self._prefixes_of)
         newton, metre = with_prefix("N", float(sizes.force)), with_prefix("m", float(sizes.length))
-        return Unit(_product({newton.name: force, metre.name: length}), newton.size**force * metre.size**length)
+        return _combined(newton, metre, force, length)
 
     def shown(self, name: str, values: Any) -> np.ndarray:
         """Values of a quantity in the unit in which it is shown."""
@@ -233,7 +236,7 @@ def dimensionless_label(symbol: str, kind: str) -> str:
         return f"${symbol}/T$"
     force, length = KINDS[kind]
     times = rf"\,{_power('L', 2 * force - length)}" if 2 * force > length else ""
-    return f"${symbol}{times}{'/EI' if force else '/L' if length else ''}$" + " (rad)" * (kind == "angle")
+    return f"${symbol}{times}{'/EI' if force else '/L' if length > 0 else ''}$" + " (rad)" * (kind == "angle")
 
 
 def _unit_of_time(scene: Scene | Sensor) -> float:
@@ -266,13 +269,21 @@ def unit_in_words(kind: str, dimensionless: bool, per: str = "number") -> str:
 
 def in_si(words: str, force: float, length: float) -> Unit:
     """The SI unit for a unit in terms of `force` and `length`, with prefixes that suit their sizes; others stay."""
-    units = {"force": with_prefix("N", force), "length": with_prefix("m", length)}
-    powers, size = {}, 1.0
+    powers = {"force": 0, "length": 0}
     for sign, product in zip((1, -1), words.split("/"), strict=False):
-        for name, _, power in (factor.partition("^") for factor in product.split()):
-            unit, exponent = units.get(name, Unit(name, 1.0)), sign * int(power or 1)
-            powers[unit.name], size = exponent, size * unit.size**exponent
-    return Unit(_product(powers), size)
+        powers |= {name: sign * int(power or 1) for name, _, power in (part.partition("^") for part in product.split())}
+    own = with_prefix("N", force), with_prefix("m", length), powers.pop("force"), powers.pop("length")
+    return _combined(*own, {name: power for name, power in powers.items() if name != "1"})
+
+
+def _combined(
+    newton: Unit, metre: Unit, force: int, length: int, others: Mapping[str, int] = MappingProxyType({})
+) -> Unit:
+    """A product of powers of the units of force and length, and of others, which have no prefix."""
+    if (force, length) == (1, -1) and not others:  # N/m rather than mN/mm; the factor outweighs rounding
+        return with_prefix("N/m", 1.5 * newton.size / metre.size)
+    size = newton.size**force * metre.size**length
+    return Unit(_product({newton.name: force} | dict(others) | {metre.name: length}), size)
 
 
 def _product(powers: dict[str, int]) -> str:

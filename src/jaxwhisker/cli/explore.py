@@ -1,16 +1,18 @@
 """The command `explore`: sliders for one scene, on a local page."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.motion import Translation
+from jaxwhisker._model.scene import Scene, units_of
 from jaxwhisker._rod.elastica import ClosedForm
 from jaxwhisker.cli import options
 
 Range = tuple[float, ...]  # (start,), (low, high) or (low, high, start)
 
-# Default ranges of parameters for which no range is given; other parameters without a range have no slider.
+# Default ranges of parameters for which no range is given, in the units of their defaults; other parameters without a
+# range have no slider.
 RANGES = {
     "stiffness": (10.0, 500.0),
     "rest_length": (0.0, 0.5),
@@ -19,6 +21,7 @@ RANGES = {
     "b": (0.2, 5.0),
     "radius": (0.2, 5.0),
 }
+DIGITS = 4  # of the ends of these ranges
 
 
 def one(text: str) -> Range:
@@ -45,7 +48,7 @@ def port(text: str) -> int:
 def add_explore(commands) -> None:
     """Add the command `explore`."""
     command = options.add_command(commands, run_explore, "drag the parameters of a scene on a local page")
-    options.add_sensor(command, one, each, defaults=("10:500:70", "0:0.5:0.2"))
+    options.add_sensor(command, one, each, defaults=("10:500:70 EI/L^3", "0:0.5:0.2 L"))
     options.add_object(command, one)
     add = command.add_argument_group("page").add_argument
     add("--port", type=port, default=0, metavar="N", help="of the page (default: any free port)")
@@ -77,30 +80,45 @@ def run_explore(args: argparse.Namespace) -> int:
         from jaxwhisker._explore.hosts import serve
         from jaxwhisker._explore.session import Session
 
-        session = Session(*_sliders(args))
+        build, ranges = _sliders(args)
+        session = Session(build, ranges, _kinds(args, ranges))
     serve(session, port=args.port, browser=not args.no_browser)
     return options.OK
 
 
 def _sliders(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, Range]]:
     """The function that builds scenes from the sliders' values, and the sliders' ranges."""
+    from jaxwhisker._explore.session import slider_of
+
+    values, defaults = options.given_values(args), options.defaults_of(args)
+    rod = {name: values[name] for name in ("length", "bending_stiffness")}
+    starts = {name: value[0] if len(value) == 1 else slider_of(name, value).start for name, value in rod.items()}
+    unit = units_of(options.whisker_of(starts), Translation())
     given: dict[str, Range] = {}
-    for name, value in options.values_of_parameters(args).items():
+    for name, value in ({name: (default.value(unit),) for name, default in defaults.items()} | values).items():
         if isinstance(value, list):  # each spring has its own
             given |= {f"{options.LETTERS[name]}{k}": own for k, own in enumerate(value, 1)}
         else:
             given[name] = value if isinstance(value, tuple) else (value,)
-    ranges = {name: limits for name, value in given.items() if (limits := _range(name, value)) is not None}
+    sizes = {name: default.size(unit) for name, default in defaults.items()}
+    ranges = {name: limits for name, value in given.items() if (limits := _range(name, value, sizes)) is not None}
     fixed = {name: value[0] for name, value in given.items() if name not in ranges}
     return partial(options.make_scene, args, ClosedForm(), **fixed), ranges
 
 
-def _range(name: str, value: Range) -> Range | None:
-    """The range of a parameter's slider; None if it has no slider."""
+def _kinds(args: argparse.Namespace, names: Iterable[str]) -> dict[str, str]:
+    """Kinds of quantities of those parameters that have a default, also of single springs."""
+    defaults = options.defaults_of(args)
+    return {name: defaults[option].kind for name in names if (option := options.option_of(name)) in defaults}
+
+
+def _range(name: str, value: Range, sizes: Mapping[str, float]) -> Range | None:
+    """The range of a parameter's slider; None if it has no slider. The default ranges are in units of these sizes."""
     *_, start = value
     if len(value) > 1:
         return value
-    limits = RANGES.get(options.option_of(name))
-    if limits is None or start == float("inf"):
+    option = options.option_of(name)
+    if option not in RANGES or start == float("inf"):
         return None
-    return min(limits[0], start), max(limits[1], start), start
+    low, high = (float(f"{limit * sizes[option]:.{DIGITS}g}") for limit in RANGES[option])
+    return min(low, start), max(high, start), start

@@ -15,7 +15,6 @@ from jaxwhisker._inverse.identify import identify
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.scene import Sensor
-from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.report import write_columns, write_rows
 from jaxwhisker.cli import options
 
@@ -131,7 +130,7 @@ def run_identify(args: argparse.Namespace) -> int:
 
 def _parameters(args: argparse.Namespace) -> dict[str, float]:
     """All parameters of the scene by name, with those of each spring."""
-    values = options.values_of_parameters(args)
+    values = options.with_defaults(args, options.given_values(args))
     springs = options.support_of(args, values).springs
     own = {f"c{k}": float(spring.softness**-1) for k, spring in enumerate(springs, 1)}
     own |= {f"l{k}": float(spring.rest_length) for k, spring in enumerate(springs, 1)}
@@ -167,8 +166,8 @@ def run_reconstruct(args: argparse.Namespace) -> int:
     options.check_outputs(args.plot, args.csv)
     shape, joint = None, None
     with options.usage_errors():
-        support = options.support_of(args, options.springs_of(args))
-        sensor = Sensor(Whisker(args.length, args.bending_stiffness), support, friction=args.friction)
+        values = options.with_defaults(args, options.given_values(args))
+        sensor = Sensor(options.whisker_of(values), options.support_of(args, values), friction=args.friction)
         points = reconstruct(args.data, sensor, sigma=args.sigma)
         print(points)
         good = bool(np.isfinite(np.asarray(points.x)).any())

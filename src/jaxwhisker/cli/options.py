@@ -8,26 +8,53 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
-from jaxwhisker._model.scene import DETECTABLE, Scene
+from jaxwhisker._model.scene import DETECTABLE, Scene, Units, units_of
+from jaxwhisker._model.spring import SPACING
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, Shooting
-from jaxwhisker._scan.quantities import UNITS
+from jaxwhisker._scan.quantities import KINDS, UNITS, unit_in_words
 from jaxwhisker._scan.scan import MOST_STEPS, STEP, default_control
 
 MODEL_NAMES = ("clamped", "FB", "FBFB", "FBFBR", "FBFBFBR")
-SPRINGS = {"stiffness": 70.0, "rest_length": 0.2}  # defaults of the options of springs
+
+
+class Default(NamedTuple):
+    """Default of an option, in units formed from the whiskers' length L and bending stiffness EI."""
+
+    number: float
+    kind: str  # of quantities.KINDS
+
+    def size(self, unit: Units) -> Any:
+        """Its unit, in the units of the other options."""
+        force, length = KINDS[self.kind]
+        return unit.force**force * unit.length**length
+
+    def value(self, unit: Units) -> Any:
+        """The value in the units of the other options."""
+        return self.number * self.size(unit)
+
+    def __str__(self) -> str:
+        words = unit_in_words(self.kind, dimensionless=True)
+        return words if self.number == 1 else f"{self.number:g} {words}"
+
+
+LENGTH, PER_LENGTH = Default(1.0, "length"), Default(1.0, "curvature")
+SPRINGS = {"stiffness": Default(70.0, "stiffness"), "rest_length": Default(SPACING, "length")}
+DISTANCE = Default(0.2, "length")
 LETTERS = {"stiffness": "c", "rest_length": "l"}  # of the parameters of single springs: c1, c2, ..., l1, l2, ...
+PARAMETERS = (*SPRINGS, "length", "bending_stiffness", "distance", "position", "a", "b", "radius")
 # Options of each profile with their defaults; options of another profile are rejected.
 PROFILES = {
-    "parabola": (Parabola, {"a": 1.0}),
-    "circle": (Circle, {"radius": 1.0}),
-    "ellipse": (Ellipse, {"a": 1.0, "b": 0.8}),
+    "parabola": (Parabola, {"a": PER_LENGTH}),
+    "circle": (Circle, {"radius": LENGTH}),
+    "ellipse": (Ellipse, {"a": LENGTH, "b": Default(0.8, "length")}),
 }
 # Arguments of functions whose options have other names.
 OPTIONS = {
@@ -101,7 +128,7 @@ def add_sensor(
     springs: Callable = parse_numbers,
     *,
     several: bool = True,
-    defaults: Sequence[str] = tuple(f"{value:g}" for value in SPRINGS.values()),
+    defaults: Sequence[Any] = tuple(SPRINGS.values()),
 ) -> None:
     """Add the options of whiskers and springs.
 
@@ -133,16 +160,17 @@ def add_object(command: argparse.ArgumentParser, kind: Callable = parse_number) 
     """Add the options of the object, whose values `kind` converts."""
     add = command.add_argument_group("object").add_argument
     add("--profile", choices=tuple(PROFILES), default="parabola", help="shape of the object (default: %(default)s)")
-    add("--distance", type=kind, default="0.2", metavar="Q", help="height of its lowest point (default: %(default)s)")
+    add("--distance", type=kind, metavar="Q", help=f"height of its lowest point (default: {DISTANCE})")
     add("--position", type=kind, default="0.0", metavar="X", help="x of its lowest point (default: %(default)s)")
     add(
         "--a",
         type=kind,
         metavar="A",
-        help="parabola y = q + A x^2: half the curvature at the vertex; ellipse: horizontal half axis (default: 1)",
+        help=f"parabola y = q + A x^2: half the curvature at the vertex (default: {PER_LENGTH}); ellipse: horizontal "
+        f"half axis (default: {LENGTH})",
     )
-    add("--b", type=kind, metavar="B", help="ellipse: vertical half axis (default: 0.8)")
-    add("--radius", type=kind, metavar="R", help="circle: radius (default: 1)")
+    add("--b", type=kind, metavar="B", help=f"ellipse: vertical half axis (default: {PROFILES['ellipse'][1]['b']})")
+    add("--radius", type=kind, metavar="R", help=f"circle: radius (default: {LENGTH})")
     add_friction(add, kind)
 
 
@@ -183,35 +211,41 @@ def add_units(add: Callable) -> None:
 # Scenes and controls
 
 
-def _chosen(args: argparse.Namespace, names: Iterable[str], defaults: dict[str, Any], words: str) -> dict[str, Any]:
-    """Values of options, or their defaults; options without a default are rejected."""
-    given = {name: value for name in names if (value := getattr(args, name)) is not None}
-    for name in given:
-        if name not in defaults:
-            raise ValueError(f"--{name.replace('_', '-')} does not belong to {words}.")
-    return defaults | given
+def _given(args: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Values of the options that are given."""
+    return {name: value for name in names if (value := getattr(args, name, None)) is not None}
 
 
-def springs_of(args: argparse.Namespace) -> dict[str, Any]:
-    """Options of the springs, with defaults; empty for a model without springs.
-
-    Raises:
-        ValueError: if an option is given for a model without springs.
-    """
-    defaults = {} if args.model == "clamped" else SPRINGS
-    return _chosen(args, SPRINGS, defaults, "--model clamped: it has no springs")
+def defaults_of(args: argparse.Namespace) -> dict[str, Default]:
+    """Defaults of the parameters of the chosen model and, if there is an object, of the chosen profile."""
+    shape = {"distance": DISTANCE} | PROFILES[args.profile][1] if "profile" in args else {}
+    return ({} if args.model == "clamped" else SPRINGS) | shape
 
 
-def values_of_parameters(args: argparse.Namespace) -> dict[str, Any]:
-    """Values of all parameters of the scene by name.
+def given_values(args: argparse.Namespace) -> dict[str, Any]:
+    """Values of the parameters of the scene, or of the sensor, that are given or do not depend on the others.
 
     Raises:
         ValueError: if an option of another profile, or of springs that the model does not have, is given.
     """
-    shape = _chosen(args, ("a", "b", "radius"), PROFILES[args.profile][1], f"--profile {args.profile}")
-    others = {name: getattr(args, name) for name in ("length", "bending_stiffness", "distance", "position")}
-    optional = {name: getattr(args, name, None) for name in ("friction", "mass_per_length")}
-    return springs_of(args) | others | shape | {name: value for name, value in optional.items() if value is not None}
+    known, belongs = defaults_of(args), dict.fromkeys(SPRINGS, "--model clamped: it has no springs")
+    belongs |= dict.fromkeys(("a", "b", "radius"), f"--profile {getattr(args, 'profile', None)}")
+    for name in _given(args, belongs):
+        if name not in known:
+            raise ValueError(f"--{name.replace('_', '-')} does not belong to {belongs[name]}.")
+    return _given(args, (*PARAMETERS, "friction", "mass_per_length"))
+
+
+def whisker_of(values: Mapping[str, Any]) -> Whisker:
+    """The whisker with these values of its parameters."""
+    return Whisker(values["length"], values["bending_stiffness"], mass_per_length=values.get("mass_per_length"))
+
+
+def with_defaults(args: argparse.Namespace, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values with the defaults of those that are missing, which follow from length and bending stiffness."""
+    unit = units_of(whisker_of(values), Translation())
+    known = {name: default.value(unit) for name, default in defaults_of(args).items()} | dict(values)
+    return {name: known[name] for name in (*PARAMETERS, *known) if name in known}
 
 
 def option_of(name: str) -> str:
@@ -229,17 +263,16 @@ def support_of(args: argparse.Namespace, values: Mapping[str, Any]) -> Support:
 
 def make_scene(args: argparse.Namespace, rod: AbstractRod | None = None, /, **values: Any) -> Scene:
     """The scene of the chosen model and profile with these values of its parameters."""
-    kind, shape = PROFILES[args.profile]
+    values, (kind, shape) = with_defaults(args, values), PROFILES[args.profile]
     profile = kind(**{name: values[name] for name in ("distance", "position", *shape)})
-    mass = values.get("mass_per_length")
-    whisker = Whisker(values["length"], values["bending_stiffness"], mass_per_length=mass)
     friction, detect = values.get("friction"), getattr(args, "detect", None)
-    return Scene(whisker, profile, support_of(args, values), rod or Shooting(), friction=friction, detect=detect)
+    support, whisker = support_of(args, values), whisker_of(values)
+    return Scene(whisker, profile, support, rod or Shooting(), friction=friction, detect=detect)
 
 
 def scene_of(args: argparse.Namespace) -> Scene:
     """The scene that the options describe."""
-    return make_scene(args, **values_of_parameters(args))
+    return make_scene(args, **given_values(args))
 
 
 def check_drive(args: argparse.Namespace) -> None:

@@ -31,7 +31,8 @@ def run_scan(args: argparse.Namespace) -> int:
     the peaks and the number of failed steps. It writes the signals to --csv and a
     picture to --plot.
 
-    Any consistent system of units is allowed. With the defaults everything is
+    Any consistent system of units is allowed: other defaults follow from --length
+    (L) and --bending-stiffness (EI). With the defaults of these everything is
     dimensionless: lengths in L, forces in EI/L^2, moments in EI/L, stiffnesses in
     EI/L^3. Other numbers are shown as SI units (m, N, N m) with prefixes. The drive
     moves towards -x; reactions are those of the support on the whisker.

@@ -98,7 +98,7 @@ def run_study(args: argparse.Namespace) -> int:
 
 def _builder(args: argparse.Namespace) -> tuple[Callable[..., Scene], dict[str, Any]]:
     """The function that builds scenes from the varied parameters, and their values."""
-    given = {name: np.atleast_1d(np.asarray(v, dtype=float)) for name, v in options.values_of_parameters(args).items()}
+    given = {name: np.atleast_1d(np.asarray(v, dtype=float)) for name, v in options.given_values(args).items()}
     axes = {name: values for name, values in given.items() if values.size > 1}
     if not axes:
         raise ValueError("a study needs a range, such as --stiffness 30:200:64; `jaxwhisker scan` scans one scene.")

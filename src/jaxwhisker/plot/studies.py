@@ -1,5 +1,6 @@
 """Figures of studies: a summary over one or two parameters, with the critical stiffness."""
 
+import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ from matplotlib.lines import Line2D
 
 from jaxwhisker._base import checks
 from jaxwhisker._scan.dataset import in_shown_units
+from jaxwhisker._scan.quantities import REACTIONS, STATE
 from jaxwhisker.plot.axes import COLOURS, colour, grid_of_axes, legend_above, title
 
 if TYPE_CHECKING:
@@ -33,8 +35,8 @@ def study(
     Args:
         data: result of `summary`, or of `study` with `summary=True`.
         name: a variable with one value per whisker.
-        critical: steepest slope of the clamped whisker's force times the flexibility of the softest base, over the same
-            axes. It is 1 at the critical stiffness, below which scans snap through the vertex; this is marked.
+        critical: critical stiffness (`jw.critical_stiffness`) divided by the stiffness, over the same axes, with any
+            values along them. The figure marks where it is 1: softer springs snap through the vertex.
         units: "auto" (SI with prefixes, such as mm and mN, for scenes whose L and EI are not 1) or "stored" (the
             Dataset's own numbers).
         axs: where to draw: one Axes, or one per whisker for two axes of the study; a new figure by default.
@@ -55,7 +57,7 @@ def study(
     for dim in dims:  # no axis can show infinite parameters, such as the stiffness of a clamp
         data = data.isel({dim: np.isfinite(data[dim].values)}).sortby(dim)
     if units == "auto":
-        critical = None if critical is None else in_shown_units(critical, data.attrs)
+        critical = None if critical is None else in_shown_units(_with_units(critical, data, dims), data.attrs)
         data = in_shown_units(data, data.attrs)
     word = "critical" if data.sizes["whisker"] == 1 else "critical, estimated"
     count = 1 if len(dims) == 1 else data.sizes["whisker"]
@@ -75,6 +77,12 @@ def study(
     return axes
 
 
+def _with_units(critical: "xr.DataArray", data: "xr.Dataset", dims: list[str]) -> "xr.DataArray":
+    """The array with units of its axes: its own if they are known, else those of the Dataset."""
+    axes = {dim: (dim, critical[dim].values, data[dim].attrs | critical[dim].attrs) for dim in dims}
+    return critical.assign_coords(axes)
+
+
 def _check_dataset(data: Any, name: str) -> None:
     # xarray is optional, so it must not be imported for a check.
     if not hasattr(data, "data_vars"):
@@ -89,7 +97,10 @@ def _check_dataset(data: Any, name: str) -> None:
 
 def _name_and_unit(variable: "xr.DataArray") -> str:
     name, unit = variable.attrs.get("long_name", str(variable.name)), variable.attrs.get("units", "1")
-    return name if unit == "1" else f"{name} [{unit}]"
+    for reaction in REACTIONS:
+        name = re.sub(rf"\b{reaction}\b", f"${STATE[reaction].symbol}$", name)
+    raised = re.sub(r"\^(\d+)", r"$^{\1}$", unit)
+    return name if unit == "1" else f"{name} ({raised})"
 
 
 def _lines(values: "xr.DataArray", critical: "xr.DataArray | None", axis: str, word: str, ax: Axes) -> None:

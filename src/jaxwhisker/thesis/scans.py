@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.result import Event, Events, Result
 from jaxwhisker._scan.state import OPTIONAL, State
-from jaxwhisker._study.critical import Steepest, softest, steepest
+from jaxwhisker._study.critical import softest, steepest
 from jaxwhisker._study.study import study
 from jaxwhisker._study.summary import summary
 
@@ -160,10 +160,18 @@ def snap_through(result: Result) -> Event | None:
     return None
 
 
+class SteepestSlope(NamedTuple):
+    """The steepest slope dF_x/dx0 of the clamped whisker, and the position x0 of its base there."""
+
+    slope: float
+    base_x: float
+
+
 @lru_cache
-def steepest_slope(distance: float) -> Steepest:
+def steepest_slope(distance: float) -> SteepestSlope:
     """The steepest slope of the clamped whisker's force, which is the critical stiffness of FB."""
-    return steepest(Whisker(), Parabola(distance))
+    slope, base_x = steepest(Whisker(), Parabola(distance))
+    return SteepestSlope(float(slope), float(base_x))
 
 
 def critical_cases(model: str, distance: float) -> list[Case]:
@@ -172,7 +180,7 @@ def critical_cases(model: str, distance: float) -> list[Case]:
     If the forces on the other whiskers were constant, the critical stiffness would be the steepest slope times
     `softest` of the support with unit stiffness.
     """
-    guess = steepest_slope(distance).slope * softest(Support.named(model, 1.0))
+    guess = steepest_slope(distance).slope * float(softest(Support.named(model, 1.0)))
     low, high = (1 - BRACKET / 2, 1 + BRACKET / 2) if WHISKERS[model] == 1 else SEARCHED
     stiffness = guess * np.geomspace(low, high, round(math.log(high / low) / BRACKET) + 1)
     return list(vary("stiffness", Case(model, distance=distance), stiffness.tolist()).values())
