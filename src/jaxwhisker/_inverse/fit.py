@@ -277,7 +277,8 @@ class Fit:
             rows.append([name, f"{self.estimates[name]:.8g}", error, interval, verdict])
         lines.append(table(["parameter", "estimate", "standard error", "95 % interval", ""], rows))
         lines += ["", *(f"not identifiable: {words}." for words in self.combinations)]
-        count = f"chi^2 = {self.chi2:.6g} with {self.degrees} degrees of freedom"
+        chi2 = f"{self.chi2:.6g}" if np.isfinite(self.chi2) else "unknown"
+        count = f"chi^2 = {chi2} with {self.degrees} degrees of freedom"
         lines.append(f"{count}, {self.steps} steps, {self.agreeing} of {self.starts} starts ended here")
         return "\n".join(lines)
 

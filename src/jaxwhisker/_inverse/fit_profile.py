@@ -67,7 +67,8 @@ class ProfileFit(eqx.Module):
         lines += [f"status: {self.status.name}, standard errors are unknown"] * (self.status != FitStatus.ok)
         width = max(map(len, self.estimates))
         for name, value in self.estimates.items():
-            lines.append(f"  {name:<{width}}  {value:< 14.8g} +- {self.standard_error[name]:.2g}")
+            error = self.standard_error[name]
+            lines.append(f"  {name:<{width}}  {value:< 14.8g}" + f" +- {error:.2g}" * bool(np.isfinite(error)))
         return "\n".join(lines)
 
     __repr__ = __str__

@@ -69,7 +69,8 @@ class Consistency(NamedTuple):
     def __str__(self) -> str:
         known = np.isfinite(self.distance)
         largest = np.max(np.abs(self.distance[known]), initial=0.0)
-        return f"{known.sum()} points compared, at most {largest:.3g} apart, reduced chi^2 {self.chi2:.3g}"
+        chi2 = "" if np.isnan(self.chi2) else f", reduced chi^2 {self.chi2:.3g}"
+        return f"{known.sum()} points compared, at most {largest:.3g} apart{chi2}"
 
 
 class Reconstruction(Step):
