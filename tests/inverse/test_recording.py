@@ -60,7 +60,7 @@ def test_reversed_order_is_refused(c, seed):
 @pytest.mark.parametrize("c", [10.0, 60.0])
 @pytest.mark.parametrize("towards", [-1, 1])
 def test_negated_signals_are_named(names, hint, c, towards):
-    scan = exact(fb(c, 0.25), towards * np.linspace(-1.2, 1.6, STEPS))
+    scan = exact(fb(c, 0.25), towards * np.linspace(-1.5, 1.6, STEPS))
     for recording in (scan, noisy(scan, 0)):
         check(recording)
         with pytest.raises(ValueError, match=rf"`measured` must be .*{hint}.*") as error:
