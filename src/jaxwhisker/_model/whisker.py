@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import number_or_function
+from jaxwhisker._base.suggest import Suggesting
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._rod.rod import AlongRod, Section, at_arc
 
@@ -17,7 +18,7 @@ AlongWhisker: TypeAlias = AlongRod  # a number, or a function of the arc length 
 CHECKED_POINTS = 65  # points at which a function of arc length is checked
 
 
-class Whisker(eqx.Module):
+class Whisker(eqx.Module, metaclass=Suggesting):
     """A whisker, clamped upright at its base.
 
     With the default values everything is dimensionless: lengths in L, forces in EI/L^2, moments in EI/L.
