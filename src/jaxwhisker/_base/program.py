@@ -26,7 +26,8 @@ from jaxlib.version import __version_info__ as version
 
 from jaxwhisker._base import checks, store
 from jaxwhisker._base.announce import announced
-from jaxwhisker._base.primitive import PRIMITIVE, as_precise, lanes_together
+from jaxwhisker._base.primitive import PRIMITIVE, lanes_together
+from jaxwhisker._base.settings import as_here, with_own_settings
 
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
 # time, and its kernels run equally fast.
@@ -94,6 +95,7 @@ class Program:
         self._executables: dict[tuple[Shape, int], Future] = {}
         _PROGRAMS.append(self)
 
+    @with_own_settings
     def __call__(self, *args, **kwargs):
         shape, arrays = _split(args, kwargs)
         if any(isinstance(leaf, Tracer) for leaf in arrays):
@@ -103,8 +105,17 @@ class Program:
                 arrays = [jax.lax.stop_gradient(leaf) if isinstance(leaf, Tracer) else leaf for leaf in arrays]
             arrays = PRIMITIVE.bind(*arrays, program=self, shape=shape, levels=())
         else:
-            arrays = self.compiled(shape)(*arrays)
+            arrays = self.run(shape, arrays)
         return self._results[shape].tree(arrays)
+
+    def run(self, shape: Shape, arrays: Sequence) -> list:
+        """The arrays of the results, computed where the arguments are."""
+        try:
+            return self.compiled(shape)(*arrays)
+        except ValueError:
+            if not _are_elsewhere(arrays):
+                raise
+            return self._jitted(shape)(*arrays)
 
     @property
     def compilations(self) -> int:
@@ -243,6 +254,12 @@ def clear() -> None:
         program.clear()
 
 
+def _are_elsewhere(arrays: Sequence) -> bool:
+    """Whether arrays are on another device than that for which programs are compiled."""
+    here = store.device()
+    return any(isinstance(leaf, jax.Array) and leaf.devices() != {here} for leaf in arrays)
+
+
 def is_array(leaf: Any) -> bool:
     """Whether a leaf is an array, traced or not, or describes one; other leaves are static."""
     return isinstance(leaf, ARRAYS)
@@ -284,7 +301,7 @@ def _tree(structure: Any, leaves: Sequence, arrays: Any) -> Any:
 
 def _aside(pool: Executor | None, function: Callable) -> Future:
     if pool is not None:
-        return pool.submit(as_precise(function))
+        return pool.submit(as_here(function))
     done = Future()
     done.set_result(function())
     return done

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._inverse.features import least_scatter
 from jaxwhisker._inverse.fit import Fit
 from jaxwhisker._inverse.fit_profile import points_and_rates
@@ -104,6 +105,7 @@ class _ContourScene(NamedTuple):
         return sensor_of(self.sensor(**dict(self.known), **{name: values[name] for name in self.unknown}))
 
 
+@with_own_settings
 def fit_contour(
     measured: Any,
     sensor: Sensor | Scene | Callable[..., Sensor | Scene],

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.points import Reconstruction
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible
@@ -74,6 +75,7 @@ class ProfileFit(eqx.Module):
     __repr__ = __str__
 
 
+@with_own_settings
 def fit_profile(
     points: Reconstruction | Mapping[str, Any],
     family: type[AbstractProfile],

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import sections
@@ -41,6 +42,7 @@ EXACTLY_FREE = 1e-18  # the same with the peaks in place of the noise, if the no
 PLACEHOLDER = np.array([-0.8795, 0.4758, 0.9755])
 
 
+@with_own_settings
 def reconstruct(
     measured: Any,
     sensor: Sensor | Scene | Callable[..., Sensor | Scene],
@@ -55,8 +57,8 @@ def reconstruct(
 
     Args:
         measured: control and support reactions fx, fy, mz of every whisker: a Result, a Dataset, a DataFrame, a CSV
-            file (see `identify`) or a mapping of arrays, (steps,) or (steps, whiskers). A whisker is `missing` where one
-            of its three reactions is NaN. Within jit and vmap: a mapping of arrays.
+            file (see `identify`) or a mapping of arrays, (steps,) or (steps, whiskers). A whisker is `missing` where
+            one of its three reactions is NaN. Within jit and vmap: a mapping of arrays.
         sensor: the sensor; or a Scene, whose object is ignored; or a function of named parameters that returns either.
         sigma: standard deviation of the noise: a number for all channels, or a mapping from channels to numbers or
             arrays. Default: one number per kind of signal, estimated from the scatter between neighbouring samples.

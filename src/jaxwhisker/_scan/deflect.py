@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.implicit import without_rule
 from jaxwhisker._model.loads import PointForce, PointMoment
@@ -175,6 +176,7 @@ def _solution(whisker: Whisker, loads: Given, support: Support) -> tuple[Array, 
     return jnp.asarray(tip), jnp.where(valid, jnp.where(exact, Status.ok, Status.inexact), Status.invalid)
 
 
+@with_own_settings
 def deflect(
     whisker: Whisker, *loads: PointForce | PointMoment, support: Support = CLAMP, points: int = 101
 ) -> Deflection:

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import in_double
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Translation
@@ -34,6 +35,7 @@ from jaxwhisker._scan.state import State, base_of, state_of
 INTERVALS = 64  # of Simpson's rule along a whisker that is not uniform; the error falls with the fourth power
 
 
+@in_double
 def stored_energy(scene: Scene, state: State, control: Control | None = None) -> Float[Array, "*steps"]:
     """Elastic energy of whiskers and springs; zero where all whiskers are free.
 
