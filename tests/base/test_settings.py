@@ -12,6 +12,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import as_here, own_settings
+from recordings import TRUTH, exact, fb
 
 SETTINGS = {
     "disable_jit": jax.disable_jit,
@@ -39,7 +40,7 @@ def bent(force):
 def derivative(function, at):
     """By vjp, because jax.grad itself moves a number to the device."""
     value, pull = jax.vjp(function, at)
-    return value, pull(jnp.ones_like(value))[0]
+    return value, pull(ARRAYS["one"])[0]
 
 
 HEAVY = jw.Scene(jw.Whisker(mass_per_length=1.0), jw.Parabola(0.2))
@@ -47,25 +48,28 @@ CALLS = {
     "scan": lambda: str(jw.scan(scene(), CONTROL)),
     "slope of a scan": lambda: derivative(peak, ARRAYS["stiffness"]),
     "batch of scans": lambda: jax.vmap(peak)(ARRAYS["batch"]),
-    "deflect": lambda: derivative(bent, ARRAYS["force"]),
+    "deflect": lambda: derivative(bent, ARRAYS["one"]),
     "shapes": lambda: jw.shapes(jw.scan(scene(), CONTROL), at=CONTROL[:1]).x,
     "reconstruct": lambda: str(jw.reconstruct(jw.scan(scene(), CONTROL), scene())),
     "modes": lambda: jw.modes(HEAVY.whisker, 2).frequency,
-    "simulate": lambda: str(jw.simulate(HEAVY, jw.Whisking(0.1, 0.05, offset=0.9), 0.1, steps=4)),
+    "simulate": lambda: str(simulated()),
     "identify": lambda: list(identified().estimates.values()),
 }
 ARRAYS = {}
 
 
+def simulated():
+    return jw.simulate(HEAVY, jw.Whisking(0.1, 0.05, offset=0.9), 0.1, steps=4)
+
+
 def identified():
-    guess = {"stiffness": 68.0}
-    return jw.identify(scene, guess, jw.scan(scene(), CONTROL), sigma=0.01, starts=0, near=True)
+    return jw.identify(fb, TRUTH, exact(fb(**TRUTH)), near=True, starts=0)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def plain():
     """Results with the default settings."""
-    ARRAYS.update(stiffness=jnp.asarray(70.0), force=jnp.asarray(1.0), batch=jnp.asarray([60.0, 70.0]))
+    ARRAYS.update(stiffness=jnp.asarray(70.0), one=jnp.asarray(1.0), batch=jnp.asarray([60.0, 70.0]))
     return {name: call() for name, call in CALLS.items()}
 
 
@@ -85,7 +89,7 @@ def test_the_callers_own_code_keeps_its_settings():
         jw.deflect(jw.Whisker(), jw.PointForce(1.0))
         assert jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]
         with pytest.raises(FloatingPointError):
-            jnp.log(ARRAYS["force"] * -1.0)
+            jnp.log(-ARRAYS["one"])
         with pytest.raises(Exception, match="promotion"):
             ARRAYS["batch"] + jnp.arange(2)
 
@@ -112,7 +116,7 @@ def test_results_can_be_used_after_a_block_with_float64(plain):
     try:
         with jax.enable_x64(True):
             result = jw.scan(scene(), CONTROL)
-            points, motion = jw.reconstruct(result, scene()), jw.simulate(HEAVY, 0.9, 0.1, steps=4)
+            points, motion = jw.reconstruct(result, scene()), simulated()
             modes = jw.modes(HEAVY.whisker, 2)
         assert str(result) == plain["scan"] and str(points) == plain["reconstruct"] and str(motion)
         np.testing.assert_array_equal(modes.frequency, plain["modes"])
@@ -130,10 +134,11 @@ def test_programs_run_where_their_arguments_are():
         "from jaxwhisker._base.program import Program\n"
         "there, double = jax.devices()[1], Program(lambda x: 2 * x)\n"
         "assert double(jnp.ones(2)).sum() == 4.0\n"
-        "for value in (double, jax.grad(lambda x: double(x).sum())):\n"
-        "    assert value(jax.device_put(jnp.ones(2), there)).devices() == {there}\n"
+        "x = jax.device_put(jnp.ones(2), there)\n"
+        "assert double(x).devices() == {there} and double(x).sum() == 4.0\n"
+        "assert jax.grad(lambda x: (x * double(x)).sum())(x).sum() == 8.0\n"
         "with jax.default_device(there):\n"
-        "    assert double(jnp.ones(2)).devices() == {there}\n"
+        "    assert double(jnp.ones(2)).sum() == 4.0\n"
     )
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAXWHISKER_CACHE": "off"}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=120)
