@@ -196,7 +196,7 @@ class Program:
         with self._lock:
             if (shape, lanes) not in self._executables:
                 key = self._key(shape, lanes)
-                with announced(kept=key is not None):
+                with announced(kept=_is_kept(key)):
                     future = self._load(shape, lanes, key, pool) or self._compile(shape, lanes, key, pool)
                 self._executables[shape, lanes] = future
                 while len(self._executables) > MOST_KEPT:  # users may pass a new function in every call
@@ -231,7 +231,7 @@ class Program:
         results = self._results[shape]
 
         def compiled():
-            with announced(kept=key is not None), store.complete() as is_complete:
+            with announced(kept=_is_kept(key)), store.complete() as is_complete:
                 executable = lowered.compile(self._options)
             if key is not None and is_complete() and (code := store.code(executable)):
                 store.save(key, (results.tree([...] * len(results.arrays)), results.arrays, code))
@@ -252,6 +252,12 @@ def clear() -> None:
     """Forget all programs that were compiled in this process; those on disk are loaded again when needed."""
     for program in _PROGRAMS:
         program.clear()
+
+
+def _is_kept(key: str | None) -> bool:
+    """Whether a program with this name on disk will be there for later processes."""
+    where = store.folder()
+    return key is not None and where is not None and store.obstacle(where) is None
 
 
 def _are_elsewhere(arrays: Sequence) -> bool:
