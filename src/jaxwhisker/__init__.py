@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from jaxwhisker._base.suggest import no_attribute
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._explore import explore
 from jaxwhisker._inverse.fit import Fit
@@ -141,4 +142,8 @@ def __getattr__(name: str):
         return importlib.import_module("jaxwhisker.plot")
     if name in _DYNAMICS:
         return getattr(importlib.import_module(f"jaxwhisker._dynamics.{_DYNAMICS[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    raise no_attribute(f"module {__name__!r}", name, __dir__())
+
+
+def __dir__():
+    return [*__all__, "plot", *(name for name in globals() if name.startswith("__"))]

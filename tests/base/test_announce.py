@@ -73,7 +73,10 @@ def test_the_line_says_whether_the_program_is_kept(terminal, monkeypatch):
     compile_slowly()
     monkeypatch.setattr(store, "describe", lambda _: None)
     compile_slowly()
-    assert said == [True, True, False, False]
+    monkeypatch.setattr(store, "describe", lambda _: "known")
+    monkeypatch.setattr(store, "obstacle", lambda _: "it is a file")
+    compile_slowly()
+    assert said == [True, True, *[False] * 4]
 
 
 def test_short_compilations_are_not_announced(terminal, monkeypatch):

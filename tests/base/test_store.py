@@ -420,8 +420,19 @@ def test_without_a_home_nothing_is_kept(monkeypatch):
 
 def test_a_folder_that_cannot_be_written_is_left_alone(folder):
     folder.write_text("a file")
-    assert [solved(2)[1], solved(2)[1]] == [1, 1]
-    assert folder.read_text() == "a file"
+    with pytest.warns(UserWarning, match=f"not kept in {folder}: it is a file") as caught:
+        assert [solved(2)[1], solved(2)[1]] == [1, 1]
+    assert len(caught) == 1 and folder.read_text() == "a file"
+
+
+def test_a_folder_that_cannot_be_made_is_reported_once(folder, monkeypatch):
+    folder.write_text("a file")
+    folder.chmod(0o700)  # root may enter it
+    monkeypatch.setenv("JAXWHISKER_CACHE", str(folder / "below" / "it"))
+    assert store.obstacle(folder / "below" / "it") == f"{folder} is a file"
+    with pytest.warns(UserWarning, match=f"it: {folder} is a file. Every process compiles them") as caught:
+        assert [solved(size)[1] for size in (2, 3)] == [1, 1]
+    assert len(caught) == 1
 
 
 def test_a_full_disk_leaves_nothing(folder, monkeypatch):
@@ -429,7 +440,8 @@ def test_a_full_disk_leaves_nothing(folder, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    assert solved(2)[1] == 1
+    with pytest.warns(UserWarning, match="No space left on device"):
+        assert solved(2)[1] == 1
     assert list(folder.iterdir()) == []
 
 

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.image import imread
 
@@ -17,6 +18,7 @@ import make_measured  # noqa: E402
 
 DATA = str(ROOT / "examples" / "measured.csv")
 LIKELY = 4.0  # standard errors: exceeded by one estimate in 16,000
+SCATTER = 0.2  # relative error of the noise estimated from 882 samples: four standard errors of a median
 WRITTEN = 1e-5  # relative: six digits
 
 NOISE = ",".join(f"{name}={value}" for name, value in make_measured.NOISE.items())
@@ -55,6 +57,35 @@ def test_reconstruct_writes_points_close_to_the_object(tmp_path, capsys):
     off = np.abs(table["y_1"] - 0.3 - table["x_1"] ** 2) / np.sqrt(1 + 4 * table["x_1"] ** 2)
     assert clear.sum() > 100 and np.all(off[clear] < LIKELY * table["normal_error_1"][clear])
     assert plot.stat().st_size > 0
+
+
+@pytest.mark.filterwarnings("default")
+def test_reconstruct_estimates_the_noise_of_a_table_of_a_spreadsheet(tmp_path, capsys):
+    path = tmp_path / "measured.csv.gz"
+    frame = pd.read_csv(DATA, comment="#").assign(température=20.5)
+    frame.to_csv(path, sep=";", decimal=",", encoding="latin-1")
+    argv = ["--model", "FBFBR", "--stiffness", ",".join(map(str, make_measured.STIFFNESS)), "--family", "parabola"]
+    assert cli.main(["reconstruct", str(path), *argv]) == cli.OK
+    out, error = capsys.readouterr()
+    assert error.startswith("jaxwhisker: warning: Columns of `measured`") and error.endswith(": température.\n")
+    assert error.count("\n") == 1 and "nan" not in out
+    estimated = dict(pair.split("=") for pair in out.partition("samples: ")[2].splitlines()[0].split(", "))
+    for name, sigma in make_measured.NOISE.items():
+        assert float(estimated[name]) == pytest.approx(sigma, rel=SCATTER)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda frame: frame[["control", "mz_1", "mz_2"]], "no value of fx_1, fy_1, fx_2, fy_2"),
+        (lambda frame: frame.assign(mz_1=-frame.mz_1, mz_2=-frame.mz_2), "check the sign of mz"),
+    ],
+)
+def test_missing_and_negated_signals_are_named(change, words, tmp_path, capsys):
+    path = tmp_path / "measured.csv"
+    change(pd.read_csv(DATA, comment="#")).to_csv(path, index=False)
+    assert cli.main(["reconstruct", str(path), "--model", "FBFBR"]) == cli.USAGE
+    assert words in capsys.readouterr().err
 
 
 def arguments(*argv):

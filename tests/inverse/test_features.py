@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from jaxwhisker._inverse.features import features, neighbour_scatter
+from jaxwhisker._inverse.features import features, neighbour_scatter, noise_of
 from jaxwhisker._inverse.observations import Observations
 from jaxwhisker._inverse.residuals import OVERLAID_EVENT
 from recordings import STEPS
 
 CONTROL = np.linspace(0.0, -1.0, STEPS)
+SCATTER = 0.25  # relative error of the noise estimated from 256 samples: three standard errors of a median
 
 
 def observations(values, noise=np.nan, control=CONTROL):
@@ -38,6 +39,16 @@ def test_a_snap_is_found_and_the_steep_signal_before_it_is_not():
     assert jumps.sum() == 1
     assert seen.low[0] < fold <= seen.high[0] and seen.high[0] - seen.low[0] == pytest.approx(1 / (STEPS - 1))
     assert seen.release[0] == pytest.approx(seen.high[0])
+
+
+@pytest.mark.parametrize("noise", [1e-6, 0.01])
+def test_noise_alternates_and_smooth_signals_do_not(noise):
+    values = smooth(CONTROL)
+    values[:50] = 0.0  # free
+    assert noise_of(observations(values)) is None
+    scattered = values + noise * np.random.default_rng(0).standard_normal(values.shape)
+    np.testing.assert_allclose(noise_of(observations(scattered)), noise, rtol=SCATTER)
+    assert noise_of(observations(values[:3], control=CONTROL[:3])) is None
 
 
 def smooth(control):

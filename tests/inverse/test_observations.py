@@ -1,6 +1,9 @@
 """Observations: every form of data and of noise ends in the same arrays, or in an error that names the argument."""
 
+import gzip
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from jaxwhisker._inverse.observations import Observations, channels_of, read_observations
@@ -62,6 +65,42 @@ def test_a_file_is_read_with_comments_gaps_and_quotes(tmp_path):
     np.testing.assert_array_equal(observed.values[:, 0, 0], [1.0, np.nan, 2.0])
 
 
+FRAME = pd.DataFrame({"control": CONTROL, "fx_1": FX[:, 0] / 3, "mz_2": np.where(MZ > 2, np.nan, MZ)})
+TABLE = {name: FRAME[name].to_numpy() for name in FRAME}
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("decimal", [".", ","])
+@pytest.mark.parametrize(("name", "encoding"), [("a.csv", "latin-1"), ("a.csv.gz", "utf-8-sig"), ("a.txt", "utf-16")])
+def test_files_of_other_programs(tmp_path, separator, decimal, name, encoding):
+    path = tmp_path / name
+    others = FRAME.assign(Prüfer="Zoë, Kim", temperature=20.5)
+    text = "# Kraft in µN\n" + others.to_csv(sep=separator, decimal=decimal)  # with an index
+    path.write_bytes(gzip.compress(text.encode(encoding)) if name.endswith("gz") else text.encode(encoding))
+    with pytest.warns(UserWarning, match=r"several whiskers\) are ignored: Prüfer, temperature\.$"):
+        assert same(read_observations(path), read_observations(TABLE))
+
+
+def test_full_precision_is_read(tmp_path):
+    path = tmp_path / "measured.csv"
+    FRAME.assign(fx_1=FRAME.fx_1 * np.pi).to_csv(path, index=False)
+    np.testing.assert_array_equal(read_observations(path).values[:, 0, 0], FX[:, 0] / 3 * np.pi)
+
+
+def test_an_index_may_be_the_control_or_without_a_name():
+    indexed = FRAME.set_index("control")
+    assert same(read_observations(indexed), read_observations(TABLE))
+    assert same(read_observations(FRAME.rename(columns=str).reset_index(names="")), read_observations(TABLE))
+
+
+def test_other_columns_are_ignored_with_a_warning():
+    with pytest.warns(UserWarning, match=r"other than fx, fy, mz .* are ignored: Fx, date\.$"):
+        observed = read_observations({"control": CONTROL, "fx": FX, "Fx": FX, "date": ["today"] * 6})
+    assert same(observed, read_observations({"control": CONTROL, "fx": FX}))
+    with pytest.warns(UserWarning, match=r"other than bend are ignored: volts\.$"):
+        read_observations({"control": CONTROL, "bend": MZ, "volts": MZ, "fx": FX}, kinds=("bend",))
+
+
 @pytest.mark.unchecked
 @pytest.mark.parametrize(
     ("data", "words"),
@@ -71,7 +110,7 @@ def test_a_file_is_read_with_comments_gaps_and_quotes(tmp_path):
         ({"control": np.where(MZ > 0, np.nan, CONTROL), "fx": MZ}, "3 values that are not finite"),
         ({"control": CONTROL, "fx": MZ[:5]}, "fx for each of the 6 controls"),
         ({"control": CONTROL, "fx_1": FX}, "one column for fx_1"),
-        ({"control": CONTROL, "force": MZ}, "got 'force'"),
+        ({"control": CONTROL, "force": MZ}, "at least one of fx, fy, mz, got control, force"),
         ({"control": CONTROL, "fx": ["a"] * 6}, "hold numbers"),
         ({"control": CONTROL, "fx_3": MZ}, "whisker 3"),
         ({"control": CONTROL, "fx_0": MZ}, "whisker 0"),
@@ -89,7 +128,9 @@ def test_wrong_data(data, words):
     [
         ("", "columns of equal length"),
         ("control,fx\n1,2,3\n", "columns of equal length"),
-        ("control,fx\n1,a\n", "columns of numbers"),
+        ("control,fx\n1,a\n", "columns of numbers.*'a' .fx"),
+        ("control;fx\n1;0,5\n2;1,5 N\n", "columns of numbers.*'1.5 N' .fx"),
+        ("control;fx\n1;2\n3\n", "columns of equal length"),
     ],
 )
 def test_wrong_files(tmp_path, text, words):

@@ -18,6 +18,8 @@ POINT = 1e-7  # of the length; for exact signals 1e-13 is usual
 STRONG = 10.0  # standard deviations that a contact force has to have for errors to be linear in the noise
 COVERAGE = 0.93, 0.97  # of 95 % bands
 REPETITIONS = 20
+SAME_STATUS = 0.97  # share of steps; whether weak contacts are free depends on the estimate of the noise
+SCATTER = 0.25  # relative error of the noise estimated from 256 samples: three standard errors of a median
 DIFFERENCE = 1e-6
 DIFFERENCES = 1e-6  # central differences, relative to the largest derivative
 MODES = 1e-9  # forward against reverse
@@ -186,6 +188,39 @@ def test_a_step_without_a_signal_leaves_its_neighbours_alone():
     np.testing.assert_array_equal(np.asarray(points.x)[others], np.asarray(whole.x)[others])
     assert np.array_equal(np.asarray(points.phase)[others], np.asarray(whole.phase)[others])
     assert "missing" in str(points)
+
+
+@pytest.mark.parametrize("name", ["FB", "FBFBR"])
+def test_noise_that_is_not_given_is_estimated(name):
+    measured, sigma = noisy(name, 0)
+    points, given = reconstruct(measured, sensor(name)), reconstruct(measured, sensor(name), sigma=sigma)
+    assert np.mean(np.asarray(points.status) == np.asarray(given.status)) > SAME_STATUS
+    ratio = np.asarray(points.normal_error) / np.asarray(given.normal_error)
+    assert np.nanmedian(ratio) == pytest.approx(1.0, rel=SCATTER)
+    assert "nan" not in str(points) and "+-" in str(points)
+    assert "nan" not in str(reconstruct(signals(name)[1], sensor(name)))
+
+
+def test_missing_reactions_are_named():
+    measured = signals("FBFBR")[1]
+    with pytest.raises(ValueError, match=r"`measured` must hold fx, fy and mz .* of fx_1, fy_1, fx_2, fy_2;"):
+        reconstruct({n: measured[n] for n in ("control", "mz")}, sensor("FBFBR"))
+    first = {"control": CONTROL} | {f"{n}_1": measured[n][:, 0] for n in ("fx", "fy", "mz")}
+    with pytest.raises(ValueError, match="no value of fx_2, fy_2, mz_2;"):  # which moves the first base
+        reconstruct(first, sensor("FBFBR"))
+    clamped = Sensor(jw.Whisker(), jw.Support(mount=(jw.Mount(), jw.Mount())))
+    points = reconstruct(first, clamped)
+    assert np.all(np.asarray(points.status)[:, 1] == PointStatus.missing)
+    with pytest.raises(ValueError, match="no value of mz_1;"):
+        reconstruct({n: first[n] for n in ("control", "fx_1", "fy_1")}, clamped)
+    with pytest.raises(ValueError, match="got no values;"):
+        reconstruct({"control": CONTROL, "fx": np.full(CONTROL.size, np.nan)}, clamped)
+
+
+def test_negated_moments_are_named():
+    measured = signals("FB")[1]
+    with pytest.raises(ValueError, match="check the sign of mz; the tables of the thesis negate mz"):
+        reconstruct(measured | {"mz": -measured["mz"]}, sensor("FB"))
 
 
 @pytest.mark.unchecked

@@ -5,7 +5,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._inverse.observations import read_observations
-from jaxwhisker._inverse.recording import check_recording
+from jaxwhisker._inverse.recording import check_recording, check_signs
 from recordings import CONTROL, NOISE, STEPS, TRUTH, exact, fb, noisy, reversed_order
 
 TABLE = np.linspace(0.7, -1.3, 300)
@@ -45,6 +45,40 @@ def test_reversed_order_is_refused(c, seed):
             check(part)
     with pytest.raises(ValueError, match=r"`measured` must be in the order .*sign of fx"):
         check(scan | {"fx": -scan["fx"]})
+
+
+@pytest.mark.parametrize(
+    ("names", "hint"),
+    [
+        (["mz"], "lean ahead .*the tables of the thesis negate mz"),
+        (["fy"], "pulls"),
+        (["fx"], "reverse the order of all arrays"),
+        (["fx", "mz"], "reverse the order of all arrays"),
+        (["fx", "fy", "mz"], "whiskers do|pulls"),
+    ],
+)
+@pytest.mark.parametrize("c", [10.0, 60.0])
+@pytest.mark.parametrize("towards", [-1, 1])
+def test_negated_signals_are_named(names, hint, c, towards):
+    scan = exact(fb(c, 0.25), towards * np.linspace(-1.5, 1.6, STEPS))
+    for recording in (scan, noisy(scan, 0)):
+        check(recording)
+        with pytest.raises(ValueError, match=rf"`measured` must be .*{hint}.*") as error:
+            check(recording | {name: -recording[name] for name in names})
+        assert f"check the sign of {', '.join(names)}" in str(error.value)
+
+
+def test_signs_that_the_sensor_may_reverse_pass(data):
+    """Springs on a shaft share the load; a whisker that leans may bend either way."""
+    signals = read_observations(data | {"mz": -data["mz"]}, NOISE)
+    with pytest.raises(ValueError, match="sign of mz"):
+        check_signs(signals, fb(**TRUTH))
+    leaning = jw.Support.clamped().springs, jw.Mount(0.0, 0.0, 0.3)
+    check_signs(signals, jw.Sensor(jw.Whisker(), jw.Support(*leaning)))
+    check_signs(signals, jw.Sensor(jw.Whisker(intrinsic_curvature=0.2)))
+    held = jw.Support((jw.Spring((0, 1), 70.0, at=0.1), jw.Spring((0, 1), 9.0, axis="phi")))
+    negated = read_observations(data | {name: -data[name] for name in ("fy", "mz")}, NOISE)
+    check_signs(negated, jw.Sensor(jw.Whisker(), held))
 
 
 def test_reversed_order_needs_fx_of_all_whiskers_and_a_free_start(data):

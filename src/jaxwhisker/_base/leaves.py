@@ -11,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.settings import as_here
 
 Tree = TypeVar("Tree")
 
@@ -74,10 +75,13 @@ def safe_placeholder(tree: Tree, valid: Bool[Array, ""]) -> Tree:
 
 @jax.tree_util.register_pytree_node_class
 class Deferred:
-    """A tree that is computed when it is first asked for, or when it becomes part of the result of a transformation."""
+    """A tree that is computed when it is first asked for, or when it becomes part of the result of a transformation.
+
+    It is computed with the precision that was chosen when it was made.
+    """
 
     def __init__(self, compute: Callable[[], Any]):
-        self._compute = compute
+        self._compute = as_here(compute)
 
     @cached_property
     def value(self) -> Any:

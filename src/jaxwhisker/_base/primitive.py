@@ -6,7 +6,6 @@ have an axis for each vmap, from the outermost one inwards; these axes come firs
 
 import functools
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -17,6 +16,8 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from jaxwhisker._base.settings import as_here
+
 LANES = 64  # large batches of a `batched` program run in blocks of this size
 MOST_SINGLE = 32  # smaller batches run one by one, which needs no further executable
 
@@ -24,17 +25,6 @@ MOST_SINGLE = 32  # smaller batches run one by one, which needs no further execu
 def threads() -> int:
     """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def as_precise(function: Callable) -> Callable:
-    """The function with this thread's precision: other threads do not see that `jax.enable_x64` surrounds this one."""
-    precise = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
-
-    def run(*args):
-        with jax.enable_x64(precise):
-            return function(*args)
-
-    return run
 
 
 def lanes_together(program: Any, count: int) -> int:
@@ -49,7 +39,7 @@ PRIMITIVE.multiple_results = True
 @PRIMITIVE.def_impl
 def _run(*arrays, program: Any, shape: Any, levels: tuple[tuple[bool, ...], ...]) -> list:
     if not levels:
-        return program.compiled(shape)(*arrays)
+        return program.run(shape, arrays)
     values = [np.asarray(leaf) for leaf in arrays]
     sizes = [_size(values, levels, number) for number in range(len(levels))]
     indices = list(np.ndindex(*sizes))
@@ -71,10 +61,10 @@ def _run(*arrays, program: Any, shape: Any, levels: tuple[tuple[bool, ...], ...]
 
     with ThreadPoolExecutor(threads()) as pool:  # XLA alone keeps one processor busy
         if together:
-            parts = list(pool.map(as_precise(block), range(0, len(indices), LANES)))
+            parts = list(pool.map(as_here(block), range(0, len(indices), LANES)))
             joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
         else:
-            parts = list(pool.map(as_precise(single), indices))
+            parts = list(pool.map(as_here(single), indices))
             joined = [np.stack(each) for each in zip(*parts, strict=True)]
     if not indices:
         joined = [np.zeros((0, *info.shape), info.dtype) for info in program.results(shape).arrays]

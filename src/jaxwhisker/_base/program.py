@@ -26,7 +26,8 @@ from jaxlib.version import __version_info__ as version
 
 from jaxwhisker._base import checks, store
 from jaxwhisker._base.announce import announced
-from jaxwhisker._base.primitive import PRIMITIVE, as_precise, lanes_together
+from jaxwhisker._base.primitive import PRIMITIVE, lanes_together
+from jaxwhisker._base.settings import as_here, with_own_settings
 
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
 # time, and its kernels run equally fast.
@@ -94,6 +95,7 @@ class Program:
         self._executables: dict[tuple[Shape, int], Future] = {}
         _PROGRAMS.append(self)
 
+    @with_own_settings
     def __call__(self, *args, **kwargs):
         shape, arrays = _split(args, kwargs)
         if any(isinstance(leaf, Tracer) for leaf in arrays):
@@ -103,8 +105,17 @@ class Program:
                 arrays = [jax.lax.stop_gradient(leaf) if isinstance(leaf, Tracer) else leaf for leaf in arrays]
             arrays = PRIMITIVE.bind(*arrays, program=self, shape=shape, levels=())
         else:
-            arrays = self.compiled(shape)(*arrays)
+            arrays = self.run(shape, arrays)
         return self._results[shape].tree(arrays)
+
+    def run(self, shape: Shape, arrays: Sequence) -> list:
+        """The arrays of the results, computed where the arguments are."""
+        try:
+            return self.compiled(shape)(*arrays)
+        except ValueError:
+            if not _are_elsewhere(arrays):
+                raise
+            return self._jitted(shape)(*arrays)
 
     @property
     def compilations(self) -> int:
@@ -185,7 +196,7 @@ class Program:
         with self._lock:
             if (shape, lanes) not in self._executables:
                 key = self._key(shape, lanes)
-                with announced(kept=key is not None):
+                with announced(kept=_is_kept(key)):
                     future = self._load(shape, lanes, key, pool) or self._compile(shape, lanes, key, pool)
                 self._executables[shape, lanes] = future
                 while len(self._executables) > MOST_KEPT:  # users may pass a new function in every call
@@ -220,7 +231,7 @@ class Program:
         results = self._results[shape]
 
         def compiled():
-            with announced(kept=key is not None), store.complete() as is_complete:
+            with announced(kept=_is_kept(key)), store.complete() as is_complete:
                 executable = lowered.compile(self._options)
             if key is not None and is_complete() and (code := store.code(executable)):
                 store.save(key, (results.tree([...] * len(results.arrays)), results.arrays, code))
@@ -241,6 +252,18 @@ def clear() -> None:
     """Forget all programs that were compiled in this process; those on disk are loaded again when needed."""
     for program in _PROGRAMS:
         program.clear()
+
+
+def _is_kept(key: str | None) -> bool:
+    """Whether a program with this name on disk will be there for later processes."""
+    where = store.folder()
+    return key is not None and where is not None and store.obstacle(where) is None
+
+
+def _are_elsewhere(arrays: Sequence) -> bool:
+    """Whether arrays are on another device than that for which programs are compiled."""
+    here = store.device()
+    return any(isinstance(leaf, jax.Array) and leaf.devices() != {here} for leaf in arrays)
 
 
 def is_array(leaf: Any) -> bool:
@@ -284,7 +307,7 @@ def _tree(structure: Any, leaves: Sequence, arrays: Any) -> Any:
 
 def _aside(pool: Executor | None, function: Callable) -> Future:
     if pool is not None:
-        return pool.submit(as_precise(function))
+        return pool.submit(as_here(function))
     done = Future()
     done.set_result(function())
     return done

@@ -66,6 +66,22 @@ def distrust(where: Path) -> str | None:
         return None
 
 
+def obstacle(where: Path) -> str | None:
+    """The reason why programs cannot be kept in a folder, which may not exist yet."""
+    if reason := distrust(where):
+        return reason
+    existing = next(place for place in (where, *where.absolute().parents) if place.exists())
+    if not existing.is_dir():
+        return "it is a file" if existing == where else f"{existing} is a file"
+    return None if os.access(existing, os.W_OK | os.X_OK) else f"{existing} cannot be written to"
+
+
+@functools.cache
+def _warn_once(where: Path, reason: str) -> None:
+    text = f"Compiled programs are not kept in {where}: {reason}. Every process compiles them; JAXWHISKER_CACHE"
+    warnings.warn(f"{text} sets another folder.", stacklevel=3)
+
+
 def _others(status: os.stat_result) -> str | None:
     if hasattr(os, "getuid") and status.st_uid != os.getuid():
         return "it belongs to another user"
@@ -146,10 +162,12 @@ def _ignored(key: str, error: Exception) -> None:
 
 
 def save(key: str, value: Any) -> None:
-    """Keep the contents of an entry. A store that cannot be written to is left alone."""
+    """Keep the contents of an entry. A store that cannot be written to is left alone, with one warning."""
     where = folder()
-    if where is None:
+    if where is None or distrust(where):
         return
+    if reason := obstacle(where):
+        return _warn_once(where, reason)
     content = zlib.compress(pickle.dumps(value), 1)
     try:
         where.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -164,8 +182,8 @@ def save(key: str, value: Any) -> None:
             Path(temporary).unlink(missing_ok=True)
             raise
         _shrink(where)
-    except OSError:
-        return
+    except OSError as error:
+        _warn_once(where, error.strerror or str(error))
 
 
 def code(program: jax.stages.Compiled) -> Any:

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import in_double, with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import ORDER
 from jaxwhisker._dynamics.line import DeadLoads, Equilibrium
@@ -56,6 +57,7 @@ class Modes(eqx.Module):
     status: Int[Array, "*steps"]  # Status.ok; .unstable; .invalid; or the status of the step
 
     @property
+    @in_double
     def frequency(self) -> Float[Array, "*steps count"]:
         """omega / (2 pi), cycles per time."""
         return self.omega / (2 * jnp.pi)
@@ -67,6 +69,7 @@ class _Damping(eqx.Module):
     base: tuple[Scalar, Scalar, Scalar]
 
 
+@with_own_settings
 def modes(
     at: Whisker | Sensor | Scene | Deflection | Result,
     count: int = 4,

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.advance import Forces, advance
 from jaxwhisker._dynamics.drive import drive_of
@@ -38,6 +39,7 @@ DEEPEST = 0.01  # penetration beyond which it is a second contact
 INSIDE_BENT = 1e-3  # accepted penetration of a given shape, which is projected onto the shape functions
 
 
+@with_own_settings
 def simulate(
     scene: Scene | Sensor,
     drive: Any,

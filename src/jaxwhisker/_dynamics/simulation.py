@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.settings import in_double
 from jaxwhisker._dynamics.legendre import basis, weights_at
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._path.path import EventKind
@@ -57,8 +58,10 @@ class TimedEvents(eqx.Module):
 
     def __getitem__(self, index: int) -> TimedEvent:
         k = range(len(self))[index]
-        kind = EventKind(int(self.kind[k]))
-        return TimedEvent(kind, int(self.whisker[k]), float(self.time[k]), float(self.control[k]))
+        kind, whisker, time, control = (
+            np.asarray(each)[k] for each in (self.kind, self.whisker, self.time, self.control)
+        )
+        return TimedEvent(EventKind(int(kind)), int(whisker), float(time), float(control))
 
     def of(self, kind: EventKind, whisker: int | None = None) -> list[TimedEvent]:
         """The events of one kind, and of one whisker (numbered from 1) if given.
@@ -113,6 +116,7 @@ class Simulation(State):
     events: TimedEvents
     scene: Scene | Sensor
 
+    @in_double
     def shapes(self, points: int = 64) -> Shapes:
         """Centre lines of all whiskers at all samples: equidistant points from base to tip.
 
@@ -139,7 +143,7 @@ class Simulation(State):
         steps = f"{bad.pop('ok', 0)} of {np.size(self.status)} samples ok"
         steps += "".join(f"; {n}: {s}" for s, n in bad.items())
         lines = [str(self.scene), steps]
-        if int(np.max(self.events.count)) > self.events.kind.shape[-1]:
+        if int(np.max(np.asarray(self.events.count))) > self.events.kind.shape[-1]:
             lines += [f"the first {len(self.events)} of {int(self.events.count)} events"]
         return "\n".join([*lines, *map(str, self.events)])
 

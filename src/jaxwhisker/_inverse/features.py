@@ -19,6 +19,9 @@ EARLY = 0.2  # of the peak, up to which a signal after a touch is treated as a p
 ONSETS = 60  # positions of the touch that are tried
 LEAST_SAMPLES = 6  # least number of samples from which a touch is estimated
 
+ALTERNATING = 0.5  # share of pairs of neighbouring differences of opposite sign: 0.77 of white noise, 0 if smooth
+LEAST_DIFFERENCES = 12  # from which this share is known; a jump causes three
+TINY_NOISE = 1e-9  # of the peaks
 ZERO_DIFFERENCE = 1e-14  # of the peak: smaller differences are zero
 MAD_TO_SIGMA = 1.4826  # ratio of a normal distribution's standard deviation to its median absolute deviation
 
@@ -39,6 +42,7 @@ class Scatter(NamedTuple):
 
     sigma: Float[np.ndarray, " kinds"]  # standard deviation of each kind of signal; 0 if nothing is known
     count: int  # number of differences in the estimate of the kind with the fewest
+    alternates: Bool[np.ndarray, " kinds"]  # whether neighbouring differences alternate in sign, as those of noise do
 
 
 def features(observations: Observations, *, snaps: bool = True) -> Features:
@@ -68,6 +72,7 @@ def neighbour_scatter(*recordings: Observations) -> Scatter:
     is correlated between samples (by a low-pass filter) makes it too small.
     """
     sigma, counts = np.zeros(recordings[0].values.shape[2]), []
+    alternates = np.zeros(sigma.size, dtype=bool)
     peaks = np.max([observations.peaks for observations in recordings], axis=0)
     for c in range(sigma.size):
         signals = [(one.control, signal) for one in recordings for signal in one.values[:, :, c].T]
@@ -76,7 +81,19 @@ def neighbour_scatter(*recordings: Observations) -> Scatter:
         if rough.size:
             sigma[c] = MAD_TO_SIGMA * np.median(np.abs(rough))
             counts.append(rough.size)
-    return Scatter(sigma, min(counts, default=0))
+            if rough.size >= LEAST_DIFFERENCES:
+                alternates[c] = np.mean(rough[1:] * rough[:-1] < 0) > ALTERNATING
+    return Scatter(sigma, min(counts, default=0), alternates)
+
+
+def least_scatter(observations: Observations) -> Float[np.ndarray, " kinds"]:
+    """Standard deviation of the noise of each kind of signal from its scatter; positive."""
+    return np.maximum(neighbour_scatter(observations).sigma, TINY_NOISE * observations.peaks)
+
+
+def noise_of(observations: Observations) -> Float[np.ndarray, " kinds"] | None:
+    """Standard deviation of the noise of each kind of signal from its scatter; None for exact signals."""
+    return least_scatter(observations) if neighbour_scatter(observations).alternates.any() else None
 
 
 def _third_differences(control: np.ndarray, signal: np.ndarray) -> np.ndarray:

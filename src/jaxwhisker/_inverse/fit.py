@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.settings import in_double
 from jaxwhisker._inverse.features import Features, Scatter
 from jaxwhisker._inverse.least_squares import LeastSquares, Minimum
 from jaxwhisker._inverse.observations import Observations
@@ -205,6 +206,7 @@ class Fit:
             )
         return first
 
+    @in_double
     def profile(self, name: str, points: int = 21, width: float = 3.0) -> LikelihoodProfile:
         """Compute the likelihood profile of one parameter, which does not assume that the misfit is quadratic.
 
@@ -244,6 +246,7 @@ class Fit:
         rise = misfit - np.nanmin(misfit)
         return LikelihoodProfile(name, values, rise, (_crossing(values, rise, -1), _crossing(values, rise, 1)))
 
+    @in_double
     def log_density(self, y: Any) -> Any:
         """Logarithm of the likelihood up to an additive constant, for samplers; traceable and differentiable.
 
@@ -259,6 +262,7 @@ class Fit:
         """The fit's variables at the estimates, (parameters,): logarithms of parameters that must be positive."""
         return np.array(self._solution.y)
 
+    @in_double
     def parameters(self, y: Any) -> dict[str, Any]:
         """Parameters by name from the fit's variables, (parameters,); traceable."""
         transforms = jax.tree.map(jnp.asarray, self._problem.transforms)
@@ -277,7 +281,8 @@ class Fit:
             rows.append([name, f"{self.estimates[name]:.8g}", error, interval, verdict])
         lines.append(table(["parameter", "estimate", "standard error", "95 % interval", ""], rows))
         lines += ["", *(f"not identifiable: {words}." for words in self.combinations)]
-        count = f"chi^2 = {self.chi2:.6g} with {self.degrees} degrees of freedom"
+        chi2 = f"{self.chi2:.6g}" if np.isfinite(self.chi2) else "unknown"
+        count = f"chi^2 = {chi2} with {self.degrees} degrees of freedom"
         lines.append(f"{count}, {self.steps} steps, {self.agreeing} of {self.starts} starts ended here")
         return "\n".join(lines)
 

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._inverse.features import neighbour_scatter
+from jaxwhisker._base.settings import with_own_settings
+from jaxwhisker._inverse.features import least_scatter
 from jaxwhisker._inverse.fit import Fit
 from jaxwhisker._inverse.fit_profile import points_and_rates
 from jaxwhisker._inverse.identify import identify
@@ -37,7 +38,6 @@ SMOOTH = 0.3  # of the mean radius: standard deviation of second differences of 
 SHARP = 0.4  # outermost radii relative to their neighbours in the second contour to start from
 LEAST_RADIUS = 0.1  # of the median radius of a first contour
 LEAST_DISTANCE = 0.1  # of the lowest point's height, for a first contour
-TINY_NOISE = 1e-9  # of the peaks
 PREFIX = "radius_"  # prefix of the contour's parameters in the fit
 
 
@@ -105,6 +105,7 @@ class _ContourScene(NamedTuple):
         return sensor_of(self.sensor(**dict(self.known), **{name: values[name] for name in self.unknown}))
 
 
+@with_own_settings
 def fit_contour(
     measured: Any,
     sensor: Sensor | Scene | Callable[..., Sensor | Scene],
@@ -150,7 +151,7 @@ def fit_contour(
     observations = read_observations(measured, sigma, whiskers=len(known.whiskers))
     check_recording(observations, known, len(unknown) + 2 + count)
 
-    points = reconstruct(measured, known, sigma=_scatter(observations) if sigma is None else sigma)
+    points = reconstruct(observations, known, sigma=_scatter(observations) if sigma is None else sigma)
     slopes = _touched_knots(points, count) if slopes is None else slopes
     _check_contacts(count, int(points.clear.sum()))
     fixed = tuple((name, value) for name, value in values.items() if name not in unknown)
@@ -158,7 +159,7 @@ def fit_contour(
     fits: list[Fit] = []
     for start in _starts(points, slopes, guess):
         first = {name: values[name] for name in unknown} | start
-        fits.append(identify(build, first, measured, sigma=sigma, starts=0, near=True))
+        fits.append(identify(build, first, observations, sigma=sigma, starts=0, near=True))
         if fits[-1].status == FitStatus.ok:
             break
     fit = min(fits, key=lambda fit: (fit.status != FitStatus.ok, np.nan_to_num(fit.chi2, nan=np.inf)))
@@ -176,8 +177,7 @@ def _values_of(x: float, y: float, radii: np.ndarray) -> dict[str, float]:
 
 
 def _scatter(observations: Observations) -> dict[str, float]:
-    noise = np.maximum(neighbour_scatter(observations).sigma, TINY_NOISE * observations.peaks)
-    return dict(zip(REACTIONS, noise.tolist(), strict=True))
+    return dict(zip(REACTIONS, least_scatter(observations).tolist(), strict=True))
 
 
 def _starts(points: Reconstruction, slopes: tuple[float, ...], guess: AbstractProfile | None) -> list[dict[str, float]]:

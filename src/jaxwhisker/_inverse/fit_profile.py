@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.points import Reconstruction
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible
@@ -69,12 +70,14 @@ class ProfileFit(eqx.Module):
         lines += [f"status: {self.status.name}, standard errors are unknown"] * (self.status != FitStatus.ok)
         width = max(map(len, self.estimates))
         for name, value in self.estimates.items():
-            lines.append(f"  {name:<{width}}  {value:< 14.8g} +- {self.standard_error[name]:.2g}")
+            error = self.standard_error[name]
+            lines.append(f"  {name:<{width}}  {value:< 14.8g}" + f" +- {error:.2g}" * bool(np.isfinite(error)))
         return "\n".join(lines)
 
     __repr__ = __str__
 
 
+@with_own_settings
 def fit_profile(
     points: Reconstruction | Mapping[str, Any],
     family: type[AbstractProfile],

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxwhisker._base import announce, checks
 from jaxwhisker._base.primitive import threads
+from jaxwhisker._base.settings import as_here, with_own_settings
 from jaxwhisker._inverse import parameters
 from jaxwhisker._inverse.channels import Channels, channels_from, table_of_result
 from jaxwhisker._inverse.features import features, neighbour_scatter
@@ -40,6 +41,7 @@ NEGLIGIBLE = 1e-2  # possible decrease of chi-squared (a tenth of a standard err
 AT_BOUND = 1e-3  # dv/dy, relative to that in the middle if it is larger than 1, below which a parameter is at its bound
 
 
+@with_own_settings
 def identify(
     build: Callable[..., Scene],
     guess: Mapping[str, Any],
@@ -139,7 +141,8 @@ def identify(
         search = _search(problem, start, starts, near)
         if scatter is not None:
             problem, search = _reweighted(problem._replace(scatter=scatter), search)
-    return _fit_of(problem, search)
+    # A fit keeps its problem, but no callback: fits can be pickled.
+    return _fit_of(problem._replace(solve=problem.solve._replace(report=None)), search)
 
 
 def _read(measured: Any, sigma: Any, channels: Channels, whiskers: int) -> list[Observations]:
@@ -246,7 +249,7 @@ def _search(problem: FitProblem, start: np.ndarray, starts: int, near: bool) -> 
 
     others = [start, *_other_starts(start, starts - 1)]
     with ThreadPoolExecutor(threads()) as pool:
-        for solution in pool.map(fit, range(len(others)), others):
+        for solution in pool.map(as_here(fit), range(len(others)), others):
             solutions.append(solution)
             best = min(solutions, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
             agreeing = sum(bool(np.max(np.abs(s.y - best.y)) < EQUAL) for s in solutions)

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control
 from jaxwhisker._inverse.channels import Channels, channels_from
 from jaxwhisker._inverse.linearised import LinearisedScan
@@ -181,6 +182,7 @@ class Information:
         return f"{name} ({share[name] / max(sum(share.values()), 1e-300):.0%})"
 
 
+@with_own_settings
 def information(
     build: Callable[..., Scene],
     at: Mapping[str, float],
@@ -216,6 +218,7 @@ def information(
     return _information_at(build, values, {}, measured, noise, _logs(build, values, {}, measured))
 
 
+@with_own_settings
 def design(
     build: Callable[..., Scene],
     at: Mapping[str, float],

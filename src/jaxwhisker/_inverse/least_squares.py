@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxwhisker._base.primitive import threads
+from jaxwhisker._base.settings import as_here
 from jaxwhisker._inverse.linearised import LinearisedScan
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
@@ -100,7 +101,7 @@ class LeastSquares(NamedTuple):
             each = [self._of_recording(x[columns[0]], data[0])]
         else:
             with ThreadPoolExecutor(threads()) as pool:
-                each = list(pool.map(self._of_recording, [x[own] for own in columns], data))
+                each = list(pool.map(as_here(self._of_recording), [x[own] for own in columns], data))
         by_y = self.transforms.per_inner(x) * self.transforms.stretch(y)
         jacobians = []
         for at, own in zip(each, columns, strict=True):

@@ -1,6 +1,9 @@
 """Observations: measured signals read from experiments, tables, files and scans, with the noise they contain."""
 
+import csv
+import gzip
 import re
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,8 +15,10 @@ from jaxtyping import Bool, Float
 from jaxwhisker._scan.quantities import MOTION, QUANTITIES, REACTIONS
 from jaxwhisker._scan.result import Result
 
-# Other columns of scans, studies and simulations, which are ignored.
-_IGNORED = re.compile(rf"(?:{'|'.join((*QUANTITIES, *MOTION))}|spring|event_.*|n_events)(?:_\d+)?")
+# Other columns of scans, studies and simulations, and the unnamed index of a table, which are ignored silently.
+_IGNORED = re.compile(rf"(?:{'|'.join((*QUANTITIES, *MOTION))}|spring|event_.*|n_events)(?:_\d+)?|(?:Unnamed: \d+)?")
+MISSING = "", "-", "NA", "N/A", "#N/A", "null", "None"  # cells without a value; NaN is a number
+GZIP, UTF_16 = b"\x1f\x8b", (b"\xff\xfe", b"\xfe\xff")  # first bytes of such files
 
 
 class Observations(eqx.Module):
@@ -83,17 +88,19 @@ def read_observations(
 
     Args:
         data: holds `control` and any of fx, fy, mz: (steps,) for one whisker, (steps, whiskers) or columns fx_1, fx_2,
-            ... for several. Lines of a file that begin with # are skipped.
+            ... for several. Other columns are ignored with a warning that names them. Files may be compressed
+            (gzip), are separated by commas, semicolons or tabs, and have decimal points or commas; lines that begin
+            with # are skipped.
         sigma: standard deviation of the noise: a number for all channels, or a mapping from channels to numbers or
             arrays; None if unknown.
         whiskers: number of whiskers; the data may omit whiskers that were not measured.
         kinds: names of the channels if a function computes them; the data may omit some.
 
     Raises:
-        ValueError: if the data have another type, lack `control` or all channels, or have an unknown or a wrongly
-            shaped column, or if sigma is not positive or is missing for a channel.
+        ValueError: if the data have another type, lack `control` or all channels, or have a wrongly shaped column, or
+            if sigma is not positive or is missing for a channel.
     """
-    table = _named_values(data)
+    table = _named_values(data, kinds)
     if "control" not in table:
         raise ValueError(f"`measured` must hold `control`, got {', '.join(table) or 'nothing'}.")
     control = _as_numbers("measured", "control", table["control"])
@@ -127,13 +134,12 @@ def channel_pattern(kinds: tuple[str, ...]) -> re.Pattern:
 def _columns_of(table: Mapping[str, Any], steps: int, kinds: tuple[str, ...]) -> dict[tuple[int, int], np.ndarray]:
     """The measured columns by whisker and kind."""
     columns: dict[tuple[int, int], np.ndarray] = {}
-    pattern, hint = channel_pattern(kinds), " (or fx_1, fx_2, ... of several whiskers)" if kinds == REACTIONS else ""
+    pattern, ignored = channel_pattern(kinds), []
     for name, values in table.items():
         matched = pattern.fullmatch(name)
         if matched is None:
-            if _IGNORED.fullmatch(name):
-                continue
-            raise ValueError(f"`measured` must hold channels among {', '.join(kinds)}{hint}, got {name!r}.")
+            ignored += [name] * (not _IGNORED.fullmatch(name))
+            continue
         values = _as_numbers("measured", name, values)
         if values.shape[:1] != (steps,) or values.ndim > 2:
             raise ValueError(
@@ -144,19 +150,24 @@ def _columns_of(table: Mapping[str, Any], steps: int, kinds: tuple[str, ...]) ->
         first = int(matched[2] or 1) - 1
         for k, column in enumerate(values.reshape(steps, -1).T):
             columns[first + k, kinds.index(matched[1])] = column
+    if ignored and columns:
+        hint = " (or fx_1, fx_2, ... of several whiskers)" if kinds == REACTIONS else ""
+        text = f"Columns of `measured` other than {', '.join(kinds)}{hint} are ignored: {', '.join(ignored)}."
+        warnings.warn(text, stacklevel=4)
     return columns
 
 
-def _named_values(data: Any) -> dict[str, Any]:
+def _named_values(data: Any, kinds: tuple[str, ...]) -> dict[str, Any]:
     if isinstance(data, Observations):
         return {"control": data.control} | {name: data.values[:, :, c] for c, name in enumerate(data.kinds)}
     if isinstance(data, (str, Path)):
-        return _read_csv(Path(data))
+        return _read_csv(Path(data), kinds)
     if isinstance(data, Result):
         return {name: getattr(data, name) for name in ("control", *REACTIONS)}
     if hasattr(data, "data_vars"):  # an xarray.Dataset
         return _table_of_dataset(data)
     if hasattr(data, "columns"):  # a DataFrame
+        data = data.reset_index() if data.index.name in ("control", *kinds) else data
         return {str(name): data[name] for name in data.columns}
     if isinstance(data, Mapping):
         return {str(name): values for name, values in data.items()}
@@ -181,18 +192,39 @@ def _table_of_dataset(data: Any) -> dict[str, Any]:
     return table
 
 
-def _read_csv(path: Path) -> dict[str, Any]:
+def _read_csv(path: Path, kinds: tuple[str, ...]) -> dict[str, Any]:
     if not path.is_file():
         raise ValueError(f"`measured` must be the path of a CSV file, got {path}, which does not exist.")
-    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
-    names = [name.strip().strip('"') for name in lines[0].split(",")] if lines else []
-    try:
-        rows = [[float(cell) if cell.strip() else np.nan for cell in line.split(",")] for line in lines[1:]]
-    except ValueError as error:
-        raise ValueError(f"`measured` must be columns of numbers below a line of names, got {path}: {error}.") from None
+    lines = [line for line in re.split(r"\r\n?|\n", _text_of(path)) if line.strip() and line[0] != "#"]
+    separator = max(",;\t", key=lines[0].count) if lines else ","
+    names, *rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True)) or [[]]
     if not rows or any(len(row) != len(names) for row in rows):
         raise ValueError(f"`measured` must be columns of equal length below a line of names, got {path}.")
-    return dict(zip(names, np.array(rows).T, strict=True))
+    table: dict[str, Any] = {name.strip(): column for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+    for name in table:
+        if name == "control" or channel_pattern(kinds).fullmatch(name):
+            try:
+                table[name] = np.array([_number_in(cell) for cell in table[name]])
+            except ValueError as error:
+                raise ValueError(
+                    f"`measured` must be columns of numbers below a line of names, got {path}: {error} ({name})."
+                ) from None
+    return table
+
+
+def _number_in(cell: str) -> float:
+    """The number in a cell, with a decimal point or comma; NaN if there is none."""
+    cell = cell.strip()
+    return np.nan if cell in MISSING else float(cell.replace(",", "."))
+
+
+def _text_of(path: Path) -> str:
+    content = path.read_bytes()
+    content = gzip.decompress(content) if content.startswith(GZIP) else content
+    try:
+        return content.decode("utf-16" if content[:2] in UTF_16 else "utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")  # every byte is a character
 
 
 def _as_numbers(argument: str, name: str, values: Any) -> np.ndarray:

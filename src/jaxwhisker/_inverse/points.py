@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.settings import in_double
 from jaxwhisker._base.types import NamedInt
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._inverse.statistics import NORMAL_95
@@ -69,7 +70,8 @@ class Consistency(NamedTuple):
     def __str__(self) -> str:
         known = np.isfinite(self.distance)
         largest = np.max(np.abs(self.distance[known]), initial=0.0)
-        return f"{known.sum()} points compared, at most {largest:.3g} apart, reduced chi^2 {self.chi2:.3g}"
+        chi2 = "" if np.isnan(self.chi2) else f", reduced chi^2 {self.chi2:.3g}"
+        return f"{known.sum()} points compared, at most {largest:.3g} apart{chi2}"
 
 
 class Reconstruction(Step):
@@ -84,6 +86,7 @@ class Reconstruction(Step):
     length: Float[Array, ""]  # of the first whisker
 
     @property
+    @in_double
     def standard_error(self) -> Float[Array, "steps whiskers 4"]:
         """Standard errors of x, y, slope and arc."""
         return jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
@@ -94,16 +97,19 @@ class Reconstruction(Step):
         return (np.asarray(self.status) == PointStatus.ok) & ~(np.asarray(self.significance) < SIGNIFICANT)
 
     @property
+    @in_double
     def normal_error(self) -> Float[Array, "steps whiskers"]:
         """Standard error of the position across the contour, a length."""
         normal = jnp.stack([jnp.sin(self.slope), -jnp.cos(self.slope)], axis=-1)
         return jnp.sqrt(jnp.einsum("...i,...ij,...j", normal, self.covariance[..., :2, :2], normal))
 
     @property
+    @in_double
     def band(self) -> tuple[Float[Array, "2 steps whiskers"], Float[Array, "2 steps whiskers"]]:
         """x and y of the two borders of the 95 % band: outside the object, towards the whiskers, and inside it."""
         return bar_ends(self.x, self.y, self.slope, NORMAL_95 * self.normal_error)
 
+    @in_double
     def vertex(self) -> Vertex:
         """Estimate the object's lowest point from the points near it, where the force is vertical.
 
@@ -129,6 +135,7 @@ class Reconstruction(Step):
         (crossing, *_), _ = _weighted_fit(base_x[near], (1.0, 0.0), by_slope, cubic, spread)
         return x0, x_error, y0, y_error, radius, crossing
 
+    @in_double
     def consistency(self) -> Consistency:
         """Compare the points of every other whisker with the contour of whisker 1.
 

@@ -19,14 +19,17 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import sections
+from jaxwhisker._inverse.features import noise_of
 from jaxwhisker._inverse.inverse_rod import REACTION, LocatedContact, each_whisker, locate
-from jaxwhisker._inverse.observations import read_observations
+from jaxwhisker._inverse.observations import Observations, channels_of, read_observations
 from jaxwhisker._inverse.parameters import check_traceable, read_parameters
 from jaxwhisker._inverse.points import PointStatus, Reconstruction, Step
 from jaxwhisker._inverse.reconstruct_held import alone, check_held, held_contacts
+from jaxwhisker._inverse.recording import check_signs
 from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._scan.quantities import REACTIONS
@@ -39,6 +42,7 @@ EXACTLY_FREE = 1e-18  # the same with the peaks in place of the noise, if the no
 PLACEHOLDER = np.array([-0.8795, 0.4758, 0.9755])
 
 
+@with_own_settings
 def reconstruct(
     measured: Any,
     sensor: Sensor | Scene | Callable[..., Sensor | Scene],
@@ -53,12 +57,13 @@ def reconstruct(
 
     Args:
         measured: control and support reactions fx, fy, mz of every whisker: a Result, a Dataset, a DataFrame, a CSV
-            file or a mapping of arrays, (steps,) or (steps, whiskers). A whisker is `missing` where one of its three
-            reactions is NaN. Within jit and vmap: a mapping of arrays.
+            file (see `identify`) or a mapping of arrays, (steps,) or (steps, whiskers). A whisker is `missing` where
+            one of its three reactions is NaN. Within jit and vmap: a mapping of arrays.
         sensor: the sensor; or a Scene, whose object is ignored; or a function of named parameters that returns either.
         sigma: standard deviation of the noise: a number for all channels, or a mapping from channels to numbers or
-            arrays. None for signals without noise: phases are then decided up to rounding, and errors follow from
-            `covariance` only.
+            arrays. Default: one number per kind of signal, estimated from the scatter between neighbouring samples.
+            Signals that hardly scatter, such as those of a scan, and all signals within jit and vmap count as exact:
+            their phases are decided up to rounding, and errors follow from `covariance` only.
         parameters: arguments of the function, by name.
         covariance: covariance of the parameters in their order, (p, p); it widens the bands.
         base: measured poses of the bases, which replace those that follow from drive, mounts and springs: x, y
@@ -72,8 +77,9 @@ def reconstruct(
         A Reconstruction; NaN where a whisker is `free`, where signals are `missing`, or where no state fits (`failed`).
 
     Raises:
-        ValueError: if an argument is wrong, or JAX cannot trace the function; if springs hold shafts, also if springs
-            connect whiskers, or if only springs above a base hold it and `base` is not given.
+        ValueError: if an argument is wrong, JAX cannot trace the function, or signals are missing or negated; if
+            springs hold shafts, also if springs connect whiskers, or if only springs above a base hold it and `base` is
+            not given.
     """
     checks.float64_mode()
     is_function = callable(sensor) and not isinstance(sensor, (Sensor, Scene))
@@ -94,7 +100,7 @@ def reconstruct(
         check_held(known, base)
     if covariance is not None and parameters is not None and not checks.is_traced(values):
         check_traceable(sensor, parameters, called="sensor")  # pyright: ignore[reportArgumentType]
-    readings = _signals(measured, sigma, len(known.whiskers))
+    readings = _signals(measured, sigma, known, base)
     control, signals, _ = readings
     shape = signals.shape[0], signals.shape[1]
     readings = *readings, None if base is None else _poses(base, shape), _slips(known, slip, control, shape)
@@ -124,11 +130,18 @@ def sensor_of(sensor: Any) -> Sensor:
     return sensor
 
 
-def _signals(measured: Any, sigma: Any, whiskers: int):
-    """Control (steps,), reactions and their noise (steps, whiskers, 3); None for the noise if it is unknown."""
+def _signals(measured: Any, sigma: Any, known: Sensor, base: Any):
+    """Control (steps,), reactions and their noise (steps, whiskers, 3); None for exact signals."""
+    whiskers = len(known.whiskers)
     if not checks.is_traced((measured, sigma)):
         observations = read_observations(measured, sigma, whiskers=whiskers)
-        noise = None if sigma is None else jnp.asarray(np.where(np.isnan(observations.sigma), 1.0, observations.sigma))
+        _check_complete(observations, coupled=base is None and any(0 not in s.between for s in known.support.springs))
+        if sigma is None and (noise := noise_of(observations)) is not None:
+            observations = observations.with_sigma(noise)
+        if not checks.is_traced(known):
+            check_signs(observations, known)
+        exact = np.isnan(observations.sigma).all()
+        noise = None if exact else jnp.asarray(np.where(np.isnan(observations.sigma), 1.0, observations.sigma))
         return jnp.asarray(observations.control), jnp.asarray(observations.values), noise
     if not isinstance(measured, Mapping) or not {"control", *REACTIONS} <= set(measured):
         raise ValueError("`measured` must be a mapping with control, fx, fy and mz within jit, vmap and derivatives.")
@@ -140,6 +153,19 @@ def _signals(measured: Any, sigma: Any, whiskers: int):
     each = sigma if isinstance(sigma, Mapping) else dict.fromkeys(REACTIONS, sigma)
     noise = [jnp.broadcast_to(jnp.asarray(each[c], dtype=float), shape) for c in REACTIONS]
     return control, values, jnp.stack(noise, axis=-1)
+
+
+def _check_complete(observations: Observations, *, coupled: bool) -> None:
+    """Check that fx, fy and mz of every whisker are there, or of every measured one if springs do not couple them."""
+    known = observations.known.any(axis=0)
+    needed = coupled | known.any(axis=1)
+    lacking = [c.name for c in channels_of(len(known)) if needed[c.whisker] and not known[c.whisker, c.kind]]
+    if lacking or not known.any():
+        words = f"no value of {', '.join(lacking)}" if lacking else "no values"
+        raise ValueError(
+            f"`measured` must hold fx, fy and mz of every whisker for a reconstruction, got {words}; `identify` and "
+            "`fit_contour` fit fewer signals."
+        )
 
 
 def _poses(base: Any, shape: tuple[int, int]) -> Float[Array, "steps whiskers 3"]:

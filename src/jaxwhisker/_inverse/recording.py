@@ -1,4 +1,4 @@
-"""Checks of a recording that need no compilation: information, units and the direction of time."""
+"""Checks of a recording that need no compilation: information, units, signs and the direction of time."""
 
 import numpy as np
 
@@ -7,12 +7,14 @@ from jaxwhisker._inverse.observations import Channel, Observations
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.scene import Scene, Sensor, units_of
 from jaxwhisker._scan.quantities import REACTIONS
+from jaxwhisker._scan.route import turns_of
 
 LEAST_POSITIONS = 5  # drive positions from which a scan is recognised
 ENOUGH_DIFFERENCES = 30  # between neighbours, whose scatter then distinguishes contact from noise
 CONTROL_RATIO = 1e-2, 1e3  # plausible ranges, in the units of the scene
 REACTION_RATIO = 1e-3, 1e4
 NEGATIVE_WORK = 0.1  # of the sum of |work|: negative work beyond it is significant; reversed scans reach 0.4 to 0.8
+OPPOSITE = -0.5  # of the sum of |values|: a sum below it has the wrong sign; negated signals reach -0.9
 CONSTANT = 1e-12  # relative change of a constant signal
 
 
@@ -28,8 +30,8 @@ def check_recording(
         in_units: whether the signals are reactions in the units of the sensor.
 
     Raises:
-        ValueError: if there are too few values or drive positions, no contact, values in another unit, or values in
-            reversed order.
+        ValueError: if there are too few values or drive positions, no contact, values in another unit, negated
+            signals, or values in reversed order.
     """
     _check_count(observations, unknowns)
     if not np.isfinite(observations.sigma).any():
@@ -41,8 +43,8 @@ def check_recording(
             "of its noise."
         )
     _check_units(observations, sensor, REACTIONS if in_units else ())
-    if in_units and isinstance(sensor.motion, Translation):
-        _check_order(observations)
+    if in_units:
+        check_signs(observations, sensor)
 
 
 def _check_count(observations: Observations, unknowns: int) -> None:
@@ -80,26 +82,81 @@ def _check_units(observations: Observations, sensor: Scene | Sensor, reactions: 
             )
 
 
-def _check_order(observations: Observations) -> None:
-    """Check that the total work of the drive is never negative: whiskers that start free cannot give energy to it.
+def check_signs(observations: Observations, sensor: Scene | Sensor) -> None:
+    """Check that signals are reactions on the whiskers, in the order in which the drive moved.
 
-    The work is the integral of the sum of all fx over the control. If the order is reversed, a snap seems to create the
-    energy that it dissipates.
+    Args:
+        observations: of one scan, with the standard deviation of their noise.
+        sensor: the sensor, or a scene with it.
+
+    Raises:
+        ValueError: if the drive of whiskers that start free gains energy (fx), if the object pulls whiskers (fy), or if
+            upright whiskers lean ahead of the drive (mz). The message names these signals.
+    """
+    found = {}
+    if isinstance(sensor.motion, Translation) and _starts_free(observations):
+        work = _work_on_drive(observations)
+        found |= {"fx": f"whiskers that start free do the work {work:.3g} on the drive"} if work > 0 else {}
+        if _is_upright(sensor) and _leans_ahead(observations):
+            found |= {"mz": "whiskers lean ahead of the drive"}
+    # Springs on shafts share the load: the base may carry the opposite one.
+    if not sensor.support.on_shafts and _is_opposite(observations.values[:, :, 1]):
+        found |= {"fy": "the object pulls whiskers"}
+    if not found:
+        return
+    names = sorted(found)
+    hint = "reverse the order of all arrays, or " if "fx" in found and "fy" not in found else ""
+    thesis = "; the tables of the thesis negate mz" if names == ["mz"] else ""
+    raise ValueError(
+        "`measured` must be in the order in which the drive moved, with the forces and moments of the support on the "
+        f"whiskers, got signals with which {' and '.join(found[name] for name in names)}: {hint}check the sign of "
+        f"{', '.join(names)}{thesis}."
+    )
+
+
+def _starts_free(observations: Observations) -> bool:
+    """Whether fx of all whiskers is known from the beginning, where none is in contact."""
+    fx = observations.values[:, :, 0]
+    complete = np.isfinite(fx).all(axis=1)
+    return bool(complete.sum() >= LEAST_POSITIONS and complete[0] and not in_contact(observations)[0].any())
+
+
+def _is_upright(sensor: Scene | Sensor) -> bool:
+    """Whether the unloaded whiskers are straight and upright, and only springs at their bases hold them."""
+    straight = all(whisker.intrinsic_curvature is None for whisker in sensor.whiskers)
+    angles = [mount.angle for mount in sensor.support.mounts]
+    return straight and not sensor.support.on_shafts and not np.any(np.asarray(angles, dtype=float))
+
+
+def _is_opposite(values: np.ndarray) -> bool:
+    """Whether values that should be positive are mostly negative; NaN is skipped."""
+    return bool(np.nansum(values) < OPPOSITE * np.nansum(np.abs(values)))
+
+
+def _leans_ahead(observations: Observations) -> bool:
+    """Whether the moment bends whiskers ahead of the drive, where it should bend them back.
+
+    The moment mz on a base that moves towards -x is positive: the object holds the whisker back.
+    """
+    control, mz = observations.control, observations.values[:, :, 2]
+    leg = slice(0, min([*turns_of(control), control.size - 1]) + 1)
+    return _is_opposite(mz[leg][1:] * -np.diff(control[leg])[:, None])
+
+
+def _work_on_drive(observations: Observations) -> float:
+    """Work of whiskers that start free on the drive, if it is significantly positive; else 0.
+
+    The work of the drive is the integral of the sum of all fx over the control. If the order is reversed, a snap seems
+    to create the energy that it dissipates.
     """
     fx = observations.values[:, :, 0]
-    complete = np.asarray(np.isfinite(fx).all(axis=1))
+    complete = np.isfinite(fx).all(axis=1)
     control, force = observations.control[complete], fx[complete].sum(axis=1)
-    if control.size < LEAST_POSITIONS or in_contact(observations)[0].any() or not complete[0]:
-        return
     steps, middle = np.diff(control), (force[1:] + force[:-1]) / 2
     # An upper bound: between two samples, a monotonic force lies between their values.
     most = np.cumsum(middle * steps + np.abs(np.diff(force) * steps) / 2)
     noise = (observations.sigma[complete, :, 0] ** 2).sum(axis=1)
     deviation = np.sqrt(np.cumsum(noise[1:] * steps**2))
     scale = np.cumsum(np.abs(middle * steps))
-    if np.any(most + ABOVE_NOISE * deviation < -NEGATIVE_WORK * scale[-1]):
-        raise ValueError(
-            "`measured` must be in the order in which the drive moved, with the forces of the support on the whiskers, "
-            f"got signals with which whiskers that start free do the work {-most.min():.3g} on the drive. Reverse the "
-            "order of all arrays, or check the sign of fx."
-        )
+    significant = np.any(most + ABOVE_NOISE * deviation < -NEGATIVE_WORK * scale[-1])
+    return float(-most.min()) if significant else 0.0

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.suggest import Suggesting
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.motion import Mount
@@ -20,7 +21,7 @@ REST_ANGLE = np.radians(20.0)  # of Hill et al., to the normal of the pad
 HILL_GUIDE = 1e3  # N/m: of the centre of mass, which the model holds at a constant height
 
 
-class Published(eqx.Module):
+class Published(eqx.Module, metaclass=Suggesting):
     """Constructors of published supports. The drive is the skull; the pad lies along x, the follicle below y = 0.
 
     The base of the whisker is where it enters the skin. Below, the follicle is rigid, and springs hold it there. The

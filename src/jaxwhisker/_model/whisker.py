@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, number_or_function
+from jaxwhisker._base.suggest import Suggesting
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.along import AlongWhisker, Breaks, LinearTaper, RoundMass, RoundSection, as_breaks
 from jaxwhisker._model.measured import Measured
@@ -19,7 +20,7 @@ CHECKED_POINTS = 65  # points at which a function of arc length is checked
 SLENDER = 5  # least ratio of length and diameter; real whiskers and wires have 50 and more
 
 
-class Whisker(Measured):
+class Whisker(Measured, metaclass=Suggesting):
     """A whisker, clamped upright at its base.
 
     With the default values everything is dimensionless: lengths in L, forces in EI/L^2, moments in EI/L.

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import in_double
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
@@ -53,6 +54,7 @@ class EnergyBalance(eqx.Module):
     residual: Float[Array, "*batch steps"]  # work - stored - sum of heat - loss
 
 
+@in_double
 def energy_balance(result: Result) -> EnergyBalance:
     """Work of the drive along a scan, and where it goes: stored energy, heat of friction, and losses in snaps.
 

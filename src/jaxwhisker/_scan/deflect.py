@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment
 from jaxwhisker._model.support import Support
@@ -102,6 +103,7 @@ def _solution(whisker: Whisker, loads: Given, support: Support) -> tuple[Array, 
     return solved.unknowns, jnp.where(valid, status, Status.invalid)
 
 
+@with_own_settings
 def deflect(
     whisker: Whisker,
     *loads: PointForce | PointMoment | LineLoad,

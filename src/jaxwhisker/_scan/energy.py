@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import in_double
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Translation
@@ -34,6 +35,7 @@ from jaxwhisker._scan.state import State, base_of, state_of
 INTERVALS = 4  # of Gaussian quadrature along a whisker that is not uniform; breaks are further ends
 
 
+@in_double
 def stored_energy(scene: Scene, state: State, control: Control | None = None) -> Float[Array, "*steps"]:
     """Elastic energy of whiskers and springs; zero where all whiskers are free.
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.leaves import Deferred, deferred
+from jaxwhisker._base.settings import in_double
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.dataset import counted, scan_dataset
@@ -63,6 +64,7 @@ class Events(eqx.Module):
     count: Int[Array, ""]
 
     @property
+    @in_double
     def truncated(self) -> Bool[Array, ""]:
         """Whether the scan has more events than there is room for; the first ones are kept."""
         return self.count > self.kind.shape[-1]
@@ -80,8 +82,9 @@ class Events(eqx.Module):
     def __getitem__(self, index: int) -> Event:
         index = range(len(self))[index]
         before, after = (jax.tree.map(lambda leaf: np.asarray(leaf)[index], s) for s in (self.before, self.after))
-        which = tuple(int(k) + 1 for k in np.flatnonzero(np.asarray(self.whiskers)[index]))
-        return Event(EventKind(int(self.kind[index])), which, float(self.control[index]), before, after)
+        kind, whiskers, control = (np.asarray(each)[index] for each in (self.kind, self.whiskers, self.control))
+        which = tuple(int(k) + 1 for k in np.flatnonzero(whiskers))
+        return Event(EventKind(int(kind)), which, float(control), before, after)
 
     def of(self, kind: EventKind, whisker: int | None = None) -> list[Event]:
         """The events of one kind, and of one whisker (numbered from 1) if given.
@@ -114,6 +117,7 @@ class Result(State):
         """The events in order; they are computed when first asked for."""
         return self.deferred_events.value
 
+    @in_double
     def to_xarray(self) -> "xr.Dataset":
         """Return the scan as a Dataset with dimensions `control`, `whisker`, `spring` and `event`, units and names.
 

@@ -21,6 +21,7 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control
 from jaxwhisker._equilibrium.dimensionless import problem_of
@@ -46,6 +47,7 @@ TRACED_STEPS = 2048  # of the default control of a traced scene, whose length mu
 BLOCK = 512  # steps computed by one call; a control is padded to a multiple
 
 
+@with_own_settings
 def scan(scene: Scene, control: Control | None = None) -> Result:
     """Scan the object quasi-statically with the drive at every position of `control`.
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import in_double
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import Pose
@@ -31,6 +32,7 @@ class Shapes(eqx.Module):
     y: Float[Array, "*at whiskers points"]
 
 
+@in_double
 def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Shapes:
     """Centre lines of all whiskers at the scan steps nearest to given drive positions.
 

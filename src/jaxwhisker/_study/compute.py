@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.primitive import threads
+from jaxwhisker._base.settings import as_here
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import MARGIN
 from jaxwhisker._scan.channels import columns_of
@@ -100,7 +101,7 @@ def compute_here(
 
     pool = ThreadPoolExecutor(threads(), thread_name_prefix="study")
     try:
-        for future in as_completed([pool.submit(compute, index) for index in todo]):
+        for future in as_completed([pool.submit(as_here(compute), index) for index in todo]):
             yield future.result()
     finally:
         # After an error or an interrupt, running blocks are finished and waiting ones are dropped.
@@ -207,6 +208,6 @@ def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.nda
     total, lanes = parameters.total, lanes_for(parameters.total)
     blocks = [np.arange(first, min(first + lanes, total)) for first in range(0, total, lanes)]
     with ThreadPoolExecutor(threads()) as pool:
-        found = list(pool.map(lambda numbers: jax.vmap(point)(parameters.numbered(numbers)), blocks))
+        found = list(pool.map(as_here(lambda numbers: jax.vmap(point)(parameters.numbered(numbers))), blocks))
     valid, start, stop, unit = (np.concatenate(each) for each in zip(*found, strict=True))
     return np.where(valid, [start, stop, STEP * unit], np.nan)

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.primitive import threads
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status
@@ -35,6 +36,7 @@ OPTIONS = (
 SUMMARISED = ("reactions", "base_x", "status", "events", "event_states")  # outputs from which a summary is made
 
 
+@with_own_settings
 def study(
     build: Callable[..., Scene],
     *,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.dataset import VARIABLES
 from jaxwhisker._scan.quantities import CONTROL, REACTIONS, Quantity
@@ -49,6 +50,7 @@ def _summary() -> dict[str, Quantity]:
 SUMMARY = _summary()
 
 
+@with_own_settings
 def summary(data: xr.Dataset) -> xr.Dataset:
     """Summarise every scene of a study: peaks, contact, snaps.
 

@@ -11,7 +11,7 @@ from jaxwhisker.cli.cache import add_cache
 from jaxwhisker.cli.explore import add_explore
 from jaxwhisker.cli.film import add_film
 from jaxwhisker.cli.inverse import add_identify, add_reconstruct
-from jaxwhisker.cli.options import INTERRUPTED, NO_CONTACT, NOT_ALL_OK, OK, USAGE, UsageError
+from jaxwhisker.cli.options import INTERRUPTED, NO_CONTACT, NOT_ALL_OK, OK, USAGE, UsageError, short_warnings
 from jaxwhisker.cli.reproduce import add_reproduce
 from jaxwhisker.cli.scan import add_scan
 from jaxwhisker.cli.study import add_study
@@ -47,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return stop.code if isinstance(stop.code, int) else USAGE
     jax.config.update("jax_enable_x64", True)
     try:
-        return args.run(args)
+        with short_warnings():
+            return args.run(args)
     except (UsageError, OSError, MemoryError) as error:
         message = " ".join(str(error).split()) or "not enough memory"
         print(f"{parser.prog} {args.command}: error: {message}", file=sys.stderr)

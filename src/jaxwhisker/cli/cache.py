@@ -40,7 +40,7 @@ def run_cache(args: argparse.Namespace) -> int:
         return options.OK
     count = sum(path.suffix == store.SUFFIX for path, _ in store.entries(where))
     print(f"{_programs(count)}, {_size(where)} of at most {_megabytes(store.LARGEST)}, in {where}")
-    if reason := _unused(where):
+    if reason := store.obstacle(where):
         print(f"The cache is not used: {reason}.")
     return options.OK
 
@@ -55,13 +55,3 @@ def _size(where: Path) -> str:
 
 def _megabytes(size: float) -> str:
     return f"{size / 2**20:.{0 if size % 2**20 == 0 else 1}f} MB"
-
-
-def _unused(where: Path) -> str | None:
-    """The reason why programs cannot be kept in a folder."""
-    if reason := store.distrust(where):
-        return reason
-    existing = next(place for place in (where, *where.absolute().parents) if place.exists())
-    if existing == where and not where.is_dir():
-        return "it is a file"
-    return None if os.access(existing, os.W_OK | os.X_OK) else f"{existing} cannot be written to"

@@ -9,20 +9,25 @@ from typing import Any
 
 import numpy as np
 
+from jaxwhisker._inverse.features import noise_of
 from jaxwhisker._inverse.fit_contour import fit_contour
 from jaxwhisker._inverse.fit_profile import fit_profile
 from jaxwhisker._inverse.identify import identify
+from jaxwhisker._inverse.observations import read_observations
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.scene import Sensor
+from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.report import write_columns, write_rows
 from jaxwhisker.cli import options
 
 SIGNALS = """\
 The file has a header with the names control and any of fx, fy, mz (fx_1,
 fx_2, ... for several whiskers), and one row per drive position, in the order
-in which the drive moved. Lines that begin with # are skipped. Signs and units
-are those of `jaxwhisker scan --csv`, whose files can be used as they are."""
+in which the drive moved. Columns are separated by commas, semicolons or tabs;
+other columns are ignored, as are lines that begin with #. Numbers may have
+decimal commas, and the file may be compressed (.gz). Signs and units are those
+of `jaxwhisker scan --csv`, whose files can be used as they are."""
 
 
 def add_identify(commands) -> None:
@@ -33,7 +38,7 @@ def add_identify(commands) -> None:
     add = command.add_argument_group("fit").add_argument
     add("--free", required=True, metavar="NAME[,NAME...]", help="parameters to fit")
     add("--guess", type=_named, default={}, metavar="NAME=X[,...]", help="initial values")
-    _add_sigma(add, "unknown")
+    _add_sigma(add, "estimated from the residuals")
     add("--offsets", action="store_true", help="fit an unknown constant offset of each channel")
     add("--gains", action="store_true", help="fit an unknown factor of each channel: signals in any unit")
     add("--shift", action="store_true", help="fit an unknown constant offset of the control")
@@ -46,7 +51,7 @@ def add_reconstruct(commands) -> None:
     command = options.add_command(commands, run_reconstruct, short)
     _add_signals(command)
     add = command.add_argument_group("contour").add_argument
-    _add_sigma(add, "none")
+    _add_sigma(add, "estimated from the scatter between neighbouring samples")
     options.add_friction(add)
     families = ("points", "parabola", "circle", "ellipse", "free")
     text = (
@@ -168,11 +173,15 @@ def run_reconstruct(args: argparse.Namespace) -> int:
     with options.usage_errors():
         values = options.with_defaults(args, options.given_values(args))
         sensor = Sensor(options.whisker_of(values), options.support_of(args, values), friction=args.friction)
-        points = reconstruct(args.data, sensor, sigma=args.sigma)
+        observations = read_observations(args.data, args.sigma, whiskers=len(sensor.whiskers))
+        points = reconstruct(observations, sensor, sigma=args.sigma)
+        if args.sigma is None and (noise := noise_of(observations)) is not None:
+            each = ", ".join(f"{name}={value:.2g}" for name, value in zip(REACTIONS, noise, strict=True))
+            print(f"noise estimated from the scatter between neighbouring samples: {each}")
         print(points)
         good = bool(np.isfinite(np.asarray(points.x)).any())
         if good and args.family == "free":
-            joint = fit_contour(args.data, sensor, sigma=args.sigma, knots=args.knots)
+            joint = fit_contour(observations, sensor, sigma=args.sigma, knots=args.knots)
             print(f"\n{joint}")
             good = joint.fit.status == FitStatus.ok
         elif good and args.family != "points":

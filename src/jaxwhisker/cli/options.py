@@ -3,7 +3,9 @@
 import argparse
 import inspect
 import math
+import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -79,6 +81,14 @@ def usage_errors() -> Iterator[None]:
         for argument, option in OPTIONS.items():
             message = message.replace(f"`{argument}`", option)
         raise UsageError(message) from None
+
+
+@contextmanager
+def short_warnings() -> Iterator[None]:
+    """Print the text of warnings, without the line of code that raised them."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: print(f"jaxwhisker: warning: {message}", file=sys.stderr)
+        yield
 
 
 # Types of option values

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._scan.quantities import check_units
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class Film:
         return f"Film({self.kind}, {len(self.data) / 1000:.0f} kB)"
 
 
+@with_own_settings
 def animate(
     result: "Run",
     path: str | Path | None = None,

@@ -6,6 +6,7 @@ increases to the right, as x does in figures of states. Signals of simulations a
 same colour in all figures.
 """
 
+from jaxwhisker._base.suggest import no_attribute
 from jaxwhisker._scan.quantities import DRAWN as QUANTITIES
 from jaxwhisker.plot.axes import COLOURS, CONTROL_AXIS, axis_label, control_axis, save
 from jaxwhisker.plot.inverse import contour, fit, information
@@ -48,3 +49,11 @@ __all__ = [
     "spring_lengths",
     "study",
 ]
+
+
+def __dir__():
+    return [*__all__, *(name for name in globals() if name.startswith("__"))]
+
+
+def __getattr__(name: str):
+    raise no_attribute(f"module {__name__!r}", name, __all__)
