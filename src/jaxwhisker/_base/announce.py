@@ -79,5 +79,10 @@ def progress(doing: str) -> Iterator[Callable[[float], None]]:
 
 
 def _announce(kept: bool) -> None:
-    later = ", kept for later" if kept else ""
-    print(f"jaxwhisker: compiling for scenes of this kind, once{later} ...", file=sys.stderr, flush=True)
+    say(f"compiling for scenes of this kind, once{', kept for later' if kept else ''} ...")
+
+
+def say(text: str) -> None:
+    """Print a line on a terminal or in a notebook."""
+    if _interactive():
+        print(f"jaxwhisker: {text}", file=sys.stderr, flush=True)

@@ -26,8 +26,9 @@ from jaxlib.version import __version_info__ as version
 
 from jaxwhisker._base import checks, store
 from jaxwhisker._base.announce import announced
+from jaxwhisker._base.aside import aside, interruptible
 from jaxwhisker._base.primitive import PRIMITIVE, lanes_together
-from jaxwhisker._base.settings import as_here, with_own_settings
+from jaxwhisker._base.settings import with_own_settings
 
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
 # time, and its kernels run equally fast.
@@ -145,7 +146,8 @@ class Program:
         """The compiled function from the arguments' arrays to the results'; with `lanes`, of that many of each."""
         future = self._executable(shape, lanes)
         try:
-            return future.result()
+            with interruptible():
+                return future.result()
         except Exception:  # the next call compiles again
             with self._lock:
                 self._executables.pop((shape, lanes), None)
@@ -194,7 +196,8 @@ class Program:
 
     def _executable(self, shape: Shape, lanes: int, pool: Executor | None = None) -> Future:
         with self._lock:
-            if (shape, lanes) not in self._executables:
+            known = self._executables.get((shape, lanes))
+            if known is None or known.cancelled():  # by an interrupt
                 key = self._key(shape, lanes)
                 with announced(kept=_is_kept(key)):
                     future = self._load(shape, lanes, key, pool) or self._compile(shape, lanes, key, pool)
@@ -221,7 +224,7 @@ class Program:
         def loaded():
             return store.executable(key, code) or self._compile(shape, lanes, key, None).result()
 
-        return _aside(pool, loaded)
+        return aside(loaded, pool) if pool else _done(loaded())
 
     def _compile(self, shape: Shape, lanes: int, key: str | None, pool: Executor | None) -> Future:
         function, ahead = self.flat(shape), (lanes,) if lanes else ()
@@ -237,7 +240,7 @@ class Program:
                 store.save(key, (results.tree([...] * len(results.arrays)), results.arrays, code))
             return executable
 
-        return _aside(pool, compiled)
+        return aside(compiled, pool)
 
 
 _PROGRAMS: list[Program] = []
@@ -305,12 +308,10 @@ def _tree(structure: Any, leaves: Sequence, arrays: Any) -> Any:
     return jax.tree.unflatten(structure, [next(rest) if leaf is ... else leaf for leaf in leaves])
 
 
-def _aside(pool: Executor | None, function: Callable) -> Future:
-    if pool is not None:
-        return pool.submit(as_here(function))
-    done = Future()
-    done.set_result(function())
-    return done
+def _done(value: Any) -> Future:
+    future = Future()
+    future.set_result(value)
+    return future
 
 
 def _differentiated(function: Callable[..., list], arrays: Sequence, dots: Sequence) -> list:

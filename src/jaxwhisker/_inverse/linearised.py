@@ -7,7 +7,6 @@ than all derivatives of a scan.
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.primitive import threads
+from jaxwhisker._base.aside import Compilers
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
@@ -289,7 +288,7 @@ def _prepare(scene: Scene, slopes: Any, stops: int, fields: tuple[str, ...] | No
     if problem_and_slopes_now.is_ready(scene, slopes):
         return
     ends, block = (np.zeros(stops), np.asarray(0)), np.zeros(BLOCK)
-    with ThreadPoolExecutor(threads()) as pool:
+    with Compilers() as pool:
         problem, directions = problem_and_slopes_now.prepare(pool, scene, slopes)
         path = follow_path_now.prepare(pool, problem, *ends).path
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)

@@ -10,7 +10,6 @@ Both parts are programs of the dimensionless problem, compiled once per problem 
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.primitive import threads
+from jaxwhisker._base.aside import Compilers
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.slopes import by_slopes
@@ -331,7 +330,7 @@ def prepare(problem: Problem, stops: int, events: bool = False) -> None:
     if follow_path_now.is_ready(problem, *ends):
         return
     block = np.zeros(BLOCK)
-    with ThreadPoolExecutor(threads()) as pool:
+    with Compilers() as pool:
         path = follow_path_now.prepare(pool, problem, *ends).path
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)
         states_now.prepare(pool, problem, block, solutions)
