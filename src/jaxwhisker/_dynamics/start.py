@@ -150,7 +150,7 @@ def initial(
             return *points, gap_at(here, *points), beside(here, points[1]) if several else None
 
         arc, parameter, gap, others = jax.vmap(nearest)(system.rods.length, base, angle)
-        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, others)
+        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, none + jnp.inf, others)
     count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
