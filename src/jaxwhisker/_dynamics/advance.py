@@ -30,6 +30,7 @@ from jaxwhisker._dynamics.time_step import (
     unknowns_at,
     unknowns_of,
 )
+from jaxwhisker._equilibrium.implicit import without_rule
 
 CLOSE = 1e-6  # change of the unknowns at which Newton's method stops; the error is about its square
 RESTART = 10  # iteration that starts again from the last state, without extrapolation
@@ -155,8 +156,8 @@ def _iterate(step: Step, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
 @eqx.filter_custom_jvp
 def _differentiable(flat: Array, step: Step, mode: Mode) -> Array:
     """The unknowns with their derivatives by the implicit function theorem."""
-    del step, mode
-    return flat
+    del mode
+    return without_rule(flat, step)
 
 
 @_differentiable.def_jvp

@@ -90,7 +90,8 @@ def simulate(
     Derivatives of first order exist in both modes, with respect to all numbers of the scene, the drive, the duration
     and the damping. They are those of the discrete motion in which the same whiskers touch in the same steps: through
     smooth stretches, changes between tip and tangential contact, and releases. Where an impact begins, they are not
-    defined for the exact motion if the order of events depends on the parameter.
+    defined for the exact motion if the order of events depends on the parameter. Second derivatives are NaN, except in
+    forward mode (`jax.jacfwd` twice) without an object and without springs on shafts.
 
     Examples:
         >>> whisker = jw.Whisker(mass_per_length=1.0)
