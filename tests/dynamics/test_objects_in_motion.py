@@ -8,6 +8,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._dynamics.gap import closest, gap_at
+from jaxwhisker._dynamics.inside import deepest
 from jaxwhisker._dynamics.motion_state import angles_of, posed
 from jaxwhisker._dynamics.moving import Damping, system_of
 
@@ -21,6 +22,7 @@ SIGNALS = 0.015  # rms difference from the scan up to the first snap, relative t
 LATE = 0.02  # length: delay of the loss of contact
 BALANCED = 1e-9
 INSIDE = 0.01  # length: penetration by a second contact that ends a simulation
+CELL = 0.002  # error of the depth near a corner: a quarter of the cells in which the depth is a cubic
 DIFFERENCES = 1e-5
 
 
@@ -66,6 +68,41 @@ def test_a_second_contact_ends_the_simulation():
     assert np.isnan(motion.mz[first:]).all() and np.isfinite(motion.mz[:first]).all()
     assert np.isfinite(motion.time).all() and "second_contact" in str(motion)
     assert max(e.time for e in motion.events) < motion.time[first]
+
+
+def test_a_shaft_inside_the_object_ends_the_simulation():
+    """The free end of a whisker that is curved more than the circle stays in contact, and its shaft gets inside."""
+    whisker, circle = jw.Whisker(mass_per_length=1.0, intrinsic_curvature=1.1), jw.Circle(0.3, 1.0)
+    scene, drive = jw.Scene(whisker, circle, jw.Support.fb(70.0)), np.array([1.3, -0.7])
+    motion = jw.simulate(scene, drive, 10.0, steps=600, stiffness_damping=0.05, shapes=6)
+    line = motion.shapes(200)
+    depth = 1.0 - np.hypot(line.x, line.y - 1.3).min(axis=(1, 2))
+    good = np.asarray(motion.status == jw.Status.ok)
+    first = int(np.argmin(good))
+    np.testing.assert_array_equal(motion.status[first:], jw.Status.second_contact)
+    assert 0.9 * INSIDE < depth[first - 1] < INSIDE
+    assert np.nanmax(depth) < INSIDE and np.abs(motion.gap[first - 1]) < BALANCED  # the contact is not inside
+    assert motion.phase[first - 1, 0] == jw.Phase.tip
+
+
+@pytest.mark.parametrize("inside", [0.003, 0.02])
+def test_depth_of_a_shaft(inside):
+    """A whisker that is closest to the flank of a box leans over the lower corner (0.4, 0.5)."""
+    none, lean, box = jnp.zeros(()), 0.3, jw.Box(0.5, 0.8, 0.5)
+    for profile in (box, (box, jw.Circle(0.2, 0.1, 3.0))):
+        system = system_of(jw.Scene(ROD, profile, jw.Support.clamped()), Damping(none, none, (none, none, none)), 4)
+        at = jnp.array([0.4 - 0.5 * np.tan(lean), 0.0, -lean])
+
+        def leaning(shift, system=system, at=at):
+            base = at.at[0].add(shift / np.cos(lean))
+            return posed(system, jnp.ones(()), base, angles_of(system, jnp.zeros((1, 4)), base[None])[0])
+
+        upright = posed(system, jnp.ones(()), jnp.array([0.41, 0.0, 0.0]), jnp.full(8, jnp.pi / 2))
+        _, flank = jax.jit(closest)(upright)
+        assert gap_at(upright, jnp.asarray(0.8), flank).object.sin == pytest.approx(1.0)
+        depth = -deepest(leaning(-inside), flank)  # from the nearest face, or from the flank
+        assert inside / (np.sin(lean) + np.cos(lean)) - CELL < depth < inside / np.cos(lean) + CELL
+        assert deepest(leaning(inside), flank) == jnp.inf
 
 
 def past_two(distance, position):

@@ -316,6 +316,27 @@ def test_derivatives():
     np.testing.assert_allclose(jax.grad(lambda p: measured(p)[0])(POINT), forward[0], rtol=1e-8, atol=1e-10)
 
 
+def test_second_derivatives():
+    """They are those of differences, or NaN."""
+
+    def free(p):
+        drive = Ramp(0.0, p)
+        return jw.simulate(FREE, drive, 0.5, steps=20, shapes=4, mass_damping=p).tip_x[-1, 0]
+
+    forward = jax.jit(jax.jacfwd(free))
+    difference = (forward(0.4 + 1e-5) - forward(0.4 - 1e-5)) / 2e-5
+    assert jax.jit(jax.jacfwd(jax.jacfwd(free)))(0.4) == pytest.approx(float(difference), rel=DIFFERENCES)
+    # Backwards through a loop, jax drops the rule of the implicit function theorem.
+    assert np.isnan(jax.jit(jax.jacfwd(jax.grad(free)))(0.4))
+
+    def touching(p):
+        motion = jw.simulate(heavy(model("FB")), Steady(0.7, -p), 0.97, steps=60, shapes=4)
+        return jnp.stack([motion.mz[-1, 0], motion.mz[3, 0]])
+
+    second = jax.jit(jax.jacfwd(jax.jacfwd(touching)))(0.2)
+    assert np.isnan(second[0])  # closest points are exact to first order
+
+
 def test_batch():
     points = np.stack([POINT, POINT + 0.1 * np.eye(6)[3], POINT - 2 * np.eye(6)[2], POINT + np.nan * np.eye(6)[4]])
     batch = jax.vmap(measured)(points)

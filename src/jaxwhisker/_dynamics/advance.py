@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.gap import CLOSEST, MOST, beside, closest, followed, gap_at
+from jaxwhisker._dynamics.inside import deepest
 from jaxwhisker._dynamics.ledger import booked, with_pulls
 from jaxwhisker._dynamics.motion_state import LEAP, Moving, Rod, Touching, nodes_of, posed
 from jaxwhisker._dynamics.moving import System
@@ -29,6 +30,7 @@ from jaxwhisker._dynamics.time_step import (
     unknowns_at,
     unknowns_of,
 )
+from jaxwhisker._equilibrium.implicit import without_rule
 
 CLOSE = 1e-6  # change of the unknowns at which Newton's method stops; the error is about its square
 RESTART = 10  # iteration that starts again from the last state, without extrapolation
@@ -36,6 +38,7 @@ LET_GO = 20  # likewise, without the forces of contacts that have not converged:
 HOLD = 30  # likewise, with contacts held at their old points of the whiskers; without edges, at once after LET_GO
 MOST_ITERATIONS = 50
 NEAR = 0.01  # distance of another object, beyond that of the closest one, at which it is measured in every step
+CROSSES = 2e-3  # distance of a node beyond the tangent at the closest point at which the whole shaft is examined
 MOST_BENT = 2.0  # largest change of a coefficient of the curvature in one iteration
 
 
@@ -153,8 +156,8 @@ def _iterate(step: Step, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
 @eqx.filter_custom_jvp
 def _differentiable(flat: Array, step: Step, mode: Mode) -> Array:
     """The unknowns with their derivatives by the implicit function theorem."""
-    del step, mode
-    return flat
+    del mode
+    return without_rule(flat, step)
 
 
 @_differentiable.def_jvp
@@ -182,10 +185,10 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     if trial.gap is not None and old.rod.touching is not None:
         arc, parameter, *_ = x.contact.T
         began = mode.touches & ~old.rod.touching.lasts(arc)
-        others = old.rod.touching.beside
+        others, outside = old.rod.touching.beside, none + jnp.inf
         if others is not None:
             others -= jnp.max(jnp.linalg.norm(jax.lax.stop_gradient(at - old.rod.at), axis=1), axis=1)
-        touching = Touching(arc, parameter, trial.gap, normal, drag, mode.touches, mode.slip, began, others)
+        touching = Touching(arc, parameter, trial.gap, normal, drag, mode.touches, mode.slip, began, outside, others)
     velocity = old.rod.velocity + ((at - old.rod.at) / h - old.rod.velocity) / old.ahead
     spin = old.rod.spin + ((base[:, 2] - old.rod.base[:, 2]) / h - old.rod.spin) / old.ahead
     new = Moving(
@@ -238,6 +241,16 @@ def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
 
         points, others = _where(near | ~found, renew, points, at.beside)
         at, found = at._replace(beside=others), found & (stays | ~near)
+
+    def measure(points):
+        return points, jax.vmap(lambda pose, parameter: deepest(posed(fixed, *pose), parameter))(still, points[1])
+
+    # A convex object is on the other side of its tangent: a shaft that does not cross it is outside.
+    off_tangent = jnp.sum(at.gap.normal[..., None] * rod.at, axis=1)
+    touched = at.gap.normal[:, 0] * at.gap.object.x + at.gap.normal[:, 1] * at.gap.object.y
+    crosses = jnp.min(off_tangent, axis=1) < touched - CROSSES
+    points, least = _where(jax.lax.stop_gradient(crosses), measure, points, at.deepest)
+    at = at._replace(deepest=least)
     changes = jax.tree.map(jnp.subtract, points, known)
     arc, parameter = at.arc + changes[0], at.parameter + changes[1]
     gap = jax.vmap(lambda pose, *points: gap_at(posed(system, *pose), *points))(poses, arc, parameter)

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.first_order import first_order
 from jaxwhisker._dynamics.legendre import Basis, weights_at
 from jaxwhisker._dynamics.outline import number_of, samples, span
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
@@ -73,6 +74,7 @@ def gap_at(posed: Posed, arc: Scalar, parameter: Scalar) -> Gap:
 
 def _with_rate(function: Callable[[Scalar], Any], at: Scalar) -> tuple[Any, Any]:
     """Values and their derivative, which is computed once instead of in all directions; exact to first order."""
+    at = first_order(jnp.asarray(at))
     here = jax.lax.stop_gradient(at)
     values, rates = jax.jvp(function, (here,), (jnp.ones_like(here),))
     return jax.tree.map(lambda value, rate: value + rate * (at - here), values, rates), rates

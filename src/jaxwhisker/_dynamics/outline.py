@@ -18,6 +18,7 @@ class Row(AbstractProfile):
 
     each: tuple[AbstractProfile, ...]
     shift: tuple[Scalar, ...]  # of the parameters of each object
+    range: tuple[Scalar, Scalar] | None = None  # of the parameters; default: those of all objects
 
     @property
     def has_edges(self):
@@ -47,6 +48,8 @@ class Row(AbstractProfile):
         return chosen
 
     def ends(self):
+        if self.range is not None:
+            return self.range
         (first, _), (_, last) = span(self.each[0]), span(self.each[-1])
         return first + self.shift[0], last + self.shift[-1]
 
@@ -83,6 +86,15 @@ def outline(profile: AbstractProfile) -> AbstractProfile:
         shifts.append(free - first)
         free = free + last - first + APART
     return Row(profile.objects, tuple(shifts))
+
+
+def only(profile: AbstractProfile, parameter: Float[Array, ""]) -> AbstractProfile:
+    """The outline of the object with this parameter."""
+    if not isinstance(profile, Row):
+        return profile
+    ends = [[end + shift for end in span(one)] for one, shift in zip(profile.each, profile.shift, strict=True)]
+    first, last = jnp.asarray(ends)[number_of(profile, parameter)]
+    return Row(profile.each, profile.shift, (first, last))
 
 
 def samples(profile: AbstractProfile, count: int) -> Float[Array, " parameters"]:

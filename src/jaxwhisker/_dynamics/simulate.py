@@ -81,8 +81,9 @@ def simulate(
     Returns:
         A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, or no
         unloaded equilibrium with springs on shafts is found, the status is `invalid`; if a time step is not solved, it
-        is `lost` from there on; if a whisker gets inside the object by more than 0.01 lengths of the first whisker,
-        because it has met it in a second place, `second_contact`. Values are then NaN, but for `time` and `control`.
+        is `lost` from there on; if any point of a whisker gets inside the object by more than 0.01 lengths of the
+        first whisker, because it has met it in a second place, `second_contact`. Values are then NaN, but for `time`
+        and `control`.
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
@@ -95,7 +96,8 @@ def simulate(
     Derivatives of first order exist in both modes, with respect to all numbers of the scene, the drive, the duration
     and the damping. They are those of the discrete motion in which the same whiskers touch in the same steps: through
     smooth stretches, changes between tip and tangential contact, and releases. Where an impact begins, they are not
-    defined for the exact motion if the order of events depends on the parameter.
+    defined for the exact motion if the order of events depends on the parameter. Second derivatives are NaN, except in
+    forward mode (`jax.jacfwd` twice) without an object and without springs on shafts.
 
     Examples:
         >>> whisker = jw.Whisker(mass_per_length=1.0)
@@ -250,7 +252,8 @@ def _traced(system: System, moving: Moving) -> Trace | None:
     at = moving.rod.touching
     if at is None:
         return None
-    gap = at.gap.distance if at.beside is None else jnp.minimum(at.gap.distance, at.beside)
+    gap = jnp.minimum(at.gap.distance, at.deepest)
+    gap = gap if at.beside is None else jnp.minimum(gap, at.beside)
     return Trace(at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0])
 
 

@@ -106,7 +106,7 @@ class Simulation(State):
 
     time: Float[Array, " samples"]
     control: Float[Array, " samples"]  # drive position u
-    gap: Float[Array, "samples whiskers"]  # distance between whisker and object; infinite without an object
+    gap: Float[Array, "samples whiskers"]  # distance from the object at the closest point; infinite without
     spring_length: Float[Array, "samples springs"]
     energy: MotionEnergy
     curvature: Float[Array, "samples whiskers coefficients"]  # times the length, minus the intrinsic one: Legendre

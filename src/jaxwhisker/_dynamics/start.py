@@ -11,6 +11,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.first_order import first_order
 from jaxwhisker._dynamics.gap import beside, closest, gap_at
 from jaxwhisker._dynamics.legendre import polynomials_at
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
@@ -150,7 +151,7 @@ def initial(
             return *points, gap_at(here, *points), beside(here, points[1]) if several else None
 
         arc, parameter, gap, others = jax.vmap(nearest)(system.rods.length, base, angle)
-        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, others)
+        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, none + jnp.inf, others)
     count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
@@ -164,4 +165,5 @@ def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Arra
     gap = gap_at(here, *closest(here))
     across = gap.across @ system.basis.angles
     bends = inverse(rod.stiffness) @ across
-    return jnp.where(touches, q - bends * gap.distance / (across @ bends), q)
+    # The closest points move with the shape, to second order.
+    return jnp.where(touches, first_order(q - bends * gap.distance / (across @ bends)), q)

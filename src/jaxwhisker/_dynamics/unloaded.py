@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.first_order import first_order
 from jaxwhisker._dynamics.held import ends_of, tensions
 from jaxwhisker._dynamics.motion_state import angles_of
 from jaxwhisker._dynamics.moving import System
@@ -44,7 +45,7 @@ def unloaded(system: System) -> Unloaded:
     found = changes[-1] < FOUND
     x, inverted = (jnp.where(found, value, 0.0) for value in jax.lax.stop_gradient(last))
     # One more iteration has the derivatives of the equilibrium, by the implicit function theorem.
-    x = x - inverted @ _forces(system, jnp.ones(()), x)
+    x = first_order(x - inverted @ _forces(system, jnp.ones(()), x))
     q, z = jnp.split(x, [whiskers * system.n])
     return Unloaded(q.reshape(whiskers, system.n), z, found)
 

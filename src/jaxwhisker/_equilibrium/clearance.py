@@ -31,20 +31,29 @@ OUTSIDE = 0.25  # of a cell: how far a crossing may lie outside the cells whose 
 
 def meets_again(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
     """Whether a shaft dips into the object by more than `DEPTH`."""
-    at, lines = profile.point(own.parameter), (own.to_base, own.to_tip)
+    gaps = dips(profile, own.parameter, (own.to_base, own.to_tip))
+    return jnp.any(jnp.concatenate(gaps) < jnp.inf)
+
+
+def dips(profile: AbstractProfile, parameter: Scalar, lines: tuple[Line, ...]) -> list[Float[Array, " cells"]]:
+    """The smallest gap in each cell of lines, infinite unless it is inside the object by more than `DEPTH`.
+
+    The lines touch the object at this parameter, or are closest to it there.
+    """
+    at = profile.point(parameter)
     # Cells on the wrong side of the tangent at the contact, and their points.
     beyond = [_least(line, *_gap(line, at)) < -DEPTH for line in lines]
     wanted = [jnp.append(cells, False) | jnp.append(False, cells) for cells in beyond]
     x, y = (jnp.concatenate([getattr(line, name) for line in lines]) for name in ("x", "y"))
-    feet = nearest(profile, own.parameter, x, y, jnp.concatenate(wanted))
-    at, found = jax.vmap(profile.point)(feet), jnp.asarray(False)
+    feet = nearest(profile, parameter, x, y, jnp.concatenate(wanted))
+    at, found = jax.vmap(profile.point)(feet), []
     for k, line in enumerate(lines):
         part = slice(lines[0].x.size) if k == 0 else slice(lines[0].x.size, None)
         gap, slope = _gap(line, jax.tree.map(lambda leaf, part=part: leaf[part], at))
         # Where an object ends, there is no nearest point.
         known = jnp.abs(_along(line.x, line.y, jax.tree.map(lambda leaf, part=part: leaf[part], at))) < NEAREST_ERROR
-        known = known[:-1] & known[1:]
-        found |= jnp.any(beyond[k] & known & (_least(line, gap, slope) < -DEPTH))
+        least = _least(line, gap, slope)
+        found.append(jnp.where(beyond[k] & known[:-1] & known[1:] & (least < -DEPTH), least, jnp.inf))
     return found
 
 
