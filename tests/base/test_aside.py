@@ -46,7 +46,7 @@ def interrupted(call):
 
     def press():
         pressed.append(time.monotonic())
-        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
     timer = threading.Timer(COMPILING / 4, press)
     timer.start()

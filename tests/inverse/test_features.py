@@ -47,7 +47,7 @@ def test_noise_alternates_and_smooth_signals_do_not(noise):
     values[:50] = 0.0  # free
     assert noise_of(observations(values)) is None
     scattered = values + noise * np.random.default_rng(0).standard_normal(values.shape)
-    np.testing.assert_allclose(noise_of(observations(scattered)), noise, rtol=SCATTER)
+    np.testing.assert_allclose(np.asarray(noise_of(observations(scattered)), dtype=float), noise, rtol=SCATTER)
     assert noise_of(observations(values[:3], control=CONTROL[:3])) is None
 
 

@@ -1,7 +1,9 @@
 """Errors about unknown names that suggest a similar one, in notebooks as well."""
 
+import dataclasses
 import difflib
 from collections.abc import Iterable
+from typing import dataclass_transform
 
 import equinox as eqx
 
@@ -15,6 +17,7 @@ def no_attribute(owner: str, name: str, known: Iterable[str]) -> AttributeError:
     return AttributeError(f"{owner} has no attribute {name!r}{hint}", name=name, obj=None)
 
 
+@dataclass_transform(field_specifiers=(dataclasses.field, eqx.field))  # as that of equinox, for type checkers
 class Suggesting(type(eqx.Module)):
     """The type of classes whose constructors have names, such as `Support.fb`."""
 

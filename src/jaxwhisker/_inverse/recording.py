@@ -117,7 +117,7 @@ def check_signs(observations: Observations, sensor: Scene | Sensor) -> None:
 def _starts_free(observations: Observations) -> bool:
     """Whether fx of all whiskers is known from the beginning, where none is in contact."""
     fx = observations.values[:, :, 0]
-    complete = np.isfinite(fx).all(axis=1)
+    complete = np.asarray(np.isfinite(fx).all(axis=1))
     return bool(complete.sum() >= LEAST_POSITIONS and complete[0] and not in_contact(observations)[0].any())
 
 
