@@ -104,6 +104,7 @@ def _base(loads: Float[Array, "3"], observed: HeldObservation) -> tuple[Float[Ar
         return observed.pose, -loads
     moved = known.compliance * loads
     x, y, angle = pose = known.rest + moved
+    assert known.held_by is not None
     springs = known.held_by.springs
     springs = springs._replace(share=jnp.where(springs.at > 0, 0.0, springs.share))
     none, state = rod.Load(*[jnp.zeros(())] * 3), (x, y, -jnp.sin(angle), jnp.cos(angle))
@@ -119,6 +120,7 @@ def _components(load: rod.Load) -> Float[Array, "3"]:
 
 def _walked(pose: Float[Array, "3"], reaction: Float[Array, "3"], at: Float[Array, " places"], known: LoadedRod):
     """States and loads at places along the whisker, from its base pose and the reaction there."""
+    assert known.held_by is not None
     held_by, places = known.held_by.with_places(at)
     start, load = at_base(Pose(*pose), tuple(reaction))
     walked = walk_outwards(known.section, start, load, Held(held_by, known.laws, DRIVE), steps=WALK_STEPS)
@@ -172,6 +174,7 @@ def _kkt(gradient: Float[Array, "5 n"]) -> Float[Array, "rows rows"]:
 def _fit(observed: HeldObservation, guess: Float[Array, "5"], phase: _Phase):
     """y of least chi-squared in one phase with its multipliers, chi-squared, and whether the iteration converged."""
     known = observed.equations
+    assert known.held_by is not None
     largest = jnp.where(phase.tip, jnp.pi, jnp.minimum(0.999, 1 - known.held_by.top))
     start = jnp.append(guess[:3], jnp.where(phase.tip, guess[3], guess[4]))
 
@@ -247,6 +250,7 @@ def _guess(observed: HeldObservation) -> Float[Array, "5"]:
     """Loads on the base that give the measured reaction; angle at the tip; arc beyond a tangential contact."""
     known, measured, loads = observed.equations, _turned(observed.reaction, -observed.drive[2]), _loads(observed)
     pose, _ = _base(loads, observed)
+    assert known.held_by is not None
     # Above all springs, the moment falls to zero.
     s = known.held_by.top + (1 - known.held_by.top) * jnp.linspace(0.0, 1.0, GUESSES + 1)
     (x, y, cos, sin), load = _walked(pose, measured, s, known)

@@ -158,7 +158,7 @@ def _signals(measured: Any, sigma: Any, known: Sensor, base: Any):
 def _check_complete(observations: Observations, *, coupled: bool) -> None:
     """Check that fx, fy and mz of every whisker are there, or of every measured one if springs do not couple them."""
     known = np.asarray(observations.known.any(axis=0))
-    needed = np.asarray(coupled | known.any(axis=1))
+    needed = np.asarray(coupled | np.any(known, axis=1))
     lacking = [c.name for c in channels_of(len(known)) if needed[c.whisker] and not known[c.whisker, c.kind]]
     if lacking or not known.any():
         words = f"no value of {', '.join(lacking)}" if lacking else "no values"

@@ -168,9 +168,9 @@ def deflect(
         place = getattr(load, name)
         if place is not None and not checks.is_traced((place, whisker)) and float(place) > float(whisker.length):
             checks.fail(name, f"at most the length {whisker.length}", place)
-        beyond = isinstance(load, LineLoad) and not checks.is_traced((load.start, whisker))
-        if beyond and float(load.start) >= float(whisker.length):
-            checks.fail("start", f"less than the length {whisker.length}", load.start)
+        start = load.start if isinstance(load, LineLoad) else 0.0
+        if not checks.is_traced((start, whisker)) and float(start) >= float(whisker.length):
+            checks.fail("start", f"less than the length {whisker.length}", start)
     if gravity is not None:
         checks.pair("gravity", gravity)
         if whisker.mass_per_length is None:

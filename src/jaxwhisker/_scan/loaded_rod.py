@@ -65,7 +65,7 @@ class LoadedRod(eqx.Module):
         """Size of all loads together, positive."""
         size = jnp.sum(jnp.abs(self.loads.force) + jnp.abs(self.loads.moment)) + LEAST_LOAD
         for line in self.lines:
-            along = line.start + (line.stop - line.start) * np.linspace(0.0, 1.0, 5)
+            along = line.start + (line.stop - line.start) * jnp.linspace(0.0, 1.0, 5)
             size += (line.stop - line.start) * jnp.mean(jnp.abs(jax.vmap(line.density)(along)))
         return size
 
@@ -149,8 +149,11 @@ def _walk(
     # its base excludes those at the base and below.
     ends = [end for line in rods.lines for end in (line.start, line.stop)]
     beyond, *below = grids
-    parts = [beyond, *(part for load, own in zip(loads.position, below, strict=True) for part in (load[None], own))]
-    at = jnp.concatenate([*parts, jnp.zeros(1), *(end[None] for end in ends)])
+    parts = [
+        beyond,
+        *(part for at_load, own in zip(loads.position, below, strict=True) for part in (at_load[None], own)),
+    ]
+    at = jnp.concatenate([*parts, jnp.zeros(1), *(jnp.reshape(end, 1) for end in ends)])
     loaded = np.cumsum([part.size for part in parts])[:-1:2]
     points, sprung = np.setdiff1d(np.arange(at.size - len(ends)), loaded), np.arange(at.size, at.size)
     springs = None
