@@ -4,7 +4,6 @@ import dataclasses
 import difflib
 from collections.abc import Iterable
 from typing import dataclass_transform
-from typing import dataclass_transform
 
 import equinox as eqx
 
@@ -19,7 +18,6 @@ def no_attribute(owner: str, name: str, known: Iterable[str]) -> AttributeError:
 
 
 @dataclass_transform(field_specifiers=(dataclasses.field, eqx.field))  # as that of equinox, for type checkers
-@dataclass_transform(field_specifiers=(eqx.field,))
 class Suggesting(type(eqx.Module)):
     """The type of classes whose constructors have names, such as `Support.fb`."""
 

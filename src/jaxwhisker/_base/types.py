@@ -1,7 +1,7 @@
 """Argument types that several signatures share."""
 
 from collections.abc import Sequence
-from enum import Enum, IntEnum
+from enum import IntEnum
 from typing import TypeAlias
 
 import numpy as np
@@ -19,4 +19,5 @@ class NamedInt(IntEnum):
     def __str__(self) -> str:
         return self.name
 
-    __format__ = Enum.__format__  # that of IntEnum formats the number
+    def __format__(self, format_spec: str, /) -> str:
+        return format(self.name, format_spec)  # IntEnum formats the number
