@@ -22,7 +22,7 @@ from jaxwhisker._dynamics.moving import Damping, MotionUnits, System, drive_pose
 from jaxwhisker._dynamics.outline import Row, number_of
 from jaxwhisker._dynamics.resolution import warn_of_shapes
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
-from jaxwhisker._dynamics.start import Start, initial, start_of
+from jaxwhisker._dynamics.start import Start, initial, misfit, start_of
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.support import Support
@@ -36,6 +36,7 @@ STEP = 0.001  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
 MOST_STEPS = 10_000_000  # of the default step
 INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
 DEEPEST = 0.01  # penetration beyond which it is a second contact
+MISFIT = 0.01  # of a given state, see `misfit`
 INSIDE_BENT = 1e-3  # accepted penetration of a given shape, which is projected onto the shape functions
 
 
@@ -65,9 +66,10 @@ def simulate(
         duration: a time; positive. The unit of time is that in which mass_per_length * length^4 / bending_stiffness is
             a time squared: seconds in SI units.
         start: equilibrium from which the whiskers are let go: the state of an event, a Deflection, or the Result of a
-            scan, of which the step nearest to the initial drive position counts. The contact is that of the scene: a
-            Sensor lets the whiskers go without an object. Default: unloaded, bent only by springs on their shafts that
-            disagree. In both cases whiskers are at rest relative to the drive.
+            scan, of which the step nearest to the initial drive position counts. It must be a state of these whiskers,
+            on this support with the drive where it starts, and on this object. A Sensor lets the whiskers go without
+            an object. Default: unloaded, bent only by springs on their shafts that disagree. In both cases whiskers are
+            at rest relative to the drive.
         steps: number of time steps. Default: steps of 0.001 length^2 sqrt(mass_per_length / bending_stiffness) of the
             first whisker, a period of its first mode divided by 1787; required under tracing.
         every: number of time steps between two samples of the result.
@@ -79,16 +81,17 @@ def simulate(
         shapes: number of shape functions per whisker, from 2 to 20.
 
     Returns:
-        A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, or no
-        unloaded equilibrium with springs on shafts is found, the status is `invalid`; if a time step is not solved, it
-        is `lost` from there on; if any point of a whisker gets inside the object by more than 0.01 lengths of the
-        first whisker, because it has met it in a second place, `second_contact`. Values are then NaN, but for `time`
-        and `control`.
+        A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, `start` is
+        a state of another scene, or no unloaded equilibrium with springs on shafts is found, the status is `invalid`;
+        if a time step is not solved, it is `lost` from there on; if any point of a whisker gets inside the object by
+        more than 0.01 lengths of the first whisker, because it has met it in a second place, `second_contact`. Values
+        are then NaN, but for `time` and `control`.
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
-            positive, a drive that is not finite), the drive starts inside the object, or the scene has springs between
-            the shafts of two whiskers or rigid springs, which are not simulated.
+            positive, a drive that is not finite), the drive starts inside the object, `start` is a state of another
+            scene, or the scene has springs between the shafts of two whiskers or rigid springs, which are not
+            simulated.
 
     Warns:
         UserWarning: if the shape functions do not resolve the bending stiffness of a concrete whisker, such as a jump.
@@ -128,11 +131,14 @@ def simulate(
     steps = _default_steps(scene, duration) if steps is None else steps
     control = jax.tree.map(checks.as_float, drive_of(drive, duration))
     begin = None if start is None else start_of(scene, start, control)
-    result, clear = _simulate(
+    result, clear, off = _simulate(
         scene, control, duration, begin, damping, steps=-(-steps // every) * every, every=every, shapes=shapes
     )
     if not checks.is_traced(result.control) and (gaps := np.flatnonzero(~np.isfinite(result.control))).size:
         checks.fail("drive", "finite at all times", f"{result.control[gaps[0]]} at time {result.time[gaps[0]]:g}")
+    if not checks.is_traced(off) and off > MISFIT:
+        allowed = "a state of these whiskers on this object and support, with the drive where it starts"
+        checks.fail("start", allowed, f"one that is off by {float(off):.2g} (length, rad, or energy in EI / L)")
     if not checks.is_traced(clear) and not bool(clear):
         u = float(control(jnp.zeros(())))
         raise ValueError(f"`drive` must start where no whisker is inside the object, got a drive that starts at {u:g}.")
@@ -173,7 +179,7 @@ def _simulate(
     steps: int,
     every: int,
     shapes: int,
-) -> tuple[Simulation, Bool[Array, ""]]:
+) -> tuple[Simulation, Bool[Array, ""], Float[Array, ""]]:
     valid = _valid(scene, duration, damping, control)
     given = scene
     scene = safe_placeholder(scene, valid)
@@ -190,7 +196,8 @@ def _simulate(
     clear = jnp.asarray(True)
     if first.rod.touching is not None:
         clear = jnp.all(first.rod.touching.gap.distance > -(INSIDE if start is None else INSIDE_BENT))
-    good = valid & found & clear & jnp.all(jnp.isfinite(poses))
+    off = jnp.zeros(()) if start is None else misfit(system, unit, start, poses[0])
+    good = valid & found & clear & ~(off > MISFIT) & jnp.all(jnp.isfinite(poses))
     first = first._replace(solved=good)
 
     def step(moving, drive):
@@ -214,9 +221,13 @@ def _simulate(
     ok = status == Status.ok
     blank = {name: _where_ok(ok, value) for name, value in result.items()}
     at = time[::every]
-    return Simulation(
-        **blank, time=at, control=jnp.asarray(jax.vmap(control)(at)), status=status, events=events, scene=given
-    ), clear | ~valid
+    return (
+        Simulation(
+            **blank, time=at, control=jnp.asarray(jax.vmap(control)(at)), status=status, events=events, scene=given
+        ),
+        clear | ~valid | (off > MISFIT),
+        jnp.where(valid, off, 0.0),
+    )
 
 
 def _status(solved: Bool[Array, " times"], trace: Trace | None) -> Array:

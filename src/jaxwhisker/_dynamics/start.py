@@ -13,9 +13,10 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.first_order import first_order
 from jaxwhisker._dynamics.gap import beside, closest, gap_at
-from jaxwhisker._dynamics.legendre import polynomials_at
+from jaxwhisker._dynamics.legendre import polynomials_at, weights_at
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
 from jaxwhisker._dynamics.moving import MotionUnits, Rods, System
+from jaxwhisker._dynamics.time_step import load_at
 from jaxwhisker._dynamics.unloaded import unloaded
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import AbstractMotion, Pose
@@ -37,6 +38,9 @@ class Start(NamedTuple):
     curvature: Float[Array, "whiskers points"]  # times the length, without the intrinsic one
     base: Float[Array, "whiskers 3"]  # pose in the scene, in its units
     touches: Bool[Array, " whiskers"]  # whether they touch the object of a scene that has one
+    contact: Float[Array, "whiskers 3"]  # fraction of the length, and x and y in the scene; 0 if free
+    off: Float[Array, " whiskers"]  # distance of the shape from its contact, in lengths: 0 if it is of this whisker
+    reaction: Float[Array, "whiskers 3"] | None = None  # of the support; None if it does not matter
 
     def coefficients(self, n: int) -> Float[Array, "whiskers n"]:
         """The curvature's best approximation by Legendre polynomials, in the norm of the elastic energy."""
@@ -86,9 +90,8 @@ def _from_deflection(whisker: Whisker, motion: AbstractMotion, start: Deflection
     x, y = start.base_x, start.base_y
     base = [drive.x + cos * x - sin * y, drive.y + sin * x + cos * y, drive.angle + start.base_angle]
     extra = start.curvature - jax.vmap(whisker.curvature_at)(start.s)
-    return Start(
-        (start.s / whisker.length)[None], (extra * whisker.length)[None], jnp.stack(base)[None], jnp.zeros(1, bool)
-    )
+    s, extra, none = start.s / whisker.length, extra * whisker.length, jnp.zeros((1, 3))
+    return Start(s[None], extra[None], jnp.stack(base)[None], none[:, 0] > 0, none, none[:, 0])
 
 
 @Program
@@ -98,7 +101,25 @@ def _from_state(whiskers: tuple[Whisker, ...], by: Holds | None, state: State, c
     each = [_shape(*own) for own in zip(whiskers, states, holds, strict=True)]
     s, curvature = (jnp.stack(parts) for parts in zip(*each, strict=True))
     base = jnp.stack([state.base_x, state.base_y, state.base_angle], axis=-1)
-    return Start(s, curvature, base, state.phase != Phase.free)
+    touches, length = state.phase != Phase.free, jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers])
+    contact = jnp.stack([state.contact_arc / length, state.contact_x, state.contact_y], axis=-1)
+    ends = jnp.stack([_end(*own) for own in zip(whiskers, s, curvature, base, strict=True)])
+    off = jnp.where(touches, jnp.linalg.norm(ends - contact[:, 1:], axis=-1) / length, 0.0)
+    reaction = jnp.stack([state.fx, state.fy, state.mz], axis=-1) if by is None else None
+    return Start(s, curvature, base, touches, contact, off, reaction)
+
+
+def _end(whisker: Whisker, s: Array, curvature: Array, base: Array) -> Float[Array, "2"]:
+    """Where the loaded part of a whisker of this shape ends."""
+    s, curvature = whisker.length * s[:-1], curvature[:-1] / whisker.length
+    way = jnp.diff(s)
+
+    def means(values):
+        return (values[1:] + values[:-1]) / 2
+
+    turns = means(curvature + jax.vmap(whisker.curvature_at)(s)) * way
+    angle = jnp.pi / 2 + base[2] + jnp.append(0.0, jnp.cumsum(turns))
+    return base[:2] + means(jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)).T @ way
 
 
 def _shape(whisker: Whisker, at: State, by: Held | None) -> tuple[Array, Array]:
@@ -156,6 +177,36 @@ def initial(
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
     return Moving(rod, z, drive, jnp.zeros((2, count)), ledger, jnp.asarray(True)), found
+
+
+def misfit(system: System, unit: MotionUnits, start: Start, drive: Float[Array, "3"]) -> Float[Array, ""]:
+    """How far a given state is from one of this system: the largest distance in lengths, angle, or energy in EI / L.
+
+    The base must be where the support holds it, and the contact on whisker and object. Of springs between the bases, it
+    is the energy by which they are strained too much for the reaction.
+    """
+    q, given = start.coefficients(system.n), start.base / jnp.stack([unit.length, unit.length, 1.0])
+    z = start.free(system, drive, unit)
+    base = system.bases(z, drive)
+    off = jnp.maximum(jnp.max(jnp.abs(base - given)), jnp.max(start.off))
+    if system.network is not None and start.reaction is not None:
+        load = load_at(start.reaction / jnp.stack([unit.force, unit.force, unit.moment]), drive[2:], system.free)
+        beyond = system.strain(z) - system.network.compliance @ load
+        off = jnp.maximum(off, beyond @ system.elastic(beyond) / 2)
+    if system.profile is None:
+        return jax.lax.stop_gradient(off)
+
+    def one(rod, q, base, contact):
+        angle = jnp.pi / 2 + base[2] + rod.rest + system.basis.angles @ q
+        here = posed(system, rod.length, base, angle)
+        _, reach = weights_at(system.basis, contact[0])
+        at = base[:2] + rod.length * jnp.stack([reach @ jnp.cos(angle), reach @ jnp.sin(angle)])
+        # Shape functions pass the contact at a small distance, and so they pass the object.
+        gap = gap_at(here, *closest(here))
+        return jnp.abs(gap.distance - gap.normal @ (at - contact[1:] / unit.length))
+
+    apart = jax.vmap(one)(system.rods, q, given, start.contact)
+    return jax.lax.stop_gradient(jnp.maximum(off, jnp.max(jnp.where(start.touches, apart, 0.0))))
 
 
 def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Array, ""]) -> Array:

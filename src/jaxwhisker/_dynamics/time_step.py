@@ -215,10 +215,15 @@ def every(step: Step, mode: Mode, x: Unknowns) -> tuple[Rows, Trial]:
 
 def load_of(step: Step, reaction: Array) -> Float[Array, " free"]:
     """Load on the free coordinates of the bases, in the mean frame of the drive."""
-    cos, sin = ((turn(step.old.drive[2]) + turn(step.drive[2])) / 2 for turn in (jnp.cos, jnp.sin))
+    return load_at(reaction, jnp.stack([step.old.drive[2], step.drive[2]]), step.system.free)
+
+
+def load_at(reaction: Array, angles: Float[Array, " angles"], free: tuple[int, ...]) -> Float[Array, " free"]:
+    """Load on the free coordinates of the bases, in the mean frame of a drive at these angles."""
+    cos, sin = jnp.mean(jnp.cos(angles)), jnp.mean(jnp.sin(angles))
     fx, fy, mz = reaction.T
     load = -jnp.stack([cos * fx + sin * fy, cos * fy - sin * fx, mz], axis=-1)
-    return jnp.ravel(load)[jnp.array(step.system.free, int)]
+    return jnp.ravel(load)[jnp.array(free, int)]
 
 
 def spring_rows(step: Step, z: Array, load: Array) -> Float[Array, " free"]:
