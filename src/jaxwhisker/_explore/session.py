@@ -72,11 +72,8 @@ class Session:
         sliders = [slider_of(name, given) for name, given in ranges.items()]
         self._build, self._functions = build, _Functions()
         first = self._built({slider.name: slider.start for slider in sliders})
-        units = UnitSystem(first.scene if isinstance(first, Simulation) else first)
         kind_of = {name: kind_of_axis(name) for name in ranges} | dict(kinds or {})
-        self.sliders = tuple(
-            s if units.dimensionless else s._replace(unit=units.of_kind(kind_of[s.name])) for s in sliders
-        )
+        self.sliders = tuple(s._replace(unit=_unit(first, kind_of[s.name])) for s in sliders)
         self._kind = type(first)
 
     @property
@@ -130,6 +127,14 @@ class Session:
             if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
                 raise ValueError(f"`{name}` must be a number from {low:g} to {high:g}, got {reprlib.repr(value)}.")
         return {name: float(values[name]) for name in names}
+
+
+def _unit(built: Scene | Simulation, kind: str) -> Unit:
+    """The unit in which a slider shows quantities of a kind."""
+    if isinstance(built, Simulation) and np.ndim(built.control) != 1:
+        return Unit("", 1.0)  # the answer says that a batch is not allowed
+    units = UnitSystem(built.scene if isinstance(built, Simulation) else built)
+    return Unit("", 1.0) if units.dimensionless else units.of_kind(kind)
 
 
 class _Functions:
