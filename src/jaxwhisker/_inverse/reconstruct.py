@@ -138,7 +138,7 @@ def _signals(measured: Any, sigma: Any, known: Sensor, base: Any):
         _check_complete(observations, coupled=base is None and any(0 not in s.between for s in known.support.springs))
         if sigma is None and (noise := noise_of(observations)) is not None:
             observations = observations.with_sigma(noise)
-        if not checks.is_traced(known):
+        if base is None and not checks.is_traced(known):  # measured poses may be those of another motion
             check_signs(observations, known)
         exact = np.isnan(observations.sigma).all()
         noise = None if exact else jnp.asarray(np.where(np.isnan(observations.sigma), 1.0, observations.sigma))

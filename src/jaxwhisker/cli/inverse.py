@@ -26,8 +26,8 @@ The file has a header with the names control and any of fx, fy, mz (fx_1,
 fx_2, ... for several whiskers), and one row per drive position, in the order
 in which the drive moved. Columns are separated by commas, semicolons or tabs;
 other columns are ignored, as are lines that begin with #. Numbers may have
-decimal commas, and the file may be compressed (.gz). Signs and units are those
-of `jaxwhisker scan --csv`, whose files can be used as they are."""
+decimal commas, and the file may be compressed (.gz). Signs and units are
+those of `jaxwhisker scan --csv`, whose files can be used as they are."""
 
 
 def add_identify(commands) -> None:
