@@ -22,6 +22,7 @@ SIGNALS = 0.015  # rms difference from the scan up to the first snap, relative t
 LATE = 0.02  # length: delay of the loss of contact
 BALANCED = 1e-9
 INSIDE = 0.01  # length: penetration by a second contact that ends a simulation
+CREATED = 0.05  # relative work of contacts at which a simulation ends
 CELL = 0.002  # error of the depth near a corner: a quarter of the cells in which the depth is a cubic
 DIFFERENCES = 1e-5
 
@@ -103,6 +104,21 @@ def test_depth_of_a_shaft(inside):
         depth = -deepest(leaning(-inside), flank)  # from the nearest face, or from the flank
         assert inside / (np.sin(lean) + np.cos(lean)) - CELL < depth < inside / np.cos(lean) + CELL
         assert deepest(leaning(inside), flank) == jnp.inf
+
+
+@pytest.mark.parametrize("stop", [-1.2, -1.35, -2.0])
+def test_contacts_that_create_energy_end_the_simulation(stop):
+    """A fast whisker hits a flank with its shaft, and slips off the corners."""
+    half, low, high = 0.2887, 0.2683, 0.6208
+    corners = np.array([(-half, high), (-half, low), (0.0, low - 1e-3), (half, low), (half, high)])
+    scene, start = jw.Scene(ROD, jw.Polygon(corners), jw.Support.fb(70.0)), half + 0.05
+    drive, duration = np.array([start, stop]), (start - stop) / 2.5
+    motion = jw.simulate(scene, drive, duration, steps=STEPS, every=10, stiffness_damping=0.05)
+    e, good = motion.energy, np.asarray(motion.status == jw.Status.ok)
+    most = e.total[0] + np.maximum.accumulate(np.abs(e.work))
+    assert np.all(e.total[good] < (1 + CREATED) * most[good] + 1e-3)
+    assert np.all(np.abs(e.contact[good]) < CREATED * most[good] + 1e-3)
+    assert motion.status[-1] in (jw.Status.inexact, jw.Status.second_contact)
 
 
 def past_two(distance, position):

@@ -36,6 +36,8 @@ STEP = 0.001  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
 MOST_STEPS = 10_000_000  # of the default step
 INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
 DEEPEST = 0.01  # penetration beyond which it is a second contact
+CREATED = 0.05  # energy that contacts may create, relative to the energy at the start and the work of the drive
+CREATED_AT_REST = 1e-3  # the same without either, in EI / L of the first whisker
 MISFIT = 0.01  # of a given state, see `misfit`
 INSIDE_BENT = 1e-3  # accepted penetration of a given shape, which is projected onto the shape functions
 
@@ -84,8 +86,9 @@ def simulate(
         A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, `start` is
         a state of another scene, or no unloaded equilibrium with springs on shafts is found, the status is `invalid`;
         if a time step is not solved, it is `lost` from there on; if any point of a whisker gets inside the object by
-        more than 0.01 lengths of the first whisker, because it has met it in a second place, `second_contact`. Values
-        are then NaN, but for `time` and `control`.
+        more than 0.01 lengths of the first whisker, because it has met it in a second place, `second_contact`; if
+        contacts have created more energy than 5 % of that at the start and the work of the drive, `inexact`. Values are
+        then NaN, but for `time` and `control`.
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
@@ -215,7 +218,8 @@ def _simulate(
         lambda a, b: jnp.concatenate([a[None], b]), (first, good, _traced(system, first)), (samples, solved, trace)
     )
     result = _result(given, system, unit, samples, _at_samples(forces, every))
-    status = jnp.where(good, _status(solved, trace), Status.invalid)
+    before = jax.lax.stop_gradient(result["energy"].total[0] / unit.energy)
+    status = jnp.where(good, _status(solved, trace, before), Status.invalid)
     events = events_of(trace, status == Status.ok, time, control) if trace is not None else _no_events()
     status = status[::every]
     ok = status == Status.ok
@@ -230,13 +234,20 @@ def _simulate(
     )
 
 
-def _status(solved: Bool[Array, " times"], trace: Trace | None) -> Array:
-    """The status after every step: what fails first counts."""
-    deep = jnp.zeros_like(solved)
+def _status(solved: Bool[Array, " times"], trace: Trace | None, before: Scalar) -> Array:
+    """The status after every step: what fails first counts. `before` is the energy at the start."""
+    failures = [(~solved, Status.lost)]
     if trace is not None:
-        deep = jnp.cumsum(jnp.any(trace.gap < -DEEPEST, axis=1)) > 0
-    failure = jnp.where(jnp.any(~solved & ~deep), Status.lost, Status.second_contact)
-    return jnp.where(solved & ~deep, Status.ok, failure)
+        trace = jax.lax.stop_gradient(trace)
+        most = before + jax.lax.cummax(jnp.abs(trace.work))
+        failures.append((jnp.any(trace.gap < -DEEPEST, axis=1), Status.second_contact))
+        # Contacts of a resting object do no work, and impacts give nothing back.
+        created = jnp.abs(trace.contact) + jax.lax.cummax(trace.impact) - trace.impact
+        failures.append((created > CREATED * most + CREATED_AT_REST, Status.inexact))
+    failed = jnp.stack([failure for failure, _ in failures])
+    first = jnp.argmax(jnp.any(failed, axis=0))
+    kind = jnp.array([int(status) for _, status in failures])[jnp.argmax(failed[:, first])]
+    return jnp.where(jnp.cumsum(jnp.any(failed, axis=0)) > 0, kind, int(Status.ok))
 
 
 def _where_ok(ok: Bool[Array, " samples"], tree: Any) -> Any:
@@ -265,7 +276,10 @@ def _traced(system: System, moving: Moving) -> Trace | None:
         return None
     gap = jnp.minimum(at.gap.distance, at.deepest)
     gap = gap if at.beside is None else jnp.minimum(gap, at.beside)
-    return Trace(at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0])
+    ledger = moving.ledger
+    return Trace(
+        at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0], ledger.work, ledger.contact, ledger.impact
+    )
 
 
 def _at_samples(forces: Forces, every: int) -> Forces:

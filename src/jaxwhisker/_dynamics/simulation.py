@@ -175,6 +175,9 @@ class Trace(NamedTuple):
     gap: Float[Array, "times whiskers"]
     at_tip: Float[Array, "times whiskers"]
     slope: Float[Array, "times whiskers"]  # sine of the object's slope
+    work: Float[Array, " times"]  # of the drive, dimensionless as all others
+    contact: Float[Array, " times"]  # work of contact forces along the normal
+    impact: Float[Array, " times"]  # loss
 
 
 def events_of(trace: Trace, ok: Bool[Array, " times"], time: Float[Array, " times"], control) -> TimedEvents:
