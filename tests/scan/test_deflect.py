@@ -241,7 +241,7 @@ def test_shapes_have_points_on_each_stretch():
             r"`loads` must be one or more of PointForce, PointMoment and LineLoad, got \(\)",
         ),
         (
-            lambda: jw.deflect(jw.Whisker(), 3.0),
+            lambda: jw.deflect(jw.Whisker(), 3.0),  # pyright: ignore[reportArgumentType]
             "`loads` must be one or more of PointForce, PointMoment and LineLoad, got",
         ),  # pyright: ignore[reportArgumentType]
         (

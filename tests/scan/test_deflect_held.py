@@ -55,7 +55,7 @@ def outwards(whisker, support, loads, bent):
         push = np.array([-tissue.stiffness * (x - float(mount.x) - float(tissue.rest_length)) if on else 0.0, 0.0])
         for line, start, stop in lines:
             if start < middle < stop:
-                push += [float(part(s) if callable(part) else part) for part in (line.x, line.y)]
+                push += [np.asarray(part(s) if callable(part) else part, dtype=float) for part in (line.x, line.y)]
         return [np.cos(phi), np.sin(phi), (about - x * fy + y * fx) / bend, *-push, y * push[0] - x * push[1]]
 
     fx, fy, mz, x, y, angle = (float(v) for v in (bent.fx, bent.fy, bent.mz, bent.base_x, bent.base_y, bent.base_angle))

@@ -277,9 +277,8 @@ def _traced(system: System, moving: Moving) -> Trace | None:
     gap = jnp.minimum(at.gap.distance, at.deepest)
     gap = gap if at.beside is None else jnp.minimum(gap, at.beside)
     ledger = moving.ledger
-    return Trace(
-        at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0], ledger.work, ledger.contact, ledger.impact
-    )
+    energies = map(jnp.asarray, (ledger.work, ledger.contact, ledger.impact))
+    return Trace(at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0], *energies)
 
 
 def _at_samples(forces: Forces, every: int) -> Forces:
