@@ -81,9 +81,9 @@ class LineLoad(eqx.Module):
             and `stop` are not as above.
 
     Examples:
-        >>> sagging = jw.deflect(jw.Whisker(), jw.LineLoad(x=-0.8))
+        >>> sagging = jw.deflect(jw.Whisker(), jw.LineLoad(x=-0.6))
         >>> print(f"{sagging.fx:.3f}, {sagging.mz:.3f}")  # about w L and -w L^2 / 2
-        0.800, -0.397
+        0.600, -0.299
     """
 
     x: AlongRod = eqx.field(default=0.0, converter=number_or_function("x"))
