@@ -24,6 +24,7 @@ ROD = 1e-10  # of rods that scipy integrates to 1e-12
 STAGES = 1e-9  # of rods that a solver with stages at both ends of its steps integrates
 ROUNDING = 1e-12  # the same steps in another order
 FREQUENCIES = 1e-9  # relative, of elements
+MEETING = 1e-8  # of derivatives; two arcs share a break in proportion to rounding over 1e-6
 MODES = 1e-10  # forward against reverse mode, relative
 DIFFERENCE = 1e-5
 DIFFERENCES = 1e-6  # relative: central differences lose half the digits
@@ -264,6 +265,27 @@ def test_breaks_are_in_the_units_of_the_whisker_and_no_points():
     np.testing.assert_allclose(end, by_scipy(0.9, 0.9), atol=ROD)
 
 
+@pytest.mark.parametrize("off", [-1e-16, 0.0, 1e-16], ids=["below", "at", "above"])
+@pytest.mark.parametrize("closed", [False, True])
+def test_derivatives_by_a_break_where_two_arcs_meet(off, closed):
+    # Rounding may put the break into either arc, and the function may have either value at the break itself.
+    first, here = jnp.asarray(1.0), jnp.asarray(0.37)
+
+    def stiffness(s):
+        return jnp.where((s <= 0.37) if closed else (s < 0.37), 1.0, 0.2)
+
+    def end(at, meet):
+        own = rod.Section(stiffness, None, 1.0, 1.0, breaks=at[None])
+        middle = rod.integrate(start(), first - meet, LOAD, own, steps=16, from_base=first)
+        return jnp.stack(rod.integrate(middle, meet, LOAD, own, steps=16, from_base=meet))
+
+    values, slopes = jax.jvp(lambda at: end(at, here + off), (here,), (jnp.ones(()),))
+    plain, right = jax.jvp(lambda at: end(at, here + 0.1), (here,), (jnp.ones(()),))
+    np.testing.assert_allclose(values, plain, atol=ROD)
+    np.testing.assert_allclose(slopes, right, atol=MEETING)
+    assert abs(right[0]) > 0.1
+
+
 def test_breaks_outside_an_arc_do_not_matter():
     first = jnp.asarray(0.3)
     with_break, without = (
@@ -329,6 +351,6 @@ def test_uniform_and_traced_whiskers_are_not_examined():
     assert _error.compilations == before
 
 
-@pytest.mark.parametrize("whisker", [stepped(), jw.Whisker.rat("C", 2), jw.Whisker.conical(1.0, 1.0, 1.0, 0.0)])
+@pytest.mark.parametrize("whisker", [stepped(), jw.Whisker.rat("C", 2), jw.Whisker.conical(1.0, 1.0, 0.1, 0.0)])
 def test_no_warning_for_stepped_whiskers_and_cones(whisker):
     assert _error(jax.tree.map(jnp.asarray, whisker), 16) < 1e-6

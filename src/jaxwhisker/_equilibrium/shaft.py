@@ -62,6 +62,7 @@ def shaft(
 
     def line(length: Scalar, force: Scalar, cells: int) -> tuple[Float[Array, "4 points"], Float[Array, " cells"]]:
         at = rod.step_ends(length, material, steps=cells, from_base=arc)
+        at = rod.with_breaks(at, length, material, arc).times
         points = rod.points(start, length, Load(None, -force, None), material, at=at, solver=solver, from_base=arc)
         return jnp.stack(points), -length * jnp.diff(at)
 

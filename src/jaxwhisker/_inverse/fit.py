@@ -10,15 +10,15 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.settings import in_double
+from jaxwhisker._inverse.estimates import Estimates
 from jaxwhisker._inverse.features import Features, Scatter
 from jaxwhisker._inverse.least_squares import LeastSquares, Minimum
 from jaxwhisker._inverse.observations import Observations
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, log_density, samples_of
-from jaxwhisker._inverse.statistics import CHI2_95, FitStatus, chi_squared, is_plausible
+from jaxwhisker._inverse.statistics import CHI2_95, chi_squared, is_plausible
 from jaxwhisker._inverse.unknowns import Unknowns
 from jaxwhisker._model.scene import Scene, units
-from jaxwhisker._scan.report import table
 from jaxwhisker._scan.route import route_of
 from jaxwhisker._scan.scan import BLOCK
 
@@ -150,28 +150,10 @@ class LikelihoodProfile(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit:
-    """Parameters of a scene estimated from observed signals, in the units of the scene.
+class Fit(Estimates):
+    """Parameters of a scene estimated from observed signals, in the units of the scene."""
 
-    Standard errors and covariance are those of least squares: the inverse of the information matrix at the estimates,
-    with the noise that was given, or estimated from the residuals. They are NaN for a parameter that is not
-    identifiable, and for all parameters if the status is not `ok`.
-    """
-
-    names: tuple[str, ...]
-    estimates: dict[str, float]
-    standard_error: dict[str, float]
-    interval: dict[str, tuple[float, float]]  # 95 %; symmetric in log x for parameters fitted in log
-    covariance: np.ndarray  # (parameters, parameters)
-    correlation: np.ndarray  # (parameters, parameters)
-    identified: dict[str, bool]
-    combinations: tuple[str, ...]  # of parameters that are not identifiable, in words
-    status: FitStatus
-    reason: str  # for a status that is not ok; else empty
-    chi2: float  # sum of squares of the whitened residuals
-    degrees: int  # degrees of freedom
     recordings: tuple[FittedRecording, ...]
-    steps: int  # of Levenberg-Marquardt, over all stages
     starts: int  # number of starts
     agreeing: int  # number of starts that ended in this minimum
     _problem: FitProblem
@@ -268,25 +250,8 @@ class Fit:
         transforms = jax.tree.map(jnp.asarray, self._problem.transforms)
         return dict(zip(self.names, transforms.natural(jnp.asarray(y)), strict=True))
 
-    def __str__(self) -> str:
-        lines = []
-        if self.status != FitStatus.ok:
-            lines += [f"NOT A GOOD FIT ({self.status.name}): {self.reason}", ""]
-        rows = []
-        for name in self.names:
-            good = self.status == FitStatus.ok and self.identified[name]
-            verdict = "identified" if good else "not identified" if self.status == FitStatus.ok else "unknown"
-            low, high = self.interval[name]
-            error, interval = (f"{self.standard_error[name]:.3g}", f"{low:.6g} to {high:.6g}") if good else ("", "")
-            rows.append([name, f"{self.estimates[name]:.8g}", error, interval, verdict])
-        lines.append(table(["parameter", "estimate", "standard error", "95 % interval", ""], rows))
-        lines += ["", *(f"not identifiable: {words}." for words in self.combinations)]
-        chi2 = f"{self.chi2:.6g}" if np.isfinite(self.chi2) else "unknown"
-        count = f"chi^2 = {chi2} with {self.degrees} degrees of freedom"
-        lines.append(f"{count}, {self.steps} steps, {self.agreeing} of {self.starts} starts ended here")
-        return "\n".join(lines)
-
-    __repr__ = __str__
+    def _search(self) -> str:
+        return f", {self.agreeing} of {self.starts} starts ended here"
 
 
 def _crossing(values: np.ndarray, rise: np.ndarray, side: int) -> float:

@@ -4,7 +4,7 @@ import dataclasses
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from jaxwhisker._base import announce, checks
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here, with_own_settings
 from jaxwhisker._inverse import parameters
+from jaxwhisker._inverse.bending import BendingFit, bending_test, identify_bending
 from jaxwhisker._inverse.channels import Channels, channels_from, table_of_result
+from jaxwhisker._inverse.estimates import estimates_of
 from jaxwhisker._inverse.features import features, neighbour_scatter
 from jaxwhisker._inverse.fit import Fit, FitProblem, FittedRecording, Recording
 from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum, possible_decrease
@@ -20,7 +22,7 @@ from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.observations import Observations, read_observations
 from jaxwhisker._inverse.recording import check_recording
 from jaxwhisker._inverse.residuals import Samples
-from jaxwhisker._inverse.statistics import FitStatus, chi_squared, correlation, identifiability
+from jaxwhisker._inverse.statistics import FitStatus, chi_squared
 from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
@@ -38,12 +40,19 @@ BASELINE = 5  # first samples, from which constant offsets are guessed
 ENOUGH = 3  # starts that must end in the best minimum before the search stops
 EQUAL = 1e-3  # difference of the fit's variables up to which two minima are the same
 NEGLIGIBLE = 1e-2  # possible decrease of chi-squared (a tenth of a standard error) that a converged fit may leave
-AT_BOUND = 1e-3  # dv/dy, relative to that in the middle if it is larger than 1, below which a parameter is at its bound
+
+
+@overload
+def identify(build: Callable[..., Scene], guess: Mapping[str, Any], measured: Any, **options: Any) -> Fit: ...
+
+
+@overload
+def identify(build: Callable[..., tuple], guess: Mapping[str, Any], measured: Any, **options: Any) -> BendingFit: ...
 
 
 @with_own_settings
 def identify(
-    build: Callable[..., Scene],
+    build: Callable[..., Any],
     guess: Mapping[str, Any],
     measured: Any,
     *,
@@ -58,7 +67,7 @@ def identify(
     starts: int = 16,
     near: bool = False,
     snaps: bool = True,
-) -> Fit:
+) -> Fit | BendingFit:
     """Estimate the parameters of a scene from the measured signals of one scan or of several.
 
     The method is Levenberg-Marquardt on whitened residuals, with exact derivatives. Snaps contribute by their positions
@@ -107,6 +116,12 @@ def identify(
     """
     checks.float64_mode()
     guess = parameters.read_parameters("guess", guess)
+    if (test := bending_test(build, guess, measured)) is not None:
+        options = {"channels": channels, "offsets": offsets, "gains": gains, "shift": shift, "individual": individual}
+        for name, value in options.items():
+            if value:
+                checks.fail(name, "omitted for bending tests", value)
+        return identify_bending(test, guess, sigma, bounds, transform)
     checks.count("starts", starts, least=0)
     for name, value in {"offsets": offsets, "gains": gains, "shift": shift, "near": near, "snaps": snaps}.items():
         checks.instance(name, value, bool, "True or False")
@@ -295,27 +310,9 @@ def _fit_of(problem: FitProblem, search: _Search) -> Fit:
     x = transforms.natural(solution.y, np)
     status, reason = _status_of(problem, solution, x)
     residual, jacobian = solution.observed
-    with np.errstate(divide="ignore", invalid="ignore"):
-        by_inner = np.nan_to_num(jacobian / transforms.stretch(solution.y))
-    information = identifiability(by_inner, names, transforms.log, transforms.scale)
-    rate = transforms.per_inner(x)
-    covariance = information.covariance * np.outer(rate, rate)
-    if status != FitStatus.ok:
-        covariance = np.full_like(covariance, np.nan)
-    errors = np.sqrt(np.diag(covariance))
-    estimates = dict(zip(names, x.tolist(), strict=True))
     return Fit(
-        names=names,
-        estimates=estimates,
-        standard_error=dict(zip(names, errors.tolist(), strict=True)),
-        interval=dict(zip(names, transforms.interval(x, errors), strict=True)),
-        covariance=covariance,
-        correlation=correlation(covariance),
-        identified=dict(zip(names, information.identified.tolist(), strict=True)),
-        combinations=information.combinations,
-        status=status,
+        **estimates_of(names, transforms, solution.y, residual, jacobian, status),
         reason=reason,
-        chi2=chi_squared(residual),
         degrees=problem.degrees(solution),
         recordings=tuple(_fitted(problem, solution, x, k) for k in range(len(problem.recordings))),
         steps=search.steps,
@@ -343,12 +340,8 @@ def _status_of(problem: FitProblem, solution: Minimum, x: np.ndarray) -> tuple[F
     path = max(Status(comparison.status) for comparison in solution.compared)
     if not np.isfinite(solution.y).all() or path != Status.ok:
         return FitStatus.failed, f"the scene cannot be scanned there ({path.name})"
-    transforms = problem.transforms
-    stretch, middle = (np.abs(transforms.stretch(y)) for y in (solution.y, np.zeros_like(solution.y)))
-    for k in np.flatnonzero(transforms.bounded & (stretch < AT_BOUND * np.maximum(1.0, middle))):
-        low, high = transforms.bounds[k]
-        name = problem.unknowns.all_names[k]
-        return FitStatus.at_bound, f"{name} = {x[k]:.6g} ended at its bound ({low:g}, {high:g})"
+    if reason := problem.transforms.at_bound(solution.y, problem.unknowns.all_names):
+        return FitStatus.at_bound, reason
     if not problem.is_plausible(solution):
         return FitStatus.implausible, _why_implausible(problem, solution)
     if not solution.converged and possible_decrease(solution.residual, solution.jacobian) > NEGLIGIBLE:

@@ -100,10 +100,10 @@ def read_observations(
         ValueError: if the data have another type, lack `control` or all channels, or have a wrongly shaped column, or
             if sigma is not positive or is missing for a channel.
     """
-    table = _named_values(data, kinds)
+    table = named_values(data, kinds)
     if "control" not in table:
         raise ValueError(f"`measured` must hold `control`, got {', '.join(table) or 'nothing'}.")
-    control = _as_numbers("measured", "control", table["control"])
+    control = as_numbers("measured", "control", table["control"])
     if control.ndim != 1 or control.size == 0 or not np.isfinite(control).all():
         raise ValueError(
             "`measured` must hold a non-empty one-dimensional `control` of finite numbers, got shape "
@@ -140,7 +140,7 @@ def _columns_of(table: Mapping[str, Any], steps: int, kinds: tuple[str, ...]) ->
         if matched is None:
             ignored += [name] * (not _IGNORED.fullmatch(name))
             continue
-        values = _as_numbers("measured", name, values)
+        values = as_numbers("measured", name, values)
         if values.shape[:1] != (steps,) or values.ndim > 2:
             raise ValueError(
                 f"`measured` must hold a value of {name} for each of the {steps} controls, got shape {values.shape}."
@@ -157,7 +157,8 @@ def _columns_of(table: Mapping[str, Any], steps: int, kinds: tuple[str, ...]) ->
     return columns
 
 
-def _named_values(data: Any, kinds: tuple[str, ...]) -> dict[str, Any]:
+def named_values(data: Any, kinds: tuple[str, ...]) -> dict[str, Any]:
+    """The columns of data of any form; those of a file that are neither control nor among `kinds` stay text."""
     if isinstance(data, Observations):
         return {"control": data.control} | {name: data.values[:, :, c] for c, name in enumerate(data.kinds)}
     if isinstance(data, (str, Path)):
@@ -227,7 +228,8 @@ def _text_of(path: Path) -> str:
         return content.decode("latin-1")  # every byte is a character
 
 
-def _as_numbers(argument: str, name: str, values: Any) -> np.ndarray:
+def as_numbers(argument: str, name: str, values: Any) -> np.ndarray:
+    """Values as floats; a ValueError names the argument and the column if they are not numbers."""
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError):
@@ -256,7 +258,7 @@ def _sigma_of(sigma: Any, values: np.ndarray, kinds: tuple[str, ...]) -> np.ndar
 
 def _fill(part: np.ndarray, name: str, value: Any) -> None:
     """Set the standard deviation of a channel, (steps, whiskers)."""
-    value = _as_numbers("sigma", name, value)
+    value = as_numbers("sigma", name, value)
     bad = value[~(np.isfinite(value) & (value > 0))]
     if bad.size:
         raise ValueError(f"`sigma` must be positive and finite, got {bad.ravel()[0]} for {name}.")

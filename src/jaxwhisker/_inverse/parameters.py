@@ -16,6 +16,8 @@ from jaxwhisker._base.leaves import name_of
 from jaxwhisker._inverse.statistics import NORMAL_95
 from jaxwhisker._model.scene import Scene
 
+AT_BOUND = 1e-3  # dv/dy, relative to that in the middle if it is larger than 1, below which a parameter is at its bound
+
 
 class Transforms(eqx.Module):
     """Invertible maps from the fit's variables y, unbounded and of order one, to parameters x.
@@ -93,6 +95,14 @@ class Transforms(eqx.Module):
             both = (high - low) * share * (1 - share)
         return np.where(above & below, both, np.where(above, share, np.where(below, -share, 1.0)))
 
+    def at_bound(self, y: Float[np.ndarray, " parameters"], names: Sequence[str]) -> str:
+        """Which parameter lies at its bound, in words; empty if none does."""
+        stretch, middle = (np.abs(self.stretch(each)) for each in (y, np.zeros_like(y)))
+        for k in np.flatnonzero(self.bounded & (stretch < AT_BOUND * np.maximum(1.0, middle))):
+            low, high = self.bounds[k]
+            return f"{names[k]} = {self.natural(y, np)[k]:.6g} ended at its bound ({low:g}, {high:g})"
+        return ""
+
     def per_inner(self, x: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
         """dx/dv."""
         return np.where(self.log, x, self.scale)
@@ -116,7 +126,7 @@ def transforms_of(
 ) -> Transforms:
     """Transforms of the parameters: in log by default for parameters that `build` rejects if they are negative.
 
-    Parameters of the channels' function are `further` ones.
+    `build` makes a Scene, or a whisker and loads on it. Parameters of the channels' function are `further` ones.
 
     Raises:
         ValueError: if a name is unknown, the guess is not within its bounds, or a kind does not exist or does not fit.
@@ -129,7 +139,9 @@ def transforms_of(
                 raise ValueError(f"`{argument}` must name parameters of `guess` ({', '.join(values)}), got {name!r}.")
     pairs = [_bounds_of(name, bounds.get(name), value) for name, value in values.items()]
     logs = [_is_log(build, guess, name, value, kinds.get(name)) for name, value in values.items()]
-    sizes = [float(np.asarray(build(**guess).whiskers[0].length))] * len(guess) + [1.0] * len(further)
+    built = build(**guess)
+    whisker = built.whiskers[0] if isinstance(built, Scene) else built[0]
+    sizes = [float(np.asarray(whisker.length))] * len(guess) + [1.0] * len(further)
     scales = [1.0 if log else max(abs(v), size) for log, v, size in zip(logs, values.values(), sizes, strict=True)]
     return Transforms.of(logs, scales, pairs)
 

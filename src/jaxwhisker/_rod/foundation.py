@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._rod.rod import Load, Material, RodState, Section, has_breaks, moment, one_sided, step_ends
+from jaxwhisker._rod.rod import Load, Material, RodState, Section, moment, one_sided, step_ends, with_breaks
 
 # Force on the rod per length, along x and y, at a position and an arc length from the base.
 Density = Callable[[Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]
@@ -48,11 +48,12 @@ def integrate_on(
     """
 
     times = step_ends(arc, material, steps=steps, from_base=from_base)
+    times, _, between = with_breaks(times, arc, material, from_base)
 
-    def towards_base(t, values, ends):
+    def towards_base(t, values, between):
         x, y, cos, sin, force_x, force_y, about_origin = values
-        t = one_sided(t, *ends) if has_breaks(material) else t
         s = from_base - t * arc
+        s = s if between is None else one_sided(s, *between)
         bent = moment(x, y, Load(force_x, force_y, about_origin))
         if isinstance(material, Section):
             bent = material.total_curvature(jnp.asarray(bent), s)
@@ -69,13 +70,14 @@ def integrate_on(
             arc * (x * push_y - y * push_x),
         ])  # fmt: skip
 
-    def step(values, ends):
-        size = ends[1] - ends[0]
+    def step(values, each):
+        start, stop, between = each
+        size = stop - start
 
         def stage(rates, row):
             k, time, weights = row
             here = values + jnp.sum(weights[:, None] * rates, axis=0) * size
-            return rates.at[k].set(towards_base(ends[0] + time * size, here, ends)), None
+            return rates.at[k].set(towards_base(start + time * size, here, between)), None
 
         # A loop of diffrax over the stages has derivatives in one mode only.
         rates, _ = jax.lax.scan(stage, jnp.zeros((STAGES, values.size)), (np.arange(STAGES), TIMES, WEIGHTS))
@@ -83,5 +85,5 @@ def integrate_on(
 
     loads = load.force_x, load.force_y, load.moment
     values = jnp.stack([jnp.asarray(value, dtype=float) for value in (*start, *loads)])
-    (x, y, cos, sin, *loads), _ = jax.lax.scan(step, values, (times[:-1], times[1:]))
+    (x, y, cos, sin, *loads), _ = jax.lax.scan(step, values, (times[:-1], times[1:], between))
     return (x, y, cos, sin), Load(loads[0], loads[1], loads[2])

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._rod.rod import NODE_WEIGHTS, NODES, Section, step_ends
+from jaxwhisker._rod.rod import NODE_WEIGHTS, NODES, Section, step_ends, with_breaks
 
 # Loaded points, in lengths: several, because one may put the end of a step where a function jumps. Closer to the tip of
 # a thin cone, forces are so small that the error there does not matter.
@@ -46,7 +46,7 @@ def relative_error(length: Scalar, density: Section, steps: int) -> Float[Array,
 
 def _integrals(arc: Scalar, section: Section, steps: int) -> Float[Array, "2 2"]:
     """Turn, and displacement in units of the arc (rows), by intrinsic curvature and by a unit force (columns)."""
-    times = step_ends(arc, section, steps=steps, from_base=arc)
+    times = with_breaks(step_ends(arc, section, steps=steps, from_base=arc), arc, section, arc).times
     lever = arc * jnp.ravel(times[:-1, None] + jnp.diff(times)[:, None] * NODES)
     weights = arc * jnp.ravel(jnp.diff(times)[:, None] * NODE_WEIGHTS)
     stiffness = jax.vmap(section.stiffness)(arc - lever)

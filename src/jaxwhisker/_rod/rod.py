@@ -12,14 +12,14 @@ s is advanced together with the position. Where they jump or have kinks, steps e
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar
@@ -57,9 +57,9 @@ class Section(eqx.Module):
         return jnp.where(stiff, moment / jnp.where(stiff, stiffness, 1.0), 0.0) + self.curvature(s)
 
     def break_times(self, arc: Scalar, from_base: Scalar) -> Along:
-        """Breaks as fractions of an arc towards the base; those outside the arc are at its ends."""
+        """Breaks as fractions of an arc towards the base; also those outside the arc, below 0 or above 1."""
         assert self.breaks is not None
-        return jnp.clip((from_base - self.breaks / self.length_unit) / jnp.where(arc == 0, 1.0, arc), 0.0, 1.0)
+        return (from_base - self.breaks / self.length_unit) / jnp.where(arc == 0, 1.0, arc)
 
 
 def at_arc(value: AlongRod, s: Scalar) -> Float[Array, ""]:
@@ -83,7 +83,7 @@ class _RodArgs(eqx.Module):
     load: Load
     material: Material
     from_base: Scalar | None  # arc length from the base to the start of the integration; None for a uniform rod
-    step: tuple[Scalar, Scalar] | None = None  # ends of the step; None without breaks
+    between: tuple[Scalar, Scalar] | None = None  # breaks below and above the step; None without breaks
 
 
 def moment(x: Scalar | Along, y: Scalar | Along, load: Load) -> Scalar | Along:
@@ -99,8 +99,9 @@ def _towards_base(t, state: RodState, args: _RodArgs) -> RodState:
     bent = moment(x, y, args.load)
     if isinstance(args.material, Section):
         assert args.from_base is not None
-        t = t if args.step is None else one_sided(t, *args.step)
-        bent = args.material.total_curvature(bent, args.from_base - t * args.arc)
+        s = args.from_base - t * args.arc
+        s = s if args.between is None else one_sided(s, *args.between)
+        bent = args.material.total_curvature(bent, s)
     elif args.material is not None:
         bent = bent / args.material
     turn = args.arc * bent
@@ -263,14 +264,13 @@ def step_ends(
 ) -> Float[Array, " points"]:
     """Ends of integration steps as fractions of the arc length: equidistant, but for sections closer where thinner.
 
-    The breaks of a section are further ends. Derivatives with respect to their positions pass through these ends.
+    They do not include the breaks of a section: see `with_breaks`.
     """
     times = jnp.arange(steps + 1) / steps
     if not isinstance(material, Section):
         return times
     assert from_base is not None
-    times = graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
-    return jnp.sort(jnp.concatenate([times, material.break_times(arc, from_base)])) if has_breaks(material) else times
+    return graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
 
 
 def has_breaks(material: Material) -> bool:
@@ -278,37 +278,79 @@ def has_breaks(material: Material) -> bool:
     return isinstance(material, Section) and material.breaks is not None
 
 
-INWARDS = 1e-8  # of half a step: above rounding, and without effect on the error of a step
+MEETING = 1e-6  # lengths of the scene: breaks closer to the end of an arc lie where two arcs may meet
+INWARDS = 1e-12  # lengths of the scene: above rounding, and without effect on the error of a step
 
 
-def one_sided(t: Scalar, start: Scalar, stop: Scalar) -> Scalar:
-    """A point of a step, moved off its ends: there, functions that jump must have the values of this side."""
-    middle = (start + stop) / 2
-    return middle + (1 - INWARDS) * (t - middle)
+class Steps(NamedTuple):
+    """Integration steps that end at the breaks of a section."""
+
+    times: Float[Array, " ends"]  # fractions of the arc, including the breaks
+    place: Int[Array, " times"] | None  # of the given times among them; None without breaks
+    between: tuple[Along, Along] | None  # breaks below and above each step, infinite if there are none
+
+
+def with_breaks(times: Float[Array, " times"], arc: Scalar, material: Material, from_base: Scalar | None) -> Steps:
+    """Steps that end at these fractions of an arc and at breaks. Breaks outside the arc make steps of no length.
+
+    Derivatives with respect to the position of a break pass through the end of steps there. A break where two arcs meet
+    belongs to both of them by half, also if rounding puts it into one of them, both or neither.
+    """
+    if not (isinstance(material, Section) and material.breaks is not None):
+        return Steps(times, None, None)
+    assert from_base is not None
+    s, own = material.breaks / material.length_unit, material.break_times(arc, from_base)
+    low, high = jnp.minimum(from_base, from_base - arc), jnp.maximum(from_base, from_base - arc)
+    inside = jnp.clip((s - low) / MEETING + 0.5, 0.0, 1.0) * jnp.clip((high - s) / MEETING + 0.5, 0.0, 1.0)
+    inside, constant = jax.lax.stop_gradient((inside, own))
+    clipped = jnp.clip(constant, times[0], times[-1]) + inside * (own - constant)
+    # Breaks come after the first time and before the last one, and each of them separates the steps beside it.
+    key = jnp.concatenate([times.at[0].set(-jnp.inf).at[-1].set(jnp.inf), constant])
+    order = jnp.argsort(jax.lax.stop_gradient(key))
+    passed = jnp.cumsum(order >= times.size)[:-1]
+    far = jnp.where(arc < 0, -jnp.inf, jnp.inf)
+    ascending = jnp.sort(jax.lax.stop_gradient(s))
+    in_turn = jnp.concatenate([far[None], jnp.where(arc < 0, ascending, ascending[::-1]), -far[None]])
+    ends = in_turn[passed], in_turn[passed + 1]
+    return Steps(
+        jnp.concatenate([times, clipped])[order],
+        jnp.argsort(order)[: times.size],
+        (jnp.minimum(*ends), jnp.maximum(*ends)),
+    )
+
+
+def one_sided(s: Scalar, low: Scalar, high: Scalar) -> Scalar:
+    """A point of a step, moved off breaks at its ends: there, functions that jump must have the values of this side."""
+    # No whisker has negative arc lengths, where functions may be undefined.
+    return s + jax.lax.stop_gradient(jnp.clip(s, low + INWARDS, jnp.maximum(high - INWARDS, 0.0)) - s)
 
 
 def _march(
     start: RodState, args: _RodArgs, times: Float[Array, " times"], solver: diffrax.AbstractSolver, keep: bool = False
 ) -> tuple[RodState, Any]:
-    """The last state, and those after every step if they are kept. `times` are fractions of the arc length."""
-    # The rate of change at the end of a step is not that at the beginning of the next one.
+    """The last state, and those at all times if they are kept. `times` are fractions of the arc length."""
+    # The rate of change at the end of a step before a break is not that at the beginning of the next one.
     terms, breaks = diffrax.ODETerm(_towards_base), has_breaks(args.material)
     jumps = jnp.asarray(breaks)
     if isinstance(solver, diffrax.AbstractRungeKutta) and solver.scan_kind is None:
         # This loop over stages supports forward derivatives only, and no others are taken through a rod.
         solver = dataclasses.replace(solver, scan_kind="lax")
+    times, place, between = with_breaks(times, args.arc, args.material, args.from_base)
 
     def step(carry, ends):
         state, memory = carry
-        t0, t1 = ends
-        within = dataclasses.replace(args, step=(t0, t1)) if breaks else args
+        t0, t1, between = ends
+        within = dataclasses.replace(args, between=between)
         state, _, _, memory, _ = solver.step(terms, t0, t1, state, within, memory, jumps)
         return (state, memory), state if keep else None
 
     start = jax.tree.map(jnp.asarray, start)
-    first = dataclasses.replace(args, step=(times[0], times[1])) if breaks else args
+    first = dataclasses.replace(args, between=jax.tree.map(lambda leaf: leaf[0], between))
     memory = solver.init(terms, times[0], times[1], start, first)
-    (end, _), states = jax.lax.scan(step, (start, memory), (times[:-1], times[1:]))
+    (end, _), states = jax.lax.scan(step, (start, memory), (times[:-1], times[1:], between))
+    if keep:
+        states = tuple(jnp.append(first, rest) for first, rest in zip(start, states, strict=True))
+        states = states if place is None else tuple(leaf[place] for leaf in states)
     return end, states
 
 
@@ -347,12 +389,5 @@ def points(
     if at is None:
         assert count is not None
         at = jnp.linspace(0.0, 1.0, count)
-    wanted = np.arange(at.shape[0])
-    if isinstance(material, Section) and material.breaks is not None:
-        assert from_base is not None
-        at = jnp.concatenate([at, material.break_times(arc, from_base)])
-        order = jnp.argsort(at)
-        at, wanted = at[order], jnp.argsort(order)[wanted]
     _, states = _march(start, args, at, solver or default_solver(material), keep=True)
-    x, y, cos, sin = (jnp.append(first, rest)[wanted] for first, rest in zip(start, states, strict=True))
-    return x, y, cos, sin
+    return states
