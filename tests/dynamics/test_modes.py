@@ -451,15 +451,22 @@ RITZ = 1e-7  # of frequencies by Rayleigh and Ritz with polynomials of degree 12
 
 
 def ritz(weight, spring, at):
-    """Frequencies of an upright cantilever under its weight, with a spring across at one place."""
-    degree = 12
-    each = [np.polynomial.Polynomial([0.0] * k + [1.0]) for k in range(2, degree + 1)]
-    s, w = np.polynomial.legendre.leggauss(2 * degree)
-    s, w = (s + 1) / 2, w / 2
-    value, slope, bend = (np.stack([p.deriv(n)(s) if n else p(s) for p in each]) for n in (0, 1, 2))
-    here = np.stack([p(at) for p in each])
-    stiffness = (bend * w) @ bend.T - weight * ((slope * w * (1 - s)) @ slope.T) + spring * here[:, None] * here
-    return np.sqrt(scipy.linalg.eigh(stiffness, (value * w) @ value.T, eigvals_only=True)[:3])
+    """Frequencies of an upright whisker under its weight: clamped, or held at one place by a spring across."""
+    powers, beyond = np.arange(2, 11), np.arange(3, 7)
+    s, w = np.polynomial.legendre.leggauss(20)
+    s, w = np.concatenate([at * (s + 1) / 2, at + (1 - at) * (s + 1) / 2]), np.concatenate([at * w, (1 - at) * w]) / 2
+
+    def functions(s, order):
+        # The base moves along x with the spring, and does not turn. The shear force jumps at the spring.
+        factor = np.array([np.prod(np.arange(p - order + 1, p + 1)) for p in (*powers, *beyond)])[:, None]
+        plain = [s**p for p in powers - order] + [np.maximum(s - at, 0.0) ** p for p in beyond - order]
+        constant = np.full((int(spring > 0), np.size(s)), float(order == 0))
+        return np.concatenate([constant, factor * np.reshape(plain, (-1, np.size(s)))])
+
+    value, slope, bend = (functions(s, order) for order in (0, 1, 2))
+    stiffness = (bend * w) @ bend.T - weight * ((slope * w * (1 - s)) @ slope.T)
+    here = functions(np.array([at]), 0)
+    return np.sqrt(scipy.linalg.eigh(stiffness + spring * here @ here.T, (value * w) @ value.T, eigvals_only=True)[:3])
 
 
 @pytest.mark.parametrize("spring", [0.0, 70.0])
