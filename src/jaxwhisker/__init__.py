@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from jaxwhisker._base.suggest import no_attribute
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._explore import explore
+from jaxwhisker._inverse.bending import BendingFit
 from jaxwhisker._inverse.fit import Fit
 from jaxwhisker._inverse.fit_contour import ContourFit, fit_contour
 from jaxwhisker._inverse.fit_profile import ProfileFit, fit_profile
@@ -52,6 +53,7 @@ __all__ = [
     "AbstractMotion",
     "AbstractProfile",
     "AbstractRod",
+    "BendingFit",
     "Box",
     "Circle",
     "ClosedForm",

@@ -17,6 +17,7 @@ import jaxwhisker as jw
 from jaxwhisker._inverse.fit_contour import ContourFit, _ConstantSensor, _ContourScene
 from recordings import STEPS, TRUTH, exact, fb
 
+BENT = {"force": [0.1, 0.2], "tip_x": [-0.03, -0.06]}
 COPIES = {
     "pickle": lambda value: pickle.loads(pickle.dumps(value)),
     "cloudpickle": lambda value: pickle.loads(cloudpickle.dumps(value)),
@@ -38,13 +39,14 @@ def results():
     heavy = jw.Whisker(mass_per_length=1.0)
     made += [jw.deflect(jw.Whisker(), jw.PointForce(1.0)), jw.modes(heavy, 2)]
     made += [jw.simulate(jw.Scene(heavy, jw.Parabola(0.2)), drive, 0.1, steps=4)]
+    made += [jw.identify(lambda force, c: (jw.Whisker(bending_stiffness=c), jw.PointForce(force)), {"c": 1.0}, BENT)]
     made += [jw.study(fb, control=control, c=[50.0, 60.0], q=[0.27]), result.events[0], fit.profile("c", points=3)]
     return {type(one).__name__: one for one in made}
 
 
 TREES = {"Result", "Events", "Shapes", "EnergyBalance", "Reconstruction", "ProfileFit", "Deflection", "Modes"}
 TREES |= {"Simulation"}
-CLASSES = TREES | {"Fit", "ContourFit", "Information", "Dataset", "Event", "LikelihoodProfile"}
+CLASSES = TREES | {"Fit", "BendingFit", "ContourFit", "Information", "Dataset", "Event", "LikelihoodProfile"}
 
 
 def test_every_public_class_of_results_is_here(results):

@@ -75,9 +75,17 @@ def identify(
     the residuals are not plausible, fits from other starts follow. A fit that takes longer than two seconds shows its
     progress on terminals and in notebooks.
 
+    **Bending tests**: `build` may return a whisker and loads instead, as `deflect` takes them, and last of all a
+    support: `return whisker, load, ...`. `measured` then holds a row for each measurement. Columns with the name of an
+    argument of `build` that `guess` does not name, such as a force, are passed to it. Columns to compare are fx, fy,
+    mz, base_x, base_y, base_angle; tip_x, tip_y, tip_angle; and x, y, angle at the arc length in the column s. x and y
+    without s are points of the shape, which are compared by their `distance` from it. `sigma` is a number or a mapping
+    from these names; without it, the noise of each column is estimated from the residuals, which must not be larger
+    than 5 % of the peak. Of the other options, `bounds` and `transform` apply. The result is a BendingFit.
+
     Args:
-        build: makes a Scene from named numbers: parameters of springs, object and whiskers. JAX must be able to trace
-            it.
+        build: makes a Scene from named numbers: parameters of springs, object and whiskers; or a whisker and loads.
+            JAX must be able to trace it.
         guess: an initial value of each unknown parameter.
         measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers), or of the names in `channels`:
             a mapping of arrays, a Result, a Dataset with one scan, a DataFrame or the path of a CSV file. Arrays are
@@ -105,9 +113,10 @@ def identify(
             jump for other reasons, such as frequencies, which change suddenly at the first touch.
 
     Returns:
-        A Fit. Unless its status is `ok`, `reason` says why and there are no standard errors: `implausible` (noise does
-        not explain the residuals), `not_converged`, `at_bound` or `failed` (the scene cannot be scanned there).
-        Parameters that are not identifiable have no standard error, and `combinations` describes them.
+        A Fit, or a BendingFit. Unless its status is `ok`, `reason` says why and there are no standard errors:
+        `implausible` (noise does not explain the residuals), `not_converged`, `at_bound` or `failed` (no scan or
+        deflection there). Parameters that are not identifiable have no standard error, and `combinations` describes
+        them.
 
     Raises:
         ValueError: if an argument is wrong; if JAX cannot trace `build`, or `build` ignores a parameter; if `measured`
