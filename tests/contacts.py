@@ -21,7 +21,7 @@ CASES = {
 @cache
 def signals(name):
     """Exact states and their signals."""
-    support, profile = CASES[name]
+    support, profile = sensor(name).support, CASES[name][1]
     keys = ("between", "stiffness", "rest_length")
     springs = [
         dict(zip(keys, (s.between, 1 / float(s.softness), float(s.rest_length)), strict=True)) for s in support.springs
