@@ -1,6 +1,6 @@
 # Everything runs in .venv. The first target that needs .venv creates it.
 #   make demo                      reproduce the results of the thesis in out/
-#   make test                      run the tests
+#   make test                      run the tests, but not the longest ones
 #   make demo PYTHON=python3.12    create .venv with this Python instead of the newest one
 
 VENV := .venv
@@ -11,7 +11,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test quick lint types docs notebooks figures bench bench-more bench-inverse extremes soak clean distclean
+.PHONY: help demo test test-long test-all quick lint types docs notebooks figures bench bench-more bench-inverse extremes soak clean distclean
 
 help: ## list all targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -19,7 +19,13 @@ help: ## list all targets
 demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (2 minutes on two cores)
 	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
 
-test: $(VENV)/installed-dev ## run the tests
+test: $(VENV)/installed-dev ## run the tests of every feature, module and page
+	@$(BIN)/python -m pytest -m "not long"
+
+test-long: $(VENV)/installed-dev ## run the longest tests, which tests/long.txt lists
+	@$(BIN)/python -m pytest -m long -rs $$(sed 's/::.*//' tests/long.txt | sort -u)
+
+test-all: $(VENV)/installed-dev ## run all tests
 	@$(BIN)/python -m pytest
 
 quick: $(VENV)/installed-dev ## run the tests of equilibria, paths, exact scans and models, after an edit (a minute and a half)

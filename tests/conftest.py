@@ -9,6 +9,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+import time
 from importlib.metadata import version
 from pathlib import Path
 
@@ -45,8 +46,26 @@ os.environ.setdefault("JAXWHISKER_CACHE", str(Path(__file__).parents[1] / ".cach
 jaxtyping.install_import_hook("jaxwhisker", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
 
+# Tests that compile for the longest time for features that other tests cover as well; `make test` leaves them out.
+LONG = Path(__file__).with_name("long.txt")
+LAST_START = float(os.environ.get("JAXWHISKER_LONG_UNTIL", "inf"))  # seconds since 1970
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark long tests."""
+    long = set(LONG.read_text("utf-8").splitlines())
+    for item in items:
+        if item.nodeid in long:
+            item.add_marker(pytest.mark.long)
+    if config.getoption("markexpr") == "long" and (unknown := long - {item.nodeid for item in items}):
+        raise pytest.UsageError(f"{LONG} names tests that do not exist: {', '.join(sorted(unknown))}")
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Let intentionally wrong input reach the library's own checks."""
+    """Let intentionally wrong input reach the library's own checks, and start no long test too late."""
+    if item.get_closest_marker("long") and time.time() > LAST_START:
+        pytest.skip("no time is left for long tests (JAXWHISKER_LONG_UNTIL)")
     jaxtyping.config.update("jaxtyping_disable", item.get_closest_marker("unchecked") is not None)
 
 
