@@ -140,6 +140,12 @@ def test_rest_stays_at_rest():
     assert int(motion.events.count) == 0
 
 
+def test_steps_so_short_that_rounding_is_amplified_are_inexact():
+    fast = sweep(1e8)
+    assert fast.time[1] - fast.time[0] < 1e-6
+    assert np.all(fast.status == jw.Status.inexact) and np.isnan(fast.mz).all()
+
+
 def test_slow_sweep_approaches_scan(slow):
     assert np.all(slow.status == jw.Status.ok)
     assert drift(slow) < BALANCED

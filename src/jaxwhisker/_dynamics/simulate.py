@@ -36,6 +36,7 @@ STEP = 0.001  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
 MOST_STEPS = 10_000_000  # of the default step
 INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
 DEEPEST = 0.01  # penetration beyond which it is a second contact
+SHORTEST = 3e-6  # T: rounding errors of reactions grow with 1 / h^2, to 1e-5 EI/L here
 CREATED = 0.05  # energy that contacts may create, relative to the energy at the start and the work of the drive
 CREATED_AT_REST = 1e-3  # the same without either, in EI / L of the first whisker
 MISFIT = 0.01  # of a given state, see `misfit`
@@ -87,8 +88,9 @@ def simulate(
         a state of another scene, or no unloaded equilibrium with springs on shafts is found, the status is `invalid`;
         if a time step is not solved, it is `lost` from there on; if any point of a whisker gets inside the object by
         more than 0.01 lengths of the first whisker, because it has met it in a second place, `second_contact`; if
-        contacts have created more energy than 5 % of that at the start and the work of the drive, `inexact`. Values are
-        then NaN, but for `time` and `control`.
+        contacts have created more energy than 5 % of that at the start and the work of the drive, or time steps are
+        shorter than 0.3 % of the default, where rounding is amplified, `inexact`. Values are then NaN, but for `time`
+        and `control`.
 
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
@@ -219,7 +221,7 @@ def _simulate(
     )
     result = _result(given, system, unit, samples, _at_samples(forces, every))
     before = jax.lax.stop_gradient(result["energy"].total[0] / unit.energy)
-    status = jnp.where(good, _status(solved, trace, before), Status.invalid)
+    status = jnp.where(good, _status(solved, trace, before, h), Status.invalid)
     events = events_of(trace, status == Status.ok, time, control) if trace is not None else _no_events()
     status = status[::every]
     ok = status == Status.ok
@@ -234,9 +236,9 @@ def _simulate(
     )
 
 
-def _status(solved: Bool[Array, " times"], trace: Trace | None, before: Scalar) -> Array:
-    """The status after every step: what fails first counts. `before` is the energy at the start."""
-    failures = [(~solved, Status.lost)]
+def _status(solved: Bool[Array, " times"], trace: Trace | None, before: Scalar, h: Scalar) -> Array:
+    """The status after every step of size h: what fails first counts. `before` is the energy at the start."""
+    failures = [(~solved, Status.lost), (jnp.broadcast_to(h < SHORTEST, solved.shape), Status.inexact)]
     if trace is not None:
         trace = jax.lax.stop_gradient(trace)
         most = before + jax.lax.cummax(jnp.abs(trace.work))
