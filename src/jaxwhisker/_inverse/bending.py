@@ -57,7 +57,7 @@ class BendingTest(NamedTuple):
     @property
     def names(self) -> list[str]:
         """Names of the columns that are compared."""
-        return [name for name, known in zip(NAMES, self.known.any(axis=0), strict=True) if known]
+        return [NAMES[k] for k in np.flatnonzero(self.known.any(axis=0)).tolist()]
 
     @property
     def peaks(self) -> Float[np.ndarray, " 13"]:
@@ -98,6 +98,8 @@ def bending_test(build: Any, guess: Mapping[str, Any], measured: Any) -> Bending
         taken = inspect.signature(build).parameters
     except (TypeError, ValueError):
         return None
+    if isinstance(measured, list | tuple):  # several scans
+        return None
     others = [name for name in taken if name not in guess]
     required = [name for name in others if taken[name].default is inspect.Parameter.empty]
     if not set(guess) <= set(taken) or not (required or isinstance(build(**guess), tuple)):
@@ -106,17 +108,17 @@ def bending_test(build: Any, guess: Mapping[str, Any], measured: Any) -> Bending
     if not set(required) <= set(table):
         return None
     columns = {n: as_numbers("measured", n, table[n]) for n in (*others, "s", *COLUMNS) if n in table}
-    shapes = {values.shape for values in columns.values()}
-    if len(shapes) != 1 or len(*shapes) != 1:
+    rows = max((values.size for values in columns.values()), default=0)
+    if any(values.shape != (rows,) for values in columns.values()):
         checks.fail("measured", "columns of one length", ", ".join(f"{v.shape} for {n}" for n, v in columns.items()))
     conditions = {name: columns[name] for name in others if name in columns}
     for name, values in conditions.items():
         if not np.isfinite(values).all():
             checks.fail("measured", f"finite numbers in the column {name}, an argument of `build`", values)
-    missing = np.full(*shapes, np.nan)
-    s, (x, y) = columns.get("s", missing), (columns.get(name, missing) for name in ("x", "y"))
+    missing = np.full(rows, np.nan)
+    s, x, y, *each = (columns.get(name, missing) for name in ("s", "x", "y", *COLUMNS))
     on_shape = np.isnan(s) & np.isfinite(x) & np.isfinite(y)
-    values = np.stack([*(columns.get(name, missing) for name in COLUMNS), np.where(on_shape, 0.0, np.nan)], axis=1)
+    values = np.stack([*each, np.where(on_shape, 0.0, np.nan)], axis=1)
     values[~np.isfinite(values)] = np.nan
     values[np.isnan(s), DISTANCE - len(ALONG) : DISTANCE] = np.nan
     of_rows = np.stack([np.zeros_like(s), *conditions.values()], axis=1)

@@ -4,7 +4,7 @@ import dataclasses
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple, TypeAlias, overload
 
 import numpy as np
 
@@ -42,12 +42,39 @@ EQUAL = 1e-3  # difference of the fit's variables up to which two minima are the
 NEGLIGIBLE = 1e-2  # possible decrease of chi-squared (a tenth of a standard error) that a converged fit may leave
 
 
-@overload
-def identify(build: Callable[..., Scene], guess: Mapping[str, Any], measured: Any, **options: Any) -> Fit: ...
+Options: TypeAlias = Mapping[str, Any] | None
 
 
 @overload
-def identify(build: Callable[..., tuple], guess: Mapping[str, Any], measured: Any, **options: Any) -> BendingFit: ...
+def identify(
+    build: Callable[..., Scene],
+    guess: Mapping[str, Any],
+    measured: Any,
+    *,
+    sigma: Any = None,
+    channels: Any = None,
+    offsets: bool = False,
+    gains: bool = False,
+    shift: bool = False,
+    individual: Any = (),
+    bounds: Options = None,
+    transform: Options = None,
+    starts: int = 16,
+    near: bool = False,
+    snaps: bool = True,
+) -> Fit: ...
+
+
+@overload
+def identify(
+    build: Callable[..., tuple],
+    guess: Mapping[str, Any],
+    measured: Any,
+    *,
+    sigma: Any = None,
+    bounds: Options = None,
+    transform: Options = None,
+) -> BendingFit: ...
 
 
 @with_own_settings
@@ -62,8 +89,8 @@ def identify(
     gains: bool = False,
     shift: bool = False,
     individual: Any = (),
-    bounds: Mapping[str, Any] | None = None,
-    transform: Mapping[str, str] | None = None,
+    bounds: Options = None,
+    transform: Options = None,
     starts: int = 16,
     near: bool = False,
     snaps: bool = True,

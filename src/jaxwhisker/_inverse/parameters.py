@@ -98,7 +98,7 @@ class Transforms(eqx.Module):
     def at_bound(self, y: Float[np.ndarray, " parameters"], names: Sequence[str]) -> str:
         """Which parameter lies at its bound, in words; empty if none does."""
         stretch, middle = (np.abs(self.stretch(each)) for each in (y, np.zeros_like(y)))
-        for k in np.flatnonzero(self.bounded & (stretch < AT_BOUND * np.maximum(1.0, middle))):
+        for k in np.flatnonzero(self.bounded & (stretch < AT_BOUND * np.maximum(1.0, middle))).tolist():
             low, high = self.bounds[k]
             return f"{names[k]} = {self.natural(y, np)[k]:.6g} ended at its bound ({low:g}, {high:g})"
         return ""
@@ -118,7 +118,7 @@ class Transforms(eqx.Module):
 
 
 def transforms_of(
-    build: Callable[..., Scene],
+    build: Callable[..., Any],
     guess: Mapping[str, float],
     bounds: Mapping[str, Any] | None = None,
     kinds: Mapping[str, str] | None = None,
@@ -146,7 +146,7 @@ def transforms_of(
     return Transforms.of(logs, scales, pairs)
 
 
-def _is_log(build: Callable[..., Scene], guess: Mapping[str, float], name: str, value: float, kind: str | None) -> bool:
+def _is_log(build: Callable[..., Any], guess: Mapping[str, float], name: str, value: float, kind: str | None) -> bool:
     positive = value > 0
     if kind not in (None, "log", "linear"):
         raise ValueError(f"`transform` must be one of log, linear, got {kind!r} for {name}.")

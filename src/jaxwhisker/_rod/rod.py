@@ -349,8 +349,8 @@ def _march(
     memory = solver.init(terms, times[0], times[1], start, first)
     (end, _), states = jax.lax.scan(step, (start, memory), (times[:-1], times[1:], between))
     if keep:
-        states = tuple(jnp.append(first, rest) for first, rest in zip(start, states, strict=True))
-        states = states if place is None else tuple(leaf[place] for leaf in states)
+        states = jax.tree.map(jnp.append, start, states)
+        states = states if place is None else jax.tree.map(lambda leaf: leaf[place], states)
     return end, states
 
 
