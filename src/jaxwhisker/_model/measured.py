@@ -8,6 +8,7 @@ import numpy as np
 from jaxwhisker._base import checks
 from jaxwhisker._model.along import AlongWhisker, Polynomial, RoundMass, RoundSection, Table
 
+FIT_STEPS = 12  # of Levenberg-Marquardt, each with derivatives by differences
 MOST_DEGREE = 5  # of the curvature of a digitised shape
 MARGIN = 2.0  # standard deviations by which the sum of squared residuals may exceed its mean
 INTEGRAL_DEGREE = 48  # of Chebyshev polynomials of a shape: exact to rounding where it turns by less than pi
@@ -173,7 +174,12 @@ def _fitted(points: np.ndarray, error: float) -> tuple[float, Any]:
         free = places.shape[0] - start.size
         if free < 1:
             break
-        start = least_squares(lambda p: _distances(p, places, along)[0], start, method="lm", xtol=1e-12, ftol=1e-12).x
+        # From the shape with one coefficient less, a few iterations are enough; rounding would decide further ones.
+        most = FIT_STEPS * (start.size + 1)
+        solved = least_squares(
+            lambda p: _distances(p, places, along)[0], start, method="lm", xtol=1e-12, ftol=1e-12, max_nfev=most
+        )
+        start = solved.x
         off, feet = _distances(start, places, along)
         # The sum of squares of normal residuals has the mean `free` and the variance 2 free.
         if np.sum((off * scale / error) ** 2) <= free + MARGIN * np.sqrt(2 * free):
