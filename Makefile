@@ -19,7 +19,7 @@ help: ## list all targets
 demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (2 minutes on two cores)
 	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
 
-test: $(VENV)/installed-dev ## run the tests of every feature, module and page
+test: $(VENV)/installed-dev ## run the tests of every feature and module
 	@$(BIN)/python -m pytest -m "not long"
 
 test-long: $(VENV)/installed-dev ## run the longest tests, which tests/long.txt lists
