@@ -27,7 +27,7 @@ AT_TIP = ("x", "y", "angle")  # as tip_x, tip_y, tip_angle
 ALONG = ("x", "y", "angle")  # at the arc length in the column s
 COLUMNS = (*AT_BASE, *(f"tip_{name}" for name in AT_TIP), *ALONG)
 DISTANCE = len(COLUMNS)  # place of the distance between a point and the shape, after all columns
-NAMES = (*COLUMNS, "distance")
+NAMES = (*COLUMNS, "distance")  # by which the shape is to the left of the point, seen from the base
 
 FOOT_STEPS = 4  # of Newton, from the nearest point of a deflection, to a point's foot; the third is exact to rounding
 GUESSED_NOISE = 0.01  # of the peak: noise assumed before the residuals give an estimate
@@ -236,8 +236,8 @@ def _compare(
         foot = _foot(jax.lax.stop_gradient(shape), point)
         # To first order, the distance does not depend on the position of the foot.
         foot_x, foot_y, foot_angle = _at(shape, foot)
-        off = (foot_x - point[0]) * jnp.sin(foot_angle) - (foot_y - point[1]) * jnp.cos(foot_angle)
-        return jnp.stack([*of_cases[case], x, y, angle, off])
+        left_of_point = (point[0] - foot_x) * jnp.sin(foot_angle) - (point[1] - foot_y) * jnp.cos(foot_angle)
+        return jnp.stack([*of_cases[case], x, y, angle, left_of_point])
 
     return _Compared(jax.vmap(of_row)(case, s, points), bent["status"])
 
