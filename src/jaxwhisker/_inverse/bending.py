@@ -145,7 +145,7 @@ def identify_bending(test: BendingTest, guess: dict[str, Any], sigma: Any, bound
     problem = _Problem(test, tuple(guess), transforms, noise)
     solution = problem.fit(transforms.variables(list(guess.values())))
     steps = solution.steps
-    for _ in range(0 if given else ESTIMATES):
+    for _ in range(0 if given or not np.isfinite(solution.residual).all() else ESTIMATES):
         before, problem = problem, problem._replace(sigma=_noise_of(problem, solution))
         solution = problem.fit(solution.y)
         steps += solution.steps
