@@ -81,7 +81,8 @@ def test_stability_is_lost_where_a_chain_of_links_loses_it(support):
     result = jw.scan(scene)
     assert all_ok(result)
     lost = next(e for e in result.events if e.kind in (jw.EventKind.snap_off, jw.EventKind.snap_through))
-    springs = [(s.between, float(s.stiffness), float(np.asarray(s.rest_length)), s.axis) for s in scene.support.springs]
+    numbers = [[float(np.asarray(value)) for value in (s.stiffness, s.rest_length)] for s in scene.support.springs]
+    springs = [(s.between, *own, s.axis) for s, own in zip(scene.support.springs, numbers, strict=True)]
     chains = Chains([spring for spring in springs if np.isfinite(spring[1])], whiskers, 0.2)
     energy = jw.stored_energy(scene, result)
 
