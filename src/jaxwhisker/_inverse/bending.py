@@ -109,8 +109,10 @@ def bending_test(build: Any, guess: Mapping[str, Any], measured: Any) -> Bending
         return None
     columns = {n: as_numbers("measured", n, table[n]) for n in (*others, "s", *COLUMNS) if n in table}
     rows = max((values.size for values in columns.values()), default=0)
-    if any(values.shape != (rows,) for values in columns.values()):
-        checks.fail("measured", "columns of one length", ", ".join(f"{v.shape} for {n}" for n, v in columns.items()))
+    if not rows or any(values.shape != (rows,) for values in columns.values()):
+        checks.fail(
+            "measured", "columns of one length, not empty", ", ".join(f"{v.shape} for {n}" for n, v in columns.items())
+        )
     conditions = {name: columns[name] for name in others if name in columns}
     for name, values in conditions.items():
         if not np.isfinite(values).all():
