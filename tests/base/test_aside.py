@@ -4,12 +4,13 @@ import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxwhisker._base import announce, aside
+from jaxwhisker._base import announce, aside, program
 from jaxwhisker._base.aside import Compilers
 from jaxwhisker._base.program import Program
 
@@ -33,14 +34,13 @@ class Compiler:
 
         return compiled
 
-    def interrupts(self, call, ready=None):
-        """Whether Ctrl-C, while something is compiled, ends a call although the compiler goes on."""
+    def interrupts(self, call, waits=None):
+        """Whether Ctrl-C, while something is compiled (and the call waits), ends a call although the compiler goes on."""
 
         def press():
             self.began.wait(FOREVER)
-            if ready is not None:
-                ready.wait(FOREVER)
-                time.sleep(0.5)  # until the call waits for the compiler
+            if waits is not None:
+                waits.wait(FOREVER)
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
         threading.Thread(target=press).start()
@@ -67,28 +67,42 @@ def said(monkeypatch):
     return lines
 
 
-def test_an_interrupt_acts_while_a_program_is_compiled(compiler, said):
+@pytest.fixture
+def waits(monkeypatch):
+    """An event: the main thread has begun to wait for compilers."""
+    event, own = threading.Event(), aside.interruptible
+
+    @contextmanager
+    def interruptible():
+        with own():
+            event.set()
+            yield
+
+    for module in (aside, program):
+        monkeypatch.setattr(module, "interruptible", interruptible)
+    return event
+
+
+def test_an_interrupt_acts_while_a_program_is_compiled(compiler, said, waits):
     handler, double = signal.getsignal(signal.SIGINT), Program(lambda x: 2 * x)
-    assert compiler.interrupts(lambda: double(X))
+    assert compiler.interrupts(lambda: double(X), waits)
     assert signal.getsignal(signal.SIGINT) is handler
     assert len(said) == 1 and said[0].startswith("interrupted; ")
     assert double(X) == 6.0 and compiler.threads == ["compiler"]  # the next call waits for the same program
 
 
-def test_an_interrupt_acts_while_several_programs_are_compiled(compiler, said, monkeypatch):
+def test_an_interrupt_acts_while_several_programs_are_compiled(compiler, said, waits, monkeypatch):
     monkeypatch.setattr(aside, "threads", lambda: 1)
     programs = [Program(lambda x, k=k: k * x) for k in range(3)]
 
     def prepare():
         with Compilers() as pool:
-            for program in programs:
-                program.prepare(pool, X)
-            ready.set()
+            for each in programs:
+                each.prepare(pool, X)
 
-    ready = threading.Event()
-    assert compiler.interrupts(prepare, ready)
+    assert compiler.interrupts(prepare, waits)
     assert len(said) == 1 and len(compiler.threads) == 1
-    assert [program(X) for program in programs] == [0.0, 3.0, 6.0]  # those in the queue are compiled again
+    assert [each(X) for each in programs] == [0.0, 3.0, 6.0]  # those in the queue are compiled again
     assert len(compiler.threads) == 3
 
 
