@@ -23,7 +23,7 @@ test: $(VENV)/installed-dev ## run the tests of every feature and module
 	@$(BIN)/python -m pytest -m "not long"
 
 test-long: $(VENV)/installed-dev ## run the longest tests, which tests/long.txt lists
-	@$(BIN)/python -m pytest -m long -rs $$(sed 's/::.*//' tests/long.txt | sort -u)
+	@$(BIN)/python -m pytest -m long -rs --no-loadscope-reorder $$(sed 's/::.*//' tests/long.txt | sort -u)
 
 test-all: $(VENV)/installed-dev ## run all tests
 	@$(BIN)/python -m pytest

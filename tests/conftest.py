@@ -49,17 +49,24 @@ jaxtyping.install_import_hook("jaxwhisker", "beartype.beartype(conf=beartype.Bea
 # Tests that compile for the longest time for features that other tests cover as well; `make test` leaves them out.
 LONG = Path(__file__).with_name("long.txt")
 LAST_START = float(os.environ.get("JAXWHISKER_LONG_UNTIL", "inf"))  # seconds since 1970
+DAY = 86_400  # seconds
+STRIDE = 37  # long tests; about a quarter of them
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark long tests."""
-    long = set(LONG.read_text("utf-8").splitlines())
-    for item in items:
-        if item.nodeid in long:
-            item.add_marker(pytest.mark.long)
-    if config.getoption("markexpr") == "long" and (unknown := long - {item.nodeid for item in items}):
+    names = set(LONG.read_text("utf-8").splitlines())
+    long = [item for item in items if item.nodeid in names]
+    for item in long:
+        item.add_marker(pytest.mark.long)
+    if config.getoption("markexpr") != "long":
+        return
+    if unknown := names - {item.nodeid for item in long}:
         raise pytest.UsageError(f"{LONG} names tests that do not exist: {', '.join(sorted(unknown))}")
+    if LAST_START < float("inf"):  # begin with others every day, so that those left out are not always the same
+        first = items.index(long[int(LAST_START / DAY) * STRIDE % len(long)])
+        items[:] = items[first:] + items[:first]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
