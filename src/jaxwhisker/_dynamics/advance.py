@@ -209,7 +209,7 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
         under = (system.rods.held.springs.at <= 0)[..., None]
         reaction += jnp.sum(jnp.where(under, pulls.about_base, 0.0), axis=1)
     if touching is not None:
-        new, impulse = stopped(system, new, rate)
+        new, impulse = stopped(system, new, rate, h)
         reaction, normal, drag = reaction + impulse.reaction / h, normal + impulse.normal / h, drag + impulse.drag / h
         new = _with_closest(system, new, mode)
     return new, Forces(reaction, normal, drag)

@@ -1,16 +1,17 @@
 """Impulses at the end of a step, which stop the motion of touching whiskers along the normal: no restitution.
 
-With friction, the impulse along the tangent stops contacts that stick, and is the normal one times mu against the slip
-of all others.
+With friction, Coulomb's law holds for the force of the step together with the impulse at its end: the impulse along the
+tangent stops a contact that sticks unless that exceeds the law, and slip goes on against the largest friction.
 """
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import inverse
+from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.motion_state import Moving, Rod
 from jaxwhisker._dynamics.moving import Rods, System
 
@@ -27,14 +28,14 @@ class Impulse(NamedTuple):
     loss: Float[Array, "*whiskers"]
 
 
-def stopped(system: System, new: Moving, rate: Float[Array, "3"]) -> tuple[Moving, Impulse]:
-    """The state after these impulses, with the drive moving at this rate."""
+def stopped(system: System, new: Moving, rate: Float[Array, "3"], h: Scalar) -> tuple[Moving, Impulse]:
+    """The state after these impulses at the end of a step of this length, with the drive moving at this rate."""
     touching = new.rod.touching
     assert touching is not None
     impulse = jax.lax.cond(
         jnp.any(touching.touches),
-        lambda: _impulses(system, new, rate),
-        lambda: jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), jax.eval_shape(lambda: _impulses(system, new, rate))),
+        lambda: _impulses(system, new, rate, h),
+        lambda: jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), jax.eval_shape(lambda: _impulses(system, new, rate, h))),
     )
     ledger = new.ledger._replace(
         impact=new.ledger.impact + jnp.sum(impulse.loss), work=new.ledger.work + jnp.sum(impulse.work)
@@ -43,19 +44,19 @@ def stopped(system: System, new: Moving, rate: Float[Array, "3"]) -> tuple[Movin
     return new._replace(rod=rod, ledger=ledger), impulse
 
 
-def _impulses(system: System, new: Moving, rate: Float[Array, "3"]) -> Impulse:
+def _impulses(system: System, new: Moving, rate: Float[Array, "3"], h: Scalar) -> Impulse:
     _, carried = jax.jvp(lambda drive: system.bases(new.z, drive), (new.drive,), (rate,))
     cos, sin = jnp.cos(new.drive[2]), jnp.sin(new.drive[2])
     frame = jnp.stack([jnp.stack([cos, -sin]), jnp.stack([sin, cos])])
 
     def one(rods, rod, carried, free):
-        return _impulse(system, rods, rod, carried, free, frame)
+        return _impulse(system, rods, rod, carried, free, frame, h)
 
     return jax.vmap(one)(system.rods, new.rod, carried, system.is_free)
 
 
 def _impulse(
-    system: System, rods: Rods, rod: Rod, carried: Array, free: Bool[Array, "3"], frame: Float[Array, "2 2"]
+    system: System, rods: Rods, rod: Rod, carried: Array, free: Bool[Array, "3"], frame: Float[Array, "2 2"], h: Scalar
 ) -> Impulse:
     """The impulse on one whisker; `carried` is the velocity of its base if the springs kept their lengths."""
     touching, shapes, inertia = rod.touching, system.basis, rods.inertia
@@ -86,7 +87,8 @@ def _impulse(
     speed, answers = inverted @ momentum, gradients @ inverted
     rates = gradients @ speed + directions @ carried[:2] + turns * carried[2]
     ease = gradients @ answers.T
-    given = jnp.where(touching.touches, _balanced(system, touching.slip, rates, ease), 0.0)
+    so_far = h * jnp.stack([touching.force, touching.drag])
+    given = jnp.where(touching.touches, balanced(system.friction, touching.slip, so_far, rates, ease), 0.0)
     change = given @ answers
     velocity, spun = moves @ change, change[-1] if system.free else jnp.zeros(())
     pushed = jnp.sum(rods.mass * velocity, axis=-1) - given @ directions
@@ -96,15 +98,44 @@ def _impulse(
     return Impulse(velocity, spun, given[0], given[1], reaction, carried @ reaction, loss)
 
 
-def _balanced(system: System, slip: Array, rates: Float[Array, "2"], ease: Float[Array, "2 2"]) -> Float[Array, "2"]:
-    """Normal and tangential impulse for these velocities at the contact."""
-    if system.friction is None:
+def balanced(
+    friction: Scalar | None,
+    slip: Int[Array, ""],
+    so_far: Float[Array, "2"],
+    rates: Float[Array, "2"],
+    ease: Float[Array, "2 2"],
+) -> Float[Array, "2"]:
+    """Normal and tangential impulse at a contact.
+
+    Args:
+        friction: its coefficient, if any.
+        slip: direction in the step that ends here; 0 if the contact sticks.
+        so_far: impulses during this step, to which Coulomb's law adds those that are returned.
+        rates: velocities along normal and tangent.
+        ease: their changes by impulses.
+    """
+    if friction is None:
         return jnp.stack([-rates[0] / ease[0, 0], jnp.zeros(())])
-    against = -system.friction * slip
-    slides = -rates[0] / (ease[0, 0] + against * ease[0, 1])
+    pressed, dragged = so_far
+
+    def dragging(ratio):
+        """Impulses with which friction is the normal force times this ratio."""
+        shift = ratio * pressed - dragged
+        normal = -(rates[0] + ease[0, 1] * shift) / (ease[0, 0] + ratio * ease[0, 1])
+        return jnp.stack([normal, shift + ratio * normal])
+
+    def pushes_inwards(ratio):  # Painleve
+        return ease[0, 0] + ratio * ease[0, 1] <= 0
+
     det = ease[0, 0] * ease[1, 1] - ease[0, 1] * ease[1, 0]
     stops = jnp.stack([ease[0, 1] * rates[1] - ease[1, 1] * rates[0], ease[1, 0] * rates[0] - ease[0, 0] * rates[1]])
-    # Sliding friction may push a contact into the object (Painleve), or turn its slip round: such contacts stick.
-    sliding = jnp.stack([slides, against * slides])
-    still = (ease[0, 0] + against * ease[0, 1] <= 0) | (slip * (rates[1] + ease[1] @ sliding) < 0)
-    return jnp.where((slip == 0) | still, stops / det, sliding)
+    stops /= det
+    total = dragged + stops[1]
+    most = jnp.sign(total) * friction
+    within = jnp.abs(total) <= friction * (pressed + stops[0])
+    stops = jnp.where(within | pushes_inwards(most), stops, dragging(most))
+    # Sliding friction may push a contact into the object, or turn its slip round: such contacts stick.
+    against = -friction * slip
+    sliding = dragging(against)
+    still = pushes_inwards(against) | (slip * (rates[1] + ease[1] @ sliding) < 0)
+    return jnp.where((slip == 0) | still, stops, sliding)
