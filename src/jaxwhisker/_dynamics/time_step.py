@@ -11,10 +11,11 @@ q1 - q0 shows that kinetic plus elastic energy change by exactly the work of con
 and is stable for any step. It does not damp vibrations that are faster than the step, though, which impacts excite:
 the step after a contact begins is therefore implicit, with q* = q1 and v* = v1 (Rannacher 1984).
 
-At the end of the step the gap g and the contact force f satisfy 0 <= g, 0 <= f, g f = 0; the direction c of the contact
-force is the mean of the gap's gradients at both ends, or that at the end if the contact begins. Where f > 0, an impulse
-then removes the velocity along the normal: impacts have no restitution. This is also what keeps lasting contacts free
-of oscillations (as in RATTLE).
+At the end of the step the gap g and the contact force f satisfy 0 <= g, 0 <= f, g f = 0. Where another contact has let
+a whisker into the object, g does not return to 0 at once, because f would do work. The direction c of the contact force
+is the mean of the gap's gradients at both ends, or that at the end if the contact begins. Where f > 0, an impulse then
+removes the velocity along the normal: impacts have no restitution. This is also what keeps lasting contacts free of
+oscillations (as in RATTLE).
 
 Coulomb friction holds for the mean tangential force t and the slip d of the material point in contact: d = 0 and
 abs(t) <= mu f, or t = -mu f sign(d). The impulses obey the same law.
@@ -34,7 +35,7 @@ from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, posed
 from jaxwhisker._dynamics.moving import Rods, System
 from jaxwhisker._model.profile import AbstractProfile
 
-EMERGES = 0.99  # ratio of penetrations, which held contacts leave behind, after one step: at once would take energy
+EMERGES = 1.0  # rate at which penetrations, which other contacts leave behind, fade: forces on what emerges do work
 SLIPS_IN = 5e-3  # penetration, in lengths, that is accepted in the step in which a contact slips off an edge
 
 PerWhisker = Float[Array, " whiskers"]
@@ -125,8 +126,10 @@ def rows_of(
     if system.profile is not None:
         assert old.touching is not None
         gap = gap_at(posed(system, rods.length, base, angle), contact[0], contact[1])
-        above = gap.distance - jnp.minimum(0.0, EMERGES * old.touching.gap.distance)
         across, normal, along, tangent = old.touching.directions(gap, contact[0])
+        closed = across @ (angle - old.angle) + normal @ (base - old.base)[:2]
+        before = jnp.where(old.touching.lasts(contact[0]), old.touching.gap.distance, gap.distance - closed)
+        above = gap.distance - jnp.minimum(0.0, jnp.exp(-EMERGES * h) * before)
         torque -= contact[2] * across
         push -= contact[2] * normal
         slipped = along @ (angle - old.angle) + tangent @ (base - old.base)[:2]
