@@ -22,8 +22,9 @@ from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Mode, at_control
 from jaxwhisker._equilibrium.solver import solve_point
+from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.route import across, route_of
-from jaxwhisker._scan.scan import follow_path_now, problem_now
+from jaxwhisker._scan.scan import follow_path_now, path_through, problem_now
 from jaxwhisker._scan.steps import interpolate
 
 # isort: split
@@ -158,7 +159,7 @@ def measured(case: Case, kind: str) -> dict:
     worst = {equation: float(np.max(residual)) for equation, residual in residuals.items()}
     equation = max(worst, key=worst.__getitem__)
     route = route_of(control)
-    way = follow_path_now(problem_now(scene), jnp.asarray(route.stops), jnp.asarray(route.last))
+    way = path_through(problem_now(scene), kinds_of(scene), jnp.asarray(route.stops), jnp.asarray(route.last))
     newton = np.asarray(iterations(scene, way, jnp.asarray(control), jnp.asarray(route.travel)))
     kinds = [event.kind.name for event in result.events]
     failed = {jw.Status(s).name: int(np.sum(status == s)) for s in np.unique(status) if s}

@@ -64,7 +64,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return
     if unknown := names - {item.nodeid for item in long}:
         raise pytest.UsageError(f"{LONG} names tests that do not exist: {', '.join(sorted(unknown))}")
-    if LAST_START < float("inf"):  # begin with others every day, so that those left out are not always the same
+    if float("inf") > LAST_START:  # begin with others every day, so that those left out are not always the same
         first = items.index(long[int(LAST_START / DAY) * STRIDE % len(long)])
         items[:] = items[first:] + items[:first]
 

@@ -35,7 +35,7 @@ class Compiler:
         return compiled
 
     def interrupts(self, call, waits=None):
-        """Whether Ctrl-C, while something is compiled (and the call waits), ends a call although the compiler goes on."""
+        """Whether Ctrl-C while something is compiled ends a call, although the compiler goes on."""
 
         def press():
             self.began.wait(FOREVER)

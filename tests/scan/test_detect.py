@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._base.program import compilations
 from jaxwhisker._equilibrium.clearance import DEPTH
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Mode, Point
 from jaxwhisker._scan import detect
+from jaxwhisker._scan.detect import kinds_of
 from operations import operations, traced
 from scenes import all_ok, cone, model
 
@@ -133,7 +135,7 @@ def test_uniform_straight_whiskers_stay_on_one_side_of_the_tangent():
     # This is why no search for second contacts is made for them, even on supports that turn.
     turning = jw.Scene(jw.Whisker(), jw.Parabola(0.15, 8.0), jw.Support.follicle(x=30.0, y=300.0, phi=2.0))
     for scene in (model("FB", distance=0.05), turning):
-        assert problem_of(detecting(scene, *BOTH)).detect == ()
+        assert kinds_of(detecting(scene, *BOTH)) == ()
         result = jw.scan(scene, np.linspace(1.2, -1.6, 113))
         touching = np.asarray(result.phase)[:, 0] > 0
         line = lines(result)[touching, 0]
@@ -179,7 +181,7 @@ def test_bases_that_have_changed_places_are_a_crossing():
     problem = problem_of(detecting(model("FBFBR"), "crossing"))
     upright = Mode(jnp.zeros(2, int), jnp.ones(2), jnp.asarray(False))
     point = Point(jnp.zeros((2, 3)), jnp.asarray(0.9))
-    shafts = detect._shafts(problem, point, upright)
+    shafts = detect._shafts(problem, point, upright, ("crossing",))
     assert not detect._any_cross(problem, point, shafts)
     assert detect._any_cross(problem, point, jax.tree.map(lambda leaf: leaf[::-1], shafts))
 
@@ -196,10 +198,19 @@ def test_nothing_is_detected_unless_a_scene_asks_for_it():
         return jw.scan(scene, CONTROL[:64]).mz
 
     plain, searching = (operations(traced(scanned, s)) for s in (scene, detecting(scene, "crossing")))
-    assert problem_of(scene).detect == () and searching > plain
+    assert kinds_of(scene) == () and searching > plain
     # What cannot happen is not searched for: a single whisker does not cross another one.
     single = jax.tree.map(jnp.asarray, model("FB"))
     assert operations(traced(scanned, single)) == operations(traced(scanned, detecting(single, *BOTH)))
+
+
+def test_the_search_is_a_program_of_its_own():
+    # It shares all programs of a scan with scenes that detect nothing.
+    scene = model("FBFBR")
+    jw.scan(scene, CONTROL)
+    known = compilations()
+    jw.scan(detecting(scene, "crossing"), CONTROL)
+    assert compilations() <= known + 1
 
 
 def test_derivatives_and_transformations_are_those_of_plain_scans():

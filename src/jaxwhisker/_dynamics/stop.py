@@ -32,11 +32,14 @@ def stopped(system: System, new: Moving, rate: Float[Array, "3"], h: Scalar) -> 
     """The state after these impulses at the end of a step of this length, with the drive moving at this rate."""
     touching = new.rod.touching
     assert touching is not None
-    impulse = jax.lax.cond(
-        jnp.any(touching.touches),
-        lambda: _impulses(system, new, rate, h),
-        lambda: jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), jax.eval_shape(lambda: _impulses(system, new, rate, h))),
-    )
+
+    def impulses():
+        return _impulses(system, new, rate, h)
+
+    def none():
+        return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), jax.eval_shape(impulses))
+
+    impulse = jax.lax.cond(jnp.any(touching.touches), impulses, none)
     ledger = new.ledger._replace(
         impact=new.ledger.impact + jnp.sum(impulse.loss), work=new.ledger.work + jnp.sum(impulse.work)
     )

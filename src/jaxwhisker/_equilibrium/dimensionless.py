@@ -43,7 +43,6 @@ def problem_of(scene: Scene) -> Problem:
         "motion": scene.motion,
         "unit": unit,
         "friction_angle": None if scene.friction is None else jnp.arctan(jnp.asarray(scene.friction, dtype=float)),
-        "detect": _detectable(scene),
     }
     curved = any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers)
     if moves_along_x(scene):
@@ -93,24 +92,6 @@ def _turned(angle: Scalar, stiffness: Float[Array, "3"]) -> Float[Array, "3 3"]:
     cos, sin, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
     turn = jnp.stack([cos, sin, zero, -sin, cos, zero, zero, zero, zero + 1.0]).reshape(3, 3)
     return jnp.sum(turn[:, None, :] * stiffness * turn[None, :, :], axis=-1)
-
-
-def _detectable(scene: Scene) -> tuple[str, ...]:
-    """What a scene is to detect, without what cannot happen.
-
-    Without friction, and before a single object, a uniform straight whisker stays on the outer side of the object's
-    tangent at its contact, which a convex object does not cross. Let theta be the angle from the tangent to the
-    whisker, theta1 its value at the contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >=
-    sin theta1 >= 0 along the shaft.
-    """
-    possible = {
-        "second_contact": scene.friction is not None
-        or scene.support.on_shafts
-        or len(scene.profile.objects) > 1
-        or not all(whisker.uniform for whisker in scene.whiskers),
-        "crossing": len(scene.whiskers) > 1,
-    }
-    return tuple(name for name in scene.detects if possible[name])
 
 
 def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> tuple[Touch, Touch]:

@@ -123,7 +123,6 @@ class Problem(eqx.Module):
     valid: Bool[Array, ""]
     unit: Units
     friction_angle: Scalar | None  # arctan of the friction coefficient; None without friction
-    detect: tuple[str, ...] = eqx.field(static=True)  # of `Scene.detects`, what can happen
     attached: Attached | None = eqx.field(default=None, kw_only=True)  # None without springs on any shaft
 
     axes: eqx.AbstractClassVar[int]  # number of coordinates of a base

@@ -28,8 +28,9 @@ from jaxwhisker._inverse.channels import Channels, channels_and_slopes_now
 from jaxwhisker._inverse.parameters import hashable
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, Path
+from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.memory import Places, chained, places_of, with_places
-from jaxwhisker._scan.scan import BLOCK, follow_path_now, solve_steps_now
+from jaxwhisker._scan.scan import BLOCK, detect_now, follow_path_now, path_through, solve_steps_now
 from jaxwhisker._scan.signals import control_at_event, event_nodes
 from jaxwhisker._scan.steps import Solutions, states
 
@@ -213,7 +214,8 @@ class LinearisedScan:
         self._scene = scene, slopes
         _prepare(scene, slopes, stops.shape[0], channels.fields)
         self.problem, self._directions = problem_and_slopes_now(scene, slopes)
-        self._path, self.start, _ = follow_path_now(self.problem, stops, np.asarray(last))
+        kinds = kinds_of(scene)
+        self._path, self.start, _ = path_through(self.problem, kinds, stops, np.asarray(last))
         self.status = self._path.status
         self.shift_slopes = (np.arange(self.width) == len(x) + len(values)) * float(shift)
         at_stops = np.nan_to_num(stops), self._directions, np.tile(self.shift_slopes, (stops.size, 1))
@@ -291,6 +293,8 @@ def _prepare(scene: Scene, slopes: Any, stops: int, fields: tuple[str, ...] | No
     with Compilers() as pool:
         problem, directions = problem_and_slopes_now.prepare(pool, scene, slopes)
         path = follow_path_now.prepare(pool, problem, *ends).path
+        if kinds := kinds_of(scene):
+            detect_now.prepare(pool, problem, path, kinds)
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)
         along, at_stops = (np.zeros((size, directions.shape[1])) for size in (BLOCK, stops))
         memory = memory_now.prepare(pool, problem, path, ends[0], directions, at_stops)

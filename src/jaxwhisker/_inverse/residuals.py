@@ -31,9 +31,10 @@ from jaxwhisker._inverse.unknowns import Unknowns, split
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, is_snap
 from jaxwhisker._scan.channels import result_of
+from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.memory import places_of, remembered, with_places
 from jaxwhisker._scan.route import Route
-from jaxwhisker._scan.scan import BLOCK, follow_path
+from jaxwhisker._scan.scan import BLOCK, path_through
 from jaxwhisker._scan.steps import solve_steps, states
 
 OVERLAID_SIGMA = 0.1  # of the peak: standard deviation of overlaid signals
@@ -211,7 +212,7 @@ def _misfit(build, unknowns: Unknowns, x: Float[Array, " own"], data: Samples) -
     shift = parts.shift[0] if unknowns.shift else jnp.zeros(())
     scene = jax.tree.map(checks.as_float, build(**dict(zip(unknowns.build, parts.build, strict=True))))
     problem = problem_of(scene)
-    path, start, _ = follow_path(problem, data.stops + shift, data.last)
+    path, start, _ = path_through(problem, kinds_of(scene), data.stops + shift, data.last)
     if problem.friction_angle is not None:
         path = remembered(path, problem, data.stops + shift)
     placed = place(shift, start, event_table(problem, path), data)

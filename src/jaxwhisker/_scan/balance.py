@@ -27,6 +27,7 @@ from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status, is_snap
 from jaxwhisker._scan import panels
+from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.memory import places_of, with_places
 from jaxwhisker._scan.panels import POINTS, Ends, Panel
@@ -99,7 +100,7 @@ def _balance(result: Result) -> EnergyBalance:
     control = result.control if checks.is_traced(result.control) else np.asarray(result.control)
     problem = problem_now(scene)
     route, status = route_through(control)
-    path = path_along(problem, route, status).path
+    path = path_along(problem, kinds_of(scene), route, status).path
     ends = panels.ends_now(problem, path)
     ends = ends._replace(control=panels.with_slopes_now(ends, problem, path, result.events, route.stops))
     every = panels.panels_now(ends)

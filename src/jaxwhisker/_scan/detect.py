@@ -24,6 +24,7 @@ from jaxwhisker._equilibrium.other_objects import meets, passes
 from jaxwhisker._equilibrium.point import Mode, Point
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
+from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import NO_EVENT, Path, Status, is_snap
 from jaxwhisker._scan.signals import event_room
 from jaxwhisker._scan.steps import interpolate
@@ -35,15 +36,35 @@ JUST_BEFORE = 1e-9  # distance from the end of a path to the snap that ends it, 
 REFINEMENTS = 3  # each divides the distance to the first contact on the path by the size of a batch
 
 
-def detect(problem: Problem, path: Path) -> Path:
-    """The path up to the first state that the problem is to detect."""
-    if not problem.detect:
-        return path
-    found = _search(problem, path)
+Kinds = tuple[str, ...]  # of contacts that are not modelled: names of statuses
+
+
+def kinds_of(scene: Scene) -> Kinds:
+    """What a scene is to detect, without what cannot happen.
+
+    Without friction, and before a single object, a uniform straight whisker stays on the outer side of the object's
+    tangent at its contact, which a convex object does not cross. Let theta be the angle from the tangent to the
+    whisker, theta1 its value at the contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >=
+    sin theta1 >= 0 along the shaft.
+    """
+    possible = {
+        "second_contact": scene.friction is not None
+        or scene.support.on_shafts
+        or len(scene.profile.objects) > 1
+        or not all(whisker.uniform for whisker in scene.whiskers),
+        "crossing": len(scene.whiskers) > 1,
+    }
+    return tuple(name for name in scene.detects if possible[name])
+
+
+def detect(problem: Problem, path: Path, kinds: Kinds) -> Path:
+    """The path up to the first state in which a contact of these kinds begins; without derivatives."""
+    problem, path = jax.lax.stop_gradient((problem, path))
+    found = _search(problem, path, kinds)
     return _cut(path, found.place, found.status)
 
 
-def _shafts(problem: Problem, point: Point, mode: Mode) -> Shaft:
+def _shafts(problem: Problem, point: Point, mode: Mode, kinds: Kinds) -> Shaft:
     """The shafts of all whiskers, stacked."""
     free = mode.phase == Phase.free
     z, phase = with_dummy_contacts(problem, point.z, mode.phase)
@@ -51,7 +72,7 @@ def _shafts(problem: Problem, point: Point, mode: Mode) -> Shaft:
     if problem.attached is None:
         z = z.at[:, 0].set(jnp.where(free, 0.0, z[:, 0]))
     shafts = of_each(bodies, shaft, z, phase, mode.side, mode.friction)
-    if "crossing" not in problem.detect or problem.attached is not None:  # no need to know where free whiskers are
+    if "crossing" not in kinds or problem.attached is not None:  # no need to know where free whiskers are
         return shafts
     load = newton.load_of(of_each(bodies, contact.in_base_frame, shafts.base), problem.axes)
     load = jnp.where(free[:, None], 0.0, load)
@@ -65,12 +86,12 @@ def _shafts(problem: Problem, point: Point, mode: Mode) -> Shaft:
     return shafts._replace(base=shafts.base._replace(x=at.x, y=at.y))
 
 
-def _status(problem: Problem, point: Point, mode: Mode) -> Int[Array, ""]:
+def _status(problem: Problem, point: Point, mode: Mode, kinds: Kinds) -> Int[Array, ""]:
     """Status of a state: what is detected in it."""
-    shafts, status = _shafts(problem, point, mode), jnp.asarray(int(Status.ok))
-    if "crossing" in problem.detect:
+    shafts, status = _shafts(problem, point, mode, kinds), jnp.asarray(int(Status.ok))
+    if "crossing" in kinds:
         status = jnp.where(_any_cross(problem, point, shafts), Status.crossing, status)
-    if "second_contact" in problem.detect:
+    if "second_contact" in kinds:
         again = _meets_again(problem, mode, shafts)
         status = jnp.where(jnp.any(again & (mode.phase != Phase.free)), Status.second_contact, status)
     return status
@@ -114,7 +135,7 @@ class _Found(NamedTuple):
     status: Int[Array, ""]  # of the first bad place so far
 
 
-def _search(problem: Problem, path: Path) -> _Found:
+def _search(problem: Problem, path: Path, kinds: Kinds) -> _Found:
     last = path.count - 1.0
 
     def status_at(place: Scalar) -> Int[Array, ""]:
@@ -125,7 +146,7 @@ def _search(problem: Problem, path: Path) -> _Found:
         beside = None if nodes.beside is None else nodes.beside[index]
         now = nodes.phase[index], nodes.side[index], jnp.asarray(False)
         mode = Mode(*now, friction=friction, piece=piece, beside=beside)
-        return _status(problem, interpolate(path, index, u), mode)
+        return _status(problem, interpolate(path, index, u), mode, kinds)
 
     def searching(found: _Found) -> Bool[Array, ""]:
         return (found.place < last) & ((found.status == Status.ok) | (found.stride > finest))

@@ -29,7 +29,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import capacity_of, march
 from jaxwhisker._path.path import Path, Status
-from jaxwhisker._scan.detect import detect, without_gains
+from jaxwhisker._scan.detect import Kinds, detect, kinds_of, without_gains
 from jaxwhisker._scan.memory import places_of, remembered, with_places
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
@@ -102,7 +102,7 @@ def scan_across(scene: Scene, steps: int) -> Result:
     if not checks.is_staged(scene):
         return _scan(scene, None, steps)
     problem = problem_of(scene)
-    path, start, stop = follow_path(problem, *map(jnp.asarray, across()))
+    path, start, stop = path_through(problem, kinds_of(scene), *map(jnp.asarray, across()))
     return _staged_result(scene, problem, path, evenly(start, stop, steps))
 
 
@@ -114,7 +114,7 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
         check_valid(scene, problem)
         warn_of_steps(scene)
     route, status = (None, None) if control is None else route_through(control)
-    path, start, stop = path_along(problem, route, status)
+    path, start, stop = path_along(problem, kinds_of(scene), route, status)
     if route is None and steps is not None:
         route = evenly_now(start, stop, steps)
         route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
@@ -177,12 +177,12 @@ def route_through(control: Control) -> tuple[Route, Int[Array, ""] | None]:
     return route, None
 
 
-def path_along(problem: Problem, route: Route | None, status: Int[Array, ""] | None = None) -> "ScanPath":
+def path_along(problem: Problem, kinds: Kinds, route: Route | None, status: Int[Array, ""] | None = None) -> "ScanPath":
     """The path along a route, or right across the object, with the derivatives of places where contacts stick."""
     stops, last = across() if route is None else (route.stops, route.last)
     if not checks.is_staged((problem, stops)):
-        prepare(problem, stops.shape[0])
-    path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
+        prepare(problem, stops.shape[0], kinds)
+    path, start, stop = path_through(problem, kinds, stops, last if checks.is_traced(last) else np.asarray(last))
     path = _if_ok(path, status)
     if problem.friction_angle is not None and checks.is_traced((problem, stops)):
         path = remembered_now(path, problem, np.zeros(2) if route is None else stops)
@@ -251,8 +251,14 @@ def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
     path = march(problem, stops, jnp.asarray(last), capacity=capacity_of(problem, stops.shape[0]))
     path, start, stop = approach.crop(path, whole, limits)
-    path = detect(problem, without_gains(problem, path))
+    path = without_gains(problem, path)
     return ScanPath(path, jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control))
+
+
+def path_through(problem: Problem, kinds: Kinds, stops: Any, last: Any) -> ScanPath:
+    """The path to all stops, which ends where a contact of these kinds begins."""
+    found = follow_path_now(problem, stops, last)
+    return found._replace(path=detect_now(problem, found.path, kinds)) if kinds else found
 
 
 def _staged_result(
@@ -290,7 +296,7 @@ def _scan_staged(scene: Scene, control: Control | None) -> Result:
     else:
         route, status = route_of(np.asarray(control, dtype=float)), None
     problem = problem_of(scene)
-    path = follow_path(problem, jnp.asarray(route.stops), jnp.asarray(route.last)).path
+    path = path_through(problem, kinds_of(scene), jnp.asarray(route.stops), jnp.asarray(route.last)).path
     return _staged_result(scene, problem, path, route, status)
 
 
@@ -316,6 +322,7 @@ def _result(
 
 problem_now = Program(problem_of, tangent=by_slopes(problem_of))
 follow_path_now = Program(follow_path, frozen=True, batched=True)
+detect_now = Program(detect, frozen=True, batched=True)
 remembered_now = Program(remembered, tangent=remembered_tangents)
 solve_steps_now = Program(solve_steps, frozen=True)
 states_now = Program(states, tangent=state_tangents)
@@ -324,7 +331,7 @@ spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
 traced_route_now, evenly_now = Program(traced_route), Program(evenly, frozen=True)
 
 
-def prepare(problem: Problem, stops: int, events: bool = False) -> None:
+def prepare(problem: Problem, stops: int, kinds: Kinds = (), events: bool = False) -> None:
     """Compile the programs of a scan for a problem shape at the same time; one compiler alone leaves a core idle."""
     ends = np.zeros(stops), np.asarray(0)
     if follow_path_now.is_ready(problem, *ends):
@@ -332,6 +339,8 @@ def prepare(problem: Problem, stops: int, events: bool = False) -> None:
     block = np.zeros(BLOCK)
     with Compilers() as pool:
         path = follow_path_now.prepare(pool, problem, *ends).path
+        if kinds:
+            detect_now.prepare(pool, problem, path, kinds)
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)
         states_now.prepare(pool, problem, block, solutions)
         if events:

@@ -116,9 +116,8 @@ def solve_steps(
     index = jnp.clip(jnp.searchsorted(node_travel, travel + noise, side="right") - 1, 0, path.count - 1)
     beyond = (travel > end + noise) | (path.count == 0)
     known = jnp.where(problem.valid, jnp.where(beyond, path.status, Status.ok), Status.invalid)
-    if problem.detect:
-        # Such a path often ends early. Newton's method would fail slowly at the many steps beyond its last node.
-        u = jnp.where(known == Status.ok, u, jnp.asarray(path.nodes.point.u)[index])
+    # Newton's method would fail slowly at the steps beyond the end of a path.
+    u = jnp.where(known == Status.ok, u, jnp.asarray(path.nodes.point.u)[index])
     count = control.shape[0]
     batch = min(BATCH, count)
     padded = [jnp.pad(values, (0, -count % batch), mode="edge").reshape(-1, batch) for values in (index, u, known)]

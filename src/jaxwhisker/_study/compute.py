@@ -21,6 +21,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import MARGIN
 from jaxwhisker._scan.channels import columns_of
 from jaxwhisker._scan.dataset import VARIABLES, first_failure
+from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.result import Result, arrays_of
 from jaxwhisker._scan.route import across
 from jaxwhisker._scan.scan import STEP, follow_path_now, prepare, problem_now, scan
@@ -200,8 +201,9 @@ def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.nda
     """First and last position of the default control of every point, and its step; NaN for invalid points."""
 
     def point(values):
-        problem, (stops, last) = problem_now(jax.tree.map(checks.as_float, build(**values).without_masses())), across()
-        prepare(problem, stops.size, events=True)  # for the scans that follow
+        scene, (stops, last) = jax.tree.map(checks.as_float, build(**values).without_masses()), across()
+        problem, kinds = problem_now(scene), kinds_of(scene)
+        prepare(problem, stops.size, kinds, events=True)  # for the scans that follow
         path = follow_path_now(problem, stops, np.asarray(last))
         return problem.valid, path.start, path.stop, problem.unit.control
 

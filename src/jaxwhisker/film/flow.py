@@ -25,9 +25,10 @@ from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import Node, select
+from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import route_of
-from jaxwhisker._scan.scan import follow_path_now, problem_now
+from jaxwhisker._scan.scan import path_through, problem_now
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.state import State
 
@@ -64,7 +65,7 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
         return []
     scene = jax.tree.map(checks.as_float, result.scene)
     route = route_of(np.asarray(result.control))
-    path = follow_path_now(problem_now(scene), jnp.asarray(route.stops), jnp.asarray(route.last)).path
+    path = path_through(problem_now(scene), kinds_of(scene), jnp.asarray(route.stops), jnp.asarray(route.last)).path
     kind, travel = np.asarray(path.nodes.kind), np.asarray(path.nodes.travel)
     passed = np.arange(kind.size) < int(path.count)
     nodes = np.flatnonzero((kind >= 0) & passed & (np.cumsum(passed & (travel >= 0)) > 0))
