@@ -69,7 +69,7 @@ def test_equilibria_do_not_depend_on_masses():
     heavy = jw.Whisker(mass_per_length=Line(1.0, 1.0), tip_mass=0.1, base_mass=2.0, base_inertia=0.3)
     assert heavy.uniform and heavy.has_masses
     assert jax.tree.structure(heavy.without_masses()) == jax.tree.structure(jw.Whisker())
-    scene = jw.Scene((heavy, jw.Whisker()), jw.Parabola(0.2), jw.Support.fbfb(70.0)).without_masses()
+    scene = jw.Scene((heavy, jw.Whisker()), jw.Parabola(0.2), jw.Support.fbfb(70.0)).in_equilibrium()
     assert scene.whiskers == (jw.Whisker(), jw.Whisker())
 
 

@@ -174,7 +174,7 @@ def _prepared(scene: Scene) -> tuple[Problem, tuple[Whisker, ...]]:
         checks.fail("at", "one without springs between the shafts of two whiskers", str(scene))
     warn_of_steps(scene, masses=True)
     scene = jax.tree.map(checks.as_float, scene)
-    still = scene.without_masses()
+    still = scene.in_equilibrium()
     return (problem_of if checks.is_staged(scene) else problem_now)(still), scene.whiskers
 
 

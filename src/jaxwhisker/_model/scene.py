@@ -18,6 +18,7 @@ EI/L^2, moments in EI/L, spring stiffnesses in EI/L^3.
 Where the drive turns (motion.py), springs act along the axes of its frame; all results refer to the scene's frame.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -107,13 +108,11 @@ class Scene(eqx.Module):
         """One Whisker per base."""
         return _each_whisker(self.whisker, self.support)
 
-    def without_masses(self) -> "Scene":
-        """The scene without masses: scenes that differ in masses share the programs of a scan."""
-        if not any(whisker.has_masses for whisker in self.whiskers):
-            return self
+    def in_equilibrium(self) -> "Scene":
+        """The scene without masses and `detect`: scenes that differ in these share the programs of equilibria."""
         whisker = self.whisker
         still = tuple(w.without_masses() for w in whisker) if isinstance(whisker, tuple) else whisker.without_masses()
-        return eqx.tree_at(lambda scene: scene.whisker, self, still)
+        return dataclasses.replace(self, whisker=still, detect=None)
 
     @property
     def detects(self) -> tuple[str, ...]:

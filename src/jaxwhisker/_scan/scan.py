@@ -108,13 +108,13 @@ def scan_across(scene: Scene, steps: int) -> Result:
 
 def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
     """A scan outside any jit; without a control, its positions are `steps` equidistant ones or those of the default."""
-    whole, scene = scene, scene.without_masses()
+    whole, kinds, scene = scene, kinds_of(scene), scene.in_equilibrium()
     problem = problem_now(scene)
     if not checks.is_traced((scene, control)):
         check_valid(scene, problem)
         warn_of_steps(scene)
     route, status = (None, None) if control is None else route_through(control)
-    path, start, stop = path_along(problem, kinds_of(scene), route, status)
+    path, start, stop = path_along(problem, kinds, route, status)
     if route is None and steps is not None:
         route = evenly_now(start, stop, steps)
         route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
@@ -198,7 +198,7 @@ def default_control(scene: Scene) -> np.ndarray:
     checks.float64_mode()
     if checks.is_traced(scene):
         raise ValueError("`scene` must be concrete, got a traced one: the number of positions depends on its values.")
-    problem = problem_now(jax.tree.map(checks.as_float, scene.without_masses()))
+    problem = problem_now(jax.tree.map(checks.as_float, scene.in_equilibrium()))
     path = follow_path_now(problem, *map(np.asarray, across()))
     return _default_control(problem, float(path.start), float(path.stop))
 

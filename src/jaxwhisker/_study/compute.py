@@ -201,8 +201,8 @@ def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.nda
     """First and last position of the default control of every point, and its step; NaN for invalid points."""
 
     def point(values):
-        scene, (stops, last) = jax.tree.map(checks.as_float, build(**values).without_masses()), across()
-        problem, kinds = problem_now(scene), kinds_of(scene)
+        scene, (stops, last) = jax.tree.map(checks.as_float, build(**values)), across()
+        problem, kinds = problem_now(scene.in_equilibrium()), kinds_of(scene)
         prepare(problem, stops.size, kinds, events=True)  # for the scans that follow
         path = follow_path_now(problem, stops, np.asarray(last))
         return problem.valid, path.start, path.stop, problem.unit.control

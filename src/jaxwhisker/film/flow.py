@@ -64,8 +64,8 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
     if not numbers:
         return []
     scene = jax.tree.map(checks.as_float, result.scene)
-    route = route_of(np.asarray(result.control))
-    path = path_through(problem_now(scene), kinds_of(scene), jnp.asarray(route.stops), jnp.asarray(route.last)).path
+    route, problem = route_of(np.asarray(result.control)), problem_now(scene.in_equilibrium())
+    path = path_through(problem, kinds_of(scene), jnp.asarray(route.stops), jnp.asarray(route.last)).path
     kind, travel = np.asarray(path.nodes.kind), np.asarray(path.nodes.travel)
     passed = np.arange(kind.size) < int(path.count)
     nodes = np.flatnonzero((kind >= 0) & passed & (np.cumsum(passed & (travel >= 0)) > 0))
