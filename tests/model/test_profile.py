@@ -29,6 +29,14 @@ def test_the_slope_is_the_direction_of_the_tangent(profile):
 
 
 @pytest.mark.parametrize("profile", PROFILES, ids=str)
+def test_the_speed_is_that_of_the_point(profile):
+    for slope in (-0.9, 0.1, 0.6):
+        parameter = profile.at_slope(slope)
+        x, y = jax.jacfwd(lambda p: jnp.stack(profile.point(p)[:2]))(parameter)
+        np.testing.assert_allclose(profile.speed(parameter), np.hypot(x, y), rtol=EXACT)
+
+
+@pytest.mark.parametrize("profile", PROFILES, ids=str)
 def test_the_parameter_of_a_slope(profile):
     for slope in (-0.9, 0.0, 0.6):
         at = profile.point(profile.at_slope(slope))

@@ -35,7 +35,7 @@ from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, posed
 from jaxwhisker._dynamics.moving import Rods, System
 from jaxwhisker._model.profile import AbstractProfile
 
-EMERGES = 1.0  # rate at which penetrations, which other contacts leave behind, fade: forces on what emerges do work
+FADES_IN_TIME, FADES_ON_WAY = 1.0, 3.0  # rates at which penetrations fade, per time and per travel of the drive
 SLIPS_IN = 5e-3  # penetration, in lengths, that is accepted in the step in which a contact slips off an edge
 
 PerWhisker = Float[Array, " whiskers"]
@@ -129,7 +129,8 @@ def rows_of(
         across, normal, along, tangent = old.touching.directions(gap, contact[0])
         closed = across @ (angle - old.angle) + normal @ (base - old.base)[:2]
         before = jnp.where(old.touching.lasts(contact[0]), old.touching.gap.distance, gap.distance - closed)
-        above = gap.distance - jnp.minimum(0.0, jnp.exp(-EMERGES * h) * before)
+        faded = FADES_IN_TIME * h + FADES_ON_WAY * jnp.sum(jnp.abs(step.drive - step.old.drive))
+        above = gap.distance - jnp.minimum(0.0, jnp.exp(-faded) * before)
         torque -= contact[2] * across
         push -= contact[2] * normal
         slipped = along @ (angle - old.angle) + tangent @ (base - old.base)[:2]

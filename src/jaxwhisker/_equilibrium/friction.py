@@ -57,22 +57,11 @@ ROLLED = 1e-13  # error of the parameter in one step, for which a step is halved
 SHORTEST_SHARE = 1e-9  # of the distance; if no longer step is accurate, the object is not smooth
 
 
-def speed(profile: AbstractProfile, parameter: Scalar) -> Scalar:
-    """Arc length of the profile per parameter."""
-
-    def position(parameter):
-        at = profile.point(parameter)
-        return (at.x, at.y), at
-
-    (x, y), at = jax.jvp(position, (parameter,), (jnp.ones_like(parameter),), has_aux=True)[1:]
-    return x * at.cos + y * at.sin
-
-
 @eqx.filter_custom_jvp
 def rolled(profile: AbstractProfile, start: Scalar, distance: Scalar) -> Float[Array, ""]:
     """The parameter at an arc length from another parameter. A distance of zero costs nothing, also in a batch."""
     solver, no = diffrax.Dopri8(scan_kind="lax"), jnp.asarray(False)
-    term = diffrax.ODETerm(lambda t, parameter, args: distance / speed(profile, parameter))
+    term = diffrax.ODETerm(lambda t, parameter, args: distance / profile.speed(parameter))
     start = jnp.asarray(start, dtype=float)
 
     def step(carry):
@@ -101,14 +90,14 @@ def _(primals, tangents):
 
     def length(profile):
         """Arc length from start to stop; only its derivative by the numbers of the profile is used."""
-        speeds = jax.vmap(lambda share: speed(profile, start + share * (stop - start)))(POINTS)
+        speeds = jax.vmap(lambda share: profile.speed(start + share * (stop - start)))(POINTS)
         return (stop - start) * jnp.sum(WEIGHTS * speeds)
 
     longer = eqx.filter_jvp(length, (profile,), (profile_dot,))[1]
     rate = sum(dot for dot in (distance_dot, None if longer is None else -longer) if dot is not None)
     if start_dot is not None:
-        rate += speed(profile, start) * start_dot
-    return stop, jnp.zeros_like(stop) + rate / speed(profile, stop)
+        rate += profile.speed(start) * start_dot
+    return stop, jnp.zeros_like(stop) + rate / profile.speed(stop)
 
 
 def contact_parameter(

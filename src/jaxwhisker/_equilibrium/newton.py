@@ -29,7 +29,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import BaseEquations, Linearised, Phase, of_each
 from jaxwhisker._equilibrium.couplings import Coupled, Rows, as_contacts, loads_in, rows
-from jaxwhisker._equilibrium.friction import Friction, speed
+from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
 from jaxwhisker._rod.elastica import AbstractRod
@@ -86,7 +86,7 @@ def load_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]
 
 def slip_by_contact(problem: Problem, z: Contacts, mode: Mode) -> Contacts:
     """Derivatives of the distances slipped along the object, positive towards +x, of contacts that slip."""
-    speeds = jax.vmap(lambda piece, p: speed(problem.profile.on(piece), p))(mode.piece, z[:, 1])
+    speeds = jax.vmap(lambda piece, p: problem.profile.on(piece).speed(p))(mode.piece, z[:, 1])
     return _widened(jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(mode.side, mode.phase)], axis=1), z)
 
 

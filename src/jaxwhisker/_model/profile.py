@@ -50,6 +50,16 @@ class AbstractProfile(eqx.Module):
     def point(self, parameter: Scalar) -> ContactPoint:
         """Point and slope at a parameter."""
 
+    def speed(self, parameter: Scalar) -> Scalar:
+        """Arc length per parameter."""
+
+        def position(parameter):
+            at = self.point(parameter)
+            return (at.x, at.y), at
+
+        (x, y), at = jax.jvp(position, (parameter,), (jnp.ones_like(parameter),), has_aux=True)[1:]
+        return x * at.cos + y * at.sin
+
     @abc.abstractmethod
     def first_touch(self, height: Scalar, side: Scalar) -> FirstTouch:
         """First contact of a vertical whisker of this height, coming from the right (side = +1) or left (-1).

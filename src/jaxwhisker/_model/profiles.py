@@ -59,6 +59,9 @@ class Parabola(_AbstractFormula):
         x = sin / (2 * self.a * cos)
         return ContactPoint(self.position + x, self.distance + self.a * x**2, cos, sin)
 
+    def speed(self, parameter):
+        return 1 / (2 * self.a * jnp.cos(parameter) ** 3)
+
     def first_touch(self, height, side):
         x = jnp.sqrt(_rise((height - self.distance) / self.a))
         return _mirror(FirstTouch(jnp.arctan(2 * self.a * x), x, jnp.asarray(height, dtype=float)), side, self.position)
@@ -84,6 +87,11 @@ class _AbstractEllipse(_AbstractFormula):
         # 1 - cos t loses its digits near the vertex; sin^2 t / (1 + cos t) does not.
         y = distance + b * sin_t**2 / (1 + cos_t)
         return ContactPoint(position + a * sin_t, y, jnp.sqrt(a) * cos / norm, jnp.sqrt(b) * sin / norm)
+
+    def speed(self, parameter):
+        a, b = self._axes()
+        cos, sin = jnp.cos(parameter) ** 2, jnp.sin(parameter) ** 2
+        return a * b * jnp.sqrt(b * sin + a * cos) / jnp.sqrt(a * sin + b * cos) ** 3
 
     def around(self):
         return -jnp.pi, jnp.pi
@@ -307,6 +315,9 @@ class Tilted(AbstractProfile):
     @property
     def has_edges(self):
         return self.profile.has_edges
+
+    def speed(self, parameter):
+        return self.profile.speed(parameter)
 
     def breaks(self):
         return self.profile.breaks()

@@ -18,7 +18,7 @@ EI/L^2, moments in EI/L, spring stiffnesses in EI/L^3.
 Where the drive turns (motion.py), springs act along the axes of its frame; all results refer to the scene's frame.
 """
 
-import dataclasses
+import copy
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -112,7 +112,9 @@ class Scene(eqx.Module):
         """The scene without masses and `detect`: scenes that differ in these share the programs of equilibria."""
         whisker = self.whisker
         still = tuple(w.without_masses() for w in whisker) if isinstance(whisker, tuple) else whisker.without_masses()
-        return dataclasses.replace(self, whisker=still, detect=None)
+        scene = copy.copy(eqx.tree_at(lambda scene: scene.whisker, self, still))
+        object.__setattr__(scene, "detect", None)  # the constructor would reject values that only have a status
+        return scene
 
     @property
     def detects(self) -> tuple[str, ...]:
