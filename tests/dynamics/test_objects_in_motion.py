@@ -107,8 +107,9 @@ def test_depth_of_a_shaft(inside):
         assert deepest(leaning(inside), flank) == jnp.inf
 
 
-def past_a_block(half, low, high, stop, speed):
+def past_a_block(block, stop, speed):
     """A sweep in which a shaft hits a straight flank between two corners at once."""
+    half, low, high = block
     corners = np.array([(-half, high), (-half, low), (0.0, low - 1e-3), (half, low), (half, high)])
     scene, start = jw.Scene(ROD, jw.Polygon(corners), jw.Support.fb(70.0)), half + 0.05
     drive, duration = np.array([start, stop]), (start - stop) / speed
@@ -117,7 +118,7 @@ def past_a_block(half, low, high, stop, speed):
 
 @pytest.mark.parametrize(("block", "speed"), [((0.2887, 0.2683, 0.6208), 0.1), ((0.25, 0.67, 0.78), 0.2)])
 def test_contacts_that_change_places_on_a_flank_create_no_energy(block, speed):
-    motion = past_a_block(*block, -1.35, speed)
+    motion = past_a_block(block, -1.35, speed)
     assert np.all(motion.status == jw.Status.ok)
     e = motion.energy
     assert np.all(np.abs(e.contact) < PUSHED_OUT * np.max(e.work))
@@ -127,7 +128,7 @@ def test_contacts_that_change_places_on_a_flank_create_no_energy(block, speed):
 @pytest.mark.parametrize("stop", [-1.2, -1.35, -2.0])
 def test_contacts_that_create_energy_end_the_simulation(stop):
     """A fast whisker hits a flank with its shaft, and slips off the corners."""
-    motion = past_a_block(0.2887, 0.2683, 0.6208, stop, 2.5)
+    motion = past_a_block((0.2887, 0.2683, 0.6208), stop, 2.5)
     e, good = motion.energy, np.asarray(motion.status == jw.Status.ok)
     most = e.total[0] + np.maximum.accumulate(np.abs(e.work))
     assert np.all(e.total[good] < (1 + CREATED) * most[good] + 1e-3)

@@ -62,4 +62,4 @@ def test_friction_stays_within_its_cone_where_slips_end():
     assert np.all(np.abs(motion.friction_force) <= MU * motion.normal_force * (1 + ROUNDING) + ROUNDING)
     e = motion.energy
     ledger = e.total[0] + e.work - e.damping - e.impact - e.friction + e.contact
-    np.testing.assert_allclose(e.total, ledger, atol=BALANCED * e.work.max())
+    np.testing.assert_allclose(e.total, ledger, atol=BALANCED * float(e.work.max()))
