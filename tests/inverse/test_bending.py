@@ -140,6 +140,10 @@ def test_a_whisker_that_cannot_be_deflected_is_a_failure():
         ({"individual": ["modulus"]}, "`individual`"),
         ({"measured": {"force": FORCE, "tip_x": -FALL[:3]}}, "columns of one length"),
         ({"measured": {"force": [], "tip_x": []}}, "columns of one length, not empty"),
+        (
+            {"build": lambda modulus: ruler(0.1, modulus), "measured": {"deflection": FALL}},
+            "columns among fx, .*got deflection",
+        ),
         ({"measured": RULER | {"tip_x": FALL * np.nan}}, "more values than the 1 parameters, .*got 0"),
         ({"measured": {"force": FORCE[:1], "tip_x": -FALL[:1]}}, "more values than the 1 parameters"),
         ({"measured": {"force": FORCE, "angle": FALL}}, "angles need the arc length"),

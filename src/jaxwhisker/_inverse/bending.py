@@ -108,7 +108,9 @@ def bending_test(build: Any, guess: Mapping[str, Any], measured: Any) -> Bending
     if not set(required) <= set(table):
         return None
     columns = {n: as_numbers("measured", n, table[n]) for n in (*others, "s", *COLUMNS) if n in table}
-    rows = max((values.size for values in columns.values()), default=0)
+    if not columns:
+        checks.fail("measured", f"columns among {', '.join(COLUMNS)}", ", ".join(map(str, table)) or "none")
+    rows = max(values.size for values in columns.values())
     if not rows or any(values.shape != (rows,) for values in columns.values()):
         checks.fail(
             "measured", "columns of one length, not empty", ", ".join(f"{v.shape} for {n}" for n, v in columns.items())
