@@ -110,14 +110,14 @@ def solve_steps(
     problem, path, control, travel = jax.lax.stop_gradient((problem, path, control, travel))
     u, travel = control / problem.unit.control, travel / problem.unit.control
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
-    end = node_travel[path.count - 1]
+    end, u_end = (values[path.count - 1] for values in (node_travel, jnp.asarray(path.nodes.point.u)))
     noise = TRAVEL_NOISE * (1 + end)
     # A step exactly at an event belongs to the phase that begins, whichever side rounding puts it on.
     index = jnp.clip(jnp.searchsorted(node_travel, travel + noise, side="right") - 1, 0, path.count - 1)
     beyond = (travel > end + noise) | (path.count == 0)
     known = jnp.where(problem.valid, jnp.where(beyond, path.status, Status.ok), Status.invalid)
     # Newton's method would fail slowly at the steps beyond the end of a path.
-    u = jnp.where(known == Status.ok, u, jnp.asarray(path.nodes.point.u)[index])
+    u = jnp.where(beyond, u_end, u)
     count = control.shape[0]
     batch = min(BATCH, count)
     padded = [jnp.pad(values, (0, -count % batch), mode="edge").reshape(-1, batch) for values in (index, u, known)]
