@@ -1,7 +1,7 @@
 """Impulses at the end of a step, which stop the motion of touching whiskers along the normal: no restitution.
 
 With friction, Coulomb's law holds for the force of the step together with the impulse at its end: the impulse along the
-tangent stops a contact that sticks unless that exceeds the law, and slip goes on against the largest friction.
+tangent stops a contact that sticks if friction is large enough; otherwise friction is mu times the normal force.
 """
 
 from typing import NamedTuple
@@ -127,7 +127,7 @@ def balanced(
         normal = -(rates[0] + ease[0, 1] * shift) / (ease[0, 0] + ratio * ease[0, 1])
         return jnp.stack([normal, shift + ratio * normal])
 
-    def pushes_inwards(ratio):  # Painleve
+    def pushes_inwards(ratio):  # Painleve's paradox
         return ease[0, 0] + ratio * ease[0, 1] <= 0
 
     det = ease[0, 0] * ease[1, 1] - ease[0, 1] * ease[1, 0]

@@ -214,8 +214,7 @@ class LinearisedScan:
         self._scene = scene, slopes
         _prepare(scene, slopes, stops.shape[0], channels.fields)
         self.problem, self._directions = problem_and_slopes_now(scene, slopes)
-        kinds = kinds_of(scene)
-        self._path, self.start, _ = path_through(self.problem, kinds, stops, np.asarray(last))
+        self._path, self.start, _ = path_through(self.problem, kinds_of(scene), stops, np.asarray(last))
         self.status = self._path.status
         self.shift_slopes = (np.arange(self.width) == len(x) + len(values)) * float(shift)
         at_stops = np.nan_to_num(stops), self._directions, np.tile(self.shift_slopes, (stops.size, 1))
