@@ -15,6 +15,7 @@ from jaxwhisker._base.aside import Compilers
 from jaxwhisker._base.program import Program
 
 FOREVER = 60.0  # s, for a compiler that nobody lets end
+AGAIN = 0.1  # s, until Ctrl-C is pressed again
 X = jnp.asarray(3.0)
 
 
@@ -36,18 +37,33 @@ class Compiler:
 
     def interrupts(self, call, waits=None):
         """Whether Ctrl-C while something is compiled ends a call, although the compiler goes on."""
+        acted, before = threading.Event(), signal.getsignal(signal.SIGINT)
+
+        def once(*_):
+            if not acted.is_set():
+                acted.set()
+                raise KeyboardInterrupt
 
         def press():
             self.began.wait(FOREVER)
             if waits is not None:
                 waits.wait(FOREVER)
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            while True:  # a signal is lost that comes just before the main thread goes to sleep
+                signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+                if acted.wait(AGAIN):
+                    break
 
-        threading.Thread(target=press).start()
-        with pytest.raises(KeyboardInterrupt):
-            call()
-        ended = self.ended
-        self.may_end.set()
+        presses = threading.Thread(target=press)
+        signal.signal(signal.SIGINT, once)
+        presses.start()
+        try:
+            with pytest.raises(KeyboardInterrupt):
+                call()
+            ended = self.ended
+            self.may_end.set()
+            presses.join()
+        finally:
+            signal.signal(signal.SIGINT, before)
         return ended == 0
 
 

@@ -117,7 +117,7 @@ def solve_steps(
     beyond = (travel > end + noise) | (path.count == 0)
     known = jnp.where(problem.valid, jnp.where(beyond, path.status, Status.ok), Status.invalid)
     # Newton's method would fail slowly at the steps beyond the end of a path.
-    u = jnp.where(beyond, u_end, u)
+    u = jnp.where(known == Status.ok, u, u_end)
     count = control.shape[0]
     batch = min(BATCH, count)
     padded = [jnp.pad(values, (0, -count % batch), mode="edge").reshape(-1, batch) for values in (index, u, known)]
