@@ -48,10 +48,9 @@ class Compiler:
             self.began.wait(FOREVER)
             if waits is not None:
                 waits.wait(FOREVER)
-            while True:  # a signal is lost that comes just before the main thread goes to sleep
+            while not acted.is_set():  # a signal is lost that comes just before the main thread goes to sleep
                 signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-                if acted.wait(AGAIN):
-                    break
+                acted.wait(AGAIN)
 
         presses = threading.Thread(target=press)
         signal.signal(signal.SIGINT, once)
@@ -61,8 +60,9 @@ class Compiler:
                 call()
             ended = self.ended
             self.may_end.set()
-            presses.join()
         finally:
+            acted.set()  # also if the call ended without it
+            presses.join()
             signal.signal(signal.SIGINT, before)
         return ended == 0
 
