@@ -9,9 +9,10 @@ import pytest
 import jaxwhisker as jw
 from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
-from jaxwhisker._equilibrium.point import Mode, Point, at_control
+from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._equilibrium.problem import AlongX, InPlane, Stance
 from jaxwhisker._equilibrium.stability import load_slopes
 from jaxwhisker._equilibrium.touch import Touch
@@ -141,13 +142,13 @@ def test_a_base_in_the_plane_that_yields_along_x_only_has_the_equations_of_a_bas
             np.testing.assert_allclose(*values, atol=TOUCHED)
     at = contacts(0.6)
     u = at.base_x[0] - at.force_x[0] / 70.0
-    mode = Mode(jnp.asarray(at.phase), jnp.ones(1), jnp.asarray(False))
+    state = ContactState(jnp.asarray(at.phase), jnp.ones(1))
     z = jnp.asarray(at.z)
 
     @Program
     def step(problem):
-        newton = newton_step(problem, mode, at_control(u, z), Point(z, jnp.asarray(u)))
-        return newton, load_slopes(problem, mode, newton.condensed), problem.in_scene(jnp.asarray(u), newton.pose).x
+        newton = newton_step(problem, state, at_control(u, z), Point(z, jnp.asarray(u)))
+        return newton, load_slopes(problem, state, newton.condensed), problem.in_scene(jnp.asarray(u), newton.pose).x
 
     (one, slope, x), (other, slopes, in_scene_x) = step(alone), step(plane)
     assert one.residual < CLOSED_FORM and other.residual < CLOSED_FORM

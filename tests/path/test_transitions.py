@@ -72,7 +72,7 @@ def test_kinds_of_events(kind, phase, expected):
     ],
 )
 def test_the_end_of_a_march(problem, state, goal, direction, x, at_stop, over):
-    mode = state.mode._replace(side=-jnp.ones(1))
-    at = state._replace(goal=jnp.asarray(goal), direction=jnp.asarray(direction), mode=mode)
+    turned = state.state._replace(side=-jnp.ones(1))
+    at = state._replace(goal=jnp.asarray(goal), direction=jnp.asarray(direction), state=turned)
     stance = problem.stance(0.0, jnp.array([[x]]))
     assert bool(_is_over(problem, at, trial(stance=stance), jnp.asarray(1), jnp.asarray(at_stop))) == over

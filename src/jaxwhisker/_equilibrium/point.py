@@ -1,13 +1,12 @@
-"""Points of the path: the unknowns, the phases of the whiskers, and the equation that selects one point."""
+"""Points of the path: the unknowns, and the equation that selects one point."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.problem import Contacts, PerObject, PerWhisker, Stance, of_object
+from jaxwhisker._equilibrium.problem import Contacts, PerWhisker
 
 
 class Point(NamedTuple):
@@ -15,36 +14,6 @@ class Point(NamedTuple):
 
     z: Contacts
     u: Scalar | Float[Array, "*batch"]
-
-
-class Mode(NamedTuple):
-    """Phases, sides and constraints that select one system of equations."""
-
-    phase: Int[Array, " whiskers"]
-    side: PerWhisker  # +1: the whisker approached from the right of the object; -1: from the left
-    separate: Bool[Array, ""]  # each whisker keeps its place on its branch; the network's equations are left out
-    held: Float[Array, "whiskers 2"] | None = None  # with `separate`: given y and angle of bases; None in `AlongX`
-    friction: Friction | None = None
-    piece: Int[Array, " whiskers"] | None = None  # of the profile at each contact, 0 if free; None without edges
-    # The side of each of several objects on which a whisker stands or, while it touches another one, has stood last.
-    beside: Float[Array, "objects whiskers"] | None = None
-
-    @property
-    def standing(self) -> PerObject:
-        """The sides on which free whiskers stand: of the object, or of each of several."""
-        return self.side if self.beside is None else self.beside
-
-    def now_standing(self, standing: PerObject) -> "Mode":
-        """The mode with these sides."""
-        return self._replace(side=standing) if self.beside is None else self._replace(beside=standing)
-
-    def freed(self, which: Bool[Array, " whiskers"], at: Stance) -> "Mode":
-        """The mode after the contacts of these whiskers have ended."""
-        return self.now_standing(jnp.where(which, at.side, self.standing))
-
-    def side_of(self, number: Int[Array, " whiskers"] | None) -> PerWhisker:
-        """The side on which a free whisker stands of one of several objects; None if there is only one."""
-        return self.side if self.beside is None or number is None else of_object(self.beside, number)
 
 
 class Row(NamedTuple):

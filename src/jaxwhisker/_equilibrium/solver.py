@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import NewtonStep, newton_step
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, scale_of
+from jaxwhisker._equilibrium.contact_state import ContactState
+from jaxwhisker._equilibrium.newton import Apart, NewtonStep, newton_step
+from jaxwhisker._equilibrium.point import Contacts, Point, Row, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 
 FINER = 100.0  # factor by which leans of large forces must be more accurate than other unknowns
@@ -44,10 +44,10 @@ class StructuredNewton(optx.AbstractRootFinder):
         del options, tags
         _, newton = fn(y, args)
         step = newton.step
-        _, mode, _ = args
+        _, contact_state, _, _ = args
         changes = jnp.abs(step.z) / scale_of(y.z)
-        if mode.friction is not None:
-            changes = _of_sticking(changes, y.z, mode)
+        if contact_state.friction is not None:
+            changes = _of_sticking(changes, y.z, contact_state)
         size = jnp.maximum(jnp.max(changes, axis=(-2, -1)), jnp.abs(step.u))
         if size.ndim > 0:
             solved = state.step_size < self.atol
@@ -64,13 +64,12 @@ class StructuredNewton(optx.AbstractRootFinder):
         return y, aux, {}
 
 
-def _of_sticking(changes: Contacts, z: Contacts, mode: Mode) -> Contacts:
+def _of_sticking(changes: Contacts, z: Contacts, state: ContactState) -> Contacts:
     """The changes of contacts in a Newton step, with those of contacts that stick weighted.
 
     Next to a small force, small changes of the other unknowns matter.
     """
-    assert mode.friction is not None
-    sticks = ((mode.phase != Phase.free) & (mode.friction.slip == 0))[..., None]
+    sticks = state.sticks[..., None]
     force = jnp.clip(z[..., 0], SMALLEST, 1.0)
     others = jnp.broadcast_to(jnp.maximum(SMALL / force, 1.0)[..., None], changes.shape)
     weight = others.at[..., 1].set(jnp.maximum(FINER * force, 1.0))
@@ -86,35 +85,43 @@ class Solution(NamedTuple):
     iterations: Int[Array, ""]
 
 
-def solve_point(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solution:
+def solve_point(problem: Problem, state: ContactState, row: Row, guess: Point, apart: Apart | None = None) -> Solution:
     """Solve the equations of one point with Newton's method. Failure is a flag, never an exception."""
-    return _solve(problem, mode, row, guess, newton_step)
+    return _solve(problem, state, row, guess, newton_step, apart)
 
 
-def solve_points(problem: Problem, modes: Mode, rows: Row, guesses: Point) -> Solution:
+def solve_points(problem: Problem, states: ContactState, rows: Row, guesses: Point) -> Solution:
     """Solve the equations of several points in one loop, which is traced and compiled faster than a batch of loops."""
 
-    def each(problem, modes, rows, points, *, in_turn):
-        return jax.vmap(lambda *own: newton_step(problem, *own, in_turn=in_turn))(modes, rows, points)
+    def each(problem, states, rows, points, *, in_turn, apart):
+        del apart
+        return jax.vmap(lambda *own: newton_step(problem, *own, in_turn=in_turn))(states, rows, points)
 
-    return _solve(problem, modes, rows, guesses, each)
+    return _solve(problem, states, rows, guesses, each)
 
 
-def _solve(problem: Problem, mode: Mode, row: Row, guess: Point, newton: Callable[..., NewtonStep]) -> Solution:
+def _solve(
+    problem: Problem,
+    state: ContactState,
+    row: Row,
+    guess: Point,
+    newton: Callable[..., NewtonStep],
+    apart: Apart | None = None,
+) -> Solution:
     # Derivatives are attached to the solution (implicit.py); they do not depend on the solver's iterations.
-    problem, row, guess = jax.lax.stop_gradient((problem, row, guess))
+    problem, row, guess, apart = jax.lax.stop_gradient((problem, row, guess, apart))
     solver = StructuredNewton(rtol=0.0, atol=problem.rod.newton_tolerance)
 
     def equations(point, args):
-        problem, mode, row = args
-        at = newton(problem, mode, row, point, in_turn=True)
+        problem, state, row, apart = args
+        at = newton(problem, state, row, point, in_turn=True, apart=apart)
         return at.residual, at
 
     solution = optx.root_find(
         equations,
         solver,
         guess,
-        args=(problem, mode, row),
+        args=(problem, state, row, apart),
         has_aux=True,
         max_steps=problem.rod.newton_steps,
         throw=False,

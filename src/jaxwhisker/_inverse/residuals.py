@@ -32,7 +32,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, is_snap
 from jaxwhisker._scan.channels import result_of
 from jaxwhisker._scan.detect import kinds_of
-from jaxwhisker._scan.memory import places_of, remembered, with_places
+from jaxwhisker._scan.memory import remembered, with_places
 from jaxwhisker._scan.route import Route
 from jaxwhisker._scan.scan import BLOCK, path_through
 from jaxwhisker._scan.steps import solve_steps, states
@@ -217,7 +217,7 @@ def _misfit(build, unknowns: Unknowns, x: Float[Array, " own"], data: Samples) -
         path = remembered(path, problem, data.stops + shift)
     placed = place(shift, start, event_table(problem, path), data)
     solutions = solve_steps(problem, path, placed.control, placed.travel)
-    solutions = with_places(solutions, places_of(path.nodes.friction))
+    solutions = with_places(solutions, path.nodes.state.places)
     state, _ = states(problem, placed.control, solutions)
     values = dict(zip(unknowns.channels.parameters, parts.channels, strict=True))
     signals = unknowns.channels.of_result(result_of(scene, state, placed.control), values)

@@ -11,9 +11,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase, beyond
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
+from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stability import is_stable
@@ -74,7 +75,7 @@ class MarchState(NamedTuple):
     """State of the march between two iterations."""
 
     task: Int[Array, ""]
-    mode: Mode
+    state: ContactState
     point: Point
     pose: Poses
     tangent: Point
@@ -132,50 +133,50 @@ class Trial(NamedTuple):
     reason: Status | Int[Array, ""] = Status.not_convex  # the status if contacts are not sound
 
 
-def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
+def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
     """Evaluate the solved end of a step: direction of the path, stability, convexity, margins.
 
     Args:
         problem: the problem.
-        state: the state before the step.
+        march: the state before the step.
         solution: its solved end.
         stop_u: control of the next stop.
         free_pose: coordinates, at the end, of bases that are not solved for.
     """
     newton = solution.newton
-    free = state.mode.phase == Phase.free
+    free = march.state.free
     tangent, length = unit(newton.tangent, solution.point.z)
-    ahead = jnp.where(dot(state.tangent, tangent, scale_of(state.point.z)) < 0, -1.0, 1.0) / length
+    ahead = jnp.where(dot(march.tangent, tangent, scale_of(march.point.z)) < 0, -1.0, 1.0) / length
     tangent, tangent_pose = Point(ahead * length * tangent.z, ahead * length * tangent.u), ahead * newton.tangent_pose
     # A touch is solved for as a contact, but the path arrives without it.
-    touches = (state.task == Task.event) & (state.target.kind == TOUCH)
-    pose = jnp.where(problem.solved(state.mode.phase)[:, None], newton.pose, free_pose)
-    before, after = state.point, solution.point
-    here, there = problem.stances((before.u, state.pose, before.z), (after.u, pose, after.z))
-    arriving = _direction_of_parabola(state, solution, free, there)
+    touches = (march.task == Task.event) & (march.target.kind == TOUCH)
+    pose = jnp.where(problem.solved(march.state.phase)[:, None], newton.pose, free_pose)
+    before, after = march.point, solution.point
+    here, there = problem.stances((before.u, march.pose, before.z), (after.u, pose, after.z))
+    arriving = _direction_of_parabola(march, solution, free, there)
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
-    convex = jax.vmap(problem.profile.convex_on)(state.mode.piece, solution.point.z[:, 1])
-    sound, reason = _soundness(problem, convex | free, solution.point.z, state.mode.phase)
-    margins_there = _margins_at(problem, state, solution.point, there, stop_u)
+    convex = jax.vmap(problem.profile.convex_on)(march.state.piece, solution.point.z[:, 1])
+    sound, reason = _soundness(problem, convex | free, solution.point.z, march.state.phase)
+    margins_there = _margins_at(problem, march, solution.point, there, stop_u)
     # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
-    touching = touched = touches & state.target.whisker
-    if state.target.number is not None:
-        touched &= jnp.arange(len(problem.profile.objects))[:, None] == state.target.number
+    touching = touched = touches & march.target.whisker
+    if march.target.number is not None:
+        touched &= jnp.arange(len(problem.profile.objects))[:, None] == march.target.number
     margins_there = margins_there._replace(touch=jnp.where(touched, jnp.inf, margins_there.touch))
     return Trial(
         solution,
         tangent,
         tangent_pose,
-        is_stable(problem, state.mode, newton.condensed, None if problem.attached is None else touching),
+        is_stable(problem, march.state, newton.condensed, None if problem.attached is None else touching),
         sound,
-        here=_margins_at(problem, state, state.point, here, stop_u),
+        here=_margins_at(problem, march, march.point, here, stop_u),
         there=margins_there,
         stance=there,
-        standing=problem.updated_side(free, state.mode.standing, there),
-        slips_on=loaded_slips_on(problem, state.mode, solution.point.z, tangent.z),
+        standing=problem.updated_side(free, march.state.standing, there),
+        slips_on=loaded_slips_on(problem, march.state, solution.point.z, tangent.z),
         friction_angle=problem.friction_angle,
         reason=reason,
-        ends=_ends(problem, state.mode),
+        ends=_ends(problem, march.state),
     )
 
 
@@ -190,58 +191,58 @@ def _soundness(
     return jnp.all(convex) & above, jnp.where(above, int(Status.not_convex), int(Status.at_spring))
 
 
-def slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
+def slips_on(problem: Problem, state: ContactState, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
     """Rates of slip in the direction of slip, infinite for whiskers that are free or stick; None without friction."""
-    if mode.friction is None:
+    if state.friction is None:
         return None
-    slips = (mode.phase != Phase.free) & (mode.friction.slip != 0)
-    rates = jnp.sum(slip_by_contact(problem, z, mode) * z_rate, axis=-1)
-    return jnp.where(slips, mode.friction.slip * rates, jnp.inf)
+    slips = state.touches & (state.friction.slip != 0)
+    rates = jnp.sum(slip_by_contact(problem, z, state) * z_rate, axis=-1)
+    return jnp.where(slips, state.friction.slip * rates, jnp.inf)
 
 
-def loaded_slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
+def loaded_slips_on(problem: Problem, state: ContactState, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
     """The same, infinite also for contacts of hardly any force: these of straight whiskers slip at no rate."""
-    rates = slips_on(problem, mode, z, z_rate)
+    rates = slips_on(problem, state, z, z_rate)
     return None if rates is None else jnp.where(z[:, 0] > LIGHT, rates, jnp.inf)
 
 
 def _direction_of_parabola(
-    state: MarchState, solution: Solution, free: Bool[Array, " whiskers"], at: Stance
+    march: MarchState, solution: Solution, free: Bool[Array, " whiskers"], at: Stance
 ) -> tuple[Point, Poses]:
     """Direction at the end of a step, up to which whiskers are free, along a parabola that starts along the tangent."""
-    change = 0.0 if at.free is None else at.free - state.point.z
-    change = jnp.where(free[:, None], change, solution.point.z - state.point.z)
-    chord = Point(change, solution.point.u - state.point.u)
-    distance = dot(state.tangent, chord, scale_of(state.point.z))
+    change = 0.0 if at.free is None else at.free - march.point.z
+    change = jnp.where(free[:, None], change, solution.point.z - march.point.z)
+    chord = Point(change, solution.point.u - march.point.u)
+    distance = dot(march.tangent, chord, scale_of(march.point.z))
     known = distance > SHORTEST_CHORD
     twice = jnp.where(known, 2 / jnp.where(known, distance, 1.0), 0.0)
     sign = jnp.where(known, -1.0, 1.0)
-    direction = Point(twice * chord.z + sign * state.tangent.z, twice * chord.u + sign * state.tangent.u)
-    return direction, twice * (solution.newton.pose - state.pose) + sign * state.tangent_pose
+    direction = Point(twice * chord.z + sign * march.tangent.z, twice * chord.u + sign * march.tangent.u)
+    return direction, twice * (solution.newton.pose - march.pose) + sign * march.tangent_pose
 
 
-def _ends(problem: Problem, mode: Mode) -> tuple[PerWhisker, PerWhisker] | None:
+def _ends(problem: Problem, state: ContactState) -> tuple[PerWhisker, PerWhisker] | None:
     """Ends of the pieces on which contacts are; None without edges."""
-    return ends_of(problem.profile, mode.piece) if mode.piece is not None and problem.profile.has_edges else None
+    return ends_of(problem.profile, state.piece) if state.piece is not None and problem.profile.has_edges else None
 
 
-def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
-    z, ends = point.z, _ends(problem, state.mode)
+def _margins_at(problem: Problem, march: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
+    z, ends = point.z, _ends(problem, march.state)
     if ends is not None:
         # Beyond its piece, the slope of a contact means nothing.
         z = z.at[:, 1].set(jnp.clip(z[:, 1], *ends))
-    ahead = state.before_vertex * slope_sines(problem, z, state.mode)
+    ahead = march.before_vertex * slope_sines(problem, z, march.state)
     if ends is not None:
         ahead += LEVEL
-    remaining = state.direction * (stop_u - point.u)
-    return margins(state.mode, point, at, ahead, remaining, problem.friction_angle, problem.profile)
+    remaining = march.direction * (stop_u - point.u)
+    return margins(march.state, point, at, ahead, remaining, problem.friction_angle, problem.profile)
 
 
 def _flat(margins: Margins) -> Float[Array, " margins"]:
     return jnp.concatenate([*each_touch(margins.touch), *(margin for margin in margins[RELEASE:] if margin.size)])
 
 
-def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
+def first_violated(march: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
     """Whether an event lies within a step of this length, and the first such event."""
     n = trial.here.release.size
     now, then = _flat(trial.here), _flat(trial.there)
@@ -255,10 +256,10 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
         share = share.at[-ended.size :].set(jnp.where(ended, jnp.inf, share[-ended.size :]))
     first = jnp.argmin(share)
     number = None
-    if state.mode.beside is not None:
-        number = jnp.full(n, jnp.minimum(first // n, len(state.mode.beside) - 1))
-    stance, side = trial.stance.of(number), state.mode.side_of(number)
-    piece = state.mode.piece
+    if march.state.beside is not None:
+        number = jnp.full(n, jnp.minimum(first // n, len(march.state.beside) - 1))
+    stance, side = trial.stance.of(number), march.state.side_of(number)
+    piece = march.state.piece
     touched = None if piece is None else stance.first(side).piece
     contact, phase, side = snap_flow.touching(stance, side)
     kinds = np.repeat(np.arange(len(trial.here)), [margin.size for margin in trial.here])
@@ -289,11 +290,11 @@ def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[B
     )
 
 
-def dip(problem: Problem, state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
+def dip(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
     """Whether a margin is negative within a step but not at its ends, and the share of the step where it is lowest."""
     now, then = _flat(trial.here), _flat(trial.there)
-    rates = partial(margin_rates, problem, state.mode)
-    start = distance * _flat(rates(state.point, state.tangent, state.tangent_pose))
+    rates = partial(margin_rates, problem, march.state)
+    start = distance * _flat(rates(march.point, march.tangent, march.tangent_pose))
     end = distance * _flat(rates(trial.solution.point, trial.tangent, trial.tangent_pose))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
     within = now + t * (start + t * ((3 * (then - now) - 2 * start - end) + t * (start + end - 2 * (then - now))))

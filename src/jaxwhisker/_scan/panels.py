@@ -71,7 +71,7 @@ class Ends(NamedTuple):
 def ends_of(problem: Problem, path: Path) -> Ends:
     """The ends of the panels of a path, from where the drive is at its first stop."""
     nodes, unit = path.nodes, jax.lax.stop_gradient(problem.unit.control)
-    room, n = nodes.phase.shape
+    room, n = nodes.whiskers.shape
     control = jnp.asarray(nodes.point.u)
     index, last = jnp.arange(room), jnp.maximum(path.count - 1, 0)
     reached = (jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0) & (index < path.count)
