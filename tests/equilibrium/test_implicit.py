@@ -12,9 +12,9 @@ from exact_contacts import DISTANCE, branch, contacts, fb_control, fbfb_at
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.implicit import event_control, solved, without_rule
+from jaxwhisker._equilibrium.implicit import event_control, solved
 from jaxwhisker._equilibrium.newton import newton_step
-from jaxwhisker._equilibrium.point import Point, Row, at_control, at_event
+from jaxwhisker._equilibrium.point import PathCondition, Point, at_control, at_event
 from jaxwhisker._equilibrium.solver import solve_point
 
 MODES = 1e-11  # forward against reverse, relative to the largest
@@ -115,11 +115,11 @@ def events():
 
     def control(p, z, u, phase, kind):
         problem, state, point = problem_of(scene(p)), ContactState(phase, jnp.ones(1)), Point(z, u)
-        along = newton_step(problem, state, Row(z, z, jnp.asarray(1.0), u, 0.0 * z[:, 0]), point).tangent
+        along = newton_step(problem, state, PathCondition(z, z, jnp.asarray(1.0), u, 0.0 * z[:, 0]), point).tangent
         along = jax.lax.stop_gradient(along)
         no = jnp.asarray(False)
-        row = at_event(jnp.ones(1, bool), z, unloaded=no, phase=kind == 0, vertex=kind == 1, control=no, u0=u)
-        return event_control(point, problem, state, along, row, kind == 2)
+        condition = at_event(jnp.ones(1, bool), z, unloaded=no, phase=kind == 0, vertex=kind == 1, control=no, u0=u)
+        return event_control(point, problem, state, along, condition, kind == 2)
 
     @Program
     @jax.vmap
@@ -161,12 +161,3 @@ def test_a_nearer_object_shifts_events(events):
     difference = (controls(DISTANCE + h) - controls(DISTANCE - h)) / (2 * h)
     assert np.all(np.abs(difference) > 0.1)
     np.testing.assert_allclose(forward[:, 2], difference, atol=1e-5)  # the square of h, times third derivatives
-
-
-def test_without_a_rule_the_derivative_is_nan_and_the_value_stays():
-    point, known = jnp.array([1.0, 2.0]), {"some": jnp.array([3.0, jnp.inf]), "count": 4}
-    assert without_rule(point, known).tolist() == [1.0, 2.0]
-    by_known = jax.grad(lambda some: without_rule(point, {**known, "some": some}).sum())(known["some"])
-    assert np.isnan(by_known[0]) and by_known[1] == 0  # no derivative with respect to infinity
-    by_point = jax.grad(lambda point: without_rule(point, known).sum())(point)
-    assert by_point.tolist() == [1.0, 1.0]

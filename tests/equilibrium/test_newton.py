@@ -105,8 +105,8 @@ def test_an_arc_length_ahead(typical):
     z, distance = jnp.asarray(at.z), 0.05
     here = Point(z, jnp.asarray(0.0))
     tangent = step_at_control(problem, state, z, here.u).tangent
-    row = at_arc_length(here, tangent, distance)
-    solution = solve(problem, state, *strong((row, here)))
+    condition = at_arc_length(here, tangent, distance)
+    solution = solve(problem, state, *strong((condition, here)))
     assert solution.converged
     chord = solution.point.z - z
     scale = scale_of(z)

@@ -129,8 +129,8 @@ def path_of(approach, controls, kinds, phase=Phase.free, status=Status.ok, room=
     phases = jnp.zeros((room, n), int).at[count - 1].set(int(phase))
     kind = jnp.asarray(np.pad(kinds, (0, room - count), constant_values=EventKind.touch))
     travel = jnp.abs(u - u[0])
-    point, side = Point(z, u), jnp.ones((room, n))
-    node = Node(point, z, point, point, phases, side, travel, kind, flag, phases, side)
+    point, state = Point(z, u), ContactState(phases, jnp.ones((room, n)))
+    node = Node(point, z, point, point, state, state, travel, kind, flag)
     return Path(node, jnp.asarray(count), jnp.asarray(int(status)))
 
 

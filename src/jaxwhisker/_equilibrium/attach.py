@@ -13,7 +13,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.couplings import Couplings, End
 from jaxwhisker._equilibrium.point import Point, at_control
-from jaxwhisker._equilibrium.problem import NOWHERE, Attached, Contacts, InPlane, Poses
+from jaxwhisker._equilibrium.problem import AT_ORIGIN, Attached, Contacts, InPlane, Poses
 from jaxwhisker._equilibrium.shaft_springs import AXIAL, Attachments, Laws, ShaftSprings, Tissue
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._model.motion import Pose, mounted
@@ -209,7 +209,7 @@ def _found(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3
 
 def _unbent(problem: InPlane, u: Scalar) -> Float[Array, "whiskers 3"]:
     """Contacts of free whiskers that no spring bends, with their bases at rest."""
-    base, drive = problem.in_scene(u, problem.rest(u)), mounted(problem.drive(u), NOWHERE)
+    base, drive = problem.in_scene(u, problem.rest(u)), mounted(problem.drive(u), AT_ORIGIN)
     x, y, cos, sin = (values[:, -1] for values in problem.outline)
     turn_cos, turn_sin = jnp.cos(base.angle), jnp.sin(base.angle)
     right, up = base.x + x * turn_cos - y * turn_sin - drive.x, base.y + x * turn_sin + y * turn_cos - drive.y

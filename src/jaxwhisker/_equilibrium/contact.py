@@ -40,7 +40,7 @@ class Phase(NamedInt):
     tangential = 2
 
 
-class Body(NamedTuple):
+class WhiskerAtObject(NamedTuple):
     """A whisker and the object in front of it, dimensionless; or all whiskers, stacked (see `of_each`)."""
 
     length: Float[Array, "*batch"]
@@ -64,7 +64,7 @@ class Sprung(NamedTuple):
     drive_rate: Frame  # derivative with respect to the control
     held: Float[Array, "*batch axes axes"]  # stiffness of the network that the support does not have
     offset: Float[Array, "*batch axes"]  # coordinates at which it is unstrained
-    nowhere: Float[Array, "*batch"]  # any parameter of the profile, for free whiskers
+    placeholder_parameter: Float[Array, "*batch"]  # any parameter of the profile, for free whiskers
     incidence: Float[Array, "*batch places springs"] | None = None  # see couplings.incidence_of; None without couplings
 
 
@@ -117,7 +117,7 @@ def beyond(slack: Scalar | Float[Array, "*batch"], phase: Int[Array, "*batch"]) 
     return jnp.where(phase == Phase.tangential, slack, 0.0)
 
 
-def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
+def arc(body: WhiskerAtObject, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
     """Arc length from base to contact."""
     return body.length - beyond(slack, phase)
 
@@ -166,7 +166,7 @@ def in_scene(
 
 
 def base(
-    body: Body,
+    body: WhiskerAtObject,
     z: Float[Array, " numbers"],
     phase: Int[Array, ""],
     side: Scalar,
@@ -190,25 +190,29 @@ def base(
 
 
 def contact_of(
-    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+    body: WhiskerAtObject, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
 ) -> tuple[ContactPoint, Float[Array, ""] | None, Float[Array, ""]]:
     """The contact point, the lean of the force, and the angle of the whisker to the normal of the force there."""
     angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
     p = parameter(body.profile.on(body.piece), z, phase, side, friction)
     if body.sprung is not None:
-        p = jnp.where(phase == Phase.free, body.sprung.nowhere, p)
+        p = jnp.where(phase == Phase.free, body.sprung.placeholder_parameter, p)
     leans = lean(z[1], friction, body.friction_angle)
     return body.profile.point_on(body.piece, p), leans, angle if leans is None else angle + side * leans
 
 
-def material_of(body: Body) -> Material:
+def material_of(body: WhiskerAtObject) -> Material:
     """The material of a whisker in the scene."""
     assert not isinstance(body.section, tuple)  # of one whisker
     return body.bending_stiffness if body.section is None else body.section
 
 
 def start_of(
-    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+    body: WhiskerAtObject,
+    z: Float[Array, " numbers"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None = None,
 ) -> tuple[RodState, Load, Base]:
     """State of the rod and the load on it, at the contact or at the tip of a free whisker; and the contact."""
     assert body.sprung is not None
@@ -229,7 +233,7 @@ def start_of(
 
 
 def _sprung_base(
-    body: Body,
+    body: WhiskerAtObject,
     sprung: Sprung,
     z: Float[Array, " numbers"],
     phase: Int[Array, ""],
@@ -248,7 +252,7 @@ def _sprung_base(
     return placed._replace(x=x, y=y, cos=cos, sin=sin, force_x=fx, force_y=fy, bend=bend, below=below, places=places)
 
 
-def in_base_frame(body: Body, b: Base) -> BaseEquations:
+def in_base_frame(body: WhiskerAtObject, b: Base) -> BaseEquations:
     """Pose of a base and load on it, in its frame."""
     frame = body.frame
     if frame is None:
@@ -274,14 +278,18 @@ def in_base_frame(body: Body, b: Base) -> BaseEquations:
 
 
 def equations(
-    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+    body: WhiskerAtObject,
+    z: Float[Array, " numbers"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None = None,
 ) -> BaseEquations:
     """Quantities that enter the equations, for the contact z."""
     return in_base_frame(body, base(body, z, phase, side, friction))
 
 
 def linearise(
-    body: Body,
+    body: WhiskerAtObject,
     z: Float[Array, " numbers"],
     phase: Int[Array, ""],
     side: Scalar,
@@ -313,7 +321,7 @@ def linearise(
     return Linearised(value, gradient, by_control)
 
 
-def _moved(body: Body, step: Scalar, loads: Float[Array, " loads"]) -> Body:
+def _moved(body: WhiskerAtObject, step: Scalar, loads: Float[Array, " loads"]) -> WhiskerAtObject:
     """The body after a change of the control and of the loads of springs to other whiskers, to first order."""
     assert body.sprung is not None
     held_by, incidence = body.sprung.held_by, body.sprung.incidence
@@ -329,7 +337,7 @@ def _moved(body: Body, step: Scalar, loads: Float[Array, " loads"]) -> Body:
     )
 
 
-def of_each(bodies: Body, function: Callable, *args, in_turn: bool = False):
+def of_each(bodies: WhiskerAtObject, function: Callable, *args, sequential: bool = False):
     """Apply a function of one body to every whisker; each whisker gets its own row of the arguments.
 
     Args:
@@ -350,7 +358,7 @@ def of_each(bodies: Body, function: Callable, *args, in_turn: bool = False):
             return function(body._replace(profile=profile, rod=rod, laws=laws), *rest)
 
         each = jax.vmap(one, in_axes=(0, None))
-        return (_in_turn(one, each) if in_turn and bodies.length.shape[0] > 1 else each)(own, shared)
+        return (_in_turn(one, each) if sequential and bodies.length.shape[0] > 1 else each)(own, shared)
     # Whiskers of different kinds cannot be batched: each is computed separately.
     values = []
     for k, own in enumerate(section):

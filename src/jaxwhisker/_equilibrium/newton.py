@@ -9,11 +9,11 @@ freedom across the branch. The network couples the whiskers:
     pose = rest + flexibility @ load.
 
 Pose and load of a base are its x coordinate and the force along x in `AlongX`; in `InPlane` they are x, y, angle and
-force x, force y, moment. One more equation, the row, selects a point of the path: a given control, an arc length ahead,
-or an event.
+force x, force y, moment. One more equation, the condition, selects a point of the path: a given control, an arc length
+ahead, or an event.
 
 A Newton step first eliminates each whisker's own equations (static condensation), and then solves the small dense
-system of the network and the row. This system is regular at folds.
+system of the network and the condition. This system is regular at folds.
 """
 
 from functools import partial
@@ -31,7 +31,7 @@ from jaxwhisker._equilibrium.contact import BaseEquations, Linearised, Phase, of
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import Coupled, Rows, as_contacts, loads_in, rows
 from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.point import Contacts, Point, Row, scale_of
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
 from jaxwhisker._rod.elastica import AbstractRod
 
@@ -46,18 +46,20 @@ def with_dummy_contacts(
     """
     if problem.attached is not None:
         return z, phase
-    nowhere = problem.nowhere
-    dummy = jnp.stack([jnp.ones_like(nowhere), nowhere, -jnp.ones_like(nowhere)], axis=1)
+    parameter = problem.placeholder_parameter
+    dummy = jnp.stack([jnp.ones_like(parameter), parameter, -jnp.ones_like(parameter)], axis=1)
     free = phase == Phase.free
     return jnp.where(free[:, None], dummy, z), jnp.where(free, Phase.tip, phase)
 
 
-def linearise_all(problem: Problem, point: Point, state: ContactState, rates: AbstractRod, in_turn: bool) -> Linearised:
+def linearise_all(
+    problem: Problem, point: Point, state: ContactState, rates: AbstractRod, sequential: bool
+) -> Linearised:
     """The equations of every whisker, linearised."""
     z, phase = with_dummy_contacts(problem, point.z, state.phase)
     linearised = partial(contact.linearise, rates=rates)
     bodies = problem.bodies(point.u, z, state.piece)
-    return of_each(bodies, linearised, z, phase, state.side, state.friction, in_turn=in_turn)
+    return of_each(bodies, linearised, z, phase, state.side, state.friction, sequential=sequential)
 
 
 def evaluate(problem: Problem, point: Point, state: ContactState) -> BaseEquations:
@@ -177,7 +179,7 @@ class Condensed(NamedTuple):
 
 
 class Apart(NamedTuple):
-    """Bases that are moved one by one, as in a snap, without the equations of the network and the row."""
+    """Bases that are moved one by one, as in a snap, without the equations of the network and the condition."""
 
     now: Bool[Array, ""]  # whether they are: a batch does both
     held: Float[Array, "whiskers 2"] | None  # y and angle of the bases; None in `AlongX`
@@ -249,7 +251,7 @@ class NewtonStep(NamedTuple):
     """A Newton step, and the tangent of the path from the same linear system."""
 
     step: Point
-    tangent: Point  # of the path; row . tangent = 1
+    tangent: Point  # of the path; condition . tangent = 1
     condensed: Condensed
     residual: Scalar  # largest residual of any equation, before the step
     pose: Poses  # after the step
@@ -260,23 +262,28 @@ class NewtonStep(NamedTuple):
 def newton_step(
     problem: Problem,
     state: ContactState,
-    row: Row,
+    condition: PathCondition,
     point: Point,
     rates: AbstractRod | None = None,
-    in_turn: bool = False,
+    sequential: bool = False,
     apart: Apart | None = None,
 ) -> NewtonStep:
-    """Solve the linearised equations of all whiskers, the network and the row."""
-    linear = linearise_all(problem, point, state, problem.rod if rates is None else rates, in_turn)
+    """Solve the linearised equations of all whiskers, the network and the condition."""
+    linear = linearise_all(problem, point, state, problem.rod if rates is None else rates, sequential)
     if state.friction is not None:
         linear = linear._replace(value=_without_rounding(linear.value, None if apart is None else apart.held))
-    return solve_coupled(problem, state, row, point, condense(problem, point.z, state, linear, apart), apart)
+    return solve_coupled(problem, state, condition, point, condense(problem, point.z, state, linear, apart), apart)
 
 
 def solve_coupled(
-    problem: Problem, state: ContactState, row: Row, point: Point, at: Condensed, apart: Apart | None = None
+    problem: Problem,
+    state: ContactState,
+    condition: PathCondition,
+    point: Point,
+    at: Condensed,
+    apart: Apart | None = None,
 ) -> NewtonStep:
-    """Solve the linearised equations of the network and the row for condensed whiskers."""
+    """Solve the linearised equations of the network and the condition for condensed whiskers."""
     solved = problem.solved(state.phase)[:, None]
     coupled = solved if apart is None else solved & ~apart.now
     rest, displacement = problem.rest(point.u), problem.displacement(at.load)
@@ -284,14 +291,14 @@ def solve_coupled(
     if state.friction is not None:
         network = _beyond_rounding(network, jnp.abs(at.pose) + jnp.abs(rest) + jnp.abs(displacement))
     slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
-    row_residual = row.residual(Point(point.z + at.particular, point.u), slope_sin)
+    condition_residual = condition.residual(Point(point.z + at.particular, point.u), slope_sin)
     if apart is not None:
-        row_residual = jnp.where(apart.now, 0.0, row_residual)
-    system, parts = linear_system(problem, state, row, at, apart), [jnp.ravel(network)]
+        condition_residual = jnp.where(apart.now, 0.0, condition_residual)
+    system, parts = linear_system(problem, state, condition, at, apart), [jnp.ravel(network)]
     loads = load_rows(problem, at)
     if loads is not None and problem.attached is not None and problem.attached.couplings is not None:
         parts.append(jnp.ravel(loads_in(problem.attached.couplings, point.z) - loads.law))
-    residuals = jnp.concatenate([*parts, jnp.reshape(row_residual, 1)])
+    residuals = jnp.concatenate([*parts, jnp.reshape(condition_residual, 1)])
     last = np.eye(residuals.size)[-1]
     solution = solve(system, jnp.stack([-residuals, last], axis=1))
     step, pose, load = change_along(problem, at, solution[:, 0])
@@ -341,12 +348,12 @@ def along_steps(problem: Problem, at: Condensed, weight: Contacts) -> Float[Arra
 
 
 def linear_system(
-    problem: Problem, state: ContactState, row: Row, at: Condensed, apart: Apart | None = None
+    problem: Problem, state: ContactState, condition: PathCondition, at: Condensed, apart: Apart | None = None
 ) -> Float[Array, "rows rows"]:
-    """Derivatives of the residuals of the network and the row with respect to the steps and the control.
+    """Derivatives of the residuals of the network and the condition with respect to the steps and the control.
 
     Loads of springs between two shafts, and their equations, come between these. Whiskers `apart` keep their
-    places along their branches, and the equations of the network and the row are left out.
+    places along their branches, and the equations of the network and the condition are left out.
     """
     n, axes = at.load.shape
     solved, size = problem.solved(state.phase)[:, None], n * axes
@@ -358,13 +365,13 @@ def linear_system(
         by_control = jnp.where(solved, -1.0, 0.0)
     else:
         by_control = jnp.where(solved, at.pose_by_u - problem.displacement(at.load_by_u), 0.0)
-    weight = row.weight_z + row.vertex[:, None] * at.slope_sin_gradient
+    weight = condition.weight_z + condition.vertex[:, None] * at.slope_sin_gradient
     along = along_steps(problem, at, weight)
-    by_control, row_u = jnp.ravel(by_control), jnp.asarray(row.weight_u)
+    by_control, condition_u = jnp.ravel(by_control), jnp.asarray(condition.weight_u)
     if apart is not None:
         coupling = jnp.where(apart.now, jnp.eye(size), coupling)
         by_control, along = (jnp.where(apart.now, 0.0, value) for value in (by_control, along))
-        row_u = jnp.where(apart.now, 1.0, row_u)
+        condition_u = jnp.where(apart.now, 1.0, condition_u)
     loads = load_rows(problem, at)
     if loads is not None and at.coupled is not None:
         yields = jax.vmap(problem.displacement, in_axes=-1, out_axes=-1)(at.coupled.load_by_loads)
@@ -374,7 +381,7 @@ def linear_system(
         by_loads = jnp.reshape(by_loads, (size, -1))
         coupling = jnp.block([[coupling, by_loads], [loads.by_steps, loads.by_loads]])
         by_control = jnp.concatenate([by_control, loads.by_u])
-    return jnp.block([[coupling, by_control[:, None]], [along[None, :], row_u[None, None]]])
+    return jnp.block([[coupling, by_control[:, None]], [along[None, :], condition_u[None, None]]])
 
 
 def _times(

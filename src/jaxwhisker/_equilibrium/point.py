@@ -16,7 +16,7 @@ class Point(NamedTuple):
     u: Scalar | Float[Array, "*batch"]
 
 
-class Row(NamedTuple):
+class PathCondition(NamedTuple):
     """The equation that selects a point of the path, in addition to the equations of equilibrium.
 
     weight_z . (z - z0) + weight_u (u - u0) + vertex . sin(alpha) = 0
@@ -37,23 +37,23 @@ class Row(NamedTuple):
         return along + jnp.sum(self.vertex * slope_sin)
 
 
-def at_control(u: Scalar, like: Contacts) -> Row:
-    """The row that selects the point at a given control."""
+def at_control(u: Scalar, like: Contacts) -> PathCondition:
+    """The condition that the control has a given value."""
     none = jnp.zeros_like(like)
-    return Row(none, none, jnp.asarray(1.0), u, none[:, 0])
+    return PathCondition(none, none, jnp.asarray(1.0), u, none[:, 0])
 
 
-def at_force(whiskers: Bool[Array, " whiskers"], at: Contacts) -> Row:
-    """The row that selects the point at which the forces of these whiskers have the sum that they have in `at`."""
+def at_force(whiskers: Bool[Array, " whiskers"], at: Contacts) -> PathCondition:
+    """The condition that the forces of these whiskers have the sum that they have in `at`."""
     none = jnp.zeros_like(at)
-    return Row(none.at[:, 0].set(whiskers), at, jnp.asarray(0.0), jnp.asarray(0.0), none[:, 0])
+    return PathCondition(none.at[:, 0].set(whiskers), at, jnp.asarray(0.0), jnp.asarray(0.0), none[:, 0])
 
 
-def at_arc_length(point: Point, tangent: Point, distance: Scalar) -> Row:
-    """The row that selects the point in the plane normal to the tangent, at a distance ahead (pseudo-arclength)."""
+def at_arc_length(point: Point, tangent: Point, distance: Scalar) -> PathCondition:
+    """The condition of the plane normal to the tangent, at a distance ahead of the point (pseudo-arclength)."""
     scale = scale_of(point.z)
     ahead = along(point, tangent, distance)
-    return Row(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, 0]))
+    return PathCondition(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, 0]))
 
 
 def at_event(
@@ -67,8 +67,8 @@ def at_event(
     u0: Scalar,
     lean: Bool[Array, ""] | None = None,
     limit: PerWhisker | None = None,
-) -> Row:
-    """The row that selects an event of these whiskers.
+) -> PathCondition:
+    """The condition of an event of these whiskers.
 
     Args:
         whiskers: the whiskers that the event concerns.
@@ -86,7 +86,7 @@ def at_event(
     weight, z0 = none.at[:, 0].set(one * unloaded).at[:, 2].set(one * phase), none
     if lean is not None:
         weight, z0 = weight.at[:, 1].set(one * lean), none.at[:, 1].set(limit)
-    return Row(weight, z0, control.astype(float), u0, one * vertex)
+    return PathCondition(weight, z0, control.astype(float), u0, one * vertex)
 
 
 def scale_of(z: Contacts) -> Contacts:

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.bent import free_contact, outline_of
-from jaxwhisker._equilibrium.contact import Base, Body, Phase, Sprung, of_each
+from jaxwhisker._equilibrium.contact import Base, Phase, Sprung, WhiskerAtObject, of_each
 from jaxwhisker._equilibrium.couplings import Couplings, given_by, incidence_of
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws
 from jaxwhisker._equilibrium.touch import Outline, Touch
@@ -39,7 +39,7 @@ PerObject = Float[Array, "*objects whiskers"]  # of each object, if there are se
 Poses = Float[Array, "whiskers axes"]
 
 
-NOWHERE = Pose(0.0, 0.0, 0.0)
+AT_ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
 class ScenePose(NamedTuple):
@@ -183,14 +183,14 @@ class Problem(eqx.Module):
     def if_defined(self, residual: Scalar, pose: ScenePose) -> Scalar:
         """The residual, or infinity if the motion of the drive is not defined here (its pose is not finite)."""
 
-    def bodies(self, u: Scalar, z: Contacts, piece: Int[Array, " whiskers"] | None = None) -> Body:
+    def bodies(self, u: Scalar, z: Contacts, piece: Int[Array, " whiskers"] | None = None) -> WhiskerAtObject:
         """All whiskers, stacked, at a control, with the loads of springs in their contacts z.
 
         `piece` is that of the profile at each contact.
         """
         del z
         angle = None if self.friction_angle is None else jnp.full_like(self.length, self.friction_angle)
-        return Body(
+        return WhiskerAtObject(
             self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle, piece
         )
 
@@ -204,7 +204,7 @@ class Problem(eqx.Module):
         return side
 
     @property
-    def nowhere(self) -> PerWhisker:
+    def placeholder_parameter(self) -> PerWhisker:
         """Any parameter of the profile's first piece, for free whiskers."""
         touch = jax.lax.stop_gradient(self.touch_right.parameter)
         touch = touch[0] if len(self.profile.objects) > 1 else touch
@@ -319,14 +319,14 @@ class InPlane(Problem):
             return bodies
 
         def drive(u):
-            return jax.tree.map(lambda part: jnp.full_like(self.length, part), mounted(self.drive(u), NOWHERE))
+            return jax.tree.map(lambda part: jnp.full_like(self.length, part), mounted(self.drive(u), AT_ORIGIN))
 
         frame, rate = jax.jvp(drive, (u,), (jnp.ones_like(u),))
         held_by, laws, couplings, incidence = self.attached.held_by, self.attached.laws, self.attached.couplings, None
         if couplings is not None:
             incidence = incidence_of(couplings, held_by)
             held_by = held_by._replace(given=given_by(couplings, z, held_by))
-        sprung = Sprung(held_by, frame, rate, self.attached.held, self.offset, self.nowhere, incidence)
+        sprung = Sprung(held_by, frame, rate, self.attached.held, self.offset, self.placeholder_parameter, incidence)
         return bodies._replace(sprung=sprung, laws=laws)
 
     def solved(self, phase):

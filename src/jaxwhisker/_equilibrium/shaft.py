@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import Base, Body, Phase, Sprung
+from jaxwhisker._equilibrium.contact import Base, Phase, Sprung, WhiskerAtObject
 from jaxwhisker._equilibrium.friction import Friction, lean
 from jaxwhisker._equilibrium.shaft_springs import walk
 from jaxwhisker._rod import rod
@@ -43,7 +43,11 @@ class Shaft(NamedTuple):
 
 
 def shaft(
-    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+    body: WhiskerAtObject,
+    z: Float[Array, " numbers"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None = None,
 ) -> Shaft:
     """The shaft of a whisker with the contact z, which is the dummy contact, without force, of a free whisker."""
     if body.sprung is not None:
@@ -76,7 +80,7 @@ def shaft(
 
 
 def _sprung_shaft(
-    body: Body,
+    body: WhiskerAtObject,
     sprung: Sprung,
     z: Float[Array, " numbers"],
     phase: Int[Array, ""],
@@ -93,7 +97,7 @@ def _sprung_shaft(
     to_base = Line(*walked.passed, jnp.diff(jnp.maximum(places.springs.at, 0.0)))
     to_tip = Line(*beyond, jnp.full(CELLS_BEYOND, (body.length - arc) / CELLS_BEYOND))
     p = contact.parameter(body.profile.on(body.piece), z, phase, side, friction)
-    p = jnp.where(phase == Phase.free, sprung.nowhere, p)
+    p = jnp.where(phase == Phase.free, sprung.placeholder_parameter, p)
     return Shaft(to_base, to_tip, p, contact.base(body, z, phase, side, friction))
 
 

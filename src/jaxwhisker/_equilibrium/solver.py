@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import Apart, NewtonStep, newton_step
-from jaxwhisker._equilibrium.point import Contacts, Point, Row, scale_of
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 
 FINER = 100.0  # factor by which leans of large forces must be more accurate than other unknowns
@@ -85,43 +85,45 @@ class Solution(NamedTuple):
     iterations: Int[Array, ""]
 
 
-def solve_point(problem: Problem, state: ContactState, row: Row, guess: Point, apart: Apart | None = None) -> Solution:
+def solve_point(
+    problem: Problem, state: ContactState, condition: PathCondition, guess: Point, apart: Apart | None = None
+) -> Solution:
     """Solve the equations of one point with Newton's method. Failure is a flag, never an exception."""
-    return _solve(problem, state, row, guess, newton_step, apart)
+    return _solve(problem, state, condition, guess, newton_step, apart)
 
 
-def solve_points(problem: Problem, states: ContactState, rows: Row, guesses: Point) -> Solution:
+def solve_points(problem: Problem, states: ContactState, conditions: PathCondition, guesses: Point) -> Solution:
     """Solve the equations of several points in one loop, which is traced and compiled faster than a batch of loops."""
 
-    def each(problem, states, rows, points, *, in_turn, apart):
+    def each(problem, states, conditions, points, *, sequential, apart):
         del apart
-        return jax.vmap(lambda *own: newton_step(problem, *own, in_turn=in_turn))(states, rows, points)
+        return jax.vmap(lambda *own: newton_step(problem, *own, sequential=sequential))(states, conditions, points)
 
-    return _solve(problem, states, rows, guesses, each)
+    return _solve(problem, states, conditions, guesses, each)
 
 
 def _solve(
     problem: Problem,
     state: ContactState,
-    row: Row,
+    condition: PathCondition,
     guess: Point,
     newton: Callable[..., NewtonStep],
     apart: Apart | None = None,
 ) -> Solution:
     # Derivatives are attached to the solution (implicit.py); they do not depend on the solver's iterations.
-    problem, row, guess, apart = jax.lax.stop_gradient((problem, row, guess, apart))
+    problem, condition, guess, apart = jax.lax.stop_gradient((problem, condition, guess, apart))
     solver = StructuredNewton(rtol=0.0, atol=problem.rod.newton_tolerance)
 
     def equations(point, args):
-        problem, state, row, apart = args
-        at = newton(problem, state, row, point, in_turn=True, apart=apart)
+        problem, state, condition, apart = args
+        at = newton(problem, state, condition, point, sequential=True, apart=apart)
         return at.residual, at
 
     solution = optx.root_find(
         equations,
         solver,
         guess,
-        args=(problem, state, row, apart),
+        args=(problem, state, condition, apart),
         has_aux=True,
         max_steps=problem.rod.newton_steps,
         throw=False,

@@ -44,7 +44,7 @@ PRIOR = 1e4  # the same in later stages: unknowns that change no signal keep the
 UNIFORM = 12**-0.5  # of the gap between two samples: standard deviation of a snap that may be anywhere in it
 OUTSIDE = 8.0  # multiple of its weight that is added to a snap far outside its gap
 WIDER = 2.0  # gaps over which that grows; smoothly, because a least-squares step cannot foresee a wall
-PRICE = 3.0  # standard deviations: residual of every value between the model's snap and the observed one
+PENALTY = 3.0  # standard deviations: residual of every value between the model's snap and the observed one
 MISSING_EVENT = 1.0  # a length: residual of an observed event that the model does not have
 
 
@@ -155,7 +155,7 @@ def place(shift: Scalar, start: Scalar, events: EventTable, data: Samples) -> Pl
         control=control,
         travel=jax.lax.stop_gradient(along),
         weight=jnp.where(left_out[:, None, None], 0.0, data.weight),
-        price=jnp.where(priced, PRICE, 0.0),
+        price=jnp.where(priced, PENALTY, 0.0),
         left_out=left_out,
         of_snaps=_residuals_of_snaps(snaps, data),
         of_ends=jnp.where(data.overlaid & jnp.isfinite(observed), off, 0.0) * data.end_weight,

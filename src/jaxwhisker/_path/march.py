@@ -23,7 +23,7 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.newton import Apart, is_light
-from jaxwhisker._equilibrium.point import Point, Row, along, at_arc_length, at_control, at_event, at_force
+from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, at_control, at_event, at_force
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._path import snap_flow
@@ -52,7 +52,7 @@ STOPS = 8  # stops of a route that turns are padded to a multiple of this
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
 
-def _target_row(now: MarchState, stop_u: Scalar, edges: bool) -> Row:
+def _target_condition(now: MarchState, stop_u: Scalar, edges: bool) -> PathCondition:
     kind, lean = now.target.kind, None
     if now.target.lean is not None:
         lean = (kind == LOW) | (kind == HIGH) if edges else kind == SLIP
@@ -88,14 +88,14 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
         # A contact that sticks from its first touch is solved for where its force first has a direction.
         starts = is_light(now.state, guess.z) & (now.task == Task.arrive)
         fixed = select(jnp.any(starts), at_force(starts, guess.z), fixed)
-    to_target = _target_row(now, stop_u, problem.profile.has_edges)
-    row = select(now.task == Task.advance, onwards, select(at_target, to_target, fixed))
+    to_target = _target_condition(now, stop_u, problem.profile.has_edges)
+    condition = select(now.task == Task.advance, onwards, select(at_target, to_target, fixed))
     # A touch begins a contact and is solved for as a contact.
     target = now.target
     begins = target.whisker & at_target & (target.kind == TOUCH)
     state = now.state.begun(begins, target.phase, target.side, target.piece)
     guess = guess._replace(z=jnp.where(begins[:, None], target.contact, guess.z))
-    solution = solve_point(problem, state, row, guess, Apart(flowing, problem.across(flow.pose)))
+    solution = solve_point(problem, state, condition, guess, Apart(flowing, problem.across(flow.pose)))
     trial = evaluate_trial(problem, now, solution, stop_u, select(flowing, flow.pose, solution.newton.pose))
     new, write, node = jax.lax.switch(
         jnp.minimum(now.task, Task.kick),

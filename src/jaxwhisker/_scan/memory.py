@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.implicit import without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import beyond
 from jaxwhisker._equilibrium.contact_state import Places
-from jaxwhisker._equilibrium.implicit import Sides, event_points, without_rule
+from jaxwhisker._equilibrium.implicit import Sides, event_points
 from jaxwhisker._equilibrium.newton import contact_parameters
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.path import STOP, Node, Path
@@ -113,7 +114,9 @@ def _after(
     """Control of a node and the places where contacts stick from there on."""
     _, places = carry
     at, _ = event_point(problem, node, previous)
-    point = event_points(Sides(at.point, None), problem, Sides(at.state, None), at.along, at.row, at.turning).before
+    point = event_points(
+        Sides(at.point, None), problem, Sides(at.state, None), at.along, at.condition, at.turning
+    ).before
     here = contact_parameters(problem, point.z, at.state), beyond(point.z[:, 2], at.state.phase)
     new, old = node.state.places, node.before.places
     assert new is not None and old is not None and node.corner is not None and node.stop is not None

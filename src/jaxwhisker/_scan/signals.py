@@ -17,7 +17,7 @@ from jaxwhisker._equilibrium.friction import lean, slipping_from
 from jaxwhisker._equilibrium.implicit import Sides, Turning, event_control, event_points
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.pieces import break_between
-from jaxwhisker._equilibrium.point import Contacts, Point, Row, at_control, at_event
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control, at_event
 from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, is_snap, select
 from jaxwhisker._scan.result import Events
@@ -137,7 +137,7 @@ def _objects(problem: Problem, state: ContactState) -> dict[str, Array]:
     return {} if number is None else {"contact_object": jnp.where(state.touches, number + 1, 0)}
 
 
-def _event_row(problem: Problem, node: Node) -> Row:
+def _event_condition(problem: Problem, node: Node) -> PathCondition:
     """The equation that defines a node's event; for a node without an event, its control is given."""
     kind, slips, limit = node.kind, None, None
     if problem.friction_angle is not None:
@@ -164,7 +164,7 @@ class EventPoint(NamedTuple):
     point: Point
     state: ContactState  # in which the point is solved for
     along: Point  # direction of the path
-    row: Row
+    condition: PathCondition
     turning: Turning
 
 
@@ -178,35 +178,35 @@ def event_point(problem: Problem, node: Node, previous: Node) -> tuple[EventPoin
     at = jax.tree.map(lambda a, b: jnp.where(corner, a, b), previous, node)
     # A touch is solved for as the contact that begins.
     begun = after = at.kind == EventKind.touch
-    row, turns = _event_row(problem, at), corner & (at.kind == NO_EVENT)
+    condition, turns = _event_condition(problem, at), corner & (at.kind == NO_EVENT)
     sticks = None
     if node.corner is not None:
         # The node before is the outcome of an event itself, and its control is known.
         known = corner & at.corner
         after, turns = after | known, turns & ~known
-        row = select(known, at_control(at.point.u, at.point.z), row)
+        condition = select(known, at_control(at.point.u, at.point.z), condition)
         sticks = turns & (node.kind == EventKind.stick) & node.whiskers
     state = select(after, at.state, at.before)
     before = select(begun, at.before, state)
     along = select(after, at.leaving, at.arriving)
     point = Point(jnp.where(after, at.point.z, at.z_before), at.point.u)
-    return EventPoint(point, state, along, row, Turning(turns & is_snap(node.kind), sticks)), before
+    return EventPoint(point, state, along, condition, Turning(turns & is_snap(node.kind), sticks)), before
 
 
 def control_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Scalar, ContactState]:
     """Control of an event, with derivatives, and the contact state before it."""
     at, state = event_point(problem, node, previous)
     if at.turning.slip is not None:
-        points = event_points(Sides(at.point, None), problem, Sides(at.state, None), at.along, at.row, at.turning)
+        points = event_points(Sides(at.point, None), problem, Sides(at.state, None), at.along, at.condition, at.turning)
         return points.before.u, state
-    return event_control(at.point, problem, at.state, at.along, at.row, at.turning.control), state
+    return event_control(at.point, problem, at.state, at.along, at.condition, at.turning.control), state
 
 
 def _points_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Sides, Sides]:
     """Points before and after an event, with derivatives, and their contact states."""
     at, before = event_point(problem, node, previous)
     points = Sides(at.point, Point(node.point.z, at.point.u))
-    points = event_points(points, problem, Sides(at.state, node.state), at.along, at.row, at.turning)
+    points = event_points(points, problem, Sides(at.state, node.state), at.along, at.condition, at.turning)
     return points, Sides(before, node.state)
 
 

@@ -19,7 +19,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import Apart, newton_step
-from jaxwhisker._equilibrium.point import Contacts, Point, Row, at_control, dot, scale_of, unit
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import Poses, Problem
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._model.scene import Scene
@@ -109,7 +109,7 @@ def _leaving(problem: Problem, state: ContactState, before: Node) -> tuple[Point
     """Tangent of the path at a node, for contacts and for bases, and the poses of the bases."""
     point, leaving = before.point, before.leaving
     scale, none = scale_of(point.z), jnp.zeros_like(point.z[:, 0])
-    here = newton_step(problem, state, Row(leaving.z / scale**2, point.z, leaving.u, point.u, none), point)
+    here = newton_step(problem, state, PathCondition(leaving.z / scale**2, point.z, leaving.u, point.u, none), point)
     tangent, length = unit(here.tangent, point.z)
     sign = jnp.where(dot(leaving, tangent, scale) < 0, -1.0, 1.0)
     return Point(sign * tangent.z, sign * tangent.u), sign / length * here.tangent_pose, here.pose
