@@ -31,6 +31,9 @@ from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Load, Material, RodState, Section, moment
 
+FORCE, PARAMETER, SLACK = range(3)  # numbers of a contact z
+LEAN = PARAMETER  # of a contact that sticks
+
 
 class Phase(NamedInt):
     """Contact phase of a whisker."""
@@ -130,7 +133,8 @@ def parameter(
     friction: Friction | None,
 ) -> Scalar:
     """The profile's parameter at the contact z."""
-    return z[1] if friction is None else contact_parameter(profile, z[1], beyond(z[2], phase), side, friction)
+    known = z[PARAMETER]
+    return known if friction is None else contact_parameter(profile, known, beyond(z[SLACK], phase), side, friction)
 
 
 def across_force(
@@ -179,25 +183,25 @@ def base(
     if body.sprung is not None:
         return _sprung_base(body, body.sprung, z, phase, side, friction, rates)
     at, leans, angle = contact_of(body, z, phase, side, friction)
-    s = arc(body, z[2], phase)
+    s = arc(body, z[SLACK], phase)
     if body.section is None:
-        end = rod_end(z[0] / body.bending_stiffness, s, angle, body.rod, rates)
+        end = rod_end(z[FORCE] / body.bending_stiffness, s, angle, body.rod, rates)
     else:
         assert isinstance(body.section, Section)  # of one whisker
         section = dataclasses.replace(body.section, orientation=side)
-        end = uneven_rod_end(z[0], s, angle, section, body.rod, rates)
-    return in_scene(at, leans, end, z[0], side)
+        end = uneven_rod_end(z[FORCE], s, angle, section, body.rod, rates)
+    return in_scene(at, leans, end, z[FORCE], side)
 
 
 def contact_of(
     body: WhiskerAtObject, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
 ) -> tuple[ContactPoint, Float[Array, ""] | None, Float[Array, ""]]:
     """The contact point, the lean of the force, and the angle of the whisker to the normal of the force there."""
-    angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
+    angle = jnp.where(phase == Phase.tip, -z[SLACK], 0.0)
     p = parameter(body.profile.on(body.piece), z, phase, side, friction)
     if body.sprung is not None:
         p = jnp.where(phase == Phase.free, body.sprung.placeholder_parameter, p)
-    leans = lean(z[1], friction, body.friction_angle)
+    leans = lean(z[LEAN], friction, body.friction_angle)
     return body.profile.point_on(body.piece, p), leans, angle if leans is None else angle + side * leans
 
 
@@ -217,8 +221,8 @@ def start_of(
     """State of the rod and the load on it, at the contact or at the tip of a free whisker; and the contact."""
     assert body.sprung is not None
     at, leans, angle = contact_of(body, z, phase, side, friction)
-    zero, free, drive = jnp.zeros_like(z[0]), phase == Phase.free, body.sprung.drive
-    placed = in_scene(at, leans, jnp.stack([zero, zero, jnp.cos(angle), jnp.sin(angle)]), z[0], side)
+    zero, free, drive = jnp.zeros_like(z[FORCE]), phase == Phase.free, body.sprung.drive
+    placed = in_scene(at, leans, jnp.stack([zero, zero, jnp.cos(angle), jnp.sin(angle)]), z[FORCE], side)
     cos, sin = -jnp.sin(z[2]), jnp.cos(z[2])
     tip = (
         drive.x + z[0] * drive.cos - z[1] * drive.sin,
@@ -242,7 +246,7 @@ def _sprung_base(
     rates: AbstractRod,
 ) -> Base:
     start, load, placed = start_of(body, z, phase, side, friction)
-    s = arc(body, z[2], phase)
+    s = arc(body, z[SLACK], phase)
     given = start, load, s, material_of(body), sprung.held_by, body.laws, sprung.drive, body.rod, rates
     (x, y, cos, sin), total, above, places = base_of_walk(*given)
     below = jax.tree.map(jnp.subtract, total, above)

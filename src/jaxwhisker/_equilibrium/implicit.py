@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base.implicit import without_rule
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import BaseEquations, Linearised
+from jaxwhisker._equilibrium.contact import FORCE, BaseEquations, Linearised
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import Places, as_contacts, law_of, loads_in
 from jaxwhisker._equilibrium.friction import Friction
@@ -282,7 +282,7 @@ def _(primals, tangents):
 def _across(here: Point, along: Point) -> PathCondition:
     """The condition of a plane through a point of the path, transverse to the path."""
     weight = jax.lax.stop_gradient(Point(along.z / scale_of(here.z) ** 2, along.u))  # any such plane would do
-    return PathCondition(weight.z, here.z, weight.u, here.u, jnp.zeros_like(here.z[:, 0]))
+    return PathCondition(weight.z, here.z, weight.u, here.u, jnp.zeros_like(here.z[:, FORCE]))
 
 
 def _distance(vanishing: Callable, here: Point, linear: _ImplicitStep, holds: Bool[Array, ""], known, known_dot):

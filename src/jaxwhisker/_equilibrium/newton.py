@@ -27,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.linear_algebra import block_diagonal, solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import BaseEquations, Linearised, Phase, of_each
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, PARAMETER, SLACK, BaseEquations, Linearised, Phase, of_each
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import Coupled, Rows, as_contacts, loads_in, rows
 from jaxwhisker._equilibrium.friction import Friction
@@ -89,7 +89,7 @@ def load_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]
 
 def slip_by_contact(problem: Problem, z: Contacts, state: ContactState) -> Contacts:
     """Derivatives of the distances slipped along the object, positive towards +x, of contacts that slip."""
-    speeds = jax.vmap(lambda piece, p: problem.profile.on(piece).speed(p))(state.piece, z[:, 1])
+    speeds = jax.vmap(lambda piece, p: problem.profile.on(piece).speed(p))(state.piece, z[:, PARAMETER])
     return _widened(jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(state.side, state.phase)], axis=1), z)
 
 
@@ -111,7 +111,7 @@ LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is
 
 def is_light(state: ContactState, z: Contacts) -> Bool[Array, " whiskers"]:
     """Whether contacts stick whose force is too small for its lean to be known."""
-    return state.sticks & (z[:, 0] <= LIGHT)
+    return state.sticks & (z[:, FORCE] <= LIGHT)
 
 
 def with_slips(
@@ -125,13 +125,13 @@ def with_slips(
     friction = Friction(
         slip,
         jnp.where(begins, at, old.parameter),
-        jnp.where(begins, contact.beyond(z[:, 2], state.phase), old.beyond),
+        jnp.where(begins, contact.beyond(z[:, SLACK], state.phase), old.beyond),
     )
-    leans = jnp.clip(jnp.where(old.slip == 0, z[:, 1], old.slip * limit), -limit, limit)
-    light = begins & (z[:, 0] <= LIGHT)
+    leans = jnp.clip(jnp.where(old.slip == 0, z[:, LEAN], old.slip * limit), -limit, limit)
+    light = begins & (z[:, FORCE] <= LIGHT)
     # A first guess: the force that begins to bend a straight whisker acts across it.
-    leans = jnp.where(light, state.side * jnp.minimum(z[:, 2], 0.0), leans)
-    z = z.at[:, 0].set(jnp.where(light, LIGHT, z[:, 0])).at[:, 1].set(jnp.where(slip == 0, leans, at))
+    leans = jnp.where(light, state.side * jnp.minimum(z[:, SLACK], 0.0), leans)
+    z = z.at[:, FORCE].set(jnp.where(light, LIGHT, z[:, FORCE])).at[:, LEAN].set(jnp.where(slip == 0, leans, at))
     return z, state._replace(friction=friction)
 
 

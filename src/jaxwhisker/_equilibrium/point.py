@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK
 from jaxwhisker._equilibrium.problem import Contacts, PerWhisker
 
 
@@ -46,14 +47,14 @@ def at_control(u: Scalar, like: Contacts) -> PathCondition:
 def at_force(whiskers: Bool[Array, " whiskers"], at: Contacts) -> PathCondition:
     """The condition that the forces of these whiskers have the sum that they have in `at`."""
     none = jnp.zeros_like(at)
-    return PathCondition(none.at[:, 0].set(whiskers), at, jnp.asarray(0.0), jnp.asarray(0.0), none[:, 0])
+    return PathCondition(none.at[:, FORCE].set(whiskers), at, jnp.asarray(0.0), jnp.asarray(0.0), none[:, 0])
 
 
 def at_arc_length(point: Point, tangent: Point, distance: Scalar) -> PathCondition:
     """The condition of the plane normal to the tangent, at a distance ahead of the point (pseudo-arclength)."""
     scale = scale_of(point.z)
     ahead = along(point, tangent, distance)
-    return PathCondition(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, 0]))
+    return PathCondition(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, FORCE]))
 
 
 def at_event(
@@ -83,15 +84,15 @@ def at_event(
         u0: the control.
     """
     none, one = jnp.zeros_like(like), whiskers.astype(float)
-    weight, z0 = none.at[:, 0].set(one * unloaded).at[:, 2].set(one * phase), none
+    weight, z0 = none.at[:, FORCE].set(one * unloaded).at[:, SLACK].set(one * phase), none
     if lean is not None:
-        weight, z0 = weight.at[:, 1].set(one * lean), none.at[:, 1].set(limit)
+        weight, z0 = weight.at[:, LEAN].set(one * lean), none.at[:, LEAN].set(limit)
     return PathCondition(weight, z0, control.astype(float), u0, one * vertex)
 
 
 def scale_of(z: Contacts) -> Contacts:
     """Scale in which changes of a contact are measured: 1 + |force| for forces, 1 for the others."""
-    scale = jnp.ones_like(z).at[..., 0].add(jnp.abs(z[..., 0]))
+    scale = jnp.ones_like(z).at[..., FORCE].add(jnp.abs(z[..., FORCE]))
     return scale if z.shape[-1] == 3 else scale.at[..., 3:].add(jnp.abs(z[..., 3:]))
 
 

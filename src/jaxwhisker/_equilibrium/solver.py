@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._equilibrium.contact import FORCE, LEAN
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import Apart, NewtonStep, newton_step
 from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, scale_of
@@ -70,9 +71,9 @@ def _of_sticking(changes: Contacts, z: Contacts, state: ContactState) -> Contact
     Next to a small force, small changes of the other unknowns matter.
     """
     sticks = state.sticks[..., None]
-    force = jnp.clip(z[..., 0], SMALLEST, 1.0)
+    force = jnp.clip(z[..., FORCE], SMALLEST, 1.0)
     others = jnp.broadcast_to(jnp.maximum(SMALL / force, 1.0)[..., None], changes.shape)
-    weight = others.at[..., 1].set(jnp.maximum(FINER * force, 1.0))
+    weight = others.at[..., LEAN].set(jnp.maximum(FINER * force, 1.0))
     return changes * jnp.where(sticks, weight, 1.0)
 
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._equilibrium.contact import FORCE, LEAN
 from jaxwhisker._equilibrium.newton import LIGHT, is_light, slip_by_contact, slope_sines, with_slips
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import PerWhisker, Problem
@@ -70,7 +71,7 @@ def after_arrive(
     if march.state.friction is not None:
         # The lean of a contact that sticks from its first touch is not known beforehand.
         starts = is_light(march.state, march.point.z)
-        moved = moved._replace(z=moved.z.at[:, 1].multiply(~starts))
+        moved = moved._replace(z=moved.z.at[:, LEAN].multiply(~starts))
         node = node._replace(travel=node.travel + jnp.where(jnp.any(starts), direction * moved.u, 0.0))
     near = trial.solution.converged & (dot(moved, moved, scale_of(march.point.z)) < ARRIVAL_MISS**2)
     # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
@@ -117,12 +118,12 @@ def _changed_slips(
     onwards = slips_on(problem, march.state, point.z, tangent.z)
     assert friction is not None and limit is not None and onwards is not None
     assert march.tries is not None and march.rests is not None
-    slip, force, leans = friction.slip, point.z[:, 0], point.z[:, 1]
+    slip, force, leans = friction.slip, point.z[:, FORCE], point.z[:, LEAN]
     # A contact that has just begun may slip either way or, if neither presses on, stick.
     unloaded = (slip != 0) & (force <= LIGHT)
     backwards = (onwards < -SLIP_NOISE) | (march.state.touches & unloaded & falls & (limit > 0))
     sticks = march.state.sticks
-    exceeds = (jnp.abs(leans) > limit - SLIP_NOISE) & (jnp.sign(leans) * tangent.z[:, 1] > SLIP_NOISE)
+    exceeds = (jnp.abs(leans) > limit - SLIP_NOISE) & (jnp.sign(leans) * tangent.z[:, LEAN] > SLIP_NOISE)
     # A contact that sticks from its first touch may have a lean that no friction allows.
     allowed = jnp.abs(leans) < limit + LEAN_NOISE
     exceeds = sticks & ~march.rests & (exceeds | (~allowed & is_light(march.state, march.point.z)))
@@ -153,7 +154,7 @@ def with_changed_slips(
     if not rest:
         starts = is_light(state, z) & (before.slip != 0)
         known, leans = _first_leans(problem, march, arriving)
-        z = z.at[:, 1].set(jnp.where(starts & known, leans, z[:, 1]))
+        z = z.at[:, LEAN].set(jnp.where(starts & known, leans, z[:, LEAN]))
     fresh = march.tries == 0
     # Slips at an event are changed after the event itself.
     z_before = jnp.where(fresh, node.point.z, march.pending.z_before)
@@ -173,15 +174,15 @@ def with_changed_slips(
         whiskers=sticks | begins,
         corner=jnp.asarray(True),
     )
-    inwards = jnp.zeros_like(z).at[:, 1].set(-before.slip.astype(float))
+    inwards = jnp.zeros_like(z).at[:, LEAN].set(-before.slip.astype(float))
     starts = is_light(state, z)[:, None]
-    inwards = jnp.where(starts, jnp.zeros_like(z).at[:, 0].set(1.0), inwards)
+    inwards = jnp.where(starts, jnp.zeros_like(z).at[:, FORCE].set(1.0), inwards)
     ahead = state.friction.slip[:, None] * slip_by_contact(problem, z, state)
     lead = jnp.where((slip == 0)[:, None], inwards, ahead)
     weights = Lead(jnp.where(changes[:, None], lead, 0.0), jnp.zeros_like(march.pose), jnp.asarray(0.0))
     if rest:
         # A lean does not change at first; all else goes on as before.
-        same = jnp.where(changes[:, None], arriving.z.at[:, 1].set(0.0), arriving.z)
+        same = jnp.where(changes[:, None], arriving.z.at[:, LEAN].set(0.0), arriving.z)
         weights = weights._replace(z=same, u=arriving.u)
     return march._replace(
         task=jnp.asarray(int(Task.arrive)),
@@ -205,7 +206,7 @@ def _first_leans(problem: Problem, march: MarchState, tangent: Point) -> tuple[B
     assert friction is not None and limit is not None
     by_contact = slip_by_contact(problem, march.point.z, march.state)
     rate, other_rate = (jnp.sum(by_contact * one.z, axis=-1) for one in (tangent, other))
-    force, other_force = other_rate * tangent.z[:, 0], -rate * other.z[:, 0]
+    force, other_force = other_rate * tangent.z[:, FORCE], -rate * other.z[:, FORCE]
     onwards = jnp.where(march.direction * (other_rate * tangent.u - rate * other.u) < 0, -1.0, 1.0)
     across = friction.slip * jnp.sin(limit) * (force - other_force)
     along = jnp.cos(limit) * (force + other_force)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase, beyond
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, PARAMETER, SLACK, Phase, beyond
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
@@ -155,7 +155,7 @@ def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop
     here, there = problem.stances((before.u, march.pose, before.z), (after.u, pose, after.z))
     arriving = _direction_of_parabola(march, solution, free, there)
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
-    convex = jax.vmap(problem.profile.convex_on)(march.state.piece, solution.point.z[:, 1])
+    convex = jax.vmap(problem.profile.convex_on)(march.state.piece, solution.point.z[:, PARAMETER])
     sound, reason = _soundness(problem, convex | free, solution.point.z, march.state.phase)
     margins_there = _margins_at(problem, march, solution.point, there, stop_u)
     # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
@@ -186,7 +186,7 @@ def _soundness(
     """Whether contacts lie on a convex part of the profile and above all springs, and the status if they do not."""
     if problem.attached is None:
         return jnp.all(convex), Status.not_convex
-    arcs = problem.length - beyond(z[:, 2], phase)
+    arcs = problem.length - beyond(z[:, SLACK], phase)
     above = jnp.all((phase == Phase.free) | (arcs >= problem.attached.held_by.top))
     return jnp.all(convex) & above, jnp.where(above, int(Status.not_convex), int(Status.at_spring))
 
@@ -203,7 +203,7 @@ def slips_on(problem: Problem, state: ContactState, z: Contacts, z_rate: Contact
 def loaded_slips_on(problem: Problem, state: ContactState, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
     """The same, infinite also for contacts of hardly any force: these of straight whiskers slip at no rate."""
     rates = slips_on(problem, state, z, z_rate)
-    return None if rates is None else jnp.where(z[:, 0] > LIGHT, rates, jnp.inf)
+    return None if rates is None else jnp.where(z[:, FORCE] > LIGHT, rates, jnp.inf)
 
 
 def _direction_of_parabola(
@@ -230,7 +230,7 @@ def _margins_at(problem: Problem, march: MarchState, point: Point, at: Stance, s
     z, ends = point.z, _ends(problem, march.state)
     if ends is not None:
         # Beyond its piece, the slope of a contact means nothing.
-        z = z.at[:, 1].set(jnp.clip(z[:, 1], *ends))
+        z = z.at[:, PARAMETER].set(jnp.clip(z[:, PARAMETER], *ends))
     ahead = march.before_vertex * slope_sines(problem, z, march.state)
     if ends is not None:
         ahead += LEVEL
@@ -268,7 +268,7 @@ def first_violated(march: MarchState, trial: Trial, distance: Scalar) -> tuple[B
     whiskers = np.concatenate([of & (k != AT_STOP) for k, of in enumerate(each)])
     lean = None
     if trial.friction_angle is not None:
-        lean = jnp.sign(trial.solution.point.z[:, 1]) * trial.friction_angle
+        lean = jnp.sign(trial.solution.point.z[:, LEAN]) * trial.friction_angle
     kind, whisker = jnp.asarray(kinds)[first], jnp.asarray(whiskers)[first]
     if trial.ends is not None and piece is not None:
         low, high = trial.ends

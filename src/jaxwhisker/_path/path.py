@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import NamedInt, Scalar
-from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, PARAMETER, SLACK, Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Point
@@ -172,15 +172,15 @@ def margins(
 
 def margin_rates(problem: Problem, state: ContactState, point: Point, direction: Point, pose_rate: Poses) -> Margins:
     """Derivatives of the margins along the path; zero for vertex and stop, which are passed only once."""
-    free, lean = state.free, point.z[:, 1]
-    moves = jnp.where(free, 0.0, direction.z[:, 1]) if problem.profile.has_edges else NOTHING
+    free, lean = state.free, point.z[:, LEAN]
+    moves = jnp.where(free, 0.0, direction.z[:, PARAMETER]) if problem.profile.has_edges else NOTHING
     return Margins(
         touch=jnp.where(free, problem.touch_rate(state.standing, pose_rate), 0.0),
-        release=jnp.where(free, 0.0, direction.z[:, 0]),
-        phase=jnp.where(free, 0.0, jnp.where(state.phase == Phase.tip, -1.0, 1.0) * direction.z[:, 2]),
+        release=jnp.where(free, 0.0, direction.z[:, FORCE]),
+        phase=jnp.where(free, 0.0, jnp.where(state.phase == Phase.tip, -1.0, 1.0) * direction.z[:, SLACK]),
         vertex=jnp.zeros_like(state.side),
         stop=jnp.zeros(1),
-        slip=_sticking(state, lambda _: -jnp.sign(lean) * direction.z[:, 1], problem.friction_angle, 0.0),
+        slip=_sticking(state, lambda _: -jnp.sign(lean) * direction.z[:, LEAN], problem.friction_angle, 0.0),
         low=moves,
         high=-moves,
     )

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import FORCE, LEAN
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, with_slips
@@ -56,7 +57,7 @@ def after_flow(problem: Problem, march: MarchState, proposed: snap_flow.Flow, tr
         # The first step goes along the path at a fixed drive, but frames that move with the drive move along the path.
         converged &= ~(astray & ((march.task != Task.kick) | (not problem.frames_move)))
         # The first step must not leave the object: contacts may be lighter than it is long.
-        converged &= (march.task != Task.kick) | ~jnp.any(march.state.touches & (solution.point.z[:, 0] < 0))
+        converged &= (march.task != Task.kick) | ~jnp.any(march.state.touches & (solution.point.z[:, FORCE] < 0))
         found = disagreement(problem, march.flow, march.state, march.point.z, solution.point.z)
         stuck, other = with_slips(problem, march.point.z, march.state, found.slip)
         again = march._replace(
@@ -102,15 +103,15 @@ def disagreement(problem: Problem, flow: Flow, state: ContactState, previous: Co
     start, middle, end = (slip_by_contact(problem, at, state) for at in (previous, (previous + z) / 2, z))
     slipped = slip * jnp.sum((start + 4 * middle + end) / 6 * (z - previous), axis=-1)
     # A contact that has landed beyond its place goes back to it.
-    back = known & (slip != 0) & (slipped < -SLIPPED) & (~flow.landing | (previous[:, 0] <= LIGHT))
-    way = jnp.sign(z[:, 1])
-    before, after = way * previous[:, 1], way * z[:, 1]
+    back = known & (slip != 0) & (slipped < -SLIPPED) & (~flow.landing | (previous[:, FORCE] <= LIGHT))
+    way = jnp.sign(z[:, LEAN])
+    before, after = way * previous[:, LEAN], way * z[:, LEAN]
     # While a branch is unknown nobody moves, but solving for the first point on it may change a lean.
     leans = known & (slip == 0) & (after > limit + LEANING) & (after > before)
     at_limit = leans & (before > limit - AT_LIMIT)
     wrong = back | at_limit
     # A contact that has just begun may slip either way or, if neither agrees with its motion, stick.
-    unloaded = (previous[:, 0] <= LIGHT) & (slip == slipping_from(state.side).slip)
+    unloaded = (previous[:, FORCE] <= LIGHT) & (slip == slipping_from(state.side).slip)
     after_back = jnp.where((limit > 0) & ~unloaded, 0, -slip)
     changed = jnp.where(back, after_back, way.astype(int))
     # Half of the tolerance is left for the curvature of the branch.
@@ -127,8 +128,8 @@ def goes_astray(state: ContactState, previous: Contacts, guess: Contacts, z: Con
     assert state.friction is not None
     scale = scale_of(previous)
     # The leans of small forces are not accurate.
-    weight = jnp.where(state.friction.slip == 0, jnp.clip(previous[:, 0], 0.0, 1.0), 1.0)
-    scale = scale.at[:, 1].divide(jnp.maximum(weight, LIGHT))
+    weight = jnp.where(state.friction.slip == 0, jnp.clip(previous[:, FORCE], 0.0, 1.0), 1.0)
+    scale = scale.at[:, LEAN].divide(jnp.maximum(weight, LIGHT))
     step, miss = (jnp.max(jnp.abs(difference) / scale) for difference in (guess - previous, z - guess))
     return (step > 0) & (miss > ASTRAY * step)
 

@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase, across_force
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK, Phase, across_force
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.friction import lean
 from jaxwhisker._equilibrium.newton import Condensed, contact_parameters
@@ -237,13 +237,13 @@ def _slip(
         # A whisker past the fold of its own branch may be held by springs to others.
         holds |= clamped_is_stable(problem, state, condensed)
     force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
-    ends = ~free & ~slipping & (z[:, 0] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
+    ends = ~free & ~slipping & (z[:, FORCE] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
     contact = jax.vmap(problem.profile.point_on)(state.piece, contact_parameters(problem, z, state))
     base = problem.in_scene(u, pose)
-    cos, sin = across_force(contact, lean(z[:, 1], state.friction, problem.friction_angle))
+    cos, sin = across_force(contact, lean(z[:, LEAN], state.friction, problem.friction_angle))
     unbent = state.side * ((contact.x - base.x) * cos + (contact.y - base.y) * sin) <= 0
-    lands = flow.sliding & (unbent | (z[:, 0] < 0))
+    lands = flow.sliding & (unbent | (z[:, FORCE] < 0))
     if state.beside is not None:
         return _slip_among_objects(problem, state, state.beside, at, _Slip(slips, slips, ends, free, lands, holds))
     near = at.first(state.side)
@@ -290,7 +290,7 @@ def advance(
     if piece is not None and edges:
         # The first point on a new piece is solved for from its end, and may lie a little beyond it.
         piece, z = after_step(problem.profile, piece, previous, z, ~free & branch_known(flow))
-    phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
+    phase = jnp.where(free, Phase.free, jnp.where(z[:, SLACK] > 0, Phase.tangential, Phase.tip))
     turned = (phase != state.phase) & ~free
     if piece is not None and edges:
         turned |= piece != state.piece
@@ -322,7 +322,7 @@ def advance(
 
     gap, landing = jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf), slip.lands
     iterations = flow.iterations + 1
-    missed = jnp.any(flow.landing & ~slip.holds & ~fresh & (z[:, 0] > 0))
+    missed = jnp.any(flow.landing & ~slip.holds & ~fresh & (z[:, FORCE] > 0))
     if among is not None:
         nearest = at.first(now.standing)
         gap = jnp.min(jnp.where(nearest.reaches, jnp.abs(at.x - nearest.x), jnp.inf), axis=0)

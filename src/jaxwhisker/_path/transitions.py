@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
 from jaxwhisker._equilibrium.couplings import as_contacts
 from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, slope_sines, with_slips
 from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of
@@ -99,7 +99,7 @@ def after_advance(problem: Problem, march: MarchState, trial: Trial, guess: Poin
     if march.state.friction is not None:
         # A stable path does not turn back. A nearly straight whisker that sticks has another equilibrium close by.
         good &= ~trial.stable | (march.turn(trial.tangent) > -FOLD_SLOPE)
-        good &= _forces_are_near(march, guess.z[:, 0], trial.solution.point.z[:, 0])
+        good &= _forces_are_near(march, guess.z[:, FORCE], trial.solution.point.z[:, FORCE])
     violated, target = first_violated(march, trial, march.step)
     dips, share = dip(problem, march, trial, march.step)
     dips &= ~violated
@@ -146,7 +146,7 @@ def _forces_are_near(march: MarchState, guess: PerWhisker, force: PerWhisker) ->
     Without any force, a contact at rest satisfies the equations with every lean: where forces are small, Newton's
     method may arrive there.
     """
-    size = jnp.maximum(jnp.abs(guess), march.point.z[:, 0])
+    size = jnp.maximum(jnp.abs(guess), march.point.z[:, FORCE])
     return jnp.all(~march.state.sticks | (jnp.abs(force - guess) < FORCE_ERROR * size))
 
 
@@ -207,10 +207,10 @@ def after_event(problem: Problem, march: MarchState, trial: Trial):
     cases = []
     if problem.frames_move:
         # Where the whisker touches, its tip may point the other way than where it was expected to touch.
-        tip, slack = target.phase == Phase.tip, jnp.where(change.touches, solution.point.z[:, 2], 0.0)
+        tip, slack = target.phase == Phase.tip, jnp.where(change.touches, solution.point.z[:, SLACK], 0.0)
         other = solution.converged & (jnp.where(tip, slack, -slack) > MARGIN_NOISE)
         phase = jnp.where(other, jnp.where(tip, Phase.tangential, Phase.tip), target.phase)
-        contact = target.contact.at[:, 2].multiply(~other)
+        contact = target.contact.at[:, SLACK].multiply(~other)
         cases = [(jnp.any(other), march._replace(target=target._replace(phase=phase, contact=contact)))]
     new = first_case(
         *cases,
@@ -250,7 +250,7 @@ def _event_node(problem: Problem, march: MarchState, trial: Trial, change: _Chan
     if change.passes is not None and state.piece is not None and target.piece is not None:
         state = state._replace(piece=jnp.where(change.passes, target.piece, state.piece))
     z = jnp.where(change.released[:, None], trial.stance.contact_if_free, solution.point.z)
-    z = z.at[:, 2].set(jnp.where(change.phase, 0.0, z[:, 2]))
+    z = z.at[:, SLACK].set(jnp.where(change.phase, 0.0, z[:, SLACK]))
     if state.friction is not None and target.lean is not None:
         slip = jnp.where(change.slips, jnp.sign(target.lean).astype(int), state.friction.slip)
         z, state = with_slips(problem, z, state, slip)
@@ -271,8 +271,8 @@ def _arrived(problem: Problem, march: MarchState, trial: Trial, change: _Change,
     """The state at an event, before the direction in which the path leaves is determined."""
     kind, scale = march.target.kind, scale_of(march.point.z)
     tip = march.state.phase == Phase.tip
-    lead_z = jnp.zeros_like(node.point.z).at[:, 0].set(change.touches)
-    lead_z = lead_z.at[:, 2].set(change.phase * jnp.where(tip, 1.0, -1.0))
+    lead_z = jnp.zeros_like(node.point.z).at[:, FORCE].set(change.touches)
+    lead_z = lead_z.at[:, SLACK].set(change.phase * jnp.where(tip, 1.0, -1.0))
     # If the mode does not change, the path continues as it arrives.
     stops = kind == AT_STOP
     smooth = stops | (kind == VERTEX)
@@ -282,7 +282,7 @@ def _arrived(problem: Problem, march: MarchState, trial: Trial, change: _Change,
     lead_z += jnp.where(smooth, march.tangent.z / scale**2, 0.0)
     lead_u = jnp.where(smooth, march.tangent.u, 0.0)
     if change.passes is not None:
-        lead_z = lead_z.at[:, 1].add(change.passes * jnp.where(kind == LOW, -1.0, 1.0))
+        lead_z = lead_z.at[:, PARAMETER].add(change.passes * jnp.where(kind == LOW, -1.0, 1.0))
     # A whisker is released in the direction in which its contact would have to pull.
     condensed = trial.solution.newton.condensed
     by_pose, by_u = _pulling(condensed)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
 from jaxwhisker._equilibrium.clearance import cross, meets_again
-from jaxwhisker._equilibrium.contact import of_each
+from jaxwhisker._equilibrium.contact import FORCE, SLACK, of_each
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.other_objects import meets, passes
@@ -71,7 +71,7 @@ def _shafts(problem: Problem, point: Point, state: ContactState, kinds: Kinds) -
     z, phase = with_dummy_contacts(problem, point.z, state.phase)
     bodies = problem.bodies(point.u, z, state.piece)
     if problem.attached is None:
-        z = z.at[:, 0].set(jnp.where(free, 0.0, z[:, 0]))
+        z = z.at[:, FORCE].set(jnp.where(free, 0.0, z[:, FORCE]))
     shafts = of_each(bodies, shaft, z, phase, state.side, state.friction)
     if "crossing" not in kinds or problem.attached is not None:  # no need to know where free whiskers are
         return shafts
@@ -196,7 +196,7 @@ def _energy(problem: Problem, point: Point, state: ContactState) -> Scalar:
     z, phase = with_dummy_contacts(problem, point.z, state.phase)
     bodies = problem.bodies(point.u, z, state.piece)
     base = of_each(bodies, contact.base, z, phase, state.side, state.friction)
-    s = of_each(bodies, contact.arc, z[:, 2], phase)
+    s = of_each(bodies, contact.arc, z[:, SLACK], phase)
     density = base.bend**2 / (2 * problem.bending_stiffness) + base.force_x * base.cos + base.force_y * base.sin
     way = base.force_x * (base.contact_x - base.x) + base.force_y * (base.contact_y - base.y)
     load = newton.load_of(of_each(bodies, contact.in_base_frame, base), problem.axes)

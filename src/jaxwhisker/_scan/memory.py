@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.implicit import without_rule
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import beyond
+from jaxwhisker._equilibrium.contact import SLACK, beyond
 from jaxwhisker._equilibrium.contact_state import Places
 from jaxwhisker._equilibrium.implicit import Sides, event_points
 from jaxwhisker._equilibrium.newton import contact_parameters
@@ -117,7 +117,7 @@ def _after(
     point = event_points(
         Sides(at.point, None), problem, Sides(at.state, None), at.along, at.condition, at.turning
     ).before
-    here = contact_parameters(problem, point.z, at.state), beyond(point.z[:, 2], at.state.phase)
+    here = contact_parameters(problem, point.z, at.state), beyond(point.z[:, SLACK], at.state.phase)
     new, old = node.state.places, node.before.places
     assert new is not None and old is not None and node.corner is not None and node.stop is not None
     differs = node.corner & ((new[0] != old[0]) | (new[1] != old[1]))

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
-from jaxwhisker._equilibrium.contact import Base, Phase, of_each
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK, Base, Phase, of_each
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import law_of, loads_in
 from jaxwhisker._equilibrium.friction import lean, slipping_from
@@ -30,7 +30,7 @@ def signals(problem: Problem, z: Contacts, u: Scalar, state: ContactState) -> tu
     loaded = touching if problem.attached is None else problem.solved(state.phase)
     contacts = with_dummy_contacts(problem, z, state.phase)
     base = of_each(bodies, contact.base, *contacts, state.side, state.friction)
-    arc = of_each(bodies, contact.arc, z[:, 2], state.phase)
+    arc = of_each(bodies, contact.arc, z[:, SLACK], state.phase)
     in_frame = of_each(bodies, contact.in_base_frame, base)
     load = jnp.where(loaded[:, None], newton.load_of(in_frame, problem.axes), 0.0)
     wanted = problem.rest(u) + problem.displacement(load)
@@ -61,12 +61,12 @@ def _residual(
     apart = apart.at[:, 0].divide(1 + jnp.abs(u))
     equalities = [*apart.T, *problem.further_residuals(base, here)]
     # Complementarity: the object only pushes, and the slack has the sign of its phase.
-    excess = jnp.where(state.phase == Phase.tip, z[:, 2], -z[:, 2])
-    inequalities = [-z[:, 0], excess]
-    leans = lean(z[:, 1], state.friction, problem.friction_angle)
+    excess = jnp.where(state.phase == Phase.tip, z[:, SLACK], -z[:, SLACK])
+    inequalities = [-z[:, FORCE], excess]
+    leans = lean(z[:, LEAN], state.friction, problem.friction_angle)
     if leans is not None and problem.friction_angle is not None:
         # The lean of a small force is not known to the same accuracy.
-        inequalities += [(jnp.abs(leans) - problem.friction_angle) * jnp.minimum(z[:, 0], 1.0)]
+        inequalities += [(jnp.abs(leans) - problem.friction_angle) * jnp.minimum(z[:, FORCE], 1.0)]
     equal, excess = jnp.abs(jnp.stack(equalities)), jnp.maximum(jnp.stack(inequalities), 0.0)
     if problem.attached is not None:
         return problem.if_defined(jnp.maximum(jnp.max(equal), jnp.max(jnp.where(touching, excess, 0.0))), here)
@@ -98,7 +98,7 @@ def _state(
         fx=if_loaded(-base.force_x) * unit.force,
         fy=if_loaded(-base.force_y) * unit.force,
         mz=if_loaded(-base.bend) * unit.moment,
-        contact_force=if_touching(z[:, 0]) * unit.force,
+        contact_force=if_touching(z[:, FORCE]) * unit.force,
         contact_slope=if_touching(jnp.arctan2(base.slope_sin, base.slope_cos)),
         contact_arc=if_touching(arc) * unit.length,
         contact_x=if_touching(base.contact_x) * unit.length,
@@ -120,10 +120,10 @@ def _shaft_loads(problem: Problem, z: Contacts) -> tuple[PerWhisker, ...] | None
 
 def _friction(problem: Problem, z: Contacts, state: ContactState) -> dict[str, Array]:
     """Fields of a state with friction."""
-    leans = lean(z[:, 1], state.friction, problem.friction_angle)
+    leans = lean(z[:, LEAN], state.friction, problem.friction_angle)
     if state.friction is None or leans is None:
         return {}
-    touching, force = state.touches, z[:, 0] * problem.unit.force
+    touching, force = state.touches, z[:, FORCE] * problem.unit.force
     return {
         "slip": jnp.where(touching, state.friction.slip, 0),
         "normal_force": jnp.where(touching, force * jnp.cos(leans), 0.0),
@@ -141,7 +141,7 @@ def _event_condition(problem: Problem, node: Node) -> PathCondition:
     """The equation that defines a node's event; for a node without an event, its control is given."""
     kind, slips, limit = node.kind, None, None
     if problem.friction_angle is not None:
-        slips, limit = kind == EventKind.slip, jnp.sign(node.z_before[:, 1]) * problem.friction_angle
+        slips, limit = kind == EventKind.slip, jnp.sign(node.z_before[:, LEAN]) * problem.friction_angle
     before, after = node.before.piece, node.state.piece
     if problem.profile.has_edges and before is not None and after is not None:
         slips, limit = kind == EventKind.edge, break_between(problem.profile, before, after)

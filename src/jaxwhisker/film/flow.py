@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import FORCE
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import Apart, newton_step
@@ -108,7 +109,7 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
 def _leaving(problem: Problem, state: ContactState, before: Node) -> tuple[Point, Poses, Poses]:
     """Tangent of the path at a node, for contacts and for bases, and the poses of the bases."""
     point, leaving = before.point, before.leaving
-    scale, none = scale_of(point.z), jnp.zeros_like(point.z[:, 0])
+    scale, none = scale_of(point.z), jnp.zeros_like(point.z[:, FORCE])
     here = newton_step(problem, state, PathCondition(leaving.z / scale**2, point.z, leaving.u, point.u, none), point)
     tangent, length = unit(here.tangent, point.z)
     sign = jnp.where(dot(leaving, tangent, scale) < 0, -1.0, 1.0)
