@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import FORCE, LEAN, PARAMETER, SLACK, Phase, beyond
 from jaxwhisker._equilibrium.contact_state import ContactState
@@ -297,7 +298,7 @@ def dip(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> 
     start = distance * _flat(rates(march.point, march.tangent, march.tangent_pose))
     end = distance * _flat(rates(trial.solution.point, trial.tangent, trial.tangent_pose))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
-    within = now + t * (start + t * ((3 * (then - now) - 2 * start - end) + t * (start + end - 2 * (then - now))))
+    within = Cubic(now, then, start, end).value(t)
     # The margin of an event just passed is zero at the start; rounding must not count as a dip.
     within = jnp.where((start < 0) & (end > 0) & jnp.isfinite(within), within, 0.0)
     return jnp.any(within < -MARGIN_NOISE), t[jnp.argmin(jnp.min(within, axis=1)), 0]

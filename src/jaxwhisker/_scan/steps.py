@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.implicit import solved
@@ -37,21 +38,19 @@ def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
     into = dot(here.leaving, there.arriving, scale)
     into = jnp.where(into > 0, into, 1.0)
 
-    def cubic(start, end, leaving, arriving, t):
-        leaving, arriving = leaving * length, arriving * length / into
-        bend = 3 * (end - start) - 2 * leaving - arriving
-        twist = leaving + arriving - 2 * (end - start)
-        return start + t * (leaving + t * (bend + t * twist)), leaving + t * (2 * bend + t * 3 * twist)
+    def cubic(start, stop, leaving, arriving):
+        return Cubic(start, stop, leaving * length, arriving * length / into)
+
+    z_at, u_at = map(cubic, here.point, end, here.leaving, there.arriving)
 
     def towards(_, t):
-        value, slope = cubic(here.point.u, end.u, here.leaving.u, there.arriving.u, t)
-        return jnp.clip(t - (value - u) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
+        slope = u_at.rate(t)
+        return jnp.clip(t - (u_at.value(t) - u) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
 
     span = end.u - here.point.u
     t = jnp.clip((u - here.point.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
     t = jax.lax.fori_loop(0, 6, towards, t)
-    z, _ = cubic(here.point.z, end.z, here.leaving.z, there.arriving.z, t)
-    return Point(jnp.where(apart, z, here.point.z), u)
+    return Point(jnp.where(apart, z_at.value(t), here.point.z), u)
 
 
 class Solutions(NamedTuple):
