@@ -13,8 +13,9 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control
-from jaxwhisker._equilibrium.problem import AlongX, InPlane, Stance
+from jaxwhisker._equilibrium.problem import AlongX, InPlane
 from jaxwhisker._equilibrium.stability import load_slopes
+from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._equilibrium.touch import Touch
 
 ROUNDING = 1e-13  # the same numbers by other operations

@@ -14,8 +14,8 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
-from jaxwhisker._equilibrium.problem import Stance
 from jaxwhisker._equilibrium.solver import Solution
+from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import (
     Task,

@@ -16,8 +16,8 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import Apart
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
-from jaxwhisker._equilibrium.problem import Stance
 from jaxwhisker._equilibrium.solver import solve_point
+from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._equilibrium.touch import Touch
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.snap_flow import ITERATIONS, LARGEST_CHANGE, SHORTEST

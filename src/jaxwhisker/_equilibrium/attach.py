@@ -13,9 +13,10 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.couplings import Couplings, End
 from jaxwhisker._equilibrium.point import Point, at_control
-from jaxwhisker._equilibrium.problem import AT_ORIGIN, Attached, Contacts, InPlane, Poses
+from jaxwhisker._equilibrium.problem import AT_ORIGIN, Attached, InPlane
 from jaxwhisker._equilibrium.shaft_springs import AXIAL, Attachments, Laws, ShaftSprings, Tissue
 from jaxwhisker._equilibrium.solver import solve_point
+from jaxwhisker._equilibrium.stance import Contacts, Poses
 from jaxwhisker._model.motion import Pose, mounted
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.spring import AXES, Spring

@@ -7,7 +7,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import Friction, newly_slipping, slipping_from
-from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Problem, of_object
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerObject, PerWhisker, of_object
 
 Places = tuple[Float[Array, "*batch whiskers"], Float[Array, "*batch whiskers"]]  # parameter, beyond: see Friction
 

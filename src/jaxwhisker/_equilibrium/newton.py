@@ -32,7 +32,8 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import Coupled, Rows, as_contacts, loads_in, rows
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, scale_of
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker, Poses
 from jaxwhisker._rod.elastica import AbstractRod
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK
-from jaxwhisker._equilibrium.problem import Contacts, PerWhisker
+from jaxwhisker._equilibrium.stance import Contacts, PerWhisker
 
 
 class Point(NamedTuple):

@@ -22,7 +22,8 @@ from jaxwhisker._base.linear_algebra import (
 )
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import Condensed, load_rows
-from jaxwhisker._equilibrium.problem import PerWhisker, Problem
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker
 
 # Sign of `by_x` on a stable branch for an approach from the right; the branch has the direction grad turn x grad y.
 BRANCH_SIGN = -1.0

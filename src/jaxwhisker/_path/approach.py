@@ -12,7 +12,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.problem import Problem, Stance
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._path.path import Path, Status
 
 FIRST_STEP = 0.02  # of the march after a corner; steps grow at once where the path is smooth

@@ -13,7 +13,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._equilibrium.contact import FORCE, LEAN
 from jaxwhisker._equilibrium.newton import LIGHT, is_light, slip_by_contact, slope_sines, with_slips
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
-from jaxwhisker._equilibrium.problem import PerWhisker, Problem
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
 from jaxwhisker._path.march_state import Lead, MarchState, Task, Trial, slips_on

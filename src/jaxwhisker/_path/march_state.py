@@ -16,9 +16,10 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of, unit
-from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stability import is_stable
+from jaxwhisker._equilibrium.stance import PerObject, PerWhisker, Poses, Stance
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import (
     AT_STOP,

@@ -17,7 +17,8 @@ from jaxwhisker._equilibrium.contact import FORCE, LEAN, PARAMETER, SLACK, Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Point
-from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerObject, PerWhisker, Poses, Stance
 from jaxwhisker._model.profile import AbstractProfile
 
 

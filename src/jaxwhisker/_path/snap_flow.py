@@ -34,7 +34,7 @@ from jaxwhisker._equilibrium.friction import lean
 from jaxwhisker._equilibrium.newton import Condensed, contact_parameters
 from jaxwhisker._equilibrium.pieces import after_step
 from jaxwhisker._equilibrium.point import Contacts, Point, scale_of
-from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance, of_object
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stability import (
     Slopes,
@@ -43,6 +43,7 @@ from jaxwhisker._equilibrium.stability import (
     network_is_stable,
     on_stable_branch,
 )
+from jaxwhisker._equilibrium.stance import PerObject, PerWhisker, Poses, Stance, of_object
 
 LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; the flow is first order in it
 FIRST_CHANGE = 0.0025  # the same for the first step with friction: contacts may turn soon after it, and then stick

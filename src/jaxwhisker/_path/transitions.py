@@ -15,7 +15,8 @@ from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
 from jaxwhisker._equilibrium.couplings import as_contacts
 from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, slope_sines, with_slips
 from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, of_object
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker, Poses, of_object
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.leaving import SLIP_NOISE, to_snap
 from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated

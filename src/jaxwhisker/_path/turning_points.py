@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.problem import PerWhisker, Problem
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker
 from jaxwhisker._path.leaving import SLIP_NOISE, to_snap, with_changed_slips
 from jaxwhisker._path.march_state import MarchState, Trial, slips_on
 from jaxwhisker._path.path import Node, select

@@ -18,7 +18,8 @@ from jaxwhisker._equilibrium.implicit import Sides, Turning, event_control, even
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.pieces import break_between
 from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control, at_event
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker, Poses, ScenePose
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, is_snap, select
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.state import State

@@ -21,8 +21,9 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import Apart, newton_step
 from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control, dot, scale_of, unit
-from jaxwhisker._equilibrium.problem import Poses, Problem
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_point
+from jaxwhisker._equilibrium.stance import Poses
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import Node, select
