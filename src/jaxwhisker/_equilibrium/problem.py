@@ -67,6 +67,7 @@ class Problem(eqx.Module):
     attached: Attached | None = eqx.field(default=None, kw_only=True)  # None without springs on any shaft
 
     axes: eqx.AbstractClassVar[int]  # number of coordinates of a base
+    stance_is_known: eqx.AbstractClassVar[bool]  # whether nothing is to be computed for a stance
     frames_move: eqx.AbstractClassVar[bool]  # whether these refer to a frame that moves with the control
 
     @abc.abstractmethod
@@ -91,10 +92,6 @@ class Problem(eqx.Module):
 
         With springs between two shafts, the loads of these in the contacts z are needed, too.
         """
-
-    @abc.abstractmethod
-    def stances(self, *at: tuple[Scalar, Poses, Contacts]) -> list[Stance]:
-        """Stances in several states."""
 
     @abc.abstractmethod
     def shift(self, u: Scalar, distance: PerWhisker) -> Poses:
@@ -182,6 +179,7 @@ class AlongX(Problem):
     """A problem whose bases stay upright at height 0 and move along x only."""
 
     axes: ClassVar[int] = 1
+    stance_is_known: ClassVar[bool] = True
     frames_move: ClassVar[bool] = False
 
     def frames(self, u):
@@ -201,9 +199,6 @@ class AlongX(Problem):
     def stance(self, u, pose, z=None):
         del u, z
         return Stance(pose[:, 0], self.touch_right, self.touch_left)
-
-    def stances(self, *at):
-        return [self.stance(*one) for one in at]
 
     def shift(self, u, distance):
         del u
@@ -238,6 +233,7 @@ class InPlane(Problem):
     outline: Outline  # of the unloaded whiskers, if no spring bends them
 
     axes: ClassVar[int] = 3
+    stance_is_known: ClassVar[bool] = False
     frames_move: ClassVar[bool] = True
 
     def _decisive(self, tree):
@@ -314,11 +310,6 @@ class InPlane(Problem):
             return each(self.length, outline, at.y, at.angle)
 
         return Stance(at.x, *touch.of_objects(self.profile, both), free, loads)
-
-    def stances(self, *at):
-        # As one batch, the search for a touch is compiled only once.
-        batch = jax.vmap(self.stance)(*map(jnp.stack, zip(*at, strict=True)))
-        return [jax.tree.map(lambda leaf, k=k: leaf[k], batch) for k in range(len(at))]
 
     def shift(self, u, distance):
         frame, _ = self.frames(u)

@@ -60,6 +60,7 @@ def after_arrive(
         task=jnp.asarray(int(Task.advance)),
         point=point,
         pose=trial.solution.newton.pose,
+        stance=None if march.stance is None else trial.stance,
         tangent=tangent,
         tangent_pose=sign * trial.tangent_pose,
         bend=jax.tree.map(jnp.zeros_like, tangent),

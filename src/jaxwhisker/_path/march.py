@@ -26,6 +26,7 @@ from jaxwhisker._equilibrium.newton import Apart, is_light
 from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, at_control, at_event, at_force
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_point
+from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
 from jaxwhisker._path.leaving import after_arrive
@@ -164,7 +165,13 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         status=jnp.asarray(int(Status.ok)),
         tries=None if friction is None else jnp.asarray(0),
         rests=None if friction is None else jnp.zeros(n, bool),
+        # The first task is to arrive, which computes the stance.
+        stance=None if problem.stance_is_known else _blank(jax.eval_shape(problem.stance, u, pose, z)),
     )
+
+
+def _blank(shapes: Stance) -> Stance:
+    return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
 
 
 def capacity_of(problem: Problem, stops: int) -> int:

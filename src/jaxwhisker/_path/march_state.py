@@ -100,6 +100,7 @@ class MarchState(NamedTuple):
     # Whiskers whose slip has come to rest here. The lean at which they stick does not change at first: rounding alone
     # decides about the sign of its rate.
     rests: Bool[Array, " whiskers"] | None = None
+    stance: Stance | None = None  # at this point; None where it is known without computing anything
 
     def turn(self, tangent: Point) -> Scalar:
         """du/ds along a tangent, positive while the drive moves towards its stop."""
@@ -154,7 +155,8 @@ def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop
     touches = (march.task == Task.event) & (march.target.kind == TOUCH)
     pose = jnp.where(problem.solved(march.state.phase)[:, None], newton.pose, free_pose)
     before, after = march.point, solution.point
-    here, there = problem.stances((before.u, march.pose, before.z), (after.u, pose, after.z))
+    there = problem.stance(after.u, pose, after.z)
+    here = problem.stance(before.u, march.pose, before.z) if march.stance is None else march.stance
     arriving = _direction_of_parabola(march, solution, free, there)
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex_on)(march.state.piece, solution.point.z[:, PARAMETER])

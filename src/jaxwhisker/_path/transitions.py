@@ -89,6 +89,7 @@ def _moved(march: MarchState, trial: Trial, node: Node) -> MarchState:
         pose=trial.solution.newton.pose,
         tangent=trial.tangent,
         tangent_pose=trial.tangent_pose,
+        stance=None if march.stance is None else trial.stance,
         travel=node.travel,
     )
 
