@@ -14,7 +14,7 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.implicit import event_control, solved
 from jaxwhisker._equilibrium.newton import newton_step
-from jaxwhisker._equilibrium.point import PathCondition, Point, at_control, at_event
+from jaxwhisker._equilibrium.point import PathCondition, Point, at_control
 from jaxwhisker._equilibrium.solver import solve_point
 
 MODES = 1e-11  # forward against reverse, relative to the largest
@@ -118,7 +118,9 @@ def events():
         along = newton_step(problem, state, PathCondition(z, z, jnp.asarray(1.0), u, 0.0 * z[:, 0]), point).tangent
         along = jax.lax.stop_gradient(along)
         no = jnp.asarray(False)
-        condition = at_event(jnp.ones(1, bool), z, unloaded=no, phase=kind == 0, vertex=kind == 1, control=no, u0=u)
+        # The slack is zero, or the slope is; at a fold neither.
+        slack = jnp.zeros_like(z).at[:, 2].set(kind == 0)
+        condition = PathCondition(slack, 0.0 * z, jnp.asarray(0.0), u, jnp.full(1, kind == 1, float))
         return event_control(point, problem, state, along, condition, kind == 2)
 
     @Program

@@ -16,6 +16,7 @@ from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stance import Stance
+from jaxwhisker._path.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX
 from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import (
     Task,
@@ -26,7 +27,7 @@ from jaxwhisker._path.march_state import (
     first_violated,
     slope_sines,
 )
-from jaxwhisker._path.path import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, Margins, Status
+from jaxwhisker._path.path import Status
 
 ROUNDING = 1e-12
 FB = scene(jw.Support.fb(70.0))
@@ -49,7 +50,7 @@ def two():
 def margins(touch=np.inf, release=1.0, phase=1.0, vertex=1.0, stop=1.0):
     """Margins of both whiskers: a touch of the second one, all else of the first one."""
     release, phase, vertex = (jnp.array([value, np.inf]) for value in (release, phase, vertex))
-    return Margins(jnp.array([np.inf, touch]), release, phase, vertex, jnp.array([stop]), jnp.zeros(0))
+    return jnp.array([np.inf, touch]), release, phase, vertex, jnp.array([stop])
 
 
 def trial(problem, here, there, tangent=None, tangent_pose=None):
@@ -86,8 +87,8 @@ def test_a_march_starts_free_ahead_of_the_object():
 )
 def test_the_first_event_within_a_step(two, there, kind, whisker, share):
     problem, march = two
-    found, target = first_violated(march, trial(problem, margins(), margins(**there)), jnp.asarray(0.1))
-    assert found and target.kind == kind
+    found, target = first_violated(problem, march, trial(problem, margins(), margins(**there)), jnp.asarray(0.1))
+    assert found and target.number == kind
     if kind != AT_STOP:  # which concerns no whisker
         assert target.whisker.tolist() == whisker
     np.testing.assert_allclose(target.distance, share * 0.1, rtol=ROUNDING)
@@ -95,7 +96,7 @@ def test_the_first_event_within_a_step(two, there, kind, whisker, share):
 
 def test_margins_of_rounding_are_no_events(two):
     problem, march = two
-    found, _ = first_violated(march, trial(problem, margins(), margins(release=-1e-13)), jnp.asarray(0.1))
+    found, _ = first_violated(problem, march, trial(problem, margins(), margins(release=-1e-13)), jnp.asarray(0.1))
     assert not found
 
 
@@ -164,7 +165,7 @@ def test_a_trial_is_judged_by_its_solution():
         assert np.sign(trial.tangent.u) == sign
         assert trial.stable and trial.sound
         np.testing.assert_allclose(sines, np.sin(at.z[:, 1]), rtol=ROUNDING)
-        np.testing.assert_allclose(trial.there.vertex, np.sin(at.z[:, 1]), rtol=ROUNDING)
+        np.testing.assert_allclose(trial.there[VERTEX], np.sin(at.z[:, 1]), rtol=ROUNDING)
         np.testing.assert_allclose([trial.there.stop[0], trial.here.stop[0]], [0.25, 0.26], rtol=ROUNDING)
         np.testing.assert_allclose(trial.there.release, at.z[:, 0], rtol=ROUNDING)
         np.testing.assert_allclose(trial.stance.x, at.base_x, atol=1e-9)

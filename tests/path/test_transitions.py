@@ -9,11 +9,11 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.solver import Solution
+from jaxwhisker._path.events import AT_STOP, PHASE, RELEASE, SMOOTH, TOUCH, VERTEX, facts_of, number_of
 from jaxwhisker._path.leaving import _is_over
 from jaxwhisker._path.march import _start
-from jaxwhisker._path.march_state import Target, Trial
-from jaxwhisker._path.path import AT_STOP, PHASE, RELEASE, STOP, TOUCH, VERTEX, EventKind
-from jaxwhisker._path.transitions import _event_kind
+from jaxwhisker._path.march_state import Trial
+from jaxwhisker._path.path import STOP, EventKind
 
 ROUNDING = 1e-12
 SCENE = scene(jw.Support.fb(70.0))
@@ -51,13 +51,9 @@ def trial(end=None, tangent=None, stance=None, stable=True):
     ],
 )
 def test_kinds_of_events(kind, phase, expected):
-    # The other whisker, in the other phase, has no say.
-    other = Phase.tangential if phase == Phase.tip else Phase.tip
-    phases = jnp.array([int(other), int(phase)])
-    whisker = jnp.array([False, kind != AT_STOP])
-    none = jnp.zeros((2, 3))
-    target = Target(jnp.asarray(kind), whisker, jnp.asarray(0.0), none, phases, jnp.ones(2))
-    assert _event_kind(target, phases) == expected
+    assert facts_of(SMOOTH, jnp.asarray(kind), jnp.asarray(phase == Phase.tip)).kind == expected
+    if expected != STOP:
+        assert number_of(SMOOTH, jnp.asarray(int(expected))) == kind
 
 
 @pytest.mark.parametrize(

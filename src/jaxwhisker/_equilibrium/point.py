@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK
+from jaxwhisker._equilibrium.contact import FORCE
 from jaxwhisker._equilibrium.stance import Contacts, PerWhisker
 
 
@@ -55,39 +55,6 @@ def at_arc_length(point: Point, tangent: Point, distance: Scalar) -> PathConditi
     scale = scale_of(point.z)
     ahead = along(point, tangent, distance)
     return PathCondition(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, FORCE]))
-
-
-def at_event(
-    whiskers: Bool[Array, " whiskers"],
-    like: Contacts,
-    *,
-    unloaded: Bool[Array, ""],
-    phase: Bool[Array, ""],
-    vertex: Bool[Array, ""],
-    control: Bool[Array, ""],
-    u0: Scalar,
-    lean: Bool[Array, ""] | None = None,
-    limit: PerWhisker | None = None,
-) -> PathCondition:
-    """The condition of an event of these whiskers.
-
-    Args:
-        whiskers: the whiskers that the event concerns.
-        like: contacts, of which only the shape is used.
-        unloaded: whether a contact begins or ends: its force is zero.
-        phase: whether tip and tangential contact meet: the slack is zero.
-        vertex: whether the contact passes the vertex: its slope is zero.
-        lean: whether a sticking contact begins to slip: the force leans as far as friction lets it. Or, without
-            friction, whether a contact passes an edge's end: the parameter is that of a break.
-        limit: the lean or parameter at which it does so.
-        control: whether the point has the control u0 and no event.
-        u0: the control.
-    """
-    none, one = jnp.zeros_like(like), whiskers.astype(float)
-    weight, z0 = none.at[:, FORCE].set(one * unloaded).at[:, SLACK].set(one * phase), none
-    if lean is not None:
-        weight, z0 = weight.at[:, LEAN].set(one * lean), none.at[:, LEAN].set(limit)
-    return PathCondition(weight, z0, control.astype(float), u0, one * vertex)
 
 
 def scale_of(z: Contacts) -> Contacts:

@@ -17,20 +17,9 @@ from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
-from jaxwhisker._path.march_state import Lead, MarchState, Task, Trial, slips_on
-from jaxwhisker._path.path import (
-    LEAN_NOISE,
-    MARGIN_NOISE,
-    NO_EVENT,
-    STOP,
-    EventKind,
-    Node,
-    Status,
-    each_touch,
-    first_case,
-    is_snap,
-    select,
-)
+from jaxwhisker._path.events import LEAN_NOISE, MARGIN_NOISE, Lead, events_of
+from jaxwhisker._path.march_state import MarchState, Task, Trial, slips_on
+from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, first_case, is_snap, select
 
 ARRIVAL_MISS = 0.1  # the equilibrium at which a flow ends is nearer than this
 SLIP_NOISE = 1e-9  # rate of slip, per length of the path, that rounding may cause
@@ -77,10 +66,9 @@ def after_arrive(
         node = node._replace(travel=node.travel + jnp.where(jnp.any(starts), direction * moved.u, 0.0))
     near = trial.solution.converged & (dot(moved, moved, scale_of(march.point.z)) < ARRIVAL_MISS**2)
     # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
-    there = trial.there
-    ends = [there.low, there.high] if there.low.size else []
-    touches = each_touch(there.touch)
-    wrong = jnp.any(jnp.concatenate([*touches, there.release, there.phase, there.slip, *ends]) < -MARGIN_NOISE)
+    happens = zip(events_of(problem), trial.there, strict=True)
+    changes = [jnp.ravel(margin) for event, margin in happens if not event.continues]
+    wrong = jnp.any(jnp.concatenate(changes) < -MARGIN_NOISE)
     back = slips_on(problem, march.state, point.z, moved.z)
     if back is not None:
         wrong |= jnp.any(back < -SLIPPED_BACK)

@@ -20,54 +20,24 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
-from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.newton import Apart, is_light
-from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, at_control, at_event, at_force
+from jaxwhisker._equilibrium.point import Point, along, at_arc_length, at_control, at_force
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
+from jaxwhisker._path.events import TOUCH, Lead, condition_of, events_of, facts_of
 from jaxwhisker._path.leaving import after_arrive
-from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, evaluate_trial
-from jaxwhisker._path.path import (
-    AT_STOP,
-    HIGH,
-    LOW,
-    NO_EVENT,
-    PHASE,
-    RELEASE,
-    SLIP,
-    TOUCH,
-    VERTEX,
-    Node,
-    Path,
-    Status,
-    select,
-)
+from jaxwhisker._path.march_state import MarchState, Target, Task, evaluate_trial
+from jaxwhisker._path.path import NO_EVENT, Node, Path, Status, select
 from jaxwhisker._path.settling import after_flow
 from jaxwhisker._path.transitions import after_advance, after_event
 
 STOPS = 8  # stops of a route that turns are padded to a multiple of this
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
-
-
-def _target_condition(now: MarchState, stop_u: Scalar, edges: bool) -> PathCondition:
-    kind, lean = now.target.kind, None
-    if now.target.lean is not None:
-        lean = (kind == LOW) | (kind == HIGH) if edges else kind == SLIP
-    return at_event(
-        now.target.whisker,
-        now.point.z,
-        unloaded=(kind == RELEASE) | (kind == TOUCH),
-        phase=kind == PHASE,
-        vertex=kind == VERTEX,
-        control=kind == AT_STOP,
-        u0=stop_u,
-        lean=lean,
-        limit=now.target.lean,
-    )
 
 
 def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], now: MarchState):
@@ -89,11 +59,13 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
         # A contact that sticks from its first touch is solved for where its force first has a direction.
         starts = is_light(now.state, guess.z) & (now.task == Task.arrive)
         fixed = select(jnp.any(starts), at_force(starts, guess.z), fixed)
-    to_target = _target_condition(now, stop_u, problem.profile.has_edges)
+    target = now.target
+    tip = jnp.any(target.whisker & (now.state.phase == Phase.tip))
+    facts = facts_of(events_of(problem), target.number, tip)
+    to_target = condition_of(facts, target.whisker, guess.z, target.limit, stop_u)
     condition = select(now.task == Task.advance, onwards, select(at_target, to_target, fixed))
     # A touch begins a contact and is solved for as a contact.
-    target = now.target
-    begins = target.whisker & at_target & (target.kind == TOUCH)
+    begins = target.whisker & at_target & (target.number == TOUCH)
     state = now.state.begun(begins, target.phase, target.side, target.piece)
     guess = guess._replace(z=jnp.where(begins[:, None], target.contact, guess.z))
     solution = solve_point(problem, state, condition, guess, Apart(flowing, problem.across(flow.pose)))
@@ -102,7 +74,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
         jnp.minimum(now.task, Task.kick),
         [
             lambda: after_advance(problem, now, trial, guess),
-            lambda: after_event(problem, now, trial),
+            lambda: after_event(problem, now, trial, facts),
             lambda: after_arrive(problem, now, trial, stops, last),
             lambda: (now, jnp.asarray(False), now.pending),
             lambda: after_flow(problem, now, flow, trial),

@@ -1,7 +1,6 @@
 """The state of a march: where it is, what it is doing, and how a trial step is evaluated."""
 
 from enum import IntEnum
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -11,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import FORCE, LEAN, PARAMETER, SLACK, Phase, beyond
+from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase, beyond
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
@@ -21,21 +20,23 @@ from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._equilibrium.stance import PerObject, PerWhisker, Poses, Stance
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.path import (
+from jaxwhisker._path.events import (
     AT_STOP,
-    HIGH,
-    LOW,
+    FAR,
     MARGIN_NOISE,
     RELEASE,
     TOUCH,
+    Ends,
+    Lead,
     Margins,
-    Node,
-    Status,
-    each_touch,
+    Moving,
+    Seen,
+    events_of,
+    limit_of,
     margin_rates,
     margins,
-    select,
 )
+from jaxwhisker._path.path import Node, Status, select
 
 
 class Task(IntEnum):
@@ -52,25 +53,15 @@ class Task(IntEnum):
 class Target(NamedTuple):
     """An event to be solved for: the margin that vanishes, the whisker concerned, and the expected distance."""
 
-    kind: Int[Array, ""]  # index into Margins
+    number: Int[Array, ""]  # of the kind of event (see events.py)
     whisker: Bool[Array, " whiskers"]  # one-hot; all False for a stop
     distance: Scalar  # along the tangent
     contact: Contacts  # first contacts of whiskers that may touch
     phase: Int[Array, " whiskers"]
     side: PerWhisker
-    # The lean at which sticking contacts begin to slip, or the parameter at which contacts leave their piece; None
-    # without friction and edges.
-    lean: PerWhisker | None = None
+    limit: PerWhisker | None = None  # lean or parameter at which it happens; None without friction and edges
     piece: Int[Array, " whiskers"] | None = None  # of first contacts, and onto which contacts pass; None without edges
-    number: Int[Array, " whiskers"] | None = None  # of the object that is touched; None if there is only one
-
-
-class Lead(NamedTuple):
-    """Weights for the tangent's components: their weighted sum must be positive where the path leaves an event."""
-
-    z: Contacts
-    pose: Poses
-    u: Scalar
+    object: Int[Array, " whiskers"] | None = None  # that is touched; None if there is only one
 
 
 class MarchState(NamedTuple):
@@ -131,9 +122,8 @@ class Trial(NamedTuple):
     stance: Stance  # at its end
     standing: PerObject  # sides on which free whiskers stand at its end
     slips_on: PerWhisker | None = None  # rate of slip in the direction of slip; infinite for contacts that stick
-    friction_angle: Scalar | None = None
-    ends: tuple[PerWhisker, PerWhisker] | None = None  # of the pieces before; None without edges
     reason: Status | Int[Array, ""] = Status.not_convex  # the status if contacts are not sound
+    ends: Ends | None = None  # of the pieces on which contacts are; None without edges
 
 
 def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
@@ -152,7 +142,7 @@ def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop
     ahead = jnp.where(dot(march.tangent, tangent, scale_of(march.point.z)) < 0, -1.0, 1.0) / length
     tangent, tangent_pose = Point(ahead * length * tangent.z, ahead * length * tangent.u), ahead * newton.tangent_pose
     # A touch is solved for as a contact, but the path arrives without it.
-    touches = (march.task == Task.event) & (march.target.kind == TOUCH)
+    touches = (march.task == Task.event) & (march.target.number == TOUCH)
     pose = jnp.where(problem.solved(march.state.phase)[:, None], newton.pose, free_pose)
     before, after = march.point, solution.point
     there = problem.stance(after.u, pose, after.z)
@@ -161,26 +151,26 @@ def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex_on)(march.state.piece, solution.point.z[:, PARAMETER])
     sound, reason = _soundness(problem, convex | free, solution.point.z, march.state.phase)
-    margins_there = _margins_at(problem, march, solution.point, there, stop_u)
+    seen_there = seen(problem, march, solution.point, there, stop_u)
+    margins_there = margins(seen_there)
     # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
     touching = touched = touches & march.target.whisker
-    if march.target.number is not None:
-        touched &= jnp.arange(len(problem.profile.objects))[:, None] == march.target.number
-    margins_there = margins_there._replace(touch=jnp.where(touched, jnp.inf, margins_there.touch))
+    if march.target.object is not None:
+        touched &= jnp.arange(len(problem.profile.objects))[:, None] == march.target.object
+    margins_there = (jnp.where(touched, FAR, margins_there[TOUCH]), *margins_there[1:])
     return Trial(
         solution,
         tangent,
         tangent_pose,
         is_stable(problem, march.state, newton.condensed, None if problem.attached is None else touching),
         sound,
-        here=_margins_at(problem, march, march.point, here, stop_u),
+        here=margins(seen(problem, march, march.point, here, stop_u)),
         there=margins_there,
         stance=there,
         standing=problem.updated_side(free, march.state.standing, there),
         slips_on=loaded_slips_on(problem, march.state, solution.point.z, tangent.z),
-        friction_angle=problem.friction_angle,
         reason=reason,
-        ends=_ends(problem, march.state),
+        ends=seen_there.ends,
     )
 
 
@@ -225,81 +215,70 @@ def _direction_of_parabola(
     return direction, twice * (solution.newton.pose - march.pose) + sign * march.tangent_pose
 
 
-def _ends(problem: Problem, state: ContactState) -> tuple[PerWhisker, PerWhisker] | None:
-    """Ends of the pieces on which contacts are; None without edges."""
-    return ends_of(problem.profile, state.piece) if state.piece is not None and problem.profile.has_edges else None
-
-
-def _margins_at(problem: Problem, march: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
-    z, ends = point.z, _ends(problem, march.state)
-    if ends is not None:
+def seen(problem: Problem, march: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Seen:
+    """A point on the way to the next stop, as margins see it."""
+    z, ends = point.z, None
+    if problem.profile.has_edges and march.state.piece is not None:
+        ends = ends_of(problem.profile, march.state.piece)
         # Beyond its piece, the slope of a contact means nothing.
         z = z.at[:, PARAMETER].set(jnp.clip(z[:, PARAMETER], *ends))
     ahead = march.before_vertex * slope_sines(problem, z, march.state)
-    if ends is not None:
-        ahead += LEVEL
+    ahead = ahead if ends is None else ahead + LEVEL
     remaining = march.direction * (stop_u - point.u)
-    return margins(march.state, point, at, ahead, remaining, problem.friction_angle, problem.profile)
+    return Seen(problem, march.state, march.state.free, point.z, at, ahead, remaining, ends)
 
 
 def _flat(margins: Margins) -> Float[Array, " margins"]:
-    return jnp.concatenate([*each_touch(margins.touch), *(margin for margin in margins[RELEASE:] if margin.size)])
+    return jnp.concatenate([jnp.ravel(margin) for margin in margins])
 
 
-def first_violated(march: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
+def first_violated(
+    problem: Problem, march: MarchState, trial: Trial, distance: Scalar
+) -> tuple[Bool[Array, ""], Target]:
     """Whether an event lies within a step of this length, and the first such event."""
-    n = trial.here.release.size
+    events, n = events_of(problem), march.state.side.size
     now, then = _flat(trial.here), _flat(trial.there)
     violated = then < -MARGIN_NOISE
     # A whisker that was out of reach may touch anywhere within the step.
     share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
     share = jnp.where(violated, share, jnp.inf)
-    if trial.ends is not None:
-        # A contact that ends at an end of its piece, as on the vertical side of a box, does not go on to the next one.
-        ended = jnp.tile(trial.there.release < -MARGIN_NOISE, 2)
-        share = share.at[-ended.size :].set(jnp.where(ended, jnp.inf, share[-ended.size :]))
+    if any(event.before_release for event in events):
+        ended, none = trial.there[RELEASE] < -MARGIN_NOISE, [jnp.zeros(m.size, bool) for m in trial.there]
+        ended = [ended if event.before_release else no for event, no in zip(events, none, strict=True)]
+        share = jnp.where(jnp.concatenate(ended), jnp.inf, share)
     first = jnp.argmin(share)
-    number = None
-    if march.state.beside is not None:
-        number = jnp.full(n, jnp.minimum(first // n, len(march.state.beside) - 1))
-    stance, side = trial.stance.of(number), march.state.side_of(number)
-    piece = march.state.piece
-    touched = None if piece is None else stance.first(side).piece
-    contact, phase, side = snap_flow.touching(stance, side)
-    kinds = np.repeat(np.arange(len(trial.here)), [margin.size for margin in trial.here])
+    number = jnp.asarray(np.repeat(np.arange(len(events)), [margin.size for margin in trial.here]))[first]
     # Margins of touches run over all objects, and over all whiskers for each.
     each = [np.tile(np.eye(n, dtype=bool), (1 + m.size // n, 1))[: m.size] for m in trial.here]
-    whiskers = np.concatenate([of & (k != AT_STOP) for k, of in enumerate(each)])
-    lean = None
-    if trial.friction_angle is not None:
-        lean = jnp.sign(trial.solution.point.z[:, LEAN]) * trial.friction_angle
-    kind, whisker = jnp.asarray(kinds)[first], jnp.asarray(whiskers)[first]
-    if trial.ends is not None and piece is not None:
-        low, high = trial.ends
-        # The outer ends are infinite.
-        lean = jnp.where(whisker & (kind == LOW), low, jnp.where(whisker & (kind == HIGH), high, 0.0))
-        piece += jnp.where(kind == LOW, -1, 1)
+    whisker = jnp.asarray(np.concatenate([of & (k != AT_STOP) for k, of in enumerate(each)]))[first]
+    touched = None
+    if march.state.beside is not None:
+        touched = jnp.full(n, jnp.minimum(first // n, len(march.state.beside) - 1))
+    stance, side = trial.stance.of(touched), march.state.side_of(touched)
+    piece = march.state.piece
     if piece is not None:
-        piece = select(kind == TOUCH, touched, piece)
+        touch = stance.first(side)
+        for k, event in enumerate(events):
+            onto = event.piece(march.state, touch)
+            piece = piece if onto is None else jnp.where(number == k, onto, piece)
     return jnp.any(violated), Target(
-        kind,
+        number,
         whisker,
         jnp.min(share) * distance,
-        contact,
-        phase,
-        side,
-        lean,
+        *snap_flow.touching(stance, side),
+        limit_of(events, number, problem, trial.solution.point.z, trial.ends),
         piece,
-        number,
+        touched,
     )
 
 
 def dip(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
     """Whether a margin is negative within a step but not at its ends, and the share of the step where it is lowest."""
     now, then = _flat(trial.here), _flat(trial.there)
-    rates = partial(margin_rates, problem, march.state)
-    start = distance * _flat(rates(march.point, march.tangent, march.tangent_pose))
-    end = distance * _flat(rates(trial.solution.point, trial.tangent, trial.tangent_pose))
+    free = march.state.free
+    start = Moving(problem, march.state, free, march.point.z, march.tangent.z, march.tangent_pose)
+    end = Moving(problem, march.state, free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose)
+    start, end = (distance * _flat(margin_rates(moving)) for moving in (start, end))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
     within = Cubic(now, then, start, end).value(t)
     # The margin of an event just passed is zero at the start; rounding must not count as a dip.

@@ -17,7 +17,8 @@ from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, with_slips
 from jaxwhisker._equilibrium.point import Contacts, Point, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.march_state import Lead, MarchState, Task, Trial
+from jaxwhisker._path.events import Lead
+from jaxwhisker._path.march_state import MarchState, Task, Trial
 from jaxwhisker._path.path import EventKind, Status, first_case
 from jaxwhisker._path.snap_flow import ITERATIONS, Flow, branch_known
 

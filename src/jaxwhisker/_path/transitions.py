@@ -4,40 +4,32 @@ Each `after_...` function returns the new state, whether a node is to be written
 and one is selected, because a batch pays for every branch anyway.
 """
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
-from jaxwhisker._equilibrium.couplings import as_contacts
-from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, slope_sines, with_slips
+from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
+from jaxwhisker._equilibrium.newton import slope_sines
 from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._equilibrium.stance import PerWhisker, Poses, of_object
+from jaxwhisker._equilibrium.stance import PerWhisker, of_object
 from jaxwhisker._path.approach import approach_of
-from jaxwhisker._path.leaving import SLIP_NOISE, to_snap
-from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated
-from jaxwhisker._path.path import (
+from jaxwhisker._path.events import (
     AT_STOP,
-    HIGH,
-    LOW,
     MARGIN_NOISE,
-    NO_EVENT,
-    PHASE,
-    RELEASE,
-    SLIP,
-    STOP,
     TOUCH,
     VERTEX,
-    EventKind,
-    Node,
-    Status,
-    first_case,
+    After,
+    Facts,
+    Happened,
+    Lead,
+    Moving,
+    events_of,
     margin_rates,
 )
+from jaxwhisker._path.leaving import SLIP_NOISE, to_snap
+from jaxwhisker._path.march_state import MarchState, Task, Trial, dip, first_violated
+from jaxwhisker._path.path import NO_EVENT, Node, Status, first_case
 from jaxwhisker._path.turning_points import (
     FOLD_BRACKET,
     FOLD_SLOPE,
@@ -54,15 +46,6 @@ FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact 
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
 NEAR_FOLD = 2e-4  # a loss this near counts as located if no shorter step is solved; u is off by less than its square
-
-
-def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
-    """EventKind of a target, or STOP."""
-    tip = jnp.any(target.whisker & (phase == Phase.tip))
-    change = jnp.where(tip, EventKind.tip_to_tangential, EventKind.tangential_to_tip)
-    kinds = [EventKind.touch, EventKind.release, 0, EventKind.vertex, STOP, EventKind.slip]
-    kinds = jnp.array(kinds if target.piece is None else [*kinds, EventKind.edge, EventKind.edge])
-    return jnp.where(target.kind == PHASE, change, kinds[target.kind])
 
 
 def _node(march: MarchState, trial: Trial) -> Node:
@@ -102,7 +85,7 @@ def after_advance(problem: Problem, march: MarchState, trial: Trial, guess: Poin
         # A stable path does not turn back. A nearly straight whisker that sticks has another equilibrium close by.
         good &= ~trial.stable | (march.turn(trial.tangent) > -FOLD_SLOPE)
         good &= _forces_are_near(march, guess.z[:, FORCE], trial.solution.point.z[:, FORCE])
-    violated, target = first_violated(march, trial, march.step)
+    violated, target = first_violated(problem, march, trial, march.step)
     dips, share = dip(problem, march, trial, march.step)
     dips &= ~violated
     twice, turn_share = may_fold_twice(march, trial)
@@ -176,27 +159,15 @@ def _onwards(
     )
 
 
-class _Change(NamedTuple):
-    """Whiskers whose mode an event changes."""
-
-    touches: Bool[Array, " whiskers"]
-    released: Bool[Array, " whiskers"]
-    phase: Bool[Array, " whiskers"]
-    slips: Bool[Array, " whiskers"]
-    passes: Bool[Array, " whiskers"] | None  # an end of its piece; None without edges
-
-
-def after_event(problem: Problem, march: MarchState, trial: Trial):
-    """Handle the point where a margin vanishes: change to the mode that holds from here on."""
+def after_event(problem: Problem, march: MarchState, trial: Trial, facts: Facts):
+    """Handle the point where a margin vanishes: change to the state that holds from here on."""
     solution, target = trial.solution, march.target
-    passes = None if trial.ends is None else target.whisker & ((target.kind == LOW) | (target.kind == HIGH))
-    happens = (target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE, SLIP))
-    change = _Change(*happens, passes=passes)
+    touches = target.whisker & (target.number == TOUCH)
     before = march.point.z if trial.stance.free is None else trial.stance.free
-    z_before = jnp.where(change.touches[:, None], before, solution.point.z)
+    z_before = jnp.where(touches[:, None], before, solution.point.z)
     good, distance = _reached(problem, march, trial, z_before)
 
-    violated, earlier = first_violated(march, trial, distance)
+    violated, earlier = first_violated(problem, march, trial, distance)
     dips, share = dip(problem, march, trial, distance)
     dips &= good & ~violated
     good &= ~dips
@@ -205,11 +176,11 @@ def after_event(problem: Problem, march: MarchState, trial: Trial):
     )
     holds = trial.stable if trial.slips_on is None else trial.stable & jnp.all(trial.slips_on > -SLIP_NOISE)
     unstable = before_loss(problem, march, trial, distance)._replace(task=jnp.asarray(int(Task.advance)))
-    node = _event_node(problem, march, trial, change, z_before)
+    node = _event_node(problem, march, trial, facts, z_before)
     cases = []
     if problem.frames_move:
         # Where the whisker touches, its tip may point the other way than where it was expected to touch.
-        tip, slack = target.phase == Phase.tip, jnp.where(change.touches, solution.point.z[:, SLACK], 0.0)
+        tip, slack = target.phase == Phase.tip, jnp.where(touches, solution.point.z[:, SLACK], 0.0)
         other = solution.converged & (jnp.where(tip, slack, -slack) > MARGIN_NOISE)
         phase = jnp.where(other, jnp.where(tip, Phase.tangential, Phase.tip), target.phase)
         contact = target.contact.at[:, SLACK].multiply(~other)
@@ -220,7 +191,7 @@ def after_event(problem: Problem, march: MarchState, trial: Trial):
         (~good, again),
         (violated, march._replace(target=earlier)),
         (~holds, unstable),
-        otherwise=_arrived(problem, march, trial, change, node),
+        otherwise=_arrived(problem, march, trial, facts, node),
     )
     return new, jnp.asarray(False), node
 
@@ -233,84 +204,50 @@ def _reached(problem: Problem, march: MarchState, trial: Trial, z_before: Contac
     reach = jnp.sqrt(dot(chord, chord, scale))
     good = trial.solution.converged & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-9)
     # If the margin grows, the path comes back from beyond the event, and the event itself lies earlier on the path.
-    n = march.state.phase.shape[0]
-    rates = margin_rates(problem, march.state, trial.solution.point, trial.tangent, trial.tangent_pose)
-    touch = rates.touch if march.target.number is None else of_object(rates.touch, march.target.number)
-    rows = [touch, *rates[RELEASE:AT_STOP], np.zeros(n), *([rates.slip] if rates.slip.size else [])]
-    rows += [np.zeros(n), rates.low, rates.high] if rates.low.size else []
-    growing = jnp.stack(rows)[march.target.kind]
+    moving = Moving(problem, march.state, march.state.free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose)
+    touch, *others = margin_rates(moving)
+    touch = touch if march.target.object is None else of_object(touch, march.target.object)
+    growing = jnp.stack(jnp.broadcast_arrays(touch, *others))[march.target.number]
     return good & (jnp.sum(march.target.whisker * growing) < MARGIN_NOISE), distance
 
 
-def _event_node(problem: Problem, march: MarchState, trial: Trial, change: _Change, z_before: Contacts) -> Node:
+def _event_node(problem: Problem, march: MarchState, trial: Trial, facts: Facts, z_before: Contacts) -> Node:
     """The node of an event, in the state that holds from here on."""
-    solution, target, before = trial.solution, march.target, march.state
-    other = jnp.where(before.phase == Phase.tip, Phase.tangential, Phase.tip)
-    state = before.ended(change.released, trial.stance.side)
-    state = state.begun(change.touches, target.phase, target.side, target.piece)
-    state = state._replace(phase=jnp.where(change.phase, other, state.phase))
-    if change.passes is not None and state.piece is not None and target.piece is not None:
-        state = state._replace(piece=jnp.where(change.passes, target.piece, state.piece))
-    z = jnp.where(change.released[:, None], trial.stance.contact_if_free, solution.point.z)
-    z = z.at[:, SLACK].set(jnp.where(change.phase, 0.0, z[:, SLACK]))
-    if state.friction is not None and target.lean is not None:
-        slip = jnp.where(change.slips, jnp.sign(target.lean).astype(int), state.friction.slip)
-        z, state = with_slips(problem, z, state, slip)
-        z = jnp.where(change.released[:, None], trial.stance.contact_if_free, z)
+    solution, target, events = trial.solution, march.target, events_of(problem)
+    z, state = solution.point.z, march.state
+    after = After(problem, trial.stance, target.phase, target.side, target.piece, target.limit)
+    for number, event in enumerate(events):
+        if not event.continues:
+            z, state = event.changed(target.whisker & (target.number == number), z, state, after)
     node = _node(march, trial)
-    at_first = (target.kind == AT_STOP) & (march.goal == 0)
     return node._replace(
         point=Point(z, solution.point.u),
         z_before=z_before,
         state=state,
-        travel=jnp.where(at_first, 0.0, node.travel),
-        kind=_event_kind(target, before.phase),
+        travel=jnp.where((target.number == AT_STOP) & (march.goal == 0), 0.0, node.travel),
+        kind=facts.kind,
         whiskers=target.whisker,
     )
 
 
-def _arrived(problem: Problem, march: MarchState, trial: Trial, change: _Change, node: Node) -> MarchState:
+def _arrived(problem: Problem, march: MarchState, trial: Trial, facts: Facts, node: Node) -> MarchState:
     """The state at an event, before the direction in which the path leaves is determined."""
-    kind, scale = march.target.kind, scale_of(march.point.z)
-    tip = march.state.phase == Phase.tip
-    lead_z = jnp.zeros_like(node.point.z).at[:, FORCE].set(change.touches)
-    lead_z = lead_z.at[:, SLACK].set(change.phase * jnp.where(tip, 1.0, -1.0))
-    # If the mode does not change, the path continues as it arrives.
-    stops = kind == AT_STOP
-    smooth = stops | (kind == VERTEX)
-    if node.state.friction is not None:
-        by_contact = slip_by_contact(problem, node.point.z, node.state)
-        lead_z += jnp.where(change.slips[:, None], node.state.friction.slip[:, None] * by_contact, 0.0)
-    lead_z += jnp.where(smooth, march.tangent.z / scale**2, 0.0)
-    lead_u = jnp.where(smooth, march.tangent.u, 0.0)
-    if change.passes is not None:
-        lead_z = lead_z.at[:, PARAMETER].add(change.passes * jnp.where(kind == LOW, -1.0, 1.0))
-    # A whisker is released in the direction in which its contact would have to pull.
-    condensed = trial.solution.newton.condensed
-    by_pose, by_u = _pulling(condensed)
-    lead_pose = jnp.where(change.released[:, None], by_pose, 0.0)
-    lead_u += jnp.sum(jnp.where(change.released, by_u, 0.0))
-    if condensed.coupled is not None and problem.attached is not None and problem.attached.couplings is not None:
-        by_loads = -jnp.sum(lead_pose[:, :, None] * condensed.coupled.pose_by_loads, axis=(0, 1))
-        lead_z += as_contacts(problem.attached.couplings, jnp.reshape(by_loads, (-1, 3)), lead_z)
-    passed = march.target.whisker & (kind == VERTEX)
+    target, events = march.target, events_of(problem)
+    happened = Happened(problem, node.state, node.point.z, trial.solution.newton.condensed)
+    # If the contact state does not change, the path continues as it arrives.
+    z = jnp.where(facts.continues, march.tangent.z / scale_of(march.point.z) ** 2, 0.0)
+    z = z.at[:, :3].add(target.whisker[:, None] * (facts.leaves * facts.of_contact))
+    lead = Lead(z, jnp.zeros_like(march.pose), jnp.where(facts.continues, march.tangent.u, 0.0))
+    for number, event in enumerate(events):
+        lead = event.lead(target.whisker & (target.number == number), lead, happened)
     ahead = jnp.where(slope_sines(problem, node.point.z, node.state) < 0, -1.0, 1.0)
-    sign = jnp.where(change.touches, ahead, march.before_vertex)
+    sign = jnp.where(target.whisker & (target.number == TOUCH), ahead, march.before_vertex)
     return _moved(march, trial, node)._replace(
         task=jnp.asarray(int(Task.arrive)),
         state=node.state,
         point=node.point,
-        lead=Lead(lead_z, lead_pose, lead_u),
-        before_vertex=jnp.where(passed, -sign, sign),
+        lead=lead,
+        before_vertex=jnp.where(target.whisker & (target.number == VERTEX), -sign, sign),
         pending=node,
-        goal=march.goal + stops,
+        goal=march.goal + (target.number == AT_STOP),
     )
-
-
-def _pulling(at: Condensed) -> tuple[Poses, PerWhisker]:
-    """Decrease of each contact force per motion of the whisker's base, and per change of the control."""
-    by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
-    force = at.basis[:, 0, :]
-    along = force[:, :1] / by_x
-    weight = -jnp.concatenate([along, force[:, 1:] - along * at.pose_by[:, 0, 1:]], axis=1)
-    return weight, jnp.zeros_like(by_x[:, 0]) if at.pose_by_u is None else -jnp.sum(weight * at.pose_by_u, axis=1)

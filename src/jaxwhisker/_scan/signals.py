@@ -17,9 +17,10 @@ from jaxwhisker._equilibrium.friction import lean, slipping_from
 from jaxwhisker._equilibrium.implicit import Sides, Turning, event_control, event_points
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.pieces import break_between
-from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control, at_event
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker, Poses, ScenePose
+from jaxwhisker._path.events import condition_of, events_of, facts_of, limit_of, number_of
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, is_snap, select
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.state import State
@@ -140,23 +141,13 @@ def _objects(problem: Problem, state: ContactState) -> dict[str, Array]:
 
 def _event_condition(problem: Problem, node: Node) -> PathCondition:
     """The equation that defines a node's event; for a node without an event, its control is given."""
-    kind, slips, limit = node.kind, None, None
-    if problem.friction_angle is not None:
-        slips, limit = kind == EventKind.slip, jnp.sign(node.z_before[:, LEAN]) * problem.friction_angle
-    before, after = node.before.piece, node.state.piece
+    events, before, after = events_of(problem), node.before.piece, node.state.piece
+    number = number_of(events, node.kind)
     if problem.profile.has_edges and before is not None and after is not None:
-        slips, limit = kind == EventKind.edge, break_between(problem.profile, before, after)
-    return at_event(
-        node.whiskers,
-        node.z_before,
-        unloaded=(kind == EventKind.release) | (kind == EventKind.touch),
-        phase=(kind == EventKind.tip_to_tangential) | (kind == EventKind.tangential_to_tip),
-        vertex=kind == EventKind.vertex,
-        control=kind < 0,
-        u0=node.point.u,
-        lean=slips,
-        limit=limit,
-    )
+        limit = break_between(problem.profile, before, after)
+    else:
+        limit = limit_of(events, number, problem, node.z_before, None)
+    return condition_of(facts_of(events, number), node.whiskers, node.z_before, limit, node.point.u)
 
 
 class EventPoint(NamedTuple):
