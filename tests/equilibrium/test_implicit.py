@@ -117,7 +117,6 @@ def events():
         problem, state, point = problem_of(scene(p)), ContactState(phase, jnp.ones(1)), Point(z, u)
         along = newton_step(problem, state, PathCondition(z, z, jnp.asarray(1.0), u, 0.0 * z[:, 0]), point).tangent
         along = jax.lax.stop_gradient(along)
-        no = jnp.asarray(False)
         # The slack is zero, or the slope is; at a fold neither.
         slack = jnp.zeros_like(z).at[:, 2].set(kind == 0)
         condition = PathCondition(slack, 0.0 * z, jnp.asarray(0.0), u, jnp.full(1, kind == 1, float))

@@ -166,6 +166,6 @@ def test_a_trial_is_judged_by_its_solution():
         assert trial.stable and trial.sound
         np.testing.assert_allclose(sines, np.sin(at.z[:, 1]), rtol=ROUNDING)
         np.testing.assert_allclose(trial.there[VERTEX], np.sin(at.z[:, 1]), rtol=ROUNDING)
-        np.testing.assert_allclose([trial.there.stop[0], trial.here.stop[0]], [0.25, 0.26], rtol=ROUNDING)
-        np.testing.assert_allclose(trial.there.release, at.z[:, 0], rtol=ROUNDING)
+        np.testing.assert_allclose([trial.there[AT_STOP][0], trial.here[AT_STOP][0]], [0.25, 0.26], rtol=ROUNDING)
+        np.testing.assert_allclose(trial.there[RELEASE], at.z[:, 0], rtol=ROUNDING)
         np.testing.assert_allclose(trial.stance.x, at.base_x, atol=1e-9)
