@@ -11,12 +11,9 @@ EXACT = 1e-12
 SAME = 1e-9  # points that are found by bisection
 
 
-@pytest.mark.parametrize(
-    "profile",
-    [jw.Circle(0.2, 0.5, 0.1), jw.Tilted(jw.Ellipse(0.2, 0.5, 0.9), 0.2)],
-    ids=str,
-)
-def test_the_arc_between_the_ends_is_that_of_the_profile(profile):
+def test_the_arc_between_the_ends_is_that_of_the_profile():
+    profile = jw.Tilted(jw.Ellipse(0.2, 0.5, 0.9), 0.2)
+
     @jax.jit
     def points(cut):
         low, high = cut.breaks()
