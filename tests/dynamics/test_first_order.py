@@ -15,7 +15,9 @@ def cubed(x):
 
 def test_values_and_first_derivatives_stay():
     far = jnp.array([jnp.inf, jnp.nan, 1.0])
-    given = jax.jit(lambda x: (first_order(far), jax.jacfwd(first_order)(far), jax.grad(cubed)(x), jax.jacfwd(cubed)(x)))
+    given = jax.jit(
+        lambda x: (first_order(far), jax.jacfwd(first_order)(far), jax.grad(cubed)(x), jax.jacfwd(cubed)(x))
+    )
     for got, expected in zip(given(X), (far, np.eye(3), 3 * X**2, 3 * X**2), strict=True):
         np.testing.assert_array_equal(got, expected)
 

@@ -46,7 +46,7 @@ def test_closest_points(profile, x, distance, point):
         assert (gap.object.x, gap.object.y) == pytest.approx(point, abs=1e-6)
 
 
-# Base, lean and length of straight whiskers: beside the circle, leaning, too short, and behind it, far above its centre.
+# Base, lean and length of straight whiskers: upright beside the circle, leaning, and two that end below its centre.
 POSES = np.array([[0.5, 0.0, 0.0, 1.0], [0.6, 0.1, 0.4, 1.2], [0.5, 0.0, 0.1, 0.4], [0.2, -0.1, -0.9, 0.3]])
 LEANING = np.append(POSES, [[0.5, np.nan, 0.0, 1.0]], axis=0)
 

@@ -1,5 +1,6 @@
 """Depths of shafts inside objects, against geometry."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,17 +24,17 @@ def straight(profile, x, lean=0.0):
 
 def test_a_shaft_that_leans_over_a_corner_is_as_deep_as_the_corner_or_the_face():
     """A whisker that is closest to the flank of a box leans over the lower corner (0.4, 0.5)."""
-    lean, profile = 0.3, outline(as_one((jw.Box(0.5, 0.8, 0.5), jw.Circle(0.2, 0.1, 3.0))))
+    lean, profile = 0.3, jw.Box(0.5, 0.8, 0.5)
 
-    @jax.jit
-    def leaning(insides, parameters):
+    @eqx.filter_jit
+    def leaning(profile, insides, parameters):
         at = jax.vmap(profile.point)(parameters)
         flank = parameters[jnp.argmin(jnp.hypot(at.x - 0.4, at.y - 0.8))]
         base = 0.4 - 0.5 * jnp.tan(lean) - insides / jnp.cos(lean)
         return jax.vmap(lambda x: deepest(straight(profile, x, -lean), flank))(base)
 
     insides = [0.003, 0.02]
-    depths = leaning(jnp.array([*insides, -0.003, -0.02]), jnp.linspace(*profile.ends(), 4001))
+    depths = leaning(profile, jnp.array([*insides, -0.003, -0.02]), jnp.linspace(*profile.ends(), 4001))
     for inside, depth in zip(insides, -depths[:2], strict=True):  # from the nearest face, or from the flank
         assert inside / (np.sin(lean) + np.cos(lean)) - CELL < depth < inside / np.cos(lean) + CELL
     assert depths[2:].tolist() == [np.inf, np.inf]
@@ -52,6 +53,6 @@ def test_a_shaft_through_a_circle_is_as_deep_as_its_line_is_close_to_the_centre(
 def test_only_the_object_with_the_closest_point_counts():
     profile = outline(as_one((jw.Circle(0.3, 0.2), jw.Circle(0.3, 0.2, 1.0))))
     within = straight(profile, 0.9)  # inside the second one
-    on_first, on_second = (jnp.pi * (1 + share) + number * (2 * jnp.pi + 10) for number, share in ((0, 0.5), (1, -0.5)))
+    on_first, on_second = (jnp.pi * (1 + share) + number * (2 * jnp.pi + 10) for number, share in ((0, 0.1), (1, -0.5)))
     depths = jax.jit(jax.vmap(lambda parameter: deepest(within, parameter)))(jnp.array([on_first, on_second]))
     np.testing.assert_allclose(depths, [np.inf, -0.1], atol=EXACT)

@@ -1,5 +1,7 @@
 """Outlines of several objects: each object keeps its own points, and parameters of different ones are apart."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +34,7 @@ def test_parameters_of_objects_lie_one_after_the_other():
     assert isinstance(CHAIN, ObjectChain)
     spans = [[float(end + shift) for end in span(one)] for one, shift in zip(EACH, CHAIN.shift, strict=True)]
     assert spans[0][0] == 0.0 and CHAIN.ends() == (spans[0][0], spans[-1][1])
-    for before, after in zip(spans, spans[1:], strict=False):
+    for before, after in pairwise(spans):
         np.testing.assert_allclose(after[0] - before[1], APART, atol=EXACT)
     count = 5
     parameters = samples(CHAIN, count)
