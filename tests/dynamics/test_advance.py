@@ -46,7 +46,7 @@ def stepped():
         rods, angles = system.rods, basis(N).angles
         return jax.vmap(one)(q, rate), angles.T @ rods.second[0] @ angles, rods.stiffness[0]
 
-    return q[0], rate[0], *of(sensor, jnp.asarray(q), jnp.asarray(rate))
+    return q[0], rate[0], *jax.tree.map(np.asarray, of(sensor, jnp.asarray(q), jnp.asarray(rate)))
 
 
 def test_a_small_vibration_takes_a_step_of_the_midpoint_rule(stepped):
@@ -56,7 +56,7 @@ def test_a_small_vibration_takes_a_step_of_the_midpoint_rule(stepped):
     right = (2 * mass / H**2 + damping / H - stiffness / 2) @ q + 2 * mass @ rate / H
     expected = np.linalg.solve(left, right)
     np.testing.assert_allclose(new.rod.q[0, 0], expected, atol=LINEAR * SIZE)
-    assert np.max(np.abs(expected - q)) > 0.1 * SIZE
+    assert np.max(np.abs(expected - q)) > 0.05 * SIZE
     np.testing.assert_allclose(new.change[0, 0], new.rod.q[0, 0] - q, atol=1e-20)
 
 
@@ -70,10 +70,11 @@ def test_energy_and_its_ledger_change_alike(stepped):
     np.testing.assert_allclose(new.ledger.damping[0], lost, rtol=1e-6)
     np.testing.assert_allclose(later - before, -lost, rtol=1e-6)
     assert new.ledger.work[0] == 0
-    # The clamp carries the inertia: the force is the change of momentum along x.
-    system_mass = np.append(np.append(0.0, basis(N).weights), 0.2)
-    velocity = new.rod.velocity[0, 0, 0]
-    assert velocity.shape == system_mass.shape and np.isfinite(forces.reaction[0]).all()
+    # The force of the clamp is the change of momentum along x, and what the air takes.
+    _, weights, _, angles, reach, _ = basis(N)
+    masses = np.concatenate([[0.0], weights, [0.2]])
+    momentum = -masses @ reach @ angles @ np.stack([speed - rate, AIR * (after - q)], axis=1)
+    np.testing.assert_allclose(forces.reaction[0, 0, 0], np.sum(momentum) / H, rtol=1e-6)
 
 
 def test_a_state_that_is_not_known_is_not_solved(stepped):

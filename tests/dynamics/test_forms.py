@@ -101,7 +101,7 @@ def drawn():
     mass, stiffness = (half @ half.T + np.eye(8) for half in root)
     given = (jnp.asarray(each) for each in (mass, stiffness, np.zeros((3, 3)), rows))
     fields: Any = None
-    return Forms(*given, jnp.asarray(True), fields), mass, stiffness, rows[0], rng
+    return Forms(*given, defined=jnp.asarray(True), fields=fields), mass, stiffness, rows[0], rng
 
 
 def test_a_condensed_whisker_follows_its_base_in_equilibrium_and_keeps_its_contact():

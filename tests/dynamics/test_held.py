@@ -95,11 +95,9 @@ def test_mean_tensions_do_the_work_of_the_change_of_energy():
     for first, last in CHANGES:
         both, (mean, late), end = step(*(jnp.full(LAW.size, length) for length in (first, last)))
         for length, energy in zip((first, last), both, strict=True):
-            np.testing.assert_allclose(
-                energy, [potential(length, *each) for each in zip(LAW, SIDED, strict=True)], atol=1e-6
-            )
-        exact = [[potential(length, *each) for each in zip(LAW, SIDED, strict=True)] for length in (first, last)]
-        np.testing.assert_allclose(mean * (last - first), np.subtract(*exact[::-1]), atol=EXACT)
+            np.testing.assert_allclose(energy, [potential(length, *kind) for kind in KINDS], atol=EXACT)
+        work = [potential(last, *kind) - potential(first, *kind) for kind in KINDS]
+        np.testing.assert_allclose(mean * (last - first), work, atol=EXACT)
         np.testing.assert_allclose(late, end, atol=EXACT)  # of an implicit step
         if first == last:
             np.testing.assert_allclose(mean, end, atol=EXACT)
@@ -113,11 +111,11 @@ FIRST, LAST = np.array([0.5, 0.1, 0.3]), np.array([0.55, 0.02, -0.4])
 def pulls(base, drives, lag):
     """Springs of a straight whisker between two poses of its base."""
     own = held(np.array([AXIAL, X, PHI, AXIAL, Y]), at=PLACES)
-    ends = [
+    first, last = (
         ends_of(own, 1.0, jnp.zeros(N), at, jnp.pi / 2 + at[2] + jnp.zeros(8), drive)
         for at, drive in zip(base, drives, strict=True)
-    ]
-    return pulls_of(own, (), *ends, (drives[:, 2], base[:, 2]), 0.5, lag)
+    )
+    return pulls_of(own, (), first, last, (drives[:, 2], base[:, 2]), 0.5, lag)
 
 
 def test_forces_of_springs_on_a_resting_drive_do_the_work_of_their_tensions():
@@ -140,6 +138,6 @@ def test_forces_turn_with_the_scene():
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     one = pulls(jnp.asarray(base), jnp.asarray(drives), 1.5)
     turned = [jnp.asarray(at @ rotation.T + [0, 0, turn]) for at in (base, drives)]
-    other = pulls(*turned, 1.5)
+    other = pulls(turned[0], turned[1], 1.5)
     np.testing.assert_allclose(other.load, one.load @ rotation.T, atol=EXACT)
     np.testing.assert_allclose(other.about_base, one.about_base @ rotation.T, atol=EXACT)

@@ -34,7 +34,7 @@ def test_nodes_reach_as_far_as_the_integral_of_the_interpolating_polynomial():
     known = polynomial(shapes.points.size - 1)
     expected = known.integ(lbnd=0)(np.concatenate([[0.0], shapes.points, [1.0]]))
     np.testing.assert_allclose(shapes.reach @ known(shapes.points), expected, atol=ROUNDING)
-    coefficients = known.convert(kind=np.polynomial.Legendre, domain=[0, 1]).coef
+    coefficients = np.asarray(known.convert(kind=np.polynomial.Legendre, domain=[0, 1]).coef, float)
     np.testing.assert_allclose(shapes.interpolation @ known(shapes.points), coefficients, atol=ROUNDING)
 
 

@@ -29,8 +29,8 @@ def body() -> Any:
 def line(phase, reaction):
     numbers = [jnp.asarray(value) for value in BASE]
     contact = [jnp.asarray(value) for value in (0.0, 0.0, ARC, 0.0, 0.0)]
-    at = Equilibrium(*numbers, *reaction, *contact, phase)
-    loads = DeadLoads(jnp.array([PLACE]), *(jnp.array([value]) for value in LOAD), ())
+    at = Equilibrium(*numbers, *reaction, *contact, phase=phase)
+    loads = DeadLoads(jnp.array([PLACE]), *(jnp.array([value]) for value in LOAD), lines=())
     ends = ends_of(body(), at, loads, jnp.array(BREAKS))
     return ends, line_of(body(), at, ends, loads)
 

@@ -111,7 +111,7 @@ def test_bases_turn_with_the_drive():
 def test_the_same_sensor_in_other_units_is_the_same_system():
     scene = jax.tree.map(checks.as_float, sensor(LENGTH, STIFFNESS, DENSITY))
     unit = motion_units(scene)
-    np.testing.assert_allclose([unit.length, unit.force, unit.moment, unit.time], [LENGTH, FORCE, MOMENT, TIME])
+    np.testing.assert_allclose([float(own) for own in unit], [LENGTH, FORCE, MOMENT, TIME])
     assert unit.energy == unit.moment
     si = damping(1 / TIME, TIME, FORCE, MOMENT, LENGTH / TIME, 1 / TIME)
     for one, other in zip(jax.tree.leaves(made(scene, si)), jax.tree.leaves(system()), strict=True):

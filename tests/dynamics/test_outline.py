@@ -1,6 +1,7 @@
 """Outlines of several objects: each object keeps its own points, and parameters of different ones are apart."""
 
 from itertools import pairwise
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,14 +12,15 @@ from jaxwhisker._dynamics.outline import APART, ObjectChain, number_of, only, ou
 from jaxwhisker._model.objects import as_one
 
 CORNERS = np.array([(1.6, 0.6), (1.8, 0.4), (2.0, 0.35), (2.3, 0.5)])
-EACH = jw.Circle(0.3, 0.2), jw.Polygon(CORNERS), jw.Parabola(0.5, 1.0, 4.0)
-CHAIN = outline(as_one(EACH))
+POLYGON: Any = jw.Polygon(CORNERS)
+EACH = jw.Circle(0.3, 0.2), POLYGON, jw.Parabola(0.5, 1.0, 4.0)
+CHAIN: Any = outline(as_one(EACH))
 EXACT = 1e-12
 
 
 def own(k, share):
     """A parameter of an object, at this share of the way from its first to its last point."""
-    first, last = span(EACH[k])
+    first, last = (float(end) for end in span(EACH[k]))
     return first + share * (last - first)
 
 
@@ -38,7 +40,8 @@ def test_parameters_of_objects_lie_one_after_the_other():
         np.testing.assert_allclose(after[0] - before[1], APART, atol=EXACT)
     count = 5
     parameters = samples(CHAIN, count)
-    np.testing.assert_allclose(parameters, np.concatenate([np.linspace(*each, count) for each in spans]), atol=EXACT)
+    expected = [np.linspace(first, last, count) for first, last in spans]
+    np.testing.assert_allclose(parameters, np.concatenate(expected), atol=EXACT)
     assert number_of(CHAIN, parameters).tolist() == np.repeat(range(3), count).tolist()
     # A step of an iteration beyond an end is still one of the same object.
     assert number_of(CHAIN, jnp.ravel(jnp.asarray(spans)) + jnp.array([-1.0, 1.0] * 3)).tolist() == [0, 0, 1, 1, 2, 2]
@@ -65,15 +68,15 @@ def test_points_and_their_derivatives_are_those_of_the_object():
     np.testing.assert_allclose(rates, expected[1], atol=EXACT)
     # Edges have even numbers, and a smooth object is an arc.
     assert np.all(pieces[:3] == 1) and np.all(pieces[6:] == 1)
-    assert pieces[3:6].tolist() == [int(EACH[1].piece_at(jnp.asarray(own(1, share)))) for share in shares]
+    assert pieces[3:6].tolist() == [int(POLYGON.piece_at(jnp.asarray(own(1, share)))) for share in shares]
     assert CHAIN.has_edges and not outline(as_one((EACH[0], EACH[2]))).has_edges
 
 
 def test_one_object_of_several_has_its_own_ends_and_keeps_its_number():
     for k in range(3):
         parameter = jnp.asarray(own(k, 0.4) + CHAIN.shift[k])
-        alone = only(CHAIN, parameter)
-        np.testing.assert_allclose(alone.ends(), np.array(span(EACH[k])) + CHAIN.shift[k], atol=EXACT)
+        alone: Any = only(CHAIN, parameter)
+        np.testing.assert_allclose(alone.ends(), np.array(span(EACH[k]), float) + CHAIN.shift[k], atol=EXACT)
         assert number_of(alone, parameter) == k
 
 

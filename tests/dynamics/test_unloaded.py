@@ -1,12 +1,14 @@
 """Whiskers that springs on their shafts bend, against closed forms, with derivatives."""
 
 # pyright: reportArgumentType=false
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._base import checks
 from jaxwhisker._dynamics.moving import Damping, system_of
 from jaxwhisker._dynamics.unloaded import unloaded
 
@@ -17,24 +19,34 @@ TORSION = 5.0  # stiffness of the spring that turns the base
 NONE = Damping(jnp.zeros(()), jnp.zeros(()), (jnp.zeros(()),) * 3)
 
 
-def bent(stiffness, angle, base):
-    """A whisker whose tip a torsion spring turns, and whose base springs hold: its curvature is constant."""
-    at_tip = jw.Spring((0, 1), stiffness, angle, axis="phi", at=0.999999)
-    springs = jw.Spring((0, 1), 70.0, base), jw.Spring((0, 1), TORSION, axis="phi"), at_tip
-    found = unloaded(system_of(jw.Sensor(jw.Whisker(mass_per_length=1.0), jw.Support(springs)), NONE, N))
-    return jnp.concatenate([found.q[0], found.z, found.found[None].astype(float)])
-
-
 @pytest.fixture(scope="module")
 def lanes():
-    """Values and derivatives in both modes of three whiskers, of which the second one is invalid."""
+    """Values and derivatives in both modes of three whiskers, of which the second one is invalid.
+
+    A torsion spring turns their tips, and springs hold their bases along x and about them: their curvature is constant.
+    """
+    at_tip = jw.Spring((0, 1), 1.0, 0.3, axis="phi", at=0.999999)
+    springs = jw.Spring((0, 1), 70.0, 0.2), jw.Spring((0, 1), TORSION, axis="phi"), at_tip
+    sensor = jw.Sensor(jw.Whisker(mass_per_length=1.0), jw.Support(springs))
+    system = eqx.filter_jit(system_of)(jax.tree.map(checks.as_float, sensor), NONE, N)
+
+    def given(system):
+        assert system.rods.held is not None and system.network is not None
+        own = system.rods.held.springs
+        return own.stiffness, own.rest_length, system.network.offset
+
+    def bent(p):
+        stiffness, angle, base = (leaf.at[0, 0].set(value) for leaf, value in zip(given(system), p, strict=True))
+        found = unloaded(eqx.tree_at(given, system, (stiffness, angle, base)))
+        return jnp.concatenate([found.q[0], found.z, found.found[None].astype(float)])
+
     at, weights = jnp.array([[3.0, 0.8, 0.2], [jnp.nan, 0.8, 0.2], [0.5, -1.3, 0.1]]), jnp.arange(1.0, N + 4)
 
     def one(p):
-        values, along = jax.linearize(lambda p: bent(*p), p)
+        values, along = jax.linearize(bent, p)
         return values, jax.vmap(along, out_axes=1)(jnp.eye(3)), jax.linear_transpose(along, p)(weights)[0]
 
-    return at, weights, *jax.jit(jax.vmap(one))(at)
+    return at, weights, *jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(at))
 
 
 def test_a_torsion_spring_at_the_tip_bends_a_whisker_to_an_arc(lanes):
