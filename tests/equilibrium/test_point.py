@@ -31,32 +31,6 @@ def test_the_condition_of_a_force_concerns_the_sum_of_forces(which, expected):
     np.testing.assert_allclose(residual(point.at_force(which, HERE.z), THERE), expected, atol=ROUNDING)
 
 
-def event(which, *, kind, u0=0.0, **more):
-    """The condition of an event of one kind."""
-    kinds = {name: jnp.asarray(name == kind) for name in ("unloaded", "phase", "vertex", "control")}
-    return point.at_event(which, HERE.z, **kinds, u0=jnp.asarray(u0), **more)
-
-
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [
-        ("unloaded", Z[1, 0] + CHANGE[1, 0]),
-        ("phase", Z[1, 2] + CHANGE[1, 2]),
-        ("vertex", SINES[1]),
-        ("control", U + RATE - 0.3),
-    ],
-)
-def test_the_condition_of_an_event_is_its_margin(kind, expected):
-    np.testing.assert_allclose(residual(event(SECOND, kind=kind, u0=0.3), THERE), expected, atol=ROUNDING)
-
-
-def test_the_condition_that_a_contact_has_a_lean_or_parameter():
-    limits = jnp.array([0.1, 0.25])
-    for lean, expected in ((True, Z[0, 1] + CHANGE[0, 1] - 0.1), (False, 0.0)):
-        condition = event(FIRST, kind=None, lean=jnp.asarray(lean), limit=limits)
-        np.testing.assert_allclose(residual(condition, THERE), expected, atol=ROUNDING)
-
-
 def test_an_arc_length_is_measured_along_the_tangent():
     tangent, length = point.unit(Point(jnp.asarray(CHANGE), jnp.asarray(RATE)), HERE.z)
     scale = 1 + np.abs(Z)

@@ -20,24 +20,24 @@ PAIR = 1.3, 0.4  # parameters of exact contacts of two whiskers, in equilibrium 
 
 @pytest.fixture(scope="module")
 def solved():
-    """Solutions from a near guess, beyond every equilibrium, and from the solution itself."""
+    """Solutions from a near guess, beyond every equilibrium, from the solution itself, and at no control."""
     at, problem = contacts(*PAIR), Program(problem_of)(fbfb_at(*PAIR))
-    z, size = jnp.asarray(at.z), np.array([1.0, 1.0, 0.0])
+    z, size = jnp.asarray(at.z), np.array([1.0, 1.0, 0.0, 1.0])
     off = 1e-3 * scale_of(z) * np.random.default_rng(0).uniform(-1, 1, z.shape)
-    guesses = Point(z + size[:, None, None] * off, jnp.zeros(3))
+    guesses = Point(z + size[:, None, None] * off, jnp.array([0.0, 0.0, 0.0, jnp.nan]))
 
     @Program
     def found(problem, guesses, u):
-        states = ContactState(jnp.tile(at.phase, (3, 1)), jnp.ones((3, 2)))
+        states = ContactState(jnp.tile(at.phase, (4, 1)), jnp.ones((4, 2)))
         conditions = jax.vmap(at_control, in_axes=(0, None))(u, z)
         return solve_points(problem, states, conditions, guesses)
 
-    return z, found(problem, guesses, jnp.array([0.0, -6.0, 0.0]))
+    return z, found(problem, guesses, jnp.array([0.0, -6.0, 0.0, jnp.nan]))
 
 
 def test_points_are_solved_for_together_and_fail_alone(solved):
     z, solutions = solved
-    assert solutions.converged.tolist() == [True, False, True]
+    assert solutions.converged.tolist() == [True, False, True, False]
     for lane in (0, 2):
         assert np.max(np.abs(solutions.point.z[lane] - z) / scale_of(z)) < EXACT
         assert np.all(np.isfinite(solutions.newton.load[lane]))

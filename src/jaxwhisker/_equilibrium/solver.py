@@ -30,7 +30,8 @@ class StructuredNewton(optx.AbstractRootFinder):
     Here each whisker is linearised with respect to its own three unknowns. The tolerance applies to the last step,
     which the returned point includes: a tolerance of 1e-6 gives an error near 1e-12.
 
-    Several points along a leading axis are solved for in one loop, in which solved points stay where they are.
+    Several points along a leading axis are solved for in one loop, in which solved and failed points
+    stay where they are.
     """
 
     rtol: float
@@ -51,14 +52,16 @@ class StructuredNewton(optx.AbstractRootFinder):
             changes = _of_sticking(changes, y.z, contact_state)
         size = jnp.maximum(jnp.max(changes, axis=(-2, -1)), jnp.abs(step.u))
         if size.ndim > 0:
-            solved = state.step_size < self.atol
-            step = Point(jnp.where(solved[:, None, None], 0.0, step.z), jnp.where(solved, 0.0, step.u))
-            size = jnp.where(solved, state.step_size, size)
+            solved, failed = state.step_size < self.atol, ~jnp.isfinite(size)
+            # The loop would end for all points as soon as one is not finite.
+            stays = solved | failed
+            step = Point(jnp.where(stays[:, None, None], 0.0, step.z), jnp.where(stays, 0.0, step.u))
+            size = jnp.where(solved, state.step_size, jnp.where(failed, jnp.nan, size))
         return jax.tree.map(jnp.add, y, step), _NewtonState(size), newton
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags
-        return jnp.all(state.step_size < self.atol), optx.RESULTS.successful
+        return jnp.all((state.step_size < self.atol) | jnp.isnan(state.step_size)), optx.RESULTS.successful
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         del fn, args, options, state, tags, result
@@ -114,6 +117,9 @@ def _solve(
     # Derivatives are attached to the solution (implicit.py); they do not depend on the solver's iterations.
     problem, condition, guess, apart = jax.lax.stop_gradient((problem, condition, guess, apart))
     solver = StructuredNewton(rtol=0.0, atol=problem.rod.newton_tolerance)
+    if guess.u.ndim > 0:
+        finite = jnp.all(jnp.isfinite(guess.z), axis=(-2, -1)) & jnp.isfinite(guess.u)
+        guess = Point(jnp.where(finite[:, None, None], guess.z, 0.0), jnp.where(finite, guess.u, 0.0))
 
     def equations(point, args):
         problem, state, condition, apart = args
