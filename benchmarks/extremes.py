@@ -20,7 +20,7 @@ import jaxwhisker as jw
 from common import write
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.point import Mode, at_control
+from jaxwhisker._equilibrium.point import at_control
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.route import across, route_of
@@ -138,8 +138,8 @@ def iterations(scene: jw.Scene, way, control, travel):
     def one(step):
         i, at = step
         guess = interpolate(path, i, at)
-        mode = Mode(path.nodes.phase[i], path.nodes.side[i], jnp.asarray(False))
-        return solve_point(dimensionless, mode, at_control(at, guess.z), guess).iterations
+        state = jax.tree.map(lambda leaf: leaf[i], path.nodes.state)
+        return solve_point(dimensionless, state, at_control(at, guess.z), guess).iterations
 
     return jax.lax.map(one, (index, u))
 

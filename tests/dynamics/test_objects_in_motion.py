@@ -1,4 +1,4 @@
-"""Moving whiskers and objects with edges or a back: sweeps, second contacts, closest points, derivatives."""
+"""Moving whiskers and objects with edges or a back: sweeps, second contacts, derivatives."""
 
 # pyright: reportArgumentType=false
 import jax
@@ -7,10 +7,6 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._dynamics.gap import closest, gap_at
-from jaxwhisker._dynamics.inside import deepest
-from jaxwhisker._dynamics.motion_state import angles_of, posed
-from jaxwhisker._dynamics.moving import Damping, system_of
 
 ROD = jw.Whisker(mass_per_length=1.0)
 START, STOP, SPEED, STEPS = 0.5, -1.5, 0.05, 4000
@@ -24,7 +20,6 @@ BALANCED = 1e-9
 INSIDE = 0.01  # length: penetration by a second contact that ends a simulation
 CREATED = 0.05  # relative work of contacts at which a simulation ends
 PUSHED_OUT = 0.02  # relative work on what is inside when contacts change places; depths are about 1e-3 lengths
-CELL = 0.002  # error of the depth near a corner: a quarter of the cells in which the depth is a cubic
 DIFFERENCES = 1e-5
 
 
@@ -87,26 +82,6 @@ def test_a_shaft_inside_the_object_ends_the_simulation():
     assert motion.phase[first - 1, 0] == jw.Phase.tip
 
 
-@pytest.mark.parametrize("inside", [0.003, 0.02])
-def test_depth_of_a_shaft(inside):
-    """A whisker that is closest to the flank of a box leans over the lower corner (0.4, 0.5)."""
-    none, lean, box = jnp.zeros(()), 0.3, jw.Box(0.5, 0.8, 0.5)
-    for profile in (box, (box, jw.Circle(0.2, 0.1, 3.0))):
-        system = system_of(jw.Scene(ROD, profile, jw.Support.clamped()), Damping(none, none, (none, none, none)), 4)
-        at = jnp.array([0.4 - 0.5 * np.tan(lean), 0.0, -lean])
-
-        def leaning(shift, system=system, at=at):
-            base = at.at[0].add(shift / np.cos(lean))
-            return posed(system, jnp.ones(()), base, angles_of(system, jnp.zeros((1, 4)), base[None])[0])
-
-        upright = posed(system, jnp.ones(()), jnp.array([0.41, 0.0, 0.0]), jnp.full(8, jnp.pi / 2))
-        _, flank = jax.jit(closest)(upright)
-        assert gap_at(upright, jnp.asarray(0.8), flank).object.sin == pytest.approx(1.0)
-        depth = -deepest(leaning(-inside), flank)  # from the nearest face, or from the flank
-        assert inside / (np.sin(lean) + np.cos(lean)) - CELL < depth < inside / np.cos(lean) + CELL
-        assert deepest(leaning(inside), flank) == jnp.inf
-
-
 def past_a_block(block, stop, speed):
     """A sweep in which a shaft hits a straight flank between two corners at once."""
     half, low, high = block
@@ -164,27 +139,6 @@ def test_a_second_object_ends_the_simulation():
     scan, motion = past_two(0.3, -0.5)
     ours, theirs = (float(r.control[np.argmax(r.status == jw.Status.second_contact)]) for r in (motion, scan))
     assert -1.0 < ours < -0.8 and theirs - 0.04 < ours <= theirs  # 0.01 inside
-
-
-@pytest.mark.parametrize(
-    ("profile", "x", "distance", "point"),
-    [
-        (jw.Box(0.3, 0.8, 0.5), 0.41, 0.01, None),  # beside a flank
-        (jw.Cut(jw.Parabola(0.2), -0.3, 0.5), 0.51, 0.01, (0.5, 0.45)),  # beside an edge
-        (jw.Polygon([(-0.1, 0.5), (0.0, 0.2), (0.1, 0.5)]), 0.11, 0.01, (0.1, 0.5)),
-        (jw.Polygon([(-0.1, 2.0), (0.0, 1.1), (0.1, 2.0)]), 0.0, 0.1, (0.0, 1.1)),  # above the tip
-        (jw.Polygon([(-0.1, 2.0), (0.0, 1.1), (0.1, 2.0)]), 0.05, np.hypot(0.05, 0.1), (0.0, 1.1)),
-    ],
-)
-def test_closest_points(profile, x, distance, point):
-    none = jnp.zeros(())
-    system = system_of(jw.Scene(ROD, profile, jw.Support.clamped()), Damping(none, none, (none, none, none)), 4)
-    base = jnp.array([[x, 0.0, 0.0]])
-    here = posed(system, jnp.ones(()), base[0], angles_of(system, jnp.zeros((1, 4)), base)[0])
-    gap = jax.jit(lambda here: gap_at(here, *closest(here)))(here)
-    assert gap.distance == pytest.approx(distance, abs=1e-6)
-    if point is not None:
-        assert (gap.object.x, gap.object.y) == pytest.approx(point, abs=1e-6)
 
 
 def measured(p):

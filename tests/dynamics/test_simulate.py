@@ -361,28 +361,12 @@ def test_samples_and_whisking():
 
 def test_a_sweep_holds_its_position():
     """The drive stops at once, and damping brings the whisker to rest."""
-    up, down = jw.Sweep(0.1, 0.5, 0.4), jw.Sweep(0.1, -0.3, 0.4)
-    for sweep, way in ((up, 1), (down, -1)):
-        np.testing.assert_allclose([float(sweep(t)) for t in (0.0, 0.5, 2.0)], 0.1 + way * np.array([0.0, 0.2, 0.4]))
-        assert jax.grad(lambda speed, s=sweep: jw.Sweep(s.start, s.stop, speed)(0.5))(0.4) == way * 0.5
-        assert jax.grad(lambda stop, s=sweep: jw.Sweep(s.start, stop, s.speed)(2.0))(sweep.stop) == 1.0
+    down = jw.Sweep(0.1, -0.3, 0.4)
     motion = jw.simulate(FREE, down, 8.0, steps=800, stiffness_damping=0.2, shapes=4)
     assert np.all(motion.control[100:] == down.stop)
     swing = np.abs(motion.tip_x[:, 0] - motion.base_x[:, 0])
     assert swing[100:150].max() > 0.05 and swing[-1] < 1e-3  # of the stop, and at rest
     assert drift(motion) < BALANCED
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: jw.Sweep(0.1, 0.5, 0.0), "`speed` must be a positive finite number, got 0.0"),
-        (lambda: jw.Sweep(0.1, np.nan, 1.0), "`stop` must be a finite number, got nan"),
-    ],
-)
-def test_a_sweep_checks_its_numbers(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
 
 
 @pytest.mark.unchecked

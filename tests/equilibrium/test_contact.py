@@ -9,7 +9,7 @@ import jaxwhisker as jw
 from exact_contacts import DISTANCE, contacts
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import Body, Phase, of_each
+from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, of_each
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker._rod.rod import Section
@@ -35,7 +35,7 @@ VALUES = contact.Base._fields[:-2]  # the last two are None without springs on t
 
 def body(rod: AbstractRod = CLOSED, position=0.0):
     one = jnp.asarray(1.0)
-    return Body(one, one, jw.Parabola(DISTANCE, 1.0, jnp.asarray(position)), rod)
+    return WhiskerAtObject(one, one, jw.Parabola(DISTANCE, 1.0, jnp.asarray(position)), rod)
 
 
 @Program
@@ -161,7 +161,7 @@ def test_whiskers_of_different_kinds_are_computed_one_by_one(exactly):
     one = jnp.asarray(1.0)
     section = Section(1.0, 0.3, one, one, one)
     stacked = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 2), section)
-    bodies = Body(jnp.array([1.0, 0.9]), jnp.ones(2), PARABOLA, Shooting(4), stacked)
+    bodies = WhiskerAtObject(jnp.array([1.0, 0.9]), jnp.ones(2), PARABOLA, Shooting(4), stacked)
     args = jnp.asarray(exactly.z[:2]), jnp.asarray(exactly.phase[:2]), jnp.array([1.0, -1.0])
     batch = Program(lambda bodies, *args: of_each(bodies, contact.base, *args))
     together, apart = batch(bodies, *args), batch(bodies._replace(section=(section, section)), *args)

@@ -10,10 +10,11 @@ from scipy.optimize import brentq
 import jaxwhisker as jw
 from exact_contacts import DISTANCE, branch, contacts, fb_control, fbfb_at
 from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.implicit import event_control, solved, without_rule
+from jaxwhisker._equilibrium.implicit import event_control, solved
 from jaxwhisker._equilibrium.newton import newton_step
-from jaxwhisker._equilibrium.point import Mode, Point, Row, at_control, at_event
+from jaxwhisker._equilibrium.point import PathCondition, Point, at_control
 from jaxwhisker._equilibrium.solver import solve_point
 
 MODES = 1e-11  # forward against reverse, relative to the largest
@@ -39,19 +40,19 @@ def at():
     rest_length = [float(spring.rest_length) for spring in fbfb_at(1.3, 0.6, stiffness).support.springs]
     here = contacts(1.3, 0.6)
     p = jnp.array([*stiffness, *rest_length, DISTANCE, 1.0, 1.0, 0.0])
-    return p, jnp.asarray(here.z), Mode(jnp.asarray(here.phase), jnp.ones(2), NO)
+    return p, jnp.asarray(here.z), ContactState(jnp.asarray(here.phase), jnp.ones(2))
 
 
 def test_derivatives_of_a_solved_point(at):
-    p, z, mode = at
+    p, z, state = at
 
     def contact(p):
         u = p[-1]
-        return solved(Point(z, jax.lax.stop_gradient(u)), problem_of(fbfb(p)), mode, at_control(u, z)).z
+        return solved(Point(z, jax.lax.stop_gradient(u)), problem_of(fbfb(p)), state, at_control(u, z)).z
 
     @Program
     def iterated(p):
-        return solve_point(problem_of(fbfb(p)), mode, at_control(p[-1], z), Point(z, p[-1])).point.z
+        return solve_point(problem_of(fbfb(p)), state, at_control(p[-1], z), Point(z, p[-1])).point.z
 
     @Program
     def both(p):
@@ -113,12 +114,13 @@ def events():
         return jw.Scene(jw.Whisker(), jw.Parabola(p[2]), jw.Support.fb(p[0], p[1]), jw.ClosedForm())
 
     def control(p, z, u, phase, kind):
-        problem, mode, point = problem_of(scene(p)), Mode(phase, jnp.ones(1), NO), Point(z, u)
-        along = newton_step(problem, mode, Row(z, z, jnp.asarray(1.0), u, 0.0 * z[:, 0]), point).tangent
+        problem, state, point = problem_of(scene(p)), ContactState(phase, jnp.ones(1)), Point(z, u)
+        along = newton_step(problem, state, PathCondition(z, z, jnp.asarray(1.0), u, 0.0 * z[:, 0]), point).tangent
         along = jax.lax.stop_gradient(along)
-        no = jnp.asarray(False)
-        row = at_event(jnp.ones(1, bool), z, unloaded=no, phase=kind == 0, vertex=kind == 1, control=no, u0=u)
-        return event_control(point, problem, mode, along, row, kind == 2)
+        # The slack is zero, or the slope is; at a fold neither.
+        slack = jnp.zeros_like(z).at[:, 2].set(kind == 0)
+        condition = PathCondition(slack, 0.0 * z, jnp.asarray(0.0), u, jnp.full(1, kind == 1, float))
+        return event_control(point, problem, state, along, condition, kind == 2)
 
     @Program
     @jax.vmap
@@ -160,12 +162,3 @@ def test_a_nearer_object_shifts_events(events):
     difference = (controls(DISTANCE + h) - controls(DISTANCE - h)) / (2 * h)
     assert np.all(np.abs(difference) > 0.1)
     np.testing.assert_allclose(forward[:, 2], difference, atol=1e-5)  # the square of h, times third derivatives
-
-
-def test_without_a_rule_the_derivative_is_nan_and_the_value_stays():
-    point, known = jnp.array([1.0, 2.0]), {"some": jnp.array([3.0, jnp.inf]), "count": 4}
-    assert without_rule(point, known).tolist() == [1.0, 2.0]
-    by_known = jax.grad(lambda some: without_rule(point, {**known, "some": some}).sum())(known["some"])
-    assert np.isnan(by_known[0]) and by_known[1] == 0  # no derivative with respect to infinity
-    by_point = jax.grad(lambda point: without_rule(point, known).sum())(point)
-    assert by_point.tolist() == [1.0, 1.0]

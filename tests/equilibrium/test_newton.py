@@ -9,9 +9,10 @@ from exact_contacts import contacts, fbfb_at
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium import newton
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.newton import newton_step, with_dummy_contacts
-from jaxwhisker._equilibrium.point import Mode, Point, at_arc_length, at_control, scale_of
+from jaxwhisker._equilibrium.newton import Apart, newton_step, with_dummy_contacts
+from jaxwhisker._equilibrium.point import Point, at_arc_length, at_control, scale_of
 from jaxwhisker._equilibrium.solver import solve_point
 
 EXACT = 1e-9  # of solved contacts, in their scale: the accepted point is one step better than the tested one
@@ -24,8 +25,8 @@ PAIRS: list[tuple[float, float]] = [(0.3, 1e-7), (0.6, 0.1), (1.3, 0.9), (2.6, 0
 problem_now = Program(problem_of)
 
 
-def mode_of(at):
-    return Mode(jnp.asarray(at.phase), jnp.ones(2), jnp.asarray(False))
+def state_of(at):
+    return ContactState(jnp.asarray(at.phase), jnp.ones(2))
 
 
 solve, step = Program(solve_point), Program(newton_step)
@@ -36,30 +37,30 @@ def strong(tree):
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, leaf.dtype), tree)
 
 
-def solved_at_control(problem, mode, z, u):
+def solved_at_control(problem, state, z, u, apart=None):
     """The solution at a control, from a guess."""
-    return solve(problem, mode, *strong((at_control(u, z), Point(z, u))))
+    return solve(problem, state, *strong((at_control(u, z), Point(z, u))), apart)
 
 
-def step_at_control(problem, mode, z, u):
+def step_at_control(problem, state, z, u):
     """A Newton step from here, towards control 0."""
-    return step(problem, mode, *strong((at_control(jnp.asarray(0.0), z), Point(z, u))))
+    return step(problem, state, *strong((at_control(jnp.asarray(0.0), z), Point(z, u))))
 
 
 @pytest.fixture(scope="module")
 def typical():
     """Problem, exact contacts and mode of an equilibrium at control 0."""
     at = contacts(1.3, 0.4)
-    return problem_now(fbfb_at(1.3, 0.4, STIFFNESS)), at, mode_of(at)
+    return problem_now(fbfb_at(1.3, 0.4, STIFFNESS)), at, state_of(at)
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids=str)
 def test_exact_equilibria_are_found(pair):
     at = contacts(*pair)
-    mode, z = mode_of(at), jnp.asarray(at.z)
+    state, z = state_of(at), jnp.asarray(at.z)
     problem = problem_now(fbfb_at(pair[0], pair[1], STIFFNESS))
     off = 1e-3 * scale_of(z) * np.random.default_rng(0).uniform(-1, 1, z.shape)
-    solution = solved_at_control(problem, mode, z + off, jnp.asarray(0.0))
+    solution = solved_at_control(problem, state, z + off, jnp.asarray(0.0))
     assert solution.converged and solution.iterations <= 5
     assert solution.point.u == 0.0
     assert np.max(np.abs(solution.point.z - z) / scale_of(z)) < EXACT
@@ -68,13 +69,13 @@ def test_exact_equilibria_are_found(pair):
 
 
 def test_convergence_is_quadratic(typical):
-    problem, at, mode = typical
+    problem, at, state = typical
     z = jnp.asarray(at.z)
     direction = scale_of(z) * jnp.array([[0.3, -0.2, 0.1], [-0.2, 0.1, 0.3]])
-    assert step_at_control(problem, mode, z, jnp.asarray(0.0)).residual < RESIDUAL
+    assert step_at_control(problem, state, z, jnp.asarray(0.0)).residual < RESIDUAL
 
     def miss(size):
-        change = step_at_control(problem, mode, z + size * direction, jnp.asarray(0.01 * size)).step
+        change = step_at_control(problem, state, z + size * direction, jnp.asarray(0.01 * size)).step
         assert change.u == -0.01 * size  # the row is linear: one step fulfils it
         return np.max(np.abs(size * direction + change.z) / scale_of(z))
 
@@ -84,10 +85,10 @@ def test_convergence_is_quadratic(typical):
 
 
 def test_the_tangent_is_the_derivative_of_the_path(typical):
-    problem, at, mode = typical
+    problem, at, state = typical
     z, h = jnp.asarray(at.z), 1e-4
-    newton = step_at_control(problem, mode, z, jnp.asarray(0.0))
-    ahead, behind = (solved_at_control(problem, mode, z, jnp.asarray(u)) for u in (h, -h))
+    newton = step_at_control(problem, state, z, jnp.asarray(0.0))
+    ahead, behind = (solved_at_control(problem, state, z, jnp.asarray(u)) for u in (h, -h))
     assert abs(newton.tangent.u - 1.0) < RESIDUAL  # the row, applied to it, is 1
     slope = (ahead.point.z - behind.point.z) / (2 * h)
     np.testing.assert_allclose(newton.tangent.z, slope, rtol=DIFFERENCE, atol=DIFFERENCE)
@@ -100,12 +101,12 @@ def test_the_tangent_is_the_derivative_of_the_path(typical):
 
 
 def test_an_arc_length_ahead(typical):
-    problem, at, mode = typical
+    problem, at, state = typical
     z, distance = jnp.asarray(at.z), 0.05
     here = Point(z, jnp.asarray(0.0))
-    tangent = step_at_control(problem, mode, z, here.u).tangent
-    row = at_arc_length(here, tangent, distance)
-    solution = solve(problem, mode, *strong((row, here)))
+    tangent = step_at_control(problem, state, z, here.u).tangent
+    condition = at_arc_length(here, tangent, distance)
+    solution = solve(problem, state, *strong((condition, here)))
     assert solution.converged
     chord = solution.point.z - z
     scale = scale_of(z)
@@ -113,18 +114,18 @@ def test_an_arc_length_ahead(typical):
     length = np.sum((tangent.z / scale) ** 2) + tangent.u**2
     assert abs(projected - distance * length) < EXACT
     # It is an equilibrium at its own control.
-    again = solved_at_control(problem, mode, solution.point.z, solution.point.u)
+    again = solved_at_control(problem, state, solution.point.z, solution.point.u)
     np.testing.assert_allclose(again.point.z, solution.point.z, atol=EXACT * 20)
 
 
 def test_the_base_of_a_free_whisker_follows_the_others():
     alone = contacts(1.3)
     problem = problem_now(fbfb_at(1.3, 0.4, STIFFNESS))
-    mode = Mode(jnp.array([int(alone.phase[0]), int(Phase.free)]), jnp.ones(2), jnp.asarray(False))
+    state = ContactState(jnp.array([int(alone.phase[0]), int(Phase.free)]), jnp.ones(2))
     z = jnp.asarray(np.concatenate([alone.z, np.zeros((1, 3))]))
     first, second = np.ravel(problem.offset)
     u = alone.base_x[0] - alone.force_x[0] / STIFFNESS[0] - first
-    solution = solved_at_control(problem, mode, z + 1e-3, jnp.asarray(u))
+    solution = solved_at_control(problem, state, z + 1e-3, jnp.asarray(u))
     assert solution.converged
     np.testing.assert_allclose(solution.point.z[0], alone.z[0], atol=EXACT * 20)
     base_x = [alone.base_x[0], u + second + alone.force_x[0] / STIFFNESS[0]]
@@ -133,29 +134,29 @@ def test_the_base_of_a_free_whisker_follows_the_others():
 
 
 def test_separate_whiskers_do_not_feel_the_network(typical):
-    problem, at, mode = typical
+    problem, at, state = typical
     off = jnp.array([[0.01, 0.02, -0.01], [0.02, -0.01, 0.01]])
-    apart = mode._replace(separate=jnp.asarray(True))
+    apart = Apart(jnp.asarray(True), None)
     z, elsewhere = jnp.asarray(at.z) + off, jnp.asarray(3.0)
-    solution = solved_at_control(problem, apart, z, elsewhere)
+    solution = solved_at_control(problem, state, z, elsewhere, apart)
     assert solution.converged and solution.point.u == elsewhere
     # Both stand upright at height 0 again, next to where they were on their branches.
-    again = step_at_control(problem, apart, solution.point.z, elsewhere)
+    again = step_at_control(problem, state, solution.point.z, elsewhere)
     assert np.max(np.abs(again.condensed.own)) < EXACT
     assert np.max(np.abs(solution.point.z - z)) < 0.1
 
 
 def test_failure_is_a_flag_and_neighbours_do_not_notice(typical):
-    problem, at, mode = typical
+    problem, at, state = typical
     z = jnp.asarray(at.z)
     # Far beyond the fold there is no such equilibrium, and NaN is no control.
     controls = jnp.array([0.0, -6.0, jnp.nan, 1e-3])
-    batch = Program(lambda u: jax.vmap(lambda u: solve_point(problem, mode, at_control(u, z), Point(z, u)))(u))(
+    batch = Program(lambda u: jax.vmap(lambda u: solve_point(problem, state, at_control(u, z), Point(z, u)))(u))(
         controls
     )
     assert batch.converged.tolist() == [True, False, False, True]
     for lane in (0, 3):
-        alone = solved_at_control(problem, mode, z, controls[lane])
+        alone = solved_at_control(problem, state, z, controls[lane])
         np.testing.assert_allclose(batch.point.z[lane], alone.point.z, atol=RESIDUAL * 20)
         assert np.all(np.isfinite(batch.newton.load[lane]))
 
@@ -173,8 +174,8 @@ def test_dummy_contacts_keep_derivatives_finite(typical):
         def height(profile):
             before = problem.__class__(**{**vars(problem), "profile": profile})
             contact, phase = with_dummy_contacts(before, z, free)
-            mode = Mode(phase, jnp.ones(2), jnp.asarray(False))
-            return newton.evaluate(before, Point(contact, jnp.asarray(0.0)), mode).y[1]
+            state = ContactState(phase, jnp.ones(2))
+            return newton.evaluate(before, Point(contact, jnp.asarray(0.0)), state).y[1]
 
         return jax.grad(height)(problem.profile)
 

@@ -1,7 +1,6 @@
 """The dimensionless problem: programs that scenes share, units, coordinates of the bases."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,11 +8,13 @@ import pytest
 import jaxwhisker as jw
 from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
-from jaxwhisker._equilibrium.point import Mode, Point, at_control
-from jaxwhisker._equilibrium.problem import AlongX, InPlane, Stance
+from jaxwhisker._equilibrium.point import Point, at_control
+from jaxwhisker._equilibrium.problem import AlongX, InPlane
 from jaxwhisker._equilibrium.stability import load_slopes
+from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._equilibrium.touch import Touch
 
 ROUNDING = 1e-13  # the same numbers by other operations
@@ -22,74 +23,6 @@ CLOSED_FORM = 1e-10  # the same equilibrium by other coordinates
 
 FOLLICLE = scene(jw.Support.follicle(x=70.0, mount=jw.Mount(0.1, -0.05, 0.2)))
 problem_now = Program(problem_of)
-
-
-def spring(first, second, stiffness=70.0, rest_length=0.2):
-    return jw.Spring((first, second), stiffness, rest_length)
-
-
-def shape(scene):
-    """What a program is compiled for: structure, shapes and dtypes."""
-    abstract = eqx.filter_eval_shape(problem_of, jax.tree.map(lambda leaf: jnp.asarray(leaf, float), scene))
-    return jax.tree.structure(abstract), [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(abstract)]
-
-
-def test_all_networks_of_two_whiskers_along_x_share_one_program():
-    networks = [
-        jw.Support.fbfb(70.0),
-        jw.Support.fbfbr([70.0, jnp.inf, 5.0]),
-        jw.Support((spring(0, 2), spring(2, 1, 30.0, -0.2))),
-        jw.Support((spring(0, 1), spring(0, 2))),
-    ]
-    first, *others = [shape(scene(network)) for network in networks]
-    assert all(other == first for other in others)
-    for different in (jw.Support.fb(70.0), jw.Support.clamped(), jw.Support.fbfbfbr(70.0)):
-        assert shape(scene(different)) != first
-
-
-@pytest.mark.parametrize(
-    ("support", "motion", "kind"),
-    [
-        (jw.Support.clamped(), jw.Translation(), AlongX),
-        (jw.Support.fbfb(70.0), jw.Translation(1), AlongX),
-        (jw.Support.follicle(x=70.0), jw.Translation(), AlongX),
-        (jw.Support.follicle(x=70.0, mount=jw.Mount()), jw.Translation(), InPlane),
-        (jw.Support.follicle(phi=5.0), jw.Translation(), InPlane),
-        (jw.Support.fb(70.0), jw.Rotation((0.0, -0.5), 0.5), InPlane),
-    ],
-)
-def test_bases_move_along_x_only_where_nothing_else_can_move_them(support, motion, kind):
-    problem = eqx.filter_eval_shape(problem_of, scene(support, motion=motion))
-    assert type(problem) is kind
-    assert problem.axes == (1 if kind is AlongX else 3)
-
-
-def test_a_scene_in_si_units_is_the_same_problem():
-    length, bending_stiffness = 0.05, 2.4e-5
-    force = bending_stiffness / length**2
-    metres = jw.Scene(
-        (jw.Whisker(length, bending_stiffness), jw.Whisker(0.9 * length, 2 * bending_stiffness)),
-        jw.Parabola(0.2 * length, 1 / length, 0.3 * length),
-        jw.Support.fbfb([70.0 * force / length, 30.0 * force / length], [0.2 * length, 0.1 * length]),
-    )
-    plain = jw.Scene(
-        (jw.Whisker(), jw.Whisker(0.9, 2.0)), jw.Parabola(0.2, 1.0, 0.3), jw.Support.fbfb([70.0, 30.0], [0.2, 0.1])
-    )
-    one, other = problem_now(metres), problem_now(plain)
-    np.testing.assert_allclose(one.unit, (length, force, force * length, length), rtol=ROUNDING)
-    np.testing.assert_allclose(other.unit, 1.0, rtol=ROUNDING)
-    leaves = [jax.tree.leaves(eqx.tree_at(lambda p: p.unit, problem, other.unit)) for problem in (one, other)]
-    for a, b in zip(*leaves, strict=True):
-        np.testing.assert_allclose(a, b, rtol=ROUNDING, atol=ROUNDING)
-
-
-def test_an_invalid_scene_has_finite_numbers():
-    good = scene(jw.Support.fb(70.0))
-    bad = eqx.tree_at(lambda s: (s.profile.distance, s.support.springs[0].stiffness), good, (-0.2, jnp.nan))
-    assert bool(problem_now(good).valid)
-    problem = problem_now(bad)
-    assert not bool(problem.valid)
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(problem))
 
 
 @pytest.fixture(scope="module")
@@ -141,13 +74,13 @@ def test_a_base_in_the_plane_that_yields_along_x_only_has_the_equations_of_a_bas
             np.testing.assert_allclose(*values, atol=TOUCHED)
     at = contacts(0.6)
     u = at.base_x[0] - at.force_x[0] / 70.0
-    mode = Mode(jnp.asarray(at.phase), jnp.ones(1), jnp.asarray(False))
+    state = ContactState(jnp.asarray(at.phase), jnp.ones(1))
     z = jnp.asarray(at.z)
 
     @Program
     def step(problem):
-        newton = newton_step(problem, mode, at_control(u, z), Point(z, jnp.asarray(u)))
-        return newton, load_slopes(problem, mode, newton.condensed), problem.in_scene(jnp.asarray(u), newton.pose).x
+        newton = newton_step(problem, state, at_control(u, z), Point(z, jnp.asarray(u)))
+        return newton, load_slopes(problem, state, newton.condensed), problem.in_scene(jnp.asarray(u), newton.pose).x
 
     (one, slope, x), (other, slopes, in_scene_x) = step(alone), step(plane)
     assert one.residual < CLOSED_FORM and other.residual < CLOSED_FORM

@@ -12,9 +12,10 @@ import jaxwhisker as jw
 from exact_contacts import branch, contacts, fb_control, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
-from jaxwhisker._equilibrium.point import Mode, Point, at_control
+from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._equilibrium.stability import is_stable, load_slopes, network_is_stable, on_stable_branch
 
 SLOPE = 1e-8  # relative, of the clamped force's slope: a derivative of Chebyshev series that are good to 1e-12
@@ -28,9 +29,9 @@ problem_now = Program(problem_of)
 @Program
 def linearised(problem, z, phase, side, u):
     """Everything that stability is judged by, at a contact."""
-    mode = Mode(phase, side, jnp.asarray(False))
-    at = newton_step(problem, mode, at_control(u, z), Point(z, u)).condensed
-    return at, load_slopes(problem, mode, at), on_stable_branch(problem, mode, at.by_x), is_stable(problem, mode, at)
+    state = ContactState(phase, side)
+    at = newton_step(problem, state, at_control(u, z), Point(z, u)).condensed
+    return at, load_slopes(problem, state, at), on_stable_branch(problem, state, at.by_x), is_stable(problem, state, at)
 
 
 def fb(p, stiffness=70.0, side=1.0):

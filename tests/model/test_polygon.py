@@ -128,24 +128,6 @@ def test_wrong_sizes_of_a_box_are_rejected(name):
         jw.Box(**{"distance": 0.3, "width": 0.8, "height": 0.5, name: -1.0})
 
 
-@pytest.mark.unchecked
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((jw.Parabola(0.2),), "`right` must be a number, at least if `left` is None"),
-        ((jw.Parabola(0.2), 0.3, 0.1), "`right` must be greater than `left`"),
-        ((jw.Circle(0.2, 0.5), -0.6), "`left` must be an x at which the profile .* has a point, got -0.6"),
-        ((jw.Box(0.3, 0.8, 0.5), -0.1), "`profile` must be a smooth profile"),
-        ((0.2, -0.1), "`profile` must be a smooth profile"),
-        ((jw.Parabola(0.2), np.inf), "`left` must be a finite number"),
-    ],
-)
-def test_wrong_cuts_are_rejected(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        jw.Cut(*arguments)
-
-
 def test_texts():
     assert str(jw.Polygon(WEDGE)) == "polygon of 3 corners"
     assert str(jw.Box(0.3, 0.8, 0.5, 0.1)) == "box q = 0.3, width 0.8, height 0.5, x = 0.1"
-    assert str(jw.Cut(jw.Parabola(0.2), right=0.5)) == "parabola q = 0.2, cut to x < 0.5"

@@ -9,8 +9,9 @@ import jaxwhisker as jw
 from exact_contacts import DISTANCE, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.point import Mode, Point
+from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.approach import FAR, FIRST_STEP, GLANCES, HIGHEST_FORCE, MARGIN, Bounded, FromAfar, approach_of
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, Status
 
@@ -72,8 +73,8 @@ def test_nothing_happens_any_more_when_all_whiskers_are_free_beyond_the_object(d
     beyond, before = direction * 1.2, -direction * 1.2
 
     def over(phase, side, x):
-        mode = Mode(jnp.asarray(phase), jnp.asarray(side), jnp.asarray(False))
-        return bool(approach.is_over(mode, approach.problem.stance(0.0, jnp.asarray(x)[:, None])))
+        state = ContactState(jnp.asarray(phase), jnp.asarray(side))
+        return bool(approach.is_over(state, approach.problem.stance(0.0, jnp.asarray(x)[:, None])))
 
     free, touching = int(Phase.free), int(Phase.tip)
     far_side = [float(direction)] * 2
@@ -102,8 +103,8 @@ def test_a_bounded_motion_lies_between_its_ends():
     assert approach.start(0.3) == -right_angle
     assert approach.start(-2.0) == -2.0
     np.testing.assert_allclose(approach.longest_step(), np.pi / GLANCES, rtol=ROUNDING)
-    mode = Mode(jnp.zeros(1, int), -jnp.ones(1), jnp.asarray(False))
-    assert not approach.is_over(mode, approach.problem.stance(right_angle, jnp.zeros((1, 3))))
+    state = ContactState(jnp.zeros(1, int), -jnp.ones(1))
+    assert not approach.is_over(state, approach.problem.stance(right_angle, jnp.zeros((1, 3))))
 
 
 def test_ends_are_in_units_of_the_control():
@@ -128,8 +129,8 @@ def path_of(approach, controls, kinds, phase=Phase.free, status=Status.ok, room=
     phases = jnp.zeros((room, n), int).at[count - 1].set(int(phase))
     kind = jnp.asarray(np.pad(kinds, (0, room - count), constant_values=EventKind.touch))
     travel = jnp.abs(u - u[0])
-    point, side = Point(z, u), jnp.ones((room, n))
-    node = Node(point, z, point, point, phases, side, travel, kind, flag, phases, side)
+    point, state = Point(z, u), ContactState(phases, jnp.ones((room, n)))
+    node = Node(point, z, point, point, state, state, travel, kind, flag)
     return Path(node, jnp.asarray(count), jnp.asarray(int(status)))
 
 

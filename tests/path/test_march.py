@@ -13,9 +13,10 @@ import jaxwhisker as jw
 from exact_contacts import Q, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
-from jaxwhisker._equilibrium.point import Mode, Point, at_control, scale_of
+from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._path.march import march, no_path
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Status
 
@@ -79,9 +80,9 @@ def test_nodes_lie_on_the_way_of_the_drive(straight):
     assert nodes.point.u[-1] > -2.0
     # Between events phases stay; a snap begins where the node before it ends.
     snap = nodes.kind[1:] >= EventKind.snap_through
-    np.testing.assert_array_equal(nodes.phase[:-1][~snap], nodes.phase_before[1:][~snap])
+    np.testing.assert_array_equal(nodes.state.phase[:-1][~snap], nodes.before.phase[1:][~snap])
     plain = nodes.kind == NO_EVENT
-    np.testing.assert_array_equal(nodes.phase[plain], nodes.phase_before[plain])
+    np.testing.assert_array_equal(nodes.state.phase[plain], nodes.before.phase[plain])
     assert not nodes.whiskers[plain].any() and nodes.whiskers[nodes.kind >= 0].all()
 
 
@@ -91,11 +92,11 @@ def test_nodes_are_equilibria_with_tangents_of_unit_length(problem, straight):
     @Program
     @jax.vmap
     def judged(z, u, phase, side):
-        mode = Mode(phase, side, jnp.asarray(False))
-        newton = newton_step(problem, mode, at_control(u, z), Point(z, u))
+        state = ContactState(phase, side)
+        newton = newton_step(problem, state, at_control(u, z), Point(z, u))
         return newton.residual, newton.tangent
 
-    residual, tangent = judged(*map(jnp.asarray, (*nodes.point, nodes.phase, nodes.side)))
+    residual, tangent = judged(*map(jnp.asarray, (*nodes.point, nodes.state.phase, nodes.state.side)))
     assert np.max(residual) < EXACT
     size = jax.vmap(scale_of)(jnp.asarray(nodes.point.z))
 
@@ -141,7 +142,7 @@ def test_a_march_ends_where_the_last_stop_is(problem):
     nodes, status = followed(problem, 0.8, -0.4)
     assert status == Status.ok
     assert nodes.point.u[-1] == pytest.approx(-0.4, abs=EXACT) and nodes.kind[-1] == STOP
-    assert nodes.phase[-1] == Phase.tangential
+    assert nodes.state.phase[-1] == Phase.tangential
 
 
 def test_an_invalid_problem_has_no_nodes(problem):

@@ -9,17 +9,18 @@ import jaxwhisker as jw
 from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.point import Mode, Point
-from jaxwhisker._path.path import EventKind, Status, first_case, margin_rates, margins, select
+from jaxwhisker._equilibrium.point import Point
+from jaxwhisker._path.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, Moving, Seen, margin_rates, margins
+from jaxwhisker._path.path import EventKind, Status, first_case, select
 
 DIFFERENCE = 1e-9  # margins are linear in point and pose: central differences are exact to rounding
 
 FREE, TIP, TANGENTIAL = (int(phase) for phase in Phase)
 # A free, a tip and a tangential contact; the free whisker first on the right of the object, then on its left.
 MODES = [
-    Mode(jnp.array([FREE, TIP, TANGENTIAL]), jnp.array(side), jnp.asarray(False))
-    for side in ([1.0, 1.0, 1.0], [-1.0, 1.0, -1.0])
+    ContactState(jnp.array([FREE, TIP, TANGENTIAL]), jnp.array(side)) for side in ([1.0, 1.0, 1.0], [-1.0, 1.0, -1.0])
 ]
 POINT = Point(jnp.array([[0.0, 0.0, 0.0], [1.5, 0.8, -0.3], [2.5, 0.1, 0.4]]), jnp.asarray(0.3))
 POSE = jnp.array([[1.1], [0.7], [0.2]])
@@ -55,52 +56,55 @@ def problem():
 
 @pytest.fixture(scope="module")
 def at(problem):
-    """Margins of a mode at a point and pose."""
+    """Margins of a contact state at a point and pose."""
 
     @Program
-    def at(mode, point, pose):
-        ahead = mode.side * jnp.sin(point.z[:, 1])
-        return margins(mode, point, problem.stance(point.u, pose), ahead, jnp.asarray(0.05))
+    def at(state, point, pose):
+        ahead = state.side * jnp.sin(point.z[:, 1])
+        return margins(
+            Seen(problem, state, state.free, point.z, problem.stance(point.u, pose), ahead, jnp.asarray(0.05), None)
+        )
 
     return at
 
 
 def test_margins_are_distances_from_events(at):
     touch = np.sqrt(0.8)  # of an upright whisker of length 1 before y = x^2 + 0.2
-    right, left = (at(mode, POINT, POSE) for mode in MODES)
-    np.testing.assert_allclose(right.touch, [1.1 - touch, np.inf, np.inf], rtol=1e-14)
+    right, left = (at(state, POINT, POSE) for state in MODES)
+    np.testing.assert_allclose(right[TOUCH], [1.1 - touch, np.inf, np.inf], rtol=1e-14)
     # Beyond its first touch from the left a whisker has a negative margin.
-    np.testing.assert_allclose(left.touch, [-1.1 - touch, np.inf, np.inf], rtol=1e-14)
-    assert right.release.tolist() == [np.inf, 1.5, 2.5]
-    assert right.phase.tolist() == [np.inf, 0.3, 0.4]
-    np.testing.assert_allclose(right.vertex, [np.inf, np.sin(0.8), np.sin(0.1)])
-    np.testing.assert_allclose(left.vertex, [np.inf, np.sin(0.8), -np.sin(0.1)])
-    assert right.stop.tolist() == [0.05]
+    np.testing.assert_allclose(left[TOUCH], [-1.1 - touch, np.inf, np.inf], rtol=1e-14)
+    assert right[RELEASE].tolist() == [np.inf, 1.5, 2.5]
+    assert right[PHASE].tolist() == [np.inf, 0.3, 0.4]
+    np.testing.assert_allclose(right[VERTEX], [np.inf, np.sin(0.8), np.sin(0.1)])
+    np.testing.assert_allclose(left[VERTEX], [np.inf, np.sin(0.8), -np.sin(0.1)])
+    assert right[AT_STOP].tolist() == [0.05]
 
 
 def test_whiskers_out_of_reach_never_touch(problem):
-    mode, stance = MODES[0], problem.stance(0.3, POSE)
+    state, stance = MODES[0], problem.stance(0.3, POSE)
     stance = stance._replace(right=stance.right._replace(reaches=jnp.zeros(3, bool)))
-    assert np.all(margins(mode, POINT, stance, jnp.ones(3), 1.0).touch == np.inf)
+    seen = Seen(problem, state, state.free, POINT.z, stance, jnp.ones(3), jnp.asarray(1.0), None)
+    assert np.all(margins(seen)[TOUCH] == np.inf)
 
 
-@pytest.mark.parametrize("mode", MODES, ids=["right", "left"])
-def test_rates_are_derivatives_of_the_margins(problem, at, mode):
+@pytest.mark.parametrize("state", MODES, ids=["right", "left"])
+def test_rates_are_derivatives_of_the_margins(problem, at, state):
     rng = np.random.default_rng(2)
     direction = Point(jnp.asarray(rng.normal(size=(3, 3))), jnp.asarray(-1.0))
     pose_rate, step = jnp.asarray(rng.normal(size=(3, 1))), 1e-3
 
     def moved(by):
-        return at(mode, Point(POINT.z + by * direction.z, POINT.u + by * direction.u), POSE + by * pose_rate)
+        return at(state, Point(POINT.z + by * direction.z, POINT.u + by * direction.u), POSE + by * pose_rate)
 
-    rates = margin_rates(problem, mode, POINT, direction, pose_rate)
+    rates = margin_rates(Moving(problem, state, state.free, POINT.z, direction.z, pose_rate))
     ahead, behind = moved(step), moved(-step)
-    for name in ("touch", "release", "phase"):
-        later, earlier, here = (np.asarray(getattr(m, name)) for m in (ahead, behind, at(mode, POINT, POSE)))
+    for number in (TOUCH, RELEASE, PHASE):
+        later, earlier, here = (np.asarray(margins[number]) for margins in (ahead, behind, at(state, POINT, POSE)))
         finite = np.isfinite(here)
         assert finite.any()
         difference = np.where(finite, (np.where(finite, later, 0) - np.where(finite, earlier, 0)) / (2 * step), 0.0)
-        np.testing.assert_allclose(getattr(rates, name), difference, atol=DIFFERENCE, err_msg=name)
+        np.testing.assert_allclose(rates[number], difference, atol=DIFFERENCE, err_msg=str(number))
     # Vertex and stop are passed only once: between two steps, nothing is interpolated.
-    assert np.all(rates.vertex == 0) and np.all(rates.stop == 0)
+    assert np.all(rates[VERTEX] == 0) and np.all(rates[AT_STOP] == 0)
     assert jax.tree.map(jnp.shape, rates) == jax.tree.map(jnp.shape, ahead)

@@ -12,10 +12,12 @@ import jaxwhisker as jw
 from exact_contacts import Q, branch, contacts, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.point import Mode, Point, at_control, scale_of
-from jaxwhisker._equilibrium.problem import Stance
+from jaxwhisker._equilibrium.newton import Apart
+from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._equilibrium.solver import solve_point
+from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._equilibrium.touch import Touch
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.snap_flow import ITERATIONS, LARGEST_CHANGE, SHORTEST
@@ -33,8 +35,8 @@ problem_now = Program(problem_of)
 def begun():
     """A flow about to begin, of three whiskers."""
     pose = jnp.array([[0.5], [0.7], [0.9]])
-    mode = Mode(jnp.array([1, 2, 0]), jnp.ones(3), jnp.asarray(False))
-    return snap_flow.start(mode, pose, jnp.zeros((3, 3))), pose
+    state = ContactState(jnp.array([1, 2, 0]), jnp.ones(3))
+    return snap_flow.start(state, pose, jnp.zeros((3, 3))), pose
 
 
 def test_the_kick_changes_contacts_by_one_step(begun):
@@ -78,37 +80,37 @@ def test_contacts_at_first_touch():
 
 
 @Program
-def iterate(problem, flow, mode, point, tangent, tangent_pose, first):
+def iterate(problem, flow, state, point, tangent, tangent_pose, first):
     """One step of a flow as the march takes it: propose, solve, accept."""
     kicked = snap_flow.kick(flow, point, tangent, tangent_pose)
-    proposed = snap_flow.propose(problem, flow, mode, point)
+    proposed = snap_flow.propose(problem, flow, state, point)
     flow = jax.tree.map(lambda a, b: jnp.where(first, a, b), kicked, proposed)
-    apart = mode._replace(separate=jnp.asarray(True), held=problem.across(flow.pose))
-    solution = solve_point(problem, apart, at_control(point.u, flow.guess), Point(flow.guess, point.u))
-    pose = jnp.where(problem.solved(mode.phase)[:, None], solution.newton.pose, flow.pose)
-    flow, mode, z = snap_flow.advance(problem, flow, mode, point.z, solution, problem.stance(point.u, pose))
-    return flow, mode, Point(z, point.u), solution.converged, snap_flow.at_rest(problem, flow, mode, point.u)
+    apart = Apart(jnp.asarray(True), problem.across(flow.pose))
+    solution = solve_point(problem, state, at_control(point.u, flow.guess), Point(flow.guess, point.u), apart)
+    pose = jnp.where(problem.solved(state.phase)[:, None], solution.newton.pose, flow.pose)
+    flow, state, z = snap_flow.advance(problem, flow, state, point.z, solution, problem.stance(point.u, pose))
+    return flow, state, Point(z, point.u), solution.converged, snap_flow.at_rest(problem, flow, state, point.u)
 
 
 def follow(problem, p, u):
-    """The flow's last state, mode and contacts, from a contact that has just lost its stability."""
+    """The flow's last state, contact state and contacts, from a contact that has just lost its stability."""
     at, ahead = contacts(p), contacts(p + AHEAD)
-    mode = Mode(jnp.asarray(at.phase), jnp.ones(1), jnp.asarray(False))
+    state = ContactState(jnp.asarray(at.phase), jnp.ones(1))
     point, pose = Point(jnp.asarray(at.z), jnp.asarray(u)), jnp.asarray(at.base_x)[:, None]
     onwards = Point(jnp.asarray(ahead.z - at.z), jnp.asarray(0.0)), jnp.asarray(ahead.base_x - at.base_x)[:, None]
     size = np.sqrt(np.sum((onwards[0].z / scale_of(point.z)) ** 2))
     tangent, tangent_pose = jax.tree.map(lambda leaf: leaf / size, onwards)
-    flow = snap_flow.start(mode, pose, point.z)._replace(near=jnp.asarray(NEAR))
+    flow = snap_flow.start(state, pose, point.z)._replace(near=jnp.asarray(NEAR))
     first, rested = True, False
     while not rested:
-        before = flow, mode, point
-        flow, mode, point, converged, rested = iterate(problem, *before, tangent, tangent_pose, jnp.asarray(first))
+        before = flow, state, point
+        flow, state, point, converged, rested = iterate(problem, *before, tangent, tangent_pose, jnp.asarray(first))
         if not converged:
-            (flow, mode, point), rested = before, False
+            (flow, state, point), rested = before, False
             flow = snap_flow.shortened(flow)
         first = first and not converged
         assert not flow.exhausted
-    return flow, mode, point
+    return flow, state, point
 
 
 @cache
@@ -128,15 +130,15 @@ def parameter_of(state):
 def test_a_flow_comes_to_rest_at_the_exact_equilibrium(number):
     snap = exact_snaps()[number]
     problem = problem_now(scene(jw.Support.fb(SOFT)))
-    flow, mode, point = follow(problem, parameter_of(snap.before), snap.control)
+    flow, state, point = follow(problem, parameter_of(snap.before), snap.control)
     after = snap.after
     np.testing.assert_allclose(flow.pose[:, 0], after.base_x, atol=REST)
     np.testing.assert_allclose(point.z[:, 0], after.contact_force, rtol=1e-6)
     np.testing.assert_allclose(point.z[:, 1], after.contact_slope, rtol=1e-6)
     slips = number == 1
     assert flow.slipped.tolist() == [slips]
-    assert mode.side.tolist() == [-1.0 if slips else 1.0]
-    assert (mode.phase != Phase.free).all()
+    assert state.side.tolist() == [-1.0 if slips else 1.0]
+    assert (state.phase != Phase.free).all()
 
 
 def test_a_stiff_base_comes_free():
@@ -144,8 +146,8 @@ def test_a_stiff_base_comes_free():
     problem, fold = problem_now(scene(jw.Support.fb(stiffness))), branch().fold - 1e-9
     at = contacts(fold)
     u = float(at.base_x[0] - 0.2 - at.force_x[0] / stiffness)
-    flow, mode, point = follow(problem, fold, u)
-    assert flow.slipped.all() and (mode.phase == Phase.free).all()
-    assert mode.side.tolist() == [-1.0]  # beyond the object
+    flow, state, point = follow(problem, fold, u)
+    assert flow.slipped.all() and (state.phase == Phase.free).all()
+    assert state.side.tolist() == [-1.0]  # beyond the object
     np.testing.assert_allclose(flow.pose[:, 0], u + 0.2, atol=REST)
     assert np.all(point.z == 0)

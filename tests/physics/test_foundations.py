@@ -1,19 +1,14 @@
-"""Foundations: springs that become many, a clamp in the limit, and a rod on a foundation against theory."""
+"""Foundations: springs that become many, and a clamp in the limit."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from jaxwhisker._rod.foundation import integrate_on
-from jaxwhisker._rod.rod import Load
 from scenes import all_ok
 
 CONTROL = np.array([0.9, 0.6, 0.2, -0.3, -0.6, -0.9])
 STRETCH, STIFFNESS = 0.2, 500.0
 MOST = 6  # springs instead of a foundation
 SIGNALS = ("contact_force", "base_x", "base_angle")
-SMALL = 1e-6  # deflection of a beam: the equation is linear to its square
 
 
 def scanned(support, control=CONTROL):
@@ -51,30 +46,3 @@ def test_a_stiffer_foundation_comes_closer_to_a_clamp_at_its_end():
     misses = [abs(float((force - clamp.contact_force)[1, 0])) for force in forces]
     # The length over which the foundation yields falls with the fourth root of its stiffness.
     assert 1.8 < misses[0] / misses[1] < 2.3
-
-
-def test_a_slightly_bent_rod_obeys_the_equation_of_a_beam():
-    # y'''' = -4 b^4 y has the solution exp(-b s) cos(b s) for 4 b^4 = stiffness; x is the displacement.
-    b, length = 2.0, 1.0
-
-    def shape(s):
-        return SMALL * jnp.exp(-b * s) * jnp.cos(b * s)
-
-    slopes = [shape]
-    for _ in range(3):
-        slopes.append(jax.grad(slopes[-1]))
-    # The walk begins at s = length and goes to s = 0; the displacement is that of x, the rod points along +y.
-    x, lean, curvature, shear = (slope(length) for slope in slopes)
-    start = x, jnp.asarray(length), lean, jnp.sqrt(1 - lean**2)
-    # phi' = -x'', and the moment of the force about a point of the rod falls by force_x ds.
-    force_x = -shear
-    load = Load(force_x, jnp.zeros(()), -curvature - length * force_x)
-
-    def density(x, y, s):
-        del y, s
-        return -4 * b**4 * x, jnp.zeros_like(x)
-
-    end, below = integrate_on(start, load, jnp.asarray(length), None, density, steps=16, from_base=jnp.asarray(length))
-    np.testing.assert_allclose(end[0], shape(0.0), atol=1e-3 * SMALL**2 + 1e-15)
-    np.testing.assert_allclose(end[2], slopes[1](0.0), atol=1e-14)
-    np.testing.assert_allclose(jnp.asarray(below.force_x), -slopes[3](0.0), atol=1e-13)

@@ -2,7 +2,6 @@
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOptionalMemberAccess=false
 # pyright: reportAttributeAccessIssue=false
-import warnings
 
 import diffrax
 import equinox as eqx
@@ -16,7 +15,6 @@ from scipy.optimize import brentq
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.resolution import _error
 from scenes import all_ok, in_both_modes
 
 EXACT = 1e-8  # of signals relative to their size, with 32 steps
@@ -294,26 +292,6 @@ def test_breaks_outside_an_arc_do_not_matter():
     np.testing.assert_allclose(with_break, without, atol=ROUNDING)
 
 
-def test_a_foundation_ends_its_steps_at_breaks():
-    # A constant push is a foundation, and scipy can integrate it with the rod.
-    from jaxwhisker._rod.foundation import integrate_on
-
-    first, zero = jnp.asarray(1.0), jnp.zeros(())
-    load = rod.Load(zero, zero - 0.8, zero)
-    end, _ = integrate_on(
-        start(), load, first, section((0.37,)), lambda x, y, s: (0.3 + 0 * s, 0 * s), steps=8, from_base=first
-    )
-
-    def rate(t, r):
-        x, y, angle, force_x, about = r
-        bend = about + 0.8 * x + y * force_x
-        curvature = np.where(1 - t < 0.37, 0.1, 0.6) + bend / np.where(1 - t < 0.37, 1.0, 0.2)
-        return np.array([-np.cos(angle), -np.sin(angle), -curvature, 0.3, -0.3 * y])
-
-    x, y, angle, *_ = forward.integrated(rate, (0.0,) * 5, 1.0, (0.63,))
-    np.testing.assert_allclose(end, [x, y, np.cos(angle), np.sin(angle)], atol=STAGES)
-
-
 def test_whiskers_with_different_numbers_of_breaks_share_a_scene():
     whiskers = stepped(), jw.Whisker(0.9, Step(0.3, 1.0, 1.0), Step(0.3, 0.1, 0.2))
     both = jw.Scene(whiskers, jw.Parabola(0.2), jw.Support.fbfb(70.0), detect=("second_contact", "crossing"))
@@ -340,17 +318,3 @@ JUMP = jw.Whisker(1.0, Step(0.37, 1.0, 0.2), mass_per_length=1.0)
 def test_a_warning_where_functions_are_not_resolved(call):
     with pytest.warns(UserWarning, match=r"do not resolve .*breaks"):
         call()
-
-
-def test_uniform_and_traced_whiskers_are_not_examined():
-    before = _error.compilations
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        jw.deflect(jw.Whisker(), jw.PointForce(1.0))
-        jax.eval_shape(lambda at: loaded(jw.Whisker(1.0, Step(at, 1.0, 0.2))).mz, jnp.asarray(0.37))
-    assert _error.compilations == before
-
-
-@pytest.mark.parametrize("whisker", [stepped(), jw.Whisker.rat("C", 2), jw.Whisker.conical(1.0, 1.0, 0.1, 0.0)])
-def test_no_warning_for_stepped_whiskers_and_cones(whisker):
-    assert _error(jax.tree.map(jnp.asarray, whisker), 16) < 1e-6

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.special import ellipeinc, ellipj, ellipkinc
 
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import Body, Phase
+from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
 from jaxwhisker._model.profiles import Parabola
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.elastica import Shooting
@@ -62,7 +62,7 @@ def test_pose_and_reaction_in_the_scene(bend, slope):
     profile = Parabola(0.3, 0.7)
     tip = angle > 0
     length = arc if tip else 1.5
-    body = Body(jnp.asarray(length), jnp.asarray(1.0), profile, Shooting())
+    body = WhiskerAtObject(jnp.asarray(length), jnp.asarray(1.0), profile, Shooting())
     slack = -angle if tip else length - arc
     base = posed(body, jnp.array([force, slope, slack]), jnp.asarray(int(Phase.tip if tip else Phase.tangential)))
     x, y, theta, curvature = closed_form(force, angle, arc)

@@ -12,10 +12,11 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._base.checks import as_float
 from jaxwhisker._base.program import compilations
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import newton_step
-from jaxwhisker._equilibrium.point import Mode, Point, at_control
+from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._scan.route import across
 from jaxwhisker._scan.scan import BLOCK, events_now, follow_path_now, problem_now, solve_steps_now, states_now
 from jaxwhisker._scan.slopes import event_slopes_now, state_slopes_now
@@ -31,9 +32,9 @@ def newton_operations(scene):
     n = scene.support.whiskers
     z = jnp.ones((n, 3))
     friction = None if scene.friction is None else slipping_from(jnp.ones(n))
-    mode = Mode(jnp.full(n, 2), jnp.ones(n), jnp.asarray(False), friction=friction)
+    state = ContactState(jnp.full(n, 2), jnp.ones(n), friction=friction)
     point = Point(z, jnp.asarray(0.0))
-    return operations(traced(lambda p, z: newton_step(p, mode, at_control(z.u, z.z), z), dimensionless, point))
+    return operations(traced(lambda p, z: newton_step(p, state, at_control(z.u, z.z), z), dimensionless, point))
 
 
 def test_springs_and_whiskers_add_operations_to_a_clamped_whisker():
@@ -53,7 +54,7 @@ def test_friction_adds_operations_only_to_scenes_that_have_it():
     assert problem_of(smooth).friction_angle is None
     assert newton_operations(smooth) < newton_operations(rough)
     path = jax.eval_shape(follow_path_now.function, problem_of(smooth), *map(jnp.asarray, across())).path
-    assert path.nodes.friction is None and path.nodes.stop is None
+    assert path.nodes.state.friction is None and path.nodes.stop is None
 
 
 def test_a_further_spring_adds_no_operations():

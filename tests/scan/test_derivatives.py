@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._equilibrium.implicit import without_rule
 
 EXACT = 1e-9  # closed forms, relative to the largest derivative: the rod's error times the power in which it enters
 MODES = 1e-10  # forward and reverse mode: the same sums in a different order
@@ -315,31 +314,6 @@ def test_second_derivatives_are_symmetric_and_agree_with_differences(fb):
     expected = np.array([(up - down) / (2 * DIFFERENCE) for up, down in slopes])
     np.testing.assert_allclose(hessian, expected, atol=DIFFERENCES * np.max(np.abs(expected)))
     np.testing.assert_allclose(hessian, hessian.T, atol=SYMMETRIC * np.max(np.abs(expected)))
-
-
-@eqx.filter_custom_jvp
-def root(x, cube):
-    return without_rule(x, cube)
-
-
-@root.def_jvp
-def _(primals, tangents):
-    here = root(*primals)
-    return here, tangents[1] / (3 * here**2)
-
-
-def test_second_derivatives_in_a_loop_are_right_or_nan():
-    def total(loop, scale):
-        return jnp.sum(
-            loop(lambda x: root(jax.lax.stop_gradient(scale * x) ** (1 / 3), scale * x), jnp.arange(1.0, 4.0))
-        )
-
-    batch, loop = (lambda scale, map=map: total(map, scale) for map in (lambda f, x: jax.vmap(f)(x), jax.lax.map))
-    expected = -2 / 9 * jnp.sum(jnp.arange(1.0, 4.0) ** (1 / 3)) * 2.0 ** (-5 / 3)
-    np.testing.assert_allclose([jax.hessian(batch)(2.0), jax.jacfwd(jax.jacfwd(loop))(2.0)], expected, rtol=MODES)
-    within = jax.hessian(loop)(2.0)  # jax 0.10 loses the rule for second derivatives, 0.12 does not
-    assert np.isnan(within) or abs(within - expected) < MODES
-    assert np.isfinite(jax.grad(lambda scale: total(jax.lax.map, scale))(2.0))
 
 
 @pytest.mark.parametrize("wall", [10.0, 0.95])

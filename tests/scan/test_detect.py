@@ -10,8 +10,9 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._base.program import compilations
 from jaxwhisker._equilibrium.clearance import DEPTH
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.point import Mode, Point
+from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._scan import detect
 from jaxwhisker._scan.detect import kinds_of
 from operations import operations, traced
@@ -179,7 +180,7 @@ def test_whiskers_with_one_base_cross_from_the_start():
 def test_bases_that_have_changed_places_are_a_crossing():
     # A snap may lead there without a state in which shafts cross.
     problem = problem_of(detecting(model("FBFBR"), "crossing"))
-    upright = Mode(jnp.zeros(2, int), jnp.ones(2), jnp.asarray(False))
+    upright = ContactState(jnp.zeros(2, int), jnp.ones(2))
     point = Point(jnp.zeros((2, 3)), jnp.asarray(0.9))
     shafts = detect._shafts(problem, point, upright, ("crossing",))
     assert not detect._any_cross(problem, point, shafts)

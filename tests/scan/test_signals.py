@@ -8,8 +8,8 @@ import jaxwhisker as jw
 from exact_contacts import contacts, fbfb_at
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.state import OPTIONAL
 
@@ -42,8 +42,8 @@ def judge(at):
     problem = problem_now(fbfb_at(*PAIR))
 
     def judge(z=at.z, u=0.0, phase=at.phase):
-        mode = Mode(jnp.asarray(phase), jnp.ones(2), jnp.asarray(False))
-        return of_contacts(problem, jnp.asarray(z), jnp.asarray(u), mode)
+        state = ContactState(jnp.asarray(phase), jnp.ones(2))
+        return of_contacts(problem, jnp.asarray(z), jnp.asarray(u), state)
 
     return judge
 
@@ -74,8 +74,8 @@ def test_signals_of_exact_contacts(at, judge):
 
 def test_signals_have_the_units_of_the_scene(at, judge):
     plain, _ = judge()
-    mode = Mode(jnp.asarray(at.phase), jnp.ones(2), jnp.asarray(False))
-    state, residual = of_contacts(problem_now(in_si(fbfb_at(*PAIR))), jnp.asarray(at.z), jnp.asarray(0.0), mode)
+    state = ContactState(jnp.asarray(at.phase), jnp.ones(2))
+    state, residual = of_contacts(problem_now(in_si(fbfb_at(*PAIR))), jnp.asarray(at.z), jnp.asarray(0.0), state)
     assert residual < EXACT
     lengths = ("base_x", "base_y", "contact_arc", "contact_x", "contact_y")
     sizes = {
@@ -122,9 +122,9 @@ def test_the_object_only_pushes():
     # A contact that has just begun: a small force either way bends the whisker by less than the force itself.
     pair, force = (1.3, 1e-9), 1e-3
     at, problem = contacts(*pair), problem_now(fbfb_at(*pair))
-    mode = Mode(jnp.asarray(at.phase), jnp.ones(2), jnp.asarray(False))
+    state = ContactState(jnp.asarray(at.phase), jnp.ones(2))
     pushing, pulling = (
-        of_contacts(problem, jnp.asarray(at.z).at[1, 0].set(sign * force), jnp.asarray(0.0), mode)[1]
+        of_contacts(problem, jnp.asarray(at.z).at[1, 0].set(sign * force), jnp.asarray(0.0), state)[1]
         for sign in (1.0, -1.0)
     )
     assert pushing < 0.9 * force

@@ -9,6 +9,7 @@ import pytest
 import jaxwhisker as jw
 from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Point, scale_of
 from jaxwhisker._path.path import NO_EVENT, Node, Path
@@ -45,11 +46,11 @@ def path_through(p, bend=1.0, status=jw.Status.ok, stiffness=STIFFNESS):
         jnp.asarray(np.pad(dz / length[:, None, None], room)), jnp.asarray(np.pad(du / length, (0, ROOM - count)))
     )
     phase = jnp.asarray(np.pad(here.phase[:, None], room[:2]))
-    side, none = jnp.ones((ROOM, 1)), jnp.zeros((ROOM, 1), bool)
+    state, none = ContactState(phase, jnp.ones((ROOM, 1))), jnp.zeros((ROOM, 1), bool)
     control = jnp.asarray(np.pad(u, (0, ROOM - count)))
     point = Point(jnp.asarray(np.pad(z, room)), control)
     travel, kind = FIRST - control, jnp.full(ROOM, NO_EVENT)
-    nodes = Node(point, point.z, leaving, leaving, phase, side, travel, kind, none, phase, side)
+    nodes = Node(point, point.z, leaving, leaving, state, state, travel, kind, none)
     return Path(nodes, jnp.asarray(count), jnp.asarray(int(status)))
 
 
@@ -91,7 +92,7 @@ def test_travel_selects_the_node_before_a_step():
         nodes=path.nodes._replace(
             point=Point(at.z.at[3].set(jnp.asarray(back.z)), jnp.asarray(at.u).at[3].set(controls_of(back)[0])),
             z_before=at.z.at[3].set(jnp.asarray(back.z)),
-            phase=path.nodes.phase.at[3].set(int(back.phase[0])),
+            state=path.nodes.state._replace(phase=path.nodes.state.phase.at[3].set(int(back.phase[0]))),
             travel=path.nodes.travel.at[3].set(5.0),
         )
     )

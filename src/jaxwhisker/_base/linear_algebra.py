@@ -114,11 +114,11 @@ def times_block_diagonal(
 
 @jax.custom_jvp
 def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Invert a matrix of a few dozen rows.
+    """Invert a matrix of at most a few dozen rows.
 
     A singular matrix gives infinities or NaN in its own batch element.
     """
-    return _eliminated(matrix, jnp.eye(matrix.shape[0]))
+    return solve(matrix, jnp.eye(matrix.shape[0]))
 
 
 @inverse.defjvp

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.gap import CLOSEST, MOST, beside, closest, followed, gap_at
@@ -30,7 +30,6 @@ from jaxwhisker._dynamics.time_step import (
     unknowns_at,
     unknowns_of,
 )
-from jaxwhisker._equilibrium.implicit import without_rule
 
 CLOSE = 1e-6  # change of the unknowns at which Newton's method stops; the error is about its square
 RESTART = 10  # iteration that starts again from the last state, without extrapolation
@@ -153,21 +152,8 @@ def _iterate(step: Step, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
     return flat, mode, jnp.all(size <= CLOSE)
 
 
-@eqx.filter_custom_jvp
-def _differentiable(flat: Array, step: Step, mode: Mode) -> Array:
-    """The unknowns with their derivatives by the implicit function theorem."""
-    del mode
-    return without_rule(flat, step)
-
-
-@_differentiable.def_jvp
-def _(primals, tangents):
-    flat, step, mode = primals
-    _, step_dot, _ = tangents
-    here = _differentiable(flat, step, mode)
-    slope = jax.jacfwd(lambda flat: residual(step, mode, flat))(here)
-    _, change = eqx.filter_jvp(lambda step: residual(step, mode, here), (step,), (step_dot,))
-    return here, -inverse(slope) @ change
+def _equations(flat: Array, known: tuple[Step, Mode]) -> Array:
+    return residual(*known, flat)
 
 
 def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -> tuple[Moving, Forces]:
@@ -175,7 +161,7 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     step, before = Step(system, old, drive, h), unknowns_at(old, system).flat()
     guess = before + 2 * old.change[0] - old.change[1]
     flat, mode, solved = _iterate(*jax.lax.stop_gradient((step, guess)))
-    flat = _differentiable(flat, step, mode)
+    flat = solution_of(_equations, flat, (step, mode))
     x = unknowns_of(system, flat)
     rows, trial = every(step, mode, x)
     base, c = system.bases(x.z, drive), system.contact_unknowns

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.leaves import as_field
 from jaxwhisker._base.types import Scalar
 
@@ -94,10 +95,7 @@ class Samples(eqx.Module):
         first, last = 2 * self.values[0] - self.values[1], 2 * self.values[-1] - self.values[-2]
         values = jnp.concatenate([first[None], self.values, last[None]])
         before, start, stop, after = (values[k + j] for j in range(4))
-        w = at - k
-        slope, next_slope = (stop - before) / 2, (after - start) / 2
-        bend = 3 * (stop - start) - 2 * slope - next_slope
-        return start + w * (slope + w * (bend + w * (slope + next_slope - 2 * (stop - start))))
+        return Cubic(start, stop, (stop - before) / 2, (after - start) / 2).value(at - k)
 
 
 def drive_of(drive: Any, duration: Scalar) -> Callable[[Scalar], Scalar]:

@@ -15,34 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
+
 ORDER = 16  # polynomials per element
 NODES = 20  # Gauss points per element
 
-_K = np.arange(1, NODES)
-_AT, _VECTORS = np.linalg.eigh(np.diag(_K / np.sqrt(4.0 * _K**2 - 1), -1))  # Golub and Welsch 1969
-POINTS, WEIGHTS = (_AT + 1) / 2, _VECTORS[0] ** 2
-
-
-def _legendre(x: Array, count: int) -> list:
-    """Legendre polynomials of the degrees 0 to count - 1 at x."""
-    values = [jnp.ones_like(x), x]
-    for j in range(1, count - 1):
-        values.append(((2 * j + 1) * x * values[j] - j * values[j - 1]) / (j + 1))
-    return values
-
-
-def _tables() -> tuple[np.ndarray, np.ndarray]:
-    """The polynomials p_j at the Gauss points, and their integrals from 0."""
-    x = 2 * POINTS - 1
-    legendre = [np.ones_like(x), x]
-    for j in range(1, NODES):
-        legendre.append(((2 * j + 1) * x * legendre[j] - j * legendre[j - 1]) / (j + 1))
-    scale = np.sqrt(2 * np.arange(NODES) + 1)
-    integrals = [POINTS] + [(legendre[j + 1] - legendre[j - 1]) / (4 * j + 2) for j in range(1, NODES)]
-    return scale * np.stack(legendre[:NODES], axis=1), scale * np.stack(integrals, axis=1)
-
-
-VALUES, INTEGRALS = _tables()
+POINTS, WEIGHTS = gauss(NODES)
+_SCALE = np.sqrt(2 * np.arange(NODES) + 1)
+# The polynomials p_j at the Gauss points, and their integrals from 0.
+VALUES, INTEGRALS = (_SCALE * np.stack(of(POINTS, NODES), axis=1) for of in (legendre, legendre_integrals))
 TO_COEFFICIENTS = VALUES.T * WEIGHTS  # of a function that is known at the Gauss points
 RUNNING = INTEGRALS @ TO_COEFFICIENTS  # integral from 0 to each Gauss point
 
@@ -90,7 +71,7 @@ def interpolated(
     index = jnp.minimum(jnp.sum(s[:, None] > ends, axis=1), ends.size - 1)
     lengths = (ends - starts)[index]
     share = jnp.where(lengths > 0, (s - starts[index]) / jnp.where(lengths > 0, lengths, 1.0), 0.0)
-    polynomials = jnp.stack(_legendre(2 * share - 1, NODES), axis=1) * np.sqrt(2 * np.arange(NODES) + 1)
+    polynomials = jnp.stack(legendre(share, NODES), axis=1) * _SCALE
     coefficients = jnp.einsum("ji,eik->ejk", TO_COEFFICIENTS, values)
     return jnp.sum(polynomials[:, :, None] * coefficients[index], axis=1)
 

@@ -34,7 +34,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import ORDER, WEIGHTS, Fields, bending, fields, quadratic
 from jaxwhisker._dynamics.line import Equilibrium, Line
 from jaxwhisker._dynamics.object import Bend, bend_of_each
-from jaxwhisker._equilibrium.contact import Body, Phase
+from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
 from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, end_of, stretched, tension_of
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._rod.rod import Section
@@ -60,7 +60,7 @@ class Forms(NamedTuple):
     fields: Fields
 
 
-def forms_of(body: Body, at: Equilibrium, line: Line, masses: Masses) -> Forms:
+def forms_of(body: WhiskerAtObject, at: Equilibrium, line: Line, masses: Masses) -> Forms:
     """The quadratic forms of one whisker."""
     contact = _contact_of(body, at, line)
     moves = fields(line.lengths, line.cos, line.sin)
@@ -126,7 +126,7 @@ class _Contact(NamedTuple):
     rests: Bool[Array, ""]  # a straight shaft lies on a straight face
 
 
-def _contact_of(body: Body, at: Equilibrium, line: Line) -> _Contact:
+def _contact_of(body: WhiskerAtObject, at: Equilibrium, line: Line) -> _Contact:
     free, tip = at.phase == Phase.free, at.phase == Phase.tip
     number = jnp.where(free, 0, 1 if at.contact_object is None else at.contact_object)
     bend = bend_of_each(body.profile, number, (at.contact_x, at.contact_y, at.contact_slope))
@@ -146,7 +146,7 @@ def _at_rest(moves: Fields, rests: Bool[Array, ""], contact: Scalar) -> Fields:
 
 
 def _kept(
-    body: Body, at: Equilibrium, contact: _Contact, moves: Fields, element: Scalar
+    body: WhiskerAtObject, at: Equilibrium, contact: _Contact, moves: Fields, element: Scalar
 ) -> tuple[Float[Array, "n n"], Float[Array, "constraints n"]]:
     """Stiffness of the contact, and its constraints."""
     bend, k = contact.bend, contact.curvature

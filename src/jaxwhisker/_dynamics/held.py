@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
+from jaxwhisker._base.quadrature import gauss
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.legendre import Basis, sinc, weights_at
 from jaxwhisker._equilibrium.attach import attached
@@ -32,7 +32,7 @@ from jaxwhisker._model.scene import Scene, Sensor, units
 from jaxwhisker._model.spring import POINTS, WEIGHTS
 
 ROW = 8  # springs in the place of a foundation
-MEAN = np.array([0.5 - 12**-0.5, 0.5 + 12**-0.5])  # Gauss points of the mean tension, exact up to the third power
+MEAN = gauss(2)[0]  # Gauss points of the mean tension, exact up to the third power
 
 PerPlace = Float[Array, "*whiskers places"]
 
@@ -95,9 +95,9 @@ def held_of(scene: Scene | Sensor, shapes: Basis) -> tuple[Held | None, Laws]:
 
 def _row(tissue: Tissue) -> tuple[ShaftSprings, Float[Array, "places 3"]]:
     """Springs in the place of the foundation of one whisker, and their directions."""
-    points, weights = np.polynomial.legendre.leggauss(ROW)
-    stretch, zero = (tissue.stop - tissue.start) / 2, jnp.zeros(ROW)
-    s = tissue.start + stretch * (points + 1)
+    points, weights = gauss(ROW)
+    stretch, zero = tissue.stop - tissue.start, jnp.zeros(ROW)
+    s = tissue.start + stretch * points
     springs = ShaftSprings(
         at=s,
         anchor_x=tissue.x - s * tissue.sin,

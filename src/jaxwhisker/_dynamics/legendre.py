@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxwhisker._base.quadrature import gauss, legendre
 from jaxwhisker._base.types import Scalar
 
 EXTRA_POINTS = 4  # Gauss points in excess of the shape functions: cos and sin of the angle are not polynomials
@@ -34,9 +35,8 @@ class Basis(NamedTuple):
 def basis(n: int) -> Basis:
     """The basis of n shape functions."""
     count = n + EXTRA_POINTS
-    points, weights = np.polynomial.legendre.leggauss(count)
-    points, weights = (points + 1) / 2, weights / 2
-    every = np.stack(_polynomials(points, count), axis=-1)
+    points, weights = gauss(count)
+    every = np.stack(legendre(points, count + 1), axis=-1)
     values, integrals = every[:, :-1], every @ _integral(count).T
     interpolation = np.linalg.inv(values)
     inner = integrals @ interpolation
@@ -58,7 +58,7 @@ def polynomials_at(s: Scalar, n: int) -> Float[Array, " n"]:
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def _legendre(s: Scalar, degree: int) -> Array:
     """The Legendre polynomials up to this degree."""
-    return jnp.stack(_polynomials(s, degree))
+    return jnp.stack(legendre(jnp.asarray(s), degree + 1))
 
 
 @_legendre.defjvp
@@ -74,14 +74,6 @@ def sinc(x: Array) -> Array:
     small = 1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72)))
     large = jnp.abs(x) > 0.1
     return jnp.where(large, jnp.sin(x) / jnp.where(large, x, 1.0), small)
-
-
-def _polynomials(s, degree: int) -> list:
-    x = 2 * s - 1
-    values = [x * 0 + 1, x]
-    for k in range(1, degree):
-        values.append((2 * k + 1) / (k + 1) * x * values[k] - k / (k + 1) * values[k - 1])
-    return values[: degree + 1]
 
 
 def _derivative(degree: int) -> np.ndarray:

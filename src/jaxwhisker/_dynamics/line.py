@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import POINTS, node_arcs
-from jaxwhisker._equilibrium.contact import Body, Phase, material_of
+from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of
 from jaxwhisker._equilibrium.shaft_springs import ShaftSprings, past
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.foundation import integrate_on
@@ -74,7 +74,7 @@ class Ends(NamedTuple):
         return jax.tree.map(lambda leaf: jnp.zeros(self.arcs.size, leaf.dtype).at[elements].set(leaf), tree)
 
 
-def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None, breaks: rod.Along | None) -> Ends:
+def ends_of(body: WhiskerAtObject, at: Equilibrium, loads: DeadLoads | None, breaks: rod.Along | None) -> Ends:
     """Where elements end: at loads, at springs on the shaft, at the contact, at the tip and at breaks.
 
     A whisker without tangential contact is split anywhere instead. Whiskers that are not uniform are split twice more:
@@ -100,7 +100,7 @@ def ends_of(body: Body, at: Equilibrium, loads: DeadLoads | None, breaks: rod.Al
     return Ends(arcs[order], rank[contact], of_loads, of_springs)
 
 
-def _middle(body: Body, start: Scalar, stop: Scalar) -> Scalar:
+def _middle(body: WhiskerAtObject, start: Scalar, stop: Scalar) -> Scalar:
     """Where to split a stretch: for a cone, the ratio of thicknesses is the same on both sides."""
     if body.section is None:
         return (start + stop) / 2
@@ -109,7 +109,7 @@ def _middle(body: Body, start: Scalar, stop: Scalar) -> Scalar:
     return start + (stop - start) * rod.graded(jnp.asarray(0.5), stiffness(start), stiffness(stop))
 
 
-def line_of(body: Body, at: Equilibrium, ends: Ends, loads: DeadLoads | None) -> Line:
+def line_of(body: WhiskerAtObject, at: Equilibrium, ends: Ends, loads: DeadLoads | None) -> Line:
     """The line of a whisker, from its base to its tip."""
     material, (lengths, arcs) = material_of(body), node_arcs(ends.arcs)
     start = (at.base_x, at.base_y, -jnp.sin(at.base_angle), jnp.cos(at.base_angle))
@@ -154,7 +154,7 @@ def line_of(body: Body, at: Equilibrium, ends: Ends, loads: DeadLoads | None) ->
 
 
 def _through(
-    body: Body,
+    body: WhiskerAtObject,
     lines: tuple[LineLoads, ...],
     state: rod.RodState,
     load: rod.Load,

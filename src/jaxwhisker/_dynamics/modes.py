@@ -17,9 +17,8 @@ from jaxwhisker._dynamics.elements import ORDER
 from jaxwhisker._dynamics.line import DeadLoads, Equilibrium
 from jaxwhisker._dynamics.vibration import mass_unit, vibration
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.friction import slipping_from
-from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.loads import PointForce
 from jaxwhisker._model.profiles import Parabola
@@ -300,11 +299,7 @@ def _unloaded_modes(
     ends = problem.motion.ends
     u = jnp.asarray(0.0 if ends is None else ends[0] / problem.unit.control, dtype=float)
     z, _ = problem.unloaded(u)
-    side = jnp.ones_like(problem.length)
-    friction = None if problem.friction_angle is None else slipping_from(side)
-    free = jnp.zeros(side.size, int)
-    piece = free if problem.profile.has_pieces else None
-    state, _ = signals(problem, z, u, Mode(free, side, jnp.asarray(False), friction=friction, piece=piece))
+    state, _ = signals(problem, z, u, all_free(problem, jnp.ones_like(problem.length)))
     at = Equilibrium(**{name: getattr(state, name) for name in Equilibrium._fields})
     status = jnp.asarray(Status.ok)
     return _found(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)

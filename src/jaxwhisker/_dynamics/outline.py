@@ -13,7 +13,7 @@ from jaxwhisker._model.profile import AbstractProfile
 APART = 10.0  # between the parameters of two objects
 
 
-class Row(AbstractProfile):
+class ObjectChain(AbstractProfile):
     """Several objects, whose parameters lie one after the other."""
 
     each: tuple[AbstractProfile, ...]
@@ -85,21 +85,21 @@ def outline(profile: AbstractProfile) -> AbstractProfile:
         first, last = (jax.lax.stop_gradient(jnp.asarray(end, dtype=float)) for end in span(one))
         shifts.append(free - first)
         free = free + last - first + APART
-    return Row(profile.objects, tuple(shifts))
+    return ObjectChain(profile.objects, tuple(shifts))
 
 
 def only(profile: AbstractProfile, parameter: Float[Array, ""]) -> AbstractProfile:
     """The outline of the object with this parameter."""
-    if not isinstance(profile, Row):
+    if not isinstance(profile, ObjectChain):
         return profile
     ends = [[end + shift for end in span(one)] for one, shift in zip(profile.each, profile.shift, strict=True)]
     first, last = jnp.asarray(ends)[number_of(profile, parameter)]
-    return Row(profile.each, profile.shift, (first, last))
+    return ObjectChain(profile.each, profile.shift, (first, last))
 
 
 def samples(profile: AbstractProfile, count: int) -> Float[Array, " parameters"]:
     """Parameters of `count` points of each object."""
-    if not isinstance(profile, Row):
+    if not isinstance(profile, ObjectChain):
         return jnp.linspace(*span(profile), count)
     each = [jnp.linspace(*span(one), count) + shift for one, shift in zip(profile.each, profile.shift, strict=True)]
     return jnp.concatenate(each)
@@ -108,7 +108,7 @@ def samples(profile: AbstractProfile, count: int) -> Float[Array, " parameters"]
 def number_of(profile: AbstractProfile, parameter: Float[Array, "*batch"]) -> Int[Array, "*batch"]:
     """The object with this parameter, an index into `objects`."""
     number = jnp.zeros(jnp.shape(parameter), int)
-    if isinstance(profile, Row):
+    if isinstance(profile, ObjectChain):
         for one, shift in zip(profile.each[1:], profile.shift[1:], strict=True):
             number += jnp.asarray(parameter > span(one)[0] + shift - APART / 2).astype(int)
     return number

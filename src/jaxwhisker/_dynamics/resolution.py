@@ -9,17 +9,17 @@ import warnings
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.quadrature import gauss
 from jaxwhisker._dynamics.legendre import basis, polynomials_at
 from jaxwhisker._model.whisker import Whisker
 
 RESOLVED = 1e-3  # largest relative error of the first frequency without a warning
 CELLS = 32  # of the quadrature of the exact energy; breaks are further ends
-_AT, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+_AT, _WEIGHTS = gauss(4)
 
 
 def warn_of_shapes(whiskers: tuple[Whisker, ...], shapes: int) -> None:
@@ -43,7 +43,7 @@ def _error(whisker: Whisker, shapes: int) -> Float[Array, ""]:
     if whisker.breaks is not None:
         ends = jnp.sort(jnp.append(ends, whisker.breaks / whisker.length))
     sizes = jnp.diff(ends)[:, None]
-    s, weights = jnp.ravel(ends[:-1, None] + sizes * (_AT + 1) / 2), jnp.ravel(sizes * _WEIGHTS / 2)
+    s, weights = jnp.ravel(ends[:-1, None] + sizes * _AT), jnp.ravel(sizes * _WEIGHTS)
 
     def stiffness(s: Array) -> Array:
         return jax.vmap(whisker.stiffness_at)(s * whisker.length) / whisker.base_stiffness

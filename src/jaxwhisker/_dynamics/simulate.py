@@ -19,7 +19,7 @@ from jaxwhisker._dynamics.drive import drive_of
 from jaxwhisker._dynamics.held import ends_of, energies
 from jaxwhisker._dynamics.motion_state import Moving
 from jaxwhisker._dynamics.moving import Damping, MotionUnits, System, drive_pose, motion_units, system_of
-from jaxwhisker._dynamics.outline import Row, number_of
+from jaxwhisker._dynamics.outline import ObjectChain, number_of
 from jaxwhisker._dynamics.resolution import warn_of_shapes
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
 from jaxwhisker._dynamics.start import Start, initial, misfit, start_of
@@ -321,7 +321,7 @@ def _result(
             at.y * unit.length,
         )
         contact = {name: jnp.where(touches, value, 0.0) for name, value in zip(contact, values, strict=True)}
-        if isinstance(system.profile, Row):
+        if isinstance(system.profile, ObjectChain):
             contact["contact_object"] = jnp.where(touches, number_of(system.profile, touching.parameter) + 1, 0)
     friction: dict[str, Any] = {}
     contact_force = forces.normal

@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.couplings import Couplings, End
-from jaxwhisker._equilibrium.friction import slipping_from
-from jaxwhisker._equilibrium.point import Mode, Point, at_control
-from jaxwhisker._equilibrium.problem import NOWHERE, Attached, Contacts, InPlane, Poses
+from jaxwhisker._equilibrium.point import Point, at_control
+from jaxwhisker._equilibrium.problem import AT_ORIGIN, Attached, InPlane
 from jaxwhisker._equilibrium.shaft_springs import AXIAL, Attachments, Laws, ShaftSprings, Tissue
 from jaxwhisker._equilibrium.solver import solve_point
+from jaxwhisker._equilibrium.stance import Contacts, Poses
 from jaxwhisker._model.motion import Pose, mounted
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.spring import AXES, Spring
@@ -193,15 +194,13 @@ def _found(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3
     """Contacts and coordinates of the unloaded whiskers; NaN if they are not found."""
     ends = problem.motion.ends
     u = jnp.asarray(0.0 if ends is None else ends[0] / problem.unit.control, dtype=float)
-    side = jnp.ones_like(problem.length)
-    friction = None if problem.friction_angle is None else slipping_from(side)
-    mode = Mode(jnp.zeros(side.size, int), side, jnp.asarray(False), friction=friction)
+    state = all_free(problem, jnp.ones_like(problem.length))
     unbent, none = _unbent(problem, u), jnp.zeros_like(problem.rest(u))
 
     def grown(carry, share):
         contact, _, _ = carry
         problem_then = _with_springs(problem, _weakened(springs, share), share * held, contact, none)
-        solution = solve_point(problem_then, mode, at_control(u, contact), Point(contact, u))
+        solution = solve_point(problem_then, state, at_control(u, contact), Point(contact, u))
         return (solution.point.z, solution.newton.pose, solution.converged), None
 
     start = springs.blank.at[:, :3].set(unbent), none, jnp.asarray(False)
@@ -211,7 +210,7 @@ def _found(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3
 
 def _unbent(problem: InPlane, u: Scalar) -> Float[Array, "whiskers 3"]:
     """Contacts of free whiskers that no spring bends, with their bases at rest."""
-    base, drive = problem.in_scene(u, problem.rest(u)), mounted(problem.drive(u), NOWHERE)
+    base, drive = problem.in_scene(u, problem.rest(u)), mounted(problem.drive(u), AT_ORIGIN)
     x, y, cos, sin = (values[:, -1] for values in problem.outline)
     turn_cos, turn_sin = jnp.cos(base.angle), jnp.sin(base.angle)
     right, up = base.x + x * turn_cos - y * turn_sin - drive.x, base.y + x * turn_sin + y * turn_cos - drive.y

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import BaseEquations, Body, Phase, material_of, start_of
+from jaxwhisker._equilibrium.contact import BaseEquations, Phase, WhiskerAtObject, material_of, start_of
 from jaxwhisker._equilibrium.friction import Friction, slipping_from
 from jaxwhisker._equilibrium.shaft_springs import walk
 from jaxwhisker._equilibrium.touch import POINTS, Outline
@@ -16,7 +16,7 @@ ACCURACY = 1e-9  # of the tip; convergence is quadratic
 
 
 def free_contact(
-    body: Body, unloaded: Float[Array, "3"], moved: Float[Array, " axes"], pose: Float[Array, " axes"]
+    body: WhiskerAtObject, unloaded: Float[Array, "3"], moved: Float[Array, " axes"], pose: Float[Array, " axes"]
 ) -> Float[Array, "3"]:
     """The contact (see contact.py) of a free whisker whose base has given coordinates; without derivatives.
 
@@ -46,13 +46,13 @@ def free_contact(
     return jax.lax.while_loop(searching, newton, (start, jnp.asarray(jnp.inf), jnp.asarray(0)))[0]
 
 
-def _free(body: Body) -> tuple[Int[Array, ""], Float[Array, ""], Friction | None]:
+def _free(body: WhiskerAtObject) -> tuple[Int[Array, ""], Float[Array, ""], Friction | None]:
     """Phase, side and friction of a free whisker."""
     side = jnp.ones_like(body.length)
     return jnp.asarray(int(Phase.free)), side, None if body.friction_angle is None else slipping_from(side)
 
 
-def outline_of(body: Body, z: Float[Array, " numbers"]) -> Outline:
+def outline_of(body: WhiskerAtObject, z: Float[Array, " numbers"]) -> Outline:
     """The outline of a free whisker with this contact; without derivatives."""
     body, z = jax.lax.stop_gradient((body, z))
     assert body.sprung is not None

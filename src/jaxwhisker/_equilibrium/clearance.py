@@ -10,12 +10,11 @@ this is all that most states need. Otherwise the nearest points on the profile a
 Two shafts cross where their cubics do. The pair of chords that cross deepest is the first guess for Newton's method.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.interpolation import Cubic, between
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.shaft import Line, Shaft
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
@@ -69,17 +68,7 @@ def _along(x: Scalar | Along, y: Scalar | Along, at: ContactPoint) -> Scalar | A
 
 def _least(line: Line, gap: Along, slope: Along) -> Float[Array, " cells"]:
     """The smallest gap in each cell of a line."""
-    start, rise = gap[:-1], gap[1:] - gap[:-1]
-    leaving, arriving = slope[:-1] * line.cell, slope[1:] * line.cell
-    bend, twist = 3 * rise - 2 * leaving - arriving, leaving + arriving - 2 * rise
-    # Both places where leaving + 2 bend t + 3 twist t^2 vanishes, without loss of digits.
-    root = jnp.sqrt(jnp.maximum(bend**2 - 3 * twist * leaving, 0.0))
-    sum_ = -(bend + jnp.where(bend < 0, -root, root))
-    least = jnp.minimum(gap[:-1], gap[1:])
-    for above, below in ((sum_, 3 * twist), (leaving, sum_)):
-        t = jnp.clip(above / jnp.where(below == 0, 1.0, below), 0.0, 1.0)
-        least = jnp.minimum(least, start + t * (leaving + t * (bend + t * twist)))
-    return least
+    return between(gap, slope, line.cell).least()
 
 
 def nearest(
@@ -119,29 +108,13 @@ def nearest(
     return jax.lax.while_loop(searching, newton, start)[1]
 
 
-class _Cells(NamedTuple):
-    """Cells of a shaft from base to tip: cubics with these ends, and slopes per cell; (cells, 2)."""
+def _cells(own: Shaft) -> Cubic:
+    """Cells of a shaft from base to tip, (cells, 2)."""
 
-    start: Float[Array, "*cells 2"]
-    end: Float[Array, "*cells 2"]
-    leaving: Float[Array, "*cells 2"]
-    arriving: Float[Array, "*cells 2"]
-
-    def at(self, t: Scalar) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
-        """Point and slope of one cell."""
-        rise = self.end - self.start
-        bend, twist = 3 * rise - 2 * self.leaving - self.arriving, self.leaving + self.arriving - 2 * rise
-        point = self.start + t * (self.leaving + t * (bend + t * twist))
-        return point, self.leaving + t * (2 * bend + t * 3 * twist)
-
-
-def _cells(own: Shaft) -> _Cells:
-    def part(line: Line, towards_tip: bool) -> _Cells:
+    def part(line: Line, towards_tip: bool) -> Cubic:
         points, directions = jnp.stack([line.x, line.y], -1), jnp.stack([line.cos, line.sin], -1)
         size = jnp.abs(line.cell)[:, None]
-        if not towards_tip:
-            points, directions, size = points[::-1], directions[::-1], size[::-1]
-        return _Cells(points[:-1], points[1:], directions[:-1] * size, directions[1:] * size)
+        return between(points, directions, size) if towards_tip else between(points[::-1], directions[::-1], size[::-1])
 
     parts = part(own.to_base, False), part(own.to_tip, True)
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
@@ -165,17 +138,17 @@ def cross(one: Shaft, other: Shaft) -> Bool[Array, ""]:
     one_cell, other_cell = jax.tree.map(lambda leaf: leaf[a], first), jax.tree.map(lambda leaf: leaf[b], second)
 
     def newton(_, at):
-        (p, v), (q, w) = one_cell.at(at[0]), other_cell.at(at[1])
+        (p, v), (q, w) = ((cell.value(t), cell.rate(t)) for cell, t in zip((one_cell, other_cell), at, strict=True))
         step = jnp.stack([_cross(q - p, w), _cross(q - p, v)]) / _cross(v, w)
         return at + jnp.where(jnp.isfinite(step), step, 0.0)
 
     at = jax.lax.fori_loop(0, CROSSING_STEPS, newton, jnp.stack([t[a, b], r[a, b]]))
-    miss = one_cell.at(at[0])[0] - other_cell.at(at[1])[0]
+    miss = one_cell.value(at[0]) - other_cell.value(at[1])
     inside = _inside(at[0], a, first) & _inside(at[1], b, second)
     return inside & (jnp.sum(miss**2) < CROSSING_ERROR**2)
 
 
-def _inside(t: Scalar, cell: Scalar, cells: _Cells) -> Bool[Array, ""]:
+def _inside(t: Scalar, cell: Scalar, cells: Cubic) -> Bool[Array, ""]:
     """Whether a place is on the shaft, at most `OUTSIDE` away from its cell."""
     # The cells beyond a contact at the tip have no length: the last cell need not be the one that ends at the tip.
     size = jnp.sqrt(jnp.sum(cells.leaving**2, axis=-1))

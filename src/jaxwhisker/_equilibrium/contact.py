@@ -31,6 +31,9 @@ from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Load, Material, RodState, Section, moment
 
+FORCE, PARAMETER, SLACK = range(3)  # numbers of a contact z
+LEAN = PARAMETER  # of a contact that sticks
+
 
 class Phase(NamedInt):
     """Contact phase of a whisker."""
@@ -40,7 +43,7 @@ class Phase(NamedInt):
     tangential = 2
 
 
-class Body(NamedTuple):
+class WhiskerAtObject(NamedTuple):
     """A whisker and the object in front of it, dimensionless; or all whiskers, stacked (see `of_each`)."""
 
     length: Float[Array, "*batch"]
@@ -64,7 +67,7 @@ class Sprung(NamedTuple):
     drive_rate: Frame  # derivative with respect to the control
     held: Float[Array, "*batch axes axes"]  # stiffness of the network that the support does not have
     offset: Float[Array, "*batch axes"]  # coordinates at which it is unstrained
-    nowhere: Float[Array, "*batch"]  # any parameter of the profile, for free whiskers
+    placeholder_parameter: Float[Array, "*batch"]  # any parameter of the profile, for free whiskers
     incidence: Float[Array, "*batch places springs"] | None = None  # see couplings.incidence_of; None without couplings
 
 
@@ -117,7 +120,7 @@ def beyond(slack: Scalar | Float[Array, "*batch"], phase: Int[Array, "*batch"]) 
     return jnp.where(phase == Phase.tangential, slack, 0.0)
 
 
-def arc(body: Body, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
+def arc(body: WhiskerAtObject, slack: Scalar, phase: Int[Array, ""]) -> Float[Array, ""]:
     """Arc length from base to contact."""
     return body.length - beyond(slack, phase)
 
@@ -130,7 +133,8 @@ def parameter(
     friction: Friction | None,
 ) -> Scalar:
     """The profile's parameter at the contact z."""
-    return z[1] if friction is None else contact_parameter(profile, z[1], beyond(z[2], phase), side, friction)
+    known = z[PARAMETER]
+    return known if friction is None else contact_parameter(profile, known, beyond(z[SLACK], phase), side, friction)
 
 
 def across_force(
@@ -166,7 +170,7 @@ def in_scene(
 
 
 def base(
-    body: Body,
+    body: WhiskerAtObject,
     z: Float[Array, " numbers"],
     phase: Int[Array, ""],
     side: Scalar,
@@ -179,42 +183,46 @@ def base(
     if body.sprung is not None:
         return _sprung_base(body, body.sprung, z, phase, side, friction, rates)
     at, leans, angle = contact_of(body, z, phase, side, friction)
-    s = arc(body, z[2], phase)
+    s = arc(body, z[SLACK], phase)
     if body.section is None:
-        end = rod_end(z[0] / body.bending_stiffness, s, angle, body.rod, rates)
+        end = rod_end(z[FORCE] / body.bending_stiffness, s, angle, body.rod, rates)
     else:
         assert isinstance(body.section, Section)  # of one whisker
         section = dataclasses.replace(body.section, orientation=side)
-        end = uneven_rod_end(z[0], s, angle, section, body.rod, rates)
-    return in_scene(at, leans, end, z[0], side)
+        end = uneven_rod_end(z[FORCE], s, angle, section, body.rod, rates)
+    return in_scene(at, leans, end, z[FORCE], side)
 
 
 def contact_of(
-    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
+    body: WhiskerAtObject, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None
 ) -> tuple[ContactPoint, Float[Array, ""] | None, Float[Array, ""]]:
     """The contact point, the lean of the force, and the angle of the whisker to the normal of the force there."""
-    angle = jnp.where(phase == Phase.tip, -z[2], 0.0)
+    angle = jnp.where(phase == Phase.tip, -z[SLACK], 0.0)
     p = parameter(body.profile.on(body.piece), z, phase, side, friction)
     if body.sprung is not None:
-        p = jnp.where(phase == Phase.free, body.sprung.nowhere, p)
-    leans = lean(z[1], friction, body.friction_angle)
+        p = jnp.where(phase == Phase.free, body.sprung.placeholder_parameter, p)
+    leans = lean(z[LEAN], friction, body.friction_angle)
     return body.profile.point_on(body.piece, p), leans, angle if leans is None else angle + side * leans
 
 
-def material_of(body: Body) -> Material:
+def material_of(body: WhiskerAtObject) -> Material:
     """The material of a whisker in the scene."""
     assert not isinstance(body.section, tuple)  # of one whisker
     return body.bending_stiffness if body.section is None else body.section
 
 
 def start_of(
-    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+    body: WhiskerAtObject,
+    z: Float[Array, " numbers"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None = None,
 ) -> tuple[RodState, Load, Base]:
     """State of the rod and the load on it, at the contact or at the tip of a free whisker; and the contact."""
     assert body.sprung is not None
     at, leans, angle = contact_of(body, z, phase, side, friction)
-    zero, free, drive = jnp.zeros_like(z[0]), phase == Phase.free, body.sprung.drive
-    placed = in_scene(at, leans, jnp.stack([zero, zero, jnp.cos(angle), jnp.sin(angle)]), z[0], side)
+    zero, free, drive = jnp.zeros_like(z[FORCE]), phase == Phase.free, body.sprung.drive
+    placed = in_scene(at, leans, jnp.stack([zero, zero, jnp.cos(angle), jnp.sin(angle)]), z[FORCE], side)
     cos, sin = -jnp.sin(z[2]), jnp.cos(z[2])
     tip = (
         drive.x + z[0] * drive.cos - z[1] * drive.sin,
@@ -229,7 +237,7 @@ def start_of(
 
 
 def _sprung_base(
-    body: Body,
+    body: WhiskerAtObject,
     sprung: Sprung,
     z: Float[Array, " numbers"],
     phase: Int[Array, ""],
@@ -238,7 +246,7 @@ def _sprung_base(
     rates: AbstractRod,
 ) -> Base:
     start, load, placed = start_of(body, z, phase, side, friction)
-    s = arc(body, z[2], phase)
+    s = arc(body, z[SLACK], phase)
     given = start, load, s, material_of(body), sprung.held_by, body.laws, sprung.drive, body.rod, rates
     (x, y, cos, sin), total, above, places = base_of_walk(*given)
     below = jax.tree.map(jnp.subtract, total, above)
@@ -248,7 +256,7 @@ def _sprung_base(
     return placed._replace(x=x, y=y, cos=cos, sin=sin, force_x=fx, force_y=fy, bend=bend, below=below, places=places)
 
 
-def in_base_frame(body: Body, b: Base) -> BaseEquations:
+def in_base_frame(body: WhiskerAtObject, b: Base) -> BaseEquations:
     """Pose of a base and load on it, in its frame."""
     frame = body.frame
     if frame is None:
@@ -274,14 +282,18 @@ def in_base_frame(body: Body, b: Base) -> BaseEquations:
 
 
 def equations(
-    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+    body: WhiskerAtObject,
+    z: Float[Array, " numbers"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None = None,
 ) -> BaseEquations:
     """Quantities that enter the equations, for the contact z."""
     return in_base_frame(body, base(body, z, phase, side, friction))
 
 
 def linearise(
-    body: Body,
+    body: WhiskerAtObject,
     z: Float[Array, " numbers"],
     phase: Int[Array, ""],
     side: Scalar,
@@ -313,7 +325,7 @@ def linearise(
     return Linearised(value, gradient, by_control)
 
 
-def _moved(body: Body, step: Scalar, loads: Float[Array, " loads"]) -> Body:
+def _moved(body: WhiskerAtObject, step: Scalar, loads: Float[Array, " loads"]) -> WhiskerAtObject:
     """The body after a change of the control and of the loads of springs to other whiskers, to first order."""
     assert body.sprung is not None
     held_by, incidence = body.sprung.held_by, body.sprung.incidence
@@ -329,7 +341,7 @@ def _moved(body: Body, step: Scalar, loads: Float[Array, " loads"]) -> Body:
     )
 
 
-def of_each(bodies: Body, function: Callable, *args, in_turn: bool = False):
+def of_each(bodies: WhiskerAtObject, function: Callable, *args, sequential: bool = False):
     """Apply a function of one body to every whisker; each whisker gets its own row of the arguments.
 
     Args:
@@ -350,7 +362,7 @@ def of_each(bodies: Body, function: Callable, *args, in_turn: bool = False):
             return function(body._replace(profile=profile, rod=rod, laws=laws), *rest)
 
         each = jax.vmap(one, in_axes=(0, None))
-        return (_in_turn(one, each) if in_turn and bodies.length.shape[0] > 1 else each)(own, shared)
+        return (_in_turn(one, each) if sequential and bodies.length.shape[0] > 1 else each)(own, shared)
     # Whiskers of different kinds cannot be batched: each is computed separately.
     values = []
     for k, own in enumerate(section):

@@ -12,7 +12,8 @@ from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.attach import attached, with_unloaded
-from jaxwhisker._equilibrium.problem import AlongX, InPlane, PerWhisker, Problem
+from jaxwhisker._equilibrium.problem import AlongX, InPlane, Problem
+from jaxwhisker._equilibrium.stance import PerWhisker
 from jaxwhisker._equilibrium.touch import Outline, Touch
 from jaxwhisker._model.motion import Pose, Translation
 from jaxwhisker._model.profile import AbstractProfile

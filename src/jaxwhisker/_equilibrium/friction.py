@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.quadrature import gauss
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile
 
@@ -48,10 +49,9 @@ def newly_slipping(
     return friction._replace(slip=jnp.where(which, slipping_from(side).slip, friction.slip))
 
 
-# Gauss-Legendre points and weights on [0, 1], composite: for derivatives of arc lengths by the object's numbers.
-_GAUSS = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
-POINTS = ((np.arange(16)[:, None] + _GAUSS) / 16).ravel()
-WEIGHTS = np.tile([5 / 288, 8 / 288, 5 / 288], 16)
+CELLS = 16  # of the quadrature of the arc length's derivatives by the object's numbers
+_AT, _WEIGHTS = gauss(3)
+POINTS, WEIGHTS = ((np.arange(CELLS)[:, None] + _AT) / CELLS).ravel(), np.tile(_WEIGHTS / CELLS, CELLS)
 FIRST_SHARE = 1 / 8  # of the distance, in which a rolling contact is followed at first
 ROLLED = 1e-13  # error of the parameter in one step, for which a step is halved: a sharp end of the object may be near
 SHORTEST_SHARE = 1e-9  # of the distance; if no longer step is accurate, the object is not smooth

@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
-from jaxwhisker._base.leaves import Tree
+from jaxwhisker._base.implicit import without_rule
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import BaseEquations, Linearised, Phase
+from jaxwhisker._equilibrium.contact import FORCE, BaseEquations, Linearised
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import Places, as_contacts, law_of, loads_in
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import (
@@ -26,41 +27,27 @@ from jaxwhisker._equilibrium.newton import (
     slope_sines,
     with_dummy_contacts,
 )
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, scale_of
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 
 
-def without_rule(point: Tree, known: PyTree) -> Tree:
-    """The point, with NaN as its derivatives with respect to `known`: only a custom rule knows the true derivatives.
-
-    When a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax 0.10 drops
-    the custom rule. Without the NaN, the derivatives would be zero: wrong, and unnoticed.
-    """
-    leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(eqx.filter(known, eqx.is_inexact_array))]
-    everything = jnp.concatenate(leaves)
-    # The value is 0. The derivative is NaN, because the square root has no derivative at 0.
-    nothing = 0.0 * jnp.sqrt(jnp.sum(jnp.where(jnp.isfinite(everything), 0.0 * everything, 0.0)))
-    return jax.tree.map(lambda leaf: leaf + nothing, point)
-
-
 @eqx.filter_custom_jvp
-def solved(point: Point, problem: Problem, mode: Mode, row: Row) -> Point:
-    """The solution of the equations of problem, mode and row, with its derivatives with respect to problem, row and the
-    places where contacts stick.
+def solved(point: Point, problem: Problem, state: ContactState, condition: PathCondition) -> Point:
+    """The solution of the equations, with its derivatives by problem, condition and the places where contacts stick.
 
     The derivative is minus the inverse Jacobian times the derivative of the equations, which is the derivative of a
     Newton step that starts at the solution.
     """
-    return without_rule(point, (problem, mode.friction, row))
+    return without_rule(point, (problem, state.friction, condition))
 
 
 @solved.def_jvp
 def _(primals, tangents):
-    point, problem, mode, row = primals
-    _, problem_dot, mode_dot, row_dot = tangents
-    here = solved(point, problem, mode, row)
-    known, known_dot = (problem, mode.friction), (problem_dot, mode_dot.friction)
-    return here, _implicit_step(here, known, mode, row, known_dot, row_dot).drift
+    point, problem, state, condition = primals
+    _, problem_dot, mode_dot, condition_dot = tangents
+    here = solved(point, problem, state, condition)
+    known, known_dot = (problem, state.friction), (problem_dot, mode_dot.friction)
+    return here, _implicit_step(here, known, state, condition, known_dot, condition_dot).drift
 
 
 Known = tuple[Problem, Friction | None]  # the numbers that equilibria depend on
@@ -100,18 +87,20 @@ class _ImplicitStep(NamedTuple):
 
     at: Condensed
     linear: Linearised
-    drift: Point  # tangent of the solution for given tangents of problem and row
+    drift: Point  # tangent of the solution for given tangents of problem and condition
     tangent: Point  # of the path
     inverse: Float[Array, "rows rows"]  # of the linear system
 
 
-def _implicit_step(here: Point, known: Known, mode: Mode, row: Row, known_dot, row_dot) -> _ImplicitStep:
-    """Solve the linearised equations at a solution for given tangents of the numbers and the row (None for zero)."""
+def _implicit_step(
+    here: Point, known: Known, state: ContactState, condition: PathCondition, known_dot, condition_dot
+) -> _ImplicitStep:
+    """Solve the linearised equations at a solution for tangents of the numbers and the condition (None for zero)."""
     problem, problem_dot = known[0], known_dot[0]
-    z, phase = with_dummy_contacts(problem, here.z, mode.phase)
+    z, phase = with_dummy_contacts(problem, here.z, state.phase)
 
     def values(known: Known, z: Contacts, u: Scalar) -> BaseEquations:
-        return evaluate(known[0], Point(z, u), mode._replace(phase=phase, friction=known[1]))
+        return evaluate(known[0], Point(z, u), state._replace(phase=phase, friction=known[1]))
 
     value, differential = _linear(values, known, z, here.u)
 
@@ -127,23 +116,27 @@ def _implicit_step(here: Point, known: Known, mode: Mode, row: Row, known_dot, r
         each = jnp.eye(couplings.columns.size).reshape(-1, *couplings.columns.shape)
         by_loads = by(lambda loads: as_contacts(couplings, loads, z), each)
     linear = Linearised(value, gradient, by_u, by_loads)
-    at = condense(problem, here.z, mode, linear)
+    at = condense(problem, here.z, state, linear)
     # Residuals are linear in the values, and so are their tangents in those of the values.
-    dot = condense(problem, here.z, mode, linear._replace(value=differential(known_dot, None, None)))
+    dot = condense(problem, here.z, state, linear._replace(value=differential(known_dot, None, None)))
     yielding_dot = _tangent(lambda problem: problem.rest(here.u) + problem.displacement(at.load), problem, problem_dot)
-    solves = problem.solved(mode.phase)[:, None]
+    solves = problem.solved(state.phase)[:, None]
     network_dot = jnp.where(solves, dot.pose - yielding_dot - problem.displacement(dot.load), 0.0)
-    row_dot = jnp.zeros(()) if row_dot is None else _tangent(lambda row: row.residual(here, at.slope_sin), row, row_dot)
+    condition_dot = (
+        jnp.zeros(())
+        if condition_dot is None
+        else _tangent(lambda condition: condition.residual(here, at.slope_sin), condition, condition_dot)
+    )
     slope_sin_dot = dot.slope_sin + jnp.sum(dot.slope_sin_gradient * dot.particular, axis=-1)
-    row_dot += jnp.sum(row.weight_z * dot.particular) + jnp.sum(row.vertex * slope_sin_dot)
+    condition_dot += jnp.sum(condition.weight_z * dot.particular) + jnp.sum(condition.vertex * slope_sin_dot)
     # The inverse does not depend on tangents, in which everything else is linear.
-    system = linear_system(problem, mode, row, at)
+    system = linear_system(problem, state, condition, at)
     inverse = solve(system, jnp.eye(system.shape[0]))
     parts = [jnp.ravel(network_dot)]
     if at.coupled is not None and dot.coupled is not None:
         given, given_dot = (problem, at.coupled.places), (problem_dot, dot.coupled.places)
         parts.append(jnp.asarray(_tangent(partial(_loads_residual, here.z), given, given_dot)))
-    residual_dot = jnp.concatenate([*parts, jnp.reshape(jnp.asarray(row_dot), 1)])
+    residual_dot = jnp.concatenate([*parts, jnp.reshape(jnp.asarray(condition_dot), 1)])
     drift, _, _ = change_along(problem, at, -jnp.sum(inverse * residual_dot, axis=1))
     tangent, _, _ = change_along(problem, at, inverse[:, -1])
     return _ImplicitStep(at, linear, drift._replace(z=drift.z + dot.particular), tangent, inverse)
@@ -171,20 +164,20 @@ class Turning(NamedTuple):
 
 
 def _singularity(
-    here: Point, mode: Mode, linear: _ImplicitStep, turning: Turning, problem: Problem
+    here: Point, state: ContactState, linear: _ImplicitStep, turning: Turning, problem: Problem
 ) -> Callable[[Point, Known], Array]:
     """A function of a point and the numbers that vanishes at the turning point `here` and nearby, to first order.
 
     At a turning point, the Jacobian M of the equations and of the quantity that turns has a null vector t, the path's
     tangent, and a left null vector w. To first order, a change of w M t does not depend on the changes of w and t.
     """
-    solves = problem.solved(mode.phase)[:, None]
+    solves = problem.solved(state.phase)[:, None]
     left = linear.inverse[-1, :-1]
 
     def slip(z: Contacts, problem: Problem, z_rate: Contacts) -> Scalar:
-        z, _ = with_dummy_contacts(problem, z, mode.phase)
+        z, _ = with_dummy_contacts(problem, z, state.phase)
         assert turning.slip is not None
-        return jnp.sum(jnp.where(turning.slip[:, None], slip_by_contact(problem, z, mode) * z_rate, 0.0))
+        return jnp.sum(jnp.where(turning.slip[:, None], slip_by_contact(problem, z, state) * z_rate, 0.0))
 
     by_z = None
     if turning.slip is not None:
@@ -199,9 +192,9 @@ def _singularity(
         problem, friction = known
 
         def equations(z):
-            contacts, phase = with_dummy_contacts(problem, z, mode.phase)
-            value = evaluate(problem, Point(contacts, point.u), mode._replace(phase=phase, friction=friction))
-            at = condense(problem, here.z, mode, linear.linear._replace(value=value))
+            contacts, phase = with_dummy_contacts(problem, z, state.phase)
+            value = evaluate(problem, Point(contacts, point.u), state._replace(phase=phase, friction=friction))
+            at = condense(problem, here.z, state, linear.linear._replace(value=value))
             network = at.pose - problem.rest(point.u) - problem.displacement(at.load)
             pull = jnp.sum(jnp.where(solves, left * network, 0.0))
             if at.coupled is not None:
@@ -214,28 +207,30 @@ def _singularity(
     return function
 
 
-# An event is a point of a path that satisfies a row or, at a turning point, where the control or a slip turns back. The
-# equations are solved in a plane transverse to the path's direction `along`, where they are regular at folds too. The
-# distance that the event then moves along the path follows from the event's own equation. At a turning point this is
-# that a rate vanishes, whose derivative needs second derivatives of the whiskers. At a fold the control does not change
-# along the path, so its own derivative needs none.
+# An event is a point of a path that satisfies a condition or, at a turning point, where control or slip turns back.
+# The equations are solved in a plane transverse to the path's direction `along`, where they are regular at folds too.
+# The distance that the event then moves along the path follows from the event's own equation. At a turning point this
+# is that a rate vanishes, whose derivative needs second derivatives of the whiskers. At a fold the control does not
+# change along the path, so its own derivative needs none.
 
 
 @eqx.filter_custom_jvp
-def event_control(point: Point, problem: Problem, mode: Mode, along: Point, row: Row, fold: Bool[Array, ""]) -> Scalar:
+def event_control(
+    point: Point, problem: Problem, state: ContactState, along: Point, condition: PathCondition, fold: Bool[Array, ""]
+) -> Scalar:
     """The control of an event, with its derivatives; not of one where a contact begins to stick."""
     del along, fold
-    return without_rule(point, (problem, mode.friction, row)).u
+    return without_rule(point, (problem, state.friction, condition)).u
 
 
 @event_control.def_jvp
 def _(primals, tangents):
-    point, problem, mode, along, row, fold = primals
-    _, problem_dot, mode_dot, _, row_dot, _ = tangents
-    here = event_points(Sides(point, None), problem, Sides(mode, None), along, row, Turning(fold)).before
-    known, known_dot = (problem, mode.friction), (problem_dot, mode_dot.friction)
-    linear = _implicit_step(here, known, mode, _across(here, along), known_dot, None)
-    moved = _distance_to_row(here, mode, linear, ~fold, known, row, known_dot, row_dot)
+    point, problem, state, along, condition, fold = primals
+    _, problem_dot, mode_dot, _, condition_dot, _ = tangents
+    here = event_points(Sides(point, None), problem, Sides(state, None), along, condition, Turning(fold)).before
+    known, known_dot = (problem, state.friction), (problem_dot, mode_dot.friction)
+    linear = _implicit_step(here, known, state, _across(here, along), known_dot, None)
+    moved = _distance_to_condition(here, state, linear, ~fold, known, condition, known_dot, condition_dot)
     return here.u, linear.drift.u + moved * linear.tangent.u
 
 
@@ -247,22 +242,24 @@ class Sides(NamedTuple):
 
 
 @eqx.filter_custom_jvp
-def event_points(points: Sides, problem: Problem, modes: Sides, along: Point, row: Row, turning: Turning) -> Sides:
+def event_points(
+    points: Sides, problem: Problem, states: Sides, along: Point, condition: PathCondition, turning: Turning
+) -> Sides:
     """The points before and after an event, which have the same control, with their derivatives; after may be None."""
     del along, turning
-    frictions = [mode.friction for mode in modes if mode is not None]
-    return without_rule(points, (problem, frictions, row))
+    frictions = [state.friction for state in states if state is not None]
+    return without_rule(points, (problem, frictions, condition))
 
 
 @event_points.def_jvp
 def _(primals, tangents):
-    points, problem, modes, along, row, turning = primals
-    _, problem_dot, modes_dot, _, row_dot, _ = tangents
-    points = event_points(points, problem, modes, along, row, turning)
-    here, mode, after = points.before, modes.before, points.after
-    sides, modes_dot = [(here, mode, _across(here, along))], [*modes_dot]
+    points, problem, states, along, condition, turning = primals
+    _, problem_dot, modes_dot, _, condition_dot, _ = tangents
+    points = event_points(points, problem, states, along, condition, turning)
+    here, state, after = points.before, states.before, points.after
+    sides, modes_dot = [(here, state, _across(here, along))], [*modes_dot]
     if after is not None:
-        sides.append((after, modes.after, at_control(after.u, after.z)))
+        sides.append((after, states.after, at_control(after.u, after.z)))
     dots = [_dense(side[1].friction, dot.friction) for side, dot in zip(sides, modes_dot, strict=False)]
     # With both sides in one batch, the whiskers' equations are differentiated only once.
     steps = jax.vmap(
@@ -270,22 +267,22 @@ def _(primals, tangents):
     )(*(jax.tree.map(lambda *leaves: jnp.stack(leaves), *each) for each in (sides, dots)))
     linear = [jax.tree.map(lambda leaf, k=k: leaf[k], steps) for k in range(len(sides))]
     at, drift = linear[0], linear[0].drift
-    known, known_dot = (problem, mode.friction), (problem_dot, dots[0])
-    by_row = _distance_to_row(here, mode, at, ~turning.any, known, row, known_dot, row_dot)
-    vanishing = _singularity(here, mode, at, turning, problem)
+    known, known_dot = (problem, state.friction), (problem_dot, dots[0])
+    by_condition = _distance_to_condition(here, state, at, ~turning.any, known, condition, known_dot, condition_dot)
+    vanishing = _singularity(here, state, at, turning, problem)
     by_turn = _distance(vanishing, here, at, turning.any, (known,), (known_dot,))
     slips = 0.0 if turning.slip is None else jnp.any(turning.slip)
-    u_dot = drift.u + (by_row + slips * by_turn) * at.tangent.u
-    before_dot = Point(drift.z + (by_row + by_turn) * at.tangent.z, u_dot)
+    u_dot = drift.u + (by_condition + slips * by_turn) * at.tangent.u
+    before_dot = Point(drift.z + (by_condition + by_turn) * at.tangent.z, u_dot)
     if after is None:
         return points, Sides(before_dot, None)
     return points, Sides(before_dot, Point(linear[1].drift.z + linear[1].tangent.z * u_dot, u_dot))
 
 
-def _across(here: Point, along: Point) -> Row:
-    """The row of a plane through a point of the path, transverse to the path."""
+def _across(here: Point, along: Point) -> PathCondition:
+    """The condition of a plane through a point of the path, transverse to the path."""
     weight = jax.lax.stop_gradient(Point(along.z / scale_of(here.z) ** 2, along.u))  # any such plane would do
-    return Row(weight.z, here.z, weight.u, here.u, jnp.zeros_like(here.z[:, 0]))
+    return PathCondition(weight.z, here.z, weight.u, here.u, jnp.zeros_like(here.z[:, FORCE]))
 
 
 def _distance(vanishing: Callable, here: Point, linear: _ImplicitStep, holds: Bool[Array, ""], known, known_dot):
@@ -295,14 +292,20 @@ def _distance(vanishing: Callable, here: Point, linear: _ImplicitStep, holds: Bo
     return jnp.where(holds, -by_drift / jnp.where(holds, by_tangent, 1.0), 0.0)
 
 
-def _distance_to_row(
-    here: Point, mode: Mode, linear: _ImplicitStep, holds: Bool[Array, ""], known: Known, row: Row, *dots
+def _distance_to_condition(
+    here: Point,
+    state: ContactState,
+    linear: _ImplicitStep,
+    holds: Bool[Array, ""],
+    known: Known,
+    condition: PathCondition,
+    *dots,
 ):
-    """Distance by which an event moves along the path to satisfy its row."""
+    """Distance by which an event moves along the path to satisfy its condition."""
 
-    def residual(point: Point, known: Known, row: Row):
-        at_contact, _ = with_dummy_contacts(known[0], point.z, mode.phase)
-        slopes = slope_sines(known[0], at_contact, mode._replace(friction=known[1]))
-        return row.residual(point, jnp.where(mode.phase != Phase.free, slopes, 0.0))
+    def residual(point: Point, known: Known, condition: PathCondition):
+        at_contact, _ = with_dummy_contacts(known[0], point.z, state.phase)
+        slopes = slope_sines(known[0], at_contact, state._replace(friction=known[1]))
+        return condition.residual(point, jnp.where(state.touches, slopes, 0.0))
 
-    return _distance(residual, here, linear, holds, (known, row), dots)
+    return _distance(residual, here, linear, holds, (known, condition), dots)

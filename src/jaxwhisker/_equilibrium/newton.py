@@ -9,11 +9,11 @@ freedom across the branch. The network couples the whiskers:
     pose = rest + flexibility @ load.
 
 Pose and load of a base are its x coordinate and the force along x in `AlongX`; in `InPlane` they are x, y, angle and
-force x, force y, moment. One more equation, the row, selects a point of the path: a given control, an arc length ahead,
-or an event.
+force x, force y, moment. One more equation, the condition, selects a point of the path: a given control, an arc length
+ahead, or an event.
 
 A Newton step first eliminates each whisker's own equations (static condensation), and then solves the small dense
-system of the network and the row. This system is regular at folds.
+system of the network and the condition. This system is regular at folds.
 """
 
 from functools import partial
@@ -27,11 +27,13 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.linear_algebra import block_diagonal, solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import BaseEquations, Linearised, Phase, of_each
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, PARAMETER, SLACK, BaseEquations, Linearised, Phase, of_each
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import Coupled, Rows, as_contacts, loads_in, rows
 from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, scale_of
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, scale_of
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker, Poses
 from jaxwhisker._rod.elastica import AbstractRod
 
 
@@ -45,33 +47,35 @@ def with_dummy_contacts(
     """
     if problem.attached is not None:
         return z, phase
-    nowhere = problem.nowhere
-    dummy = jnp.stack([jnp.ones_like(nowhere), nowhere, -jnp.ones_like(nowhere)], axis=1)
+    parameter = problem.placeholder_parameter
+    dummy = jnp.stack([jnp.ones_like(parameter), parameter, -jnp.ones_like(parameter)], axis=1)
     free = phase == Phase.free
     return jnp.where(free[:, None], dummy, z), jnp.where(free, Phase.tip, phase)
 
 
-def linearise_all(problem: Problem, point: Point, mode: Mode, rates: AbstractRod, in_turn: bool) -> Linearised:
+def linearise_all(
+    problem: Problem, point: Point, state: ContactState, rates: AbstractRod, sequential: bool
+) -> Linearised:
     """The equations of every whisker, linearised."""
-    z, phase = with_dummy_contacts(problem, point.z, mode.phase)
+    z, phase = with_dummy_contacts(problem, point.z, state.phase)
     linearised = partial(contact.linearise, rates=rates)
-    bodies = problem.bodies(point.u, z, mode.piece)
-    return of_each(bodies, linearised, z, phase, mode.side, mode.friction, in_turn=in_turn)
+    bodies = problem.bodies(point.u, z, state.piece)
+    return of_each(bodies, linearised, z, phase, state.side, state.friction, sequential=sequential)
 
 
-def evaluate(problem: Problem, point: Point, mode: Mode) -> BaseEquations:
+def evaluate(problem: Problem, point: Point, state: ContactState) -> BaseEquations:
     """Values of every whisker's equations; free whiskers must have dummy contacts."""
-    bodies = problem.bodies(point.u, point.z, mode.piece)
-    return of_each(bodies, contact.equations, point.z, mode.phase, mode.side, mode.friction)
+    bodies = problem.bodies(point.u, point.z, state.piece)
+    return of_each(bodies, contact.equations, point.z, state.phase, state.side, state.friction)
 
 
-def slope_sines(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
+def slope_sines(problem: Problem, z: Contacts, state: ContactState) -> PerWhisker:
     """sin(alpha) of the object at every contact; free whiskers must have dummy contacts."""
 
     def slope(piece, *at):
         return problem.profile.point_on(piece, contact.parameter(problem.profile.on(piece), *at)).sin
 
-    return jax.vmap(slope)(mode.piece, z, mode.phase, mode.side, mode.friction)
+    return jax.vmap(slope)(state.piece, z, state.phase, state.side, state.friction)
 
 
 def pose_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]:
@@ -84,10 +88,10 @@ def load_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]
     return jnp.stack([base.force_x, base.force_y, base.moment][:axes], axis=1)
 
 
-def slip_by_contact(problem: Problem, z: Contacts, mode: Mode) -> Contacts:
+def slip_by_contact(problem: Problem, z: Contacts, state: ContactState) -> Contacts:
     """Derivatives of the distances slipped along the object, positive towards +x, of contacts that slip."""
-    speeds = jax.vmap(lambda piece, p: problem.profile.on(piece).speed(p))(mode.piece, z[:, 1])
-    return _widened(jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(mode.side, mode.phase)], axis=1), z)
+    speeds = jax.vmap(lambda piece, p: problem.profile.on(piece).speed(p))(state.piece, z[:, PARAMETER])
+    return _widened(jnp.stack([jnp.zeros_like(speeds), speeds, contact.beyond(state.side, state.phase)], axis=1), z)
 
 
 def _widened(array: Float[Array, "whiskers 3 *more"], like: Contacts) -> Float[Array, "whiskers numbers *more"]:
@@ -96,9 +100,9 @@ def _widened(array: Float[Array, "whiskers 3 *more"], like: Contacts) -> Float[A
     return jnp.pad(array, [(0, 0), (0, loads)] + [(0, 0)] * (array.ndim - 2)) if loads else array
 
 
-def contact_parameters(problem: Problem, z: Contacts, mode: Mode) -> PerWhisker:
+def contact_parameters(problem: Problem, z: Contacts, state: ContactState) -> PerWhisker:
     """The profile's parameters at all contacts."""
-    own = mode.piece, z, mode.phase, mode.side, mode.friction
+    own = state.piece, z, state.phase, state.side, state.friction
     return jnp.asarray(jax.vmap(lambda piece, *at: contact.parameter(problem.profile.on(piece), *at))(*own))
 
 
@@ -106,29 +110,30 @@ ROUNDING = 5e-15  # residual, relative to its terms, that rounding may cause
 LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is unknown
 
 
-def is_light(mode: Mode, z: Contacts) -> Bool[Array, " whiskers"]:
+def is_light(state: ContactState, z: Contacts) -> Bool[Array, " whiskers"]:
     """Whether contacts stick whose force is too small for its lean to be known."""
-    assert mode.friction is not None
-    return (mode.phase != Phase.free) & (mode.friction.slip == 0) & (z[:, 0] <= LIGHT)
+    return state.sticks & (z[:, FORCE] <= LIGHT)
 
 
-def with_slips(problem: Problem, z: Contacts, mode: Mode, slip: Int[Array, " whiskers"]) -> tuple[Contacts, Friction]:
+def with_slips(
+    problem: Problem, z: Contacts, state: ContactState, slip: Int[Array, " whiskers"]
+) -> tuple[Contacts, ContactState]:
     """The same contacts, which from here on slip in these directions or stick (0)."""
-    assert mode.friction is not None and problem.friction_angle is not None
-    old, limit = mode.friction, problem.friction_angle
-    at = contact_parameters(problem, z, mode)
+    assert state.friction is not None and problem.friction_angle is not None
+    old, limit = state.friction, problem.friction_angle
+    at = contact_parameters(problem, z, state)
     begins = (slip == 0) & (old.slip != 0)
     friction = Friction(
         slip,
         jnp.where(begins, at, old.parameter),
-        jnp.where(begins, contact.beyond(z[:, 2], mode.phase), old.beyond),
+        jnp.where(begins, contact.beyond(z[:, SLACK], state.phase), old.beyond),
     )
-    leans = jnp.clip(jnp.where(old.slip == 0, z[:, 1], old.slip * limit), -limit, limit)
-    light = begins & (z[:, 0] <= LIGHT)
+    leans = jnp.clip(jnp.where(old.slip == 0, z[:, LEAN], old.slip * limit), -limit, limit)
+    light = begins & (z[:, FORCE] <= LIGHT)
     # A first guess: the force that begins to bend a straight whisker acts across it.
-    leans = jnp.where(light, mode.side * jnp.minimum(z[:, 2], 0.0), leans)
-    z = z.at[:, 0].set(jnp.where(light, LIGHT, z[:, 0])).at[:, 1].set(jnp.where(slip == 0, leans, at))
-    return z, friction
+    leans = jnp.where(light, state.side * jnp.minimum(z[:, SLACK], 0.0), leans)
+    z = z.at[:, FORCE].set(jnp.where(light, LIGHT, z[:, FORCE])).at[:, LEAN].set(jnp.where(slip == 0, leans, at))
+    return z, state._replace(friction=friction)
 
 
 def _beyond_rounding(residual: Array, terms: Array | float) -> Array:
@@ -174,10 +179,19 @@ class Condensed(NamedTuple):
         return self.pose_by[:, 0, 0]
 
 
-def condense(problem: Problem, contacts: Contacts, mode: Mode, linear: Linearised) -> Condensed:
+class Apart(NamedTuple):
+    """Bases that are moved one by one, as in a snap, without the equations of the network and the condition."""
+
+    now: Bool[Array, ""]  # whether they are: a batch does both
+    held: Float[Array, "whiskers 2"] | None  # y and angle of the bases; None in `AlongX`
+
+
+def condense(
+    problem: Problem, contacts: Contacts, state: ContactState, linear: Linearised, apart: Apart | None = None
+) -> Condensed:
     """Eliminate each whisker's own equations."""
     axes, z, (value, gradient, by_u, by_loads) = problem.axes, contacts[:, :3], linear
-    touching, solved = mode.phase != Phase.free, problem.solved(mode.phase)
+    touching, solved = state.touches, problem.solved(state.phase)
     scale = scale_of(z)
     y, turn = gradient.y * scale, gradient.turn * scale
     normal = jnp.cross(turn, y)
@@ -188,8 +202,11 @@ def condense(problem: Problem, contacts: Contacts, mode: Mode, linear: Linearise
     own, columns = (value.y, value.turn), [tangent]
     if axes > 1:
         columns += [by_y / length, by_turn / length]
-        held = jnp.zeros((2, 1)) if mode.held is None else mode.held.T
-        own = tuple(jnp.where(mode.separate, actual - wanted, 0.0) for actual, wanted in zip(own, held, strict=True))
+        # In `InPlane` these are not equations, but where bases are held.
+        own = tuple(jnp.zeros_like(actual) for actual in own)
+        if apart is not None and apart.held is not None:
+            pairs = zip((value.y, value.turn), apart.held.T, strict=True)
+            own = tuple(jnp.where(apart.now, actual - held, 0.0) for actual, held in pairs)
     particular = -(own[0][:, None] * by_y + own[1][:, None] * by_turn) / length
 
     def if_solved(array, otherwise: float | Array = 0.0):
@@ -235,7 +252,7 @@ class NewtonStep(NamedTuple):
     """A Newton step, and the tangent of the path from the same linear system."""
 
     step: Point
-    tangent: Point  # of the path; row . tangent = 1
+    tangent: Point  # of the path; condition . tangent = 1
     condensed: Condensed
     residual: Scalar  # largest residual of any equation, before the step
     pose: Poses  # after the step
@@ -244,31 +261,45 @@ class NewtonStep(NamedTuple):
 
 
 def newton_step(
-    problem: Problem, mode: Mode, row: Row, point: Point, rates: AbstractRod | None = None, in_turn: bool = False
+    problem: Problem,
+    state: ContactState,
+    condition: PathCondition,
+    point: Point,
+    rates: AbstractRod | None = None,
+    sequential: bool = False,
+    apart: Apart | None = None,
 ) -> NewtonStep:
-    """Solve the linearised equations of all whiskers, the network and the row."""
-    linear = linearise_all(problem, point, mode, problem.rod if rates is None else rates, in_turn)
-    if mode.friction is not None:
-        linear = linear._replace(value=_without_rounding(linear.value, mode.held))
-    return solve_coupled(problem, mode, row, point, condense(problem, point.z, mode, linear))
+    """Solve the linearised equations of all whiskers, the network and the condition."""
+    linear = linearise_all(problem, point, state, problem.rod if rates is None else rates, sequential)
+    if state.friction is not None:
+        linear = linear._replace(value=_without_rounding(linear.value, None if apart is None else apart.held))
+    return solve_coupled(problem, state, condition, point, condense(problem, point.z, state, linear, apart), apart)
 
 
-def solve_coupled(problem: Problem, mode: Mode, row: Row, point: Point, at: Condensed) -> NewtonStep:
-    """Solve the linearised equations of the network and the row for condensed whiskers."""
-    solved = problem.solved(mode.phase)[:, None]
-    coupled = solved & ~mode.separate
+def solve_coupled(
+    problem: Problem,
+    state: ContactState,
+    condition: PathCondition,
+    point: Point,
+    at: Condensed,
+    apart: Apart | None = None,
+) -> NewtonStep:
+    """Solve the linearised equations of the network and the condition for condensed whiskers."""
+    solved = problem.solved(state.phase)[:, None]
+    coupled = solved if apart is None else solved & ~apart.now
     rest, displacement = problem.rest(point.u), problem.displacement(at.load)
     network = jnp.where(coupled, at.pose - rest - displacement, 0.0)
-    if mode.friction is not None:
+    if state.friction is not None:
         network = _beyond_rounding(network, jnp.abs(at.pose) + jnp.abs(rest) + jnp.abs(displacement))
     slope_sin = at.slope_sin + jnp.sum(at.slope_sin_gradient * at.particular, axis=-1)
-    row_residual = row.residual(Point(point.z + at.particular, point.u), slope_sin)
-    row_residual = jnp.where(mode.separate, 0.0, row_residual)
-    system, parts = linear_system(problem, mode, row, at), [jnp.ravel(network)]
+    condition_residual = condition.residual(Point(point.z + at.particular, point.u), slope_sin)
+    if apart is not None:
+        condition_residual = jnp.where(apart.now, 0.0, condition_residual)
+    system, parts = linear_system(problem, state, condition, at, apart), [jnp.ravel(network)]
     loads = load_rows(problem, at)
     if loads is not None and problem.attached is not None and problem.attached.couplings is not None:
         parts.append(jnp.ravel(loads_in(problem.attached.couplings, point.z) - loads.law))
-    residuals = jnp.concatenate([*parts, jnp.reshape(row_residual, 1)])
+    residuals = jnp.concatenate([*parts, jnp.reshape(condition_residual, 1)])
     last = np.eye(residuals.size)[-1]
     solution = solve(system, jnp.stack([-residuals, last], axis=1))
     step, pose, load = change_along(problem, at, solution[:, 0])
@@ -317,14 +348,16 @@ def along_steps(problem: Problem, at: Condensed, weight: Contacts) -> Float[Arra
     return jnp.concatenate([by_steps, jnp.ravel(loads_in(problem.attached.couplings, weight))])
 
 
-def linear_system(problem: Problem, mode: Mode, row: Row, at: Condensed) -> Float[Array, "rows rows"]:
-    """Derivatives of the residuals of the network and the row with respect to the steps and the control.
+def linear_system(
+    problem: Problem, state: ContactState, condition: PathCondition, at: Condensed, apart: Apart | None = None
+) -> Float[Array, "rows rows"]:
+    """Derivatives of the residuals of the network and the condition with respect to the steps and the control.
 
-    Loads of springs between two shafts, and their equations, come between these. If `mode.separate`, whiskers keep
-    their places along their branches, and the equations of the network and the row are left out.
+    Loads of springs between two shafts, and their equations, come between these. Whiskers `apart` keep their
+    places along their branches, and the equations of the network and the condition are left out.
     """
     n, axes = at.load.shape
-    solved, size = problem.solved(mode.phase)[:, None], n * axes
+    solved, size = problem.solved(state.phase)[:, None], n * axes
     coupling = block_diagonal(at.pose_by)
     if problem.flexibility is not None:
         yields = times_block_diagonal(problem.flexibility.matrix, at.load_by)
@@ -333,22 +366,23 @@ def linear_system(problem: Problem, mode: Mode, row: Row, at: Condensed) -> Floa
         by_control = jnp.where(solved, -1.0, 0.0)
     else:
         by_control = jnp.where(solved, at.pose_by_u - problem.displacement(at.load_by_u), 0.0)
-    weight = row.weight_z + row.vertex[:, None] * at.slope_sin_gradient
+    weight = condition.weight_z + condition.vertex[:, None] * at.slope_sin_gradient
     along = along_steps(problem, at, weight)
-    apart = mode.separate
-    coupling = jnp.where(apart, jnp.eye(size), coupling)
-    by_control, along = (jnp.where(apart, 0.0, jnp.ravel(value)) for value in (by_control, along))
-    row_u = jnp.where(apart, 1.0, row.weight_u)
+    by_control, condition_u = jnp.ravel(by_control), jnp.asarray(condition.weight_u)
+    if apart is not None:
+        coupling = jnp.where(apart.now, jnp.eye(size), coupling)
+        by_control, along = (jnp.where(apart.now, 0.0, value) for value in (by_control, along))
+        condition_u = jnp.where(apart.now, 1.0, condition_u)
     loads = load_rows(problem, at)
     if loads is not None and at.coupled is not None:
-        # Bases that are held apart stay where they are when loads change.
         yields = jax.vmap(problem.displacement, in_axes=-1, out_axes=-1)(at.coupled.load_by_loads)
-        held = at.coupled.pose_by_loads.at[:, 0].set(0.0)
-        by_loads = jnp.where(apart, held, at.coupled.pose_by_loads - yields)
+        by_loads = at.coupled.pose_by_loads - yields
+        if apart is not None:  # such bases stay where they are when loads change
+            by_loads = jnp.where(apart.now, at.coupled.pose_by_loads.at[:, 0].set(0.0), by_loads)
         by_loads = jnp.reshape(by_loads, (size, -1))
         coupling = jnp.block([[coupling, by_loads], [loads.by_steps, loads.by_loads]])
         by_control = jnp.concatenate([by_control, loads.by_u])
-    return jnp.block([[coupling, by_control[:, None]], [along[None, :], row_u[None, None]]])
+    return jnp.block([[coupling, by_control[:, None]], [along[None, :], condition_u[None, None]]])
 
 
 def _times(

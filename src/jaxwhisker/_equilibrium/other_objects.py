@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.interpolation import between
 from jaxwhisker._equilibrium.clearance import DEPTH, NEAREST_ERROR, nearest
 from jaxwhisker._equilibrium.shaft import Line, Shaft
 from jaxwhisker._model.profile import AbstractProfile
@@ -64,17 +65,13 @@ def _divided(line: Line) -> Line:
     parts = -(-CELLS // line.cell.size)
     t = jnp.arange(parts) / parts
 
-    def between(value, rate):
-        start, rise = value[:-1, None], (value[1:] - value[:-1])[:, None]
-        leaving, arriving = (rate[:-1] * line.cell)[:, None], (rate[1:] * line.cell)[:, None]
-        bend, twist = 3 * rise - 2 * leaving - arriving, leaving + arriving - 2 * rise
-        values = start + t * (leaving + t * (bend + t * twist))
-        rates = leaving + t * (2 * bend + 3 * t * twist)
+    def divided(value, rate):
         cells = line.cell[:, None]
-        rates = jnp.where(cells == 0, rate[:-1, None], rates / jnp.where(cells == 0, 1.0, cells))
-        return jnp.append(values, value[-1]), jnp.append(rates, rate[-1])
+        cubic = between(value[:, None], rate[:, None], cells)
+        rates = jnp.where(cells == 0, rate[:-1, None], cubic.rate(t) / jnp.where(cells == 0, 1.0, cells))
+        return jnp.append(cubic.value(t), value[-1]), jnp.append(rates, rate[-1])
 
-    (x, cos), (y, sin) = between(line.x, line.cos), between(line.y, line.sin)
+    (x, cos), (y, sin) = divided(line.x, line.cos), divided(line.y, line.sin)
     size = jnp.hypot(cos, sin)
     cell = jnp.repeat(line.cell / parts, parts)
     return Line(x, y, cos / size, sin / size, jnp.append(cell, cell[-1]))

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import PARAMETER
 from jaxwhisker._model.profile import AbstractProfile
 
 Pieces = Int[Array, " whiskers"]
@@ -42,14 +43,14 @@ def after_step(
 ) -> tuple[Pieces, Contacts]:
     """The pieces and contacts after a step; contacts that have moved past an end of their piece stop there."""
     low, high = ends_of(profile, piece)
-    p, before = z[:, 1], previous[:, 1]
+    p, before = z[:, PARAMETER], previous[:, PARAMETER]
     # Exactly at a break, a contact stays on its piece.
     below, above = moved & (p < low - ON_PIECE), moved & (p > high + ON_PIECE)
     end, passes = jnp.where(below, low, high), below | above
     way = jnp.where(passes & (p != before), p - before, 1.0)
     share = jnp.where(passes, jnp.clip((end - before) / way, 0.0, 1.0), 1.0)
     z = previous + share[:, None] * (z - previous)
-    return piece + above - below, z.at[:, 1].set(jnp.where(passes, end, z[:, 1]))
+    return piece + above - below, z.at[:, PARAMETER].set(jnp.where(passes, end, z[:, PARAMETER]))
 
 
 def where_touching(piece: Int[Array, "*batch"] | None, touches: Bool[Array, "*batch"]) -> Int[Array, "*batch"] | None:

@@ -1,13 +1,13 @@
-"""Points of the path: the unknowns, the phases of the whiskers, and the equation that selects one point."""
+"""Points of the path: the unknowns, and the equation that selects one point."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.problem import Contacts, PerObject, PerWhisker, Stance, of_object
+from jaxwhisker._equilibrium.contact import FORCE
+from jaxwhisker._equilibrium.stance import Contacts, PerWhisker
 
 
 class Point(NamedTuple):
@@ -17,37 +17,7 @@ class Point(NamedTuple):
     u: Scalar | Float[Array, "*batch"]
 
 
-class Mode(NamedTuple):
-    """Phases, sides and constraints that select one system of equations."""
-
-    phase: Int[Array, " whiskers"]
-    side: PerWhisker  # +1: the whisker approached from the right of the object; -1: from the left
-    separate: Bool[Array, ""]  # each whisker keeps its place on its branch; the network's equations are left out
-    held: Float[Array, "whiskers 2"] | None = None  # with `separate`: given y and angle of bases; None in `AlongX`
-    friction: Friction | None = None
-    piece: Int[Array, " whiskers"] | None = None  # of the profile at each contact, 0 if free; None without edges
-    # The side of each of several objects on which a whisker stands or, while it touches another one, has stood last.
-    beside: Float[Array, "objects whiskers"] | None = None
-
-    @property
-    def standing(self) -> PerObject:
-        """The sides on which free whiskers stand: of the object, or of each of several."""
-        return self.side if self.beside is None else self.beside
-
-    def now_standing(self, standing: PerObject) -> "Mode":
-        """The mode with these sides."""
-        return self._replace(side=standing) if self.beside is None else self._replace(beside=standing)
-
-    def freed(self, which: Bool[Array, " whiskers"], at: Stance) -> "Mode":
-        """The mode after the contacts of these whiskers have ended."""
-        return self.now_standing(jnp.where(which, at.side, self.standing))
-
-    def side_of(self, number: Int[Array, " whiskers"] | None) -> PerWhisker:
-        """The side on which a free whisker stands of one of several objects; None if there is only one."""
-        return self.side if self.beside is None or number is None else of_object(self.beside, number)
-
-
-class Row(NamedTuple):
+class PathCondition(NamedTuple):
     """The equation that selects a point of the path, in addition to the equations of equilibrium.
 
     weight_z . (z - z0) + weight_u (u - u0) + vertex . sin(alpha) = 0
@@ -68,61 +38,28 @@ class Row(NamedTuple):
         return along + jnp.sum(self.vertex * slope_sin)
 
 
-def at_control(u: Scalar, like: Contacts) -> Row:
-    """The row that selects the point at a given control."""
+def at_control(u: Scalar, like: Contacts) -> PathCondition:
+    """The condition that the control has a given value."""
     none = jnp.zeros_like(like)
-    return Row(none, none, jnp.asarray(1.0), u, none[:, 0])
+    return PathCondition(none, none, jnp.asarray(1.0), u, none[:, 0])
 
 
-def at_force(whiskers: Bool[Array, " whiskers"], at: Contacts) -> Row:
-    """The row that selects the point at which the forces of these whiskers have the sum that they have in `at`."""
+def at_force(whiskers: Bool[Array, " whiskers"], at: Contacts) -> PathCondition:
+    """The condition that the forces of these whiskers have the sum that they have in `at`."""
     none = jnp.zeros_like(at)
-    return Row(none.at[:, 0].set(whiskers), at, jnp.asarray(0.0), jnp.asarray(0.0), none[:, 0])
+    return PathCondition(none.at[:, FORCE].set(whiskers), at, jnp.asarray(0.0), jnp.asarray(0.0), none[:, 0])
 
 
-def at_arc_length(point: Point, tangent: Point, distance: Scalar) -> Row:
-    """The row that selects the point in the plane normal to the tangent, at a distance ahead (pseudo-arclength)."""
+def at_arc_length(point: Point, tangent: Point, distance: Scalar) -> PathCondition:
+    """The condition of the plane normal to the tangent, at a distance ahead of the point (pseudo-arclength)."""
     scale = scale_of(point.z)
     ahead = along(point, tangent, distance)
-    return Row(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, 0]))
-
-
-def at_event(
-    whiskers: Bool[Array, " whiskers"],
-    like: Contacts,
-    *,
-    unloaded: Bool[Array, ""],
-    phase: Bool[Array, ""],
-    vertex: Bool[Array, ""],
-    control: Bool[Array, ""],
-    u0: Scalar,
-    lean: Bool[Array, ""] | None = None,
-    limit: PerWhisker | None = None,
-) -> Row:
-    """The row that selects an event of these whiskers.
-
-    Args:
-        whiskers: the whiskers that the event concerns.
-        like: contacts, of which only the shape is used.
-        unloaded: whether a contact begins or ends: its force is zero.
-        phase: whether tip and tangential contact meet: the slack is zero.
-        vertex: whether the contact passes the vertex: its slope is zero.
-        lean: whether a sticking contact begins to slip: the force leans as far as friction lets it. Or, without
-            friction, whether a contact passes an edge's end: the parameter is that of a break.
-        limit: the lean or parameter at which it does so.
-        control: whether the point has the control u0 and no event.
-        u0: the control.
-    """
-    none, one = jnp.zeros_like(like), whiskers.astype(float)
-    weight, z0 = none.at[:, 0].set(one * unloaded).at[:, 2].set(one * phase), none
-    if lean is not None:
-        weight, z0 = weight.at[:, 1].set(one * lean), none.at[:, 1].set(limit)
-    return Row(weight, z0, control.astype(float), u0, one * vertex)
+    return PathCondition(tangent.z / scale**2, ahead.z, tangent.u, ahead.u, jnp.zeros_like(point.z[:, FORCE]))
 
 
 def scale_of(z: Contacts) -> Contacts:
     """Scale in which changes of a contact are measured: 1 + |force| for forces, 1 for the others."""
-    scale = jnp.ones_like(z).at[..., 0].add(jnp.abs(z[..., 0]))
+    scale = jnp.ones_like(z).at[..., FORCE].add(jnp.abs(z[..., FORCE]))
     return scale if z.shape[-1] == 3 else scale.at[..., 3:].add(jnp.abs(z[..., 3:]))
 
 

@@ -11,20 +11,20 @@ coordinates is a method of these two classes.
 """
 
 import abc
-from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.bent import free_contact, outline_of
-from jaxwhisker._equilibrium.contact import Base, Body, Phase, Sprung, of_each
+from jaxwhisker._equilibrium.contact import Base, Phase, Sprung, WhiskerAtObject, of_each
 from jaxwhisker._equilibrium.couplings import Couplings, given_by, incidence_of
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws
+from jaxwhisker._equilibrium.stance import Contacts, PerObject, PerWhisker, Poses, ScenePose, Stance
 from jaxwhisker._equilibrium.touch import Outline, Touch
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, frame_and_rate, mounted
 from jaxwhisker._model.network import Flexibility
@@ -33,66 +33,7 @@ from jaxwhisker._model.scene import Units
 from jaxwhisker._rod.elastica import AbstractRod
 from jaxwhisker._rod.rod import Section
 
-PerWhisker = Float[Array, " whiskers"]
-Contacts = Float[Array, "*batch whiskers numbers"]  # three numbers, and loads (see contact.py and couplings.py)
-PerObject = Float[Array, "*objects whiskers"]  # of each object, if there are several, and each whisker
-Poses = Float[Array, "whiskers axes"]
-
-
-NOWHERE = Pose(0.0, 0.0, 0.0)
-
-
-class ScenePose(NamedTuple):
-    """Poses of bases in the scene, dimensionless; angles to the upright, rad, positive counter-clockwise."""
-
-    x: PerWhisker
-    y: PerWhisker
-    angle: PerWhisker
-
-
-def of_object(values: Shaped[Array, "objects whiskers"], number: Int[Array, " whiskers"]) -> Shaped[Array, " whiskers"]:
-    """Each whisker's value for one of the objects."""
-    return jnp.take_along_axis(values, number[None], axis=0)[0]
-
-
-class Stance(NamedTuple):
-    """Positions of bases in the scene, and the first touches of their unloaded whiskers if the bases moved along x.
-
-    With several objects, touches and what follows from them have the leading axis of the objects.
-    """
-
-    x: PerWhisker
-    right: Touch  # in an approach from the right
-    left: Touch
-    free: Contacts | None = None  # their contacts if they are free (contact.py); None if unbent
-    loads: Float[Array, "whiskers loads"] | None = None  # the last part of their contacts; None without couplings
-
-    def of(self, number: Int[Array, " whiskers"] | None) -> "Stance":
-        """The stance of each whisker before one of several objects; None if there is only one."""
-        if number is None:
-            return self
-        pick = partial(of_object, number=number)
-        right, left = (jax.tree.map(pick, touch) for touch in (self.right, self.left))
-        return self._replace(right=right, left=left)
-
-    def first(self, side: PerObject) -> Touch:
-        """First touches of whiskers that approach from these sides (+1 right, -1 left)."""
-        return jax.tree.map(lambda right, left: jnp.where(side > 0, right, left), self.right, self.left)
-
-    @property
-    def contact_if_free(self) -> Contacts | float:
-        """Contacts (see contact.py) of the whiskers if they are free."""
-        return 0.0 if self.free is None else self.free
-
-    @property
-    def clear(self) -> Bool[Array, "*objects whiskers"]:
-        """Whether unloaded whiskers stand clear of the object."""
-        return ~self.right.reaches | (self.x > self.right.x) | (self.x < self.left.x)
-
-    @property
-    def side(self) -> PerObject:
-        """The side of the object on which a whisker stands, or the nearer side: +1 right, -1 left."""
-        return jnp.where(self.x - self.right.x >= self.left.x - self.x, 1.0, -1.0)
+AT_ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
 class Attached(NamedTuple):
@@ -126,6 +67,7 @@ class Problem(eqx.Module):
     attached: Attached | None = eqx.field(default=None, kw_only=True)  # None without springs on any shaft
 
     axes: eqx.AbstractClassVar[int]  # number of coordinates of a base
+    stance_is_known: eqx.AbstractClassVar[bool]  # whether nothing is to be computed for a stance
     frames_move: eqx.AbstractClassVar[bool]  # whether these refer to a frame that moves with the control
 
     @abc.abstractmethod
@@ -150,10 +92,6 @@ class Problem(eqx.Module):
 
         With springs between two shafts, the loads of these in the contacts z are needed, too.
         """
-
-    @abc.abstractmethod
-    def stances(self, *at: tuple[Scalar, Poses, Contacts]) -> list[Stance]:
-        """Stances in several states."""
 
     @abc.abstractmethod
     def shift(self, u: Scalar, distance: PerWhisker) -> Poses:
@@ -183,14 +121,14 @@ class Problem(eqx.Module):
     def if_defined(self, residual: Scalar, pose: ScenePose) -> Scalar:
         """The residual, or infinity if the motion of the drive is not defined here (its pose is not finite)."""
 
-    def bodies(self, u: Scalar, z: Contacts, piece: Int[Array, " whiskers"] | None = None) -> Body:
+    def bodies(self, u: Scalar, z: Contacts, piece: Int[Array, " whiskers"] | None = None) -> WhiskerAtObject:
         """All whiskers, stacked, at a control, with the loads of springs in their contacts z.
 
         `piece` is that of the profile at each contact.
         """
         del z
         angle = None if self.friction_angle is None else jnp.full_like(self.length, self.friction_angle)
-        return Body(
+        return WhiskerAtObject(
             self.length, self.bending_stiffness, self.profile, self.rod, self.section, *self.frames(u), angle, piece
         )
 
@@ -204,7 +142,7 @@ class Problem(eqx.Module):
         return side
 
     @property
-    def nowhere(self) -> PerWhisker:
+    def placeholder_parameter(self) -> PerWhisker:
         """Any parameter of the profile's first piece, for free whiskers."""
         touch = jax.lax.stop_gradient(self.touch_right.parameter)
         touch = touch[0] if len(self.profile.objects) > 1 else touch
@@ -241,6 +179,7 @@ class AlongX(Problem):
     """A problem whose bases stay upright at height 0 and move along x only."""
 
     axes: ClassVar[int] = 1
+    stance_is_known: ClassVar[bool] = True
     frames_move: ClassVar[bool] = False
 
     def frames(self, u):
@@ -260,9 +199,6 @@ class AlongX(Problem):
     def stance(self, u, pose, z=None):
         del u, z
         return Stance(pose[:, 0], self.touch_right, self.touch_left)
-
-    def stances(self, *at):
-        return [self.stance(*one) for one in at]
 
     def shift(self, u, distance):
         del u
@@ -297,6 +233,7 @@ class InPlane(Problem):
     outline: Outline  # of the unloaded whiskers, if no spring bends them
 
     axes: ClassVar[int] = 3
+    stance_is_known: ClassVar[bool] = False
     frames_move: ClassVar[bool] = True
 
     def _decisive(self, tree):
@@ -319,14 +256,14 @@ class InPlane(Problem):
             return bodies
 
         def drive(u):
-            return jax.tree.map(lambda part: jnp.full_like(self.length, part), mounted(self.drive(u), NOWHERE))
+            return jax.tree.map(lambda part: jnp.full_like(self.length, part), mounted(self.drive(u), AT_ORIGIN))
 
         frame, rate = jax.jvp(drive, (u,), (jnp.ones_like(u),))
         held_by, laws, couplings, incidence = self.attached.held_by, self.attached.laws, self.attached.couplings, None
         if couplings is not None:
             incidence = incidence_of(couplings, held_by)
             held_by = held_by._replace(given=given_by(couplings, z, held_by))
-        sprung = Sprung(held_by, frame, rate, self.attached.held, self.offset, self.nowhere, incidence)
+        sprung = Sprung(held_by, frame, rate, self.attached.held, self.offset, self.placeholder_parameter, incidence)
         return bodies._replace(sprung=sprung, laws=laws)
 
     def solved(self, phase):
@@ -373,11 +310,6 @@ class InPlane(Problem):
             return each(self.length, outline, at.y, at.angle)
 
         return Stance(at.x, *touch.of_objects(self.profile, both), free, loads)
-
-    def stances(self, *at):
-        # As one batch, the search for a touch is compiled only once.
-        batch = jax.vmap(self.stance)(*map(jnp.stack, zip(*at, strict=True)))
-        return [jax.tree.map(lambda leaf, k=k: leaf[k], batch) for k in range(len(at))]
 
     def shift(self, u, distance):
         frame, _ = self.frames(u)

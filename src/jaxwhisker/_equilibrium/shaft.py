@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import Base, Body, Phase, Sprung
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK, Base, Phase, Sprung, WhiskerAtObject
 from jaxwhisker._equilibrium.friction import Friction, lean
 from jaxwhisker._equilibrium.shaft_springs import walk
 from jaxwhisker._rod import rod
@@ -43,14 +43,18 @@ class Shaft(NamedTuple):
 
 
 def shaft(
-    body: Body, z: Float[Array, " numbers"], phase: Int[Array, ""], side: Scalar, friction: Friction | None = None
+    body: WhiskerAtObject,
+    z: Float[Array, " numbers"],
+    phase: Int[Array, ""],
+    side: Scalar,
+    friction: Friction | None = None,
 ) -> Shaft:
     """The shaft of a whisker with the contact z, which is the dummy contact, without force, of a free whisker."""
     if body.sprung is not None:
         return _sprung_shaft(body, body.sprung, z, phase, side, friction)
     p = contact.parameter(body.profile.on(body.piece), z, phase, side, friction)
-    at, leans = body.profile.point_on(body.piece, p), lean(z[1], friction, body.friction_angle)
-    angle = jnp.where(phase == Phase.tip, -z[2], 0.0) + (0.0 if leans is None else side * leans)
+    at, leans = body.profile.point_on(body.piece, p), lean(z[LEAN], friction, body.friction_angle)
+    angle = jnp.where(phase == Phase.tip, -z[SLACK], 0.0) + (0.0 if leans is None else side * leans)
     start = (jnp.zeros_like(angle), jnp.zeros_like(angle), jnp.cos(angle), jnp.sin(angle))
     # With a step per cell, the error of this method is smaller than that of the cubics.
     material, solver, cells_beyond = body.bending_stiffness, rod.Splitting(6), 1
@@ -58,7 +62,7 @@ def shaft(
         assert isinstance(body.section, Section)  # of one whisker
         material, solver = dataclasses.replace(body.section, orientation=side), None
         cells_beyond = 1 if material.intrinsic_curvature is None else CELLS_BEYOND
-    arc = contact.arc(body, z[2], phase)
+    arc = contact.arc(body, z[SLACK], phase)
 
     def line(length: Scalar, force: Scalar, cells: int) -> tuple[Float[Array, "4 points"], Float[Array, " cells"]]:
         at = rod.step_ends(length, material, steps=cells, from_base=arc)
@@ -67,16 +71,16 @@ def shaft(
         return jnp.stack(points), -length * jnp.diff(at)
 
     def in_scene(points: Float[Array, "4 points"], cell: Float[Array, " cells"]) -> Line:
-        placed = contact.in_scene(at, leans, points, z[0], side)
+        placed = contact.in_scene(at, leans, points, z[FORCE], side)
         return Line(placed.x, placed.y, placed.cos, placed.sin, cell)
 
-    to_base, to_tip = line(arc, z[0], CELLS), line(arc - body.length, jnp.zeros_like(z[0]), cells_beyond)
-    base = contact.in_scene(at, leans, to_base[0][:, -1], z[0], side)
+    to_base, to_tip = line(arc, z[FORCE], CELLS), line(arc - body.length, jnp.zeros_like(z[FORCE]), cells_beyond)
+    base = contact.in_scene(at, leans, to_base[0][:, -1], z[FORCE], side)
     return Shaft(in_scene(*to_base), in_scene(*to_tip), p, base)
 
 
 def _sprung_shaft(
-    body: Body,
+    body: WhiskerAtObject,
     sprung: Sprung,
     z: Float[Array, " numbers"],
     phase: Int[Array, ""],
@@ -85,7 +89,7 @@ def _sprung_shaft(
 ) -> Shaft:
     """The shaft of a whisker that springs hold."""
     start, load, _ = contact.start_of(body, z, phase, side, friction)
-    arc, material = contact.arc(body, z[2], phase), contact.material_of(body)
+    arc, material = contact.arc(body, z[SLACK], phase), contact.material_of(body)
     places, _ = sprung.held_by.with_places(arc * jnp.linspace(1.0, 0.0, CELLS + 1))
     walked = walk(start, load, arc, material, places, body.laws, sprung.drive, steps=1)
     nothing = Load(None, jnp.zeros_like(arc), None)
@@ -93,7 +97,7 @@ def _sprung_shaft(
     to_base = Line(*walked.passed, jnp.diff(jnp.maximum(places.springs.at, 0.0)))
     to_tip = Line(*beyond, jnp.full(CELLS_BEYOND, (body.length - arc) / CELLS_BEYOND))
     p = contact.parameter(body.profile.on(body.piece), z, phase, side, friction)
-    p = jnp.where(phase == Phase.free, sprung.nowhere, p)
+    p = jnp.where(phase == Phase.free, sprung.placeholder_parameter, p)
     return Shaft(to_base, to_tip, p, contact.base(body, z, phase, side, friction))
 
 

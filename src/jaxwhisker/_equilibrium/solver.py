@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.newton import NewtonStep, newton_step
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, scale_of
+from jaxwhisker._equilibrium.contact import FORCE, LEAN
+from jaxwhisker._equilibrium.contact_state import ContactState
+from jaxwhisker._equilibrium.newton import Apart, NewtonStep, newton_step
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 
 FINER = 100.0  # factor by which leans of large forces must be more accurate than other unknowns
@@ -29,7 +30,8 @@ class StructuredNewton(optx.AbstractRootFinder):
     Here each whisker is linearised with respect to its own three unknowns. The tolerance applies to the last step,
     which the returned point includes: a tolerance of 1e-6 gives an error near 1e-12.
 
-    Several points along a leading axis are solved for in one loop, in which solved points stay where they are.
+    Several points along a leading axis are solved for in one loop, in which solved and failed points
+    stay where they are.
     """
 
     rtol: float
@@ -44,36 +46,37 @@ class StructuredNewton(optx.AbstractRootFinder):
         del options, tags
         _, newton = fn(y, args)
         step = newton.step
-        _, mode, _ = args
+        _, contact_state, _, _ = args
         changes = jnp.abs(step.z) / scale_of(y.z)
-        if mode.friction is not None:
-            changes = _of_sticking(changes, y.z, mode)
+        if contact_state.friction is not None:
+            changes = _of_sticking(changes, y.z, contact_state)
         size = jnp.maximum(jnp.max(changes, axis=(-2, -1)), jnp.abs(step.u))
         if size.ndim > 0:
-            solved = state.step_size < self.atol
-            step = Point(jnp.where(solved[:, None, None], 0.0, step.z), jnp.where(solved, 0.0, step.u))
-            size = jnp.where(solved, state.step_size, size)
+            solved, failed = state.step_size < self.atol, ~jnp.isfinite(size)
+            # The loop would end for all points as soon as one is not finite.
+            stays = solved | failed
+            step = Point(jnp.where(stays[:, None, None], 0.0, step.z), jnp.where(stays, 0.0, step.u))
+            size = jnp.where(solved, state.step_size, jnp.where(failed, jnp.nan, size))
         return jax.tree.map(jnp.add, y, step), _NewtonState(size), newton
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags
-        return jnp.all(state.step_size < self.atol), optx.RESULTS.successful
+        return jnp.all((state.step_size < self.atol) | jnp.isnan(state.step_size)), optx.RESULTS.successful
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         del fn, args, options, state, tags, result
         return y, aux, {}
 
 
-def _of_sticking(changes: Contacts, z: Contacts, mode: Mode) -> Contacts:
+def _of_sticking(changes: Contacts, z: Contacts, state: ContactState) -> Contacts:
     """The changes of contacts in a Newton step, with those of contacts that stick weighted.
 
     Next to a small force, small changes of the other unknowns matter.
     """
-    assert mode.friction is not None
-    sticks = ((mode.phase != Phase.free) & (mode.friction.slip == 0))[..., None]
-    force = jnp.clip(z[..., 0], SMALLEST, 1.0)
+    sticks = state.sticks[..., None]
+    force = jnp.clip(z[..., FORCE], SMALLEST, 1.0)
     others = jnp.broadcast_to(jnp.maximum(SMALL / force, 1.0)[..., None], changes.shape)
-    weight = others.at[..., 1].set(jnp.maximum(FINER * force, 1.0))
+    weight = others.at[..., LEAN].set(jnp.maximum(FINER * force, 1.0))
     return changes * jnp.where(sticks, weight, 1.0)
 
 
@@ -86,35 +89,48 @@ class Solution(NamedTuple):
     iterations: Int[Array, ""]
 
 
-def solve_point(problem: Problem, mode: Mode, row: Row, guess: Point) -> Solution:
+def solve_point(
+    problem: Problem, state: ContactState, condition: PathCondition, guess: Point, apart: Apart | None = None
+) -> Solution:
     """Solve the equations of one point with Newton's method. Failure is a flag, never an exception."""
-    return _solve(problem, mode, row, guess, newton_step)
+    return _solve(problem, state, condition, guess, newton_step, apart)
 
 
-def solve_points(problem: Problem, modes: Mode, rows: Row, guesses: Point) -> Solution:
+def solve_points(problem: Problem, states: ContactState, conditions: PathCondition, guesses: Point) -> Solution:
     """Solve the equations of several points in one loop, which is traced and compiled faster than a batch of loops."""
 
-    def each(problem, modes, rows, points, *, in_turn):
-        return jax.vmap(lambda *own: newton_step(problem, *own, in_turn=in_turn))(modes, rows, points)
+    def each(problem, states, conditions, points, *, sequential, apart):
+        del apart
+        return jax.vmap(lambda *own: newton_step(problem, *own, sequential=sequential))(states, conditions, points)
 
-    return _solve(problem, modes, rows, guesses, each)
+    return _solve(problem, states, conditions, guesses, each)
 
 
-def _solve(problem: Problem, mode: Mode, row: Row, guess: Point, newton: Callable[..., NewtonStep]) -> Solution:
+def _solve(
+    problem: Problem,
+    state: ContactState,
+    condition: PathCondition,
+    guess: Point,
+    newton: Callable[..., NewtonStep],
+    apart: Apart | None = None,
+) -> Solution:
     # Derivatives are attached to the solution (implicit.py); they do not depend on the solver's iterations.
-    problem, row, guess = jax.lax.stop_gradient((problem, row, guess))
+    problem, condition, guess, apart = jax.lax.stop_gradient((problem, condition, guess, apart))
     solver = StructuredNewton(rtol=0.0, atol=problem.rod.newton_tolerance)
+    if guess.u.ndim > 0:
+        finite = jnp.all(jnp.isfinite(guess.z), axis=(-2, -1)) & jnp.isfinite(guess.u)
+        guess = Point(jnp.where(finite[:, None, None], guess.z, 0.0), jnp.where(finite, guess.u, 0.0))
 
     def equations(point, args):
-        problem, mode, row = args
-        at = newton(problem, mode, row, point, in_turn=True)
+        problem, state, condition, apart = args
+        at = newton(problem, state, condition, point, sequential=True, apart=apart)
         return at.residual, at
 
     solution = optx.root_find(
         equations,
         solver,
         guess,
-        args=(problem, mode, row),
+        args=(problem, state, condition, apart),
         has_aux=True,
         max_steps=problem.rod.newton_steps,
         throw=False,

@@ -20,10 +20,10 @@ from jaxwhisker._base.linear_algebra import (
     solve,
     times_block_diagonal,
 )
-from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import Condensed, load_rows
-from jaxwhisker._equilibrium.point import Mode
-from jaxwhisker._equilibrium.problem import PerWhisker, Problem
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker
 
 # Sign of `by_x` on a stable branch for an approach from the right; the branch has the direction grad turn x grad y.
 BRANCH_SIGN = -1.0
@@ -33,17 +33,16 @@ RIGID = 1e-9  # rate `by_x` that may be rounding
 Slopes = Float[Array, "whiskers axes axes"] | Float[Array, "rows rows"]  # of each base, or of all bases coupled
 
 
-def is_rigid(mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
+def is_rigid(state: ContactState, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
     """Whether whiskers are straight rods between their base and a tip that sticks, with hardly any force.
 
     Such a rod, which does not stretch, holds its base along its own line. It is stable, but rounding alone decides
     about the signs of its huge stiffness and of its rate along the branch.
     """
-    assert mode.friction is not None
-    return (mode.phase != Phase.free) & (mode.friction.slip == 0) & (jnp.abs(by_x) < RIGID)
+    return state.sticks & (jnp.abs(by_x) < RIGID)
 
 
-def load_slopes(problem: Problem, mode: Mode, at: Condensed) -> Slopes:
+def load_slopes(problem: Problem, state: ContactState, at: Condensed) -> Slopes:
     """Slopes d load / d pose of the bases; symmetric without friction."""
     loads, coupled = load_rows(problem, at), at.coupled
     if loads is not None and coupled is not None:
@@ -60,9 +59,9 @@ def load_slopes(problem: Problem, mode: Mode, at: Condensed) -> Slopes:
     along = at.load_by[:, :, 0] / by_x
     columns = [along]
     columns += [at.load_by[:, :, k] - along * at.pose_by[:, :1, k] for k in range(1, at.load.shape[-1])]
-    known = problem.solved(mode.phase)
-    if mode.friction is not None:
-        known &= ~is_rigid(mode, at.by_x)
+    known = problem.solved(state.phase)
+    if state.friction is not None:
+        known &= ~is_rigid(state, at.by_x)
     return jnp.where(known[:, None, None], jnp.stack(columns, axis=-1), 0.0)
 
 
@@ -80,17 +79,17 @@ def network_is_stable(problem: Problem, slope: Slopes) -> Bool[Array, ""]:
     return positive(jnp.eye(root.shape[0]) - pull)
 
 
-def on_stable_branch(problem: Problem, mode: Mode, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
+def on_stable_branch(problem: Problem, state: ContactState, by_x: PerWhisker) -> Bool[Array, " whiskers"]:
     """Whether whiskers are on the stable part of their clamped branch.
 
     There the base moves along the branch in the same direction as just after first touch; between two folds it moves
     back.
     """
-    holds = problem.bends_from(mode.phase, mode.side) * by_x * BRANCH_SIGN > 0
-    return holds if mode.friction is None else holds | is_rigid(mode, by_x)
+    holds = problem.bends_from(state.phase, state.side) * by_x * BRANCH_SIGN > 0
+    return holds if state.friction is None else holds | is_rigid(state, by_x)
 
 
-def clamped_is_stable(problem: Problem, mode: Mode, at: Condensed) -> Bool[Array, ""]:
+def clamped_is_stable(problem: Problem, state: ContactState, at: Condensed) -> Bool[Array, ""]:
     """Whether whiskers that springs between their shafts couple are stable while their bases are clamped.
 
     This is so up to the first point at which the linearised equations of contacts and loads are singular.
@@ -99,12 +98,12 @@ def clamped_is_stable(problem: Problem, mode: Mode, at: Condensed) -> Bool[Array
     assert loads is not None and at.coupled is not None
     by_loads = jnp.reshape(at.coupled.pose_by_loads, (at.pose.size, -1))
     system = jnp.block([[block_diagonal(at.pose_by), by_loads], [loads.by_steps, loads.by_loads]])
-    sides = problem.bends_from(mode.phase, mode.side)
+    sides = problem.bends_from(state.phase, state.side)
     return jnp.linalg.slogdet(system)[0] * jnp.prod(sides * BRANCH_SIGN) > 0
 
 
 def is_stable(
-    problem: Problem, mode: Mode, at: Condensed, begins: Bool[Array, " whiskers"] | None = None
+    problem: Problem, state: ContactState, at: Condensed, begins: Bool[Array, " whiskers"] | None = None
 ) -> Bool[Array, ""]:
     """Whether every whisker is on the stable part of its clamped branch and the network is stable.
 
@@ -114,14 +113,14 @@ def is_stable(
         at: the linearised whiskers.
         begins: whiskers that are linearised as the contacts that they are about to begin, and are not judged.
     """
-    unknown = ~problem.solved(mode.phase)
+    unknown = ~problem.solved(state.phase)
     unknown = unknown if begins is None else unknown | begins
     if at.coupled is not None:
-        stable = clamped_is_stable(problem, mode, at) & network_is_stable(problem, load_slopes(problem, mode, at))
+        stable = clamped_is_stable(problem, state, at) & network_is_stable(problem, load_slopes(problem, state, at))
         return stable if begins is None else stable | jnp.any(begins)
-    own = jnp.all(unknown | on_stable_branch(problem, mode, at.by_x))
+    own = jnp.all(unknown | on_stable_branch(problem, state, at.by_x))
     if problem.flexibility is None:
         return own
-    slopes = load_slopes(problem, mode, at)
+    slopes = load_slopes(problem, state, at)
     slopes = slopes if begins is None else jnp.where(begins[:, None, None], 0.0, slopes)
     return own & network_is_stable(problem, slopes)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.pieces import ends_of, first_corner
 from jaxwhisker._model.objects import Objects
@@ -147,9 +148,8 @@ def first_touch(
         """Position and direction, a number of cells from the base."""
         first = jnp.clip(jnp.floor(jax.lax.stop_gradient(cell)).astype(int), 0, POINTS - 2)
         here, there = table[:, first], table[:, first + 1]
-        t, step = cell - first, there[:2] - here[:2]
-        bend, twist = 3 * step - 2 * here[2:] - there[2:], here[2:] + there[2:] - 2 * step
-        return here[:2] + t * (here[2:] + t * (bend + t * twist)), here[2:] + t * (2 * bend + 3 * t * twist)
+        cubic = Cubic(here[:2], there[:2], here[2:], there[2:])
+        return cubic.value(cell - first), cubic.rate(cell - first)
 
     def residual(unknowns, piece):
         at = profile.point_on(piece, unknowns[0])

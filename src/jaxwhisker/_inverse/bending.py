@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.program import Program
 from jaxwhisker._inverse.estimates import Estimates, estimates_of
 from jaxwhisker._inverse.least_squares import FINAL, Evaluation, Minimum, minimise, possible_decrease
@@ -254,8 +255,7 @@ def _at(shape: dict[str, Array], s: Float[Array, ""]) -> tuple[Array, Array, Arr
     t = jnp.clip((s - knots[k]) / jnp.where(step > 0, step, 1.0), 0.0, 1.0)
 
     def between(values, rates):
-        (a, b), (p, q) = values[jnp.array([k, k + 1])], step * rates[jnp.array([k, k + 1])]
-        return a + t * (p + t * (3 * (b - a) - 2 * p - q + t * (2 * (a - b) + p + q)))
+        return Cubic(values[k], values[k + 1], step * rates[k], step * rates[k + 1]).value(t)
 
     angle = shape["angle"]
     each = [(shape["x"], jnp.cos(angle)), (shape["y"], jnp.sin(angle)), (angle, shape["curvature"])]

@@ -12,15 +12,14 @@ object from one side or the other, which makes three candidates.
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.implicit import without_rule
 from jaxwhisker._equilibrium.shaft_springs import past
 from jaxwhisker._inverse.inverse_rod import GUESSES, LARGEST_STEP, LAST_STEP, START, value_and_jacobian
 from jaxwhisker._model.motion import Pose
@@ -82,7 +81,7 @@ def nearest_held_state(observed: HeldObservation) -> HeldEstimate:
     second = jnp.argmin(jnp.where(phases.tip == phases.tip[best], jnp.inf, chi2))
     found = jax.lax.stop_gradient(jnp.where(ok[:, None], found, PLACEHOLDER))
     phase, other = (jax.tree.map(lambda leaf, k=k: leaf[k], phases) for k in (best, second))
-    y = _differentiable(found[best], phase, observed)[:4]
+    y = solution_of(_stationarity, found[best], (phase, observed))[:4]
     at, by_y = value_and_jacobian(lambda y: _state(y, phase, observed).values, y)
     value, gradient = _linearised(y, phase, observed)
     # The Gauss-Newton approximation is exact to first order in the noise.
@@ -200,31 +199,14 @@ def _fit(observed: HeldObservation, guess: Float[Array, "5"], phase: _Phase):
     return found, chi2, ok & jnp.all(jnp.isfinite(found))
 
 
-def _stationarity(found: Float[Array, "6"], phase: _Phase, observed: HeldObservation) -> Float[Array, "6"]:
+def _stationarity(found: Float[Array, "6"], known: tuple[_Phase, HeldObservation]) -> Float[Array, "6"]:
     """Derivatives of half chi-squared plus multipliers times conditions, which vanish at the nearest state."""
-    y, multipliers = found[:4], found[4:]
+    (phase, observed), y, multipliers = known, found[:4], found[4:]
     value, gradient = _linearised(y, phase, observed)
     downhill = jnp.sum(gradient * jnp.concatenate([value[:3], multipliers])[:, None], axis=0)
-    return jnp.concatenate([downhill, value[3:]])
-
-
-@eqx.filter_custom_jvp
-def _differentiable(found: Float[Array, "6"], phase: _Phase, observed: HeldObservation) -> Float[Array, "6"]:
-    """The nearest y and its multipliers with their derivatives with respect to the observation."""
-    return without_rule(found, observed)
-
-
-@_differentiable.def_jvp
-def _(primals, tangents):
-    found, phase, observed = primals
-    here = _differentiable(found, phase, observed)
-    hessian = jax.jacfwd(lambda found: _stationarity(found, phase, observed))(here)
-    _, change = eqx.filter_jvp(lambda observed: _stationarity(here, phase, observed), (observed,), (tangents[2],))
     # At the border between the phases, the fourth unknown is fixed.
     fixed = (jnp.arange(6) == 3) & ~(found[3] > 0)
-    hessian = jnp.where(fixed[:, None], jnp.eye(6), hessian)
-    # With the inverse, the change enters linearly and JAX can transpose this.
-    return here, -jnp.sum(solve(hessian, jnp.eye(6)) * jnp.where(fixed, 0.0, change), axis=-1)
+    return jnp.where(fixed, found, jnp.concatenate([downhill, value[3:]]))
 
 
 def base_under(observed: HeldObservation) -> Float[Array, "3"]:

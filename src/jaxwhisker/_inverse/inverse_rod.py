@@ -11,13 +11,12 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.implicit import without_rule
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Section
@@ -101,7 +100,7 @@ def nearest_state(observed: Observation) -> Estimate:
     tip = chi2[0] <= chi2[1]
     both = jax.lax.stop_gradient(jnp.where(ok[:, None], both, jnp.array([1.0, 0.1])))
     nearest, other = jnp.where(tip, both, both[::-1])
-    z = _with_derivatives(nearest, tip, observed)
+    z = solution_of(_stationarity, nearest, (tip, observed))
     residual, gradient = value_and_jacobian(lambda z: _whitened(z, tip, observed), z)
     doubt = jnp.where(jnp.all(ok), jax.nn.sigmoid((jnp.min(chi2) - jnp.max(chi2)) / 2), 0.0)
     return Estimate(z, tip, jnp.any(ok), jnp.sum(residual**2), gradient, other, doubt)
@@ -173,28 +172,13 @@ def _whitened(z, tip, observed: Observation) -> Float[Array, "3"]:
     return (state(z, tip, observed)[REACTION] - observed.reaction) * observed.weight
 
 
-def _stationarity(z, tip, observed: Observation) -> Float[Array, "2"]:
+def _stationarity(z, known: tuple[Bool[Array, ""], Observation]) -> Float[Array, "2"]:
     """Half the derivative of chi-squared, which vanishes at the nearest state."""
+    tip, observed = known
     residual, gradient = value_and_jacobian(lambda z: _whitened(z, tip, observed), z)
-    return jnp.sum(gradient * residual[:, None], axis=0)
-
-
-@eqx.filter_custom_jvp
-def _with_derivatives(z, tip, observed: Observation):
-    """The nearest state z with its derivatives with respect to the observation."""
-    return without_rule(z, (observed,))
-
-
-@_with_derivatives.def_jvp
-def _(primals, tangents):
-    z, tip, observed = primals
-    here = _with_derivatives(z, tip, observed)
-    hessian = jax.jacfwd(lambda z: _stationarity(z, tip, observed))(here)
-    _, change = eqx.filter_jvp(lambda observed: _stationarity(here, tip, observed), (observed,), (tangents[2],))
-    free = solve2(hessian, change)
+    downhill = jnp.sum(gradient * residual[:, None], axis=0)
     # At the border between the phases only the force is free.
-    at_border = jnp.stack([change[0] / hessian[0, 0], jnp.zeros_like(change[1])])
-    return here, -jnp.where(here[1] > 0, free, at_border)
+    return jnp.where(z[1] > 0, downhill, downhill.at[1].set(z[1]))
 
 
 def _guesses(observed: Observation):

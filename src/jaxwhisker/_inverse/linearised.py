@@ -21,7 +21,6 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.aside import Compilers
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._inverse.channels import Channels, channels_and_slopes_now
@@ -29,7 +28,7 @@ from jaxwhisker._inverse.parameters import hashable
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, Path
 from jaxwhisker._scan.detect import kinds_of
-from jaxwhisker._scan.memory import Places, chained, places_of, with_places
+from jaxwhisker._scan.memory import Places, chained, with_places
 from jaxwhisker._scan.scan import BLOCK, detect_now, follow_path_now, path_through, solve_steps_now
 from jaxwhisker._scan.signals import control_at_event, event_nodes
 from jaxwhisker._scan.steps import Solutions, states
@@ -52,8 +51,8 @@ class EventTable(NamedTuple):
 def event_table(problem: Problem, path: Path) -> EventTable:
     """The events of a scan without the states before and after them, which cost most."""
     node, previous, filled, *_ = event_nodes(path)
-    control, mode = jax.vmap(partial(control_at_event, problem))(node, previous)
-    lost = (mode.phase != Phase.free) & (node.phase == Phase.free)
+    control, state = jax.vmap(partial(control_at_event, problem))(node, previous)
+    lost = state.touches & node.state.free
     return EventTable(
         kind=jnp.where(filled, node.kind, -1),
         whiskers=node.whiskers & filled[:, None],
@@ -93,7 +92,7 @@ def _problem_and_slopes(scene: Scene, slopes: Any) -> tuple[Problem, Float[Array
 class Memory(NamedTuple):
     """What contacts with friction remember, and its derivatives along a last axis."""
 
-    places: Places  # where contacts stick after each node of the path
+    places: Places | None  # where contacts stick after each node of the path
     slopes: Any
     control_slopes: Float[Array, "nodes directions"]  # derivatives of the positions of events
 
@@ -117,7 +116,7 @@ def _memory(
         return jax.jvp(chain, (numbers, stops), dots)[1]
 
     controls, slopes = jax.vmap(towards, in_axes=-1, out_axes=-1)(directions, stop_slopes)
-    return Memory(places_of(path.nodes.friction), slopes, controls)
+    return Memory(path.nodes.state.places, slopes, controls)
 
 
 def _events_and_slopes(

@@ -32,7 +32,7 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import EventKind, is_snap
 from jaxwhisker._scan.channels import result_of
 from jaxwhisker._scan.detect import kinds_of
-from jaxwhisker._scan.memory import places_of, remembered, with_places
+from jaxwhisker._scan.memory import remembered, with_places
 from jaxwhisker._scan.route import Route
 from jaxwhisker._scan.scan import BLOCK, path_through
 from jaxwhisker._scan.steps import solve_steps, states
@@ -44,7 +44,7 @@ PRIOR = 1e4  # the same in later stages: unknowns that change no signal keep the
 UNIFORM = 12**-0.5  # of the gap between two samples: standard deviation of a snap that may be anywhere in it
 OUTSIDE = 8.0  # multiple of its weight that is added to a snap far outside its gap
 WIDER = 2.0  # gaps over which that grows; smoothly, because a least-squares step cannot foresee a wall
-PRICE = 3.0  # standard deviations: residual of every value between the model's snap and the observed one
+PENALTY = 3.0  # standard deviations: residual of every value between the model's snap and the observed one
 MISSING_EVENT = 1.0  # a length: residual of an observed event that the model does not have
 
 
@@ -155,7 +155,7 @@ def place(shift: Scalar, start: Scalar, events: EventTable, data: Samples) -> Pl
         control=control,
         travel=jax.lax.stop_gradient(along),
         weight=jnp.where(left_out[:, None, None], 0.0, data.weight),
-        price=jnp.where(priced, PRICE, 0.0),
+        price=jnp.where(priced, PENALTY, 0.0),
         left_out=left_out,
         of_snaps=_residuals_of_snaps(snaps, data),
         of_ends=jnp.where(data.overlaid & jnp.isfinite(observed), off, 0.0) * data.end_weight,
@@ -217,7 +217,7 @@ def _misfit(build, unknowns: Unknowns, x: Float[Array, " own"], data: Samples) -
         path = remembered(path, problem, data.stops + shift)
     placed = place(shift, start, event_table(problem, path), data)
     solutions = solve_steps(problem, path, placed.control, placed.travel)
-    solutions = with_places(solutions, places_of(path.nodes.friction))
+    solutions = with_places(solutions, path.nodes.state.places)
     state, _ = states(problem, placed.control, solutions)
     values = dict(zip(unknowns.channels.parameters, parts.channels, strict=True))
     signals = unknowns.channels.of_result(result_of(scene, state, placed.control), values)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, text_unless
+from jaxwhisker._base.quadrature import gauss
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import STEEPEST, AbstractProfile, ContactPoint, FirstTouch, bisect
 
@@ -209,10 +210,10 @@ def spline(slopes: tuple[float, ...]) -> Spline:
     fraction = np.arange(CELLS) / CELLS
     node = np.append((knots[:-1, None] + fraction * np.diff(knots)[:, None]).ravel(), knots[-1])
     cubic = CubicSpline(knots, np.eye(knots.size))
-    at, weight = np.polynomial.legendre.leggauss(GAUSS)
+    at, weight = gauss(GAUSS)
     width = np.diff(node)
-    gauss = node[:-1, None] + width[:, None] * (1 + at) / 2
-    return Spline(knots, node, cubic(node), cubic(node, 1), gauss, cubic(gauss), width, weight / 2)
+    at_gauss = node[:-1, None] + width[:, None] * at
+    return Spline(knots, node, cubic(node), cubic(node, 1), at_gauss, cubic(at_gauss), width, weight)
 
 
 # From value, rate and second rate at the end of a cell to coefficients 3, 4 and 5 of the quintic Hermite interpolant.

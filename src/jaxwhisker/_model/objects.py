@@ -20,7 +20,7 @@ class Objects(AbstractProfile):
 
     each: tuple[AbstractProfile, ...]
     # A parameter of each object, at which it is evaluated for contacts on another; None in the scene's own units.
-    nowhere: tuple[Scalar, ...] | None = None
+    placeholder_parameter: tuple[Scalar, ...] | None = None
 
     @property
     def objects(self):
@@ -45,7 +45,7 @@ class Objects(AbstractProfile):
         return jnp.asarray(owners)[piece]
 
     def on(self, piece):
-        return self if piece is None else OneOf(self.each, self.nowhere, piece)
+        return self if piece is None else OneOf(self.each, self.placeholder_parameter, piece)
 
     def ends_on(self, piece):
         far = jnp.full(1, jnp.inf)
@@ -62,11 +62,13 @@ class Objects(AbstractProfile):
 
     def _own(self, function, piece: Int[Array, ""] | None, parameter: Scalar):
         """A function of the object, the piece of this object, and its parameter, at a contact."""
-        assert piece is not None and self.nowhere is not None
+        assert piece is not None and self.placeholder_parameter is not None
         number, values = self.object_of(piece), []
-        for k, (one, first, nowhere) in enumerate(zip(self.each, self.first_pieces(), self.nowhere, strict=True)):
+        for k, (one, first, placeholder) in enumerate(
+            zip(self.each, self.first_pieces(), self.placeholder_parameter, strict=True)
+        ):
             own = jnp.clip(piece - first, 0, _pieces(one) - 1) if one.has_pieces else None
-            values.append(function(one, own, jnp.where(number == k, parameter, nowhere)))
+            values.append(function(one, own, jnp.where(number == k, parameter, placeholder)))
         chosen = values[0]
         for k, value in enumerate(values[1:], 1):
             chosen = jax.tree.map(lambda a, b, k=k: jnp.where(number == k, b, a), chosen, value)

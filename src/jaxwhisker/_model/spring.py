@@ -11,15 +11,12 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import number_or_function
+from jaxwhisker._base.quadrature import gauss
 from jaxwhisker._base.types import Scalar
 
 AXES = ("x", "y", "phi")
 ONE_SIDED = ("tension", "compression")
-# Gauss-Legendre points and weights on [0, 1] (Golub and Welsch 1969), for the energies of user-defined springs.
-# numpy.polynomial would be loaded with the package.
-_K = np.arange(1, 16)
-_AT, _VECTORS = np.linalg.eigh(np.diag(_K / np.sqrt(4.0 * _K**2 - 1), -1))
-POINTS, WEIGHTS = (_AT + 1) / 2, _VECTORS[0] ** 2
+POINTS, WEIGHTS = gauss(16)  # for the energies of user-defined springs
 SPACING = 0.2  # default distance between neighbours in a row, in lengths of the first whisker
 
 

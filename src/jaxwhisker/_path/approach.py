@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import Mode
-from jaxwhisker._equilibrium.problem import Problem, Stance
+from jaxwhisker._equilibrium.contact_state import ContactState
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._path.path import Path, Status
 
 FIRST_STEP = 0.02  # of the march after a corner; steps grow at once where the path is smooth
@@ -54,7 +54,7 @@ class AbstractApproach(abc.ABC):
         """The longest step of a march while all whiskers are free."""
 
     @abc.abstractmethod
-    def is_over(self, mode: Mode, at: Stance) -> Bool[Array, ""]:
+    def is_over(self, state: ContactState, at: Stance) -> Bool[Array, ""]:
         """Whether nothing can happen any more if the drive moves on without reversing."""
 
     @abc.abstractmethod
@@ -100,8 +100,8 @@ class FromAfar(AbstractApproach):
     def longest_step(self):
         return jnp.inf
 
-    def is_over(self, mode, at):
-        beyond = (mode.phase == Phase.free) & (mode.standing * self.onwards > 0)
+    def is_over(self, state, at):
+        beyond = state.free & (state.standing * self.onwards > 0)
         return jnp.all(beyond & jnp.where(self.onwards < 0, at.x < at.left.x, at.x > at.right.x))
 
     def limits(self):
@@ -142,8 +142,8 @@ class Bounded(AbstractApproach):
         start, end = self._ends()
         return jnp.abs(end - start) / GLANCES
 
-    def is_over(self, mode, at):
-        del mode, at
+    def is_over(self, state, at):
+        del state, at
         return jnp.asarray(False)
 
     def limits(self):
@@ -158,7 +158,7 @@ class Bounded(AbstractApproach):
         travel = path.nodes.travel - jnp.where(whole, jnp.abs(start - limits.start), 0.0)
         path = path._replace(nodes=path.nodes._replace(travel=travel))
         # Whiskers may still touch at the end of such a motion.
-        touching = jnp.any(path.nodes.phase[path.count - 1] != Phase.free)
+        touching = jnp.any(path.nodes.state.touches[path.count - 1])
         stop = self._last_contact(path, limits.end)
         return path, start, jnp.where(touching & (path.status == Status.ok), limits.far, stop)
 

@@ -20,31 +20,19 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
-from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.friction import newly_slipping, slipping_from
-from jaxwhisker._equilibrium.newton import is_light
-from jaxwhisker._equilibrium.point import Mode, Point, Row, along, at_arc_length, at_control, at_event, at_force
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import all_free
+from jaxwhisker._equilibrium.newton import Apart, is_light
+from jaxwhisker._equilibrium.point import Point, along, at_arc_length, at_control, at_force
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_point
+from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
+from jaxwhisker._path.events import TOUCH, Lead, condition_of, events_of, facts_of
 from jaxwhisker._path.leaving import after_arrive
-from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, evaluate_trial
-from jaxwhisker._path.path import (
-    AT_STOP,
-    HIGH,
-    LOW,
-    NO_EVENT,
-    PHASE,
-    RELEASE,
-    SLIP,
-    TOUCH,
-    VERTEX,
-    Node,
-    Path,
-    Status,
-    select,
-)
+from jaxwhisker._path.march_state import MarchState, Target, Task, evaluate_trial
+from jaxwhisker._path.path import NO_EVENT, Node, Path, Status, select
 from jaxwhisker._path.settling import after_flow
 from jaxwhisker._path.transitions import after_advance, after_event
 
@@ -52,95 +40,73 @@ STOPS = 8  # stops of a route that turns are padded to a multiple of this
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
 
-def _target_row(state: MarchState, stop_u: Scalar, edges: bool) -> Row:
-    kind, lean = state.target.kind, None
-    if state.target.lean is not None:
-        lean = (kind == LOW) | (kind == HIGH) if edges else kind == SLIP
-    return at_event(
-        state.target.whisker,
-        state.point.z,
-        unloaded=(kind == RELEASE) | (kind == TOUCH),
-        phase=kind == PHASE,
-        vertex=kind == VERTEX,
-        control=kind == AT_STOP,
-        u0=stop_u,
-        lean=lean,
-        limit=state.target.lean,
-    )
-
-
-def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], state: MarchState):
+def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], now: MarchState):
     """Predict, solve, decide. Return the new state, and the index (-1 for none) and value of the node to write."""
-    stop_u = stops[jnp.minimum(state.goal, last)]
-    at_target = state.task == Task.event
-    distance = jnp.where(at_target, state.target.distance, state.step)
-    marching = (state.task == Task.advance) | at_target
-    flowing = (state.task == Task.kick) | (state.task == Task.flow)
-    ahead = along(state.point, state.tangent, distance, state.bend)
-    flow = snap_flow.propose(problem, state.flow, state.mode, state.point)
-    kicked = snap_flow.kick(state.flow, state.point, state.tangent, state.tangent_pose)
-    flow = select(state.task == Task.kick, kicked, flow)
-    guess = select(marching, ahead, state.point)
-    guess = select(flowing, Point(flow.guess, state.point.u), guess)
-    onwards = at_arc_length(state.point, state.tangent, state.step)
-    fixed = at_control(state.point.u, guess.z)
-    if state.mode.friction is not None:
+    stop_u = stops[jnp.minimum(now.goal, last)]
+    at_target = now.task == Task.event
+    distance = jnp.where(at_target, now.target.distance, now.step)
+    marching = (now.task == Task.advance) | at_target
+    flowing = (now.task == Task.kick) | (now.task == Task.flow)
+    ahead = along(now.point, now.tangent, distance, now.bend)
+    flow = snap_flow.propose(problem, now.flow, now.state, now.point)
+    kicked = snap_flow.kick(now.flow, now.point, now.tangent, now.tangent_pose)
+    flow = select(now.task == Task.kick, kicked, flow)
+    guess = select(marching, ahead, now.point)
+    guess = select(flowing, Point(flow.guess, now.point.u), guess)
+    onwards = at_arc_length(now.point, now.tangent, now.step)
+    fixed = at_control(now.point.u, guess.z)
+    if now.state.friction is not None:
         # A contact that sticks from its first touch is solved for where its force first has a direction.
-        starts = is_light(state.mode, guess.z) & (state.task == Task.arrive)
+        starts = is_light(now.state, guess.z) & (now.task == Task.arrive)
         fixed = select(jnp.any(starts), at_force(starts, guess.z), fixed)
-    to_target = _target_row(state, stop_u, problem.profile.has_edges)
-    row = select(state.task == Task.advance, onwards, select(at_target, to_target, fixed))
+    target = now.target
+    tip = jnp.any(target.whisker & (now.state.phase == Phase.tip))
+    facts = facts_of(events_of(problem), target.number, tip)
+    to_target = condition_of(facts, target.whisker, guess.z, target.limit, stop_u)
+    condition = select(now.task == Task.advance, onwards, select(at_target, to_target, fixed))
     # A touch begins a contact and is solved for as a contact.
-    target = state.target
-    begins = target.whisker & at_target & (target.kind == TOUCH)
-    mode = state.mode._replace(
-        phase=jnp.where(begins, target.phase, state.mode.phase),
-        side=jnp.where(begins, target.side, state.mode.side),
-        separate=flowing,
-        held=problem.across(flow.pose),
-        friction=newly_slipping(state.mode.friction, begins, target.side),
-        piece=select(begins, target.piece, state.mode.piece),
-    )
+    begins = target.whisker & at_target & (target.number == TOUCH)
+    state = now.state.begun(begins, target.phase, target.side, target.piece)
     guess = guess._replace(z=jnp.where(begins[:, None], target.contact, guess.z))
-    solution = solve_point(problem, mode, row, guess)
-    trial = evaluate_trial(problem, state, solution, stop_u, select(flowing, flow.pose, solution.newton.pose))
+    solution = solve_point(problem, state, condition, guess, Apart(flowing, problem.across(flow.pose)))
+    trial = evaluate_trial(problem, now, solution, stop_u, select(flowing, flow.pose, solution.newton.pose))
     new, write, node = jax.lax.switch(
-        jnp.minimum(state.task, Task.kick),
+        jnp.minimum(now.task, Task.kick),
         [
-            lambda: after_advance(problem, state, trial, guess),
-            lambda: after_event(problem, state, trial),
-            lambda: after_arrive(problem, state, trial, stops, last),
-            lambda: (state, jnp.asarray(False), state.pending),
-            lambda: after_flow(problem, state, flow, trial),
+            lambda: after_advance(problem, now, trial, guess),
+            lambda: after_event(problem, now, trial, facts),
+            lambda: after_arrive(problem, now, trial, stops, last),
+            lambda: (now, jnp.asarray(False), now.pending),
+            lambda: after_flow(problem, now, flow, trial),
         ],
     )
-    return new._replace(count=new.count + write), (jnp.where(write, state.count, -1), node)
+    return new._replace(count=new.count + write), (jnp.where(write, now.count, -1), node)
 
 
 def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
     n, onwards = problem.length.shape[0], problem.motion.onwards
     u = approach_of(problem).start(stops[0])
     z, pose = problem.unloaded(u)
-    side, none = approach_of(problem).unloaded(u).side, jnp.zeros(n)
-    beside = number = None
-    if len(problem.profile.objects) > 1:
-        beside, side, number = side, side[0], jnp.zeros(n, int)
-    edges = problem.profile.has_edges
-    friction = None if problem.friction_angle is None else slipping_from(side)
-    piece = jnp.zeros(n, int) if problem.profile.has_pieces else None
-    mode = Mode(jnp.zeros(n, int), side, jnp.asarray(False), friction=friction, piece=piece, beside=beside)
+    state, none = all_free(problem, approach_of(problem).unloaded(u).side), jnp.zeros(n)
+    edges, friction = problem.profile.has_edges, state.friction
     point = Point(z, u)
     still = Point(jnp.zeros_like(z), jnp.asarray(float(onwards)))
     pending = Node(
-        point, z, still, still, mode.phase, mode.side, -jnp.abs(u - stops[0]), jnp.asarray(NO_EVENT),
-        jnp.zeros(n, bool), mode.phase, mode.side, friction, friction,
+        point,
+        z,
+        still,
+        still,
+        state,
+        state,
+        -jnp.abs(u - stops[0]),
+        jnp.asarray(NO_EVENT),
+        jnp.zeros(n, bool),
         *([] if friction is None else [jnp.asarray(0), jnp.asarray(False)]),
-        piece=piece, piece_before=piece, beside=beside,
-    )  # fmt: skip
+    )
     zero = jnp.asarray(0.0)
     return MarchState(
         task=jnp.asarray(int(Task.arrive)),
-        mode=mode,
+        state=state,
         point=point,
         pose=pose,
         tangent=still,
@@ -154,11 +120,11 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
             jnp.zeros(n, bool),
             zero,
             z,
-            mode.phase,
-            mode.side,
+            state.phase,
+            state.side,
             none if edges or friction is not None else None,
-            piece,
-            number,
+            state.piece,
+            None if state.beside is None else jnp.zeros(n, int),
         ),
         lead=Lead(still.z, jnp.zeros_like(pose), still.u),
         before_vertex=none + 1.0,
@@ -166,12 +132,18 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         direction=still.u,
         travel=pending.travel,
         pending=pending,
-        flow=snap_flow.start(mode, pose, z, edges),
+        flow=snap_flow.start(state, pose, z, edges),
         count=jnp.asarray(0),
         status=jnp.asarray(int(Status.ok)),
         tries=None if friction is None else jnp.asarray(0),
         rests=None if friction is None else jnp.zeros(n, bool),
+        # The first task is to arrive, which computes the stance.
+        stance=None if problem.stance_is_known else _blank(jax.eval_shape(problem.stance, u, pose, z)),
     )
+
+
+def _blank(shapes: Stance) -> Stance:
+    return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
 
 
 def capacity_of(problem: Problem, stops: int) -> int:
@@ -187,17 +159,17 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     The march ends with status `ok` at the last stop or as soon as all whiskers have passed the object for good. If the
     path cannot be followed any further, the march ends there, and the status of the path says why.
     """
-    state = _start(problem, stops)
-    clear = approach_of(problem).starts_clear(state.point.u)
-    state = select(clear, state, state.stopped(Status.lost))
+    now = _start(problem, stops)
+    clear = approach_of(problem).starts_clear(now.point.u)
+    now = select(clear, now, now.stopped(Status.lost))
     # A node is written as one row of a table: one write per field would be slow to compile.
-    blank, unpacked = ravel_pytree(state.pending)
+    blank, unpacked = ravel_pytree(now.pending)
     empty = jnp.zeros((capacity, blank.size)), jnp.asarray(0)
     # In a batch, all values of the loop have lanes from the start: JAX traces the loop again for those that get them.
     start = jax.tree.map(
         lambda valid, invalid: jax.lax.select(problem.valid, valid, invalid),
-        (state, *empty),
-        (state.stopped(Status.invalid), *empty),
+        (now, *empty),
+        (now.stopped(Status.invalid), *empty),
     )
     room = capacity
     if problem.friction_angle is not None:
@@ -209,27 +181,27 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
     def running(carry):
         # The second condition is never the first to fail. Without it, XLA takes the task for a counter and analyses the
         # body again and again to count the iterations, which makes compilation 40 % longer.
-        state, _, used = carry
-        return (state.task != Task.done) & (used <= most)
+        now, _, used = carry
+        return (now.task != Task.done) & (used <= most)
 
     def chunk(carry):
-        state, table, used = carry
+        now, table, used = carry
 
-        def iteration(state, _):
-            state, (index, node) = _iterate(problem, stops, last, state)
-            return state, (index, ravel_pytree(node)[0])
+        def iteration(now, _):
+            now, (index, node) = _iterate(problem, stops, last, now)
+            return now, (index, ravel_pytree(node)[0])
 
-        state, (index, rows) = jax.lax.scan(iteration, state, None, length=CHUNK)
+        now, (index, rows) = jax.lax.scan(iteration, now, None, length=CHUNK)
         table = table.at[jnp.where(index < 0, capacity, index)].set(rows, mode="drop")
-        full = (state.count >= room) | (used >= most)
-        return select(full, state.stopped(Status.too_long), state), table, used + 1
+        full = (now.count >= room) | (used >= most)
+        return select(full, now.stopped(Status.too_long), now), table, used + 1
 
-    state, table, _ = jax.lax.while_loop(running, chunk, start)
-    return Path(jax.vmap(unpacked)(table), jnp.minimum(state.count, capacity).astype(int), state.status.astype(int))
+    now, table, _ = jax.lax.while_loop(running, chunk, start)
+    return Path(jax.vmap(unpacked)(table), jnp.minimum(now.count, capacity).astype(int), now.status.astype(int))
 
 
 def no_path(problem: Problem, capacity: int) -> Path:
     """A path without nodes, in arrays of the same size as those of a march with this capacity."""
-    state = _start(problem, jnp.zeros(1))
-    nodes = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), state.pending)
-    return Path(nodes, state.count.astype(int), state.status.astype(int))
+    now = _start(problem, jnp.zeros(1))
+    nodes = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), now.pending)
+    return Path(nodes, now.count.astype(int), now.status.astype(int))

@@ -1,7 +1,6 @@
 """The state of a march: where it is, what it is doing, and how a trial step is evaluated."""
 
 from enum import IntEnum
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -9,30 +8,35 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase, beyond
+from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase, beyond
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of, unit
-from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance
+from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of, unit
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stability import is_stable
+from jaxwhisker._equilibrium.stance import PerObject, PerWhisker, Poses, Stance
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.path import (
+from jaxwhisker._path.events import (
     AT_STOP,
-    HIGH,
-    LOW,
+    FAR,
     MARGIN_NOISE,
     RELEASE,
     TOUCH,
+    Ends,
+    Lead,
     Margins,
-    Node,
-    Status,
-    each_touch,
+    Moving,
+    Seen,
+    events_of,
+    limit_of,
     margin_rates,
     margins,
-    select,
 )
+from jaxwhisker._path.path import Node, Status, select
 
 
 class Task(IntEnum):
@@ -49,32 +53,22 @@ class Task(IntEnum):
 class Target(NamedTuple):
     """An event to be solved for: the margin that vanishes, the whisker concerned, and the expected distance."""
 
-    kind: Int[Array, ""]  # index into Margins
+    number: Int[Array, ""]  # of the kind of event (see events.py)
     whisker: Bool[Array, " whiskers"]  # one-hot; all False for a stop
     distance: Scalar  # along the tangent
     contact: Contacts  # first contacts of whiskers that may touch
     phase: Int[Array, " whiskers"]
     side: PerWhisker
-    # The lean at which sticking contacts begin to slip, or the parameter at which contacts leave their piece; None
-    # without friction and edges.
-    lean: PerWhisker | None = None
+    limit: PerWhisker | None = None  # lean or parameter at which it happens; None without friction and edges
     piece: Int[Array, " whiskers"] | None = None  # of first contacts, and onto which contacts pass; None without edges
-    number: Int[Array, " whiskers"] | None = None  # of the object that is touched; None if there is only one
-
-
-class Lead(NamedTuple):
-    """Weights for the tangent's components: their weighted sum must be positive where the path leaves an event."""
-
-    z: Contacts
-    pose: Poses
-    u: Scalar
+    object: Int[Array, " whiskers"] | None = None  # that is touched; None if there is only one
 
 
 class MarchState(NamedTuple):
     """State of the march between two iterations."""
 
     task: Int[Array, ""]
-    mode: Mode
+    state: ContactState
     point: Point
     pose: Poses
     tangent: Point
@@ -97,6 +91,7 @@ class MarchState(NamedTuple):
     # Whiskers whose slip has come to rest here. The lean at which they stick does not change at first: rounding alone
     # decides about the sign of its rate.
     rests: Bool[Array, " whiskers"] | None = None
+    stance: Stance | None = None  # at this point; None where it is known without computing anything
 
     def turn(self, tangent: Point) -> Scalar:
         """du/ds along a tangent, positive while the drive moves towards its stop."""
@@ -127,55 +122,55 @@ class Trial(NamedTuple):
     stance: Stance  # at its end
     standing: PerObject  # sides on which free whiskers stand at its end
     slips_on: PerWhisker | None = None  # rate of slip in the direction of slip; infinite for contacts that stick
-    friction_angle: Scalar | None = None
-    ends: tuple[PerWhisker, PerWhisker] | None = None  # of the pieces before; None without edges
     reason: Status | Int[Array, ""] = Status.not_convex  # the status if contacts are not sound
+    ends: Ends | None = None  # of the pieces on which contacts are; None without edges
 
 
-def evaluate_trial(problem: Problem, state: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
+def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
     """Evaluate the solved end of a step: direction of the path, stability, convexity, margins.
 
     Args:
         problem: the problem.
-        state: the state before the step.
+        march: the state before the step.
         solution: its solved end.
         stop_u: control of the next stop.
         free_pose: coordinates, at the end, of bases that are not solved for.
     """
     newton = solution.newton
-    free = state.mode.phase == Phase.free
+    free = march.state.free
     tangent, length = unit(newton.tangent, solution.point.z)
-    ahead = jnp.where(dot(state.tangent, tangent, scale_of(state.point.z)) < 0, -1.0, 1.0) / length
+    ahead = jnp.where(dot(march.tangent, tangent, scale_of(march.point.z)) < 0, -1.0, 1.0) / length
     tangent, tangent_pose = Point(ahead * length * tangent.z, ahead * length * tangent.u), ahead * newton.tangent_pose
     # A touch is solved for as a contact, but the path arrives without it.
-    touches = (state.task == Task.event) & (state.target.kind == TOUCH)
-    pose = jnp.where(problem.solved(state.mode.phase)[:, None], newton.pose, free_pose)
-    before, after = state.point, solution.point
-    here, there = problem.stances((before.u, state.pose, before.z), (after.u, pose, after.z))
-    arriving = _direction_of_parabola(state, solution, free, there)
+    touches = (march.task == Task.event) & (march.target.number == TOUCH)
+    pose = jnp.where(problem.solved(march.state.phase)[:, None], newton.pose, free_pose)
+    before, after = march.point, solution.point
+    there = problem.stance(after.u, pose, after.z)
+    here = problem.stance(before.u, march.pose, before.z) if march.stance is None else march.stance
+    arriving = _direction_of_parabola(march, solution, free, there)
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
-    convex = jax.vmap(problem.profile.convex_on)(state.mode.piece, solution.point.z[:, 1])
-    sound, reason = _soundness(problem, convex | free, solution.point.z, state.mode.phase)
-    margins_there = _margins_at(problem, state, solution.point, there, stop_u)
+    convex = jax.vmap(problem.profile.convex_on)(march.state.piece, solution.point.z[:, PARAMETER])
+    sound, reason = _soundness(problem, convex | free, solution.point.z, march.state.phase)
+    seen_there = seen(problem, march, solution.point, there, stop_u)
+    margins_there = margins(seen_there)
     # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
-    touching = touched = touches & state.target.whisker
-    if state.target.number is not None:
-        touched &= jnp.arange(len(problem.profile.objects))[:, None] == state.target.number
-    margins_there = margins_there._replace(touch=jnp.where(touched, jnp.inf, margins_there.touch))
+    touching = touched = touches & march.target.whisker
+    if march.target.object is not None:
+        touched &= jnp.arange(len(problem.profile.objects))[:, None] == march.target.object
+    margins_there = (jnp.where(touched, FAR, margins_there[TOUCH]), *margins_there[1:])
     return Trial(
         solution,
         tangent,
         tangent_pose,
-        is_stable(problem, state.mode, newton.condensed, None if problem.attached is None else touching),
+        is_stable(problem, march.state, newton.condensed, None if problem.attached is None else touching),
         sound,
-        here=_margins_at(problem, state, state.point, here, stop_u),
+        here=margins(seen(problem, march, march.point, here, stop_u)),
         there=margins_there,
         stance=there,
-        standing=problem.updated_side(free, state.mode.standing, there),
-        slips_on=loaded_slips_on(problem, state.mode, solution.point.z, tangent.z),
-        friction_angle=problem.friction_angle,
+        standing=problem.updated_side(free, march.state.standing, there),
+        slips_on=loaded_slips_on(problem, march.state, solution.point.z, tangent.z),
         reason=reason,
-        ends=_ends(problem, state.mode),
+        ends=seen_there.ends,
     )
 
 
@@ -185,118 +180,107 @@ def _soundness(
     """Whether contacts lie on a convex part of the profile and above all springs, and the status if they do not."""
     if problem.attached is None:
         return jnp.all(convex), Status.not_convex
-    arcs = problem.length - beyond(z[:, 2], phase)
+    arcs = problem.length - beyond(z[:, SLACK], phase)
     above = jnp.all((phase == Phase.free) | (arcs >= problem.attached.held_by.top))
     return jnp.all(convex) & above, jnp.where(above, int(Status.not_convex), int(Status.at_spring))
 
 
-def slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
+def slips_on(problem: Problem, state: ContactState, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
     """Rates of slip in the direction of slip, infinite for whiskers that are free or stick; None without friction."""
-    if mode.friction is None:
+    if state.friction is None:
         return None
-    slips = (mode.phase != Phase.free) & (mode.friction.slip != 0)
-    rates = jnp.sum(slip_by_contact(problem, z, mode) * z_rate, axis=-1)
-    return jnp.where(slips, mode.friction.slip * rates, jnp.inf)
+    slips = state.touches & (state.friction.slip != 0)
+    rates = jnp.sum(slip_by_contact(problem, z, state) * z_rate, axis=-1)
+    return jnp.where(slips, state.friction.slip * rates, jnp.inf)
 
 
-def loaded_slips_on(problem: Problem, mode: Mode, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
+def loaded_slips_on(problem: Problem, state: ContactState, z: Contacts, z_rate: Contacts) -> PerWhisker | None:
     """The same, infinite also for contacts of hardly any force: these of straight whiskers slip at no rate."""
-    rates = slips_on(problem, mode, z, z_rate)
-    return None if rates is None else jnp.where(z[:, 0] > LIGHT, rates, jnp.inf)
+    rates = slips_on(problem, state, z, z_rate)
+    return None if rates is None else jnp.where(z[:, FORCE] > LIGHT, rates, jnp.inf)
 
 
 def _direction_of_parabola(
-    state: MarchState, solution: Solution, free: Bool[Array, " whiskers"], at: Stance
+    march: MarchState, solution: Solution, free: Bool[Array, " whiskers"], at: Stance
 ) -> tuple[Point, Poses]:
     """Direction at the end of a step, up to which whiskers are free, along a parabola that starts along the tangent."""
-    change = 0.0 if at.free is None else at.free - state.point.z
-    change = jnp.where(free[:, None], change, solution.point.z - state.point.z)
-    chord = Point(change, solution.point.u - state.point.u)
-    distance = dot(state.tangent, chord, scale_of(state.point.z))
+    change = 0.0 if at.free is None else at.free - march.point.z
+    change = jnp.where(free[:, None], change, solution.point.z - march.point.z)
+    chord = Point(change, solution.point.u - march.point.u)
+    distance = dot(march.tangent, chord, scale_of(march.point.z))
     known = distance > SHORTEST_CHORD
     twice = jnp.where(known, 2 / jnp.where(known, distance, 1.0), 0.0)
     sign = jnp.where(known, -1.0, 1.0)
-    direction = Point(twice * chord.z + sign * state.tangent.z, twice * chord.u + sign * state.tangent.u)
-    return direction, twice * (solution.newton.pose - state.pose) + sign * state.tangent_pose
+    direction = Point(twice * chord.z + sign * march.tangent.z, twice * chord.u + sign * march.tangent.u)
+    return direction, twice * (solution.newton.pose - march.pose) + sign * march.tangent_pose
 
 
-def _ends(problem: Problem, mode: Mode) -> tuple[PerWhisker, PerWhisker] | None:
-    """Ends of the pieces on which contacts are; None without edges."""
-    return ends_of(problem.profile, mode.piece) if mode.piece is not None and problem.profile.has_edges else None
-
-
-def _margins_at(problem: Problem, state: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Margins:
-    z, ends = point.z, _ends(problem, state.mode)
-    if ends is not None:
+def seen(problem: Problem, march: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Seen:
+    """A point on the way to the next stop, as margins see it."""
+    z, ends = point.z, None
+    if problem.profile.has_edges and march.state.piece is not None:
+        ends = ends_of(problem.profile, march.state.piece)
         # Beyond its piece, the slope of a contact means nothing.
-        z = z.at[:, 1].set(jnp.clip(z[:, 1], *ends))
-    ahead = state.before_vertex * slope_sines(problem, z, state.mode)
-    if ends is not None:
-        ahead += LEVEL
-    remaining = state.direction * (stop_u - point.u)
-    return margins(state.mode, point, at, ahead, remaining, problem.friction_angle, problem.profile)
+        z = z.at[:, PARAMETER].set(jnp.clip(z[:, PARAMETER], *ends))
+    ahead = march.before_vertex * slope_sines(problem, z, march.state)
+    ahead = ahead if ends is None else ahead + LEVEL
+    remaining = march.direction * (stop_u - point.u)
+    return Seen(problem, march.state, march.state.free, point.z, at, ahead, remaining, ends)
 
 
 def _flat(margins: Margins) -> Float[Array, " margins"]:
-    return jnp.concatenate([*each_touch(margins.touch), *(margin for margin in margins[RELEASE:] if margin.size)])
+    return jnp.concatenate([jnp.ravel(margin) for margin in margins])
 
 
-def first_violated(state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Target]:
+def first_violated(
+    problem: Problem, march: MarchState, trial: Trial, distance: Scalar
+) -> tuple[Bool[Array, ""], Target]:
     """Whether an event lies within a step of this length, and the first such event."""
-    n = trial.here.release.size
+    events, n = events_of(problem), march.state.side.size
     now, then = _flat(trial.here), _flat(trial.there)
     violated = then < -MARGIN_NOISE
     # A whisker that was out of reach may touch anywhere within the step.
     share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
     share = jnp.where(violated, share, jnp.inf)
-    if trial.ends is not None:
-        # A contact that ends at an end of its piece, as on the vertical side of a box, does not go on to the next one.
-        ended = jnp.tile(trial.there.release < -MARGIN_NOISE, 2)
-        share = share.at[-ended.size :].set(jnp.where(ended, jnp.inf, share[-ended.size :]))
+    if any(event.before_release for event in events):
+        ended, none = trial.there[RELEASE] < -MARGIN_NOISE, [jnp.zeros(m.size, bool) for m in trial.there]
+        ended = [ended if event.before_release else no for event, no in zip(events, none, strict=True)]
+        share = jnp.where(jnp.concatenate(ended), jnp.inf, share)
     first = jnp.argmin(share)
-    number = None
-    if state.mode.beside is not None:
-        number = jnp.full(n, jnp.minimum(first // n, len(state.mode.beside) - 1))
-    stance, side = trial.stance.of(number), state.mode.side_of(number)
-    piece = state.mode.piece
-    touched = None if piece is None else stance.first(side).piece
-    contact, phase, side = snap_flow.touching(stance, side)
-    kinds = np.repeat(np.arange(len(trial.here)), [margin.size for margin in trial.here])
+    number = jnp.asarray(np.repeat(np.arange(len(events)), [margin.size for margin in trial.here]))[first]
     # Margins of touches run over all objects, and over all whiskers for each.
     each = [np.tile(np.eye(n, dtype=bool), (1 + m.size // n, 1))[: m.size] for m in trial.here]
-    whiskers = np.concatenate([of & (k != AT_STOP) for k, of in enumerate(each)])
-    lean = None
-    if trial.friction_angle is not None:
-        lean = jnp.sign(trial.solution.point.z[:, 1]) * trial.friction_angle
-    kind, whisker = jnp.asarray(kinds)[first], jnp.asarray(whiskers)[first]
-    if trial.ends is not None and piece is not None:
-        low, high = trial.ends
-        # The outer ends are infinite.
-        lean = jnp.where(whisker & (kind == LOW), low, jnp.where(whisker & (kind == HIGH), high, 0.0))
-        piece += jnp.where(kind == LOW, -1, 1)
+    whisker = jnp.asarray(np.concatenate([of & (k != AT_STOP) for k, of in enumerate(each)]))[first]
+    touched = None
+    if march.state.beside is not None:
+        touched = jnp.full(n, jnp.minimum(first // n, len(march.state.beside) - 1))
+    stance, side = trial.stance.of(touched), march.state.side_of(touched)
+    piece = march.state.piece
     if piece is not None:
-        piece = select(kind == TOUCH, touched, piece)
+        touch = stance.first(side)
+        for k, event in enumerate(events):
+            onto = event.piece(march.state, touch)
+            piece = piece if onto is None else jnp.where(number == k, onto, piece)
     return jnp.any(violated), Target(
-        kind,
+        number,
         whisker,
         jnp.min(share) * distance,
-        contact,
-        phase,
-        side,
-        lean,
+        *snap_flow.touching(stance, side),
+        limit_of(events, number, problem, trial.solution.point.z, trial.ends),
         piece,
-        number,
+        touched,
     )
 
 
-def dip(problem: Problem, state: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
+def dip(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
     """Whether a margin is negative within a step but not at its ends, and the share of the step where it is lowest."""
     now, then = _flat(trial.here), _flat(trial.there)
-    rates = partial(margin_rates, problem, state.mode)
-    start = distance * _flat(rates(state.point, state.tangent, state.tangent_pose))
-    end = distance * _flat(rates(trial.solution.point, trial.tangent, trial.tangent_pose))
+    free = march.state.free
+    start = Moving(problem, march.state, free, march.point.z, march.tangent.z, march.tangent_pose)
+    end = Moving(problem, march.state, free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose)
+    start, end = (distance * _flat(margin_rates(moving)) for moving in (start, end))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
-    within = now + t * (start + t * ((3 * (then - now) - 2 * start - end) + t * (start + end - 2 * (then - now))))
+    within = Cubic(now, then, start, end).value(t)
     # The margin of an event just passed is zero at the start; rounding must not count as a dip.
     within = jnp.where((start < 0) & (end > 0) & jnp.isfinite(within), within, 0.0)
     return jnp.any(within < -MARGIN_NOISE), t[jnp.argmin(jnp.min(within, axis=1)), 0]

@@ -1,24 +1,18 @@
-"""The path of equilibria: its nodes, the events on it, and the margins that measure the distance to events.
+"""The path of equilibria: its nodes, and the events on it.
 
 A path is a sequence of nodes: exact equilibria in the order in which the drive passes them, with the tangents of the
 path before and after each. Every corner of the path (an event, a turning point of the drive) is a node.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.types import NamedInt, Scalar
-from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.pieces import ends_of
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point
-from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance
-from jaxwhisker._model.profile import AbstractProfile
+from jaxwhisker._base.types import NamedInt
+from jaxwhisker._equilibrium.contact_state import ContactState
+from jaxwhisker._equilibrium.point import Contacts, Point
 
 
 class Status(NamedInt):
@@ -65,34 +59,13 @@ class Node(NamedTuple):
     z_before: Contacts  # contacts on arrival, which differ if they begin or end here
     arriving: Point  # tangents, of unit length in the scale of the point
     leaving: Point
-    phase: Int[Array, " whiskers"]  # from here on
-    side: PerWhisker
+    state: ContactState  # from here on
+    before: ContactState  # on arrival
     travel: Float[Array, ""]  # distance that the drive has travelled since the first step; negative on the approach
     kind: Int[Array, ""]  # EventKind, NO_EVENT or STOP
     whiskers: Bool[Array, " whiskers"]  # those that the event concerns
-    phase_before: Int[Array, " whiskers"]
-    side_before: PerWhisker
-    friction: Friction | None = None  # from here on
-    friction_before: Friction | None = None
     stop: Int[Array, ""] | None = None  # index of the next stop; None without friction, which remembers stops
     corner: Bool[Array, ""] | None = None  # whether contacts stick or slip at the node before; None without friction
-    piece: Int[Array, " whiskers"] | None = None  # of the profile at each contact, from here on; None without edges
-    piece_before: Int[Array, " whiskers"] | None = None
-    beside: Float[Array, "objects whiskers"] | None = None  # see Mode; from here on
-
-    @property
-    def mode(self) -> Mode:
-        """The mode from here on."""
-        separate = jnp.zeros_like(self.kind, bool)
-        now = self.phase, self.side, separate
-        return Mode(*now, friction=self.friction, piece=self.piece, beside=self.beside)
-
-    @property
-    def mode_before(self) -> Mode:
-        """The mode before."""
-        separate = jnp.zeros_like(self.kind, bool)
-        before = self.phase_before, self.side_before, separate
-        return Mode(*before, friction=self.friction_before, piece=self.piece_before, beside=self.beside)
 
 
 def is_snap(kind: Int[Array, "*nodes"]) -> Bool[Array, "*nodes"]:
@@ -121,100 +94,3 @@ def first_case(*cases, otherwise):
     for number, (_, tree) in reversed(list(enumerate(cases))):
         otherwise = select(first == number, tree, otherwise)
     return otherwise
-
-
-NOTHING = np.zeros(0)
-
-
-class Margins(NamedTuple):
-    """Distance of each whisker from each kind of event; an event occurs where its margin becomes negative."""
-
-    touch: PerObject
-    release: PerWhisker
-    phase: PerWhisker  # tip <-> tangential
-    vertex: PerWhisker
-    stop: Float[Array, " 1"]
-    slip: Float[Array, " sticking"]  # of sticking contacts; empty without friction
-    # Distances of the parameter from both ends of its piece; empty without edges.
-    low: Float[Array, " touching"] | np.ndarray = NOTHING
-    high: Float[Array, " touching"] | np.ndarray = NOTHING
-
-
-def each_touch(margins: PerObject) -> list[PerWhisker]:
-    """Margins of touches: of the whiskers, or of the whiskers for each of several objects."""
-    return [margins] if margins.ndim == 1 else list(margins)
-
-
-TOUCH, RELEASE, PHASE, VERTEX, AT_STOP, SLIP, LOW, HIGH = range(len(Margins._fields))  # indices into Margins
-LEAN_NOISE = 1e-6  # largest error of the lean of a contact that sticks with hardly any force
-CONE_NOISE = 1e-12  # ... and of the force across the normal of others, in EI/L^2
-MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
-
-
-def margins(
-    mode: Mode,
-    point: Point,
-    at: Stance,
-    ahead: PerWhisker,
-    remaining: Scalar,
-    friction_angle: Scalar | None = None,
-    profile: AbstractProfile | None = None,
-) -> Margins:
-    """Margins at a point.
-
-    Args:
-        mode: phases and sides.
-        point: the point.
-        at: stance of the whiskers at the point.
-        ahead: sin(alpha), with the sign that makes it positive before the vertex.
-        remaining: distance of the drive to its next stop.
-        friction_angle: largest lean of a contact force.
-        profile: the object; not needed without edges.
-    """
-    free = mode.phase == Phase.free
-    force, lean, slack = point.z[:, :3].T
-    first = at.first(mode.standing)
-    far = jnp.inf
-    low = high = NOTHING
-    if mode.piece is not None and profile is not None and profile.has_edges:
-        start, end = ends_of(profile, mode.piece)
-        low, high = (jnp.where(free, far, margin) for margin in (lean - start, end - lean))
-    return Margins(
-        touch=jnp.where(free & first.reaches, mode.standing * (at.x - first.x), far),
-        release=jnp.where(free, far, force),
-        phase=jnp.where(free, far, jnp.where(mode.phase == Phase.tip, -slack, slack)),
-        vertex=jnp.where(free, far, ahead),
-        stop=jnp.reshape(remaining, 1),
-        slip=_sticking(mode, lambda limit: limit - jnp.abs(lean) + lean_noise(force), friction_angle, far),
-        low=low,
-        high=high,
-    )
-
-
-def margin_rates(problem: Problem, mode: Mode, point: Point, direction: Point, pose_rate: Poses) -> Margins:
-    """Derivatives of the margins along the path; zero for vertex and stop, which are passed only once."""
-    free, lean = mode.phase == Phase.free, point.z[:, 1]
-    moves = jnp.where(free, 0.0, direction.z[:, 1]) if problem.profile.has_edges else NOTHING
-    return Margins(
-        touch=jnp.where(free, problem.touch_rate(mode.standing, pose_rate), 0.0),
-        release=jnp.where(free, 0.0, direction.z[:, 0]),
-        phase=jnp.where(free, 0.0, jnp.where(mode.phase == Phase.tip, -1.0, 1.0) * direction.z[:, 2]),
-        vertex=jnp.zeros_like(mode.side),
-        stop=jnp.zeros(1),
-        slip=_sticking(mode, lambda _: -jnp.sign(lean) * direction.z[:, 1], problem.friction_angle, 0.0),
-        low=moves,
-        high=-moves,
-    )
-
-
-def lean_noise(force: PerWhisker) -> PerWhisker:
-    """Angle by which rounding may make the leans of contacts that stick exceed their limit."""
-    return jnp.minimum(LEAN_NOISE, CONE_NOISE / jnp.maximum(force, CONE_NOISE))
-
-
-def _sticking(
-    mode: Mode, values: Callable[[Scalar], PerWhisker], limit: Scalar | None, otherwise: float
-) -> Float[Array, " sticking"]:
-    if mode.friction is None or limit is None:
-        return jnp.zeros(0)
-    return jnp.where((mode.phase != Phase.free) & (mode.friction.slip == 0), values(limit), otherwise)

@@ -10,13 +10,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact import FORCE, LEAN
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, with_slips
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
+from jaxwhisker._equilibrium.point import Contacts, Point, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.march_state import Lead, MarchState, Task, Trial
+from jaxwhisker._path.events import Lead
+from jaxwhisker._path.march_state import MarchState, Task, Trial
 from jaxwhisker._path.path import EventKind, Status, first_case
 from jaxwhisker._path.snap_flow import ITERATIONS, Flow, branch_known
 
@@ -26,64 +28,59 @@ AT_LIMIT = 1e-11  # a contact that sticks begins to slip where its lean is this 
 ASTRAY = 0.5  # relative distance between the guess and the solution of a step that is too long
 
 
-def after_flow(problem: Problem, state: MarchState, proposed: snap_flow.Flow, trial: Trial):
+def after_flow(problem: Problem, march: MarchState, proposed: snap_flow.Flow, trial: Trial):
     """Handle a step of the overdamped bases."""
     solution, at = trial.solution, trial.stance
-    flow, mode, z = snap_flow.advance(problem, proposed, state.mode, state.point.z, solution, at)
-    rested = snap_flow.at_rest(problem, flow, mode, state.point.u)
-    freed = flow.slipped & (mode.phase == Phase.free)
+    flow, state, z = snap_flow.advance(problem, proposed, march.state, march.point.z, solution, at)
+    rested = snap_flow.at_rest(problem, flow, state, march.point.u)
+    freed = flow.slipped & state.free
     kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
     none = jnp.zeros_like(z)
-    pending = state.pending._replace(
-        phase=mode.phase,
-        side=mode.side,
-        friction=mode.friction,
-        piece=mode.piece,
-        beside=mode.beside,
-        travel=state.travel,
+    pending = march.pending._replace(
+        state=state,
+        travel=march.travel,
         kind=kind,
         whiskers=flow.slipped,
     )
-    flowing = state._replace(
+    flowing = march._replace(
         task=jnp.where(rested, Task.arrive, Task.flow),
-        mode=mode,
-        point=Point(z, state.point.u),
+        state=state,
+        point=Point(z, march.point.u),
         pose=flow.pose,
         flow=flow,
         pending=pending,
-        lead=Lead(none, jnp.zeros_like(flow.pose), state.direction),
+        lead=Lead(none, jnp.zeros_like(flow.pose), march.direction),
     )
-    shorter = state._replace(flow=snap_flow.shortened(state.flow))
+    shorter = march._replace(flow=snap_flow.shortened(march.flow))
     cases, converged = [], solution.converged
-    if state.mode.friction is not None:
-        astray = goes_astray(state.mode, state.point.z, proposed.guess, solution.point.z)
+    if march.state.friction is not None:
+        astray = goes_astray(march.state, march.point.z, proposed.guess, solution.point.z)
         # The first step goes along the path at a fixed drive, but frames that move with the drive move along the path.
-        converged &= ~(astray & ((state.task != Task.kick) | (not problem.frames_move)))
+        converged &= ~(astray & ((march.task != Task.kick) | (not problem.frames_move)))
         # The first step must not leave the object: contacts may be lighter than it is long.
-        touching = state.mode.phase != Phase.free
-        converged &= (state.task != Task.kick) | ~jnp.any(touching & (solution.point.z[:, 0] < 0))
-        found = disagreement(problem, state.flow, state.mode, state.point.z, solution.point.z)
-        stuck, friction = with_slips(problem, state.point.z, state.mode, found.slip)
-        again = state._replace(
+        converged &= (march.task != Task.kick) | ~jnp.any(march.state.touches & (solution.point.z[:, FORCE] < 0))
+        found = disagreement(problem, march.flow, march.state, march.point.z, solution.point.z)
+        stuck, other = with_slips(problem, march.point.z, march.state, found.slip)
+        again = march._replace(
             task=jnp.asarray(int(Task.flow)),
-            mode=state.mode._replace(friction=friction),
-            point=state.point._replace(z=stuck),
-            flow=repeated(state.flow, found.slip != state.mode.friction.slip),
+            state=other,
+            point=march.point._replace(z=stuck),
+            flow=repeated(march.flow, found.slip != march.state.friction.slip),
         )
-        cut = state._replace(flow=partly(state.flow, found.share))
+        cut = march._replace(flow=partly(march.flow, found.share))
         exhausted = cut.flow.exhausted & converged & (found.wrong | (found.share < 1))
         cases = [
-            (exhausted, state.stopped(Status.unsettled)),
+            (exhausted, march.stopped(Status.unsettled)),
             (converged & found.wrong, again),
             (converged & (found.share < 1), cut),
         ]
     new = first_case(
         *cases,
-        (jnp.where(converged, flow.exhausted, shorter.flow.exhausted), state.stopped(Status.unsettled)),
+        (jnp.where(converged, flow.exhausted, shorter.flow.exhausted), march.stopped(Status.unsettled)),
         (~converged, shorter),
         otherwise=flowing,
     )
-    return new, jnp.asarray(False), state.pending
+    return new, jnp.asarray(False), march.pending
 
 
 class Disagreement(NamedTuple):
@@ -94,28 +91,28 @@ class Disagreement(NamedTuple):
     share: Scalar  # of the step, up to which no lean exceeds its limit
 
 
-def disagreement(problem: Problem, flow: Flow, mode: Mode, previous: Contacts, z: Contacts) -> Disagreement:
+def disagreement(problem: Problem, flow: Flow, state: ContactState, previous: Contacts, z: Contacts) -> Disagreement:
     """Compare the motion of contacts in a step with their slips.
 
     A contact that slips back sticks from the start of the step on; one that sticks slips from where its lean reaches
     the limit. Only the first of several is changed at a time (see leaving.py).
     """
-    assert mode.friction is not None and problem.friction_angle is not None
-    slip, limit = mode.friction.slip, problem.friction_angle
-    known = (mode.phase != Phase.free) & branch_known(flow) & ~flow.sliding
+    assert state.friction is not None and problem.friction_angle is not None
+    slip, limit = state.friction.slip, problem.friction_angle
+    known = state.touches & branch_known(flow) & ~flow.sliding
     # Simpson's rule: a contact that nearly rolls moves much farther along the object than it slips.
-    start, middle, end = (slip_by_contact(problem, at, mode) for at in (previous, (previous + z) / 2, z))
+    start, middle, end = (slip_by_contact(problem, at, state) for at in (previous, (previous + z) / 2, z))
     slipped = slip * jnp.sum((start + 4 * middle + end) / 6 * (z - previous), axis=-1)
     # A contact that has landed beyond its place goes back to it.
-    back = known & (slip != 0) & (slipped < -SLIPPED) & (~flow.landing | (previous[:, 0] <= LIGHT))
-    way = jnp.sign(z[:, 1])
-    before, after = way * previous[:, 1], way * z[:, 1]
+    back = known & (slip != 0) & (slipped < -SLIPPED) & (~flow.landing | (previous[:, FORCE] <= LIGHT))
+    way = jnp.sign(z[:, LEAN])
+    before, after = way * previous[:, LEAN], way * z[:, LEAN]
     # While a branch is unknown nobody moves, but solving for the first point on it may change a lean.
     leans = known & (slip == 0) & (after > limit + LEANING) & (after > before)
     at_limit = leans & (before > limit - AT_LIMIT)
     wrong = back | at_limit
     # A contact that has just begun may slip either way or, if neither agrees with its motion, stick.
-    unloaded = (previous[:, 0] <= LIGHT) & (slip == slipping_from(mode.side).slip)
+    unloaded = (previous[:, FORCE] <= LIGHT) & (slip == slipping_from(state.side).slip)
     after_back = jnp.where((limit > 0) & ~unloaded, 0, -slip)
     changed = jnp.where(back, after_back, way.astype(int))
     # Half of the tolerance is left for the curvature of the branch.
@@ -124,16 +121,16 @@ def disagreement(problem: Problem, flow: Flow, mode: Mode, previous: Contacts, z
     return Disagreement(jnp.any(wrong), jnp.where(first, changed, slip), jnp.min(share))
 
 
-def goes_astray(mode: Mode, previous: Contacts, guess: Contacts, z: Contacts) -> Bool[Array, ""]:
+def goes_astray(state: ContactState, previous: Contacts, guess: Contacts, z: Contacts) -> Bool[Array, ""]:
     """Whether a step ends so far from its guess that branches are curved more strongly than it resolves.
 
     A whisker that just reaches a blunt object passes it within a small part of the usual step.
     """
-    assert mode.friction is not None
+    assert state.friction is not None
     scale = scale_of(previous)
     # The leans of small forces are not accurate.
-    weight = jnp.where(mode.friction.slip == 0, jnp.clip(previous[:, 0], 0.0, 1.0), 1.0)
-    scale = scale.at[:, 1].divide(jnp.maximum(weight, LIGHT))
+    weight = jnp.where(state.friction.slip == 0, jnp.clip(previous[:, FORCE], 0.0, 1.0), 1.0)
+    scale = scale.at[:, LEAN].divide(jnp.maximum(weight, LIGHT))
     step, miss = (jnp.max(jnp.abs(difference) / scale) for difference in (guess - previous, z - guess))
     return (step > 0) & (miss > ASTRAY * step)
 

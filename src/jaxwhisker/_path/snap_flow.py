@@ -28,12 +28,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase, across_force
-from jaxwhisker._equilibrium.friction import lean, newly_slipping
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK, Phase, across_force
+from jaxwhisker._equilibrium.contact_state import ContactState
+from jaxwhisker._equilibrium.friction import lean
 from jaxwhisker._equilibrium.newton import Condensed, contact_parameters
-from jaxwhisker._equilibrium.pieces import after_step, where_touching
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, scale_of
-from jaxwhisker._equilibrium.problem import PerObject, PerWhisker, Poses, Problem, Stance, of_object
+from jaxwhisker._equilibrium.pieces import after_step
+from jaxwhisker._equilibrium.point import Contacts, Point, scale_of
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stability import (
     Slopes,
@@ -42,6 +43,7 @@ from jaxwhisker._equilibrium.stability import (
     network_is_stable,
     on_stable_branch,
 )
+from jaxwhisker._equilibrium.stance import PerObject, PerWhisker, Poses, Stance, of_object
 
 LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; the flow is first order in it
 FIRST_CHANGE = 0.0025  # the same for the first step with friction: contacts may turn soon after it, and then stick
@@ -81,7 +83,7 @@ class Flow(NamedTuple):
     share: Scalar | None = None  # of the next step that is taken; None without friction
 
 
-def start(mode: Mode, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
+def start(state: ContactState, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
     """The state of a flow that is about to begin; `edges` tells whether the object has any."""
     (n, axes), numbers = pose.shape, z.shape[1]
     coupled = numbers > 3
@@ -94,7 +96,7 @@ def start(mode: Mode, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
         slope=jnp.zeros((n * axes, n * axes) if coupled else (n, axes, axes)),
         load=jnp.zeros_like(pose),
         gap=none,
-        step=jnp.asarray(LARGEST_CHANGE if mode.friction is None else FIRST_CHANGE),
+        step=jnp.asarray(LARGEST_CHANGE if state.friction is None else FIRST_CHANGE),
         time_step=jnp.asarray(FIRST_TIME_STEP),
         slipped=no,
         sliding=no,
@@ -103,9 +105,9 @@ def start(mode: Mode, pose: Poses, z: Contacts, edges: bool = False) -> Flow:
         near=jnp.asarray(NEAR),
         iterations=jnp.asarray(0),
         exhausted=jnp.asarray(False),
-        way=none + 1.0 if edges or mode.friction is not None else None,
+        way=none + 1.0 if edges or state.friction is not None else None,
         clamped=jnp.asarray(False) if coupled else None,
-        share=None if mode.friction is None else jnp.asarray(1.0),
+        share=None if state.friction is None else jnp.asarray(1.0),
     )
 
 
@@ -140,9 +142,9 @@ def _steps(flow: Flow, displacement: Poses) -> Poses:
     return jnp.concatenate([(along / _nonzero(flow.pose_by[:, 0, 0]))[:, None], across], axis=1)
 
 
-def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
+def propose(problem: Problem, flow: Flow, state: ContactState, point: Point) -> Flow:
     """Propose the next step of the bases, and a guess for the contacts that it leads to."""
-    free, loose = mode.phase == Phase.free, ~problem.solved(mode.phase)
+    free, loose = state.free, ~problem.solved(state.phase)
     axes = flow.pose.shape[1]
     pull = problem.rest(point.u) + problem.displacement(flow.load) - flow.pose
     time_step, growth = flow.time_step, GROWTH
@@ -164,7 +166,7 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
         sizes = jnp.maximum(sizes, jnp.where(loose[:, None], 0.0, jnp.abs(moves) / (FARTHEST * flow.step)))
     size = jnp.max(sizes)
     share = jnp.minimum(1.0, 1 / jnp.maximum(size, 1e-300))
-    to_land = jnp.zeros_like(steps).at[:, 0].set(_step_to_landing(problem, flow, mode))
+    to_land = jnp.zeros_like(steps).at[:, 0].set(_step_to_landing(problem, flow, state))
     steps = jnp.where(slipping_now, jnp.where(slipping[:, None], to_land, 0.0), share * steps)
     moves = jnp.where(slipping_now, 0.0, share * moves)
     longer = jnp.where(resolved, jnp.where(share < 1, 0.7, growth), 0.25)
@@ -183,14 +185,14 @@ def propose(problem: Problem, flow: Flow, mode: Mode, point: Point) -> Flow:
     )
 
 
-def _step_to_landing(problem: Problem, flow: Flow, mode: Mode) -> PerWhisker:
+def _step_to_landing(problem: Problem, flow: Flow, state: ContactState) -> PerWhisker:
     """Step along the branch of a slipping whisker towards the base position at which its slip ends."""
     by_x, most = flow.pose_by[:, 0, 0], flow.step
     if flow.share is not None:
         most /= jnp.maximum(jnp.abs(by_x) / FARTHEST, 1.0)
     to_land = jnp.clip((flow.landing_x - flow.pose[:, 0]) / _nonzero(by_x), -most, most)
     step = most if flow.way is None else flow.way * most
-    return jnp.where(flow.sliding & ~on_stable_branch(problem, mode, by_x), step, to_land)
+    return jnp.where(flow.sliding & ~on_stable_branch(problem, state, by_x), step, to_land)
 
 
 def branch_known(flow: Flow) -> Bool[Array, " whiskers"]:
@@ -220,45 +222,52 @@ class _Among(NamedTuple):
 
 
 def _slip(
-    problem: Problem, flow: Flow, mode: Mode, z: Contacts, u: Scalar, pose: Poses, at: Stance, condensed: Condensed
+    problem: Problem,
+    flow: Flow,
+    state: ContactState,
+    z: Contacts,
+    u: Scalar,
+    pose: Poses,
+    at: Stance,
+    condensed: Condensed,
 ) -> _Slip:
     """Apply the snap rule above."""
-    free, by_x = mode.phase == Phase.free, condensed.by_x
-    slipping, holds = flow.sliding | flow.landing, on_stable_branch(problem, mode, by_x)
+    free, by_x = state.free, condensed.by_x
+    slipping, holds = flow.sliding | flow.landing, on_stable_branch(problem, state, by_x)
     if condensed.coupled is not None:
         # A whisker past the fold of its own branch may be held by springs to others.
-        holds |= clamped_is_stable(problem, mode, condensed)
+        holds |= clamped_is_stable(problem, state, condensed)
     force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
-    ends = ~free & ~slipping & (z[:, 0] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
+    ends = ~free & ~slipping & (z[:, FORCE] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
-    contact = jax.vmap(problem.profile.point_on)(mode.piece, contact_parameters(problem, z, mode))
+    contact = jax.vmap(problem.profile.point_on)(state.piece, contact_parameters(problem, z, state))
     base = problem.in_scene(u, pose)
-    cos, sin = across_force(contact, lean(z[:, 1], mode.friction, problem.friction_angle))
-    unbent = mode.side * ((contact.x - base.x) * cos + (contact.y - base.y) * sin) <= 0
-    lands = flow.sliding & (unbent | (z[:, 0] < 0))
-    if mode.beside is not None:
-        return _slip_among_objects(problem, mode, mode.beside, at, _Slip(slips, slips, ends, free, lands, holds))
-    near = at.first(mode.side)
+    cos, sin = across_force(contact, lean(z[:, LEAN], state.friction, problem.friction_angle))
+    unbent = state.side * ((contact.x - base.x) * cos + (contact.y - base.y) * sin) <= 0
+    lands = flow.sliding & (unbent | (z[:, FORCE] < 0))
+    if state.beside is not None:
+        return _slip_among_objects(problem, state, state.beside, at, _Slip(slips, slips, ends, free, lands, holds))
+    near = at.first(state.side)
     return _Slip(
         slips=slips,
         slides=slips & ~at.clear,
         freed=ends | (slips & at.clear),
-        begins=free & near.reaches & (mode.side * (at.x - near.x) < 0),
+        begins=free & near.reaches & (state.side * (at.x - near.x) < 0),
         lands=lands,
         holds=holds,
     )
 
 
-def _slip_among_objects(problem: Problem, mode: Mode, beside: PerObject, at: Stance, alone: _Slip) -> _Slip:
+def _slip_among_objects(problem: Problem, state: ContactState, beside: PerObject, at: Stance, alone: _Slip) -> _Slip:
     """Apply the snap rule to whiskers that may slip, come free or touch, if all objects let them."""
     near = at.first(beside)
     gap = jnp.where(near.reaches, beside * (at.x - near.x), jnp.inf)
-    own = jnp.arange(len(beside))[:, None] == problem.profile.object_of(mode.piece)
-    others = ~own | (mode.phase == Phase.free)
+    own = jnp.arange(len(beside))[:, None] == problem.profile.object_of(state.piece)
+    others = ~own | state.free
     in_way, number = jnp.any(others & (gap < 0), axis=0), jnp.argmin(jnp.where(others, gap, jnp.inf), axis=0)
     clears = alone.slips & jnp.any(own & at.clear, axis=0)
     # It moves towards the side to which it is bent.
-    hits = clears & in_way & (of_object(beside, number) == mode.side)
+    hits = clears & in_way & (of_object(beside, number) == state.side)
     leaves = alone.freed | clears
     return alone._replace(
         slides=alone.slips & ~clears,
@@ -269,41 +278,39 @@ def _slip_among_objects(problem: Problem, mode: Mode, beside: PerObject, at: Sta
 
 
 def advance(
-    problem: Problem, flow: Flow, mode: Mode, previous: Contacts, solution: Solution, at: Stance
-) -> tuple[Flow, Mode, Contacts]:
+    problem: Problem, flow: Flow, state: ContactState, previous: Contacts, solution: Solution, at: Stance
+) -> tuple[Flow, ContactState, Contacts]:
     """Accept the solved step from the previous contacts: phases change, contacts end or begin, whiskers slip.
 
     The stance is that of the bases at the end of the step, those of free whiskers where the flow puts them.
     """
     newton, z, u = solution.newton, solution.point.z, solution.point.u
-    free = mode.phase == Phase.free
-    pose = jnp.where(problem.solved(mode.phase)[:, None], newton.pose, flow.pose)
-    piece, edges = mode.piece, problem.profile.has_edges
+    free = state.free
+    pose = jnp.where(problem.solved(state.phase)[:, None], newton.pose, flow.pose)
+    piece, edges = state.piece, problem.profile.has_edges
     if piece is not None and edges:
         # The first point on a new piece is solved for from its end, and may lie a little beyond it.
         piece, z = after_step(problem.profile, piece, previous, z, ~free & branch_known(flow))
-    phase = jnp.where(free, Phase.free, jnp.where(z[:, 2] > 0, Phase.tangential, Phase.tip))
-    friction, turned = mode.friction, (phase != mode.phase) & ~free
+    phase = jnp.where(free, Phase.free, jnp.where(z[:, SLACK] > 0, Phase.tangential, Phase.tip))
+    turned = (phase != state.phase) & ~free
     if piece is not None and edges:
-        turned |= piece != mode.piece
+        turned |= piece != state.piece
     by_x = newton.condensed.by_x
-    slip = _slip(problem, flow, mode, z, u, pose, at, newton.condensed)
+    slip = _slip(problem, flow, state, z, u, pose, at, newton.condensed)
 
-    now = mode._replace(side=jnp.where(slip.lands, -mode.side, mode.side)).freed(slip.freed, at)
-    side, beside, fresh = now.side, now.beside, slip.begins | slip.lands
+    now = state._replace(phase=phase, piece=piece).ended(slip.freed, at.side)
+    side, fresh = jnp.where(slip.lands, -now.side, now.side), slip.begins | slip.lands
     among, number = slip.among, None
-    if among is not None and beside is not None:
+    if among is not None and now.beside is not None:
         # A whisker that hits another object has left its own one.
-        fresh, number, beside = fresh | among.hits, among.number, jnp.where(among.hits & among.own, at.side, beside)
-        side = jnp.where(slip.begins | among.hits, mode.side_of(number), side)
+        fresh, number = fresh | among.hits, among.number
+        now = now._replace(beside=jnp.where(among.hits & among.own, at.side, now.beside))
+        side = jnp.where(slip.begins | among.hits, state.side_of(number), side)
     before = at.of(number)
-    z, phase = jnp.where(slip.freed[:, None], at.contact_if_free, z), jnp.where(slip.freed, Phase.free, phase)
+    first = before.first(side)
     touched, touched_phase, touched_side = touching(before, side)
-    z, phase = jnp.where(fresh[:, None], touched, z), jnp.where(fresh, touched_phase, phase)
-    if piece is not None:
-        touched_piece = before.first(side).piece
-        assert touched_piece is not None
-        piece = where_touching(jnp.where(fresh, touched_piece, piece), phase != Phase.free)
+    now = now.begun(fresh, touched_phase, touched_side, first.piece)
+    z = jnp.where(fresh[:, None], touched, jnp.where(slip.freed[:, None], at.contact_if_free, z))
     way = flow.way
     if way is not None:
         # Where a tip slips over a corner, or a contact begins to slip, a branch begins. A whisker slides back along one
@@ -311,17 +318,14 @@ def advance(
         moved = jnp.sum(newton.condensed.basis[:, :, 0] * (z - previous) / scale_of(z) ** 2, axis=-1)
         way = jnp.where(slip.slides & (flow.iterations == 0) & (moved < 0), -1.0, way)
     landing_x = jnp.where(slip.slides if among is None else slip.slides | among.hits, pose[:, 0], flow.landing_x)
-    first = before.first(side)
     pose = pose + jnp.where(fresh[:, None], problem.shift(u, first.x - at.x), 0.0)
-    side = jnp.where(fresh, touched_side, side)
-    friction = newly_slipping(friction, fresh | slip.freed, side)
     astray = jnp.abs(landing_x - pose[:, 0]) > LANDED * jnp.minimum(jnp.abs(by_x), 1.0)
 
     gap, landing = jnp.where(first.reaches, jnp.abs(at.x - first.x), jnp.inf), slip.lands
     iterations = flow.iterations + 1
-    missed = jnp.any(flow.landing & ~slip.holds & ~fresh & (z[:, 0] > 0))
-    if among is not None and beside is not None:
-        nearest = at.first(beside)
+    missed = jnp.any(flow.landing & ~slip.holds & ~fresh & (z[:, FORCE] > 0))
+    if among is not None:
+        nearest = at.first(now.standing)
         gap = jnp.min(jnp.where(nearest.reaches, jnp.abs(at.x - nearest.x), jnp.inf), axis=0)
         landing, missed = landing | among.hits, missed | jnp.any(among.stuck)
     no_branch = (fresh | slip.freed)[:, None]
@@ -330,7 +334,7 @@ def advance(
         # The direction of the branch in a phase that has just begun is unknown until a point in it has been solved for.
         basis=jnp.where((fresh | slip.freed | turned)[:, None, None], 0.0, newton.condensed.basis),
         pose_by=jnp.where(no_branch[:, :, None], jnp.eye(pose.shape[1]), newton.condensed.pose_by),
-        slope=_known_slopes(load_slopes(problem, mode, newton.condensed), no_branch),
+        slope=_known_slopes(load_slopes(problem, state, newton.condensed), no_branch),
         load=jnp.where(no_branch, 0.0, newton.load),
         gap=gap,
         slipped=flow.slipped | slip.slips,
@@ -346,7 +350,7 @@ def advance(
         clamped=None if flow.clamped is None else jnp.all(slip.holds),
         share=None if flow.share is None else jnp.ones_like(flow.share),
     )
-    return flow, Mode(phase, side, jnp.asarray(False), friction=friction, piece=piece, beside=beside), z
+    return flow, now, z
 
 
 def _known_slopes(slopes: Slopes, unknown: Bool[Array, "whiskers 1"]) -> Slopes:
@@ -363,9 +367,9 @@ def shortened(flow: Flow) -> Flow:
     return flow._replace(step=step, iterations=iterations, exhausted=(iterations > ITERATIONS) | (step < SHORTEST))
 
 
-def at_rest(problem: Problem, flow: Flow, mode: Mode, u: Scalar) -> Bool[Array, ""]:
+def at_rest(problem: Problem, flow: Flow, state: ContactState, u: Scalar) -> Bool[Array, ""]:
     """Whether a stable equilibrium is near enough for Newton's method to take over."""
-    loose = ~problem.solved(mode.phase)
+    loose = ~problem.solved(state.phase)
     known = jnp.all(loose | branch_known(flow))
     slope = _known_slopes(flow.slope, loose[:, None])
     pull = problem.rest(u) + problem.displacement(flow.load) - flow.pose
@@ -375,7 +379,7 @@ def at_rest(problem: Problem, flow: Flow, mode: Mode, u: Scalar) -> Bool[Array, 
     settled = near & known & ~jnp.any(flow.sliding | flow.landing)
     own = flow.clamped
     if own is None:
-        own = jnp.all(loose | on_stable_branch(problem, mode, flow.pose_by[:, 0, 0]))
+        own = jnp.all(loose | on_stable_branch(problem, state, flow.pose_by[:, 0, 0]))
     return settled & own & network_is_stable(problem, slope)
 
 

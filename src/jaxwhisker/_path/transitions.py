@@ -4,41 +4,32 @@ Each `after_...` function returns the new state, whether a node is to be written
 and one is selected, because a batch pays for every branch anyway.
 """
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.couplings import as_contacts
-from jaxwhisker._equilibrium.friction import newly_slipping
-from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, slope_sines, with_slips
-from jaxwhisker._equilibrium.pieces import where_touching
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, dot, scale_of
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, of_object
+from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
+from jaxwhisker._equilibrium.newton import slope_sines
+from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker, of_object
 from jaxwhisker._path.approach import approach_of
-from jaxwhisker._path.leaving import SLIP_NOISE, to_snap
-from jaxwhisker._path.march_state import Lead, MarchState, Target, Task, Trial, dip, first_violated
-from jaxwhisker._path.path import (
+from jaxwhisker._path.events import (
     AT_STOP,
-    HIGH,
-    LOW,
     MARGIN_NOISE,
-    NO_EVENT,
-    PHASE,
-    RELEASE,
-    SLIP,
-    STOP,
     TOUCH,
     VERTEX,
-    EventKind,
-    Node,
-    Status,
-    first_case,
+    After,
+    Facts,
+    Happened,
+    Lead,
+    Moving,
+    events_of,
     margin_rates,
 )
+from jaxwhisker._path.leaving import SLIP_NOISE, to_snap
+from jaxwhisker._path.march_state import MarchState, Task, Trial, dip, first_violated
+from jaxwhisker._path.path import NO_EVENT, Node, Status, first_case
 from jaxwhisker._path.turning_points import (
     FOLD_BRACKET,
     FOLD_SLOPE,
@@ -57,16 +48,7 @@ SHORTEST_STEP = 1e-10
 NEAR_FOLD = 2e-4  # a loss this near counts as located if no shorter step is solved; u is off by less than its square
 
 
-def _event_kind(target: Target, phase: Int[Array, " whiskers"]) -> Int[Array, ""]:
-    """EventKind of a target, or STOP."""
-    tip = jnp.any(target.whisker & (phase == Phase.tip))
-    change = jnp.where(tip, EventKind.tip_to_tangential, EventKind.tangential_to_tip)
-    kinds = [EventKind.touch, EventKind.release, 0, EventKind.vertex, STOP, EventKind.slip]
-    kinds = jnp.array(kinds if target.piece is None else [*kinds, EventKind.edge, EventKind.edge])
-    return jnp.where(target.kind == PHASE, change, kinds[target.kind])
-
-
-def _node(state: MarchState, trial: Trial) -> Node:
+def _node(march: MarchState, trial: Trial) -> Node:
     """A plain node: the path continues as it arrives."""
     point = trial.solution.point
     return Node(
@@ -74,258 +56,198 @@ def _node(state: MarchState, trial: Trial) -> Node:
         point.z,
         trial.tangent,
         trial.tangent,
-        state.mode.phase,
-        state.mode.side,
-        state.travel + jnp.abs(point.u - state.point.u),
+        march.state,
+        march.state,
+        march.travel + jnp.abs(point.u - march.point.u),
         jnp.asarray(NO_EVENT),
-        jnp.zeros_like(state.mode.phase, bool),
-        state.mode.phase,
-        state.mode.side,
-        state.mode.friction,
-        state.mode.friction,
-        *(() if state.mode.friction is None else (state.goal, jnp.asarray(False))),
-        **{"piece": state.mode.piece, "piece_before": state.mode.piece, "beside": state.mode.beside},
+        jnp.zeros_like(march.state.phase, bool),
+        *(() if march.state.friction is None else (march.goal, jnp.asarray(False))),
     )
 
 
-def _moved(state: MarchState, trial: Trial, node: Node) -> MarchState:
-    return state._replace(
-        mode=state.mode.now_standing(trial.standing),
+def _moved(march: MarchState, trial: Trial, node: Node) -> MarchState:
+    return march._replace(
+        state=march.state.now_standing(trial.standing),
         point=trial.solution.point,
         pose=trial.solution.newton.pose,
         tangent=trial.tangent,
         tangent_pose=trial.tangent_pose,
+        stance=None if march.stance is None else trial.stance,
         travel=node.travel,
     )
 
 
-def after_advance(problem: Problem, state: MarchState, trial: Trial, guess: Point):
+def after_advance(problem: Problem, march: MarchState, trial: Trial, guess: Point):
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
-    scale = scale_of(state.point.z)
-    error, good = _prediction_error(state, trial, guess, scale)
-    if state.mode.friction is not None:
+    scale = scale_of(march.point.z)
+    error, good = _prediction_error(march, trial, guess, scale)
+    if march.state.friction is not None:
         # A stable path does not turn back. A nearly straight whisker that sticks has another equilibrium close by.
-        good &= ~trial.stable | (state.turn(trial.tangent) > -FOLD_SLOPE)
-        good &= _forces_are_near(state, guess.z[:, 0], trial.solution.point.z[:, 0])
-    violated, target = first_violated(state, trial, state.step)
-    dips, share = dip(problem, state, trial, state.step)
+        good &= ~trial.stable | (march.turn(trial.tangent) > -FOLD_SLOPE)
+        good &= _forces_are_near(march, guess.z[:, FORCE], trial.solution.point.z[:, FORCE])
+    violated, target = first_violated(problem, march, trial, march.step)
+    dips, share = dip(problem, march, trial, march.step)
     dips &= ~violated
-    twice, turn_share = may_fold_twice(state, trial)
+    twice, turn_share = may_fold_twice(march, trial)
     share = jnp.where(twice, turn_share, share)
     dips = good & (dips | twice)
     good &= ~dips
-    shorter = state._replace(step=jnp.where(dips, share, 0.4) * state.step)
+    shorter = march._replace(step=jnp.where(dips, share, 0.4) * march.step)
     too_short = ~good & (shorter.step < SHORTEST_STEP)
-    to_event = state._replace(task=jnp.asarray(int(Task.event)), target=target)
+    to_event = march._replace(task=jnp.asarray(int(Task.event)), target=target)
 
-    holds, located, reached, rests = turning_point(state, trial)
-    node = _node(state, trial)
-    moved = _moved(state, trial, node)
+    holds, located, reached, rests = turning_point(march, trial)
+    node = _node(march, trial)
+    moved = _moved(march, trial, node)
     turned = after_turning_point(problem, moved, trial, node, rests)
-    closer = before_loss(problem, state, trial, state.step)
+    closer = before_loss(problem, march, trial, march.step)
     new = first_case(
         # If several whiskers become unstable at once, Newton's method fails close to the fold: this is near enough.
-        (too_short & (state.unstable_at < NEAR_FOLD), to_snap(state)),
-        (too_short, state.stopped(Status.lost)),
+        (too_short & (march.unstable_at < NEAR_FOLD), to_snap(march)),
+        (too_short, march.stopped(Status.lost)),
         (~good, shorter),
         (violated, to_event),
         (~holds & ~located, closer),
         (~holds, turned),
-        (~trial.sound, state.stopped(trial.reason)),
+        (~trial.sound, march.stopped(trial.reason)),
         (reached, turned),
-        otherwise=_onwards(problem, state, moved, trial, error, scale),
+        otherwise=_onwards(problem, march, moved, trial, error, scale),
     )
     return new, good & ~violated & (holds | located) & trial.sound, node
 
 
-def _prediction_error(state: MarchState, trial: Trial, guess: Point, scale: Contacts) -> tuple[Scalar, Bool[Array, ""]]:
+def _prediction_error(march: MarchState, trial: Trial, guess: Point, scale: Contacts) -> tuple[Scalar, Bool[Array, ""]]:
     """Distance between prediction and solution, and whether the step is accepted: solved, near, and not bent back."""
     solution = trial.solution
     miss = Point(solution.point.z - guess.z, solution.point.u - guess.u)
     error = jnp.sqrt(dot(miss, miss, scale))
-    straight = dot(state.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
+    straight = dot(march.tangent, trial.tangent, scale) / jnp.sqrt(dot(trial.tangent, trial.tangent, scale))
     return error, solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
 
 
-def _forces_are_near(state: MarchState, guess: PerWhisker, force: PerWhisker) -> Bool[Array, ""]:
+def _forces_are_near(march: MarchState, guess: PerWhisker, force: PerWhisker) -> Bool[Array, ""]:
     """Whether the forces of contacts that stick are near their predictions, relative to their sizes.
 
     Without any force, a contact at rest satisfies the equations with every lean: where forces are small, Newton's
     method may arrive there.
     """
-    assert state.mode.friction is not None
-    sticks = (state.mode.phase != Phase.free) & (state.mode.friction.slip == 0)
-    size = jnp.maximum(jnp.abs(guess), state.point.z[:, 0])
-    return jnp.all(~sticks | (jnp.abs(force - guess) < FORCE_ERROR * size))
+    size = jnp.maximum(jnp.abs(guess), march.point.z[:, FORCE])
+    return jnp.all(~march.state.sticks | (jnp.abs(force - guess) < FORCE_ERROR * size))
 
 
 def _onwards(
-    problem: Problem, state: MarchState, moved: MarchState, trial: Trial, error: Scalar, scale: Contacts
+    problem: Problem, march: MarchState, moved: MarchState, trial: Trial, error: Scalar, scale: Contacts
 ) -> MarchState:
     """The state after an accepted step, with the length of the next step."""
     factor = jnp.clip((PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3), 0.3, 2.5)
-    all_free = jnp.all(state.mode.phase == Phase.free)
+    all_free = jnp.all(march.state.free)
     contacts = trial.tangent._replace(u=jnp.asarray(0.0))
     bending = jnp.sqrt(dot(contacts, contacts, scale))
     longest = jnp.where(all_free, approach_of(problem).longest_step(), LONGEST_STEP / bending)
-    left = state.unstable_at - state.step
+    left = march.unstable_at - march.step
     # The path is still stable there: lengths along a curve do not quite add up, and the loss is further ahead.
     left = jnp.where(left < FOLD_BRACKET, jnp.inf, left)
-    bend = Point((trial.tangent.z - state.tangent.z) / state.step, (trial.tangent.u - state.tangent.u) / state.step)
+    bend = Point((trial.tangent.z - march.tangent.z) / march.step, (trial.tangent.u - march.tangent.u) / march.step)
     # The Illinois rule: otherwise false position creeps towards a fold from one side.
-    unstable_turn = state.unstable_turn / 2
-    to_loss = step_to_loss(turns_of(state, trial), left, unstable_turn)
+    unstable_turn = march.unstable_turn / 2
+    to_loss = step_to_loss(turns_of(march, trial), left, unstable_turn)
     return moved._replace(
         bend=bend,
         unstable_at=left,
         unstable_turn=unstable_turn,
-        step=jnp.minimum(jnp.minimum(factor * state.step, longest), to_loss),
+        step=jnp.minimum(jnp.minimum(factor * march.step, longest), to_loss),
     )
 
 
-class _Change(NamedTuple):
-    """Whiskers whose mode an event changes."""
+def after_event(problem: Problem, march: MarchState, trial: Trial, facts: Facts):
+    """Handle the point where a margin vanishes: change to the state that holds from here on."""
+    solution, target = trial.solution, march.target
+    touches = target.whisker & (target.number == TOUCH)
+    before = march.point.z if trial.stance.free is None else trial.stance.free
+    z_before = jnp.where(touches[:, None], before, solution.point.z)
+    good, distance = _reached(problem, march, trial, z_before)
 
-    touches: Bool[Array, " whiskers"]
-    released: Bool[Array, " whiskers"]
-    phase: Bool[Array, " whiskers"]
-    slips: Bool[Array, " whiskers"]
-    passes: Bool[Array, " whiskers"] | None  # an end of its piece; None without edges
-
-
-def after_event(problem: Problem, state: MarchState, trial: Trial):
-    """Handle the point where a margin vanishes: change to the mode that holds from here on."""
-    solution, target = trial.solution, state.target
-    passes = None if trial.ends is None else target.whisker & ((target.kind == LOW) | (target.kind == HIGH))
-    happens = (target.whisker & (target.kind == kind) for kind in (TOUCH, RELEASE, PHASE, SLIP))
-    change = _Change(*happens, passes=passes)
-    before = state.point.z if trial.stance.free is None else trial.stance.free
-    z_before = jnp.where(change.touches[:, None], before, solution.point.z)
-    good, distance = _reached(problem, state, trial, z_before)
-
-    violated, earlier = first_violated(state, trial, distance)
-    dips, share = dip(problem, state, trial, distance)
+    violated, earlier = first_violated(problem, march, trial, distance)
+    dips, share = dip(problem, march, trial, distance)
     dips &= good & ~violated
     good &= ~dips
-    again = state._replace(
-        task=jnp.asarray(int(Task.advance)), step=jnp.where(dips, share * distance, 0.4 * state.step)
+    again = march._replace(
+        task=jnp.asarray(int(Task.advance)), step=jnp.where(dips, share * distance, 0.4 * march.step)
     )
     holds = trial.stable if trial.slips_on is None else trial.stable & jnp.all(trial.slips_on > -SLIP_NOISE)
-    unstable = before_loss(problem, state, trial, distance)._replace(task=jnp.asarray(int(Task.advance)))
-    node = _event_node(problem, state, trial, change, z_before)
+    unstable = before_loss(problem, march, trial, distance)._replace(task=jnp.asarray(int(Task.advance)))
+    node = _event_node(problem, march, trial, facts, z_before)
     cases = []
     if problem.frames_move:
         # Where the whisker touches, its tip may point the other way than where it was expected to touch.
-        tip, slack = target.phase == Phase.tip, jnp.where(change.touches, solution.point.z[:, 2], 0.0)
+        tip, slack = target.phase == Phase.tip, jnp.where(touches, solution.point.z[:, SLACK], 0.0)
         other = solution.converged & (jnp.where(tip, slack, -slack) > MARGIN_NOISE)
         phase = jnp.where(other, jnp.where(tip, Phase.tangential, Phase.tip), target.phase)
-        contact = target.contact.at[:, 2].multiply(~other)
-        cases = [(jnp.any(other), state._replace(target=target._replace(phase=phase, contact=contact)))]
+        contact = target.contact.at[:, SLACK].multiply(~other)
+        cases = [(jnp.any(other), march._replace(target=target._replace(phase=phase, contact=contact)))]
     new = first_case(
         *cases,
-        (~good & (again.step < SHORTEST_STEP), state.stopped(Status.lost)),
+        (~good & (again.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, again),
-        (violated, state._replace(target=earlier)),
+        (violated, march._replace(target=earlier)),
         (~holds, unstable),
-        otherwise=_arrived(problem, state, trial, change, node),
+        otherwise=_arrived(problem, march, trial, facts, node),
     )
     return new, jnp.asarray(False), node
 
 
-def _reached(problem: Problem, state: MarchState, trial: Trial, z_before: Contacts) -> tuple[Bool[Array, ""], Scalar]:
+def _reached(problem: Problem, march: MarchState, trial: Trial, z_before: Contacts) -> tuple[Bool[Array, ""], Scalar]:
     """Whether the solution is the targeted event, within the last step, and its distance."""
-    scale = scale_of(state.point.z)
-    chord = Point(z_before - state.point.z, trial.solution.point.u - state.point.u)
-    distance = dot(state.tangent, chord, scale)
+    scale = scale_of(march.point.z)
+    chord = Point(z_before - march.point.z, trial.solution.point.u - march.point.u)
+    distance = dot(march.tangent, chord, scale)
     reach = jnp.sqrt(dot(chord, chord, scale))
-    good = trial.solution.converged & (distance > -1e-9) & (reach <= 1.5 * state.step + 1e-9)
+    good = trial.solution.converged & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-9)
     # If the margin grows, the path comes back from beyond the event, and the event itself lies earlier on the path.
-    n = state.mode.phase.shape[0]
-    rates = margin_rates(problem, state.mode, trial.solution.point, trial.tangent, trial.tangent_pose)
-    touch = rates.touch if state.target.number is None else of_object(rates.touch, state.target.number)
-    rows = [touch, *rates[RELEASE:AT_STOP], np.zeros(n), *([rates.slip] if rates.slip.size else [])]
-    rows += [np.zeros(n), rates.low, rates.high] if rates.low.size else []
-    growing = jnp.stack(rows)[state.target.kind]
-    return good & (jnp.sum(state.target.whisker * growing) < MARGIN_NOISE), distance
+    moving = Moving(problem, march.state, march.state.free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose)
+    touch, *others = margin_rates(moving)
+    touch = touch if march.target.object is None else of_object(touch, march.target.object)
+    growing = jnp.stack(jnp.broadcast_arrays(touch, *others))[march.target.number]
+    return good & (jnp.sum(march.target.whisker * growing) < MARGIN_NOISE), distance
 
 
-def _event_node(problem: Problem, state: MarchState, trial: Trial, change: _Change, z_before: Contacts) -> Node:
-    """The node of an event, in the mode that holds from here on."""
-    solution, target, mode = trial.solution, state.target, state.mode
-    phase, mode = jnp.where(change.touches, target.phase, mode.phase), mode.freed(change.released, trial.stance)
-    side = jnp.where(change.touches, target.side, mode.side)
-    z = jnp.where(change.released[:, None], trial.stance.contact_if_free, solution.point.z)
-    phase = jnp.where(change.released, Phase.free, phase)
-    phase = jnp.where(change.phase, jnp.where(mode.phase == Phase.tip, Phase.tangential, Phase.tip), phase)
-    z = z.at[:, 2].set(jnp.where(change.phase, 0.0, z[:, 2]))
-    piece = mode.piece
-    if piece is not None and target.piece is not None:
-        new = change.touches if change.passes is None else change.touches | change.passes
-        piece = where_touching(jnp.where(new, target.piece, piece), phase != Phase.free)
-    friction = newly_slipping(mode.friction, change.touches | change.released, side)
-    if friction is not None and target.lean is not None:
-        now = Mode(phase, side, mode.separate, friction=friction, piece=piece)
-        slip = jnp.where(change.slips, jnp.sign(target.lean).astype(int), friction.slip)
-        z, friction = with_slips(problem, z, now, slip)
-        z = jnp.where(change.released[:, None], trial.stance.contact_if_free, z)
-    node = _node(state, trial)
-    at_first = (target.kind == AT_STOP) & (state.goal == 0)
+def _event_node(problem: Problem, march: MarchState, trial: Trial, facts: Facts, z_before: Contacts) -> Node:
+    """The node of an event, in the state that holds from here on."""
+    solution, target, events = trial.solution, march.target, events_of(problem)
+    z, state = solution.point.z, march.state
+    after = After(problem, trial.stance, target.phase, target.side, target.piece, target.limit)
+    for number, event in enumerate(events):
+        if not event.continues:
+            z, state = event.changed(target.whisker & (target.number == number), z, state, after)
+    node = _node(march, trial)
     return node._replace(
         point=Point(z, solution.point.u),
         z_before=z_before,
-        phase=phase,
-        side=side,
-        friction=friction,
-        piece=piece,
-        beside=mode.beside,
-        travel=jnp.where(at_first, 0.0, node.travel),
-        kind=_event_kind(target, mode.phase),
+        state=state,
+        travel=jnp.where((target.number == AT_STOP) & (march.goal == 0), 0.0, node.travel),
+        kind=facts.kind,
         whiskers=target.whisker,
     )
 
 
-def _arrived(problem: Problem, state: MarchState, trial: Trial, change: _Change, node: Node) -> MarchState:
+def _arrived(problem: Problem, march: MarchState, trial: Trial, facts: Facts, node: Node) -> MarchState:
     """The state at an event, before the direction in which the path leaves is determined."""
-    kind, scale = state.target.kind, scale_of(state.point.z)
-    tip = state.mode.phase == Phase.tip
-    lead_z = jnp.zeros_like(node.point.z).at[:, 0].set(change.touches)
-    lead_z = lead_z.at[:, 2].set(change.phase * jnp.where(tip, 1.0, -1.0))
-    # If the mode does not change, the path continues as it arrives.
-    stops = kind == AT_STOP
-    smooth = stops | (kind == VERTEX)
-    if node.friction is not None:
-        by_contact = slip_by_contact(problem, node.point.z, node.mode)
-        lead_z += jnp.where(change.slips[:, None], node.friction.slip[:, None] * by_contact, 0.0)
-    lead_z += jnp.where(smooth, state.tangent.z / scale**2, 0.0)
-    lead_u = jnp.where(smooth, state.tangent.u, 0.0)
-    if change.passes is not None:
-        lead_z = lead_z.at[:, 1].add(change.passes * jnp.where(kind == LOW, -1.0, 1.0))
-    # A whisker is released in the direction in which its contact would have to pull.
-    condensed = trial.solution.newton.condensed
-    by_pose, by_u = _pulling(condensed)
-    lead_pose = jnp.where(change.released[:, None], by_pose, 0.0)
-    lead_u += jnp.sum(jnp.where(change.released, by_u, 0.0))
-    if condensed.coupled is not None and problem.attached is not None and problem.attached.couplings is not None:
-        by_loads = -jnp.sum(lead_pose[:, :, None] * condensed.coupled.pose_by_loads, axis=(0, 1))
-        lead_z += as_contacts(problem.attached.couplings, jnp.reshape(by_loads, (-1, 3)), lead_z)
-    passed = state.target.whisker & (kind == VERTEX)
-    ahead = jnp.where(slope_sines(problem, node.point.z, node.mode) < 0, -1.0, 1.0)
-    sign = jnp.where(change.touches, ahead, state.before_vertex)
-    return _moved(state, trial, node)._replace(
+    target, events = march.target, events_of(problem)
+    happened = Happened(problem, node.state, node.point.z, trial.solution.newton.condensed)
+    # If the contact state does not change, the path continues as it arrives.
+    z = jnp.where(facts.continues, march.tangent.z / scale_of(march.point.z) ** 2, 0.0)
+    z = z.at[:, :3].add(target.whisker[:, None] * (facts.leaves * facts.of_contact))
+    lead = Lead(z, jnp.zeros_like(march.pose), jnp.where(facts.continues, march.tangent.u, 0.0))
+    for number, event in enumerate(events):
+        lead = event.lead(target.whisker & (target.number == number), lead, happened)
+    ahead = jnp.where(slope_sines(problem, node.point.z, node.state) < 0, -1.0, 1.0)
+    sign = jnp.where(target.whisker & (target.number == TOUCH), ahead, march.before_vertex)
+    return _moved(march, trial, node)._replace(
         task=jnp.asarray(int(Task.arrive)),
-        mode=node.mode,
+        state=node.state,
         point=node.point,
-        lead=Lead(lead_z, lead_pose, lead_u),
-        before_vertex=jnp.where(passed, -sign, sign),
+        lead=lead,
+        before_vertex=jnp.where(target.whisker & (target.number == VERTEX), -sign, sign),
         pending=node,
-        goal=state.goal + stops,
+        goal=march.goal + (target.number == AT_STOP),
     )
-
-
-def _pulling(at: Condensed) -> tuple[Poses, PerWhisker]:
-    """Decrease of each contact force per motion of the whisker's base, and per change of the control."""
-    by_x = jnp.where(at.by_x == 0, 1.0, at.by_x)[:, None]
-    force = at.basis[:, 0, :]
-    along = force[:, :1] / by_x
-    weight = -jnp.concatenate([along, force[:, 1:] - along * at.pose_by[:, 0, 1:]], axis=1)
-    return weight, jnp.zeros_like(by_x[:, 0]) if at.pose_by_u is None else -jnp.sum(weight * at.pose_by_u, axis=1)

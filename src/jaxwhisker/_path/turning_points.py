@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.problem import PerWhisker, Problem
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker
 from jaxwhisker._path.leaving import SLIP_NOISE, to_snap, with_changed_slips
 from jaxwhisker._path.march_state import MarchState, Trial, slips_on
 from jaxwhisker._path.path import Node, select
@@ -35,26 +36,26 @@ class TurningPoint(NamedTuple):
     rests: Bool[Array, " whiskers"] | None  # the contacts among this; None without friction
 
 
-def turning_point(state: MarchState, trial: Trial) -> TurningPoint:
+def turning_point(march: MarchState, trial: Trial) -> TurningPoint:
     """Compare the end of a step with what is known of a loss of stability ahead."""
-    turn, known = state.turn(trial.tangent), jnp.isfinite(state.unstable_at)
-    located, short = jnp.abs(turn) < FOLD_SLOPE, state.step < FOLD_BRACKET
+    turn, known = march.turn(trial.tangent), jnp.isfinite(march.unstable_at)
+    located, short = jnp.abs(turn) < FOLD_SLOPE, march.step < FOLD_BRACKET
     reached = known & (turn < FOLD_SLOPE)
     if trial.slips_on is None:
         return TurningPoint(trial.stable, located | short, reached, None)
     back = jnp.min(jnp.where(trial.slips_on > -SLIP_NOISE, jnp.inf, trial.slips_on))
     located = jnp.where(back < turn, back > -STICK_SLOPE, located)
     # A slip rate that is always small says nothing; one that is known to turn back ahead has come to rest here.
-    rests = known & (state.unstable_turn[1:] < -SLIP_NOISE) & (trial.slips_on < FOLD_SLOPE)
+    rests = known & (march.unstable_turn[1:] < -SLIP_NOISE) & (trial.slips_on < FOLD_SLOPE)
     # At a fold, all contacts that only the drive moves rest with it.
-    ahead = state.unstable_turn[0]
-    rests &= (ahead >= 0) | (turn * (state.unstable_at - state.step) > AT_FOLD * (turn - ahead))
+    ahead = march.unstable_turn[0]
+    rests &= (ahead >= 0) | (turn * (march.unstable_at - march.step) > AT_FOLD * (turn - ahead))
     return TurningPoint(trial.stable & (back > 0), located | short, reached | jnp.any(rests), rests)
 
 
-def turns_of(state: MarchState, trial: Trial) -> Turns:
+def turns_of(march: MarchState, trial: Trial) -> Turns:
     """Rates, at the end of a step, of what must not turn back."""
-    return _turns(state.turn(trial.tangent), trial.slips_on)
+    return _turns(march.turn(trial.tangent), trial.slips_on)
 
 
 def _turns(turn: Scalar, slips_on: PerWhisker | None) -> Turns:
@@ -72,12 +73,12 @@ def step_to_loss(turns: Turns, unstable_at: Scalar, unstable_turns: Turns) -> Sc
     return jnp.where(jnp.isfinite(unstable_at), unstable_at * jnp.clip(share, 1e-3, 0.999), jnp.inf)
 
 
-def before_loss(problem: Problem, state: MarchState, trial: Trial, distance: Scalar) -> MarchState:
+def before_loss(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> MarchState:
     """The state before a step at whose end, at this distance, stability is lost; with a shorter step to try."""
-    start = _turns(state.turn(state.tangent), slips_on(problem, state.mode, state.point.z, state.tangent.z))
-    turns = turns_of(state, trial)
+    start = _turns(march.turn(march.tangent), slips_on(problem, march.state, march.point.z, march.tangent.z))
+    turns = turns_of(march, trial)
     step = step_to_loss(start, distance, turns)
-    return state._replace(unstable_at=distance, unstable_turn=turns, step=step)
+    return march._replace(unstable_at=distance, unstable_turn=turns, step=step)
 
 
 def after_turning_point(
@@ -85,7 +86,7 @@ def after_turning_point(
 ) -> MarchState:
     """The state at a located turning point: the path loses stability at a fold, or a contact begins to stick."""
     fold = to_snap(moved)
-    friction, limit = moved.mode.friction, problem.friction_angle
+    friction, limit = moved.state.friction, problem.friction_angle
     if trial.slips_on is None or friction is None or limit is None or rests is None:
         return fold
     sticks = (trial.slips_on < -SLIP_NOISE) | rests
@@ -96,14 +97,14 @@ def after_turning_point(
     return select(jnp.any(sticks), stick, fold)
 
 
-def may_fold_twice(state: MarchState, trial: Trial) -> tuple[Bool[Array, ""], Scalar]:
+def may_fold_twice(march: MarchState, trial: Trial) -> tuple[Bool[Array, ""], Scalar]:
     """Whether u may turn back and forth within a step whose ends are stable, and at which share of the step.
 
     Within the step, du/ds is taken for a parabola with the values at the step's ends and the step's mean. Near a
     critical stiffness it dips towards zero. Such a dip is passed in short steps; a dip below zero is a pair of folds.
     """
-    start, end = state.turn(state.tangent), state.turn(trial.tangent)
-    mean = state.direction * (trial.solution.point.u - state.point.u) / state.step
+    start, end = march.turn(march.tangent), march.turn(trial.tangent)
+    mean = march.direction * (trial.solution.point.u - march.point.u) / march.step
     least, highest = jnp.minimum(start, end), jnp.maximum(start, end)
     slope, bend = 6 * mean - 4 * start - 2 * end, 3 * start + 3 * end - 6 * mean
     # The lowest value that du/ds may have if the slope at either end is wrong by this much.
@@ -112,7 +113,7 @@ def may_fold_twice(state: MarchState, trial: Trial) -> tuple[Bool[Array, ""], Sc
     steeper, flatter = slope - wrong, slope + 2 * bend + wrong
     at = -steeper / (2 * bowl)
     lowest = start + at * (steeper + at * bend)
-    inside = (at > 0) & (at < 1) & ((lowest < 0) | ((state.step > RESOLVED_STEP) & (lowest < 0.5 * least)))
+    inside = (at > 0) & (at < 1) & ((lowest < 0) | ((march.step > RESOLVED_STEP) & (lowest < 0.5 * least)))
     at_end = (slope < 0) & (flatter > 0) & (end < wrong**2 / (4 * bowl))
-    possible = trial.stable & (bend > 0) & (least > 0) & (state.step > SHORTEST_DIP)
+    possible = trial.stable & (bend > 0) & (least > 0) & (march.step > SHORTEST_DIP)
     return possible & (inside | at_end), jnp.where(inside, jnp.clip(at, 0.2, 0.8), 0.6)

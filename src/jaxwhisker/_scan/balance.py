@@ -29,7 +29,7 @@ from jaxwhisker._path.path import Status, is_snap
 from jaxwhisker._scan import panels
 from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.energy import stored_energy
-from jaxwhisker._scan.memory import places_of, with_places
+from jaxwhisker._scan.memory import with_places
 from jaxwhisker._scan.panels import POINTS, Ends, Panel
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.scan import BLOCK, in_blocks, path_along, problem_now, route_through, solve_steps_now, states_now
@@ -113,9 +113,9 @@ def _balance(result: Result) -> EnergyBalance:
     def integrals(*panel):
         panel = Panel(*panel)
         at, travel = points_now(panel)
-        solutions = with_places(solve_steps_now(problem, path, at, travel), places_of(path.nodes.friction))
+        solutions = with_places(solve_steps_now(problem, path, at, travel), path.nodes.state.places)
         state, step_status = states_now(problem, at, solutions)
-        return integrals_now(scene, panel, at, state, solutions.side, step_status)
+        return integrals_now(scene, panel, at, state, solutions.state.side, step_status)
 
     table, good = in_blocks(integrals, tuple(every), size)
     table, good = _padded(table, count, 0.0), _padded(good, count, 1.0)

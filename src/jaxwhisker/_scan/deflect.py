@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
@@ -19,7 +20,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.applied_loads import Given, weight_of
 from jaxwhisker._scan.load_path import follow
-from jaxwhisker._scan.loaded_rod import ROD_STEPS, LoadedRod, bent, checks_of, differentiable, loaded_rod, misfit
+from jaxwhisker._scan.loaded_rod import ROD_STEPS, LoadedRod, bent, checks_of, loaded_rod, misfit
 from jaxwhisker._scan.resolution import warn_of_whisker
 
 ACCURACY = 1e-8  # largest accepted error of the base's angle and position, by comparison with twice as many steps
@@ -71,7 +72,7 @@ def solved_top(rods: LoadedRod) -> _Solved:
     def stage(before: _Solved, of_springs):
         def equations(unknowns, share):
             springs, loads = jnp.where(of_springs, share, 1.0), jnp.where(of_springs, 0.0, share)
-            return misfit(rods, unknowns, springs, loads)
+            return misfit(unknowns, rods, springs, loads)
 
         path = follow(equations, before.unknowns, jnp.where(of_springs, 1.0, rods.load))
         reached = jnp.where(of_springs, path.share, 1.0), jnp.where(of_springs, 0.0, path.share)
@@ -189,7 +190,7 @@ def _deflect(whisker: Whisker, loads: Given, support: Support, points: int) -> d
     ok = status == Status.ok
     whisker, loads, support = safe_placeholder((whisker, loads, support), ok)
     rods, ranks = loaded_rod(whisker, loads, support)
-    top = differentiable(jnp.where(ok, top, jax.lax.stop_gradient(rods.unbent)), rods)
+    top = solution_of(misfit, jnp.where(ok, top, jax.lax.stop_gradient(rods.unbent)), rods)
     found = bent(rods, top, points)
     length, stiffness = whisker.length, whisker.base_stiffness
     fx, fy, mz = -found.load

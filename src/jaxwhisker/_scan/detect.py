@@ -18,10 +18,11 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
 from jaxwhisker._equilibrium.clearance import cross, meets_again
-from jaxwhisker._equilibrium.contact import Phase, of_each
+from jaxwhisker._equilibrium.contact import FORCE, SLACK, of_each
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.other_objects import meets, passes
-from jaxwhisker._equilibrium.point import Mode, Point
+from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
 from jaxwhisker._model.scene import Scene
@@ -64,14 +65,14 @@ def detect(problem: Problem, path: Path, kinds: Kinds) -> Path:
     return _cut(path, found.place, found.status)
 
 
-def _shafts(problem: Problem, point: Point, mode: Mode, kinds: Kinds) -> Shaft:
+def _shafts(problem: Problem, point: Point, state: ContactState, kinds: Kinds) -> Shaft:
     """The shafts of all whiskers, stacked."""
-    free = mode.phase == Phase.free
-    z, phase = with_dummy_contacts(problem, point.z, mode.phase)
-    bodies = problem.bodies(point.u, z, mode.piece)
+    free = state.free
+    z, phase = with_dummy_contacts(problem, point.z, state.phase)
+    bodies = problem.bodies(point.u, z, state.piece)
     if problem.attached is None:
-        z = z.at[:, 0].set(jnp.where(free, 0.0, z[:, 0]))
-    shafts = of_each(bodies, shaft, z, phase, mode.side, mode.friction)
+        z = z.at[:, FORCE].set(jnp.where(free, 0.0, z[:, FORCE]))
+    shafts = of_each(bodies, shaft, z, phase, state.side, state.friction)
     if "crossing" not in kinds or problem.attached is not None:  # no need to know where free whiskers are
         return shafts
     load = newton.load_of(of_each(bodies, contact.in_base_frame, shafts.base), problem.axes)
@@ -86,21 +87,21 @@ def _shafts(problem: Problem, point: Point, mode: Mode, kinds: Kinds) -> Shaft:
     return shafts._replace(base=shafts.base._replace(x=at.x, y=at.y))
 
 
-def _status(problem: Problem, point: Point, mode: Mode, kinds: Kinds) -> Int[Array, ""]:
+def _status(problem: Problem, point: Point, state: ContactState, kinds: Kinds) -> Int[Array, ""]:
     """Status of a state: what is detected in it."""
-    shafts, status = _shafts(problem, point, mode, kinds), jnp.asarray(int(Status.ok))
+    shafts, status = _shafts(problem, point, state, kinds), jnp.asarray(int(Status.ok))
     if "crossing" in kinds:
         status = jnp.where(_any_cross(problem, point, shafts), Status.crossing, status)
     if "second_contact" in kinds:
-        again = _meets_again(problem, mode, shafts)
-        status = jnp.where(jnp.any(again & (mode.phase != Phase.free)), Status.second_contact, status)
+        again = _meets_again(problem, state, shafts)
+        status = jnp.where(jnp.any(again & state.touches), Status.second_contact, status)
     return status
 
 
-def _meets_again(problem: Problem, mode: Mode, shafts: Shaft) -> Bool[Array, " whiskers"]:
+def _meets_again(problem: Problem, state: ContactState, shafts: Shaft) -> Bool[Array, " whiskers"]:
     """Whether touching whiskers meet their object in a second place, or another object."""
-    number = problem.profile.object_of(mode.piece)
-    if number is None or mode.beside is None:
+    number = problem.profile.object_of(state.piece)
+    if number is None or state.beside is None:
         return jax.vmap(lambda own: meets_again(problem.profile, own))(shafts)
     found = jnp.zeros_like(number, bool)
     for k, one in enumerate(problem.profile.objects):
@@ -111,7 +112,7 @@ def _meets_again(problem: Problem, mode: Mode, shafts: Shaft) -> Bool[Array, " w
             jax.vmap(partial(function, one))(at)
             for function, at in ((meets_again, touching), (meets, shafts), (passes, shafts))
         )
-        found |= jnp.where(own, again, other | (side * mode.beside[k] < 0))
+        found |= jnp.where(own, again, other | (side * state.beside[k] < 0))
     return found
 
 
@@ -140,13 +141,8 @@ def _search(problem: Problem, path: Path, kinds: Kinds) -> _Found:
 
     def status_at(place: Scalar) -> Int[Array, ""]:
         index, u = _control_at(path, place)
-        nodes = path.nodes
-        friction = jax.tree.map(lambda leaf: leaf[index], nodes.friction)
-        piece = None if nodes.piece is None else nodes.piece[index]
-        beside = None if nodes.beside is None else nodes.beside[index]
-        now = nodes.phase[index], nodes.side[index], jnp.asarray(False)
-        mode = Mode(*now, friction=friction, piece=piece, beside=beside)
-        return _status(problem, interpolate(path, index, u), mode, kinds)
+        state = jax.tree.map(lambda leaf: leaf[index], path.nodes.state)
+        return _status(problem, interpolate(path, index, u), state, kinds)
 
     def searching(found: _Found) -> Bool[Array, ""]:
         return (found.place < last) & ((found.status == Status.ok) | (found.stride > finest))
@@ -182,25 +178,25 @@ def without_gains(problem: Problem, path: Path) -> Path:
     if problem.friction_angle is None or problem.section is not None or problem.attached is not None:
         return path
     nodes = path.nodes
-    room, n = nodes.phase.shape
+    room, n = nodes.whiskers.shape
     snaps = is_snap(nodes.kind) & (jnp.arange(room) < path.count)
     index = jnp.nonzero(snaps, size=event_room(n), fill_value=room - 1)[0]
     node = jax.tree.map(lambda leaf: leaf[index], nodes)
     energy = jax.vmap(partial(_energy, problem))
-    before = energy(Point(node.z_before, node.point.u), jax.vmap(lambda at: at.mode_before)(node))
-    after = energy(node.point, jax.vmap(lambda at: at.mode)(node))
+    before = energy(Point(node.z_before, node.point.u), jax.vmap(lambda at: at.before)(node))
+    after = energy(node.point, jax.vmap(lambda at: at.state)(node))
     gains = snaps[index] & (after - before > GAIN * (after + before))
     place = index[jnp.argmax(gains)] - JUST_BEFORE
     return _cut(path, place, jnp.where(jnp.any(gains), Status.unsettled, Status.ok))
 
 
-def _energy(problem: Problem, point: Point, mode: Mode) -> Scalar:
+def _energy(problem: Problem, point: Point, state: ContactState) -> Scalar:
     """Elastic energy of uniform whiskers and of springs (see energy.py), dimensionless."""
-    touching = mode.phase != Phase.free
-    z, phase = with_dummy_contacts(problem, point.z, mode.phase)
-    bodies = problem.bodies(point.u, z, mode.piece)
-    base = of_each(bodies, contact.base, z, phase, mode.side, mode.friction)
-    s = of_each(bodies, contact.arc, z[:, 2], phase)
+    touching = state.touches
+    z, phase = with_dummy_contacts(problem, point.z, state.phase)
+    bodies = problem.bodies(point.u, z, state.piece)
+    base = of_each(bodies, contact.base, z, phase, state.side, state.friction)
+    s = of_each(bodies, contact.arc, z[:, SLACK], phase)
     density = base.bend**2 / (2 * problem.bending_stiffness) + base.force_x * base.cos + base.force_y * base.sin
     way = base.force_x * (base.contact_x - base.x) + base.force_y * (base.contact_y - base.y)
     load = newton.load_of(of_each(bodies, contact.in_base_frame, base), problem.axes)

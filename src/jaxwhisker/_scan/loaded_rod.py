@@ -8,7 +8,6 @@ equation (Steigenberger 2013).
 """
 
 import itertools
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,11 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.attach import attached
 from jaxwhisker._equilibrium.dimensionless import sections
-from jaxwhisker._equilibrium.implicit import without_rule
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, past, stretched
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.scene import Units
@@ -231,7 +228,7 @@ def _misfit(
 
 
 def misfit(
-    rods: LoadedRod, top: Float[Array, " unknowns"], share: Scalar = 1.0, factor: Scalar = 1.0
+    top: Float[Array, " unknowns"], rods: LoadedRod, share: Scalar = 1.0, factor: Scalar = 1.0
 ) -> Float[Array, " unknowns"]:
     """The equations, with a share of the springs and `factor` times the loads: see LoadedRod."""
     end, _, _ = _walk(rods, top, share, factor, _no_points(rods), ROD_STEPS)
@@ -240,22 +237,6 @@ def misfit(
 
 def _no_points(rods: LoadedRod) -> list[rod.Along]:
     return [jnp.ones(0 if rods.free_beyond else 1), *[jnp.zeros(0)] * rods.loads.position.size]
-
-
-@eqx.filter_custom_jvp
-def differentiable(top: Float[Array, " unknowns"], rods: LoadedRod) -> Float[Array, " unknowns"]:
-    """The solved unknowns with their derivatives by the implicit function theorem (see implicit.py)."""
-    return without_rule(top, rods)
-
-
-@differentiable.def_jvp
-def _(primals, tangents):
-    top, rods = primals
-    here = differentiable(top, rods)
-    slope = jax.jacfwd(partial(misfit, rods))(here)
-    _, change = eqx.filter_jvp(lambda rods: misfit(rods, here), (rods,), (tangents[1],))
-    # With the inverse, the change enters linearly and JAX can transpose this.
-    return here, -jnp.sum(solve(slope, jnp.eye(here.size)) * change, axis=-1)
 
 
 class Checks(NamedTuple):

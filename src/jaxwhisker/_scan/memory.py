@@ -5,17 +5,16 @@ its slip came to rest. That event may itself depend on earlier ones. The march s
 get their derivatives, from event to event.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.implicit import without_rule
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.implicit import Sides, event_points, without_rule
+from jaxwhisker._equilibrium.contact import SLACK, beyond
+from jaxwhisker._equilibrium.contact_state import Places
+from jaxwhisker._equilibrium.implicit import Sides, event_points
 from jaxwhisker._equilibrium.newton import contact_parameters
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.path import STOP, Node, Path
@@ -23,7 +22,6 @@ from jaxwhisker._scan.signals import event_point, event_room
 from jaxwhisker._scan.steps import Solutions
 
 LINKS = 16  # changes of slips and turning points of the drive, besides the events that a scan has room for
-Places = tuple[Float[Array, "*nodes whiskers"], Float[Array, "*nodes whiskers"]]  # parameter, beyond: see Friction
 
 
 @eqx.filter_custom_jvp
@@ -35,8 +33,8 @@ def remembered(path: Path, problem: Problem, stops: Float[Array, " stops"]) -> P
         problem: the problem.
         stops: where the drive starts, turns and ends, in the scene's units.
     """
-    controls, places = without_rule((path.nodes.point.u, places_of(path.nodes.friction)), (problem, stops))
-    return with_memory(path, controls, places, places_of(path.nodes.friction_before))
+    controls, places = without_rule((path.nodes.point.u, path.nodes.state.places), (problem, stops))
+    return with_memory(path, controls, places, path.nodes.before.places)
 
 
 @remembered.def_jvp
@@ -53,24 +51,15 @@ def _(primals, tangents):
     return path, with_memory(none, *dot)
 
 
-def places_of(friction: Friction | None) -> Any:
-    """Where contacts stick; None without friction."""
-    return None if friction is None else (friction.parameter, friction.beyond)
-
-
-def _at(friction: Friction | None, places: Places) -> Friction:
-    assert friction is not None
-    parameter, beyond = places
-    return friction._replace(parameter=parameter, beyond=beyond)
-
-
-def with_memory(path: Path, controls: Scalar | Float[Array, " nodes"], places: Places, places_before: Places) -> Path:
+def with_memory(
+    path: Path, controls: Scalar | Float[Array, " nodes"], places: Places | None, places_before: Places | None
+) -> Path:
     nodes = path.nodes
     return path._replace(
         nodes=nodes._replace(
             point=nodes.point._replace(u=controls),
-            friction=_at(nodes.friction, places),
-            friction_before=_at(nodes.friction_before, places_before),
+            state=nodes.state.stuck_at(places),
+            before=nodes.before.stuck_at(places_before),
         )
     )
 
@@ -89,11 +78,11 @@ def chained(path: Path, problem: Problem, stops: Float[Array, " stops"], *, even
     assert corner is not None
     links = (jnp.arange(room) < path.count) & ((nodes.kind == STOP) | corner | (events & (nodes.kind >= 0)))
     # The first node, where all is free, fills the rest of the room. If there is too little, derivatives are NaN.
-    size = min(room, LINKS + event_room(nodes.phase.shape[1]))
+    size = min(room, LINKS + event_room(nodes.whiskers.shape[1]))
     index = jnp.nonzero(links, size=size, fill_value=0)[0]
     known = jnp.where(jnp.sum(links) > size, jnp.nan, 1.0)
     controls = jnp.asarray(nodes.point.u)
-    start = controls[0], places_of(jax.tree.map(lambda leaf: leaf[0], nodes.friction))
+    start = controls[0], jax.tree.map(lambda leaf: leaf[0], nodes.state.places)
 
     def link(carry, k):
         node, previous = (jax.tree.map(lambda leaf, j=j: leaf[j], nodes) for j in (k, jnp.maximum(k - 1, 0)))
@@ -114,8 +103,8 @@ def _linked(previous: Node, carry: tuple[Scalar, Places], link: Bool[Array, ""])
     u, places = carry
     return previous._replace(
         point=previous.point._replace(u=jnp.where(link, u, previous.point.u)),
-        friction=_at(previous.friction, places),
-        friction_before=_at(previous.friction_before, places),
+        state=previous.state.stuck_at(places),
+        before=previous.before.stuck_at(places),
     )
 
 
@@ -125,14 +114,12 @@ def _after(
     """Control of a node and the places where contacts stick from there on."""
     _, places = carry
     at, _ = event_point(problem, node, previous)
-    point = event_points(Sides(at.point, None), problem, Sides(at.mode, None), at.along, at.row, at.turning).before
-    mode = at.mode
-    here = (
-        contact_parameters(problem, point.z, mode),
-        contact.beyond(point.z[:, 2], mode.phase),
-    )
-    new, old = places_of(node.friction), places_of(node.friction_before)
-    assert node.corner is not None and node.stop is not None
+    point = event_points(
+        Sides(at.point, None), problem, Sides(at.state, None), at.along, at.condition, at.turning
+    ).before
+    here = contact_parameters(problem, point.z, at.state), beyond(point.z[:, SLACK], at.state.phase)
+    new, old = node.state.places, node.before.places
+    assert new is not None and old is not None and node.corner is not None and node.stop is not None
     differs = node.corner & ((new[0] != old[0]) | (new[1] != old[1]))
 
     def moved(value, here, known):
@@ -148,5 +135,5 @@ def with_places(solutions: Solutions, places: Places | None) -> Solutions:
     """The solutions, with derivatives of the places where contacts stick after each node; None without friction."""
     if places is None:
         return solutions
-    parameter, beyond = (leaf[solutions.node] for leaf in places)
-    return solutions._replace(friction=_at(solutions.friction, (parameter, beyond)))
+    parameter, arc_beyond = (leaf[solutions.node] for leaf in places)
+    return solutions._replace(state=solutions.state.stuck_at((parameter, arc_beyond)))

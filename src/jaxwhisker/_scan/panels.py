@@ -13,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.path import NO_EVENT, STOP, Path, is_snap
@@ -27,30 +29,17 @@ SHORT_TO_FOLD = 0.02  # the same before a fold, where states of closely spaced p
 FLAT = 1e-3  # du/ds at a located fold is smaller
 
 
-def _legendre(x: np.ndarray | Array, count: int) -> list:
-    """The first Legendre polynomials at x."""
-    values = [1.0 + 0.0 * x, x]
-    for n in range(1, count - 1):
-        values.append(((2 * n + 1) * x * values[n] - n * values[n - 1]) / (n + 1))
-    return values
-
-
 def _legendre_slopes(values: list) -> list:
-    """Derivatives of Legendre polynomials with these values."""
+    """Derivatives by 2 t of Legendre polynomials with these values."""
     slopes = [0.0 * values[0], values[0]]
     for n in range(1, len(values) - 1):
         slopes.append(slopes[n - 1] + (2 * n + 1) * values[n])
     return slopes
 
 
-# The Gauss points are eigenvalues (Golub and Welsch 1969). numpy.polynomial would be loaded with the package.
-_K = np.arange(1, POINTS)
-_JACOBI = np.diag(_K / np.sqrt(4.0 * _K**2 - 1), 1)
-_AT = np.linalg.eigvalsh(_JACOBI + _JACOBI.T)
-_VALUES = np.stack(_legendre(_AT, POINTS))
-_NORMS = np.arange(POINTS)[:, None] + 0.5  # inverse squares of the norms of the polynomials
-_WEIGHTS = 1 / np.sum(_NORMS * _VALUES**2, axis=0)
-_COEFFICIENTS = _VALUES * _WEIGHTS * _NORMS  # times values at the points
+_AT, _WEIGHTS = gauss(POINTS)
+_VALUES = np.stack(legendre(_AT, POINTS))
+_COEFFICIENTS = _VALUES * _WEIGHTS * (2 * np.arange(POINTS)[:, None] + 1)  # times values at the points
 # Times values at the points: derivatives by t there.
 _SLOPES = 2 * np.stack(_legendre_slopes(list(_VALUES)), axis=1) @ _COEFFICIENTS
 
@@ -71,7 +60,7 @@ class Ends(NamedTuple):
 def ends_of(problem: Problem, path: Path) -> Ends:
     """The ends of the panels of a path, from where the drive is at its first stop."""
     nodes, unit = path.nodes, jax.lax.stop_gradient(problem.unit.control)
-    room, n = nodes.phase.shape
+    room, n = nodes.whiskers.shape
     control = jnp.asarray(nodes.point.u)
     index, last = jnp.arange(room), jnp.maximum(path.count - 1, 0)
     reached = (jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0) & (index < path.count)
@@ -182,14 +171,13 @@ panels_now = Program(panels_of)
 
 def share(t: Float[Array, "*#at"], slopes: Float[Array, "*#at 2"]) -> tuple[Float[Array, "*_"], Float[Array, "*_"]]:
     """Share of the panel's control at t, and its derivative."""
-    start, stop = slopes[..., 0], slopes[..., 1]
-    bend, twist = 3 - 2 * start - stop, start + stop - 2
-    return t * (start + t * (bend + t * twist)), start + t * (2 * bend + t * 3 * twist)
+    cubic = Cubic(jnp.zeros(()), jnp.ones(()), slopes[..., 0], slopes[..., 1])
+    return cubic.value(t), cubic.rate(t)
 
 
 def points_of(panel: Panel) -> tuple[Float[Array, "panels points"], Float[Array, "panels points"]]:
     """Control and travel at the points of each panel."""
-    shares, _ = share(jnp.asarray((_AT + 1) / 2), panel.slopes[:, None])
+    shares, _ = share(jnp.asarray(_AT), panel.slopes[:, None])
     control = panel.start[:, None] + (panel.stop - panel.start)[:, None] * shares
     start, stop = panel.travel[:, :1], panel.travel[:, 1:]
     # Points next to the end belong to this side of it, which the travel must show.
@@ -198,7 +186,7 @@ def points_of(panel: Panel) -> tuple[Float[Array, "panels points"], Float[Array,
 
 def rates_of(panel: Panel) -> Float[Array, "panels points"]:
     """Derivatives of the control by t at the points."""
-    _, rates = share(jnp.asarray((_AT + 1) / 2), panel.slopes[:, None])
+    _, rates = share(jnp.asarray(_AT), panel.slopes[:, None])
     return (panel.stop - panel.start)[:, None] * rates
 
 
@@ -220,10 +208,7 @@ def _times(matrix: np.ndarray, values: Array) -> Array:
 
 def integral_to(t: Float[Array, ""], coefficients: Float[Array, "points *more"]) -> Float[Array, "*more"]:
     """Integral from 0 to t of the polynomial with these coefficients."""
-    x = 2 * t - 1
-    values = _legendre(x, POINTS + 1)
-    integrals = [t] + [(values[n + 1] - values[n - 1]) / (4 * n + 2) for n in range(1, POINTS)]
-    return jnp.tensordot(jnp.stack(integrals), coefficients, axes=1)
+    return jnp.tensordot(jnp.stack(legendre_integrals(t, POINTS)), coefficients, axes=1)
 
 
 def place_in(panel: Panel, control: Float[Array, ""]) -> Float[Array, ""]:

@@ -30,7 +30,7 @@ from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import capacity_of, march
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.detect import Kinds, detect, kinds_of, without_gains
-from jaxwhisker._scan.memory import places_of, remembered, with_places
+from jaxwhisker._scan.memory import remembered, with_places
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
@@ -130,7 +130,7 @@ def _in_blocks(
     """States, status and spring lengths of all steps."""
 
     def block(control, travel):
-        solutions = with_places(solve_steps_now(problem, path, control, travel), places_of(path.nodes.friction))
+        solutions = with_places(solve_steps_now(problem, path, control, travel), path.nodes.state.places)
         state, status = states_now(problem, control, solutions)
         return state, status, spring_lengths_now(scene, bases_of(scene, state), control)
 
@@ -268,7 +268,7 @@ def _staged_result(
     path, control, travel = _if_ok(path, status), jnp.asarray(route.control), jnp.asarray(route.travel)
     if problem.friction_angle is not None:
         path = remembered(path, problem, jnp.asarray(route.stops))
-    solutions = with_places(solve_steps(problem, path, control, travel), places_of(path.nodes.friction))
+    solutions = with_places(solve_steps(problem, path, control, travel), path.nodes.state.places)
     state, step_status = states(problem, control, solutions)
     lengths = spring_lengths(scene, bases_of(scene, state), control)
     return _result(scene, problem, path, control, state, step_status, lengths)

@@ -10,62 +10,65 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
-from jaxwhisker._equilibrium.contact import Base, Phase, of_each
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK, Base, Phase, of_each
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import law_of, loads_in
 from jaxwhisker._equilibrium.friction import lean, slipping_from
 from jaxwhisker._equilibrium.implicit import Sides, Turning, event_control, event_points
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.pieces import break_between
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, at_event
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem, ScenePose
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.stance import PerWhisker, Poses, ScenePose
+from jaxwhisker._path.events import condition_of, events_of, facts_of, limit_of, number_of
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, is_snap, select
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.state import State
 
 
-def signals(problem: Problem, z: Contacts, u: Scalar, mode: Mode) -> tuple[State, Scalar]:
+def signals(problem: Problem, z: Contacts, u: Scalar, state: ContactState) -> tuple[State, Scalar]:
     """State of an equilibrium in the scene's units, and its largest residual."""
-    touching, bodies = mode.phase != Phase.free, problem.bodies(u, z, mode.piece)
-    loaded = touching if problem.attached is None else problem.solved(mode.phase)
-    contacts = with_dummy_contacts(problem, z, mode.phase)
-    base = of_each(bodies, contact.base, *contacts, mode.side, mode.friction)
-    arc = of_each(bodies, contact.arc, z[:, 2], mode.phase)
+    touching, bodies = state.touches, problem.bodies(u, z, state.piece)
+    loaded = touching if problem.attached is None else problem.solved(state.phase)
+    contacts = with_dummy_contacts(problem, z, state.phase)
+    base = of_each(bodies, contact.base, *contacts, state.side, state.friction)
+    arc = of_each(bodies, contact.arc, z[:, SLACK], state.phase)
     in_frame = of_each(bodies, contact.in_base_frame, base)
     load = jnp.where(loaded[:, None], newton.load_of(in_frame, problem.axes), 0.0)
     wanted = problem.rest(u) + problem.displacement(load)
     pose = newton.pose_of(in_frame, 3)
     here = problem.in_scene(u, jnp.where(loaded[:, None], pose[:, : problem.axes], wanted))
-    residual = _residual(problem, z, u, mode, base, pose, wanted, here)
+    residual = _residual(problem, z, u, state, base, pose, wanted, here)
     if problem.attached is not None and problem.attached.couplings is not None and in_frame.places is not None:
         held, couplings = problem.attached, problem.attached.couplings
         law = law_of(couplings, held.laws, held.held_by, in_frame.places)
         residual = jnp.maximum(residual, jnp.max(jnp.abs(loads_in(couplings, z) - law.load)))
-    return _state(problem, z, mode, base, arc, here, loaded), residual
+    return _state(problem, z, state, base, arc, here, loaded), residual
 
 
 def _residual(
     problem: Problem,
     z: Contacts,
     u: Scalar,
-    mode: Mode,
+    state: ContactState,
     base: Base,
     pose: Float[Array, "whiskers 3"],
     wanted: Poses,
     here: ScenePose,
 ) -> Scalar:
     """Largest residual of any equation or inequality of the whiskers that are solved for."""
-    touching = mode.phase != Phase.free
+    touching = state.touches
     # Coordinates that are not part of the network must be zero.
     apart = pose - jnp.concatenate([wanted, jnp.zeros((touching.size, 3 - problem.axes))], axis=1)
     apart = apart.at[:, 0].divide(1 + jnp.abs(u))
     equalities = [*apart.T, *problem.further_residuals(base, here)]
     # Complementarity: the object only pushes, and the slack has the sign of its phase.
-    excess = jnp.where(mode.phase == Phase.tip, z[:, 2], -z[:, 2])
-    inequalities = [-z[:, 0], excess]
-    leans = lean(z[:, 1], mode.friction, problem.friction_angle)
+    excess = jnp.where(state.phase == Phase.tip, z[:, SLACK], -z[:, SLACK])
+    inequalities = [-z[:, FORCE], excess]
+    leans = lean(z[:, LEAN], state.friction, problem.friction_angle)
     if leans is not None and problem.friction_angle is not None:
         # The lean of a small force is not known to the same accuracy.
-        inequalities += [(jnp.abs(leans) - problem.friction_angle) * jnp.minimum(z[:, 0], 1.0)]
+        inequalities += [(jnp.abs(leans) - problem.friction_angle) * jnp.minimum(z[:, FORCE], 1.0)]
     equal, excess = jnp.abs(jnp.stack(equalities)), jnp.maximum(jnp.stack(inequalities), 0.0)
     if problem.attached is not None:
         return problem.if_defined(jnp.maximum(jnp.max(equal), jnp.max(jnp.where(touching, excess, 0.0))), here)
@@ -76,13 +79,13 @@ def _residual(
 def _state(
     problem: Problem,
     z: Contacts,
-    mode: Mode,
+    state: ContactState,
     base: Base,
     arc: PerWhisker,
     here: ScenePose,
     loaded: Bool[Array, " whiskers"],
 ) -> State:
-    touching, unit = mode.phase != Phase.free, problem.unit
+    touching, unit = state.touches, problem.unit
 
     def if_touching(values: PerWhisker) -> PerWhisker:
         return jnp.where(touching, values, 0.0)
@@ -97,15 +100,15 @@ def _state(
         fx=if_loaded(-base.force_x) * unit.force,
         fy=if_loaded(-base.force_y) * unit.force,
         mz=if_loaded(-base.bend) * unit.moment,
-        contact_force=if_touching(z[:, 0]) * unit.force,
+        contact_force=if_touching(z[:, FORCE]) * unit.force,
         contact_slope=if_touching(jnp.arctan2(base.slope_sin, base.slope_cos)),
         contact_arc=if_touching(arc) * unit.length,
         contact_x=if_touching(base.contact_x) * unit.length,
         contact_y=if_touching(base.contact_y) * unit.length,
-        phase=mode.phase,
+        phase=state.phase,
         shaft_loads=_shaft_loads(problem, z),
-        **_friction(problem, z, mode),
-        **_objects(problem, mode),
+        **_friction(problem, z, state),
+        **_objects(problem, state),
     )
 
 
@@ -117,57 +120,48 @@ def _shaft_loads(problem: Problem, z: Contacts) -> tuple[PerWhisker, ...] | None
     return tuple(load * unit for load, unit in zip(z[:, 3:].T, units, strict=True))
 
 
-def _friction(problem: Problem, z: Contacts, mode: Mode) -> dict[str, Array]:
+def _friction(problem: Problem, z: Contacts, state: ContactState) -> dict[str, Array]:
     """Fields of a state with friction."""
-    leans = lean(z[:, 1], mode.friction, problem.friction_angle)
-    if mode.friction is None or leans is None:
+    leans = lean(z[:, LEAN], state.friction, problem.friction_angle)
+    if state.friction is None or leans is None:
         return {}
-    touching, force = mode.phase != Phase.free, z[:, 0] * problem.unit.force
+    touching, force = state.touches, z[:, FORCE] * problem.unit.force
     return {
-        "slip": jnp.where(touching, mode.friction.slip, 0),
+        "slip": jnp.where(touching, state.friction.slip, 0),
         "normal_force": jnp.where(touching, force * jnp.cos(leans), 0.0),
         "friction_force": jnp.where(touching, -force * jnp.sin(leans), 0.0),
     }
 
 
-def _objects(problem: Problem, mode: Mode) -> dict[str, Array]:
+def _objects(problem: Problem, state: ContactState) -> dict[str, Array]:
     """Fields of a state with several objects."""
-    number = problem.profile.object_of(mode.piece)
-    return {} if number is None else {"contact_object": jnp.where(mode.phase != Phase.free, number + 1, 0)}
+    number = problem.profile.object_of(state.piece)
+    return {} if number is None else {"contact_object": jnp.where(state.touches, number + 1, 0)}
 
 
-def _event_row(problem: Problem, node: Node) -> Row:
+def _event_condition(problem: Problem, node: Node) -> PathCondition:
     """The equation that defines a node's event; for a node without an event, its control is given."""
-    kind, slips, limit = node.kind, None, None
-    if problem.friction_angle is not None:
-        slips, limit = kind == EventKind.slip, jnp.sign(node.z_before[:, 1]) * problem.friction_angle
-    if problem.profile.has_edges and node.piece is not None and node.piece_before is not None:
-        slips, limit = kind == EventKind.edge, break_between(problem.profile, node.piece_before, node.piece)
-    return at_event(
-        node.whiskers,
-        node.z_before,
-        unloaded=(kind == EventKind.release) | (kind == EventKind.touch),
-        phase=(kind == EventKind.tip_to_tangential) | (kind == EventKind.tangential_to_tip),
-        vertex=kind == EventKind.vertex,
-        control=kind < 0,
-        u0=node.point.u,
-        lean=slips,
-        limit=limit,
-    )
+    events, before, after = events_of(problem), node.before.piece, node.state.piece
+    number = number_of(events, node.kind)
+    if problem.profile.has_edges and before is not None and after is not None:
+        limit = break_between(problem.profile, before, after)
+    else:
+        limit = limit_of(events, number, problem, node.z_before, None)
+    return condition_of(facts_of(events, number), node.whiskers, node.z_before, limit, node.point.u)
 
 
 class EventPoint(NamedTuple):
     """What defines the point of an event, as it is before the event."""
 
     point: Point
-    mode: Mode  # in which the point is solved for
+    state: ContactState  # in which the point is solved for
     along: Point  # direction of the path
-    row: Row
+    condition: PathCondition
     turning: Turning
 
 
-def event_point(problem: Problem, node: Node, previous: Node) -> tuple[EventPoint, Mode]:
-    """The point of an event, and the mode before it.
+def event_point(problem: Problem, node: Node, previous: Node) -> tuple[EventPoint, ContactState]:
+    """The point of an event, and the contact state before it.
 
     A snap, and a change of slips at another event, happen at the node before: at a turning point of the path, or at an
     event.
@@ -176,52 +170,46 @@ def event_point(problem: Problem, node: Node, previous: Node) -> tuple[EventPoin
     at = jax.tree.map(lambda a, b: jnp.where(corner, a, b), previous, node)
     # A touch is solved for as the contact that begins.
     begun = after = at.kind == EventKind.touch
-    row, turns = _event_row(problem, at), corner & (at.kind == NO_EVENT)
+    condition, turns = _event_condition(problem, at), corner & (at.kind == NO_EVENT)
     sticks = None
     if node.corner is not None:
         # The node before is the outcome of an event itself, and its control is known.
         known = corner & at.corner
         after, turns = after | known, turns & ~known
-        row = select(known, at_control(at.point.u, at.point.z), row)
+        condition = select(known, at_control(at.point.u, at.point.z), condition)
         sticks = turns & (node.kind == EventKind.stick) & node.whiskers
-    mode = select(after, at.mode, at.mode_before)
-    before_mode = select(begun, at.mode_before, mode)
+    state = select(after, at.state, at.before)
+    before = select(begun, at.before, state)
     along = select(after, at.leaving, at.arriving)
     point = Point(jnp.where(after, at.point.z, at.z_before), at.point.u)
-    return EventPoint(point, mode, along, row, Turning(turns & is_snap(node.kind), sticks)), before_mode
+    return EventPoint(point, state, along, condition, Turning(turns & is_snap(node.kind), sticks)), before
 
 
-def control_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Scalar, Mode]:
-    """Control of an event, with derivatives, and the mode before it."""
-    at, mode = event_point(problem, node, previous)
+def control_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Scalar, ContactState]:
+    """Control of an event, with derivatives, and the contact state before it."""
+    at, state = event_point(problem, node, previous)
     if at.turning.slip is not None:
-        points = event_points(Sides(at.point, None), problem, Sides(at.mode, None), at.along, at.row, at.turning)
-        return points.before.u, mode
-    return event_control(at.point, problem, at.mode, at.along, at.row, at.turning.control), mode
+        points = event_points(Sides(at.point, None), problem, Sides(at.state, None), at.along, at.condition, at.turning)
+        return points.before.u, state
+    return event_control(at.point, problem, at.state, at.along, at.condition, at.turning.control), state
 
 
 def _points_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Sides, Sides]:
-    """Points before and after an event, with derivatives, and their modes."""
-    at, before_mode = event_point(problem, node, previous)
+    """Points before and after an event, with derivatives, and their contact states."""
+    at, before = event_point(problem, node, previous)
     points = Sides(at.point, Point(node.point.z, at.point.u))
-    points = event_points(points, problem, Sides(at.mode, node.mode), at.along, at.row, at.turning)
-    return points, Sides(before_mode, node.mode)
+    points = event_points(points, problem, Sides(at.state, node.state), at.along, at.condition, at.turning)
+    return points, Sides(before, node.state)
 
 
 def _placeholder(node: Node) -> Node:
     """A node at which all whiskers are free and nothing happens: a placeholder for unused room."""
     nowhere = jax.tree.map(jnp.zeros_like, node)
     along = Point(nowhere.point.z, jnp.asarray(-1.0))
-    side = jnp.ones_like(node.side)
-    slipping = None if node.friction is None else slipping_from(side)
-    return nowhere._replace(
-        arriving=along,
-        side=side,
-        side_before=side,
-        kind=jnp.asarray(NO_EVENT),
-        friction=slipping,
-        friction_before=slipping,
-    )
+    side = jnp.ones_like(node.state.side)
+    slipping = None if node.state.friction is None else slipping_from(side)
+    state = nowhere.state._replace(side=side, friction=slipping)
+    return nowhere._replace(arriving=along, state=state, before=state, kind=jnp.asarray(NO_EVENT))
 
 
 def event_room(whiskers: int) -> int:
@@ -242,7 +230,7 @@ class EventNodes(NamedTuple):
 def event_nodes(path: Path) -> EventNodes:
     """The events among the nodes from where the drive has reached the first position of the control."""
     nodes = path.nodes
-    room, n = nodes.phase.shape
+    room, n = nodes.whiskers.shape
     index = jnp.arange(room)
     reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
     public = (nodes.kind >= 0) & reached & (index < path.count)
@@ -264,10 +252,10 @@ def events(problem: Problem, path: Path) -> Events:
     """The events among the nodes from where the drive has reached the first position of the control."""
     node, previous, filled, _, count = event_nodes(path)
     size = filled.shape[0]
-    points, modes = jax.vmap(partial(_points_at_event, problem))(node, previous)
+    points, states = jax.vmap(partial(_points_at_event, problem))(node, previous)
     # With both sides in one batch, the rods are compiled only once.
-    both = (jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides) for sides in (points, modes))
-    states, _ = jax.vmap(lambda point, mode: signals(problem, point.z, point.u, mode))(*both)
+    both = (jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides) for sides in (points, states))
+    states, _ = jax.vmap(lambda point, state: signals(problem, point.z, point.u, state))(*both)
     before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)
     control = points.before.u * problem.unit.control
 

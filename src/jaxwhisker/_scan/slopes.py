@@ -27,22 +27,18 @@ def state_slopes(problem: Problem, control: Float[Array, " steps"], solutions: S
 
     These are its control and, with friction, the places where its contacts stick.
     """
-    known, friction = _places(solutions), solutions.friction
+    known = solutions.state.places
 
     def function(numbers):
         numbers, moved, shifted = numbers
-        places = jax.tree.map(lambda place, shift: place + shift, known, shifted)
-        steps = solutions if friction is None else solutions._replace(friction=friction._replace(**places))
+        steps = solutions
+        if known is not None:
+            places = jax.tree.map(lambda place, shift: place + shift, known, shifted)
+            steps = solutions._replace(state=solutions.state.stuck_at(places))
         return states(eqx.combine(numbers, problem), control + moved, steps)[0]
 
     still = jax.tree.map(lambda place: jnp.zeros(place.shape[1:]), known)
     return jacobian(function, (problem.numbers(), jnp.zeros(()), still))
-
-
-def _places(solutions: Solutions) -> dict[str, Array] | None:
-    """Where contacts stick at each step, (steps, whiskers); None without friction."""
-    friction = solutions.friction
-    return None if friction is None else {"beyond": friction.beyond, "parameter": friction.parameter}
 
 
 def chain_slopes(path: Path, problem: Problem, stops: Float[Array, " stops"]):
@@ -86,8 +82,8 @@ def state_tangents(args, args_dot):
         return NotImplemented
     slopes = state_slopes_now(problem, control, solutions)
     direction = direction_of(numbers, problem_dot.numbers())
-    places, dots = jax.tree.leaves(_places(solutions)), None if solutions_dot is None else _places(solutions_dot)
-    dots = [None] * len(places) if dots is None else [dots[name] for name in sorted(dots)]
+    places, dots = solutions.state.places or (), None if solutions_dot is None else solutions_dot.state.places
+    dots = [None] * len(places) if dots is None else dots
     return _along_each(slopes, direction, direction_of([control, *places], [control_dot, *dots])), None
 
 

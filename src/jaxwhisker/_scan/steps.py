@@ -7,12 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.friction import Friction, newly_slipping
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.implicit import solved
-from jaxwhisker._equilibrium.pieces import where_touching
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, at_control, dot, scale_of
+from jaxwhisker._equilibrium.point import Contacts, Point, at_control, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_points
 from jaxwhisker._equilibrium.stability import is_stable
@@ -39,65 +38,47 @@ def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
     into = dot(here.leaving, there.arriving, scale)
     into = jnp.where(into > 0, into, 1.0)
 
-    def cubic(start, end, leaving, arriving, t):
-        leaving, arriving = leaving * length, arriving * length / into
-        bend = 3 * (end - start) - 2 * leaving - arriving
-        twist = leaving + arriving - 2 * (end - start)
-        return start + t * (leaving + t * (bend + t * twist)), leaving + t * (2 * bend + t * 3 * twist)
+    def cubic(start, stop, leaving, arriving):
+        return Cubic(start, stop, leaving * length, arriving * length / into)
+
+    z_at, u_at = map(cubic, here.point, end, here.leaving, there.arriving)
 
     def towards(_, t):
-        value, slope = cubic(here.point.u, end.u, here.leaving.u, there.arriving.u, t)
-        return jnp.clip(t - (value - u) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
+        slope = u_at.rate(t)
+        return jnp.clip(t - (u_at.value(t) - u) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
 
     span = end.u - here.point.u
     t = jnp.clip((u - here.point.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
     t = jax.lax.fori_loop(0, 6, towards, t)
-    z, _ = cubic(here.point.z, end.z, here.leaving.z, there.arriving.z, t)
-    return Point(jnp.where(apart, z, here.point.z), u)
+    return Point(jnp.where(apart, z_at.value(t), here.point.z), u)
 
 
 class Solutions(NamedTuple):
     """Equilibria at the steps of a scan. Steps that failed hold free whiskers."""
 
     z: Float[Array, "*steps whiskers numbers"]
-    phase: Int[Array, "*steps whiskers"]
-    side: Float[Array, "*steps whiskers"]
+    state: ContactState
     status: Int[Array, "*steps"]
-    friction: Friction | None = None
     node: Int[Array, "*steps"] | None = None  # of the path, before the step; None without friction
-    piece: Int[Array, "*steps whiskers"] | None = None  # of the profile at each contact; None without edges
-
-    @property
-    def mode(self) -> Mode:
-        """The modes of the steps."""
-        separate = jnp.zeros(self.status.shape, bool)
-        return Mode(self.phase, self.side, separate, friction=self.friction, piece=self.piece)
 
 
 def _solve(
     problem: Problem, path: Path, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Int[Array, " steps"]
 ) -> Solutions:
     """Solve for the equilibria at controls after nodes `index`; `known` is the status of the path there."""
-    nodes = path.nodes
-    friction = jax.tree.map(lambda leaf: leaf[index], nodes.friction)
-    piece = None if nodes.piece is None else nodes.piece[index]
-    mode = Mode(nodes.phase[index], nodes.side[index], jnp.zeros(index.shape, bool), friction=friction, piece=piece)
+    state = jax.tree.map(lambda leaf: leaf[index], path.nodes.state)
     guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
-    solution = solve_points(problem, mode, jax.vmap(at_control)(u, guess.z), guess)
+    solution = solve_points(problem, state, jax.vmap(at_control)(u, guess.z), guess)
     z = solution.point.z
     near = jnp.max(jnp.abs(z - guess.z) / scale_of(z), axis=(1, 2)) < JUMP
-    stable = jax.vmap(lambda *own: is_stable(problem, *own))(mode, solution.newton.condensed)
+    stable = jax.vmap(lambda *own: is_stable(problem, *own))(state, solution.newton.condensed)
     status = jnp.where(solution.converged & near, jnp.where(stable, Status.ok, Status.unstable), Status.inexact)
     status = jnp.where(known == Status.ok, status, known)
     accepted = (status == Status.ok)[:, None]
     # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see `safe_placeholder`).
-    phase = jnp.where(accepted, mode.phase, Phase.free)
+    state = state.ended(~accepted & jnp.ones_like(state.free))
     z = jnp.where(accepted[:, None], z, problem.unloaded(jnp.zeros(()))[0])
-    piece = where_touching(piece, phase != Phase.free)
-    if friction is None:
-        return Solutions(z, phase, mode.side, status, piece=piece)
-    friction = newly_slipping(friction, ~accepted & jnp.ones_like(phase, bool), mode.side)
-    return Solutions(z, phase, mode.side, status, friction, index, piece)
+    return Solutions(z, state, status, None if state.friction is None else index)
 
 
 def solve_steps(
@@ -130,19 +111,18 @@ def states(
 ) -> tuple[State, Int[Array, " steps"]]:
     """States and status of solved steps, in the scene's units, with derivatives; NaN for steps that failed."""
     u = control / problem.unit.control
-    modes = solutions.mode
 
-    def point(u: Scalar, z: Contacts, mode: Mode) -> Point:
-        return solved(Point(z, jax.lax.stop_gradient(u)), problem, mode, at_control(u, z))
+    def point(u: Scalar, z: Contacts, state: ContactState) -> Point:
+        return solved(Point(z, jax.lax.stop_gradient(u)), problem, state, at_control(u, z))
 
     # This is outside the loop because a loop that is differentiated backwards drops the rules for second derivatives.
-    points = jax.vmap(point)(jnp.where(jnp.isfinite(u), u, 0.0), solutions.z, modes)
+    points = jax.vmap(point)(jnp.where(jnp.isfinite(u), u, 0.0), solutions.z, solutions.state)
     batch = min(BATCH, control.shape[0])
-    state, residual = jax.lax.map(
-        lambda one: signals(problem, one[0].z, one[0].u, one[1]), (points, modes), batch_size=batch
+    values, residual = jax.lax.map(
+        lambda one: signals(problem, one[0].z, one[0].u, one[1]), (points, solutions.state), batch_size=batch
     )
     ok = solutions.status == Status.ok
     status = jnp.where(ok & ~(residual < RESIDUAL), Status.inexact, solutions.status)
     ok = (status == Status.ok)[:, None]
-    state = jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), state)
-    return state, status
+    values = jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), values)
+    return values, status

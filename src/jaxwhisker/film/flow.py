@@ -16,12 +16,14 @@ from jaxtyping import Array, Bool, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import FORCE
+from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.newton import newton_step
-from jaxwhisker._equilibrium.point import Contacts, Mode, Point, Row, at_control, dot, scale_of, unit
-from jaxwhisker._equilibrium.problem import PerWhisker, Poses, Problem
+from jaxwhisker._equilibrium.newton import Apart, newton_step
+from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control, dot, scale_of, unit
+from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_point
+from jaxwhisker._equilibrium.stance import Poses
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import Node, select
@@ -39,16 +41,13 @@ class _Kept(NamedTuple):
     """Contacts and bases in a state of the flow."""
 
     z: Contacts
-    phase: Int[Array, " whiskers"]
-    side: PerWhisker
-    friction: Friction | None
+    state: ContactState
     pose: Poses
-    piece: Int[Array, " whiskers"] | None
 
 
 class _Going(NamedTuple):
     flow: snap_flow.Flow
-    mode: Mode
+    state: ContactState
     z: Contacts
     begun: Bool[Array, ""]
     over: Bool[Array, ""]
@@ -79,28 +78,27 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
 def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
     """States of the flow that begins at a node of the path, padded, and their number."""
     dimensionless, u = problem_of(scene), before.point.u
-    still = before.mode
+    still = before.state
     tangent, tangent_pose, pose = _leaving(dimensionless, still, before)
 
     def step(at: _Going) -> _Going:
         kicked = snap_flow.kick(at.flow, before.point, tangent, tangent_pose)
-        flow = select(at.begun, snap_flow.propose(dimensionless, at.flow, at.mode, Point(at.z, u)), kicked)
-        held = dimensionless.across(flow.pose)
-        mode = at.mode._replace(separate=jnp.asarray(True), held=held)
-        solution = solve_point(dimensionless, mode, at_control(u, flow.guess), Point(flow.guess, u))
-        pose = jnp.where(dimensionless.solved(at.mode.phase)[:, None], solution.newton.pose, flow.pose)
+        flow = select(at.begun, snap_flow.propose(dimensionless, at.flow, at.state, Point(at.z, u)), kicked)
+        apart = Apart(jnp.asarray(True), dimensionless.across(flow.pose))
+        solution = solve_point(dimensionless, at.state, at_control(u, flow.guess), Point(flow.guess, u), apart)
+        pose = jnp.where(dimensionless.solved(at.state.phase)[:, None], solution.newton.pose, flow.pose)
         stance = dimensionless.stance(u, pose, solution.point.z)
-        flow, mode, z = snap_flow.advance(dimensionless, flow, at.mode, at.z, solution, stance)
-        rested = snap_flow.at_rest(dimensionless, flow, mode, u)
+        flow, state, z = snap_flow.advance(dimensionless, flow, at.state, at.z, solution, stance)
+        rested = snap_flow.at_rest(dimensionless, flow, state, u)
         keep = ~jnp.any(flow.sliding | flow.landing)
-        now = _Kept(z, mode.phase, mode.side, mode.friction, flow.pose, mode.piece)
+        now = _Kept(z, state, flow.pose)
         index = jnp.where(keep, at.count, MOST_STATES)
         kept = jax.tree.map(lambda all, one: all.at[index].set(one, mode="drop"), at.kept, now)
-        onwards = _Going(flow, mode, z, jnp.asarray(True), rested | flow.exhausted, kept, at.count + keep)
+        onwards = _Going(flow, state, z, jnp.asarray(True), rested | flow.exhausted, kept, at.count + keep)
         shorter = snap_flow.shortened(at.flow)
         return select(solution.converged, onwards, at._replace(flow=shorter, over=shorter.exhausted))
 
-    first = _Kept(before.point.z, before.phase, before.side, before.friction, pose, before.piece)
+    first = _Kept(before.point.z, still, pose)
     room = jax.tree.map(lambda leaf: jnp.zeros((MOST_STATES, *leaf.shape), leaf.dtype), first)
     no = jnp.asarray(False)
     flow = snap_flow.start(still, pose, before.point.z, dimensionless.profile.has_edges)
@@ -109,11 +107,11 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
     return jax.vmap(lambda kept: _state_in_scene(dimensionless, u, kept))(end.kept), end.count
 
 
-def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, Poses]:
+def _leaving(problem: Problem, state: ContactState, before: Node) -> tuple[Point, Poses, Poses]:
     """Tangent of the path at a node, for contacts and for bases, and the poses of the bases."""
     point, leaving = before.point, before.leaving
-    scale, none = scale_of(point.z), jnp.zeros_like(point.z[:, 0])
-    here = newton_step(problem, mode, Row(leaving.z / scale**2, point.z, leaving.u, point.u, none), point)
+    scale, none = scale_of(point.z), jnp.zeros_like(point.z[:, FORCE])
+    here = newton_step(problem, state, PathCondition(leaving.z / scale**2, point.z, leaving.u, point.u, none), point)
     tangent, length = unit(here.tangent, point.z)
     sign = jnp.where(dot(leaving, tangent, scale) < 0, -1.0, 1.0)
     return Point(sign * tangent.z, sign * tangent.u), sign / length * here.tangent_pose, here.pose
@@ -121,9 +119,8 @@ def _leaving(problem: Problem, mode: Mode, before: Node) -> tuple[Point, Poses, 
 
 def _state_in_scene(problem: Problem, u: Scalar, kept: _Kept) -> State:
     """State in the scene's units; bases of free whiskers have the pose of the flow."""
-    mode = Mode(kept.phase, kept.side, jnp.asarray(False), friction=kept.friction, piece=kept.piece)
-    state, _ = signals(problem, kept.z, u, mode)
-    here, free = problem.in_scene(u, kept.pose), ~problem.solved(kept.phase)
+    state, _ = signals(problem, kept.z, u, kept.state)
+    here, free = problem.in_scene(u, kept.pose), ~problem.solved(kept.state.phase)
     return dataclasses.replace(
         state,
         base_x=jnp.where(free, here.x * problem.unit.length, state.base_x),

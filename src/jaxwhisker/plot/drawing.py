@@ -17,9 +17,8 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.simulation import Simulation
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.friction import slipping_from
-from jaxwhisker._equilibrium.point import Mode
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.motion import Pose, Rotation
 from jaxwhisker._model.scene import Scene, Sensor, units
@@ -189,9 +188,7 @@ def _rest_state(scene: Scene, control: Scalar) -> State:
     problem = problem_of(scene)
     u = control / problem.unit.control
     if problem.attached is not None:
-        side = jnp.ones(scene.support.whiskers)
-        friction = None if problem.friction_angle is None else slipping_from(side)
-        free = Mode(jnp.zeros(side.size, int), side, jnp.asarray(False), friction=friction)
+        free = all_free(problem, jnp.ones(scene.support.whiskers))
         return signals(problem, problem.unloaded(u)[0], u, free)[0]
     at, size = problem.in_scene(u, problem.rest(u)), problem.unit.length
     none = jnp.zeros(scene.support.whiskers)

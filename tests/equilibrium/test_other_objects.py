@@ -1,0 +1,75 @@
+"""Shafts before an object that they do not touch: circles at known distances from arcs."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium import other_objects
+from jaxwhisker._equilibrium.clearance import DEPTH
+from jaxwhisker._equilibrium.other_objects import CHORD
+from shafts import points, shaft
+
+SHALLOW, DEEP = -0.8 * DEPTH, -1.2 * DEPTH  # gaps on both sides of the limit; the cubics are better than 2e-6
+BASE, TIP = -0.7, 0.5  # arc lengths from the contact
+LANES = 24
+
+
+def arc(curvature):
+    return 0.1, 0.7, 1.8, curvature
+
+
+@Program
+def meets_circles(own, distance, radius, position):
+    return jax.vmap(lambda *numbers: other_objects.meets(jw.Circle(*numbers), own))(distance, radius, position)
+
+
+def circles_meet(curvature, s, side, gap, radius):
+    """Whether circles meet the shaft that lie beside a place of it, at these gaps."""
+    given = np.broadcast_arrays(s, side, gap, radius)
+    s, side, gap, radius = (np.resize(values.astype(float), LANES) for values in given)
+    x, y, phi = points(*arc(curvature), s)
+    right, up = x + side * (radius + gap) * np.sin(phi), y - side * (radius + gap) * np.cos(phi)
+    own = shaft(*arc(curvature), -BASE, TIP)
+    return np.asarray(meets_circles(own, jnp.asarray(up - radius), jnp.asarray(radius), jnp.asarray(right)))
+
+
+@pytest.mark.parametrize("curvature", [0.0, -1.3, 1.3])
+def test_a_shaft_meets_a_circle_that_it_dips_into(curvature):
+    # In the midst of cells and at points; the smallest circles fit between two points.
+    s = np.array([-0.55, -0.3501, -0.01, 0.0, 0.05, 0.3137])
+    radius = np.array([0.002, 0.02, 0.2])[:, None]
+    for side in (1.0, -1.0):
+        for gap in (0.1, SHALLOW):
+            assert not circles_meet(curvature, s, side, gap, radius).any()
+        assert circles_meet(curvature, s, side, DEEP, radius).all()
+        assert circles_meet(curvature, s, side, -0.001, radius[1:]).all()
+
+
+def test_beyond_its_ends_a_shaft_meets_nothing():
+    s = np.array([TIP + 0.03, BASE - 0.03])
+    assert not circles_meet(-1.3, s, 1.0, -0.02, 0.02).any()
+    # ... but its ends may be inside an object.
+    assert circles_meet(-1.3, s, 1.0, -0.032, 0.032).all()
+
+
+def test_an_object_above_the_tip_is_not_met():
+    assert not circles_meet(0.0, TIP + 1.0, 1.0, -0.05, 0.1).any()
+
+
+@Program
+def sides(own, distance, position):
+    return jax.vmap(lambda q, x: other_objects.passes(jw.Circle(q, 0.1, x), own))(distance, position)
+
+
+def test_the_side_on_which_a_shaft_passes_the_lowest_point():
+    own = shaft(*arc(-1.3), -BASE, TIP)
+    s = np.array([-0.55, -0.35, -0.01, 0.0, 0.2, 0.45])
+    x, y, _ = points(*arc(-1.3), s)
+    for away, expected in ((-2 * CHORD, 1.0), (2 * CHORD, -1.0), (0.0, 0.0), (0.5 * CHORD, 0.0)):
+        assert sides(own, jnp.asarray(y), jnp.asarray(x + away)).tolist() == [expected] * 6
+    # Above its tip and below its base nobody is passed.
+    ends = np.resize([np.max(points(*arc(-1.3), np.array([TIP]))[1]) + 0.01, y[0] - 0.3], 6)
+    assert sides(own, jnp.asarray(ends), jnp.asarray(x - 1.0)).tolist() == [0.0] * 6
