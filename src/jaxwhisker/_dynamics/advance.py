@@ -208,34 +208,34 @@ def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
     poses = system.rods.length, rod.base, rod.angle
     fixed, still, known = jax.lax.stop_gradient((system, poses, (at.arc, at.parameter)))
 
-    def follow(points):
-        return jax.vmap(lambda pose, points: followed(posed(fixed, *pose), *points))(still, points)
+    def follow(poses, points):
+        return jax.vmap(lambda pose, points: followed(posed(fixed, *pose), *points))(poses, points)
 
-    def search(points):
-        return jax.vmap(lambda *pose: closest(posed(fixed, *pose)))(*still), jnp.ones_like(mode.touches)
+    def search(poses, points):
+        return jax.vmap(lambda *pose: closest(posed(fixed, *pose)))(*poses), jnp.ones_like(mode.touches)
 
     off = jnp.abs(at.gap.end) + jnp.abs(at.gap.foot) > CLOSEST
-    points, found = _where(~mode.touches & off & ~mode.imposed.held, follow, known, ~mode.imposed.held)
+    points, found = _where(~mode.touches & off & ~mode.imposed.held, follow, still, known, ~mode.imposed.held)
     if at.beside is None:
-        points, _ = _where(~found, search, points, found)
+        points, _ = _where(~found, search, still, points, found)
     else:  # another object may be nearer
         near, stays = at.beside < jnp.maximum(at.gap.distance, 0.0) + NEAR, mode.touches & ~mode.imposed.held
 
-        def renew(points):
-            points = jax.tree.map(lambda own, new: jnp.where(stays, own, new), points, search(points)[0])
-            return points, jax.vmap(lambda pose, parameter: beside(posed(fixed, *pose), parameter))(still, points[1])
+        def renew(poses, points):
+            points = jax.tree.map(lambda own, new: jnp.where(stays, own, new), points, search(poses, points)[0])
+            return points, jax.vmap(lambda pose, parameter: beside(posed(fixed, *pose), parameter))(poses, points[1])
 
-        points, others = _where(near | ~found, renew, points, at.beside)
+        points, others = _where(near | ~found, renew, still, points, at.beside)
         at, found = at._replace(beside=others), found & (stays | ~near)
 
-    def measure(points):
-        return points, jax.vmap(lambda pose, parameter: deepest(posed(fixed, *pose), parameter))(still, points[1])
+    def measure(poses, points):
+        return points, jax.vmap(lambda pose, parameter: deepest(posed(fixed, *pose), parameter))(poses, points[1])
 
     # A convex object is on the other side of its tangent: a shaft that does not cross it is outside.
     off_tangent = jnp.sum(at.gap.normal[..., None] * rod.at, axis=1)
     touched = at.gap.normal[:, 0] * at.gap.object.x + at.gap.normal[:, 1] * at.gap.object.y
     crosses = jnp.min(off_tangent, axis=1) < touched - CROSSES
-    points, least = _where(jax.lax.stop_gradient(crosses), measure, points, at.deepest)
+    points, least = _where(jax.lax.stop_gradient(crosses), measure, still, points, at.deepest)
     at = at._replace(deepest=least)
     changes = jax.tree.map(jnp.subtract, points, known)
     arc, parameter = at.arc + changes[0], at.parameter + changes[1]
@@ -249,17 +249,19 @@ def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
 
 
 def _where(
-    needed: Array, found: Callable, points: tuple[Array, Array], are_found: Array
+    needed: Array, found: Callable, poses: tuple[Array, ...], points: tuple[Array, Array], are_found: Array
 ) -> tuple[tuple[Array, Array], Array]:
     """Points, and whether they are found: computed anew for the whiskers that need it, and unchanged for the others.
 
-    The loop runs once, or not at all if no whisker needs it. Below vmap, `cond` would always compute them.
+    The loop runs once, or not at all if no whisker needs it. Below vmap, `cond` would always compute them. Without the
+    barrier, XLA would move what follows from the poses out of the loop, and compute it in every time step.
     """
 
     def body(carry):
         needed, values = carry
+        wanted, at = jax.lax.optimization_barrier((needed, poses))
         return jnp.zeros_like(needed), jax.tree.map(
-            lambda new, old: jnp.where(needed, new, old), found(values[0]), values
+            lambda new, old: jnp.where(wanted, new, old), found(at, values[0]), values
         )
 
     return jax.lax.while_loop(lambda carry: jnp.any(carry[0]), body, (needed, (points, are_found)))[1]
