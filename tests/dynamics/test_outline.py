@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from jaxwhisker._dynamics.outline import APART, ObjectChain, number_of, only, outline, samples, span
+from jaxwhisker._dynamics.outline import APART, ObjectChain, number_of, objects_at, outline, samples, span
 from jaxwhisker._model.objects import as_one
 
 CORNERS = np.array([(1.6, 0.6), (1.8, 0.4), (2.0, 0.35), (2.3, 0.5)])
@@ -27,7 +27,8 @@ def own(k, share):
 def test_a_single_object_is_its_own_outline():
     circle = EACH[0]
     assert outline(circle) is circle
-    assert only(circle, jnp.asarray(0.3)) is circle
+    ((alone, parameter, is_own),) = objects_at(circle, jnp.asarray(0.3))
+    assert alone is circle and parameter == 0.3 and is_own
     np.testing.assert_allclose(samples(circle, 3), [-np.pi, 0.0, np.pi])  # all around: whiskers reach behind it
     assert number_of(circle, jnp.zeros(4)).tolist() == [0, 0, 0, 0]
 
@@ -72,12 +73,14 @@ def test_points_and_their_derivatives_are_those_of_the_object():
     assert CHAIN.has_edges and not outline(as_one((EACH[0], EACH[2]))).has_edges
 
 
-def test_one_object_of_several_has_its_own_ends_and_keeps_its_number():
+def test_each_object_and_its_own_parameter():
     for k in range(3):
-        parameter = jnp.asarray(own(k, 0.4) + CHAIN.shift[k])
-        alone: Any = only(CHAIN, parameter)
-        np.testing.assert_allclose(alone.ends(), np.array(span(EACH[k]), float) + CHAIN.shift[k], atol=EXACT)
-        assert number_of(alone, parameter) == k
+        objects = objects_at(CHAIN, jnp.asarray(own(k, 0.4) + CHAIN.shift[k]))
+        assert [one is each for (one, _, _), each in zip(objects, EACH, strict=True)] == [True] * 3
+        assert [bool(is_own) for _, _, is_own in objects] == [n == k for n in range(3)]
+        # The parameters of the others mean nothing, but are on them.
+        expected = [own(n, 0.4) if n == k else one.lowest() for n, one in enumerate(EACH)]
+        np.testing.assert_allclose([parameter for _, parameter, _ in objects], expected, atol=EXACT)
 
 
 def test_objects_that_the_parameter_is_not_on_have_no_derivatives():

@@ -15,6 +15,7 @@ from jaxwhisker._rod.rod import Section
 SEARCHED = 1e-10  # promised of a first touch that is searched
 ROUNDING = 1e-14
 POLYLINE = 1e-8  # position of a polyline of 200,000 points
+FINE = 1e-7  # position of the polylines of a smooth object of 200,000 points and a whisker of 20,000
 TABLE = 1e-9  # position of a circular arc in the outline's table
 
 PARABOLA = jw.Parabola(0.2)
@@ -102,6 +103,38 @@ def test_a_curved_whisker_touches_without_entering_the_object():
     assert abs(s[nearest] - (1 - found.slack)) < 1e-3  # the clearance is flat there: its root
 
 
+CLOSED = {
+    "circle": jw.Circle(0.3, 0.25, 0.05),
+    "upright ellipse": jw.Ellipse(0.31, 0.07, 0.3),
+    "flat ellipse": jw.Ellipse(0.55, 0.3, 0.04),
+    "tilted ellipse": jw.Tilted(jw.Ellipse(0.3, 0.1, 0.3), 0.3, about=(0.0, 0.6)),
+    "tilted box": jw.Tilted(jw.Box(0.3, 0.3, 0.4), 0.4, about=(0.0, 0.5)),
+}
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_a_curved_whisker_may_touch_above_the_widest_place_of_an_object(name):
+    profile, own, length = CLOSED[name], arc(1.0, 1.0), jnp.asarray(1.0)
+    around = profile.around() or profile.ends()
+    outline = jax.vmap(profile.point)(jnp.linspace(*around, 200_001))
+    outline_x, outline_y = np.asarray(outline.x), np.asarray(outline.y)
+    s = np.linspace(0.0, 1.0, 20_001)
+    for side in (1.0, -1.0):
+        zero = jnp.asarray(0.0)
+        found = first_touch(profile, length, own, zero, zero, jnp.asarray(side))
+        x, y = (np.cos(s) - 1), np.sin(s)
+        # Where each point of the whisker meets the outer side of the object in an approach along x.
+        climbs = side * np.asarray(outline.sin) > 0
+        order = np.argsort(outline_y[climbs])
+        at = np.interp(y, outline_y[climbs][order], side * outline_x[climbs][order], left=-np.inf, right=-np.inf)
+        first = np.argmax(at - side * x)
+        assert found.reaches
+        np.testing.assert_allclose(side * found.x, (at - side * x)[first], atol=s[1] if profile.has_edges else FINE)
+        if side > 0:  # with the tip, or with the shaft at this distance from it
+            assert y[first] > outline_y[np.argmax(outline_x)]
+            assert abs(max(float(found.slack), 0.0) - (1 - s[first])) < 1e-3
+
+
 def test_only_a_strongly_curved_whisker_touches_in_two_places():
     narrow, y = jw.Parabola(0.2, 20.0), jnp.asarray(0.19)
     in_two_places = Program(touch.in_two_places)
@@ -138,7 +171,7 @@ def hook(s):
 
 @pytest.mark.parametrize("distance", [0.407, 0.444, 0.494, 0.519, 0.556])
 def test_a_hooked_whisker(distance):
-    # From the left it would touch the object higher than where it is widest, where no contact is modelled.
+    # From the left, its tip touches the object higher than where it is widest.
     profile = jw.Circle(distance, 0.278, 0.93)
     section = jw.Whisker(1.0, 1.0, intrinsic_curvature=hook).section(1.0, 1.0)
     own, zero = touch.outline(jnp.asarray(1.0), section), jnp.asarray(0.0)
@@ -147,9 +180,10 @@ def test_a_hooked_whisker(distance):
     turn = np.pi / 2 + 0.765 * s - 4.324 * s**2 / 2
     x, y = (np.append(0.0, np.cumsum((f[1:] + f[:-1]) / 2 * s[1])) for f in (np.cos(turn), np.sin(turn)))
     half_width = np.sqrt(np.maximum(0.278**2 - (y - distance - 0.278) ** 2, 0.0))
-    below = np.abs(y - distance - 0.139) < 0.139
-    np.testing.assert_allclose(right.x, np.max((0.93 + half_width - x)[below]), atol=POLYLINE)
-    assert left.x < right.x and 0 <= left.slack < 1
+    level = half_width > 0
+    np.testing.assert_allclose(right.x, np.max((0.93 + half_width - x)[level]), atol=POLYLINE)
+    np.testing.assert_allclose(left.x, np.min((0.93 - half_width - x)[level]), atol=POLYLINE)
+    assert left.slack < 0 < right.slack
 
 
 def test_a_hooked_whisker_is_not_overlooked():

@@ -184,3 +184,31 @@ def test_a_whisker_that_would_touch_in_two_places_is_an_error():
     each = jax.vmap(status)(jnp.array([8.0, 2.0]))
     assert np.all(each[0] == jw.Status.invalid)
     assert np.all(each[1] == jw.Status.ok)
+
+
+def test_a_tip_may_touch_above_the_widest_place_of_an_object():
+    whisker, a, b, low = jw.Whisker(intrinsic_curvature=0.7), 0.073, 0.363, 0.31
+
+    def moments(distance):
+        scene = jw.Scene(whisker, jw.Ellipse(distance, a, b), jw.Support.fb(70.0))
+        return jw.scan(scene, np.linspace(0.18, -0.04, 12))
+
+    result = moments(low)
+    assert np.all(np.asarray(result.status) == jw.Status.ok) and np.all(np.asarray(result.phase) == jw.Phase.tip)
+    shapes = jw.shapes(result)
+    base, (x, y) = np.asarray(shapes.x)[:, 0, 0], (np.asarray(s)[:, 0, -1] for s in (shapes.x, shapes.y))
+    assert np.all(y > low + b)
+    np.testing.assert_allclose((x / a) ** 2 + ((y - low - b) / b) ** 2, 1.0, atol=SAME)
+    angle = np.arctan2((y - low - b) / b**2, x / a**2)  # of the outward normal
+    reaction = np.stack([np.asarray(result.fx)[:, 0], np.asarray(result.fy)[:, 0]])
+    size = np.hypot(*reaction)
+    np.testing.assert_allclose(reaction, -size * np.stack([np.cos(angle), np.sin(angle)]), atol=SAME)
+    # The same force at the tip of a clamped whisker bends it to the same place.
+    bend = jax.jit(jax.vmap(lambda force, angle: jw.deflect(whisker, jw.PointForce(force, direction=angle))))
+    bent = bend(jnp.asarray(size), jnp.asarray(angle))
+    np.testing.assert_allclose(bent.x[:, -1], x - base, atol=SAME)
+    np.testing.assert_allclose(bent.y[:, -1], y, atol=SAME)
+    np.testing.assert_allclose(bent.mz, np.asarray(result.mz)[:, 0], atol=SAME)
+    above, below = (np.asarray(moments(low + d).mz) for d in (DIFFERENCE, -DIFFERENCE))
+    slope = jax.jvp(lambda q: moments(q).mz, (low,), (1.0,))[1]
+    np.testing.assert_allclose(slope, (above - below) / (2 * DIFFERENCE), rtol=DIFFERENCES)

@@ -112,6 +112,27 @@ def test_clear_shafts_are_not_reported(name):
     np.testing.assert_array_equal(result.mz, plain.mz)
 
 
+def inside_polygon(result):
+    """How deep the polyline of a whisker is inside a polygon, per step; negative outside."""
+    corners = np.asarray(result.scene.profile.vertices)
+    x, y = (np.roll(corners, -1, axis=0) - corners).T
+    normal = np.stack([y, -x], axis=1) / np.hypot(x, y)[:, None]
+    line = lines(result)[:, 0]
+    return np.max(-np.max(np.sum((line[:, :, None] - corners) * normal, axis=-1), axis=-1), axis=-1)
+
+
+@pytest.mark.parametrize(("curvature", "low", "width"), [(1.1, 0.43, 0.4), (0.79, 0.31, 0.6), (0.58, 0.35, 0.45)])
+def test_curved_whiskers_meet_polygons_again_where_a_polyline_is_inside(curvature, low, width):
+    # Such whiskers cross the line of a face that they are far from, which is no contact.
+    corners = [(-width / 2 - 0.1, low + 0.4), (0.0, low), (width / 2, low + 0.3)]
+    scene = jw.Scene(jw.Whisker(intrinsic_curvature=curvature), jw.Polygon(corners), jw.Support.fb(70.0))
+    plain, result = jw.scan(detecting(scene), CONTROL), jw.scan(scene, CONTROL)
+    onset, found = first(inside_polygon(plain) > DEPTH), first(np.asarray(result.status) != jw.Status.ok)
+    assert found > first(np.asarray(result.phase)[:, 0] != jw.Phase.free) + 20
+    assert abs(onset - found) <= STEPS
+    assert found == CONTROL.size or result.status[found] == jw.Status.second_contact
+
+
 def test_the_onset_does_not_depend_on_the_control():
     # The search follows the path: it finds a contact between two steps, and one before the first step.
     scene, _ = MEETING["leans away, then over the object"]

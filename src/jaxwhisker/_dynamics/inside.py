@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxwhisker._base.interpolation import between
 from jaxwhisker._dynamics.gap import Posed
 from jaxwhisker._dynamics.legendre import weights_at
-from jaxwhisker._dynamics.outline import only
-from jaxwhisker._equilibrium.clearance import dips
-from jaxwhisker._equilibrium.shaft import Line
+from jaxwhisker._dynamics.outline import objects_at
+from jaxwhisker._equilibrium.clearance import DEPTH, least_gap
 
 CELLS = 128  # of the whisker: the corner of an object may lie in one
 
@@ -21,6 +21,9 @@ def deepest(posed: Posed, parameter: Float[Array, ""]) -> Float[Array, ""]:
     arcs = jnp.linspace(0.0, 1.0, CELLS + 1)
     turned = jnp.stack([jnp.cos(posed.angle), jnp.sin(posed.angle)], axis=-1)
     direction, way = jnp.moveaxis(jax.vmap(lambda s: weights_at(posed.basis, s))(arcs) @ turned, 1, 0)
-    (x, y), (cos, sin) = (posed.base + posed.length * way).T, direction.T
-    line = Line(x, y, cos, sin, jnp.full(CELLS, posed.length / CELLS))
-    return jnp.min(dips(only(posed.profile, parameter), parameter, (line,))[0])
+    points, least = posed.base + posed.length * way, jnp.inf
+    cells = between(points, direction, posed.length / CELLS)
+    for one, at, is_own in objects_at(posed.profile, parameter):
+        gap = least_gap(one, cells, at)
+        least = jnp.where(is_own & (gap < -DEPTH), gap, least)
+    return least

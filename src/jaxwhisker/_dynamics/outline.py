@@ -5,7 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile
@@ -18,7 +18,6 @@ class ObjectChain(AbstractProfile):
 
     each: tuple[AbstractProfile, ...]
     shift: tuple[Scalar, ...]  # of the parameters of each object
-    range: tuple[Scalar, Scalar] | None = None  # of the parameters; default: those of all objects
 
     @property
     def has_edges(self):
@@ -48,8 +47,6 @@ class ObjectChain(AbstractProfile):
         return chosen
 
     def ends(self):
-        if self.range is not None:
-            return self.range
         (first, _), (_, last) = span(self.each[0]), span(self.each[-1])
         return first + self.shift[0], last + self.shift[-1]
 
@@ -88,13 +85,16 @@ def outline(profile: AbstractProfile) -> AbstractProfile:
     return ObjectChain(profile.objects, tuple(shifts))
 
 
-def only(profile: AbstractProfile, parameter: Float[Array, ""]) -> AbstractProfile:
-    """The outline of the object with this parameter."""
+def objects_at(
+    profile: AbstractProfile, parameter: Float[Array, ""]
+) -> list[tuple[AbstractProfile, Float[Array, ""], Bool[Array, ""]]]:
+    """Each object, a parameter on it, and whether it is the one that this parameter of the outline belongs to."""
     if not isinstance(profile, ObjectChain):
-        return profile
-    ends = [[end + shift for end in span(one)] for one, shift in zip(profile.each, profile.shift, strict=True)]
-    first, last = jnp.asarray(ends)[number_of(profile, parameter)]
-    return ObjectChain(profile.each, profile.shift, (first, last))
+        return [(profile, parameter, jnp.asarray(True))]
+    number, found = number_of(profile, parameter), []
+    for k, (one, shift) in enumerate(zip(profile.each, profile.shift, strict=True)):
+        found.append((one, jnp.where(number == k, parameter - shift, one.lowest()), number == k))
+    return found
 
 
 def samples(profile: AbstractProfile, count: int) -> Float[Array, " parameters"]:

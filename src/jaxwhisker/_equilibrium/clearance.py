@@ -1,64 +1,128 @@
-"""Clearance: the gap between a shaft and the object, and where two shafts cross.
+"""Clearance: the least gap between a whole shaft and an object.
 
-The gap is the signed distance of a point from the object, negative inside. Between two points of the shaft it is taken
-for the cubic with its values and slopes there, whose minimum is known in closed form: a contact between two points is
-not overlooked.
+The gap is the signed distance of a point from the object, negative inside. A convex object lies on one side of its
+tangent at the contact. A shaft that stays on the other side is clear of it, and this is all that most states need.
+Otherwise the nearest points on the profile are searched for.
 
-A convex object lies on one side of its tangent at the contact. A shaft that stays on the other side is clear of it, and
-this is all that most states need. Otherwise the nearest points on the profile are searched for.
-
-Two shafts cross where their cubics do. The pair of chords that cross deepest is the first guess for Newton's method.
+Between two points, a straight shaft cannot be nearer to a convex object than the tangents of the gap at both points
+allow; a bent one may be nearer by a known amount. Where this bound is below the limit, as at a sharp corner between the
+points, the gap is computed there as well, until it is certain.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker._base.interpolation import Cubic, between
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.shaft import Line, Shaft
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.rod import Along
 
 DEPTH = 2e-5  # least depth of a second contact, in lengths of the first whisker: twice the error of the cubics
+CERTAIN = 1e-8  # largest difference between the least gap that was computed and the bound
+MOST_CUTS = 60  # few are needed, except by a shaft that touches an object along many cells
 NEAREST_ERROR = 1e-5  # distance along the profile from the nearest point; the gap is off by its square
 NEAREST_STEPS = 50  # as many as bisection needs; Newton's method needs six
-CROSSING_STEPS = 4
-CROSSING_ERROR = 1e-9  # distance of two shafts where they cross
-OUTSIDE = 0.25  # of a cell: how far a crossing may lie outside the cells whose chords cross
+TANGENTS = 16  # of a closed object, from one of which Newton's method starts
 
 
-def meets_again(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
-    """Whether a shaft dips into the object by more than `DEPTH`."""
-    gaps = dips(profile, own.parameter, (own.to_base, own.to_tip))
-    return jnp.any(jnp.concatenate(gaps) < jnp.inf)
+class _Place(NamedTuple):
+    """A place in a cell, the gap there, and its derivative by the place."""
+
+    t: Float[Array, "*cells"]
+    gap: Float[Array, "*cells"]
+    slope: Float[Array, "*cells"]
 
 
-def dips(profile: AbstractProfile, parameter: Scalar, lines: tuple[Line, ...]) -> list[Float[Array, " cells"]]:
-    """The smallest gap in each cell of lines, infinite unless it is inside the object by more than `DEPTH`.
+class _Section(NamedTuple):
+    """The parts of cells in which the shaft may come nearest."""
 
-    The lines touch the object at this parameter, or are closest to it there.
+    start: _Place
+    end: _Place
+    bend: Float[Array, " cells"]  # how far at most a whole cell leaves the tangent at one of its ends
+
+    def lowest(self) -> tuple[Float[Array, " cells"], Float[Array, " cells"]]:
+        """Where the tangents of the gap at both ends meet, and a lower bound of the gap."""
+        (low, gap, leaving), (high, end_gap, arriving) = self.start, self.end
+        turns, size = (leaving < 0) & (arriving > 0), high - low
+        share = jnp.where(
+            turns, (end_gap - gap - arriving * size) / jnp.where(turns, leaving - arriving, 1.0), size / 2
+        )
+        bound = jnp.where(turns, gap + leaving * share, jnp.minimum(gap, end_gap))
+        return low + share, bound - self.bend * size**2
+
+    def least(self) -> Float[Array, ""]:
+        """The least gap that was computed."""
+        return jnp.min(jnp.minimum(self.start.gap, self.end.gap))
+
+
+def least_gap(profile: AbstractProfile, cells: Cubic, parameter: Scalar | None = None) -> Float[Array, ""]:
+    """The least gap of a shaft whose cells follow one another, exact only if it is below `-DEPTH`; no derivatives.
+
+    The shaft touches the object at this parameter, or is closest to it there. Without a parameter it does not touch it.
     """
-    at = profile.point(parameter)
-    # Cells on the wrong side of the tangent at the contact, and their points.
-    beyond = [_least(line, *_gap(line, at)) < -DEPTH for line in lines]
-    wanted = [jnp.append(cells, False) | jnp.append(False, cells) for cells in beyond]
-    x, y = (jnp.concatenate([getattr(line, name) for line in lines]) for name in ("x", "y"))
-    feet = nearest(profile, parameter, x, y, jnp.concatenate(wanted))
-    at, found = jax.vmap(profile.point)(feet), []
-    for k, line in enumerate(lines):
-        part = slice(lines[0].x.size) if k == 0 else slice(lines[0].x.size, None)
-        gap, slope = _gap(line, jax.tree.map(lambda leaf, part=part: leaf[part], at))
-        # Where an object ends, there is no nearest point.
-        known = jnp.abs(_along(line.x, line.y, jax.tree.map(lambda leaf, part=part: leaf[part], at))) < NEAREST_ERROR
-        least = _least(line, gap, slope)
-        found.append(jnp.where(beyond[k] & known[:-1] & known[1:] & (least < -DEPTH), least, jnp.inf))
-    return found
+    profile, cells, parameter = jax.lax.stop_gradient((profile, cells, parameter))
+    points = jnp.append(cells.start, cells.end[-1:], axis=0)
+    if parameter is None:
+        near = jnp.asarray(profile.lowest(), dtype=float)
+        above = points[:, 1] > profile.vertex()[1]
+        searched = above[:-1] | above[1:]
+    else:
+        near = parameter
+        at = profile.point(parameter)
+        off = _off(*points.T, at)
+        leaving, arriving = (x * at.sin - y * at.cos for x, y in (cells.leaving.T, cells.arriving.T))
+        searched = Cubic(off[:-1], off[1:], leaving, arriving).least() < -DEPTH
+    gap, normal = _gaps(profile, points, near, jnp.append(searched, False) | jnp.append(False, searched))
+    zero, bend = jnp.zeros(gap.size - 1), jnp.linalg.norm(cells.arriving - cells.leaving, axis=1) / 2
+    start = _Place(zero, jnp.where(searched, gap[:-1], jnp.inf), jnp.sum(cells.leaving * normal[:-1], axis=1))
+    end = _Place(zero + 1, jnp.where(searched, gap[1:], jnp.inf), jnp.sum(cells.arriving * normal[1:], axis=1))
+
+    def goes_on(carry) -> Bool[Array, ""]:
+        section, cuts = carry
+        bound = jnp.min(section.lowest()[1])
+        return (bound < -DEPTH) & (bound < section.least() - CERTAIN) & (cuts < MOST_CUTS)
+
+    def cut(carry):
+        section, cuts = carry
+        t, bound = section.lowest()
+        k = jnp.argmin(bound)
+        # Tangents alone might always cut off the same side.
+        t = jnp.where(cuts % 2 == 1, (section.start.t + section.end.t) / 2, t)
+        cell, t = jax.tree.map(lambda leaf: leaf[k], (cells, t))
+        gap, normal = _gaps(profile, cell.value(t)[None], near, jnp.ones(1, bool))
+        place = _Place(t, gap[0], jnp.sum(cell.rate(t) * normal[0]))
+
+        def renewed(places: _Place, renew: Bool[Array, ""]) -> _Place:
+            return jax.tree.map(lambda old, new: old.at[k].set(jnp.where(renew, new, old[k])), places, place)
+
+        falls = place.slope < 0
+        return _Section(renewed(section.start, falls), renewed(section.end, ~falls), section.bend), cuts + 1
+
+    return jax.lax.while_loop(goes_on, cut, (_Section(start, end, bend), jnp.asarray(0)))[0].least()
 
 
-def _gap(line: Line, at: ContactPoint) -> tuple[Along, Along]:
-    """Distances of points from a tangent of the object, or from one each, and their derivatives by arc length."""
-    return (line.x - at.x) * at.sin - (line.y - at.y) * at.cos, line.cos * at.sin - line.sin * at.cos
+def _gaps(
+    profile: AbstractProfile, points: Float[Array, "points 2"], near: Scalar, wanted: Bool[Array, " points"]
+) -> tuple[Float[Array, " points"], Float[Array, "points 2"]]:
+    """Gaps of points, and the outward normals of the object there; infinite if not wanted."""
+    x, y = points.T
+    faces = profile.faces()
+    if faces is not None:  # the farthest face bounds the gap, and is the nearest one of a point inside
+        gaps, normals = _off(x[:, None], y[:, None], faces), jnp.stack([faces.sin, -faces.cos], axis=-1)
+        return jnp.where(wanted, jnp.max(gaps, axis=1), jnp.inf), normals[jnp.argmax(gaps, axis=1)]
+    at = jax.vmap(profile.point)(nearest(profile, near, x, y, wanted))
+    # Where an object ends, there is no nearest point.
+    known = wanted & (jnp.abs(_along(x, y, at)) < NEAREST_ERROR)
+    normals = jnp.where(known[:, None], jnp.stack([at.sin, -at.cos], axis=-1), 0.0)
+    return jnp.where(known, _off(x, y, at), jnp.inf), normals
+
+
+def _off(x: Array, y: Array, at: ContactPoint) -> Array:
+    """Distances of points from tangents of the object, positive outside."""
+    return (x - at.x) * at.sin - (y - at.y) * at.cos
 
 
 def _along(x: Scalar | Along, y: Scalar | Along, at: ContactPoint) -> Scalar | Along:
@@ -66,21 +130,26 @@ def _along(x: Scalar | Along, y: Scalar | Along, at: ContactPoint) -> Scalar | A
     return (x - at.x) * at.cos + (y - at.y) * at.sin
 
 
-def _least(line: Line, gap: Along, slope: Along) -> Float[Array, " cells"]:
-    """The smallest gap in each cell of a line."""
-    return between(gap, slope, line.cell).least()
-
-
 def nearest(
     profile: AbstractProfile, parameter: Scalar, x: Along, y: Along, wanted: Bool[Array, " points"]
 ) -> Float[Array, " points"]:
     """Parameters of the nearest points on the profile of those points that are wanted.
 
-    Newton's method starts at the contact. It keeps to the interval in which the nearest point is known to lie, and
-    bisects that where it would leave it.
+    Newton's method keeps to the interval in which the nearest point is known to lie, and bisects that where it would
+    leave it. It starts at the contact or, on a closed object, at the tangent that is farthest below a point: at other
+    places, on the far side of a flat object, a point that is outside may seem to be inside.
     """
-    around = profile.around()
-    low, high = profile.ends() if around is None else (parameter + s * (around[1] - around[0]) / 2 for s in (-1, 1))
+    around, everywhere = profile.around(), jnp.zeros_like(x)
+    if around is None:
+        low, high = profile.ends()
+        start = everywhere + parameter
+    else:
+        size = (around[1] - around[0]) / TANGENTS
+        guesses = parameter + size * (jnp.arange(TANGENTS) - TANGENTS // 2)
+        at = jax.vmap(profile.point)(guesses)
+        farthest = jnp.argmax(_off(x[:, None], y[:, None], at), axis=1)
+        start = jnp.where(wanted, guesses[farthest], parameter)
+        low, high = start - size, start + size
 
     def step(p, low, high, x, y, searched):
         def offset(p):
@@ -103,54 +172,5 @@ def nearest(
     def searching(carry):
         return jnp.any(carry[-1]) & (carry[0] < NEAREST_STEPS)
 
-    everywhere = jnp.zeros_like(x)
-    start = (jnp.asarray(0), *(everywhere + value for value in (parameter, low, high)), wanted)
-    return jax.lax.while_loop(searching, newton, start)[1]
-
-
-def _cells(own: Shaft) -> Cubic:
-    """Cells of a shaft from base to tip, (cells, 2)."""
-
-    def part(line: Line, towards_tip: bool) -> Cubic:
-        points, directions = jnp.stack([line.x, line.y], -1), jnp.stack([line.cos, line.sin], -1)
-        size = jnp.abs(line.cell)[:, None]
-        return between(points, directions, size) if towards_tip else between(points[::-1], directions[::-1], size[::-1])
-
-    parts = part(own.to_base, False), part(own.to_tip, True)
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-
-
-def _cross(a: Float[Array, "... 2"], b: Float[Array, "... 2"]) -> Float[Array, "..."]:
-    """The sine of the angle from one vector to another, times their lengths."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
-def cross(one: Shaft, other: Shaft) -> Bool[Array, ""]:
-    """Whether two shafts cross."""
-    first, second = _cells(one), _cells(other)
-    along, across = (first.end - first.start)[:, None], second.end - second.start
-    apart = second.start - first.start[:, None]
-    sine = _cross(along, across)
-    t, r = _cross(apart, across) / sine, _cross(apart, along) / sine
-    off_middle = jnp.maximum(jnp.abs(t - 0.5), jnp.abs(r - 0.5))
-    deepest = jnp.argmin(jnp.where(jnp.isfinite(off_middle), off_middle, jnp.inf))
-    a, b = jnp.unravel_index(deepest, off_middle.shape)
-    one_cell, other_cell = jax.tree.map(lambda leaf: leaf[a], first), jax.tree.map(lambda leaf: leaf[b], second)
-
-    def newton(_, at):
-        (p, v), (q, w) = ((cell.value(t), cell.rate(t)) for cell, t in zip((one_cell, other_cell), at, strict=True))
-        step = jnp.stack([_cross(q - p, w), _cross(q - p, v)]) / _cross(v, w)
-        return at + jnp.where(jnp.isfinite(step), step, 0.0)
-
-    at = jax.lax.fori_loop(0, CROSSING_STEPS, newton, jnp.stack([t[a, b], r[a, b]]))
-    miss = one_cell.value(at[0]) - other_cell.value(at[1])
-    inside = _inside(at[0], a, first) & _inside(at[1], b, second)
-    return inside & (jnp.sum(miss**2) < CROSSING_ERROR**2)
-
-
-def _inside(t: Scalar, cell: Scalar, cells: Cubic) -> Bool[Array, ""]:
-    """Whether a place is on the shaft, at most `OUTSIDE` away from its cell."""
-    # The cells beyond a contact at the tip have no length: the last cell need not be the one that ends at the tip.
-    size = jnp.sqrt(jnp.sum(cells.leaving**2, axis=-1))
-    place = jnp.sum(jnp.where(jnp.arange(size.size) < cell, size, 0.0)) + t * size[cell]
-    return (jnp.abs(t - 0.5) <= 0.5 + OUTSIDE) & (place >= 0) & (place <= jnp.sum(size))
+    begin = jnp.asarray(0), start, everywhere + low, everywhere + high, wanted
+    return jax.lax.while_loop(searching, newton, begin)[1]

@@ -8,9 +8,11 @@ uniform whiskers, and by up to 1e-5 L for curved and conical ones (20:1).
 import dataclasses
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxwhisker._base.interpolation import Cubic, between
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK, Base, Phase, Sprung, WhiskerAtObject
@@ -118,3 +120,15 @@ def moved(own: Shaft, x: Scalar, y: Scalar, angle: Scalar) -> Shaft:
         )
 
     return own._replace(to_base=line(own.to_base), to_tip=line(own.to_tip))
+
+
+def cells_of(own: Shaft) -> Cubic:
+    """Cells of a shaft from base to tip, (cells, 2)."""
+
+    def part(line: Line, towards_tip: bool) -> Cubic:
+        points, directions = jnp.stack([line.x, line.y], -1), jnp.stack([line.cos, line.sin], -1)
+        size = jnp.abs(line.cell)[:, None]
+        return between(points, directions, size) if towards_tip else between(points[::-1], directions[::-1], size[::-1])
+
+    parts = part(own.to_base, False), part(own.to_tip, True)
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)

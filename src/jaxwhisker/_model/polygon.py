@@ -48,6 +48,9 @@ class _AbstractPolygon(AbstractProfile):
     def ends(self):
         return self.chain().ends()
 
+    def faces(self):
+        return self.chain().faces()
+
     def at_slope(self, slope):
         return self.chain().at_slope(slope)
 
@@ -167,6 +170,10 @@ class Chain(AbstractProfile):
 
     def ends(self):
         return self.start[0], self.start[-1] + self.slopes[-1] - self.slopes[-2]
+
+    def faces(self):
+        slopes = self.slopes[1:]  # after each corner; the last one is that of the top
+        return ContactPoint(*self.xy.T, jnp.cos(slopes), jnp.sin(slopes))
 
     def point(self, parameter):
         return self.point_on(self.piece_at(parameter), parameter)

@@ -126,6 +126,10 @@ class AbstractProfile(eqx.Module):
         """Parameters of the profile's two ends; by default slope angles of almost a right angle."""
         return -STEEPEST, STEEPEST
 
+    def faces(self) -> ContactPoint | None:
+        """A point and the slope of each side of a polygon; None for a curved outline."""
+        return None
+
     def around(self) -> tuple[Scalar, Scalar] | None:
         """Parameters between which `point` runs once around a closed object, for figures; None if it is open."""
         return None

@@ -98,8 +98,15 @@ class _AbstractEllipse(_AbstractFormula):
 
     def first_touch(self, height, side):
         # The shaft of a whisker that ends above the widest point meets that point; otherwise the tip meets the flank.
+        return self._at(height, side, highest=1.0)
+
+    def beside(self, height, side):
+        return self._at(height, side, highest=2.0)
+
+    def _at(self, height: Scalar, side: Scalar, highest: float) -> FirstTouch:
+        """The outermost point at this height, but at most so many half axes above the lowest point."""
         (a, b), (position, distance) = self._axes(), self.vertex()
-        rise = jnp.minimum(_rise((height - distance) / b), 1.0)
+        rise = jnp.minimum(_rise((height - distance) / b), highest)
         cos_t, sin_t = 1 - rise, jnp.sqrt(rise * (2 - rise))
         parameter = jnp.arctan2(jnp.sqrt(b) * sin_t, jnp.sqrt(a) * cos_t)
         return _mirror(FirstTouch(parameter, a * sin_t, distance + b * rise), side, position)
@@ -325,6 +332,10 @@ class Tilted(AbstractProfile):
     def point_on(self, piece, parameter):
         return self._turned(self.profile.point_on(piece, parameter))
 
+    def faces(self):
+        faces = self.profile.faces()
+        return faces if faces is None else self._turned(faces)
+
     def convex(self, parameter):
         return self.profile.convex(parameter)
 
@@ -335,13 +346,20 @@ class Tilted(AbstractProfile):
         return self.profile.around()
 
     def first_touch(self, height, side):
-        lowest, (low, high) = self.lowest(), self.ends()
-        end = jnp.where(side > 0, high, low)
+        return self._climbed(height, side, self.ends(), lambda at: at.cos > 0)  # up to where the object is widest
+
+    def beside(self, height, side):
+        return self._climbed(height, side, self.around() or self.ends(), lambda at: side * at.sin > 0)
+
+    def _climbed(
+        self, height: Scalar, side: Scalar, ends: tuple[Scalar, Scalar], goes_on: Callable[[ContactPoint], Any]
+    ) -> FirstTouch:
+        """The point at this height that is reached from the lowest one, as far as the profile goes on."""
+        lowest, end = self.lowest(), jnp.where(side > 0, ends[1], ends[0])
 
         def below(p):
-            # True up to where the object is widest; False outside its domain.
             at = self.point(p)
-            return (at.cos > 0) & (at.y < height)
+            return goes_on(at) & (at.y < height)  # False outside its domain
 
         p = lowest + side * bisect(lambda way: below(lowest + side * way), 0.0, side * (end - lowest))
         p = jax.lax.stop_gradient(p)

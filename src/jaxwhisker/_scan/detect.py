@@ -17,13 +17,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
-from jaxwhisker._equilibrium.clearance import cross, meets_again
 from jaxwhisker._equilibrium.contact import FORCE, SLACK, of_each
 from jaxwhisker._equilibrium.contact_state import ContactState
+from jaxwhisker._equilibrium.crossing import cross
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
-from jaxwhisker._equilibrium.other_objects import meets, passes
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.second_contact import meets, meets_again, passes
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import NO_EVENT, Path, Status, is_snap

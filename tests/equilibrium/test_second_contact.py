@@ -7,9 +7,9 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._base.program import Program
-from jaxwhisker._equilibrium import other_objects
+from jaxwhisker._equilibrium import second_contact
 from jaxwhisker._equilibrium.clearance import DEPTH
-from jaxwhisker._equilibrium.other_objects import CHORD
+from jaxwhisker._equilibrium.second_contact import CHORD
 from shafts import points, shaft
 
 SHALLOW, DEEP = -0.8 * DEPTH, -1.2 * DEPTH  # gaps on both sides of the limit; the cubics are better than 2e-6
@@ -23,7 +23,7 @@ def arc(curvature):
 
 @Program
 def meets_circles(own, distance, radius, position):
-    return jax.vmap(lambda *numbers: other_objects.meets(jw.Circle(*numbers), own))(distance, radius, position)
+    return jax.vmap(lambda *numbers: second_contact.meets(jw.Circle(*numbers), own))(distance, radius, position)
 
 
 def circles_meet(curvature, s, side, gap, radius):
@@ -48,6 +48,28 @@ def test_a_shaft_meets_a_circle_that_it_dips_into(curvature):
         assert circles_meet(curvature, s, side, -0.001, radius[1:]).all()
 
 
+@Program
+def meets_wedges(own, vertices):
+    return jax.vmap(lambda one: second_contact.meets(jw.Polygon(one), own))(vertices)
+
+
+@pytest.mark.parametrize("curvature", [0.0, -1.3])
+@pytest.mark.parametrize("half_opening", [0.05, 0.4])
+def test_a_corner_may_meet_a_shaft_between_two_of_its_points(curvature, half_opening):
+    s = np.linspace(-0.55, 0.45, LANES)  # in the midst of cells and close to points
+    x, y, phi = points(*arc(curvature), s)
+    own = shaft(*arc(curvature), -BASE, TIP)
+    for side in (1.0, -1.0):
+        axis = side * np.stack([np.sin(phi), -np.cos(phi)])
+        across = np.stack([axis[1], -axis[0]]) * np.tan(half_opening)
+        # A straight shaft across a wedge is inside it by the dip of the corner times the sine of the half opening.
+        for depth in (SHALLOW, DEEP, -0.3 * np.sin(half_opening)):
+            corner = np.stack([x, y]) + depth / np.sin(half_opening) * axis
+            vertices = np.stack([corner, corner + 0.4 * (axis + across), corner + 0.4 * (axis - across)])
+            found = np.asarray(meets_wedges(own, jnp.asarray(np.moveaxis(vertices, 2, 0))))
+            assert found.tolist() == [depth != SHALLOW] * LANES, (side, depth)
+
+
 def test_beyond_its_ends_a_shaft_meets_nothing():
     s = np.array([TIP + 0.03, BASE - 0.03])
     assert not circles_meet(-1.3, s, 1.0, -0.02, 0.02).any()
@@ -61,7 +83,7 @@ def test_an_object_above_the_tip_is_not_met():
 
 @Program
 def sides(own, distance, position):
-    return jax.vmap(lambda q, x: other_objects.passes(jw.Circle(q, 0.1, x), own))(distance, position)
+    return jax.vmap(lambda q, x: second_contact.passes(jw.Circle(q, 0.1, x), own))(distance, position)
 
 
 def test_the_side_on_which_a_shaft_passes_the_lowest_point():
