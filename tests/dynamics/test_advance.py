@@ -97,13 +97,14 @@ def test_blocks_are_eliminated():
 
 def test_points_are_computed_anew_only_where_they_are_needed():
     points, are_found = (jnp.arange(3.0), -jnp.arange(3.0)), jnp.array([False, True, False])
+    poses = (jnp.full(3, 10.0),)
 
-    def found(points):
-        return jax.tree.map(lambda each: each + 10, points), jnp.ones(3, bool)
+    def found(poses, points):
+        return jax.tree.map(lambda each: each + poses[0], points), jnp.ones(3, bool)
 
     @jax.jit
     def of(needed):
-        return _where(needed, found, points, are_found)
+        return _where(needed, found, poses, points, are_found)
 
     (first, second), done = of(jnp.array([True, False, False]))
     assert first.tolist() == [10, 1, 2] and second.tolist() == [10, -1, -2] and done.tolist() == [True, True, False]

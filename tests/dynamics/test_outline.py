@@ -80,7 +80,8 @@ def test_each_object_and_its_own_parameter():
         assert [bool(is_own) for _, _, is_own in objects] == [n == k for n in range(3)]
         # The parameters of the others mean nothing, but are on them.
         expected = [own(n, 0.4) if n == k else one.lowest() for n, one in enumerate(EACH)]
-        np.testing.assert_allclose([parameter for _, parameter, _ in objects], expected, atol=EXACT)
+        found = np.array([float(parameter) for _, parameter, _ in objects])
+        np.testing.assert_allclose(found, np.array(expected, float), atol=EXACT)
 
 
 def test_objects_that_the_parameter_is_not_on_have_no_derivatives():

@@ -21,8 +21,8 @@ def deepest(posed: Posed, parameter: Float[Array, ""]) -> Float[Array, ""]:
     arcs = jnp.linspace(0.0, 1.0, CELLS + 1)
     turned = jnp.stack([jnp.cos(posed.angle), jnp.sin(posed.angle)], axis=-1)
     direction, way = jnp.moveaxis(jax.vmap(lambda s: weights_at(posed.basis, s))(arcs) @ turned, 1, 0)
-    points, least = posed.base + posed.length * way, jnp.inf
-    cells = between(points, direction, posed.length / CELLS)
+    cells = between(posed.base + posed.length * way, direction, jnp.asarray(posed.length / CELLS))
+    least = jnp.asarray(jnp.inf)
     for one, at, is_own in objects_at(posed.profile, parameter):
         gap = least_gap(one, cells, at)
         least = jnp.where(is_own & (gap < -DEPTH), gap, least)

@@ -72,7 +72,7 @@ def least_gap(profile: AbstractProfile, cells: Cubic, parameter: Scalar | None =
     else:
         near = parameter
         at = profile.point(parameter)
-        off = _off(*points.T, at)
+        off = _off(points[:, 0], points[:, 1], at)
         leaving, arriving = (x * at.sin - y * at.cos for x, y in (cells.leaving.T, cells.arriving.T))
         searched = Cubic(off[:-1], off[1:], leaving, arriving).least() < -DEPTH
     gap, normal = _gaps(profile, points, near, jnp.append(searched, False) | jnp.append(False, searched))

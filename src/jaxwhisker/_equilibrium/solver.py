@@ -117,7 +117,7 @@ def _solve(
     # Derivatives are attached to the solution (implicit.py); they do not depend on the solver's iterations.
     problem, condition, guess, apart = jax.lax.stop_gradient((problem, condition, guess, apart))
     solver = StructuredNewton(rtol=0.0, atol=problem.rod.newton_tolerance)
-    if guess.u.ndim > 0:
+    if jnp.ndim(guess.u) > 0:
         finite = jnp.all(jnp.isfinite(guess.z), axis=(-2, -1)) & jnp.isfinite(guess.u)
         guess = Point(jnp.where(finite[:, None, None], guess.z, 0.0), jnp.where(finite, guess.u, 0.0))
 

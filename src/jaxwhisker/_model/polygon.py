@@ -172,8 +172,8 @@ class Chain(AbstractProfile):
         return self.start[0], self.start[-1] + self.slopes[-1] - self.slopes[-2]
 
     def faces(self):
-        slopes = self.slopes[1:]  # after each corner; the last one is that of the top
-        return ContactPoint(*self.xy.T, jnp.cos(slopes), jnp.sin(slopes))
+        (x, y), slopes = self.xy.T, self.slopes[1:]  # after each corner; the last one is that of the top
+        return ContactPoint(x, y, jnp.cos(slopes), jnp.sin(slopes))
 
     def point(self, parameter):
         return self.point_on(self.piece_at(parameter), parameter)
