@@ -85,13 +85,19 @@ def scene_of(kind: str, p: Drawn) -> jw.Scene:
     return jw.Scene(whisker, jw.Parabola(p.distance, 1.0), support, motion=motion, friction=p.friction)
 
 
-def scans(kind: str, vmapped: bool = False):
-    """Compiled function: all scans of drawn numbers, one after the other or as one batch."""
+def scan_of(kind: str):
+    """Function of the numbers of one scene: its scan."""
     control = control_of(kind)
+    return lambda p: jw.scan(scene_of(kind, p), control)
 
-    def one(p: Drawn):
-        return jw.scan(scene_of(kind, p), control)
 
-    along = jax.vmap(one) if vmapped else lambda p: jax.lax.map(one, p)
+def one_by_one(function):
+    """The function of many, one after the other."""
+    return lambda p: jax.lax.map(function, p)
+
+
+def staged_scans(kind: str, along):
+    """Compiled function: all scans of drawn numbers, as one batch (`jax.vmap`) or one after the other."""
     options = {"xla_backend_optimization_level": 1}
-    return jax.jit(lambda p: along(jax.tree.map(jnp.asarray, p)), compiler_options=options)
+    many = along(scan_of(kind))
+    return jax.jit(lambda p: many(jax.tree.map(jnp.asarray, p)), compiler_options=options)

@@ -15,6 +15,7 @@ from jaxwhisker._inverse.points import PointStatus, Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.along import Polynomial, Table
+from jaxwhisker._model.conic import Circle, Ellipse, Parabola
 from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.cut import Cut
 from jaxwhisker._model.foundation import Foundation
@@ -22,7 +23,7 @@ from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment
 from jaxwhisker._model.motion import AbstractMotion, Motion, Mount, Rotation, Translation
 from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.profiles import Circle, Ellipse, Graph, Parabola, Tilted
+from jaxwhisker._model.profiles import Graph, Tilted
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.spring import Spring
 from jaxwhisker._model.support import Support

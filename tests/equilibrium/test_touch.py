@@ -115,7 +115,7 @@ CLOSED = {
 @pytest.mark.parametrize("name", CLOSED)
 def test_a_curved_whisker_may_touch_above_the_widest_place_of_an_object(name):
     profile, own, length = CLOSED[name], arc(1.0, 1.0), jnp.asarray(1.0)
-    left_end, right_end = profile.around() or profile.ends()
+    left_end, right_end = profile.span()
     outline = jax.vmap(profile.point)(jnp.linspace(left_end, right_end, 200_001))
     outline_x, outline_y = np.asarray(outline.x), np.asarray(outline.y)
     s = np.linspace(0.0, 1.0, 20_001)

@@ -56,8 +56,10 @@ def test_a_support_without_a_scene_has_a_flexibility_but_no_place():
 
 
 def test_a_clamped_support_has_no_flexibility():
-    assert jw.Support.clamped().flexibility() is None
-    assert jw.Support.follicle().flexibility() is None
+    for support in (jw.Support.clamped(), jw.Support.follicle()):
+        flexibility = support.flexibility()
+        assert flexibility.matrix.shape == (support.whiskers, support.whiskers)
+        assert not np.any(flexibility.matrix) and not np.any(flexibility.offset) and flexibility.consistent
 
 
 def test_axes_are_those_of_the_springs():

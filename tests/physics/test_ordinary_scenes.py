@@ -9,22 +9,26 @@ from independent_friction import all_laws
 
 import jaxwhisker as jw
 import random_scenes
-from ordinary_scenes import KINDS, control_of, drawn, scans, scene_of
+from ordinary_scenes import KINDS, control_of, drawn, one_by_one, scan_of, staged_scans
 
 SCENES = 100  # of each kind
+# Kinds that are also staged without vmap: one of each problem shape that differs in how contacts stick.
+ONE_BY_ONE = ("two whiskers", "curved", "follicle")
+CHUNKS = 4  # of so few scenes that they run one by one
 SAME = 1e-7  # positions of events may differ by rounding, next to events that are badly conditioned
 SOUND = 1e-7  # largest relative residual of a law
 # Contacts that are not modelled: whiskers that are wound around the object, or pressed against it below a spring.
 NOT_MODELLED = {jw.Status.second_contact, jw.Status.at_spring}
-# Kinds that are also compiled without vmap: one of each problem shape that differs in how contacts stick.
-ONE_BY_ONE = ("two whiskers", "curved", "follicle")
 NETWORKS = {"two whiskers": "FBFB", "weak friction": "FBFBR", "feedback": "FBFBR", "three whiskers": "FBFBFBR"}
 
 
 @cache
-def scanned(kind, vmapped=True):
-    """All scans of a kind, in one compiled program."""
-    return jax.tree.map(np.asarray, scans(kind, vmapped)(drawn(kind, SCENES)))
+def scanned(kind):
+    """All scans of a kind outside any jit, by the programs of single scans that other tests use, too."""
+    parts = np.split(np.arange(SCENES), CHUNKS)
+    p, one = drawn(kind, SCENES), jax.vmap(scan_of(kind))
+    chunks = [one(jax.tree.map(lambda leaf, part=part: jax.numpy.asarray(leaf[part]), p)) for part in parts]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *chunks)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -35,26 +39,16 @@ def test_no_scene_fails(kind):
     assert np.mean(status == jw.Status.ok) > 0.5
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_eager_and_staged_scans_agree(kind):
-    p, staged = drawn(kind, SCENES), scanned(kind)
-    for number in range(SCENES):
-        one = jax.tree.map(lambda leaf, number=number: leaf[number], p)
-        eager = jw.scan(scene_of(kind, one), control_of(kind))
-        assert np.array_equal(eager.status, staged.status[number]), number
-        kinds = [int(e.kind) for e in eager.events]
-        assert kinds == staged.events.kind[number][: len(kinds)].tolist(), number
-        np.testing.assert_allclose(
-            [e.control for e in eager.events], staged.events.control[number][: len(kinds)], atol=SAME, err_msg=number
-        )
-
-
-@pytest.mark.parametrize("kind", ONE_BY_ONE)
-def test_staged_scans_agree_with_batches(kind):
-    single, batched = scanned(kind, vmapped=False), scanned(kind)
-    assert np.array_equal(single.status, batched.status)
-    assert np.array_equal(single.events.kind, batched.events.kind)
-    np.testing.assert_allclose(single.events.control, batched.events.control, atol=SAME)
+@pytest.mark.parametrize(
+    ("kind", "along"),
+    [*((kind, jax.vmap) for kind in KINDS), *((kind, one_by_one) for kind in ONE_BY_ONE)],
+    ids=[*KINDS, *(f"{kind}, one by one" for kind in ONE_BY_ONE)],
+)
+def test_staged_scans_agree(kind, along):
+    staged, apart = jax.tree.map(np.asarray, staged_scans(kind, along)(drawn(kind, SCENES))), scanned(kind)
+    assert np.array_equal(staged.status, apart.status)
+    assert np.array_equal(staged.events.kind, apart.events.kind)
+    np.testing.assert_allclose(staged.events.control, apart.events.control, atol=SAME)
 
 
 @pytest.mark.parametrize("kind", NETWORKS)

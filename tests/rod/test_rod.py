@@ -12,7 +12,7 @@ from scipy.special import ellipeinc, ellipj, ellipkinc
 
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
-from jaxwhisker._model.profiles import Parabola
+from jaxwhisker._model.conic import Parabola
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.elastica import Shooting
 

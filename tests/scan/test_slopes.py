@@ -7,7 +7,7 @@ import numpy as np
 
 import jaxwhisker as jw
 from jaxwhisker._scan.slopes import _along_each, spring_tangents
-from jaxwhisker._scan.springs import spring_lengths
+from jaxwhisker._scan.springs import spring_lengths, suspension
 from scenes import follicle
 
 EXACT = 1e-13
@@ -38,7 +38,7 @@ def test_tangents_of_a_step_depend_on_shared_numbers_and_its_own():
 
 
 def test_tangents_of_spring_lengths_are_those_of_jax():
-    some, rng = scene(), np.random.default_rng(1)
+    some, rng = suspension(scene()), np.random.default_rng(1)
     bases = tuple(jnp.asarray(rng.normal(size=(STEPS, 1))) for _ in range(3))
     control = jnp.asarray(rng.normal(size=STEPS))
     numbers, rest = eqx.partition(some, eqx.is_inexact_array)

@@ -170,6 +170,7 @@ class Program:
             self._results[shape] = Results(structure, tuple(_if_array(leaf, leaf) for leaf in leaves), described)
             return kept
 
+        function.__name__ = getattr(self, "__name__", "program")  # in the logs and profiles of JAX
         return function
 
     def tangents(self, shape: Shape, arrays: Sequence, dots: Sequence) -> list:

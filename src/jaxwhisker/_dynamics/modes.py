@@ -20,8 +20,8 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._model.conic import Parabola
 from jaxwhisker._model.loads import PointForce
-from jaxwhisker._model.profiles import Parabola
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -296,8 +296,7 @@ def _result_modes(
 def _unloaded_modes(
     problem: Problem, whiskers: tuple[Whisker, ...], damping: _Damping, count: int, points: int
 ) -> Modes:
-    ends = problem.motion.ends
-    u = jnp.asarray(0.0 if ends is None else ends[0] / problem.unit.control, dtype=float)
+    u = jnp.asarray(0.0 if problem.ends is None else problem.ends[0])
     z, _ = problem.unloaded(u)
     state, _ = signals(problem, z, u, all_free(problem, jnp.ones_like(problem.length)))
     at = Equilibrium(**{name: getattr(state, name) for name in Equilibrium._fields})

@@ -205,7 +205,6 @@ def _network(
 ) -> Network:
     hold = support.hold(unit.force / unit.length, unit.moment) if support.on_shafts else None
     flexibility = support.flexibility(hold)
-    assert flexibility is not None
     if support.axes == ("x",):
         flexibility = along_all_axes({"x": flexibility})
     lengths, loads = (

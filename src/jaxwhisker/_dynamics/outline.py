@@ -47,7 +47,7 @@ class ObjectChain(AbstractProfile):
         return chosen
 
     def ends(self):
-        (first, _), (_, last) = span(self.each[0]), span(self.each[-1])
+        (first, _), (_, last) = self.each[0].span(), self.each[-1].span()
         return first + self.shift[0], last + self.shift[-1]
 
     # Nothing else is asked of the outline: it is made in the unit of the problem, after all checks.
@@ -68,18 +68,13 @@ class ObjectChain(AbstractProfile):
         return "; ".join(map(str, self.each))
 
 
-def span(profile: AbstractProfile) -> tuple[Scalar, Scalar]:
-    """Parameters of the first and the last point that may be closest: whiskers reach beyond the widest point."""
-    return profile.around() or profile.ends()
-
-
 def outline(profile: AbstractProfile) -> AbstractProfile:
     """The outline of all objects."""
     if len(profile.objects) == 1:
         return profile
     shifts, free = [], jnp.zeros(())
     for one in profile.objects:
-        first, last = (jax.lax.stop_gradient(jnp.asarray(end, dtype=float)) for end in span(one))
+        first, last = (jax.lax.stop_gradient(jnp.asarray(end, dtype=float)) for end in one.span())
         shifts.append(free - first)
         free = free + last - first + APART
     return ObjectChain(profile.objects, tuple(shifts))
@@ -100,8 +95,8 @@ def objects_at(
 def samples(profile: AbstractProfile, count: int) -> Float[Array, " parameters"]:
     """Parameters of `count` points of each object."""
     if not isinstance(profile, ObjectChain):
-        return jnp.linspace(*span(profile), count)
-    each = [jnp.linspace(*span(one), count) + shift for one, shift in zip(profile.each, profile.shift, strict=True)]
+        return jnp.linspace(*profile.span(), count)
+    each = [jnp.linspace(*one.span(), count) + shift for one, shift in zip(profile.each, profile.shift, strict=True)]
     return jnp.concatenate(each)
 
 
@@ -110,5 +105,5 @@ def number_of(profile: AbstractProfile, parameter: Float[Array, "*batch"]) -> In
     number = jnp.zeros(jnp.shape(parameter), int)
     if isinstance(profile, ObjectChain):
         for one, shift in zip(profile.each[1:], profile.shift[1:], strict=True):
-            number += jnp.asarray(parameter > span(one)[0] + shift - APART / 2).astype(int)
+            number += jnp.asarray(parameter > one.span()[0] + shift - APART / 2).astype(int)
     return number

@@ -105,12 +105,9 @@ def _forms(body, at: Equilibrium, ends: Ends, loads: DeadLoads | None, masses: M
 
 
 def _axes(problem: Problem, u: Scalar) -> Float[Array, "whiskers 3 axes"]:
-    """Pose of each base in the scene per coordinate of the network; no coordinates for clamped bases."""
-    whiskers = problem.length.size
-    if problem.flexibility is None:
-        return jnp.zeros((whiskers, 3, 0))
+    """Pose of each base in the scene per coordinate of the network."""
     if problem.axes == 1:
-        return jnp.zeros((whiskers, 3, 1)).at[:, 0].set(1.0)
+        return jnp.zeros((problem.length.size, 3, 1)).at[:, 0].set(1.0)
     frame, _ = problem.frames(u)
     assert frame is not None
     zero = jnp.zeros_like(frame.cos)
@@ -130,8 +127,6 @@ def _assembled(
     own, coupled, of_base = (_diagonal(blocks) for blocks in jax.vmap(mass_with)(forms.mass, axes))
     mass = jnp.block([[own, coupled], [coupled.T, of_base]])
     flexible = _diagonal(each.flexibility)
-    if problem.flexibility is None:
-        return mass, flexible
     held = jax.vmap(quadratic_of)(axes, each.held + forms.below)
     if problem.attached is not None:
         held -= problem.attached.held

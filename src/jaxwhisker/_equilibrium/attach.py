@@ -192,8 +192,7 @@ def _weakened(springs: OnShafts, share: Scalar) -> OnShafts:
 
 def _found(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3"]) -> tuple[Contacts, Poses]:
     """Contacts and coordinates of the unloaded whiskers; NaN if they are not found."""
-    ends = problem.motion.ends
-    u = jnp.asarray(0.0 if ends is None else ends[0] / problem.unit.control, dtype=float)
+    u = jnp.asarray(0.0 if problem.ends is None else problem.ends[0])
     state = all_free(problem, jnp.ones_like(problem.length))
     unbent, none = _unbent(problem, u), jnp.zeros_like(problem.rest(u))
 

@@ -33,21 +33,23 @@ def problem_of(scene: Scene) -> Problem:
     spring, torsion = unit.force / unit.length, unit.moment
     hold = scene.support.hold(spring, torsion) if scene.support.on_shafts else None
     flexibility = scene.support.flexibility(hold)
-    if flexibility is not None:
-        valid &= flexibility.consistent
+    valid &= flexibility.consistent
+    ends = scene.motion.ends
     common: dict[str, Any] = {
         "length": length,
         "bending_stiffness": stiffness / (unit.moment * unit.length),
         "section": section,
         "profile": scene.profile.in_unit(unit.length),
         "rod": scene.rod,
-        "motion": scene.motion,
+        "motion": scene.motion.undirected(),
+        "onwards": jnp.asarray(scene.motion.onwards),
+        "ends": None if ends is None else tuple(jnp.asarray(end, dtype=float) / unit.control for end in ends),
         "unit": unit,
         "friction_angle": None if scene.friction is None else jnp.arctan(jnp.asarray(scene.friction, dtype=float)),
     }
     curved = any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers)
     if moves_along_x(scene):
-        flexibility = None if flexibility is None else flexibility.in_unit(unit.length, unit.force)
+        flexibility = flexibility.in_unit(unit.length, unit.force)
         if curved:
             upright = jnp.zeros_like(length)
             own = outlines(scene.whiskers, length, section), upright, upright
@@ -60,7 +62,7 @@ def problem_of(scene: Scene) -> Problem:
     x, y, angle = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in mounts)
     height = y / unit.length
     mount = Pose(x / unit.length, height, angle)
-    flexibility = None if flexibility is None else flexibility.in_frames(angle, unit.length, unit.force)
+    flexibility = flexibility.in_frames(angle, unit.length, unit.force)
     outline = outlines(scene.whiskers, length, section)
     if curved:
         valid &= _touches_once(common["profile"], outline, height, angle)

@@ -358,10 +358,8 @@ def linear_system(
     """
     n, axes = at.load.shape
     solved, size = problem.solved(state.phase)[:, None], n * axes
-    coupling = block_diagonal(at.pose_by)
-    if problem.flexibility is not None:
-        yields = times_block_diagonal(problem.flexibility.matrix, at.load_by)
-        coupling = coupling - jnp.where(jnp.repeat(solved, axes, axis=0), yields, 0.0)
+    yields = times_block_diagonal(problem.flexibility.matrix, at.load_by)
+    coupling = block_diagonal(at.pose_by) - jnp.where(jnp.repeat(solved, axes, axis=0), yields, 0.0)
     if at.pose_by_u is None or at.load_by_u is None:
         by_control = jnp.where(solved, -1.0, 0.0)
     else:

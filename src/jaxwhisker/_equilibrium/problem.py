@@ -55,8 +55,10 @@ class Problem(eqx.Module):
     section: Section | tuple[Section, ...] | None  # see contact.Body
     profile: AbstractProfile
     rod: AbstractRod
-    motion: AbstractMotion
-    flexibility: Flexibility | None
+    motion: AbstractMotion  # its poses only
+    onwards: Int[Array, ""]  # +1 if the control increases during a scan, else -1
+    ends: tuple[Scalar, Scalar] | None  # controls at which a bounded motion begins and ends
+    flexibility: Flexibility
     # First touches of unloaded whiskers from the right and from the left, with the drive at control 0; of each object
     # if there are several.
     touch_right: Touch
@@ -160,18 +162,15 @@ class Problem(eqx.Module):
 
     def _decisive(self, tree: Any) -> list:
         """Fields of a tree like this that enter decisions and first guesses only."""
-        return [tree.touch_right, tree.touch_left, *([] if self.flexibility is None else [tree.flexibility.root])]
+        return [tree.touch_right, tree.touch_left, tree.flexibility.root, tree.ends]
 
     @property
     def offset(self) -> Poses:
         """Displacement of the unloaded bases due to the rest lengths of the springs."""
-        none = jnp.zeros((self.length.shape[0], self.axes))
-        return none if self.flexibility is None else jnp.reshape(self.flexibility.offset, none.shape)
+        return jnp.reshape(self.flexibility.offset, (self.length.shape[0], self.axes))
 
     def displacement(self, load: Poses) -> Poses:
-        """Displacement of the bases under loads: flexibility @ load; zero for a clamped whisker."""
-        if self.flexibility is None:
-            return jnp.zeros_like(load)
+        """Displacement of the bases under loads: flexibility @ load."""
         return jnp.reshape(jnp.sum(self.flexibility.matrix * jnp.ravel(load), axis=-1), load.shape)
 
 

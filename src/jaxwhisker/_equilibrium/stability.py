@@ -70,8 +70,6 @@ def network_is_stable(problem: Problem, slope: Slopes) -> Bool[Array, ""]:
 
     With the flexibility L L^T, this is a test of 1 - L^T slope L, which is valid for rigid springs too.
     """
-    if problem.flexibility is None:
-        return jnp.asarray(True)
     root = problem.flexibility.root
     pull = jnp.sum(root[:, :, None] * times_block_diagonal(root.T, slope).T[:, None, :], axis=0)
     symmetric = problem.friction_angle is None or problem.axes == 1
@@ -119,8 +117,6 @@ def is_stable(
         stable = clamped_is_stable(problem, state, at) & network_is_stable(problem, load_slopes(problem, state, at))
         return stable if begins is None else stable | jnp.any(begins)
     own = jnp.all(unknown | on_stable_branch(problem, state, at.by_x))
-    if problem.flexibility is None:
-        return own
     slopes = load_slopes(problem, state, at)
     slopes = slopes if begins is None else jnp.where(begins[:, None, None], 0.0, slopes)
     return own & network_is_stable(problem, slopes)

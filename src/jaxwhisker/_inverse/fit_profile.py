@@ -16,9 +16,9 @@ from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.points import Reconstruction
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible
+from jaxwhisker._model.conic import Circle, Ellipse, Parabola
 from jaxwhisker._model.contour import Contour, Spline, spline, tabulate
 from jaxwhisker._model.profile import STEEPEST, AbstractProfile, bisect
-from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
 
 KNOTS = 8  # of a Contour
 REWEIGHTINGS = 5  # fits in a row; weights depend on the profile, so each fit uses those of the previous one

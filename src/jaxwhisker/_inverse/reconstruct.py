@@ -231,17 +231,14 @@ def instrument(sensor: Sensor) -> Instrument:
     bending_unit, n = unit.moment * unit.length, len(whiskers)
     mounts = [[mount.x / unit.length, mount.y / unit.length, mount.angle] for mount in support.mounts]
     rest = jnp.stack([jnp.stack([jnp.asarray(v, dtype=float) for v in mount]) for mount in mounts])
-    flexibility, matrix = support.flexibility(), jnp.zeros((n, 3, n, 3))
-    if flexibility is not None:
-        flexibility = flexibility.in_frames(jnp.zeros(n), unit.length, unit.force)
-        matrix, rest = flexibility.matrix.reshape(matrix.shape), rest + flexibility.offset.reshape(rest.shape)
+    flexibility = support.flexibility().in_frames(jnp.zeros(n), unit.length, unit.force)
     return Instrument(
         unit,
         jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length,
         jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers]) / bending_unit,
         sections(whiskers, unit.length, bending_unit),
-        matrix,
-        rest,
+        flexibility.matrix.reshape(n, 3, n, 3),
+        rest + flexibility.offset.reshape(n, 3),
         None if sensor.friction is None else jnp.arctan(jnp.asarray(sensor.friction, dtype=float)),
     )
 

@@ -40,6 +40,10 @@ class AbstractMotion(eqx.Module):
     def onwards(self) -> int:
         """+1 if the control increases during a scan, else -1."""
 
+    def undirected(self) -> "AbstractMotion":
+        """The same poses, without a static direction where that is possible."""
+        return self
+
     @abc.abstractmethod
     def unit(self, length: Scalar) -> Scalar:
         """Unit of control of the dimensionless problem: `length`, 1 rad, or the range of a user-defined motion."""
@@ -87,6 +91,9 @@ class Translation(_AbstractDirected):
     def ends(self):
         return None
 
+    def undirected(self):
+        return Translation()
+
     def unit(self, length):
         return length
 
@@ -129,6 +136,9 @@ class Rotation(_AbstractDirected):
     @property
     def ends(self):
         return -self.direction * np.pi / 2, self.direction * np.pi / 2
+
+    def undirected(self):
+        return Rotation(self.pivot, self.radius)
 
     def unit(self, length):
         del length

@@ -48,6 +48,12 @@ class Flexibility(NamedTuple):
         )
 
 
+def rigid(whiskers: int) -> Flexibility:
+    """The flexibility of clamped bases: none."""
+    none = jnp.zeros((whiskers, whiskers))
+    return Flexibility(none, none, jnp.zeros(whiskers), jnp.asarray(True))
+
+
 def along_all_axes(parts: dict[str, Flexibility]) -> Flexibility:
     """The flexibility for x, y and angle of every base, from those along each axis that has springs."""
     n, k = next(iter(parts.values())).offset.size, len(AXES)

@@ -130,9 +130,14 @@ class AbstractProfile(eqx.Module):
         """A point and the slope of each side of a polygon; None for a curved outline."""
         return None
 
-    def around(self) -> tuple[Scalar, Scalar] | None:
-        """Parameters between which `point` runs once around a closed object, for figures; None if it is open."""
-        return None
+    @property
+    def closed(self) -> Bool[Array, ""] | bool:
+        """Whether `point` runs all around the object, between the parameters of its `span`."""
+        return False
+
+    def span(self) -> tuple[Scalar, Scalar]:
+        """Parameters of the first and the last point that may be nearest to a whisker: beyond the ends if closed."""
+        return self.ends()
 
     def lowest(self) -> Scalar:
         """The parameter of the object's lowest point."""

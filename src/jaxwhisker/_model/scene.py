@@ -271,7 +271,7 @@ def objects_of(scene: Scene | Sensor) -> tuple[AbstractProfile, ...]:
     return scene.profile.objects if isinstance(scene, Scene) else ()
 
 
-def moves_along_x(scene: Scene | Sensor) -> bool:
+def moves_along_x(scene: Any) -> bool:
     """Whether a single axis suffices: bases stay upright at height 0, move along x only, and hold all springs."""
     along_x = isinstance(scene.motion, Translation) and scene.support.axes in ((), ("x",))
     return along_x and scene.support.mount is None and not scene.support.on_shafts

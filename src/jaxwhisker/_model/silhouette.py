@@ -25,10 +25,10 @@ def silhouette(
         whole: whether a closed object is drawn all around.
         points: number of points.
     """
-    around = profile.around() if whole else None
-    low, high = _near(profile, CUT_OFF * length) if around is None else around
+    around = whole and bool(profile.closed)
+    low, high = profile.span() if around else _near(profile, CUT_OFF * length)
     # A closed curve starts beside the top: at the very top, heights above the lowest point are 0/0.
-    beside = 0.0 if around is None else 0.5 / (points - 1)
+    beside = 0.5 / (points - 1) if around else 0.0
     at = jax.vmap(profile.point)(low + (high - low) * (jnp.linspace(0.0, 1.0, points) + beside))
     return jnp.stack([at.x, at.y], axis=-1)
 

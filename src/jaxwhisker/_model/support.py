@@ -14,7 +14,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.types import PerSpring, Scalar
 from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.motion import Mount
-from jaxwhisker._model.network import Flexibility, along_all_axes, connected, flexibility
+from jaxwhisker._model.network import Flexibility, along_all_axes, connected, flexibility, rigid
 from jaxwhisker._model.published import Published
 from jaxwhisker._model.spring import AXES, Spring
 
@@ -307,19 +307,19 @@ class Support(Published):
         rest_lengths = [None] * len(ends) if rest_length is None else _per_spring("rest_length", rest_length, shares)
         return cls(tuple(map(Spring, ends, stiffnesses, rest_lengths)))
 
-    def flexibility(self, hold: Float[Array, "whiskers axes"] | None = None) -> Flexibility | None:
-        """Flexibility of the bases in the drive's frame; None without springs.
+    def flexibility(self, hold: Float[Array, "whiskers axes"] | None = None) -> Flexibility:
+        """Flexibility of the bases in the drive's frame; zero without springs.
 
-        If all springs act along x, there is one row per base; otherwise three: x, y, angle of base 1, then of base 2.
-        Bases that only springs on shafts connect to the drive have no flexibility of their own. They are held by a
-        further spring, which is not part of the support, with the stiffness `hold`. The offset is NaN while a rest
-        length has its default, which a scene determines.
+        If no spring acts along another axis than x, there is one row per base; otherwise three: x, y, angle of base 1,
+        then of base 2. Bases that only springs on shafts connect to the drive have no flexibility of their own. They
+        are held by a further spring, which is not part of the support, with the stiffness `hold`. The offset is NaN
+        while a rest length has its default, which a scene determines.
 
         Raises:
             ValueError: if there are springs on shafts and `hold` is not given.
         """
         if not self.axes:
-            return None
+            return rigid(self.whiskers)
         if hold is None:
             if self.on_shafts:
                 checks.fail("support", "without springs or foundations on shafts for this function", f"{self.name}")

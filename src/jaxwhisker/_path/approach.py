@@ -8,13 +8,13 @@ import abc
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import Stance
-from jaxwhisker._path.path import Path, Status
+from jaxwhisker._path.path import Path, Status, select
 
 FIRST_STEP = 0.02  # of the march after a corner; steps grow at once where the path is smooth
 MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free, dimensionless
@@ -35,7 +35,7 @@ class AbstractApproach(abc.ABC):
     """The parts of a scan that depend on how the drive approaches and leaves the object."""
 
     def __init__(self, problem: Problem):
-        self.problem, self.onwards = problem, problem.motion.onwards
+        self.problem, self.onwards = problem, problem.onwards
 
     @abc.abstractmethod
     def start(self, first_stop: Scalar) -> Scalar:
@@ -79,7 +79,7 @@ class FromAfar(AbstractApproach):
     def first_touch(self) -> Scalar:
         """The control at which the first whisker touches; infinite, in the direction of motion, if none ever does."""
         at = self.unloaded(jnp.asarray(0.0))
-        first = at.right if self.onwards < 0 else at.left
+        first = select(self.onwards < 0, at.right, at.left)
         ahead = jnp.where(first.reaches, -self.onwards * (first.x - at.x), -jnp.inf)
         return -self.onwards * jnp.max(ahead)
 
@@ -121,13 +121,13 @@ class FromAfar(AbstractApproach):
 class Bounded(AbstractApproach):
     """A motion with a first control, at which all whiskers are free, and a last control."""
 
-    def _ends(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        assert self.problem.motion.ends is not None
-        start, end = (jnp.asarray(end, dtype=float) / self.problem.unit.control for end in self.problem.motion.ends)
-        return start, end
+    def __init__(self, problem: Problem):
+        super().__init__(problem)
+        assert problem.ends is not None
+        self.first, self.last = problem.ends
 
     def start(self, first_stop):
-        start, _ = self._ends()
+        start = self.first
         return jnp.where(-self.onwards * (first_stop - start) > 0, first_stop, start)
 
     def unloaded(self, u):
@@ -139,16 +139,14 @@ class Bounded(AbstractApproach):
 
     def longest_step(self):
         # A long step of such a motion, unlike one of a translation, could miss the object altogether.
-        start, end = self._ends()
-        return jnp.abs(end - start) / GLANCES
+        return jnp.abs(self.last - self.first) / GLANCES
 
     def is_over(self, state, at):
         del state, at
         return jnp.asarray(False)
 
     def limits(self):
-        start, end = self._ends()
-        return Limits(start, end, end)
+        return Limits(self.first, self.last, self.last)
 
     def crop(self, path, whole, limits):
         passed, event = jnp.arange(path.nodes.kind.shape[0]) < path.count, path.nodes.kind >= 0
@@ -165,4 +163,4 @@ class Bounded(AbstractApproach):
 
 def approach_of(problem: Problem) -> FromAfar | Bounded:
     """The approach that suits the motion of a problem's drive."""
-    return FromAfar(problem) if problem.motion.ends is None else Bounded(problem)
+    return FromAfar(problem) if problem.ends is None else Bounded(problem)

@@ -207,7 +207,7 @@ def _is_over(
     problem: Problem, march: MarchState, trial: Trial, last: Int[Array, ""], stop_kind: Bool[Array, ""]
 ) -> Bool[Array, ""]:
     """Whether the march ends here: at the last stop, or on the way to it after all whiskers have passed the object."""
-    last_leg = (march.goal >= last) & (march.direction * problem.motion.onwards > 0) & (march.goal > 0)
+    last_leg = (march.goal >= last) & (march.direction * problem.onwards > 0) & (march.goal > 0)
     gone = approach_of(problem).is_over(march.state, trial.stance) & last_leg
     return (stop_kind & (march.goal > last)) | gone
 

@@ -84,13 +84,13 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
 
 
 def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
-    n, onwards = problem.length.shape[0], problem.motion.onwards
+    n, onwards = problem.length.shape[0], problem.onwards.astype(float)
     u = approach_of(problem).start(stops[0])
     z, pose = problem.unloaded(u)
     state, none = all_free(problem, approach_of(problem).unloaded(u).side), jnp.zeros(n)
     edges, friction = problem.profile.has_edges, state.friction
     point = Point(z, u)
-    still = Point(jnp.zeros_like(z), jnp.asarray(float(onwards)))
+    still = Point(jnp.zeros_like(z), onwards)
     pending = Node(
         point,
         z,
@@ -110,7 +110,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         point=point,
         pose=pose,
         tangent=still,
-        tangent_pose=jnp.full_like(pose, problem.rest_rate(float(onwards))),
+        tangent_pose=jnp.full_like(pose, problem.rest_rate(onwards)),
         bend=jax.tree.map(jnp.zeros_like, still),
         step=jnp.asarray(FIRST_STEP),
         unstable_at=jnp.asarray(jnp.inf),

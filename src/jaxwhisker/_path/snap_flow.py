@@ -123,8 +123,6 @@ def kick(flow: Flow, point: Point, tangent: Point, tangent_pose: Poses) -> Flow:
 
 def _implicit_displacement(problem: Problem, pull: Poses, slope, damping: Scalar) -> Poses:
     """Solution of (1 + C damping - C slope) displacement = pull."""
-    if problem.flexibility is None:
-        return pull
     matrix = problem.flexibility.matrix
     system = jnp.eye(pull.size) + matrix * damping - times_block_diagonal(matrix, slope)
     return jnp.reshape(solve(system, jnp.ravel(pull)[:, None]), pull.shape)

@@ -77,8 +77,6 @@ def _energy(scene: Scene, state: State, control: Control | None) -> Float[Array,
     for k, whisker in enumerate(scene.whiskers):
         energy += _whisker_energy(whisker, jax.tree.map(lambda leaf, k=k: leaf[..., k], state))
     flexibility = scene.support.flexibility()
-    if flexibility is None:
-        return energy
     load = _loads(scene, state, flexibility)
     # Elementwise, because jax 0.10.2 computes large batches of small matrix products incorrectly.
     strain = jnp.sum(flexibility.matrix * load[..., None, :], axis=-1)

@@ -102,11 +102,9 @@ def loaded_rod(whisker: Whisker, loads: Given, support: Support) -> tuple[Loaded
     springs = attached(support, sections((whisker,), length, stiffness), unit)
     hold = None if springs is None else support.hold(unit.force / unit.length, unit.moment)
     flexibility, mount = support.flexibility(hold), support.mounts[0]
-    rest = jnp.array([mount.x / length, mount.y / length, mount.angle], dtype=float)
-    compliance, held, held_by, ranks = jnp.zeros(3), jnp.zeros(3), None, jnp.zeros(0, int)
-    if flexibility is not None:
-        framed = flexibility.in_frames(jnp.zeros(1), unit.length, unit.force)
-        rest, compliance = rest + framed.offset, jnp.diagonal(framed.matrix)
+    framed = flexibility.in_frames(jnp.zeros(1), unit.length, unit.force)
+    rest = jnp.array([mount.x / length, mount.y / length, mount.angle], dtype=float) + framed.offset
+    held, held_by, ranks = jnp.zeros(3), None, jnp.zeros(0, int)
     if springs is not None:
         assert hold is not None
         held = hold[0] / jnp.stack([unit.force / unit.length, unit.force / unit.length, unit.moment])
@@ -114,7 +112,7 @@ def loaded_rod(whisker: Whisker, loads: Given, support: Support) -> tuple[Loaded
     section = None if whisker.uniform else whisker.section(length, stiffness)
     given, lines = sorted_loads(whisker, loads), lines_of(whisker, loads)
     laws = () if springs is None else springs.laws
-    return LoadedRod(given, lines, section, rest, compliance, held, held_by, laws), ranks
+    return LoadedRod(given, lines, section, rest, jnp.diagonal(framed.matrix), held, held_by, laws), ranks
 
 
 def _start(top: Float[Array, " unknowns"]) -> rod.RodState:

@@ -36,7 +36,7 @@ from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
 from jaxwhisker._scan.signals import events
 from jaxwhisker._scan.slopes import event_tangents, remembered_tangents, spring_tangents, state_tangents
-from jaxwhisker._scan.springs import bases_of, spring_lengths
+from jaxwhisker._scan.springs import bases_of, spring_lengths, suspension
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps, states
 
@@ -132,7 +132,7 @@ def _in_blocks(
     def block(control, travel):
         solutions = with_places(solve_steps_now(problem, path, control, travel), path.nodes.state.places)
         state, status = states_now(problem, control, solutions)
-        return state, status, spring_lengths_now(scene, bases_of(scene, state), control)
+        return state, status, spring_lengths_now(suspension(scene), bases_of(scene, state), control)
 
     return in_blocks(block, (route.control, route.travel), BLOCK)
 

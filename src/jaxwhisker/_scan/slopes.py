@@ -12,12 +12,11 @@ from jaxtyping import Array, Float
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import along, are_few, direction_of, jacobian
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Path
 from jaxwhisker._scan.memory import chained, with_memory
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.signals import events
-from jaxwhisker._scan.springs import Bases, spring_length
+from jaxwhisker._scan.springs import Bases, Suspension, spring_length
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import Solutions, states
 
@@ -56,7 +55,9 @@ def event_slopes(problem: Problem, path: Path) -> Events:
     return jacobian(lambda numbers: events(eqx.combine(numbers, problem), path), problem.numbers())
 
 
-def spring_slopes(scene: Scene, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs numbers"]:
+def spring_slopes(
+    scene: Suspension, bases: Bases, control: Float[Array, " steps"]
+) -> Float[Array, "steps springs numbers"]:
     """Slopes with respect to the numbers of the scene, then those of the step: x, y, angle of all bases, control."""
 
     def at(base, u):

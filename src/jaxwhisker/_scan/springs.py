@@ -46,6 +46,14 @@ class Holds(eqx.Module):
     motion: AbstractMotion
 
 
+class Suspension(NamedTuple):
+    """The parts of a scene that the lengths of its springs depend on: scenes that share these share a program."""
+
+    support: Support
+    motion: AbstractMotion
+    whiskers: tuple[Whisker, ...] | None  # None without springs on shafts
+
+
 class Held(NamedTuple):
     """The springs on the shaft of one whisker, and the frame of the drive, in the scene's units."""
 
@@ -54,9 +62,14 @@ class Held(NamedTuple):
     drive: Frame
 
 
-def holds(scene: Scene | Sensor) -> Holds | None:
+def holds(scene: Scene | Sensor | Suspension) -> Holds | None:
     """What holds the whiskers of a scene or sensor by springs on their shafts; None without such springs."""
     return Holds(scene.support, scene.motion) if scene.support.on_shafts else None
+
+
+def suspension(scene: Scene) -> Suspension:
+    """The parts of a scene that the lengths of its springs depend on."""
+    return Suspension(scene.support, scene.motion.undirected(), scene.whiskers if scene.support.attached else None)
 
 
 def held(
@@ -220,22 +233,26 @@ def loads_of(state: State) -> tuple[Float[Array, "*steps whiskers"], ...]:
     return state.fx, state.fy, state.mz, *(state.shaft_loads or ())
 
 
-def spring_lengths(scene: Scene, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
+def spring_lengths(
+    scene: Scene | Suspension, bases: Bases, control: Float[Array, " steps"]
+) -> Float[Array, "steps springs"]:
     """Lengths of the springs, or angles of torsion springs, at all steps."""
+    if not scene.support.springs:
+        return jnp.zeros((*control.shape, 0))
     return jax.vmap(partial(spring_length, scene))(bases, control)
 
 
-def spring_length(scene: Scene, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
+def spring_length(scene: Scene | Suspension, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
     """Length of each spring, in the drive's frame, in one state."""
     linear, by = _linear_lengths(scene, base[:3], u), holds(scene)
-    if by is None or not scene.support.attached:
+    if by is None or scene.whiskers is None or not scene.support.attached:
         return linear
     attached = (one.length for one in on_shafts(by, scene.whiskers, Pose(*base[:3]), base[3:], u))
     network = iter(linear)
     return jnp.stack([next(network if spring.linear else attached) for spring in scene.support.springs])
 
 
-def _linear_lengths(scene: Scene, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
+def _linear_lengths(scene: Scene | Suspension, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
     """Lengths of the springs that form the network of the bases."""
     x, y, angle = base
     if moves_along_x(scene):

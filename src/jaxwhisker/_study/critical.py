@@ -152,8 +152,6 @@ search_now, slopes_now = Program(_search, frozen=True), Program(_slopes, tangent
 def softest(support: Support) -> Float[Array, ""]:
     """Displacement along x of the softest base per force on it: max C_ii, a length per force; 0 for clamped bases."""
     flexibility = support.flexibility()
-    if flexibility is None:
-        return jnp.zeros(())
     return jnp.max(jnp.diagonal(flexibility.matrix)[:: flexibility.offset.size // support.whiskers])
 
 

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxwhisker._model.conic import Circle, Ellipse, Parabola
 from jaxwhisker._model.motion import Translation
-from jaxwhisker._model.profiles import Circle, Ellipse, Parabola
 from jaxwhisker._model.scene import DETECTABLE, Scene, Units, units_of
 from jaxwhisker._model.spring import SPACING
 from jaxwhisker._model.support import Support

@@ -157,14 +157,13 @@ def start_of(scene: Scene) -> float:
     If no whisker touches, it is x of the object's vertex, or the start of a motion that has ends.
     """
     problem = problem_now(jax.tree.map(checks.as_float, scene))
-    motion, unit = problem.motion, float(problem.unit.control)
-    if motion.ends is None:
-        first = float(_first_touch(problem)) - BEFORE_TOUCH * motion.onwards
+    unit = float(problem.unit.control)
+    if problem.ends is None:
+        first = float(_first_touch(problem)) - BEFORE_TOUCH * scene.motion.onwards
         return unit * (first if np.isfinite(first) else float(problem.profile.vertex()[0]))
-    start, end = (float(end) / unit for end in motion.ends)
-    controls = np.linspace(start, end, CONTROLS)
+    controls = np.linspace(*map(float, problem.ends), CONTROLS)
     meets = np.flatnonzero(~np.asarray(_clear(problem, controls)))
-    return unit * (float(controls[max(meets[0] - 1, 0)]) if meets.size else start)
+    return unit * (float(controls[max(meets[0] - 1, 0) if meets.size else 0]))
 
 
 @Program

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxwhisker._model.profiles import Circle, Parabola
+from jaxwhisker._model.conic import Circle, Parabola
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker

@@ -1,0 +1,255 @@
+"""Profiles that are conic sections: parabola, circle and ellipse.
+
+All of them are one curve with further numbers, so that scenes with any of them share their programs.
+"""
+
+import abc
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import as_text, text_unless
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.profile import STEEPEST, AbstractProfile, ContactPoint, FirstTouch
+
+
+class Conic(AbstractProfile):
+    """Conic section with its vertex below: x^2 = 2 R y - k y^2, relative to the vertex.
+
+    R is the radius of curvature at the vertex, and k = 0 for a parabola, 1 for a circle, (a/b)^2 for an ellipse with
+    half axes a along x and b along y, and negative for a hyperbola. With the slope angle alpha,
+
+        x = R sin(alpha) / D,    y = R sin(alpha)^2 / (D (D + cos(alpha))),    D = sqrt(cos(alpha)^2 + k sin(alpha)^2).
+
+    The parameter p has tan(alpha) = c tan(p). For an ellipse c = sqrt(b/a) places it between the slope angle and the
+    eccentric angle, which keeps the curve smooth for flat and for steep ellipses; otherwise p is alpha.
+    """
+
+    distance: Float[Array, ""]  # of the vertex above the bases
+    radius: Float[Array, ""]  # R
+    shape: Float[Array, ""]  # k
+    position: Float[Array, ""]  # of the vertex along x
+
+    def _stretch(self) -> Scalar:
+        """The factor c. It has no derivative: it only labels points."""
+        shape = jax.lax.stop_gradient(self.shape)
+        return jnp.where(shape > 0, shape, 1.0) ** -0.25
+
+    def _directions(self, parameter: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        """cos(alpha), sin(alpha) and D, all times a norm, and the square of this norm."""
+        cos, sin = jnp.cos(parameter), self._stretch() * jnp.sin(parameter)
+        cos2, sin2 = cos * cos, sin * sin
+        size = jnp.sqrt(cos2 + self.shape * sin2)
+        # An open curve goes on analytically beyond its vertical tangents, for steps of Newton's method.
+        return cos, sin, jnp.where((cos < 0) & ~self.closed, -size, size), cos2 + sin2
+
+    def point(self, parameter):
+        cos, sin, size, square = self._directions(parameter)
+        x, norm = self.radius * sin / size, jnp.sqrt(square)
+        # R (1 - cos t) loses its digits near the vertex; this form does not.
+        return ContactPoint(self.position + x, self.distance + x * sin / (size + cos), cos / norm, sin / norm)
+
+    def speed(self, parameter):
+        _, _, size, square = self._directions(parameter)
+        return self.radius * self._stretch() * jnp.sqrt(square) / (size * size * size)
+
+    def first_touch(self, height, side):
+        # The shaft of a whisker that ends above the widest point meets that point; otherwise the tip meets the flank.
+        return self._at(height, side, highest=1.0)
+
+    def beside(self, height, side):
+        return self._at(height, side, highest=2.0)
+
+    def _at(self, height: Scalar, side: Scalar, highest: float) -> FirstTouch:
+        """The outermost point at this height; of a closed curve, at most so many half axes above the lowest point."""
+        rise, closed = jnp.asarray(height - self.distance, dtype=float), self.closed
+        # Out of reach, any finite value will do.
+        y = jnp.where(rise > 0, rise, self.radius)
+        y = jnp.minimum(y, jnp.where(closed, highest * self.radius / jnp.where(closed, self.shape, 1.0), jnp.inf))
+        x, down = jnp.sqrt(y * (2 * self.radius - self.shape * y)), self.radius - self.shape * y
+        parameter = jnp.arctan2(x, self._stretch() * down)
+        return FirstTouch(side * parameter, self.position + side * x, self.distance + y)
+
+    @property
+    def closed(self):
+        return self.shape > 0
+
+    def span(self):
+        end = jnp.where(self.closed, jnp.pi, STEEPEST)
+        return -end, end
+
+    def lowest(self):
+        return jnp.zeros(())
+
+    def at_slope(self, slope):
+        low, high = self.ends()
+        return jnp.clip(jnp.arctan2(jnp.sin(slope), self._stretch() * jnp.cos(slope)), low, high)
+
+    def vertex(self):
+        return self.position, self.distance
+
+    def in_unit(self, length):
+        return Conic(self.distance / length, self.radius / length, self.shape, self.position / length)
+
+    def _positive(self):
+        return [self.distance, self.radius]
+
+    def __str__(self):
+        return f"conic section q = {as_text(self.distance)}, R = {as_text(self.radius)}, k = {as_text(self.shape)}"
+
+
+def _conic(*numbers: Scalar) -> Conic:
+    return Conic(*(jnp.asarray(number, dtype=float) for number in numbers))
+
+
+class _AbstractConic(AbstractProfile):
+    """A conic section that is given by the position of its vertex and by positive numbers."""
+
+    # Its subclasses declare `distance` and `position`, because the order of the fields is that of their arguments.
+
+    def __check_init__(self):
+        for name in self.__dataclass_fields__:
+            checks.number(name, getattr(self, name), positive=name != "position")
+
+    @abc.abstractmethod
+    def conic(self) -> Conic:
+        """The curve."""
+
+    def point(self, parameter):
+        return self.conic().point(parameter)
+
+    def speed(self, parameter):
+        return self.conic().speed(parameter)
+
+    def first_touch(self, height, side):
+        return self.conic().first_touch(height, side)
+
+    def beside(self, height, side):
+        return self.conic().beside(height, side)
+
+    def lowest(self):
+        return self.conic().lowest()
+
+    def at_slope(self, slope):
+        return self.conic().at_slope(slope)
+
+    def vertex(self: Any):
+        return self.position, self.distance
+
+    def in_unit(self, length):
+        return self.conic().in_unit(length)
+
+    def _positive(self):
+        return [getattr(self, name) for name in self.__dataclass_fields__ if name != "position"]
+
+
+class Parabola(_AbstractConic):
+    """Parabola y = distance + a (x - position)^2.
+
+    Its parameter is the slope angle alpha: x - position = tan(alpha) / (2 a).
+
+    Args:
+        distance: q, height of the vertex above the bases, a length; positive.
+        a: half the curvature at the vertex, 1/length; positive.
+        position: x of the vertex, a length.
+
+    Raises:
+        ValueError: if a value is not a finite number, or not positive where it must be.
+
+    Examples:
+        >>> profile = jw.Parabola(distance=0.2, a=2.0)
+        >>> point = profile.point(jnp.pi / 4)  # where the slope is 45 degrees
+        >>> print(f"x = {point.x:.3f}, y = {point.y:.3f}")
+        x = 0.250, y = 0.325
+    """
+
+    distance: Scalar
+    a: Scalar = 1.0
+    position: Scalar = 0.0
+
+    def conic(self):
+        return _conic(self.distance, 1 / (2 * self.a), 0.0, self.position)
+
+    def __str__(self):
+        a, position = text_unless(1.0, ", a = ", self.a), text_unless(0.0, ", x = ", self.position)
+        return f"parabola q = {as_text(self.distance)}{a}{position}"
+
+
+class Circle(_AbstractConic):
+    """Circle of radius r above its lowest point (position, distance).
+
+    Its parameter is the slope angle alpha: x - position = r sin(alpha), y - distance = r (1 - cos(alpha)).
+
+    Args:
+        distance: q, height of the lowest point above the bases, a length; positive.
+        radius: r, a length; positive.
+        position: x of the centre, a length.
+
+    Raises:
+        ValueError: if a value is not a finite number, or not positive where it must be.
+
+    Examples:
+        >>> jw.Circle(distance=0.2, radius=0.5).vertex()
+        (0.0, 0.2)
+    """
+
+    distance: Scalar
+    radius: Scalar
+    position: Scalar = 0.0
+
+    def conic(self):
+        return _conic(self.distance, self.radius, 1.0, self.position)
+
+    @property
+    def closed(self):
+        return True
+
+    def span(self):
+        return -jnp.pi, jnp.pi
+
+    def __str__(self):
+        position = text_unless(0.0, ", x = ", self.position)
+        return f"circle q = {as_text(self.distance)}, r = {as_text(self.radius)}{position}"
+
+
+class Ellipse(_AbstractConic):
+    """Ellipse with half axes a along x and b along y: x = a sin t, y = -b cos t, relative to its centre.
+
+    Its parameter p lies between the eccentric angle t and the slope angle alpha:
+    tan(alpha) = sqrt(b/a) tan(p) = (b/a) tan(t). This keeps the curve smooth for flat and for steep ellipses.
+
+    Args:
+        distance: q, height of the lowest point above the bases, a length; positive.
+        a: horizontal half axis, a length; positive.
+        b: vertical half axis, a length; positive.
+        position: x of the centre, a length.
+
+    Raises:
+        ValueError: if a value is not a finite number, or not positive where it must be.
+
+    Examples:
+        >>> print(jw.Ellipse(distance=0.2, a=0.5, b=0.3, position=0.1))
+        ellipse q = 0.2, a = 0.5, b = 0.3, x = 0.1
+    """
+
+    distance: Scalar
+    a: Scalar
+    b: Scalar
+    position: Scalar = 0.0
+
+    def conic(self):
+        return _conic(self.distance, self.a**2 / self.b, (self.a / self.b) ** 2, self.position)
+
+    @property
+    def closed(self):
+        return True
+
+    def span(self):
+        return -jnp.pi, jnp.pi
+
+    def __str__(self):
+        axes = f"a = {as_text(self.a)}, b = {as_text(self.b)}"
+        return f"ellipse q = {as_text(self.distance)}, {axes}{text_unless(0.0, ', x = ', self.position)}"
