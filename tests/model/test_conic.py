@@ -7,30 +7,30 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._model.conic import Conic, _conic
+from jaxwhisker._model.conic import Conic, conic
 
 EXACT = 1e-12  # sums of a few numbers of size 1
-NEAR_TOP = 1e-11  # far above the widest point of a closed curve, heights are differences of nearly equal numbers
+NEAR_TOP = 1e-9  # far above the widest point of a closed curve, heights are differences of nearly equal numbers
 SIZE, HEIGHT, PLACE = 0.4, 0.2, -0.1
 SHAPES = {"parabola": 0.0, "circle": 1.0, "flat ellipse": 40.0, "steep ellipse": 0.03, "hyperbola": -0.7}
 
 
-def conic(shape):
-    return _conic(HEIGHT, SIZE, shape, PLACE)
+def curve(shape):
+    return conic(HEIGHT, SIZE, shape, PLACE)
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_points_satisfy_the_equation_and_slopes_are_those_of_the_curve(shape):
     for parameter in (-1.3, -0.4, 1e-6, 0.8, *([2.0, -3.0] if shape > 0 else [])):
-        at = conic(shape).point(jnp.asarray(parameter))
+        at = curve(shape).point(jnp.asarray(parameter))
         if shape < 0 and abs(np.tan(parameter)) > 1 / np.sqrt(-shape):
             continue  # steeper than the asymptotes
         x, y = at.x - PLACE, at.y - HEIGHT
-        assert abs(x**2 - 2 * SIZE * y + shape * y**2) < EXACT
-        rate_x, rate_y = jax.jacfwd(lambda p: jnp.stack(conic(shape).point(p)[:2]))(jnp.asarray(parameter))
+        assert abs(x**2 - 2 * SIZE * y + shape * y**2) < EXACT * (1 + y)
+        rate_x, rate_y = jax.jacfwd(lambda p: jnp.stack(curve(shape).point(p)[:2]))(jnp.asarray(parameter))
         speed = np.hypot(rate_x, rate_y)
         np.testing.assert_allclose([at.cos, at.sin], [rate_x / speed, rate_y / speed], atol=EXACT)
-        np.testing.assert_allclose(conic(shape).speed(parameter), speed, rtol=NEAR_TOP)
+        np.testing.assert_allclose(curve(shape).speed(parameter), speed, rtol=NEAR_TOP)
 
 
 def test_classes_are_conics_with_their_own_numbers():
@@ -48,44 +48,42 @@ def test_first_touches_and_places_beside_are_where_the_curve_has_this_height():
     for shape in SHAPES.values():
         widest = SIZE / shape if shape > 0 else np.inf
         for side in (1.0, -1.0):
-            for rise in (0.02, 0.5 * min(widest, 1.0), 1.2 * widest):
+            for rise in (0.1 * min(widest, 1.0), 0.5 * min(widest, 1.0), 1.2 * widest):
                 if not np.isfinite(rise):
                     continue
-                touch, beside = (f(HEIGHT + rise, side) for f in (conic(shape).first_touch, conic(shape).beside))
+                touch, beside = (f(HEIGHT + rise, side) for f in (curve(shape).first_touch, curve(shape).beside))
                 assert abs(touch.y - HEIGHT - min(rise, widest)) < EXACT
                 assert abs(beside.y - HEIGHT - min(rise, 2 * widest)) < EXACT
                 for found in (touch, beside):
-                    at = conic(shape).point(found.parameter)
+                    at = curve(shape).point(found.parameter)
                     np.testing.assert_allclose([found.x, found.y], [at.x, at.y], atol=EXACT)
                     assert side * (found.x - PLACE) > -EXACT
 
 
 def test_out_of_reach_a_first_touch_is_finite():
     for shape in SHAPES.values():
-        assert np.isfinite(jax.tree.leaves(conic(shape).first_touch(HEIGHT - 0.1, 1.0))).all()
+        assert np.isfinite(jax.tree.leaves(curve(shape).first_touch(HEIGHT - 0.1, 1.0))).all()
 
 
 def test_slopes_and_lowest_points_are_found_without_iteration():
     for shape in SHAPES.values():
         for slope in (-1.0, 0.0, 0.5):
-            at = conic(shape).point(conic(shape).at_slope(slope))
+            at = curve(shape).point(curve(shape).at_slope(slope))
             np.testing.assert_allclose(jnp.arctan2(at.sin, at.cos), slope, atol=EXACT)
-        lowest = conic(shape).point(conic(shape).lowest())
+        lowest = curve(shape).point(curve(shape).lowest())
         np.testing.assert_array_equal([lowest.x, lowest.y], [PLACE, HEIGHT])
 
 
 def test_a_parabola_goes_on_beyond_a_vertical_tangent():
     # Newton's method may step there, and comes back from finite values.
-    x, y, _, _ = conic(0.0).point(jnp.asarray(1.7))
+    x, y, _, _ = curve(0.0).point(jnp.asarray(1.7))
     np.testing.assert_allclose([x - PLACE, y - HEIGHT], [SIZE * np.tan(1.7), SIZE * np.tan(1.7) ** 2 / 2], rtol=1e-10)
 
 
 def test_the_derivative_of_the_width_by_the_shape():
     rise = 0.15  # at which x = sqrt(y (2 R - k y))
     for shape in SHAPES.values():
-        x, by_shape = jax.jvp(
-            lambda k: _conic(HEIGHT, SIZE, k, 0.0).first_touch(HEIGHT + rise, 1.0).x, (shape,), (1.0,)
-        )
+        x, by_shape = jax.jvp(lambda k: conic(HEIGHT, SIZE, k, 0.0).first_touch(HEIGHT + rise, 1.0).x, (shape,), (1.0,))
         if rise < SIZE / max(shape, 1e-9):
             np.testing.assert_allclose(by_shape, -(rise**2) / (2 * x), rtol=EXACT)
 
@@ -100,5 +98,5 @@ def test_scenes_with_any_conic_share_their_programs():
 
 def test_whether_a_curve_is_closed_is_a_number():
     for shape in SHAPES.values():
-        assert bool(conic(shape).closed) == (shape > 0)
-        np.testing.assert_allclose(conic(shape).span()[1], np.pi if shape > 0 else conic(shape).ends()[1])
+        assert bool(curve(shape).closed) == (shape > 0)
+        np.testing.assert_allclose(curve(shape).span()[1], np.pi if shape > 0 else curve(shape).ends()[1])

@@ -155,7 +155,7 @@ def test_a_trial_is_judged_by_its_solution():
         ahead = Point(sign * newton.tangent.z, sign * newton.tangent.u)
         march = march._replace(state=state, point=Point(z, u + 0.01), tangent=ahead, pose=newton.pose + 0.01)
         solution = Solution(Point(z, u), newton, jnp.asarray(True), jnp.asarray(1))
-        return evaluate_trial(problem, march, solution, u - 0.25, newton.pose), slope_sines(problem, z, state)
+        return evaluate_trial(problem, march, solution, u - 0.25, newton.pose), slope_sines(problem, state, z[:, 1])
 
     results = {sign: judged(problem, z, u, jnp.asarray(sign)) for sign in (1.0, -1.0)}
     for sign, (trial, sines) in results.items():

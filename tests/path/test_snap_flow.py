@@ -88,7 +88,8 @@ def iterate(problem, flow, state, point, tangent, tangent_pose, first):
     apart = Apart(jnp.asarray(True), problem.across(flow.pose))
     solution = solve_point(problem, state, at_control(point.u, flow.guess), Point(flow.guess, point.u), apart)
     pose = jnp.where(problem.solved(state.phase)[:, None], solution.newton.pose, flow.pose)
-    flow, state, z = snap_flow.advance(problem, flow, state, point.z, solution, problem.stance(point.u, pose))
+    stance = problem.stance(point.u, pose)
+    flow, state, z = snap_flow.advance(problem, flow, state, point.z, solution, stance, None)
     return flow, state, Point(z, point.u), solution.converged, snap_flow.at_rest(problem, flow, state, point.u)
 
 

@@ -25,7 +25,7 @@ CERTAIN = 1e-8  # largest difference between the least gap that was computed and
 MOST_CUTS = 60  # few are needed, except by a shaft that touches an object along many cells
 NEAREST_ERROR = 1e-5  # distance along the profile from the nearest point; the gap is off by its square
 NEAREST_STEPS = 50  # as many as bisection needs; Newton's method needs six
-TANGENTS = 16  # of an object, from one of which Newton's method starts
+TANGENTS = 16  # of a closed object, from one of which Newton's method starts
 
 
 class _Place(NamedTuple):
@@ -136,25 +136,24 @@ def nearest(
     """Parameters of the nearest points on the profile of those points that are wanted.
 
     Newton's method keeps to the interval in which the nearest point is known to lie, and bisects that where it would
-    leave it. It starts at the tangent that is farthest below a point: at other places, on the far side of a flat
-    object, a point that is outside may seem to be inside.
+    leave it. It starts at the contact or, on a closed object, at the tangent that is farthest below a point: at other
+    places, on the far side of a flat object, a point that is outside may seem to be inside.
     """
-    (first, last), closed = profile.span(), profile.closed
-    size = jnp.where(closed, 1.0, 2.0) * (last - first) / TANGENTS
+    (low, high), everywhere = profile.span(), jnp.zeros_like(x)
+    closed = jnp.asarray(profile.closed)
+    size = (high - low) / TANGENTS
     guesses = parameter + size * (jnp.arange(TANGENTS) - TANGENTS // 2)
-    guesses = jnp.where(closed, guesses, jnp.clip(guesses, first, last))
-    off = _off(x[:, None], y[:, None], jax.vmap(profile.point)(guesses))
-    farthest = jnp.argmax(jnp.where(jnp.isfinite(off), off, -jnp.inf), axis=1)
-    start = jnp.where(wanted, guesses[farthest], parameter)
-    low = jnp.where(closed, start - size, jnp.maximum(start - size, first))
-    high = jnp.where(closed, start + size, jnp.minimum(start + size, last))
+    at = jax.vmap(profile.point)(jnp.where(closed, guesses, parameter))
+    farthest = jnp.argmax(_off(x[:, None], y[:, None], at), axis=1)
+    start = jnp.where(closed & wanted, guesses[farthest], parameter)
+    low, high = (jnp.where(closed, start + way * size, everywhere + end) for way, end in ((-1, low), (1, high)))
 
     def step(p, low, high, x, y, searched):
         def offset(p):
             at = profile.point(p)
             return _along(x, y, at)
 
-        value, slope = jax.value_and_grad(offset)(p)
+        value, slope = jax.jvp(offset, (p,), (jnp.ones_like(p),))
         # Outside its domain (NaN) the object has ended.
         ahead = jnp.where(jnp.isfinite(value), value > 0, p < parameter)
         low, high = jnp.where(ahead, p, low), jnp.where(ahead, high, p)

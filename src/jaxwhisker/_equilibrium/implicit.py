@@ -21,6 +21,7 @@ from jaxwhisker._equilibrium.newton import (
     along_steps,
     change_along,
     condense,
+    contact_parameters,
     evaluate,
     linear_system,
     slip_by_contact,
@@ -305,7 +306,8 @@ def _distance_to_condition(
 
     def residual(point: Point, known: Known, condition: PathCondition):
         at_contact, _ = with_dummy_contacts(known[0], point.z, state.phase)
-        slopes = slope_sines(known[0], at_contact, state._replace(friction=known[1]))
+        touching = state._replace(friction=known[1])
+        slopes = slope_sines(known[0], touching, contact_parameters(known[0], at_contact, touching))
         return condition.residual(point, jnp.where(state.touches, slopes, 0.0))
 
     return _distance(residual, here, linear, holds, (known, condition), dots)

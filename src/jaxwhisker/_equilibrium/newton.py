@@ -69,13 +69,9 @@ def evaluate(problem: Problem, point: Point, state: ContactState) -> BaseEquatio
     return of_each(bodies, contact.equations, point.z, state.phase, state.side, state.friction)
 
 
-def slope_sines(problem: Problem, z: Contacts, state: ContactState) -> PerWhisker:
-    """sin(alpha) of the object at every contact; free whiskers must have dummy contacts."""
-
-    def slope(piece, *at):
-        return problem.profile.point_on(piece, contact.parameter(problem.profile.on(piece), *at)).sin
-
-    return jax.vmap(slope)(state.piece, z, state.phase, state.side, state.friction)
+def slope_sines(problem: Problem, state: ContactState, parameters: PerWhisker) -> PerWhisker:
+    """sin(alpha) of the object at every contact, from the profile's parameters there."""
+    return jax.vmap(lambda piece, at: problem.profile.point_on(piece, at).sin)(state.piece, parameters)
 
 
 def pose_of(base: BaseEquations, axes: int) -> Float[Array, "whiskers axes *of"]:
@@ -101,7 +97,7 @@ def _widened(array: Float[Array, "whiskers 3 *more"], like: Contacts) -> Float[A
 
 
 def contact_parameters(problem: Problem, z: Contacts, state: ContactState) -> PerWhisker:
-    """The profile's parameters at all contacts."""
+    """The profile's parameters at all contacts; free whiskers must have dummy contacts if these are differentiated."""
     own = state.piece, z, state.phase, state.side, state.friction
     return jnp.asarray(jax.vmap(lambda piece, *at: contact.parameter(problem.profile.on(piece), *at))(*own))
 
@@ -116,12 +112,11 @@ def is_light(state: ContactState, z: Contacts) -> Bool[Array, " whiskers"]:
 
 
 def with_slips(
-    problem: Problem, z: Contacts, state: ContactState, slip: Int[Array, " whiskers"]
+    problem: Problem, z: Contacts, state: ContactState, slip: Int[Array, " whiskers"], at: PerWhisker
 ) -> tuple[Contacts, ContactState]:
-    """The same contacts, which from here on slip in these directions or stick (0)."""
+    """The same contacts, at these parameters, which from here on slip in these directions or stick (0)."""
     assert state.friction is not None and problem.friction_angle is not None
     old, limit = state.friction, problem.friction_angle
-    at = contact_parameters(problem, z, state)
     begins = (slip == 0) & (old.slip != 0)
     friction = Friction(
         slip,

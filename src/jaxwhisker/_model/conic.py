@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, text_unless
@@ -24,37 +24,34 @@ class Conic(AbstractProfile):
 
         x = R sin(alpha) / D,    y = R sin(alpha)^2 / (D (D + cos(alpha))),    D = sqrt(cos(alpha)^2 + k sin(alpha)^2).
 
-    The parameter p has tan(alpha) = c tan(p). For an ellipse c = sqrt(b/a) places it between the slope angle and the
-    eccentric angle, which keeps the curve smooth for flat and for steep ellipses; otherwise p is alpha.
+    The parameter p has tan(alpha) = c tan(p). For an ellipse, the power of two c near sqrt(b/a) places p between the
+    slope angle and the eccentric angle, which keeps the curve smooth for flat and for steep ellipses; otherwise p is
+    alpha. An integer, c has no derivative: it only labels points.
     """
 
     distance: Float[Array, ""]  # of the vertex above the bases
     radius: Float[Array, ""]  # R
     shape: Float[Array, ""]  # k
     position: Float[Array, ""]  # of the vertex along x
-
-    def _stretch(self) -> Scalar:
-        """The factor c. It has no derivative: it only labels points."""
-        shape = jax.lax.stop_gradient(self.shape)
-        return jnp.where(shape > 0, shape, 1.0) ** -0.25
-
-    def _directions(self, parameter: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        """cos(alpha), sin(alpha) and D, all times a norm, and the square of this norm."""
-        cos, sin = jnp.cos(parameter), self._stretch() * jnp.sin(parameter)
-        cos2, sin2 = cos * cos, sin * sin
-        size = jnp.sqrt(cos2 + self.shape * sin2)
-        # An open curve goes on analytically beyond its vertical tangents, for steps of Newton's method.
-        return cos, sin, jnp.where((cos < 0) & ~self.closed, -size, size), cos2 + sin2
+    stretch: Int[Array, ""]  # log2 c
 
     def point(self, parameter):
-        cos, sin, size, square = self._directions(parameter)
-        x, norm = self.radius * sin / size, jnp.sqrt(square)
+        cos, sin = jnp.cos(parameter), jnp.exp2(self.stretch) * jnp.sin(parameter)
+        cos2, sin2 = cos * cos, sin * sin
+        size, norm = jnp.sqrt(cos2 + self.shape * sin2), jnp.sqrt(cos2 + sin2)
+        # An open curve goes on analytically beyond its vertical tangents, for steps of Newton's method.
+        size = jnp.where((cos < 0) & ~self.closed, -size, size)
+        x = self.radius * sin / size
         # R (1 - cos t) loses its digits near the vertex; this form does not.
         return ContactPoint(self.position + x, self.distance + x * sin / (size + cos), cos / norm, sin / norm)
 
     def speed(self, parameter):
-        _, _, size, square = self._directions(parameter)
-        return self.radius * self._stretch() * jnp.sqrt(square) / (size * size * size)
+        c = jnp.exp2(self.stretch)
+        cos, factor = jnp.cos(parameter), c * c
+        cos2 = cos * cos
+        sin2 = factor * (1 - cos2)
+        size2 = cos2 + self.shape * sin2
+        return self.radius * c * jnp.sqrt((cos2 + sin2) / size2) / size2
 
     def first_touch(self, height, side):
         # The shaft of a whisker that ends above the widest point meets that point; otherwise the tip meets the flank.
@@ -70,7 +67,7 @@ class Conic(AbstractProfile):
         y = jnp.where(rise > 0, rise, self.radius)
         y = jnp.minimum(y, jnp.where(closed, highest * self.radius / jnp.where(closed, self.shape, 1.0), jnp.inf))
         x, down = jnp.sqrt(y * (2 * self.radius - self.shape * y)), self.radius - self.shape * y
-        parameter = jnp.arctan2(x, self._stretch() * down)
+        parameter = jnp.arctan2(x, jnp.exp2(self.stretch) * down)
         return FirstTouch(side * parameter, self.position + side * x, self.distance + y)
 
     @property
@@ -86,13 +83,13 @@ class Conic(AbstractProfile):
 
     def at_slope(self, slope):
         low, high = self.ends()
-        return jnp.clip(jnp.arctan2(jnp.sin(slope), self._stretch() * jnp.cos(slope)), low, high)
+        return jnp.clip(jnp.arctan2(jnp.sin(slope), jnp.exp2(self.stretch) * jnp.cos(slope)), low, high)
 
     def vertex(self):
         return self.position, self.distance
 
     def in_unit(self, length):
-        return Conic(self.distance / length, self.radius / length, self.shape, self.position / length)
+        return Conic(self.distance / length, self.radius / length, self.shape, self.position / length, self.stretch)
 
     def _positive(self):
         return [self.distance, self.radius]
@@ -101,8 +98,11 @@ class Conic(AbstractProfile):
         return f"conic section q = {as_text(self.distance)}, R = {as_text(self.radius)}, k = {as_text(self.shape)}"
 
 
-def _conic(*numbers: Scalar) -> Conic:
-    return Conic(*(jnp.asarray(number, dtype=float) for number in numbers))
+def conic(distance: Scalar, radius: Scalar, shape: Scalar, position: Scalar) -> Conic:
+    """The conic section with these numbers, and with a parameter that suits its shape."""
+    numbers = [jnp.asarray(number, dtype=float) for number in (distance, radius, shape, position)]
+    shape = jax.lax.stop_gradient(numbers[2])
+    return Conic(*numbers, jnp.round(jnp.log2(jnp.where(shape > 0, shape, 1.0)) / -4).astype(int))
 
 
 class _AbstractConic(AbstractProfile):
@@ -171,7 +171,7 @@ class Parabola(_AbstractConic):
     position: Scalar = 0.0
 
     def conic(self):
-        return _conic(self.distance, 1 / (2 * self.a), 0.0, self.position)
+        return conic(self.distance, 1 / (2 * self.a), 0.0, self.position)
 
     def __str__(self):
         a, position = text_unless(1.0, ", a = ", self.a), text_unless(0.0, ", x = ", self.position)
@@ -201,7 +201,7 @@ class Circle(_AbstractConic):
     position: Scalar = 0.0
 
     def conic(self):
-        return _conic(self.distance, self.radius, 1.0, self.position)
+        return conic(self.distance, self.radius, 1.0, self.position)
 
     @property
     def closed(self):
@@ -241,7 +241,7 @@ class Ellipse(_AbstractConic):
     position: Scalar = 0.0
 
     def conic(self):
-        return _conic(self.distance, self.a**2 / self.b, (self.a / self.b) ** 2, self.position)
+        return conic(self.distance, self.a**2 / self.b, (self.a / self.b) ** 2, self.position)
 
     @property
     def closed(self):

@@ -83,6 +83,7 @@ class After(NamedTuple):
     side: PerWhisker
     piece: Int[Array, " whiskers"] | None  # of contacts that begin or pass on
     limit: PerWhisker | None
+    parameters: PerWhisker | None  # of the profile at contacts; None without friction
 
 
 class Event(abc.ABC):
@@ -251,9 +252,9 @@ class Slip(Event):
         return jnp.sign(z[:, LEAN]) * problem.friction_angle
 
     def changed(self, which, z, state, after):
-        assert state.friction is not None and after.limit is not None
+        assert state.friction is not None and after.limit is not None and after.parameters is not None
         slip = jnp.where(which, jnp.sign(after.limit).astype(int), state.friction.slip)
-        slipping, state = with_slips(after.problem, z, state, slip)
+        slipping, state = with_slips(after.problem, z, state, slip, after.parameters)
         return jnp.where(state.free[:, None], z, slipping), state
 
     def lead(self, which, lead, happened):

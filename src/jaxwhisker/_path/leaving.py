@@ -44,10 +44,10 @@ def after_arrive(
     march = march._replace(direction=direction)
     after_snap = is_snap(march.pending.kind)
     # After a snap, and only then, the contact may be on the other side of the vertex.
-    behind = jnp.where(slope_sines(problem, point.z, march.state) < 0, -1.0, 1.0)
-    onwards = march._replace(
+    at = march._replace(point=point, stuck_at=trial.parameters)
+    behind = jnp.where(slope_sines(problem, march.state, at.parameters) < 0, -1.0, 1.0)
+    onwards = at._replace(
         task=jnp.asarray(int(Task.advance)),
-        point=point,
         pose=trial.solution.newton.pose,
         stance=None if march.stance is None else trial.stance,
         tangent=tangent,
@@ -131,7 +131,7 @@ def with_changed_slips(
 
     Args:
         problem: the problem.
-        march: the state of the march.
+        march: the state of the march, at the node.
         node: the node, with the slips before.
         slip: the new slips.
         arriving: direction of the path before.
@@ -139,7 +139,7 @@ def with_changed_slips(
     """
     before, earlier = march.state.friction, march.pending.before.friction
     assert before is not None and earlier is not None and march.tries is not None
-    z, state = with_slips(problem, node.point.z, march.state, slip)
+    z, state = with_slips(problem, node.point.z, march.state, slip, march.parameters)
     assert state.friction is not None
     if not rest:
         starts = is_light(state, z) & (before.slip != 0)
@@ -178,6 +178,7 @@ def with_changed_slips(
         task=jnp.asarray(int(Task.arrive)),
         state=state,
         point=pending.point,
+        stuck_at=march.parameters,
         lead=weights,
         pending=pending,
         tries=march.tries + 1,

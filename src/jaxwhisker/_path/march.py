@@ -137,6 +137,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         status=jnp.asarray(int(Status.ok)),
         tries=None if friction is None else jnp.asarray(0),
         rests=None if friction is None else jnp.zeros(n, bool),
+        stuck_at=None if friction is None else none,
         # The first task is to arrive, which computes the stance.
         stance=None if problem.stance_is_known else _blank(jax.eval_shape(problem.stance, u, pose, z)),
     )

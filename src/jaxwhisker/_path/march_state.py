@@ -12,7 +12,7 @@ from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase, beyond
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.newton import LIGHT, slip_by_contact, slope_sines
+from jaxwhisker._equilibrium.newton import LIGHT, contact_parameters, slip_by_contact, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import Problem
@@ -92,6 +92,14 @@ class MarchState(NamedTuple):
     # decides about the sign of its rate.
     rests: Bool[Array, " whiskers"] | None = None
     stance: Stance | None = None  # at this point; None where it is known without computing anything
+    # The profile's parameters where contacts stick, which are integrated along it; None without friction.
+    stuck_at: PerWhisker | None = None
+
+    @property
+    def parameters(self) -> PerWhisker:
+        """The profile's parameters at all contacts."""
+        known = self.point.z[:, PARAMETER]
+        return known if self.stuck_at is None else jnp.where(self.state.sticks, self.stuck_at, known)
 
     def turn(self, tangent: Point) -> Scalar:
         """du/ds along a tangent, positive while the drive moves towards its stop."""
@@ -124,6 +132,7 @@ class Trial(NamedTuple):
     slips_on: PerWhisker | None = None  # rate of slip in the direction of slip; infinite for contacts that stick
     reason: Status | Int[Array, ""] = Status.not_convex  # the status if contacts are not sound
     ends: Ends | None = None  # of the pieces on which contacts are; None without edges
+    parameters: PerWhisker | None = None  # of the profile at contacts; None without friction
 
 
 def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
@@ -151,7 +160,8 @@ def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop
     tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
     convex = jax.vmap(problem.profile.convex_on)(march.state.piece, solution.point.z[:, PARAMETER])
     sound, reason = _soundness(problem, convex | free, solution.point.z, march.state.phase)
-    seen_there = seen(problem, march, solution.point, there, stop_u)
+    parameters = contact_parameters(problem, after.z, march.state)
+    seen_there = seen(problem, march, after, there, stop_u, parameters)
     margins_there = margins(seen_there)
     # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
     touching = touched = touches & march.target.whisker
@@ -164,13 +174,14 @@ def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop
         tangent_pose,
         is_stable(problem, march.state, newton.condensed, None if problem.attached is None else touching),
         sound,
-        here=margins(seen(problem, march, march.point, here, stop_u)),
+        here=margins(seen(problem, march, before, here, stop_u, march.parameters)),
         there=margins_there,
         stance=there,
         standing=problem.updated_side(free, march.state.standing, there),
         slips_on=loaded_slips_on(problem, march.state, solution.point.z, tangent.z),
         reason=reason,
         ends=seen_there.ends,
+        parameters=None if march.stuck_at is None else parameters,
     )
 
 
@@ -215,14 +226,14 @@ def _direction_of_parabola(
     return direction, twice * (solution.newton.pose - march.pose) + sign * march.tangent_pose
 
 
-def seen(problem: Problem, march: MarchState, point: Point, at: Stance, stop_u: Scalar) -> Seen:
-    """A point on the way to the next stop, as margins see it."""
-    z, ends = point.z, None
+def seen(problem: Problem, march: MarchState, point: Point, at: Stance, stop_u: Scalar, parameters: PerWhisker) -> Seen:
+    """A point on the way to the next stop, with contacts at these parameters, as margins see it."""
+    ends = None
     if problem.profile.has_edges and march.state.piece is not None:
         ends = ends_of(problem.profile, march.state.piece)
         # Beyond its piece, the slope of a contact means nothing.
-        z = z.at[:, PARAMETER].set(jnp.clip(z[:, PARAMETER], *ends))
-    ahead = march.before_vertex * slope_sines(problem, z, march.state)
+        parameters = jnp.clip(parameters, *ends)
+    ahead = march.before_vertex * slope_sines(problem, march.state, parameters)
     ahead = ahead if ends is None else ahead + LEVEL
     remaining = march.direction * (stop_u - point.u)
     return Seen(problem, march.state, march.state.free, point.z, at, ahead, remaining, ends)

@@ -89,8 +89,16 @@ def select(condition, yes, no):
 
 def first_case(*cases, otherwise):
     """Select the tree of the first case (condition, tree) whose condition holds."""
-    conditions = [condition for condition, _ in cases]
+    conditions, trees = [condition for condition, _ in cases], [*(tree for _, tree in cases), otherwise]
     first = jnp.argmax(jnp.stack([*conditions, jnp.asarray(True)]))
-    for number, (_, tree) in reversed(list(enumerate(cases))):
-        otherwise = select(first == number, tree, otherwise)
-    return otherwise
+    leaves, structure = zip(*map(jax.tree.flatten, trees), strict=True)
+    # Leaves that all trees share need no selection.
+    chosen = [k for k, same in enumerate(zip(*leaves, strict=True)) if any(leaf is not same[0] for leaf in same)]
+    kinds = {k: jnp.result_type(*(own[k] for own in leaves)) for k in chosen}
+
+    def case(own):
+        return lambda: [jnp.asarray(own[k], dtype=kinds[k]) for k in chosen]
+
+    # A switch: XLA would compute all conditions again for every leaf that is selected by them.
+    selected = dict(zip(chosen, jax.lax.switch(first, [case(own) for own in leaves]), strict=True))
+    return jax.tree.unflatten(structure[-1], [selected.get(k, leaf) for k, leaf in enumerate(leaves[-1])])

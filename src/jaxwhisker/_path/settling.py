@@ -31,7 +31,7 @@ ASTRAY = 0.5  # relative distance between the guess and the solution of a step t
 def after_flow(problem: Problem, march: MarchState, proposed: snap_flow.Flow, trial: Trial):
     """Handle a step of the overdamped bases."""
     solution, at = trial.solution, trial.stance
-    flow, state, z = snap_flow.advance(problem, proposed, march.state, march.point.z, solution, at)
+    flow, state, z = snap_flow.advance(problem, proposed, march.state, march.point.z, solution, at, trial.parameters)
     rested = snap_flow.at_rest(problem, flow, state, march.point.u)
     freed = flow.slipped & state.free
     kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
@@ -47,6 +47,7 @@ def after_flow(problem: Problem, march: MarchState, proposed: snap_flow.Flow, tr
         state=state,
         point=Point(z, march.point.u),
         pose=flow.pose,
+        stuck_at=trial.parameters,
         flow=flow,
         pending=pending,
         lead=Lead(none, jnp.zeros_like(flow.pose), march.direction),
@@ -60,11 +61,12 @@ def after_flow(problem: Problem, march: MarchState, proposed: snap_flow.Flow, tr
         # The first step must not leave the object: contacts may be lighter than it is long.
         converged &= (march.task != Task.kick) | ~jnp.any(march.state.touches & (solution.point.z[:, FORCE] < 0))
         found = disagreement(problem, march.flow, march.state, march.point.z, solution.point.z)
-        stuck, other = with_slips(problem, march.point.z, march.state, found.slip)
+        stuck, other = with_slips(problem, march.point.z, march.state, found.slip, march.parameters)
         again = march._replace(
             task=jnp.asarray(int(Task.flow)),
             state=other,
             point=march.point._replace(z=stuck),
+            stuck_at=march.parameters,
             flow=repeated(march.flow, found.slip != march.state.friction.slip),
         )
         cut = march._replace(flow=partly(march.flow, found.share))

@@ -28,10 +28,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import FORCE, LEAN, SLACK, Phase, across_force
+from jaxwhisker._equilibrium.contact import FORCE, LEAN, PARAMETER, SLACK, Phase, across_force
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.friction import lean
-from jaxwhisker._equilibrium.newton import Condensed, contact_parameters
+from jaxwhisker._equilibrium.newton import Condensed
 from jaxwhisker._equilibrium.pieces import after_step
 from jaxwhisker._equilibrium.point import Contacts, Point, scale_of
 from jaxwhisker._equilibrium.problem import Problem
@@ -228,6 +228,7 @@ def _slip(
     pose: Poses,
     at: Stance,
     condensed: Condensed,
+    parameters: PerWhisker | None,
 ) -> _Slip:
     """Apply the snap rule above."""
     free, by_x = state.free, condensed.by_x
@@ -238,7 +239,7 @@ def _slip(
     force_by_x = condensed.basis[:, 0, 0] / _nonzero(by_x)
     ends = ~free & ~slipping & (z[:, FORCE] < -TOUCH * jnp.maximum(jnp.abs(force_by_x), 1.0))
     slips = ~free & ~slipping & ~ends & ~holds
-    contact = jax.vmap(problem.profile.point_on)(state.piece, contact_parameters(problem, z, state))
+    contact = jax.vmap(problem.profile.point_on)(state.piece, z[:, PARAMETER] if parameters is None else parameters)
     base = problem.in_scene(u, pose)
     cos, sin = across_force(contact, lean(z[:, LEAN], state.friction, problem.friction_angle))
     unbent = state.side * ((contact.x - base.x) * cos + (contact.y - base.y) * sin) <= 0
@@ -276,11 +277,18 @@ def _slip_among_objects(problem: Problem, state: ContactState, beside: PerObject
 
 
 def advance(
-    problem: Problem, flow: Flow, state: ContactState, previous: Contacts, solution: Solution, at: Stance
+    problem: Problem,
+    flow: Flow,
+    state: ContactState,
+    previous: Contacts,
+    solution: Solution,
+    at: Stance,
+    parameters: PerWhisker | None,
 ) -> tuple[Flow, ContactState, Contacts]:
     """Accept the solved step from the previous contacts: phases change, contacts end or begin, whiskers slip.
 
-    The stance is that of the bases at the end of the step, those of free whiskers where the flow puts them.
+    The stance is that of the bases at the end of the step, those of free whiskers where the flow puts them. The
+    profile's parameters at its contacts are needed with friction only.
     """
     newton, z, u = solution.newton, solution.point.z, solution.point.u
     free = state.free
@@ -294,7 +302,7 @@ def advance(
     if piece is not None and edges:
         turned |= piece != state.piece
     by_x = newton.condensed.by_x
-    slip = _slip(problem, flow, state, z, u, pose, at, newton.condensed)
+    slip = _slip(problem, flow, state, z, u, pose, at, newton.condensed, parameters)
 
     now = state._replace(phase=phase, piece=piece).ended(slip.freed, at.side)
     side, fresh = jnp.where(slip.lands, -now.side, now.side), slip.begins | slip.lands

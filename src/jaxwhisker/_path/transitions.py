@@ -72,6 +72,7 @@ def _moved(march: MarchState, trial: Trial, node: Node) -> MarchState:
         pose=trial.solution.newton.pose,
         tangent=trial.tangent,
         tangent_pose=trial.tangent_pose,
+        stuck_at=trial.parameters,
         stance=None if march.stance is None else trial.stance,
         travel=node.travel,
     )
@@ -215,7 +216,7 @@ def _event_node(problem: Problem, march: MarchState, trial: Trial, facts: Facts,
     """The node of an event, in the state that holds from here on."""
     solution, target, events = trial.solution, march.target, events_of(problem)
     z, state = solution.point.z, march.state
-    after = After(problem, trial.stance, target.phase, target.side, target.piece, target.limit)
+    after = After(problem, trial.stance, target.phase, target.side, target.piece, target.limit, trial.parameters)
     for number, event in enumerate(events):
         if not event.continues:
             z, state = event.changed(target.whisker & (target.number == number), z, state, after)
@@ -240,12 +241,11 @@ def _arrived(problem: Problem, march: MarchState, trial: Trial, facts: Facts, no
     lead = Lead(z, jnp.zeros_like(march.pose), jnp.where(facts.continues, march.tangent.u, 0.0))
     for number, event in enumerate(events):
         lead = event.lead(target.whisker & (target.number == number), lead, happened)
-    ahead = jnp.where(slope_sines(problem, node.point.z, node.state) < 0, -1.0, 1.0)
+    moved = _moved(march, trial, node)._replace(state=node.state, point=node.point)
+    ahead = jnp.where(slope_sines(problem, moved.state, moved.parameters) < 0, -1.0, 1.0)
     sign = jnp.where(target.whisker & (target.number == TOUCH), ahead, march.before_vertex)
-    return _moved(march, trial, node)._replace(
+    return moved._replace(
         task=jnp.asarray(int(Task.arrive)),
-        state=node.state,
-        point=node.point,
         lead=lead,
         before_vertex=jnp.where(target.whisker & (target.number == VERTEX), -sign, sign),
         pending=node,

@@ -19,7 +19,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import FORCE
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.newton import Apart, newton_step
+from jaxwhisker._equilibrium.newton import Apart, contact_parameters, newton_step
 from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_point
@@ -88,7 +88,8 @@ def _flow(scene: Scene, before: Node) -> tuple[State, Int[Array, ""]]:
         solution = solve_point(dimensionless, at.state, at_control(u, flow.guess), Point(flow.guess, u), apart)
         pose = jnp.where(dimensionless.solved(at.state.phase)[:, None], solution.newton.pose, flow.pose)
         stance = dimensionless.stance(u, pose, solution.point.z)
-        flow, state, z = snap_flow.advance(dimensionless, flow, at.state, at.z, solution, stance)
+        parameters = contact_parameters(dimensionless, solution.point.z, at.state)
+        flow, state, z = snap_flow.advance(dimensionless, flow, at.state, at.z, solution, stance, parameters)
         rested = snap_flow.at_rest(dimensionless, flow, state, u)
         keep = ~jnp.any(flow.sliding | flow.landing)
         now = _Kept(z, state, flow.pose)
