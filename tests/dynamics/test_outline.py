@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from jaxwhisker._dynamics.outline import APART, ObjectChain, number_of, objects_at, outline, samples, span
+from jaxwhisker._dynamics.outline import APART, ObjectChain, number_of, objects_at, outline, samples
 from jaxwhisker._model.objects import as_one
 
 CORNERS = np.array([(1.6, 0.6), (1.8, 0.4), (2.0, 0.35), (2.3, 0.5)])
@@ -20,7 +20,7 @@ EXACT = 1e-12
 
 def own(k, share):
     """A parameter of an object, at this share of the way from its first to its last point."""
-    first, last = (float(end) for end in span(EACH[k]))
+    first, last = (float(end) for end in EACH[k].span())
     return first + share * (last - first)
 
 
@@ -35,7 +35,7 @@ def test_a_single_object_is_its_own_outline():
 
 def test_parameters_of_objects_lie_one_after_the_other():
     assert isinstance(CHAIN, ObjectChain)
-    spans = [[float(end + shift) for end in span(one)] for one, shift in zip(EACH, CHAIN.shift, strict=True)]
+    spans = [[float(end + shift) for end in one.span()] for one, shift in zip(EACH, CHAIN.shift, strict=True)]
     assert spans[0][0] == 0.0 and CHAIN.ends() == (spans[0][0], spans[-1][1])
     for before, after in pairwise(spans):
         np.testing.assert_allclose(after[0] - before[1], APART, atol=EXACT)

@@ -1,6 +1,7 @@
 """Kinds of scenes: how many programs scans of scenes with every feature need. Only shapes are computed here."""
 
 from collections import Counter
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -30,7 +31,7 @@ TRIANGLE = [(-0.5, 0.6), (0.0, 0.2), (0.5, 0.6)]
 HEXAGON = [(-0.5, 0.6), (-0.3, 0.3), (0.0, 0.2), (0.3, 0.3), (0.5, 0.6), (0.0, 0.9)]
 
 
-def scene(profile=PARABOLA, support=FB, whisker=None, **options):
+def scene(profile: Any = PARABOLA, support=FB, whisker: Any = None, **options):
     return jw.Scene(whisker or jw.Whisker(), profile, support, **options)
 
 

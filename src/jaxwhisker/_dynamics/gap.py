@@ -11,7 +11,7 @@ from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.first_order import first_order
 from jaxwhisker._dynamics.legendre import Basis, weights_at
-from jaxwhisker._dynamics.outline import number_of, samples, span
+from jaxwhisker._dynamics.outline import number_of, samples
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 
 
@@ -143,7 +143,7 @@ def beside(posed: Posed, parameter: Float[Array, ""]) -> Float[Array, ""]:
 
 def closest(posed: Posed) -> Points:
     """The closest points from scratch, without derivatives."""
-    (first, last), (arcs, parameters, nearest, distance) = span(posed.profile), _sampled(posed)
+    (first, last), (arcs, parameters, nearest, distance) = posed.profile.span(), _sampled(posed)
     k = jnp.argmin(distance)
 
     def improve_foot(_, parameter):
@@ -160,7 +160,7 @@ def closest(posed: Posed) -> Points:
 
 def _improved(posed: Posed, guess: Float[Array, "2"], iterations: int) -> tuple[Points, Bool[Array, ""]]:
     """Closest points by Newton's method, and whether it has converged."""
-    first, last = span(posed.profile)
+    first, last = posed.profile.span()
 
     def equations(guess):
         gap = gap_at(posed, *guess)

@@ -100,9 +100,12 @@ class Conic(AbstractProfile):
 
 def conic(distance: Scalar, radius: Scalar, shape: Scalar, position: Scalar) -> Conic:
     """The conic section with these numbers, and with a parameter that suits its shape."""
-    numbers = [jnp.asarray(number, dtype=float) for number in (distance, radius, shape, position)]
-    shape = jax.lax.stop_gradient(numbers[2])
-    return Conic(*numbers, jnp.round(jnp.log2(jnp.where(shape > 0, shape, 1.0)) / -4).astype(int))
+    distance, radius, shape, position = (
+        jnp.asarray(value, dtype=float) for value in (distance, radius, shape, position)
+    )
+    still = jax.lax.stop_gradient(shape)
+    stretch = jnp.round(jnp.log2(jnp.where(still > 0, still, 1.0)) / -4).astype(int)
+    return Conic(distance, radius, shape, position, stretch)
 
 
 class _AbstractConic(AbstractProfile):

@@ -161,7 +161,8 @@ def start_of(scene: Scene) -> float:
     if problem.ends is None:
         first = float(_first_touch(problem)) - BEFORE_TOUCH * scene.motion.onwards
         return unit * (first if np.isfinite(first) else float(problem.profile.vertex()[0]))
-    controls = np.linspace(*map(float, problem.ends), CONTROLS)
+    first, last = map(float, problem.ends)
+    controls = np.linspace(first, last, CONTROLS)
     meets = np.flatnonzero(~np.asarray(_clear(problem, controls)))
     return unit * (float(controls[max(meets[0] - 1, 0) if meets.size else 0]))
 
