@@ -121,6 +121,16 @@ def test_a_scan_from_the_left_is_the_mirror_image():
     np.testing.assert_allclose([e.control for e in other.events], [-e.control for e in one.events], atol=SAME)
 
 
+def test_scans_in_both_directions_have_the_same_poses_without_a_static_direction():
+    clockwise, left = jw.Rotation((0.3, -0.2), 0.4, direction=-1), jw.Translation(direction=1)
+    for motion in (clockwise, left):
+        same = motion.undirected()
+        np.testing.assert_array_equal(motion.pose(0.7), same.pose(0.7))
+        assert jax.tree.structure(same) == jax.tree.structure(type(motion)()) != jax.tree.structure(motion)
+    bob = jw.Motion(lambda u: (1.2 - u, 0.0, 0.0), start=0.0, stop=2.6)
+    assert bob.undirected() is bob
+
+
 def test_moving_the_object_is_moving_the_whisker():
     control = np.linspace(-0.5, 0.4, 32)
     shifted = turning(follicle(x=50.0, phi=20.0), pivot=(0.1, -0.4))

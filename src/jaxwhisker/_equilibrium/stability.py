@@ -107,7 +107,7 @@ def is_stable(
 
     Args:
         problem: the problem.
-        mode: the mode of the state.
+        state: how the whiskers touch the object.
         at: the linearised whiskers.
         begins: whiskers that are linearised as the contacts that they are about to begin, and are not judged.
     """
