@@ -155,8 +155,8 @@ def test_programs_are_compiled_once_and_when_they_are_first_needed():
 
 
 # For FB: operations of StableHLO with jax 0.10 (jax 0.12 has fewer), and fusions of XLA with jax 0.10 and 0.12, which
-# fuse differently. More of them take longer to compile. One curve for all conic sections adds 4 to 17 % to the others
-# than the path; their fusions with jax 0.12 are those measured before, in the same ratio.
+# fuse differently. More of them take longer to compile. The curve of all conic sections adds 4 to 17 % of fusions to
+# programs other than the path. Those with jax 0.12 were not measured again, but grow in the same ratio.
 SIZES = {
     "problem_of": (371, 20, 24),
     "follow_path": (4828, 266, 381),

@@ -149,6 +149,15 @@ class _AbstractConic(AbstractProfile):
         return [getattr(self, name) for name in self.__dataclass_fields__ if name != "position"]
 
 
+class _AbstractClosedConic(_AbstractConic):
+    @property
+    def closed(self):
+        return True
+
+    def span(self):
+        return -jnp.pi, jnp.pi
+
+
 class Parabola(_AbstractConic):
     """Parabola y = distance + a (x - position)^2.
 
@@ -181,7 +190,7 @@ class Parabola(_AbstractConic):
         return f"parabola q = {as_text(self.distance)}{a}{position}"
 
 
-class Circle(_AbstractConic):
+class Circle(_AbstractClosedConic):
     """Circle of radius r above its lowest point (position, distance).
 
     Its parameter is the slope angle alpha: x - position = r sin(alpha), y - distance = r (1 - cos(alpha)).
@@ -206,19 +215,12 @@ class Circle(_AbstractConic):
     def conic(self):
         return conic(self.distance, self.radius, 1.0, self.position)
 
-    @property
-    def closed(self):
-        return True
-
-    def span(self):
-        return -jnp.pi, jnp.pi
-
     def __str__(self):
         position = text_unless(0.0, ", x = ", self.position)
         return f"circle q = {as_text(self.distance)}, r = {as_text(self.radius)}{position}"
 
 
-class Ellipse(_AbstractConic):
+class Ellipse(_AbstractClosedConic):
     """Ellipse with half axes a along x and b along y: x = a sin t, y = -b cos t, relative to its centre.
 
     Its parameter p lies between the eccentric angle t and the slope angle alpha:
@@ -245,13 +247,6 @@ class Ellipse(_AbstractConic):
 
     def conic(self):
         return conic(self.distance, self.a**2 / self.b, (self.a / self.b) ** 2, self.position)
-
-    @property
-    def closed(self):
-        return True
-
-    def span(self):
-        return -jnp.pi, jnp.pi
 
     def __str__(self):
         axes = f"a = {as_text(self.a)}, b = {as_text(self.b)}"
