@@ -24,17 +24,18 @@ def state():
     return Program(_start)(Program(problem_of)(SCENE), jnp.array([1.0, -1.0]))
 
 
-def trial(end, tangent, stable=True, slips_on=None):
-    """What these decisions see of a trial."""
+def trial(end, tangent, stable=True, rates=()):
+    """What these decisions see of a trial: the drive moves towards -x."""
+    turns = jnp.array([-tangent.u, *rates])
     solution = Solution(end, None, jnp.asarray(True), jnp.asarray(1))  # pyright: ignore[reportArgumentType]
-    parts = solution, tangent, None, jnp.asarray(stable), jnp.asarray(True), None, None, None, jnp.ones(1), slips_on
+    parts = solution, tangent, None, jnp.asarray(stable), jnp.asarray(True), None, None, None, jnp.ones(1), turns
     return Trial(*parts)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("unstable_at", [1.0, 1e-3])
 def test_a_linear_fold_is_a_secant_away(unstable_at):
     # du/ds falls from 0.3 to -0.1 at the loss: its zero lies three quarters of the way.
-    found = step_to_loss(jnp.asarray(0.3), jnp.asarray(unstable_at), jnp.asarray(-0.1))
+    found = step_to_loss(jnp.array([0.3]), jnp.asarray(unstable_at), jnp.array([-0.1]))
     np.testing.assert_allclose(found, 0.75 * unstable_at, rtol=ROUNDING)
 
 
@@ -42,7 +43,7 @@ def test_a_loss_of_stability_without_a_fold_is_bisected():
     bracket = [0.0, 1.0]
     lost = 1 / np.pi
     for _ in range(30):
-        step = float(step_to_loss(jnp.asarray(0.3), jnp.asarray(bracket[1] - bracket[0]), jnp.asarray(0.2)))
+        step = float(step_to_loss(jnp.array([0.3]), jnp.asarray(bracket[1] - bracket[0]), jnp.array([0.2])))
         bracket[bracket[0] + step > lost] = bracket[0] + step
     assert bracket[0] <= lost <= bracket[1]
     np.testing.assert_allclose(bracket[1] - bracket[0], 0.5**30, rtol=1e-6)
@@ -50,7 +51,7 @@ def test_a_loss_of_stability_without_a_fold_is_bisected():
 
 @pytest.mark.parametrize(("turn", "unstable_turn"), [(1e-15, -1.0), (1.0, -1e-15), (0.0, -1.0), (1.0, -1e9)])
 def test_the_next_step_stays_inside_the_bracket(turn, unstable_turn):
-    turn, unstable_turn = jnp.asarray(turn), jnp.asarray(unstable_turn)
+    turn, unstable_turn = jnp.array([turn]), jnp.array([unstable_turn])
     step = float(step_to_loss(turn, jnp.asarray(0.5), unstable_turn))
     assert 0 < step < 0.5
     assert np.isinf(step_to_loss(turn, jnp.asarray(jnp.inf), unstable_turn))
@@ -75,11 +76,9 @@ def test_each_rate_has_a_secant_of_its_own():
 )
 def test_a_slip_comes_to_rest_before_the_drive_or_with_it(state, slip, slip_ahead, drive_ahead, rests):
     ahead = jnp.array([drive_ahead, slip_ahead])
-    at = state._replace(step=jnp.asarray(1e-3), unstable_at=jnp.asarray(0.1), unstable_turn=ahead)
-    found = turning_point(
-        at, trial(state.point, state.tangent._replace(u=jnp.asarray(-1e-3)), slips_on=jnp.array([slip]))
-    )
-    assert found.holds and found.rests is not None
+    at = state._replace(step=jnp.asarray(1e-3), unstable_at=jnp.asarray(0.1), unstable_turns=ahead)
+    found = turning_point(at, trial(state.point, state.tangent._replace(u=jnp.asarray(-1e-3)), rates=[slip]))
+    assert found.holds
     assert bool(found.rests[0]) == bool(found.reached) == rests
 
 

@@ -36,8 +36,13 @@ class ContactState(NamedTuple):
     @property
     def sticks(self) -> Bool[Array, "*batch whiskers"]:
         """Whether contacts stick to the object; only with friction."""
+        return self.touches & (self.slip == 0)
+
+    @property
+    def slip(self) -> Int[Array, "*batch whiskers"]:
+        """Directions in which contacts slip along the object, 0 if they stick; only with friction."""
         assert self.friction is not None
-        return self.touches & (self.friction.slip == 0)
+        return self.friction.slip
 
     @property
     def places(self) -> Places | None:

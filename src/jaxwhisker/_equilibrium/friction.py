@@ -35,7 +35,7 @@ class Friction(NamedTuple):
 
 def slipping_from(side: Float[Array, "*batch"]) -> Friction:
     """The friction of contacts that have just begun: pressed on, whiskers slip towards the vertex of the object."""
-    # A straight whisker has no rate of slip at first touch. Other slips follow from their rates (leaving.py).
+    # A straight whisker has no rate of slip at first touch. Other slips follow from their rates (slips.py).
     none = jnp.zeros_like(side)
     return Friction(jnp.where(side > 0, -1, 1), none, none)
 

@@ -24,6 +24,7 @@ from jaxwhisker._equilibrium.stance import PerWhisker, Poses, Stance
 from jaxwhisker._equilibrium.touch import Touch as FirstTouch
 from jaxwhisker._path.path import STOP, EventKind
 
+RATE_NOISE = 1e-9  # rate, per length of the path, that rounding may cause
 MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
 FAR = jnp.inf  # margin of an event that cannot happen
 LEAN_NOISE = 1e-6  # largest error of the lean of a contact that sticks with hardly any force

@@ -22,19 +22,19 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import all_free
-from jaxwhisker._equilibrium.newton import Apart, is_light
-from jaxwhisker._equilibrium.point import Point, along, at_arc_length, at_control, at_force
+from jaxwhisker._equilibrium.newton import Apart
+from jaxwhisker._equilibrium.point import Point, along, at_arc_length
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
-from jaxwhisker._path.events import TOUCH, Lead, condition_of, events_of, facts_of
-from jaxwhisker._path.leaving import after_arrive
-from jaxwhisker._path.march_state import MarchState, Target, Task, evaluate_trial
+from jaxwhisker._path.events import TOUCH, Lead, condition_of, events_of, facts_of, limit_of
+from jaxwhisker._path.law import law_of
+from jaxwhisker._path.march_state import MarchState, Target, Task
 from jaxwhisker._path.path import NO_EVENT, Node, Path, Status, select
-from jaxwhisker._path.settling import after_flow
-from jaxwhisker._path.transitions import after_advance, after_event
+from jaxwhisker._path.transitions import after_advance, after_arrive, after_event, after_flow
+from jaxwhisker._path.trial import evaluate_trial
 
 STOPS = 8  # stops of a route that turns are padded to a multiple of this
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
@@ -54,11 +54,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     guess = select(marching, ahead, now.point)
     guess = select(flowing, Point(flow.guess, now.point.u), guess)
     onwards = at_arc_length(now.point, now.tangent, now.step)
-    fixed = at_control(now.point.u, guess.z)
-    if now.state.friction is not None:
-        # A contact that sticks from its first touch is solved for where its force first has a direction.
-        starts = is_light(now.state, guess.z) & (now.task == Task.arrive)
-        fixed = select(jnp.any(starts), at_force(starts, guess.z), fixed)
+    fixed = law_of(problem).destination(now, guess)
     target = now.target
     tip = jnp.any(target.whisker & (now.state.phase == Phase.tip))
     facts = facts_of(events_of(problem), target.number, tip)
@@ -88,7 +84,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
     u = approach_of(problem).start(stops[0])
     z, pose = problem.unloaded(u)
     state, none = all_free(problem, approach_of(problem).unloaded(u).side), jnp.zeros(n)
-    edges, friction = problem.profile.has_edges, state.friction
+    law, events = law_of(problem), events_of(problem)
     point = Point(z, u)
     still = Point(jnp.zeros_like(z), onwards)
     pending = Node(
@@ -101,7 +97,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         -jnp.abs(u - stops[0]),
         jnp.asarray(NO_EVENT),
         jnp.zeros(n, bool),
-        *([] if friction is None else [jnp.asarray(0), jnp.asarray(False)]),
+        **law.remembered(jnp.asarray(0), corner=False),
     )
     zero = jnp.asarray(0.0)
     return MarchState(
@@ -114,7 +110,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         bend=jax.tree.map(jnp.zeros_like, still),
         step=jnp.asarray(FIRST_STEP),
         unstable_at=jnp.asarray(jnp.inf),
-        unstable_turn=zero if friction is None else jnp.zeros(1 + n),
+        unstable_turns=jnp.zeros(1 + law.rates(state, z, z).size),
         target=Target(
             jnp.asarray(0),
             jnp.zeros(n, bool),
@@ -122,7 +118,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
             z,
             state.phase,
             state.side,
-            none if edges or friction is not None else None,
+            limit_of(events, jnp.asarray(0), problem, z, (none, none)),
             state.piece,
             None if state.beside is None else jnp.zeros(n, int),
         ),
@@ -132,14 +128,12 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
         direction=still.u,
         travel=pending.travel,
         pending=pending,
-        flow=snap_flow.start(state, pose, z, edges),
+        flow=snap_flow.start(state, pose, z, problem.profile.has_edges),
         count=jnp.asarray(0),
         status=jnp.asarray(int(Status.ok)),
-        tries=None if friction is None else jnp.asarray(0),
-        rests=None if friction is None else jnp.zeros(n, bool),
-        stuck_at=None if friction is None else none,
         # The first task is to arrive, which computes the stance.
         stance=None if problem.stance_is_known else _blank(jax.eval_shape(problem.stance, u, pose, z)),
+        **law.memory(),
     )
 
 
@@ -172,11 +166,9 @@ def march(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""],
         (now, *empty),
         (now.stopped(Status.invalid), *empty),
     )
-    room = capacity
-    if problem.friction_angle is not None:
-        # A traced control is padded with more stops than it needs, and has no more room for them.
-        used_stops = STOPS * -(-(last + 1) // STOPS)
-        room = jnp.minimum(capacity, capacity_of(problem, 2) * jnp.where(last <= 1, 1, used_stops // 2))
+    # A traced control is padded with more stops than it needs, and has no more room for them.
+    used_stops = STOPS * -(-(last + 1) // STOPS)
+    room = jnp.minimum(capacity, capacity_of(problem, 2) * jnp.where(last <= 1, 1, used_stops // 2))
     most = 8 * room // CHUNK
 
     def running(carry):

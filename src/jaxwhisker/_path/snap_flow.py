@@ -142,8 +142,7 @@ def _steps(flow: Flow, displacement: Poses) -> Poses:
 
 def propose(problem: Problem, flow: Flow, state: ContactState, point: Point) -> Flow:
     """Propose the next step of the bases, and a guess for the contacts that it leads to."""
-    free, loose = state.free, ~problem.solved(state.phase)
-    axes = flow.pose.shape[1]
+    free, loose, axes = state.free, ~problem.solved(state.phase), flow.pose.shape[1]
     pull = problem.rest(point.u) + problem.displacement(flow.load) - flow.pose
     time_step, growth = flow.time_step, GROWTH
     resolved = _resolves(problem, flow.slope, time_step)
@@ -383,10 +382,8 @@ def at_rest(problem: Problem, flow: Flow, state: ContactState, u: Scalar) -> Boo
     steps = jnp.where(loose[:, None], 0.0, _steps(flow, moves))
     near = jnp.max(jnp.maximum(jnp.abs(moves), jnp.abs(steps))) < flow.near
     settled = near & known & ~jnp.any(flow.sliding | flow.landing)
-    own = flow.clamped
-    if own is None:
-        own = jnp.all(loose | on_stable_branch(problem, state, flow.pose_by[:, 0, 0]))
-    return settled & own & network_is_stable(problem, slope)
+    branches = jnp.all(loose | on_stable_branch(problem, state, flow.pose_by[:, 0, 0]))
+    return settled & (branches if flow.clamped is None else flow.clamped) & network_is_stable(problem, slope)
 
 
 def touching(at: Stance, side: PerWhisker) -> tuple[Contacts, Int[Array, " whiskers"], PerWhisker]:

@@ -4,19 +4,22 @@ Each `after_...` function returns the new state, whether a node is to be written
 and one is selected, because a batch pays for every branch anyway.
 """
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
+from jaxwhisker._equilibrium.contact import SLACK, Phase
 from jaxwhisker._equilibrium.newton import slope_sines
 from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._equilibrium.stance import PerWhisker, of_object
-from jaxwhisker._path.approach import approach_of
+from jaxwhisker._equilibrium.stance import of_object
+from jaxwhisker._path import snap_flow
+from jaxwhisker._path.approach import FIRST_STEP, approach_of
 from jaxwhisker._path.events import (
     AT_STOP,
     MARGIN_NOISE,
+    RATE_NOISE,
     TOUCH,
     VERTEX,
     After,
@@ -27,28 +30,21 @@ from jaxwhisker._path.events import (
     events_of,
     margin_rates,
 )
-from jaxwhisker._path.leaving import SLIP_NOISE, to_snap
-from jaxwhisker._path.march_state import MarchState, Task, Trial, dip, first_violated
-from jaxwhisker._path.path import NO_EVENT, Node, Status, first_case
-from jaxwhisker._path.turning_points import (
-    FOLD_BRACKET,
-    FOLD_SLOPE,
-    after_turning_point,
-    before_loss,
-    may_fold_twice,
-    step_to_loss,
-    turning_point,
-    turns_of,
-)
+from jaxwhisker._path.law import law_of
+from jaxwhisker._path.march_state import MarchState, Task, Trial
+from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, first_case, is_snap
+from jaxwhisker._path.trial import dip, first_violated
+from jaxwhisker._path.turning_points import FOLD_BRACKET, before_loss, may_fold_twice, step_to_loss, turning_point
 
 PREDICTION_ERROR = 2e-3  # target; states between nodes are then interpolated to about 1e-6 before they are solved for
-FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact that sticks
 LONGEST_STEP = 0.25  # of the contacts: a soft spring is stretched over many lengths while they hardly change
 SHORTEST_STEP = 1e-10
+ARRIVAL_MISS = 0.1  # the equilibrium at which a flow ends is nearer than this
+WENT_BACK = 1e-9  # by which a contact may undo what it must not from the end of a flow to the equilibrium near it
 NEAR_FOLD = 2e-4  # a loss this near counts as located if no shorter step is solved; u is off by less than its square
 
 
-def _node(march: MarchState, trial: Trial) -> Node:
+def _node(problem: Problem, march: MarchState, trial: Trial) -> Node:
     """A plain node: the path continues as it arrives."""
     point = trial.solution.point
     return Node(
@@ -61,7 +57,7 @@ def _node(march: MarchState, trial: Trial) -> Node:
         march.travel + jnp.abs(point.u - march.point.u),
         jnp.asarray(NO_EVENT),
         jnp.zeros_like(march.state.phase, bool),
-        *(() if march.state.friction is None else (march.goal, jnp.asarray(False))),
+        **law_of(problem).remembered(march.goal, corner=False),
     )
 
 
@@ -80,12 +76,9 @@ def _moved(march: MarchState, trial: Trial, node: Node) -> MarchState:
 
 def after_advance(problem: Problem, march: MarchState, trial: Trial, guess: Point):
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
-    scale = scale_of(march.point.z)
+    scale, law = scale_of(march.point.z), law_of(problem)
     error, good = _prediction_error(march, trial, guess, scale)
-    if march.state.friction is not None:
-        # A stable path does not turn back. A nearly straight whisker that sticks has another equilibrium close by.
-        good &= ~trial.stable | (march.turn(trial.tangent) > -FOLD_SLOPE)
-        good &= _forces_are_near(march, guess.z[:, FORCE], trial.solution.point.z[:, FORCE])
+    good &= law.accepts(march, trial, guess)
     violated, target = first_violated(problem, march, trial, march.step)
     dips, share = dip(problem, march, trial, march.step)
     dips &= ~violated
@@ -98,13 +91,13 @@ def after_advance(problem: Problem, march: MarchState, trial: Trial, guess: Poin
     to_event = march._replace(task=jnp.asarray(int(Task.event)), target=target)
 
     holds, located, reached, rests = turning_point(march, trial)
-    node = _node(march, trial)
+    node = _node(problem, march, trial)
     moved = _moved(march, trial, node)
-    turned = after_turning_point(problem, moved, trial, node, rests)
+    turned = law.after_rest(moved, trial, node, rests)
     closer = before_loss(problem, march, trial, march.step)
     new = first_case(
         # If several whiskers become unstable at once, Newton's method fails close to the fold: this is near enough.
-        (too_short & (march.unstable_at < NEAR_FOLD), to_snap(march)),
+        (too_short & (march.unstable_at < NEAR_FOLD), law.to_snap(march)),
         (too_short, march.stopped(Status.lost)),
         (~good, shorter),
         (violated, to_event),
@@ -126,16 +119,6 @@ def _prediction_error(march: MarchState, trial: Trial, guess: Point, scale: Cont
     return error, solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5)
 
 
-def _forces_are_near(march: MarchState, guess: PerWhisker, force: PerWhisker) -> Bool[Array, ""]:
-    """Whether the forces of contacts that stick are near their predictions, relative to their sizes.
-
-    Without any force, a contact at rest satisfies the equations with every lean: where forces are small, Newton's
-    method may arrive there.
-    """
-    size = jnp.maximum(jnp.abs(guess), march.point.z[:, FORCE])
-    return jnp.all(~march.state.sticks | (jnp.abs(force - guess) < FORCE_ERROR * size))
-
-
 def _onwards(
     problem: Problem, march: MarchState, moved: MarchState, trial: Trial, error: Scalar, scale: Contacts
 ) -> MarchState:
@@ -150,12 +133,12 @@ def _onwards(
     left = jnp.where(left < FOLD_BRACKET, jnp.inf, left)
     bend = Point((trial.tangent.z - march.tangent.z) / march.step, (trial.tangent.u - march.tangent.u) / march.step)
     # The Illinois rule: otherwise false position creeps towards a fold from one side.
-    unstable_turn = march.unstable_turn / 2
-    to_loss = step_to_loss(turns_of(march, trial), left, unstable_turn)
+    unstable_turns = march.unstable_turns / 2
+    to_loss = step_to_loss(trial.turns, left, unstable_turns)
     return moved._replace(
         bend=bend,
         unstable_at=left,
-        unstable_turn=unstable_turn,
+        unstable_turns=unstable_turns,
         step=jnp.minimum(jnp.minimum(factor * march.step, longest), to_loss),
     )
 
@@ -175,7 +158,7 @@ def after_event(problem: Problem, march: MarchState, trial: Trial, facts: Facts)
     again = march._replace(
         task=jnp.asarray(int(Task.advance)), step=jnp.where(dips, share * distance, 0.4 * march.step)
     )
-    holds = trial.stable if trial.slips_on is None else trial.stable & jnp.all(trial.slips_on > -SLIP_NOISE)
+    holds = trial.stable & jnp.all(trial.turns[1:] > -RATE_NOISE)
     unstable = before_loss(problem, march, trial, distance)._replace(task=jnp.asarray(int(Task.advance)))
     node = _event_node(problem, march, trial, facts, z_before)
     cases = []
@@ -220,7 +203,7 @@ def _event_node(problem: Problem, march: MarchState, trial: Trial, facts: Facts,
     for number, event in enumerate(events):
         if not event.continues:
             z, state = event.changed(target.whisker & (target.number == number), z, state, after)
-    node = _node(march, trial)
+    node = _node(problem, march, trial)
     return node._replace(
         point=Point(z, solution.point.u),
         z_before=z_before,
@@ -251,3 +234,105 @@ def _arrived(problem: Problem, march: MarchState, trial: Trial, facts: Facts, no
         pending=node,
         goal=march.goal + (target.number == AT_STOP),
     )
+
+
+def after_arrive(
+    problem: Problem, march: MarchState, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]
+):
+    """Handle the point of an event in its new mode: leave along the path, or begin a snap."""
+    point, law = trial.solution.point, law_of(problem)
+    stop_kind = march.pending.kind == STOP
+    heading = jnp.sign(stops[jnp.minimum(march.goal, last)] - march.point.u)
+    turned = stop_kind & (march.goal <= last) & (heading != 0)
+    direction = jnp.where(turned, heading, march.direction)
+    reversed_ = direction != march.direction
+    lead = march.lead
+    grows = jnp.sum(lead.z * trial.tangent.z) + jnp.sum(lead.pose * trial.tangent_pose) + lead.u * trial.tangent.u
+    sign = jnp.where(grows < 0, -1.0, 1.0) * jnp.where(reversed_, -1.0, 1.0)
+    tangent = Point(sign * trial.tangent.z, sign * trial.tangent.u)
+    node = march.pending._replace(point=point, leaving=tangent)
+    march = march._replace(direction=direction)
+    after_snap = is_snap(march.pending.kind)
+    # After a snap, and only then, the contact may be on the other side of the vertex.
+    at = march._replace(point=point, stuck_at=trial.parameters)
+    behind = jnp.where(slope_sines(problem, march.state, at.parameters) < 0, -1.0, 1.0)
+    onwards = at._replace(
+        task=jnp.asarray(int(Task.advance)),
+        pose=trial.solution.newton.pose,
+        stance=None if march.stance is None else trial.stance,
+        tangent=tangent,
+        tangent_pose=sign * trial.tangent_pose,
+        bend=jax.tree.map(jnp.zeros_like, tangent),
+        step=jnp.asarray(FIRST_STEP),
+        unstable_at=jnp.asarray(jnp.inf),
+        before_vertex=jnp.where(after_snap, behind, march.before_vertex),
+    )
+    falls = (march.turn(tangent) <= 0) | ~trial.stable
+    moved = Point(point.z - march.point.z, point.u - march.point.u)
+    node, moved = law.unforeseen(march, node, moved)
+    near = trial.solution.converged & (dot(moved, moved, scale_of(march.point.z)) < ARRIVAL_MISS**2)
+    # Newton's method may have violated the mode of the flow, or converged to an equilibrium that the flow cannot reach.
+    happens = zip(events_of(problem), trial.there, strict=True)
+    changes = [jnp.ravel(margin) for event, margin in happens if not event.continues]
+    wrong = jnp.any(jnp.concatenate(changes) < -MARGIN_NOISE)
+    wrong |= jnp.any(law.rates(march.state, point.z, moved.z) < -WENT_BACK)
+    early = after_snap & (wrong | falls | ~near)
+    flowing = march._replace(
+        task=jnp.asarray(int(Task.flow)),
+        flow=march.flow._replace(near=march.flow.near / 4),
+    )
+    over = _is_over(problem, march, trial, last, stop_kind)
+    ways = law.ways_on(march, onwards, node, trial, falls)
+    new = first_case(
+        (early, flowing),
+        (~near, march.stopped(Status.lost)),
+        (over, march.stopped(Status.ok)),
+        *ways.others,
+        (falls, law.to_snap(ways.onwards)),
+        otherwise=ways.onwards,
+    )
+    return new, near & ~early & (over | ways.first), node
+
+
+def _is_over(
+    problem: Problem, march: MarchState, trial: Trial, last: Int[Array, ""], stop_kind: Bool[Array, ""]
+) -> Bool[Array, ""]:
+    """Whether the march ends here: at the last stop, or on the way to it after all whiskers have passed the object."""
+    last_leg = (march.goal >= last) & (march.direction * problem.onwards > 0) & (march.goal > 0)
+    gone = approach_of(problem).is_over(march.state, trial.stance) & last_leg
+    return (stop_kind & (march.goal > last)) | gone
+
+
+def after_flow(problem: Problem, march: MarchState, proposed: snap_flow.Flow, trial: Trial):
+    """Handle a step of the overdamped bases."""
+    solution, at = trial.solution, trial.stance
+    flow, state, z = snap_flow.advance(problem, proposed, march.state, march.point.z, solution, at, trial.parameters)
+    rested = snap_flow.at_rest(problem, flow, state, march.point.u)
+    freed = flow.slipped & state.free
+    kind = jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through)
+    none = jnp.zeros_like(z)
+    pending = march.pending._replace(
+        state=state,
+        travel=march.travel,
+        kind=kind,
+        whiskers=flow.slipped,
+    )
+    flowing = march._replace(
+        task=jnp.where(rested, Task.arrive, Task.flow),
+        state=state,
+        point=Point(z, march.point.u),
+        pose=flow.pose,
+        stuck_at=trial.parameters,
+        flow=flow,
+        pending=pending,
+        lead=Lead(none, jnp.zeros_like(flow.pose), march.direction),
+    )
+    shorter = march._replace(flow=snap_flow.shortened(march.flow))
+    converged, cases = law_of(problem).judged(march, flow, proposed, trial)
+    new = first_case(
+        *cases,
+        (jnp.where(converged, flow.exhausted, shorter.flow.exhausted), march.stopped(Status.unsettled)),
+        (~converged, shorter),
+        otherwise=flowing,
+    )
+    return new, jnp.asarray(False), march.pending

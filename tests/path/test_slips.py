@@ -1,4 +1,4 @@
-"""How a step of a snap with friction is judged: slips against the motion of contacts, on a circle, by hand."""
+"""Slips: where the path leaves an event, and in a step of a snap, against the motion of contacts on a circle."""
 
 from typing import Any
 
@@ -12,7 +12,11 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._path import settling, snap_flow
+from jaxwhisker._equilibrium.newton import LIGHT
+from jaxwhisker._equilibrium.point import Point
+from jaxwhisker._path import snap_flow
+from jaxwhisker._path.march import _start
+from jaxwhisker._path.slips import _first_leans, changed_slips, disagreement, goes_astray, partly, repeated
 from jaxwhisker._path.snap_flow import ITERATIONS
 
 ROUNDING = 1e-12
@@ -41,7 +45,7 @@ def flow():
 
 @Program
 def judged(problem, flow, state, previous, z):
-    return settling.disagreement(problem, flow, state, previous, z)
+    return disagreement(problem, flow, state, previous, z)
 
 
 def found(problem, flow, change, *, previous=Z, slip=(1, -1, 0), phase=STATE.phase, **more: Any):
@@ -112,27 +116,101 @@ def test_a_step_goes_astray_that_ends_far_from_its_guess(miss, astray):
     for step in ([0.3, 0.0, 0.0], [0.0, 0.1, 0.0]):  # in the scale of the force, both are of one size
         guess = Z + np.array([step, STILL, STILL])
         z = guess + np.array([STILL, [0.0, 0.0, 0.1 * miss], STILL])
-        assert bool(settling.goes_astray(STATE, *map(jnp.asarray, (Z, guess, z)))) == astray
+        assert bool(goes_astray(STATE, *map(jnp.asarray, (Z, guess, z)))) == astray
     # The lean of a contact that sticks counts by its force, here half.
     light = Z.copy()
     light[2, 0] = 0.5
     guess = light + np.array([[0.3, 0.0, 0.0], STILL, STILL])
     z = guess + np.array([STILL, STILL, [0.0, 2 * 0.1 * miss, 0.0]])
-    assert bool(settling.goes_astray(STATE, *map(jnp.asarray, (light, guess, z)))) == astray
-    assert not settling.goes_astray(STATE, jnp.asarray(Z), jnp.asarray(Z), jnp.asarray(Z + 1.0))
+    assert bool(goes_astray(STATE, *map(jnp.asarray, (light, guess, z)))) == astray
+    assert not goes_astray(STATE, jnp.asarray(Z), jnp.asarray(Z), jnp.asarray(Z + 1.0))
 
 
 def test_steps_that_are_repeated_are_shorter(flow):
     begun = flow._replace(share=jnp.asarray(0.5), iterations=jnp.asarray(7))
-    again = settling.repeated(begun, jnp.array([False, True, False]))
+    again = repeated(begun, jnp.array([False, True, False]))
     assert np.all(again.basis[1] == 0) and np.all(again.basis[::2] == 1)
     assert again.step == begun.step / 4 and again.time_step == begun.time_step / 4 and again.share == 1.0
-    cut = settling.partly(begun, jnp.asarray(0.4))
+    cut = partly(begun, jnp.asarray(0.4))
     assert cut.share == 0.2 and cut.step == begun.step and again.iterations == cut.iterations == 8
     # A step is cut, but never to nothing.
-    shares = [float(settling.partly(begun, jnp.asarray(share)).share) for share in (1.0, 0.0, -1.0)]  # pyright: ignore[reportArgumentType]
+    shares = [float(partly(begun, jnp.asarray(share)).share) for share in (1.0, 0.0, -1.0)]  # pyright: ignore[reportArgumentType]
     np.testing.assert_allclose(shares, [0.4995, 0.0005, 0.0005], rtol=ROUNDING)
     for iterations, exhausted in ((ITERATIONS - 1, False), (ITERATIONS, True)):
         last = flow._replace(iterations=jnp.asarray(iterations))
-        assert bool(settling.partly(last, jnp.asarray(0.5)).exhausted) == exhausted
-        assert bool(settling.repeated(last, jnp.zeros(3, bool)).exhausted) == exhausted
+        assert bool(partly(last, jnp.asarray(0.5)).exhausted) == exhausted
+        assert bool(repeated(last, jnp.zeros(3, bool)).exhausted) == exhausted
+
+
+@pytest.fixture(scope="module")
+def rough():
+    circle = jw.Circle(0.2, RADIUS)
+    made = jw.Scene(jw.Whisker(), circle, jw.Support.fbfb(70.0), jw.ClosedForm(), friction=FRICTION)
+    return Program(problem_of)(made)
+
+
+@pytest.fixture(scope="module")
+def begun(rough):
+    """A march of two whiskers that has just begun."""
+    return Program(_start)(rough, jnp.array([1.0, -1.0]))
+
+
+def march_of(begun, slip, force, leans, *, tries=0, rests=(False, False)):
+    """The state at two tip contacts on the right."""
+    friction = Friction(jnp.array(slip), jnp.zeros(2), jnp.zeros(2))
+    z = jnp.stack([jnp.array(force), jnp.array(leans), jnp.array([-0.2, -0.3])], axis=1)
+    return begun._replace(
+        state=ContactState(jnp.array([int(Phase.tip)] * 2), jnp.ones(2), friction),
+        point=Point(z, jnp.asarray(0.0)),
+        tries=jnp.asarray(tries),
+        rests=jnp.array(rests),
+    )
+
+
+def changed(problem, begun, slip, rates, *, force=(1.0, 1.0), leans=(0.1, -0.1), falls=False, **more):
+    """Whether a contact breaks a law along a tangent on which parameters or leans change at these rates."""
+    march = march_of(begun, slip, force, leans, **more)
+    tangent = Point(jnp.zeros((2, 3)).at[:, 1].set(jnp.array(rates)), jnp.asarray(-1.0))
+    yes, slips = changed_slips(problem, march, march.point, tangent, jnp.asarray(falls))
+    return bool(yes), slips.tolist()
+
+
+def test_contacts_that_turn_back_stick_and_those_that_lean_too_far_slip(rough, begun):
+    at_limit = (LIMIT, -LIMIT)
+    assert changed(rough, begun, (1, -1), (0.3, -0.3)) == (False, [1, -1])
+    assert changed(rough, begun, (1, -1), (-0.3, -0.3)) == (True, [0, -1])
+    assert changed(rough, begun, (1, -1), (-0.3, 0.3)) == (True, [0, -1])  # the first one is changed first
+    assert changed(rough, begun, (0, 0), (0.3, -0.3)) == (False, [0, 0])
+    assert changed(rough, begun, (0, 0), (0.3, -0.3), leans=at_limit) == (True, [1, 0])
+    assert changed(rough, begun, (0, 0), (-0.3, -0.3), leans=at_limit) == (True, [0, -1])
+    assert changed(rough, begun, (0, 0), (-0.3, 0.3), leans=at_limit) == (False, [0, 0])
+    # Contacts that have come to rest here do not begin to slip again.
+    assert changed(rough, begun, (0, 0), (0.3, -0.3), leans=at_limit, rests=(True, True)) == (False, [0, 0])
+
+
+def test_a_contact_that_has_just_begun_slips_the_other_way_before_it_sticks(rough, begun):
+    light = (LIGHT / 2, 1.0)
+    assert changed(rough, begun, (-1, -1), (0.3, -0.3), force=light) == (True, [1, -1])
+    assert changed(rough, begun, (-1, -1), (0.3, -0.3), force=light, tries=1) == (True, [0, -1])
+    # One that slips as it should, but on a path that falls, is no solution either.
+    assert changed(rough, begun, (-1, -1), (-0.3, -0.3), force=light, falls=True) == (True, [1, -1])
+    assert changed(rough, begun, (-1, -1), (-0.3, -0.3), falls=True) == (False, [-1, -1])
+
+
+def test_the_first_lean_combines_paths_with_both_slips(rough, begun):
+    # Along the present path, which slips towards -x, and along that tried before, towards +x: forces and rates of slip.
+    force, other_force, rate, other_rate = 0.8, 0.5, 0.2, -0.3
+    tangent, other = (
+        Point(jnp.zeros((2, 3)).at[:, 0].set(f).at[:, 1].set(r / 0.5), jnp.asarray(-1.0))
+        for f, r in ((force, rate), (other_force, other_rate))
+    )
+    march = march_of(begun, (-1, 1), (0.0, 0.0), (0.0, 0.0))
+    known, leans = _first_leans(rough, march._replace(pending=march.pending._replace(arriving=other)), tangent)
+    # Of both forces, of which each leans by the limit, in the proportion in which the contact does not slip.
+    share = -rate / other_rate
+    for k, slip in enumerate((-1, 1)):
+        across = slip * np.sin(LIMIT) * (force - share * other_force)
+        along = np.cos(LIMIT) * (force + share * other_force)
+        assert known[k]
+        np.testing.assert_allclose(leans[k], np.arctan2(across, along), rtol=ROUNDING)
+    assert np.all(np.abs(leans) < LIMIT)

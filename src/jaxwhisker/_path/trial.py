@@ -1,0 +1,186 @@
+"""Trials: how the solved end of a step is evaluated, and which event within the step comes first."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.interpolation import Cubic
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import PARAMETER, SLACK, Phase, beyond
+from jaxwhisker._equilibrium.newton import LIGHT, contact_parameters, slope_sines
+from jaxwhisker._equilibrium.pieces import ends_of
+from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of, unit
+from jaxwhisker._equilibrium.problem import Problem
+from jaxwhisker._equilibrium.solver import Solution
+from jaxwhisker._equilibrium.stability import is_stable
+from jaxwhisker._equilibrium.stance import PerWhisker, Poses, Stance
+from jaxwhisker._path import snap_flow
+from jaxwhisker._path.events import (
+    AT_STOP,
+    FAR,
+    MARGIN_NOISE,
+    RELEASE,
+    TOUCH,
+    Margins,
+    Moving,
+    Seen,
+    events_of,
+    limit_of,
+    margin_rates,
+    margins,
+)
+from jaxwhisker._path.law import law_of
+from jaxwhisker._path.march_state import MarchState, Target, Task, Trial
+from jaxwhisker._path.path import Status, select
+
+SHORTEST_CHORD = 1e-6  # shortest chord that determines a direction; for a shorter one the path keeps its direction
+LEVEL = 1e-10  # slope of a face that is level but for rounding: the contact passes the vertex where it leaves this face
+DIP_POINTS = 7  # points within a step at which margins are interpolated
+
+
+def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
+    """Evaluate the solved end of a step: direction of the path, stability, convexity, margins.
+
+    Args:
+        problem: the problem.
+        march: the state before the step.
+        solution: its solved end.
+        stop_u: control of the next stop.
+        free_pose: coordinates, at the end, of bases that are not solved for.
+    """
+    newton = solution.newton
+    free = march.state.free
+    tangent, length = unit(newton.tangent, solution.point.z)
+    ahead = jnp.where(dot(march.tangent, tangent, scale_of(march.point.z)) < 0, -1.0, 1.0) / length
+    tangent, tangent_pose = Point(ahead * length * tangent.z, ahead * length * tangent.u), ahead * newton.tangent_pose
+    # A touch is solved for as a contact, but the path arrives without it.
+    touches = (march.task == Task.event) & (march.target.number == TOUCH)
+    pose = jnp.where(problem.solved(march.state.phase)[:, None], newton.pose, free_pose)
+    before, after = march.point, solution.point
+    there = problem.stance(after.u, pose, after.z)
+    here = problem.stance(before.u, march.pose, before.z) if march.stance is None else march.stance
+    arriving = _direction_of_parabola(march, solution, free, there)
+    tangent, tangent_pose = select(touches, arriving, (tangent, tangent_pose))
+    convex = jax.vmap(problem.profile.convex_on)(march.state.piece, solution.point.z[:, PARAMETER])
+    sound, reason = _soundness(problem, convex | free, solution.point.z, march.state.phase)
+    parameters = contact_parameters(problem, after.z, march.state)
+    seen_there = seen(problem, march, after, there, stop_u, parameters)
+    margins_there = margins(seen_there)
+    # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
+    touching = touched = touches & march.target.whisker
+    if march.target.object is not None:
+        touched &= jnp.arange(len(problem.profile.objects))[:, None] == march.target.object
+    margins_there = (jnp.where(touched, FAR, margins_there[TOUCH]), *margins_there[1:])
+    return Trial(
+        solution,
+        tangent,
+        tangent_pose,
+        is_stable(problem, march.state, newton.condensed, None if problem.attached is None else touching),
+        sound,
+        here=margins(seen(problem, march, before, here, stop_u, march.parameters)),
+        there=margins_there,
+        stance=there,
+        standing=problem.updated_side(free, march.state.standing, there),
+        turns=law_of(problem).turns(march, after.z, tangent, LIGHT),
+        reason=reason,
+        ends=seen_there.ends,
+        parameters=None if march.stuck_at is None else parameters,
+    )
+
+
+def _soundness(
+    problem: Problem, convex: Bool[Array, " whiskers"], z: Contacts, phase: Int[Array, " whiskers"]
+) -> tuple[Bool[Array, ""], Status | Int[Array, ""]]:
+    """Whether contacts lie on a convex part of the profile and above all springs, and the status if they do not."""
+    if problem.attached is None:
+        return jnp.all(convex), Status.not_convex
+    arcs = problem.length - beyond(z[:, SLACK], phase)
+    above = jnp.all((phase == Phase.free) | (arcs >= problem.attached.held_by.top))
+    return jnp.all(convex) & above, jnp.where(above, int(Status.not_convex), int(Status.at_spring))
+
+
+def _direction_of_parabola(
+    march: MarchState, solution: Solution, free: Bool[Array, " whiskers"], at: Stance
+) -> tuple[Point, Poses]:
+    """Direction at the end of a step, up to which whiskers are free, along a parabola that starts along the tangent."""
+    change = 0.0 if at.free is None else at.free - march.point.z
+    change = jnp.where(free[:, None], change, solution.point.z - march.point.z)
+    chord = Point(change, solution.point.u - march.point.u)
+    distance = dot(march.tangent, chord, scale_of(march.point.z))
+    known = distance > SHORTEST_CHORD
+    twice = jnp.where(known, 2 / jnp.where(known, distance, 1.0), 0.0)
+    sign = jnp.where(known, -1.0, 1.0)
+    direction = Point(twice * chord.z + sign * march.tangent.z, twice * chord.u + sign * march.tangent.u)
+    return direction, twice * (solution.newton.pose - march.pose) + sign * march.tangent_pose
+
+
+def seen(problem: Problem, march: MarchState, point: Point, at: Stance, stop_u: Scalar, parameters: PerWhisker) -> Seen:
+    """A point on the way to the next stop, with contacts at these parameters, as margins see it."""
+    ends = None
+    if problem.profile.has_edges and march.state.piece is not None:
+        ends = ends_of(problem.profile, march.state.piece)
+        # Beyond its piece, the slope of a contact means nothing.
+        parameters = jnp.clip(parameters, *ends)
+    ahead = march.before_vertex * slope_sines(problem, march.state, parameters)
+    ahead = ahead if ends is None else ahead + LEVEL
+    remaining = march.direction * (stop_u - point.u)
+    return Seen(problem, march.state, march.state.free, point.z, at, ahead, remaining, ends)
+
+
+def _flat(margins: Margins) -> Float[Array, " margins"]:
+    return jnp.concatenate([jnp.ravel(margin) for margin in margins])
+
+
+def first_violated(
+    problem: Problem, march: MarchState, trial: Trial, distance: Scalar
+) -> tuple[Bool[Array, ""], Target]:
+    """Whether an event lies within a step of this length, and the first such event."""
+    events, n = events_of(problem), march.state.side.size
+    now, then = _flat(trial.here), _flat(trial.there)
+    violated = then < -MARGIN_NOISE
+    # A whisker that was out of reach may touch anywhere within the step.
+    share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
+    share = jnp.where(violated, share, jnp.inf)
+    if any(event.before_release for event in events):
+        ended, none = trial.there[RELEASE] < -MARGIN_NOISE, [jnp.zeros(m.size, bool) for m in trial.there]
+        ended = [ended if event.before_release else no for event, no in zip(events, none, strict=True)]
+        share = jnp.where(jnp.concatenate(ended), jnp.inf, share)
+    first = jnp.argmin(share)
+    number = jnp.asarray(np.repeat(np.arange(len(events)), [margin.size for margin in trial.here]))[first]
+    # Margins of touches run over all objects, and over all whiskers for each.
+    each = [np.tile(np.eye(n, dtype=bool), (1 + m.size // n, 1))[: m.size] for m in trial.here]
+    whisker = jnp.asarray(np.concatenate([of & (k != AT_STOP) for k, of in enumerate(each)]))[first]
+    touched = None
+    if march.state.beside is not None:
+        touched = jnp.full(n, jnp.minimum(first // n, len(march.state.beside) - 1))
+    stance, side = trial.stance.of(touched), march.state.side_of(touched)
+    piece = march.state.piece
+    if piece is not None:
+        touch = stance.first(side)
+        for k, event in enumerate(events):
+            onto = event.piece(march.state, touch)
+            piece = piece if onto is None else jnp.where(number == k, onto, piece)
+    return jnp.any(violated), Target(
+        number,
+        whisker,
+        jnp.min(share) * distance,
+        *snap_flow.touching(stance, side),
+        limit_of(events, number, problem, trial.solution.point.z, trial.ends),
+        piece,
+        touched,
+    )
+
+
+def dip(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
+    """Whether a margin is negative within a step but not at its ends, and the share of the step where it is lowest."""
+    now, then = _flat(trial.here), _flat(trial.there)
+    free = march.state.free
+    start = Moving(problem, march.state, free, march.point.z, march.tangent.z, march.tangent_pose)
+    end = Moving(problem, march.state, free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose)
+    start, end = (distance * _flat(margin_rates(moving)) for moving in (start, end))
+    t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
+    within = Cubic(now, then, start, end).value(t)
+    # The margin of an event just passed is zero at the start; rounding must not count as a dip.
+    within = jnp.where((start < 0) & (end > 0) & jnp.isfinite(within), within, 0.0)
+    return jnp.any(within < -MARGIN_NOISE), t[jnp.argmin(jnp.min(within, axis=1)), 0]
