@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "jaxwhisker"
 DEVELOPING = (ROOT / "docs" / "developing.md").read_text("utf-8")
-LONGEST = 410  # lines of a file: about 400
+LONGEST = 400  # lines of a file
 API = {"__init__", "__main__"}  # the package root, which only collects names
 
 
@@ -106,3 +106,27 @@ def test_every_test_file_is_in_the_folder_of_a_package():
     packages = {name.lstrip("_"): name for name in levels()}
     for file in sorted((ROOT / "tests").rglob("test_*.py")):
         assert file.parent.name in {*packages, "physics", "docs"}, file
+
+
+MOST_FILES = 4  # in which a feature stands
+ASKS = re.compile(r"if .*friction(_angle)? is (not )?None")
+
+
+def additions() -> list[tuple[str, set[str]]]:
+    """Examples of features and their files, from the table in docs/developing.md."""
+    table = DEVELOPING.split("| to add | example | its files | what each holds |")[1].split("\n\n")[0]
+    rows = [row.split("|")[2:4] for row in table.splitlines()[2:]]
+    return [(example.strip(" `"), set(re.findall(r"`([^`]+)`", names))) for example, names in rows if "`" in example]
+
+
+@pytest.mark.parametrize(("example", "names"), additions(), ids=[example for example, _ in additions()])
+def test_a_feature_stands_in_few_files(example, names):
+    word = re.compile(rf"(?<!\w){re.escape(example)}(?!\w)")
+    holding = {str(file.relative_to(PACKAGE)) for file in PACKAGE.rglob("*.py") if word.search(file.read_text("utf-8"))}
+    assert len(names) <= MOST_FILES
+    assert holding == names
+
+
+def test_the_march_leaves_friction_to_its_law():
+    asking = {file.name for file in (PACKAGE / "_path").glob("*.py") if ASKS.search(file.read_text("utf-8"))}
+    assert asking == {"events.py", "law.py", "snap_flow.py"}  # which compose laws, and choose the steps of a flow

@@ -15,7 +15,7 @@ from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import LIGHT
 from jaxwhisker._equilibrium.point import Point
-from jaxwhisker._path.law import FORCE_ERROR, Coulomb, Law, law_of
+from jaxwhisker._path.law import FORCE_ERROR, Coulomb, Law, contact_law
 from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import Task, Trial
 from jaxwhisker._path.path import Status
@@ -29,7 +29,7 @@ TIP, FREE = int(Phase.tip), int(Phase.free)
 def begun(made):
     """The law of a scene, and a march that has just begun; its drive moves towards -x."""
     problem = Program(problem_of)(made)
-    return law_of(problem), Program(_start)(problem, jnp.array([1.0, -1.0]))
+    return contact_law(problem), Program(_start)(problem, jnp.array([1.0, -1.0]))
 
 
 @pytest.fixture(scope="module")

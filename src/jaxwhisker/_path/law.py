@@ -226,6 +226,6 @@ class Coulomb(Law):
         ]
 
 
-def law_of(problem: Problem) -> Law:
+def contact_law(problem: Problem) -> Law:
     """The law of a problem's contacts."""
     return Law(problem) if problem.friction_angle is None else Coulomb(problem)

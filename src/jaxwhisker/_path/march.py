@@ -30,7 +30,7 @@ from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.approach import FIRST_STEP, approach_of
 from jaxwhisker._path.events import TOUCH, Lead, condition_of, events_of, facts_of, limit_of
-from jaxwhisker._path.law import law_of
+from jaxwhisker._path.law import contact_law
 from jaxwhisker._path.march_state import MarchState, Target, Task
 from jaxwhisker._path.path import NO_EVENT, Node, Path, Status, select
 from jaxwhisker._path.transitions import after_advance, after_arrive, after_event, after_flow
@@ -54,7 +54,7 @@ def _iterate(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, "
     guess = select(marching, ahead, now.point)
     guess = select(flowing, Point(flow.guess, now.point.u), guess)
     onwards = at_arc_length(now.point, now.tangent, now.step)
-    fixed = law_of(problem).destination(now, guess)
+    fixed = contact_law(problem).destination(now, guess)
     target = now.target
     tip = jnp.any(target.whisker & (now.state.phase == Phase.tip))
     facts = facts_of(events_of(problem), target.number, tip)
@@ -84,7 +84,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
     u = approach_of(problem).start(stops[0])
     z, pose = problem.unloaded(u)
     state, none = all_free(problem, approach_of(problem).unloaded(u).side), jnp.zeros(n)
-    law, events = law_of(problem), events_of(problem)
+    law, events = contact_law(problem), events_of(problem)
     point = Point(z, u)
     still = Point(jnp.zeros_like(z), onwards)
     pending = Node(

@@ -30,7 +30,7 @@ from jaxwhisker._path.events import (
     events_of,
     margin_rates,
 )
-from jaxwhisker._path.law import law_of
+from jaxwhisker._path.law import contact_law
 from jaxwhisker._path.march_state import MarchState, Task, Trial
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, first_case, is_snap
 from jaxwhisker._path.trial import dip, first_violated
@@ -57,7 +57,7 @@ def _node(problem: Problem, march: MarchState, trial: Trial) -> Node:
         march.travel + jnp.abs(point.u - march.point.u),
         jnp.asarray(NO_EVENT),
         jnp.zeros_like(march.state.phase, bool),
-        **law_of(problem).remembered(march.goal, corner=False),
+        **contact_law(problem).remembered(march.goal, corner=False),
     )
 
 
@@ -76,7 +76,7 @@ def _moved(march: MarchState, trial: Trial, node: Node) -> MarchState:
 
 def after_advance(problem: Problem, march: MarchState, trial: Trial, guess: Point):
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
-    scale, law = scale_of(march.point.z), law_of(problem)
+    scale, law = scale_of(march.point.z), contact_law(problem)
     error, good = _prediction_error(march, trial, guess, scale)
     good &= law.accepts(march, trial, guess)
     violated, target = first_violated(problem, march, trial, march.step)
@@ -240,7 +240,7 @@ def after_arrive(
     problem: Problem, march: MarchState, trial: Trial, stops: Float[Array, " stops"], last: Int[Array, ""]
 ):
     """Handle the point of an event in its new mode: leave along the path, or begin a snap."""
-    point, law = trial.solution.point, law_of(problem)
+    point, law = trial.solution.point, contact_law(problem)
     stop_kind = march.pending.kind == STOP
     heading = jnp.sign(stops[jnp.minimum(march.goal, last)] - march.point.u)
     turned = stop_kind & (march.goal <= last) & (heading != 0)
@@ -328,7 +328,7 @@ def after_flow(problem: Problem, march: MarchState, proposed: snap_flow.Flow, tr
         lead=Lead(none, jnp.zeros_like(flow.pose), march.direction),
     )
     shorter = march._replace(flow=snap_flow.shortened(march.flow))
-    converged, cases = law_of(problem).judged(march, flow, proposed, trial)
+    converged, cases = contact_law(problem).judged(march, flow, proposed, trial)
     new = first_case(
         *cases,
         (jnp.where(converged, flow.exhausted, shorter.flow.exhausted), march.stopped(Status.unsettled)),

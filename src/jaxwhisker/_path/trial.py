@@ -30,7 +30,7 @@ from jaxwhisker._path.events import (
     margin_rates,
     margins,
 )
-from jaxwhisker._path.law import law_of
+from jaxwhisker._path.law import contact_law
 from jaxwhisker._path.march_state import MarchState, Target, Task, Trial
 from jaxwhisker._path.path import Status, select
 
@@ -82,7 +82,7 @@ def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop
         there=margins_there,
         stance=there,
         standing=problem.updated_side(free, march.state.standing, there),
-        turns=law_of(problem).turns(march, after.z, tangent, LIGHT),
+        turns=contact_law(problem).turns(march, after.z, tangent, LIGHT),
         reason=reason,
         ends=seen_there.ends,
         parameters=None if march.stuck_at is None else parameters,

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.events import RATE_NOISE
-from jaxwhisker._path.law import FOLD_SLOPE, Turns, law_of
+from jaxwhisker._path.law import FOLD_SLOPE, Turns, contact_law
 from jaxwhisker._path.march_state import MarchState, Trial
 
 REST_SLOPE = 2e-9  # rates of contacts above which they count as at rest; larger than the noise of these rates
@@ -57,7 +57,7 @@ def step_to_loss(turns: Turns, unstable_at: Scalar, unstable_turns: Turns) -> Sc
 
 def before_loss(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> MarchState:
     """The state before a step at whose end, at this distance, stability is lost; with a shorter step to try."""
-    start = law_of(problem).turns(march, march.point.z, march.tangent)
+    start = contact_law(problem).turns(march, march.point.z, march.tangent)
     step = step_to_loss(start, distance, trial.turns)
     return march._replace(unstable_at=distance, unstable_turns=trial.turns, step=step)
 
