@@ -1,4 +1,4 @@
-"""Layout: levels of packages, imports that only point down, a test file for each module, names in docs/developing.md."""
+"""Layout: levels of packages, imports that only point down, a test file of each module, names in docs/developing.md."""
 
 import ast
 import re

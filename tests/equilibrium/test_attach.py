@@ -1,4 +1,4 @@
-"""Springs on shafts: their numbers and places in the dimensionless problem, and the unloaded whiskers that they bend."""
+"""Springs on shafts: their numbers and places in the dimensionless problem, and unloaded whiskers that they bend."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from functions import Stiffening
 from handmade import SI
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.attach import _unbent, _weakened, attached, with_unloaded
@@ -23,15 +24,6 @@ CURVED = jw.Whisker(LENGTH, BENDING, intrinsic_curvature=8.0)
 MOUNTS = jw.Mount(0.01, -0.005, 0.2), jw.Mount(0.03, 0.0, -0.1)
 
 
-class Law(eqx.Module):
-    """A tension that grows with the cube of the extension."""
-
-    stiffness: float
-
-    def __call__(self, extension):
-        return self.stiffness * extension**3
-
-
 def on_shafts(*springs, whisker=CURVED, **options):
     """The dimensionless springs on the shafts of such whiskers."""
     support = jw.Support(springs, **options)
@@ -40,7 +32,7 @@ def on_shafts(*springs, whisker=CURVED, **options):
 
 
 def place(whisker, at):
-    """Position and direction, in the drive's frame, of a point of an unloaded whisker, which is straight below its base."""
+    """Position and direction of a point of an unloaded whisker, which is straight below its base, on the drive."""
     mount = MOUNTS[whisker - 1]
     return points(mount.x, mount.y, np.pi / 2 + mount.angle, 8.0 if at > 0 else 0.0, at)
 
@@ -49,9 +41,9 @@ SPRINGS = (
     jw.Spring((0, 1), 70.0, 0.01),  # holds the base
     jw.Spring((0, 1), 3.0, 0.012, at=0.02),
     jw.Spring((0, 1), 2e-3, -0.3, "phi", at=0.035),
-    jw.Spring((0, 2), Law(8e5), 0.001, "y", at=0.01, one_sided="compression"),
+    jw.Spring((0, 2), Stiffening(0.0, 8e5), 0.001, "y", at=0.01, one_sided="compression"),
     jw.Spring((0, 1), 5.0, -0.015, "axial", at=-0.01, one_sided="tension"),
-    jw.Spring((0, 2), Law(2e-4), 0.4, "phi", at=0.03),
+    jw.Spring((0, 2), Stiffening(0.0, 2e-4), 0.4, "phi", at=0.03),
     jw.Spring((0, 2), 1.5, 0.02, "axial", at=0.04, anchor=(0.004, -0.02)),
 )
 
