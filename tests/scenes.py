@@ -96,16 +96,18 @@ def check_derivatives(function, p, *, seed, differences, visible, jit=False):
     weights = jnp.asarray(rng.normal(size=jax.eval_shape(function, p).shape))
     both = in_both_modes(function, direction)
     both = jax.jit(both) if jit else both
-    value, pushed, _ = both(p, weights)
+
+    def values(at):
+        return both(at, weights)[0] if jit else function(at)
+
+    value = values(p)
     assert np.all(np.isfinite(value))
     weights = weights / jnp.maximum(jnp.abs(value), 0.1)
-    pulled = both(p, weights)[2]
+    _, pushed, pulled = both(p, weights)
     assert np.all(np.abs(pulled * p) > visible)
     assert abs(weights @ pushed - pulled @ direction) < MODES * np.sum(np.abs(pulled * direction))
     for k, size in enumerate(p):
         step = DIFFERENCE * size
-        ahead, behind = (
-            both(at, weights)[0] if jit else function(at) for at in (p.at[k].add(step), p.at[k].add(-step))
-        )
+        ahead, behind = (values(p.at[k].add(sign * step)) for sign in (1, -1))
         difference = weights @ (ahead - behind) / (2 * step)
         assert abs(difference - pulled[k]) < differences * np.max(np.abs(pulled * p)) / np.abs(size), k
