@@ -151,7 +151,7 @@ def straight(x, y, angle, length=1.0):
     return x - length * np.sin(angle), y + length * np.cos(angle), angle
 
 
-@pytest.mark.parametrize(("stiffness", "rest_length"), [(4.0, 0.0), (4.0, 0.9), (10.0, -2.5)])
+@pytest.mark.parametrize(("stiffness", "rest_length"), [(4.0, 0.0), (4.0, 0.9), (60.0, -2.5), (1000.0, 0.3)])
 def test_a_torsion_spring_bends_the_unloaded_whisker_into_an_arc(problem, stiffness, rest_length):
     at = 0.5
     found = unloaded(problem, on_one(stiffness, rest_length, "phi", at), jnp.zeros((1, 3, 3)))
