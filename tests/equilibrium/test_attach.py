@@ -1,5 +1,6 @@
 """Springs on shafts: their numbers and places in the dimensionless problem, and unloaded whiskers that they bend."""
 
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOptionalMemberAccess=false
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np

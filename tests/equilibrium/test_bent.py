@@ -1,5 +1,6 @@
 """Free whiskers bent by springs on their shafts: arcs between torsion springs, and a rod integrated from the spring."""
 
+# pyright: reportArgumentType=false, reportCallIssue=false
 import jax
 import jax.numpy as jnp
 import numpy as np

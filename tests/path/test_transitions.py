@@ -1,5 +1,6 @@
 """What follows from a step along the path and from the point of an event, for steps and events made by hand."""
 
+# pyright: reportArgumentType=false, reportCallIssue=false
 import jax.numpy as jnp
 import numpy as np
 import pytest
