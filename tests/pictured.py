@@ -145,3 +145,18 @@ def unpacked(reply: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         arrays[name] = np.frombuffer(reply, DTYPES[dtype], int(np.prod(shape)), start).reshape(shape)
         start += arrays[name].nbytes
     return header, arrays
+
+
+def snaps(result):
+    """Numbers of the events that are snaps."""
+    return [k for k, event in enumerate(result.events) if event.kind >= jw.EventKind.snap_through]
+
+
+def row(tree, k):
+    """Row or rows of all leaves of a tree."""
+    return jax.tree.map(lambda leaf: leaf[k], tree)
+
+
+def ends_moved(lines):
+    """Largest motion of a base or tip between consecutive lines."""
+    return np.hypot(np.diff(lines.x, axis=0), np.diff(lines.y, axis=0))[..., [0, -1]].max(axis=(1, 2))

@@ -22,6 +22,9 @@ import numpy as np
 import jaxwhisker as jw
 from jaxwhisker._model.whisker import LinearTaper, RoundSection
 
+MODES = 1e-10  # forward against reverse mode, relative to the sum of sizes: the same sums in another order
+DIFFERENCE = 1e-5  # relative step of central differences
+
 REFERENCE = json.loads((Path(__file__).parent / "data" / "scans.json").read_text())["cases"]
 
 
@@ -75,3 +78,36 @@ def in_both_modes(function, direction):
         return value, along(direction), jax.linear_transpose(along, p)(weights)[0]
 
     return both
+
+
+def check_derivatives(function, p, *, seed, differences, visible, jit=False):
+    """Check derivatives of weighted values by all parameters, in both modes and against central differences.
+
+    Args:
+        function: returns an array of values.
+        p: the parameters, of which none is zero.
+        seed: of the random weights and of the direction in forward mode.
+        differences: tolerance of central differences, relative to the largest change when a parameter doubles.
+        visible: least change of the weighted relative values when any parameter doubles.
+        jit: whether to compile one program for everything.
+    """
+    rng = np.random.default_rng(seed)
+    direction = p * jnp.asarray(rng.uniform(0.5, 1.0, p.size))
+    weights = jnp.asarray(rng.normal(size=jax.eval_shape(function, p).shape))
+    both = in_both_modes(function, direction)
+    both = jax.jit(both) if jit else both
+
+    def values(at):
+        return both(at, weights)[0] if jit else function(at)
+
+    value = values(p)
+    assert np.all(np.isfinite(value))
+    weights = weights / jnp.maximum(jnp.abs(value), 0.1)
+    _, pushed, pulled = both(p, weights)
+    assert np.all(np.abs(pulled * p) > visible)
+    assert abs(weights @ pushed - pulled @ direction) < MODES * np.sum(np.abs(pulled * direction))
+    for k, size in enumerate(p):
+        step = DIFFERENCE * size
+        ahead, behind = (values(p.at[k].add(sign * step)) for sign in (1, -1))
+        difference = weights @ (ahead - behind) / (2 * step)
+        assert abs(difference - pulled[k]) < differences * np.max(np.abs(pulled * p)) / np.abs(size), k

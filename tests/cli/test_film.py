@@ -22,13 +22,9 @@ from jaxwhisker.cli import scan as scan_command
         (["--stiffness", "-1", "scan.gif"], ["`stiffness`", "-1.0"]),
     ],
 )
-def test_wrong_options_end_with_one_line_before_the_scan(argv, words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_wrong_options_end_with_one_line_before_the_scan(argv, words, refuses, monkeypatch):
     monkeypatch.setattr(scan_command, "scan", lambda *_: pytest.fail("the scan was started"))
-    assert cli.main(["film", *argv]) == cli.USAGE
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and all(word in err for word in words)
-    assert list(tmp_path.iterdir()) == []
+    refuses(["film", *argv], words)
 
 
 @pytest.mark.parametrize(

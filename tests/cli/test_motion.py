@@ -49,11 +49,8 @@ def motion():
         ([*MOVES, "--detect", "crossing"], ["--detect"]),
     ],
 )
-def test_wrong_options_end_with_one_line_before_anything_is_computed(of, argv, words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main([*of, *argv]) == cli.USAGE
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and all(word in err for word in words)
+def test_wrong_options_end_with_one_line_before_anything_is_computed(of, argv, words, refuses):
+    refuses([*of, *argv], words)
 
 
 @pytest.mark.parametrize(

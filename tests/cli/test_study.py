@@ -40,15 +40,9 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_wrong_options_end_with_one_line_and_exit_code_2(name, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_wrong_options_end_with_one_line_and_exit_code_2(name, refuses):
     argv, words = BAD[name]
-    assert cli.main(["study", *argv]) == cli.USAGE
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and err.startswith("jaxwhisker study: error:")
-    for word in words:
-        assert word in err
-    assert list(tmp_path.iterdir()) == []
+    refuses(["study", *argv], words)
 
 
 def test_axes_are_ranges_lists_or_numbers():

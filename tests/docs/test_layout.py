@@ -1,4 +1,4 @@
-"""Layout: every package has a level, imports only point down, and docs/developing.md agrees with the files."""
+"""Layout: levels of packages, imports that only point down, a test file of each module, names in docs/developing.md."""
 
 import ast
 import re
@@ -11,6 +11,11 @@ PACKAGE = ROOT / "src" / "jaxwhisker"
 DEVELOPING = (ROOT / "docs" / "developing.md").read_text("utf-8")
 LONGEST = 400  # lines of a file
 API = {"__init__", "__main__"}  # the package root, which only collects names
+ELSEWHERE = {  # packages whose __init__.py defines functions, and the files that test these
+    "_explore": "explore/test_hosts.py",  # starts a host
+    "cli": "cli/test_main.py",  # the command that contains all others
+    "plot": "base/test_suggest.py",  # completes and suggests names
+}
 
 
 def levels() -> dict[str, int]:
@@ -130,3 +135,15 @@ def test_a_feature_stands_in_few_files(example, names):
 def test_the_march_leaves_friction_to_its_law():
     asking = {file.name for file in (PACKAGE / "_path").glob("*.py") if ASKS.search(file.read_text("utf-8"))}
     assert asking == {"events.py", "law.py", "snap_flow.py"}  # which compose laws, and choose the steps of a flow
+
+
+def test_every_module_with_functions_has_a_test_file():
+    """That of a module is tests/<package>/test_<module>.py; modules of data classes and constants need none."""
+    missing = []
+    for file in files():
+        package, _, module = name_of(file).partition(".")
+        own = ROOT / "tests" / ELSEWHERE.get(name_of(file), f"{package.lstrip('_')}/test_{module.lstrip('_')}.py")
+        tree = ast.walk(ast.parse(file.read_text("utf-8")))
+        if any(isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) for node in tree):
+            missing += [] if own.exists() else [name_of(file)]
+    assert missing == []

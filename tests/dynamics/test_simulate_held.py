@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from functions import Stiffening
 from jaxwhisker.plot.drawing import drawing_at
 
 FREQUENCY = 1e-3  # relative error; the amplitude is 0.02
@@ -133,16 +134,6 @@ def test_rest_stays_at_rest():
         assert np.abs(values - values[0]).max() < RESTS, name
         np.testing.assert_allclose(values[0], expected, atol=EQUILIBRIUM * max(1.0, np.abs(expected).max()), rtol=0)
     assert int(motion.events.count) == 0
-
-
-class Stiffening(eqx.Module):
-    """Tension with a cubic part."""
-
-    linear: float
-    cubic: float
-
-    def __call__(self, extension):
-        return self.linear * extension + self.cubic * extension**3
 
 
 class Swing(eqx.Module):

@@ -90,20 +90,6 @@ def test_a_base_in_the_plane_that_yields_along_x_only_has_the_equations_of_a_bas
     np.testing.assert_allclose([x, in_scene_x], at.base_x[0], atol=CLOSED_FORM)
 
 
-def test_where_whiskers_stand():
-    def at(x, reaches=True):
-        same = jnp.full(3, 0.0)
-        return Touch(same, jnp.full(3, x), same, same, jnp.full(3, reaches))
-
-    x = jnp.array([1.0, 0.125, -1.0])
-    stance = Stance(x, at(0.75), at(-0.5))
-    assert stance.clear.tolist() == [True, False, True]
-    # Half-way between both touches, at 0.125, the right-hand side counts as the nearer one.
-    assert stance.side.tolist() == [1.0, 1.0, -1.0]
-    assert stance.first(jnp.array([1.0, -1.0, 1.0])).x.tolist() == [0.75, -0.5, 0.75]
-    assert Stance(x, at(0.75, False), at(-0.5, False)).clear.all()
-
-
 def test_only_free_whiskers_out_of_reach_change_their_side(in_plane):
     none = jnp.zeros(3)
     away = Touch(none, none, none, none, none > 0)

@@ -1,12 +1,12 @@
 """Flow of the bases during a snap."""
 
-import jax
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
 from jaxwhisker.film.flow import flows
 from jaxwhisker.film.frames import SWINGS, lines_of
+from pictured import ends_moved, row, snaps
 
 SOLVED = 1e-9  # accuracy of Newton's method for poses and contacts of the flow
 INTEGRATED = 1e-7  # accuracy of centre lines, which are integrated from base to contact
@@ -22,19 +22,6 @@ def flows_of_soft(soft):
     events = [soft.events[k] for k in numbers]
     controls = [np.full(group.phase.shape[0], event.control) for group, event in zip(states, events, strict=True)]
     return list(zip(events, states, lines_of(soft.scene, states, controls), strict=True))
-
-
-def snaps(result):
-    return [k for k, event in enumerate(result.events) if event.kind >= jw.EventKind.snap_through]
-
-
-def row(tree, k):
-    return jax.tree.map(lambda leaf: leaf[k], tree)
-
-
-def ends_moved(lines):
-    """Largest motion of a base or tip between consecutive lines."""
-    return np.hypot(np.diff(lines.x, axis=0), np.diff(lines.y, axis=0))[..., [0, -1]].max(axis=(1, 2))
 
 
 def test_the_flow_passes_equilibria_of_whiskers_whose_bases_are_held(flows_of_soft):

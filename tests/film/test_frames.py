@@ -8,7 +8,7 @@ import jaxwhisker as jw
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker.film.flow import flows
 from jaxwhisker.film.frames import DEEPEST, SNAP_FRAMES, Silhouette, between, frames, silhouettes_of_scan
-from pictured import FILM_STEPS
+from pictured import FILM_STEPS, ends_moved, row, snaps
 
 CHORDS = 1e-4  # relative: a polyline of 64 points is shorter than the bent whisker
 SOLVED = 1e-9  # accuracy of Newton's method for poses and contacts
@@ -16,21 +16,8 @@ SETTLED = 0.02  # lengths: the flow ends this close to where the march's Newton 
 ROUNDING = 1e-12  # relative
 
 
-def snaps(result):
-    return [k for k, event in enumerate(result.events) if event.kind >= jw.EventKind.snap_through]
-
-
 def starts(marks):
     return [(first, event) for first, event, _ in marks if event.kind >= jw.EventKind.snap_through]
-
-
-def row(tree, k):
-    return jax.tree.map(lambda leaf: leaf[k], tree)
-
-
-def ends_moved(lines):
-    """Largest motion of a base or tip between consecutive lines."""
-    return np.hypot(np.diff(lines.x, axis=0), np.diff(lines.y, axis=0))[..., [0, -1]].max(axis=(1, 2))
 
 
 def lengths(lines):

@@ -10,13 +10,11 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._model.motion import Pose, frame_and_rate
-from scenes import all_ok, follicle, in_both_modes
+from scenes import all_ok, check_derivatives, follicle
 
 EXACT = 1e-7  # of signals relative to their size: error of the rods' steps
 SAME = 1e-9  # of signals: the same equilibria, computed in another frame
-MODES = 1e-10  # forward against reverse mode, relative to the sum of sizes: the same sums in another order
 DIFFERENCES = 3e-6  # central differences lose half the digits
-DIFFERENCE = 1e-5
 VISIBLE = 1e-4  # least relative change of weighted signals when a parameter doubles
 FAR = 1e-2  # of signals, with a pivot 1e4 lengths away: the path is curved by 1e-4, and signals are much steeper
 SIGNALS = ("base_x", "base_y", "base_angle", "fx", "fy", "mz")
@@ -229,22 +227,8 @@ def observed(p):
 
 
 def test_derivatives_by_all_parameters_of_supports_and_motions():
-    rng = np.random.default_rng(5)
-    direction = P * jnp.asarray(rng.uniform(0.5, 1.0, P.size))
-    weights = jnp.asarray(rng.normal(size=jax.eval_shape(observed, P).size))
-
-    both = jax.jit(in_both_modes(observed, direction))  # one program: no other test uses this problem shape
-    value, pushed, _ = both(P, weights)
-    assert np.all(np.isfinite(value))
-    weights = weights / jnp.maximum(jnp.abs(value), 0.1)
-    pulled = both(P, weights)[2]
-    assert np.all(np.abs(pulled * P) > VISIBLE)
-    assert abs(weights @ pushed - pulled @ direction) < MODES * np.sum(np.abs(pulled * direction))
-    for k, size in enumerate(P):
-        step = DIFFERENCE * size
-        ahead, behind = (both(P.at[k].add(sign * step), weights)[0] for sign in (1, -1))
-        difference = weights @ (ahead - behind) / (2 * step)
-        assert abs(difference - pulled[k]) < DIFFERENCES * np.max(np.abs(pulled * P)) / np.abs(size), k
+    # One program: no other test uses this problem shape.
+    check_derivatives(observed, P, seed=5, differences=DIFFERENCES, visible=VISIBLE, jit=True)
 
 
 def test_tilting_the_object_is_turning_everything_else():

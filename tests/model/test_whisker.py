@@ -3,25 +3,15 @@
 # pyright: reportArgumentType=false
 import math
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from functions import Linear
 
 EXACT = 1e-12
-
-
-class Line(eqx.Module):
-    """A linear function of arc length with parameters."""
-
-    start: float
-    growth: float
-
-    def __call__(self, s):
-        return self.start + self.growth * s
 
 
 def test_bending_stiffness_of_a_circular_section():
@@ -58,7 +48,7 @@ def test_masses_follow_from_a_density():
     np.testing.assert_allclose([float(cone.mass_at(s)) for s in (0.0, 1.0, 2.0)], [1.0, 0.75**2, 0.5**2], rtol=EXACT)
     rod = jw.Whisker.from_material(0.05, 3e9, 2e-4, density=1300.0)
     assert float(rod.mass_at(0.02)) == pytest.approx(1300 * np.pi / 4 * 2e-4**2, rel=EXACT)
-    denser = jw.Whisker.from_material(0.05, 3e9, 2e-4, density=Line(1300.0, 1e4))
+    denser = jw.Whisker.from_material(0.05, 3e9, 2e-4, density=Linear(1300.0, 1e4))
     assert float(denser.mass_at(0.05) / rod.mass_at(0.05)) == pytest.approx(1800 / 1300, rel=EXACT)
     rat = jw.Whisker.rat("C", 2, density=1300.0)
     assert float(rat.mass_at(0.0)) == pytest.approx(1300 * np.pi / 4 * 132.6e-6**2, rel=EXACT)
@@ -66,7 +56,7 @@ def test_masses_follow_from_a_density():
 
 
 def test_equilibria_do_not_depend_on_masses():
-    heavy = jw.Whisker(mass_per_length=Line(1.0, 1.0), tip_mass=0.1, base_mass=2.0, base_inertia=0.3)
+    heavy = jw.Whisker(mass_per_length=Linear(1.0, 1.0), tip_mass=0.1, base_mass=2.0, base_inertia=0.3)
     assert heavy.uniform and heavy.has_masses
     assert jax.tree.structure(heavy.without_masses()) == jax.tree.structure(jw.Whisker())
     scene = jw.Scene((heavy, jw.Whisker()), jw.Parabola(0.2), jw.Support.fbfb(70.0)).in_equilibrium()
@@ -76,7 +66,7 @@ def test_equilibria_do_not_depend_on_masses():
 def test_traced_masses_out_of_their_domain_are_invalid():
     @jax.jit
     def valid(mass, growth, tip, base):
-        return jw.Whisker(2.0, mass_per_length=Line(mass, growth), tip_mass=tip, base_mass=base).valid_masses()
+        return jw.Whisker(2.0, mass_per_length=Linear(mass, growth), tip_mass=tip, base_mass=base).valid_masses()
 
     assert valid(1.0, -0.5, 0.0, 0.0)  # the mass per length vanishes at the tip only
     for bad in [(1.0, -0.6, 0.0, 0.0), (1.0, 0.0, -1.0, 0.0), (1.0, 0.0, 0.0, jnp.nan), (jnp.inf, 0.0, 0.0, 0.0)]:
@@ -88,18 +78,18 @@ def test_the_stiffness_may_vanish_at_the_tip():
 
 
 def test_breaks_belong_to_functions():
-    stepped = jw.Whisker(2.0, Line(1.0, -0.1), mass_per_length=Line(1.0, 0.0), breaks=[0.5, 1.0])
+    stepped = jw.Whisker(2.0, Linear(1.0, -0.1), mass_per_length=Linear(1.0, 0.0), breaks=[0.5, 1.0])
     np.testing.assert_array_equal(stepped.without_masses().breaks, [0.5, 1.0])
     assert "2 breaks" in str(jw.Scene(stepped, jw.Parabola(0.2)))
     # Those of a uniform whisker are those of its mass.
-    assert jw.Whisker(2.0, mass_per_length=Line(1.0, 0.0), breaks=(0.5,)).without_masses() == jw.Whisker(2.0)
+    assert jw.Whisker(2.0, mass_per_length=Linear(1.0, 0.0), breaks=(0.5,)).without_masses() == jw.Whisker(2.0)
     assert jw.Whisker(breaks=()).breaks is None
 
 
 def test_traced_breaks_outside_the_whisker_are_invalid():
     @jax.jit
     def valid(first, second):
-        return jw.Whisker(2.0, Line(1.0, -0.1), breaks=(first, second)).valid()
+        return jw.Whisker(2.0, Linear(1.0, -0.1), breaks=(first, second)).valid()
 
     assert valid(0.5, 1.0) and valid(0.5, 0.5)
     for bad in [(0.0, 1.0), (1.0, 0.5), (0.5, 2.0), (jnp.nan, 1.0)]:
@@ -108,7 +98,7 @@ def test_traced_breaks_outside_the_whisker_are_invalid():
 
 def test_parameters_of_a_module_are_differentiable():
     def middle(start, growth):
-        return jw.Whisker(2.0, Line(start, growth)).stiffness_at(1.0)
+        return jw.Whisker(2.0, Linear(start, growth)).stiffness_at(1.0)
 
     np.testing.assert_allclose(jax.grad(middle, argnums=(0, 1))(1.0, 0.5), (1.0, 1.0), atol=EXACT)
 
@@ -116,7 +106,7 @@ def test_parameters_of_a_module_are_differentiable():
 def test_traced_parameters_out_of_their_domain_are_invalid():
     @jax.jit
     def valid(length, stiffness, curvature):
-        return jw.Whisker(length, Line(stiffness, -0.5), Line(curvature, 0.0)).valid()
+        return jw.Whisker(length, Linear(stiffness, -0.5), Linear(curvature, 0.0)).valid()
 
     assert valid(1.0, 1.0, 0.3)
     assert valid(1.0, 0.5, 0.3)  # the stiffness vanishes at the tip only
@@ -145,11 +135,11 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         ),
         (lambda: jw.Whisker(breaks=(0.5,)), r"`breaks` must be absent unless .* is a function, got \(0.5\)"),
         (
-            lambda: jw.Whisker(2.0, Line(1.0, 0.0), breaks=(0.5, 2.0)),
+            lambda: jw.Whisker(2.0, Linear(1.0, 0.0), breaks=(0.5, 2.0)),
             r"`breaks` must be in ascending order inside \(0, 2\), got \(0.5, 2\)",
         ),
-        (lambda: jw.Whisker(2.0, Line(1.0, 0.0), breaks=(1.0, 0.5)), "`breaks` must be in ascending order"),
-        (lambda: jw.Whisker(2.0, Line(1.0, 0.0), breaks=0.5), "`breaks` must be a non-empty one-dimensional array"),
+        (lambda: jw.Whisker(2.0, Linear(1.0, 0.0), breaks=(1.0, 0.5)), "`breaks` must be in ascending order"),
+        (lambda: jw.Whisker(2.0, Linear(1.0, 0.0), breaks=0.5), "`breaks` must be a non-empty one-dimensional array"),
         (lambda: jw.Whisker(mass_per_length=0.0), "`mass_per_length` must be a positive finite number, got 0"),
         (
             lambda: jw.Whisker(mass_per_length=lambda s: 1.0 - 2.5 * s),

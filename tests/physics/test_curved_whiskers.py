@@ -10,12 +10,11 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._model.whisker import LinearTaper
-from scenes import all_ok, cone, in_both_modes
+from scenes import all_ok, check_derivatives, cone
 
 EXACT = 1e-7  # of signals relative to their size: error of the rods' steps
 SAME = 1e-9  # of signals relative to their size: the same rod, computed in another way
 ARC = 1e-10  # of a circle's points and of constant curvatures
-MODES = 1e-10  # forward against reverse mode, relative to the sum of sizes: the same sums in another order
 DIFFERENCES = 1e-6  # central differences lose half the digits
 DIFFERENCE = 1e-5
 VISIBLE = 1e-2  # least relative change of weighted signals when a parameter doubles
@@ -143,22 +142,7 @@ def observed(p):
 
 
 def test_derivatives_by_all_parameters_of_a_whisker():
-    rng = np.random.default_rng(3)
-    direction = P * jnp.asarray(rng.uniform(0.5, 1.0, P.size))
-    weights = jnp.asarray(rng.normal(size=jax.eval_shape(observed, P).size))
-
-    both = in_both_modes(observed, direction)
-    value, pushed, _ = both(P, weights)
-    assert np.all(np.isfinite(value))
-    weights = weights / jnp.maximum(jnp.abs(value), 0.1)
-    pulled = both(P, weights)[2]
-    assert np.all(np.abs(pulled * P) > VISIBLE)
-    assert abs(weights @ pushed - pulled @ direction) < MODES * np.sum(np.abs(pulled * direction))
-    for k, size in enumerate(P):
-        step = DIFFERENCE * size
-        ahead, behind = (observed(P.at[k].add(sign * step)) for sign in (1, -1))
-        difference = weights @ (ahead - behind) / (2 * step)
-        assert abs(difference - pulled[k]) < DIFFERENCES * np.max(np.abs(pulled * P)) / size
+    check_derivatives(observed, P, seed=3, differences=DIFFERENCES, visible=VISIBLE)
 
 
 def test_a_whisker_that_curls_up_is_invalid_in_a_batch():

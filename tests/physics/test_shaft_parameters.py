@@ -1,12 +1,12 @@
 """Studies, fits and derivatives with respect to parameters of springs and foundations on the shaft."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from functions import Stiffening
 from scenes import all_ok
 
 CONTROL = np.linspace(0.9, -1.2, 43)
@@ -43,16 +43,6 @@ def test_the_place_of_a_spring_is_identified():
     assert fit.status == jw.FitStatus.ok, fit.reason
     for name, exact in {"at": 0.15, "distance": 0.3}.items():
         assert abs(fit.estimates[name] - exact) < 4 * fit.standard_error[name] < 0.01
-
-
-class Stiffening(eqx.Module):
-    """Tension of a stiffening spring."""
-
-    linear: float
-    cubic: float
-
-    def __call__(self, extension):
-        return self.linear * extension + self.cubic * extension**3
 
 
 NUMBERS = {"linear": 50.0, "cubic": 900.0, "start": 0.03, "stop": 0.2, "density": 150.0, "rest": 0.19}

@@ -13,9 +13,10 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxwhisker as jw
+from functions import Step
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._rod import rod
-from scenes import all_ok, in_both_modes
+from scenes import all_ok, check_derivatives
 
 EXACT = 1e-8  # of signals relative to their size, with 32 steps
 ROD = 1e-10  # of rods that scipy integrates to 1e-12
@@ -23,20 +24,10 @@ STAGES = 1e-9  # of rods that a solver with stages at both ends of its steps int
 ROUNDING = 1e-12  # the same steps in another order
 FREQUENCIES = 1e-9  # relative, of elements
 MEETING = 1e-8  # of derivatives; two arcs share a break in proportion to rounding over 1e-6
-MODES = 1e-10  # forward against reverse mode, relative
-DIFFERENCE = 1e-5
 DIFFERENCES = 1e-6  # relative: central differences lose half the digits
+VISIBLE = 1e-2  # least relative change of weighted values when a parameter doubles
 
-
-class Step(eqx.Module):
-    """One value below a break, another one above."""
-
-    at: jax.Array | float
-    below: jax.Array | float
-    above: jax.Array | float
-
-    def __call__(self, s):
-        return jnp.where(s < self.at, self.below, self.above)
+PLACE_AND_HEIGHT = jnp.array([0.37, 0.4])  # of a jump
 
 
 def stepped(at=0.37, above=0.4, curvature=(0.1, 0.4), mass=None):
@@ -104,7 +95,7 @@ def test_derivatives_of_signals_by_a_break():
         result = jw.scan(scene(stepped(p[0], p[1])), control)
         return jnp.concatenate([result.fx[:, 0], result.mz[:, 0]])
 
-    check_derivatives(signals)
+    check_derivatives(signals, PLACE_AND_HEIGHT, seed=1, differences=DIFFERENCES, visible=VISIBLE)
 
 
 def test_derivatives_of_a_deflection_by_a_break():
@@ -112,23 +103,7 @@ def test_derivatives_of_a_deflection_by_a_break():
         bent = loaded(stepped(p[0], p[1]))
         return jnp.stack([bent.mz, bent.x[-1], bent.y[-1]])
 
-    check_derivatives(values)
-
-
-def check_derivatives(function):
-    """Both modes against each other and against differences, by the place and the height of a jump."""
-    p, weights = jnp.array([0.37, 0.4]), np.random.default_rng(1)
-    direction = jnp.array([1.0, 0.5])
-    both = in_both_modes(function, direction)
-    value = function(p)
-    weights = jnp.asarray(weights.normal(size=value.shape))
-    _, pushed, pulled = both(p, weights)
-    assert abs(weights @ pushed - pulled @ direction) < MODES * np.sum(np.abs(pulled))
-    for k in range(p.size):
-        ahead, behind = (function(p.at[k].add(sign * DIFFERENCE)) for sign in (1, -1))
-        difference = weights @ (ahead - behind) / (2 * DIFFERENCE)
-        assert abs(difference - pulled[k]) < DIFFERENCES * np.max(np.abs(pulled))
-        assert abs(pulled[k]) > 1e-2
+    check_derivatives(values, PLACE_AND_HEIGHT, seed=1, differences=DIFFERENCES, visible=VISIBLE)
 
 
 @pytest.mark.parametrize("whisker", [stepped(), stepped(0.9), stepped(0.37, 0.01)], ids=["middle", "at load", "soft"])

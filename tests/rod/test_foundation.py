@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from functions import Step
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.foundation import integrate_on
 from jaxwhisker._rod.rod import Load, Section
@@ -107,21 +108,11 @@ def test_derivatives_in_reverse_mode_agree_with_differences():
     assert jax.jit(jax.grad(total))(jnp.zeros(3)) @ direction == pytest.approx(float(difference), abs=DIFFERENCES)
 
 
-class Step:
-    """One value below 0.37, another one above."""
-
-    def __init__(self, below, above):
-        self.values = below, above
-
-    def __call__(self, s):
-        return jnp.where(s < 0.37, *self.values)
-
-
 def test_a_foundation_ends_its_steps_at_breaks():
     # A constant push is a foundation, and scipy can integrate it with the rod.
     first, zero = jnp.asarray(1.0), jnp.zeros(())
     load = rod.Load(zero, zero - 0.8, zero)
-    section = Section(Step(1.0, 0.2), Step(0.1, 0.6), 1.0, 1.0, breaks=jnp.array([0.37]))
+    section = Section(Step(0.37, 1.0, 0.2), Step(0.37, 0.1, 0.6), 1.0, 1.0, breaks=jnp.array([0.37]))
     start = (zero, zero, zero + 1.0, zero)
 
     @jax.jit

@@ -1,7 +1,6 @@
 """Integrated rods against their closed form by elliptic integrals (Steigenberger 2013)."""
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ellipeinc, ellipj, ellipkinc
 
+from functions import Linear
 from jaxwhisker._equilibrium import contact
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
 from jaxwhisker._model.conic import Parabola
@@ -133,20 +133,10 @@ def test_points_run_from_start_to_end():
     np.testing.assert_allclose([s[-1] for s in states], np.array(end), atol=1e-15)
 
 
-class Growing(eqx.Module):
-    """A linear function of arc length."""
-
-    start: float
-    growth: float
-
-    def __call__(self, s):
-        return self.start + self.growth * s
-
-
 def test_a_section_without_change_is_a_uniform_rod():
     start = (jnp.zeros(()), jnp.zeros(()), jnp.ones(()), jnp.zeros(()))
     load = rod.Load(jnp.zeros(()), jnp.asarray(-3.0), jnp.zeros(()))
-    section = rod.Section(Growing(2.0, 0.0), Growing(0.0, 0.0), 1.0, 2.0)
+    section = rod.Section(Linear(2.0, 0.0), Linear(0.0, 0.0), 1.0, 2.0)
     sectioned = rod.integrate(start, 0.9, load, section, steps=2 * STEPS, from_base=jnp.asarray(0.9))
     uniform = rod.integrate(start, 0.9, load, steps=STEPS)
     np.testing.assert_allclose(np.array(sectioned), np.array(uniform), atol=CLOSED_FORM)
@@ -156,7 +146,7 @@ def test_an_unloaded_rod_keeps_its_intrinsic_curvature():
     # An Euler spiral, from the base outwards: the angle is the integral of the curvature.
     start = (jnp.zeros(()), jnp.zeros(()), jnp.ones(()), jnp.zeros(()))
     nothing = rod.Load(None, jnp.zeros(()), None)
-    section = rod.Section(1.0, Growing(0.3, 0.5), 2.0, 1.0)  # arc lengths in units of 2
+    section = rod.Section(1.0, Linear(0.3, 0.5), 2.0, 1.0)  # arc lengths in units of 2
     _, _, cos, sin = rod.integrate(start, -1.0, nothing, section, steps=2 * STEPS, from_base=jnp.asarray(0.0))
     assert abs(jnp.arctan2(sin, cos) - (0.3 * 2 + 0.5 * 2**2 / 2)) < CLOSED_FORM
 
@@ -168,6 +158,6 @@ def test_the_moment_is_affine_in_position():
 
 
 def test_a_point_without_stiffness_carries_no_moment():
-    section = rod.Section(Growing(1.0, -1.0), Growing(0.2, 0.0), 1.0, 1.0)
+    section = rod.Section(Linear(1.0, -1.0), Linear(0.2, 0.0), 1.0, 1.0)
     assert section.total_curvature(jnp.asarray(3.0), jnp.asarray(1.0)) == 0.2
     assert section.total_curvature(jnp.asarray(3.0), jnp.asarray(0.5)) == 6.2

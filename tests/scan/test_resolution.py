@@ -3,25 +3,14 @@
 # pyright: reportArgumentType=false
 import warnings
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from functions import Step
 from jaxwhisker._scan.resolution import RESOLVED, _error, warn_of_steps, warn_of_whisker
-
-
-class Step(eqx.Module):
-    """One value below a break, another one above."""
-
-    at: jax.Array | float
-    below: jax.Array | float
-    above: jax.Array | float
-
-    def __call__(self, s):
-        return jnp.where(s < self.at, self.below, self.above)
 
 
 def stepped(at=0.37, breaks=(), unit=1.0, curvature=0.4):

@@ -21,11 +21,14 @@ ROUNDING = 1e-15  # added to a matrix of products of unit vectors, whose Cholesk
 
 
 class Eigenpairs(NamedTuple):
-    """The modes with the largest mu, in descending order, and the smallest mu of all."""
+    """The modes with the largest mu, in descending order, and the smallest mu in the iterated subspace.
+
+    The subspace converges to the modes with the largest |mu|; its smallest mu is no less than that of all modes.
+    """
 
     mu: Float[Array, " count"]
     mode: Float[Array, "count n"]  # normalised to q . M q = 1, with any sign
-    least: Float[Array, ""]  # negative if the equilibrium is not stable
+    least: Float[Array, ""]  # negative only if the equilibrium is not stable
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))

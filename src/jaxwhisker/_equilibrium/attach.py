@@ -24,7 +24,9 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 
-SHARES = np.linspace(0.0, 1.0, 9)[1:]  # of the springs' tensions, which grow until they are the given ones
+# Shares of the springs' tensions, which grow until they are the given ones. The first shares are small: stiff springs
+# bend the whisker early, and from too far away Newton's method finds whiskers that are wound up by a full turn.
+SHARES = np.array([0.001, 0.004, 0.015, 0.05, 0.12, 0.25, 0.4, 0.6, 0.8, 1.0])
 
 
 class _Law(eqx.Module):
