@@ -28,8 +28,8 @@ class ObjectChain(Objects):
 
     def _at(self, function: Callable[[AbstractProfile, Scalar], Any], parameter: Scalar) -> Any:
         """A function of the object with this parameter and of its own parameter."""
-        each = objects_at(self, parameter)
-        return numbered(number_of(self, parameter), [function(one, own) for one, own, _ in each])
+        at = jnp.asarray(parameter)
+        return numbered(number_of(self, at), [function(one, own) for one, own, _ in objects_at(self, at)])
 
     def ends(self):
         (first, _), (_, last) = self.each[0].span(), self.each[-1].span()

@@ -55,4 +55,4 @@ def _error(whisker: Whisker, shapes: int) -> Float[Array, ""]:
     own = basis(shapes)
     matrix = own.curvatures.T @ ((own.weights * stiffness(jnp.asarray(own.points)))[:, None] * own.curvatures)
     push = jax.vmap(lambda s: polynomials_at(s, shapes))(s).T @ (weights * moment)
-    return jnp.abs(1 - push @ solve(matrix, push[:, None])[:, 0] / energy) / 2
+    return jnp.abs(1 - push @ solve(jnp.asarray(matrix), push[:, None])[:, 0] / energy) / 2

@@ -62,8 +62,8 @@ class Objects(AbstractProfile):
 
     def _own(self, function, piece: Int[Array, ""] | None, parameter: Scalar):
         """A function of the object, the piece of this object, and its parameter, at a contact."""
-        assert piece is not None and self.placeholder_parameter is not None
         number, values = self.object_of(piece), []
+        assert piece is not None and number is not None and self.placeholder_parameter is not None
         for k, (one, first, placeholder) in enumerate(
             zip(self.each, self.first_pieces(), self.placeholder_parameter, strict=True)
         ):
