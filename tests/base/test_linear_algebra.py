@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from jaxwhisker._base.linear_algebra import UNROLLED, eigenvalues_are_positive, inverse, positive_definite, solve
+from jaxwhisker._base.linear_algebra import (
+    UNROLLED,
+    eigenvalues_are_positive,
+    inverse,
+    positive_definite,
+    sign_of_determinant,
+    solve,
+)
 
 ROUNDING = 1e-12
 SIZES = (1, 2, 3, UNROLLED, UNROLLED + 1)
@@ -32,7 +39,9 @@ def test_derivatives_of_solutions_in_both_modes(n):
     check_grads(jax.jit(solve), (matrix, right), order=2, modes=("fwd", "rev"))
 
 
-@pytest.mark.parametrize("function", (lambda m: solve(m, m), inverse, positive_definite, eigenvalues_are_positive))
+@pytest.mark.parametrize(
+    "function", (lambda m: solve(m, m), inverse, positive_definite, eigenvalues_are_positive, sign_of_determinant)
+)
 def test_lapack_is_not_called(function):
     # Two batches in LAPACK at the same time would wait for each other forever.
     batch = jax.ShapeDtypeStruct((600, UNROLLED + 2, UNROLLED + 2), float)
@@ -82,3 +91,16 @@ def test_eigenvalues_with_positive_real_parts(n):
         assert eigenvalues_are_positive(moved) == positive
     assert not eigenvalues_are_positive(jnp.full((n, n), jnp.nan))
     assert not eigenvalues_are_positive(jnp.zeros((n, n)))
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_signs_of_determinants(n):
+    rng = np.random.default_rng(n)
+    matrices = rng.normal(size=(20, n, n))
+    signs = jax.vmap(sign_of_determinant)(jnp.asarray(matrices))
+    np.testing.assert_array_equal(signs, np.sign(np.linalg.det(matrices)))
+    assert set(signs.tolist()) == {-1.0, 1.0}
+    # Exchanged rows, with pivots that vanish, change the sign.
+    assert sign_of_determinant(jnp.eye(n)[::-1]) == (-1) ** (n * (n - 1) // 2)
+    for singular in (jnp.zeros((n, n)), jnp.full((n, n), jnp.nan)):
+        assert not jnp.abs(sign_of_determinant(singular)) > 0

@@ -134,7 +134,7 @@ def test_the_tip_counts_where_a_shaft_is_bent_more_than_the_object():
 
 
 def test_the_nearest_of_several_objects_counts_and_the_others_are_beside_it():
-    profile = outline(as_one((jw.Circle(0.3, 0.2), jw.Circle(0.4, 0.3, 2.2))))
+    profile = outline(as_one((jw.Circle(0.3, 0.2), jw.Circle(0.4, 0.3, 2.2))).in_unit(1.0))
 
     @jax.jit
     def of(posed):

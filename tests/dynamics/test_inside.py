@@ -49,7 +49,7 @@ def test_a_shaft_through_a_circle_is_as_deep_as_its_line_is_close_to_the_centre(
 
 
 def test_only_the_object_with_the_closest_point_counts():
-    profile = outline(as_one((jw.Circle(0.3, 0.2), jw.Circle(0.3, 0.2, 1.0))))
+    profile = outline(as_one((jw.Circle(0.3, 0.2), jw.Circle(0.3, 0.2, 1.0))).in_unit(1.0))
     within = straight(profile, 0.9)  # inside the second one
     on_first, on_second = (jnp.pi * (1 + share) + number * (2 * jnp.pi + 10) for number, share in ((0, 0.1), (1, -0.5)))
     depths = jax.jit(jax.vmap(lambda parameter: deepest(within, parameter)))(jnp.array([on_first, on_second]))

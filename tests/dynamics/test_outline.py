@@ -14,7 +14,7 @@ from jaxwhisker._model.objects import as_one
 CORNERS = np.array([(1.6, 0.6), (1.8, 0.4), (2.0, 0.35), (2.3, 0.5)])
 POLYGON: Any = jw.Polygon(CORNERS)
 EACH = jw.Circle(0.3, 0.2), POLYGON, jw.Parabola(0.5, 1.0, 4.0)
-CHAIN: Any = outline(as_one(EACH))
+CHAIN: Any = outline(as_one(EACH).in_unit(1.0))
 EXACT = 1e-12
 
 
@@ -70,13 +70,13 @@ def test_points_and_their_derivatives_are_those_of_the_object():
     # Edges have even numbers, and a smooth object is an arc.
     assert np.all(pieces[:3] == 1) and np.all(pieces[6:] == 1)
     assert pieces[3:6].tolist() == [int(POLYGON.piece_at(jnp.asarray(own(1, share)))) for share in shares]
-    assert CHAIN.has_edges and not outline(as_one((EACH[0], EACH[2]))).has_edges
+    assert CHAIN.has_edges and not outline(as_one((EACH[0], EACH[2])).in_unit(1.0)).has_edges
 
 
 def test_each_object_and_its_own_parameter():
     for k in range(3):
         objects = objects_at(CHAIN, jnp.asarray(own(k, 0.4) + CHAIN.shift[k]))
-        assert [one is each for (one, _, _), each in zip(objects, EACH, strict=True)] == [True] * 3
+        assert [one is each for (one, _, _), each in zip(objects, CHAIN.each, strict=True)] == [True] * 3
         assert [bool(is_own) for _, _, is_own in objects] == [n == k for n in range(3)]
         # The parameters of the others mean nothing, but are on them.
         expected = [own(n, 0.4) if n == k else one.lowest() for n, one in enumerate(EACH)]
@@ -86,8 +86,8 @@ def test_each_object_and_its_own_parameter():
 
 def test_objects_that_the_parameter_is_not_on_have_no_derivatives():
     def height(distances, parameter):
-        chain = outline(as_one((jw.Circle(distances[0], 0.2), jw.Circle(distances[1], 0.2, 2.0))))
-        return chain.point(parameter).y
+        both = as_one((jw.Circle(distances[0], 0.2), jw.Circle(distances[1], 0.2, 2.0)))
+        return outline(both.in_unit(1.0)).point(parameter).y
 
     slopes = jax.jit(jax.vmap(jax.jacrev(height), in_axes=(None, 0)))
     by = slopes(jnp.array([0.3, 0.4]), jnp.array([np.pi + 0.2, 3 * np.pi + APART + 0.2]))

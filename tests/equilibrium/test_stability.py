@@ -126,3 +126,12 @@ def test_slopes_in_the_plane_are_symmetric():
         size = np.max(np.abs(slopes))
         assert size > 1
         np.testing.assert_allclose(slopes[0], slopes[0].T, atol=SYMMETRIC * size)
+
+
+def test_the_stability_of_coupled_shafts_is_judged_without_lapack():
+    # Two batches in LAPACK at the same time would wait for each other forever.
+    bases = jw.Spring((0, 1), 70.0, 0.2), jw.Spring((1, 2), 70.0, 0.2)
+    support = jw.Support((*bases, jw.Spring((1, 2), 10.0, 0.2, axis="axial", at=(0.3, 0.3))))
+    problem, z = problem_now(jw.Scene(jw.Whisker(), jw.Parabola(0.2), support)), jnp.ones((2, 3 + support.shaft_loads))
+    lowered = jax.jit(linearised.function).lower(problem, z, jnp.ones(2, int), jnp.ones(2), jnp.asarray(0.0))
+    assert "lapack" not in lowered.as_text()

@@ -46,7 +46,7 @@ def gap_at(posed: Posed, arc: Scalar, parameter: Scalar) -> Gap:
     at, moves = _with_rate(posed.profile.point, parameter)
     turned = jnp.stack([cos, sin], axis=-1)
     direction, way = weights @ turned
-    normal, tangent = jnp.stack([at.sin, -at.cos]), jnp.stack([at.cos, at.sin])
+    normal, tangent = at.normal, jnp.stack([at.cos, at.sin])
     reach = posed.length * weights[1]
     apart = posed.base + posed.length * way - jnp.stack([at.x, at.y])
     closes = -normal @ direction
@@ -128,12 +128,12 @@ def _sampled(posed: Posed, but: Float[Array, ""] | None = None) -> _Sampled:
     at = jax.vmap(profile.point)(parameters)
     distance = jnp.hypot(x[:, None] - at.x, y[:, None] - at.y)
     # On an edge, all tangents have the same point: that counts whose normal leads to the whisker.
-    along = (x[:, None] - at.x) * at.sin - (y[:, None] - at.y) * at.cos
-    sought = jnp.where(jnp.isfinite(distance), distance - TIES * along, jnp.inf)
+    off = at.off(x[:, None], y[:, None])
+    sought = jnp.where(jnp.isfinite(distance), distance - TIES * off, jnp.inf)
     if but is not None:
         sought = jnp.where(number_of(profile, parameters) == number_of(profile, but), jnp.inf, sought)
     nearest = jnp.argmin(sought, axis=1)
-    return _Sampled(arcs, parameters, nearest, jnp.take_along_axis(along, nearest[:, None], axis=1)[:, 0])
+    return _Sampled(arcs, parameters, nearest, jnp.take_along_axis(off, nearest[:, None], axis=1)[:, 0])
 
 
 def beside(posed: Posed, parameter: Float[Array, ""]) -> Float[Array, ""]:

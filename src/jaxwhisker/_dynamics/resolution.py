@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.quadrature import gauss
 from jaxwhisker._dynamics.legendre import basis, polynomials_at
@@ -54,4 +55,4 @@ def _error(whisker: Whisker, shapes: int) -> Float[Array, ""]:
     own = basis(shapes)
     matrix = own.curvatures.T @ ((own.weights * stiffness(jnp.asarray(own.points)))[:, None] * own.curvatures)
     push = jax.vmap(lambda s: polynomials_at(s, shapes))(s).T @ (weights * moment)
-    return jnp.abs(1 - push @ jnp.linalg.solve(matrix, push) / energy) / 2
+    return jnp.abs(1 - push @ solve(jnp.asarray(matrix), push[:, None])[:, 0] / energy) / 2

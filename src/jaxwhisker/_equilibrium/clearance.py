@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.profile import AbstractProfile, ContactPoint
+from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._rod.rod import Along
 
 DEPTH = 2e-5  # least depth of a second contact, in lengths of the first whisker: twice the error of the cubics
@@ -72,7 +72,7 @@ def least_gap(profile: AbstractProfile, cells: Cubic, parameter: Scalar | None =
     else:
         near = parameter
         at = profile.point(parameter)
-        off = _off(points[:, 0], points[:, 1], at)
+        off = at.off(*points.T)
         leaving, arriving = (x * at.sin - y * at.cos for x, y in (cells.leaving.T, cells.arriving.T))
         searched = Cubic(off[:-1], off[1:], leaving, arriving).least() < -DEPTH
     gap, normal = _gaps(profile, points, near, jnp.append(searched, False) | jnp.append(False, searched))
@@ -111,23 +111,12 @@ def _gaps(
     x, y = points.T
     faces = profile.faces()
     if faces is not None:  # the farthest face bounds the gap, and is the nearest one of a point inside
-        gaps, normals = _off(x[:, None], y[:, None], faces), jnp.stack([faces.sin, -faces.cos], axis=-1)
-        return jnp.where(wanted, jnp.max(gaps, axis=1), jnp.inf), normals[jnp.argmax(gaps, axis=1)]
+        gaps = faces.off(x[:, None], y[:, None])
+        return jnp.where(wanted, jnp.max(gaps, axis=1), jnp.inf), faces.normal[jnp.argmax(gaps, axis=1)]
     at = jax.vmap(profile.point)(nearest(profile, near, x, y, wanted))
     # Where an object ends, there is no nearest point.
-    known = wanted & (jnp.abs(_along(x, y, at)) < NEAREST_ERROR)
-    normals = jnp.where(known[:, None], jnp.stack([at.sin, -at.cos], axis=-1), 0.0)
-    return jnp.where(known, _off(x, y, at), jnp.inf), normals
-
-
-def _off(x: Array, y: Array, at: ContactPoint) -> Array:
-    """Distances of points from tangents of the object, positive outside."""
-    return (x - at.x) * at.sin - (y - at.y) * at.cos
-
-
-def _along(x: Scalar | Along, y: Scalar | Along, at: ContactPoint) -> Scalar | Along:
-    """Distances of points from a point of the object along its tangent."""
-    return (x - at.x) * at.cos + (y - at.y) * at.sin
+    known = wanted & (jnp.abs(at.along(x, y)) < NEAREST_ERROR)
+    return jnp.where(known, at.off(x, y), jnp.inf), jnp.where(known[:, None], at.normal, 0.0)
 
 
 def nearest(
@@ -144,16 +133,12 @@ def nearest(
     size = (high - low) / TANGENTS
     guesses = parameter + size * (jnp.arange(TANGENTS) - TANGENTS // 2)
     at = jax.vmap(profile.point)(jnp.where(closed, guesses, parameter))
-    farthest = jnp.argmax(_off(x[:, None], y[:, None], at), axis=1)
+    farthest = jnp.argmax(at.off(x[:, None], y[:, None]), axis=1)
     start = jnp.where(closed & wanted, guesses[farthest], parameter)
     low, high = (jnp.where(closed, start + way * size, everywhere + end) for way, end in ((-1, low), (1, high)))
 
     def step(p, low, high, x, y, searched):
-        def offset(p):
-            at = profile.point(p)
-            return _along(x, y, at)
-
-        value, slope = jax.jvp(offset, (p,), (jnp.ones_like(p),))
+        value, slope = jax.jvp(lambda p: profile.point(p).along(x, y), (p,), (jnp.ones_like(p),))
         # Outside its domain (NaN) the object has ended.
         ahead = jnp.where(jnp.isfinite(value), value > 0, p < parameter)
         low, high = jnp.where(ahead, p, low), jnp.where(ahead, high, p)

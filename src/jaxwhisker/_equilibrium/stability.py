@@ -17,6 +17,7 @@ from jaxwhisker._base.linear_algebra import (
     block_diagonal,
     eigenvalues_are_positive,
     positive_definite,
+    sign_of_determinant,
     solve,
     times_block_diagonal,
 )
@@ -97,7 +98,7 @@ def clamped_is_stable(problem: Problem, state: ContactState, at: Condensed) -> B
     by_loads = jnp.reshape(at.coupled.pose_by_loads, (at.pose.size, -1))
     system = jnp.block([[block_diagonal(at.pose_by), by_loads], [loads.by_steps, loads.by_loads]])
     sides = problem.bends_from(state.phase, state.side)
-    return jnp.linalg.slogdet(system)[0] * jnp.prod(sides * BRANCH_SIGN) > 0
+    return sign_of_determinant(system) * jnp.prod(sides * BRANCH_SIGN) > 0
 
 
 def is_stable(

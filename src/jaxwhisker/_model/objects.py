@@ -62,17 +62,14 @@ class Objects(AbstractProfile):
 
     def _own(self, function, piece: Int[Array, ""] | None, parameter: Scalar):
         """A function of the object, the piece of this object, and its parameter, at a contact."""
-        assert piece is not None and self.placeholder_parameter is not None
         number, values = self.object_of(piece), []
+        assert piece is not None and number is not None and self.placeholder_parameter is not None
         for k, (one, first, placeholder) in enumerate(
             zip(self.each, self.first_pieces(), self.placeholder_parameter, strict=True)
         ):
             own = jnp.clip(piece - first, 0, _pieces(one) - 1) if one.has_pieces else None
             values.append(function(one, own, jnp.where(number == k, parameter, placeholder)))
-        chosen = values[0]
-        for k, value in enumerate(values[1:], 1):
-            chosen = jax.tree.map(lambda a, b, k=k: jnp.where(number == k, b, a), chosen, value)
-        return chosen
+        return numbered(number, values)
 
     def vertex(self):
         x, y = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in zip(*self._vertices(), strict=True))
@@ -111,6 +108,14 @@ class OneOf(Objects):
 
     def point(self, parameter):
         return self.point_on(self.piece, parameter)
+
+
+def numbered(number: Int[Array, ""], values: list[Any]) -> Any:
+    """The one with this number of the trees `values`."""
+    chosen = values[0]
+    for k, value in enumerate(values[1:], 1):
+        chosen = jax.tree.map(lambda a, b, k=k: jnp.where(number == k, b, a), chosen, value)
+    return chosen
 
 
 def _pieces(profile: AbstractProfile) -> int:

@@ -29,6 +29,19 @@ class ContactPoint(NamedTuple):
     cos: Float[Array, "*batch"]
     sin: Float[Array, "*batch"]
 
+    @property
+    def normal(self) -> Float[Array, "*batch 2"]:
+        """The outward unit normal of the object."""
+        return jnp.stack([self.sin, -self.cos], axis=-1)
+
+    def off(self, x: Array, y: Array) -> Array:
+        """Distances of points from the tangent, positive outside."""
+        return (x - self.x) * self.sin - (y - self.y) * self.cos
+
+    def along(self, x: Array, y: Array) -> Array:
+        """Distances of points from this one along the tangent; zero for those to which it is nearest."""
+        return (x - self.x) * self.cos + (y - self.y) * self.sin
+
 
 class FirstTouch(NamedTuple):
     """Where an unloaded vertical whisker that approaches from one side first meets the object."""
