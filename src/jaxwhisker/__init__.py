@@ -35,6 +35,7 @@ from jaxwhisker._scan.balance import EnergyBalance, energy_balance
 from jaxwhisker._scan.deflect import Deflection, deflect
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.export import to_csv, to_dataframe
+from jaxwhisker._scan.lateral import LateralStability, lateral_loss, lateral_stability
 from jaxwhisker._scan.result import Event, Events, Result
 from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.shapes import Shapes, shapes
@@ -72,6 +73,7 @@ __all__ = [
     "Foundation",
     "Graph",
     "Information",
+    "LateralStability",
     "LineLoad",
     "Modes",
     "Motion",
@@ -113,6 +115,8 @@ __all__ = [
     "fit_profile",
     "identify",
     "information",
+    "lateral_loss",
+    "lateral_stability",
     "modes",
     "reconstruct",
     "scan",

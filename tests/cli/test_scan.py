@@ -32,6 +32,7 @@ BAD = {
     "step": (["--step", "0"], ["--step", "got 0.0"]),
     "too many steps": (["--start", "1", "--stop", "0", "--step", "1e-9"], ["--step", "got 1e-09"]),
     "start": (["--start", "inf"], ["--start", "got inf"]),
+    "lateral curvature": (["--lateral-curvature", "round"], ["--lateral-curvature", "round"]),
     "units": (["--units", "inch"], ["--units", "inch", "dimensionless"]),
     "format of the picture": (["--plot", "scan.doc"], ["--plot", "scan.doc", ".png"]),
     "folder of the picture": (["--plot", "nowhere/scan.png"], ["nowhere"]),
@@ -151,3 +152,19 @@ def test_friction_and_detection_are_options(capsys):
     assert "friction 0.3, detects crossing" in out and " crossing" in out.splitlines()[-1]
     assert cli.main(["scan", "--friction", "-1"]) == cli.USAGE
     assert "`friction`" in capsys.readouterr().err
+
+
+def test_the_loss_of_lateral_stability_is_an_option(capsys, tmp_path):
+    picture = tmp_path / "scan.png"
+    options = ["scan", "--model", "FB", "--stiffness", "70", "--lateral-curvature", "0", "--plot", str(picture)]
+    assert cli.main(options) == 0
+    printed = capsys.readouterr().out
+    scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0))
+    (vertex,) = jw.scan(scene).events.of(jw.EventKind.vertex)
+    assert f"whisker 1 leaves the plane at u = {vertex.control:+.6g}" in printed
+    assert picture.exists()
+
+
+def test_motions_in_time_have_no_lateral_stability(capsys):
+    assert cli.main(["scan", "--lateral-curvature", "0", "--drive-speed", "0.1"]) == 2
+    assert "--lateral-curvature" in capsys.readouterr().err

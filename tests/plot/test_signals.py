@@ -154,3 +154,22 @@ def test_failed_steps_leave_gaps(result):
     for draw in (plot.shapes, plot.spring_lengths, plot.spring_extensions, plot.phases, plot.overview):
         draw(nothing)
     plot.reactions(nothing)
+
+
+def test_losses_of_lateral_stability_are_marked_in_the_colours_of_whiskers(result):
+    rows = plot.reactions(result)
+    before = [len(ax.get_lines()) for ax in rows]
+    limits = [ax.get_xlim() for ax in rows]
+    places = [-0.3, np.nan]
+    assert plot.lateral_losses(result, np.array(places), axs=rows) is not rows
+    for ax, count, limit in zip(rows, before, limits, strict=True):
+        (line,) = ax.get_lines()[count:]
+        assert line.get_color() == plot.COLOURS[0] and list(line.get_xdata()) == [-0.3, -0.3]
+        (shade,) = ax.patches
+        # The drive moves towards -x: what comes after the loss is on the left.
+        np.testing.assert_allclose(shade.get_extents().x1, ax.transData.transform((-0.3, 0))[0])
+        assert ax.get_xlim() == limit
+        assert [text.get_text() for text in ax.texts] == ["needs lateral guidance"]
+    # Whiskers that stay in the plane have no marks.
+    (free,) = plot.lateral_losses(result, np.array([np.nan, np.nan]), axs=[plot.signal(result, "fx")])
+    assert not free.patches and not free.texts

@@ -3,7 +3,10 @@
 import argparse
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from jaxwhisker._scan.export import to_csv
+from jaxwhisker._scan.lateral import lateral_loss
 from jaxwhisker._scan.report import event_table, peak_table, status_line, timed_event_table, touches_object
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import scan
@@ -22,6 +25,8 @@ def add_scan(commands) -> None:
     options.add_drive(command)
     options.add_detect(command)
     add_motion(command)
+    text = "report where whiskers leave the plane without lateral guidance; K: curvature of the object across it"
+    command.add_argument("--lateral-curvature", type=options.parse_number, metavar="K", help=text)
     add = options.add_output(command, csv="control, reactions, base positions, spring lengths, phases, status")
     options.add_units(add)
 
@@ -57,21 +62,35 @@ def run_scan(args: argparse.Namespace) -> int:
           --plot fig.png --csv scan.csv
       jaxwhisker scan --model FBFB --stiffness 70,inf --rest-length 0.2,0.3
       jaxwhisker scan --model clamped --profile circle --start 0.5 --stop -1
+      jaxwhisker scan --model clamped --profile circle --lateral-curvature 0
       jaxwhisker scan --drive-speed 0.1 --mass-per-length 1 \
           --stiffness-damping 0.02 --csv motion.csv
     """
     options.check_outputs(args.plot, args.csv)
     with options.usage_errors():
+        if None not in (args.lateral_curvature, args.drive_speed):
+            raise ValueError("--lateral-curvature belongs to scans, and --drive-speed to motions in time: choose one.")
         result = run_of(args)
+        losses = None if args.lateral_curvature is None else np.asarray(lateral_loss(result, args.lateral_curvature))
     if touches_object(result):
         units = args.units
         events = event_table(result, units) if isinstance(result, Result) else timed_event_table(result, units)
         print(f"\n{events}\n\n{peak_table(result, units)}\n")
+    for k, loss in enumerate([] if losses is None else losses, 1):
+        where = "stays in the plane" if np.isnan(loss) else f"leaves the plane at u = {float(loss):+.6g}"
+        print(f"without lateral guidance, whisker {k} {where}")
     print(status_line(result)[1])
     if args.csv is not None:
         to_csv(result, args.csv)
         print(f"wrote {args.csv}")
-    options.save_picture(args.plot, lambda plot: plot.overview(result, units=args.units))
+
+    def picture(plot):
+        figure = plot.overview(result, units=args.units)
+        if losses is not None:
+            plot.lateral_losses(result, losses, axs=figure.axes[1:], units=args.units)
+        return figure
+
+    options.save_picture(args.plot, picture)
     return exit_code(result)
 
 

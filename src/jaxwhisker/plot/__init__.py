@@ -14,6 +14,7 @@ from jaxwhisker.plot.phase_strips import phases
 from jaxwhisker.plot.signals import (
     compare,
     contact_range,
+    lateral_losses,
     overview,
     reactions,
     signal,
@@ -36,6 +37,7 @@ __all__ = [
     "fit",
     "in_words",
     "information",
+    "lateral_losses",
     "overview",
     "phases",
     "profile",

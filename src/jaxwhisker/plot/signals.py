@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from jax import Array
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,6 +15,7 @@ from jaxwhisker._scan.quantities import OF_SPRINGS, REACTIONS, UnitSystem, check
 from jaxwhisker.plot.axes import (
     COLOURS,
     DASHES,
+    GREY,
     colour,
     grid_of_axes,
     legend_above,
@@ -237,6 +240,42 @@ def compare(
     _finish(ax, systems, over, quantity)
     legend_above(ax, least=1)
     return ax
+
+
+def lateral_losses(
+    result: Run, losses: Float[Array | np.ndarray, " whiskers"], *, axs: Iterable[Axes], units: str = "auto"
+) -> np.ndarray:
+    """Mark in drawn signals where whiskers leave the plane of the scan, unless something guides them.
+
+    A dotted line marks the loss of each whisker in its colour, and the range beyond the first one is shaded.
+
+    Args:
+        result: of `scan`.
+        losses: of `lateral_loss`; NaN for whiskers that stay in the plane.
+        axs: where the signals of this result are drawn over the control, such as the Axes of `reactions`.
+        units: of these signals, see `overview`.
+
+    Returns:
+        The Axes.
+
+    Raises:
+        ValueError: if `result` is not that of one scan, or `units` is invalid.
+    """
+    system, control = UnitSystem(check_one_run(result).scene, units), np.asarray(result.control)
+    places, (first, last) = (system.shown("control", values) for values in (np.asarray(losses), control[[0, -1]]))
+    axes = np.array(list(axs))
+    for ax in axes:
+        limits = ax.get_xlim()
+        for k in np.flatnonzero(np.isfinite(places)):
+            ax.axvline(places[k], color=colour(int(k)), linestyle=":", linewidth=1.2)
+        if np.isfinite(places).any():
+            end, beyond = (limits[0], np.nanmax(places)) if last < first else (limits[1], np.nanmin(places))
+            ax.axvspan(beyond, end, color=GREY, alpha=0.15, linewidth=0, zorder=0)
+            place = {"xy": (beyond, 0.02), "xycoords": ax.get_xaxis_transform(), "textcoords": "offset points"}
+            side = {"xytext": (-4, 0), "ha": "right"} if last < first else {"xytext": (4, 0), "ha": "left"}
+            ax.annotate("needs lateral guidance", **place, **side, va="bottom", fontsize="x-small", color="0.35")
+        ax.set_xlim(limits)
+    return axes
 
 
 def contact_range(results: Sequence[Run], margin: float = 0.04, *, units: str = "auto") -> tuple[float, float]:
