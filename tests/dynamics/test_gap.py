@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._dynamics.gap import CLOSEST, Posed, beside, closest, followed, gap_at
+from jaxwhisker._dynamics.gap import CLOSEST, Posed, closest, followed, gap_at, others_distance
 from jaxwhisker._dynamics.legendre import basis
 from jaxwhisker._dynamics.outline import number_of, outline
 from jaxwhisker._model.objects import as_one
@@ -139,7 +139,7 @@ def test_the_nearest_of_several_objects_counts_and_the_others_are_beside_it():
     @jax.jit
     def of(posed):
         arc, parameter = closest(posed)
-        return gap_at(posed, arc, parameter).distance, number_of(profile, parameter), beside(posed, parameter)
+        return gap_at(posed, arc, parameter).distance, number_of(profile, parameter), others_distance(posed, parameter)
 
     for x, number in ((0.6, 0), (1.5, 1)):
         distances = sorted([x - 0.2, 2.2 - 0.3 - x])

@@ -9,7 +9,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._base import checks
-from jaxwhisker._dynamics.held import ROW, Held, ends_of, energies, held_of, mean_tensions, pulls_of, tensions
+from jaxwhisker._dynamics.held import ROW, SprungShafts, ends_of, energies, held_of, mean_tensions, pulls_of, tensions
 from jaxwhisker._dynamics.legendre import basis
 from jaxwhisker._equilibrium.shaft_springs import AXIAL, ShaftSprings
 
@@ -30,7 +30,7 @@ def held(axis, law=0, one_sided=0.0, at=0.0):
     springs = jax.tree.map(jnp.asarray, springs)
     direction = jnp.eye(AXIAL + 1, 3)[springs.axis]
     reach = jnp.outer(jnp.maximum(springs.at, 0.0), shapes.weights)  # of a straight whisker
-    return Held(springs, direction, reach, reach @ shapes.curvatures, none)
+    return SprungShafts(springs, direction, reach, reach @ shapes.curvatures, none)
 
 
 def potential(length, law, one_sided):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxwhisker._dynamics.gap import Gap
-from jaxwhisker._dynamics.held import Ends, Held, Pulls
+from jaxwhisker._dynamics.held import Ends, Pulls, SprungShafts
 from jaxwhisker._dynamics.ledger import booked, with_pulls
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching
 from jaxwhisker._dynamics.moving import Network, Rods, System
@@ -137,7 +137,7 @@ def test_springs_on_shafts_give_back_what_they_store(moves):
     springs = ShaftSprings(
         none, none, none, none, none + 3, none + 0.2, none.astype(int), none, none.astype(int), none + 1
     )
-    held = Held(springs, jnp.eye(1, 3)[None], jnp.zeros((1, 1, POINTS)), jnp.zeros((1, 1, N)), none)
+    held = SprungShafts(springs, jnp.eye(1, 3)[None], jnp.zeros((1, 1, POINTS)), jnp.zeros((1, 1, N)), none)
     first, longer = 0.5, 0.1
     stored, elastic, damped = 1.5 * (0.4**2 - 0.3**2), 3 * (first + longer / 2 - 0.2), 0.9
     at = jnp.zeros((1, 1, 3))

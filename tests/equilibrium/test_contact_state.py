@@ -18,9 +18,9 @@ PARAMETER, BEYOND = [0.3, 0.0, 0.0], [0.1, 0.0, 0.0]
 BESIDE = [[1.0, -1.0, -1.0], [-1.0, 1.0, 1.0]]
 
 
-def state_of(*, beside=None):
+def state_of(*, sides=None):
     friction = Friction(jnp.array(SLIP), jnp.array(PARAMETER), jnp.array(BEYOND))
-    return ContactState(jnp.array(PHASE), jnp.array(SIDE), friction, jnp.array(PIECE), beside)
+    return ContactState(jnp.array(PHASE), jnp.array(SIDE), friction, jnp.array(PIECE), sides)
 
 
 def listed(values):
@@ -62,7 +62,7 @@ def test_contacts_begin_slipping_towards_the_vertex():
     assert values(state.begun(which, jnp.array([2, 1, 1]), -state.side, None))[3] == PIECE
     smooth = ContactState(jnp.array(PHASE), jnp.array(SIDE)).begun(which, jnp.array([0, 0, 1]), jnp.ones(3), None)
     assert smooth.phase.tolist() == [1, 2, 1] and smooth.side.tolist() == [1.0, -1.0, 1.0]
-    assert smooth.friction is None and smooth.piece is None and smooth.beside is None
+    assert smooth.friction is None and smooth.piece is None and smooth.sides is None
 
 
 def test_a_contact_that_ends_where_it_began_leaves_the_state_as_it_was():
@@ -73,17 +73,17 @@ def test_a_contact_that_ends_where_it_began_leaves_the_state_as_it_was():
 
 
 def test_whiskers_stand_on_a_side_of_each_of_several_objects():
-    one, several = state_of(), state_of(beside=jnp.array(BESIDE))
-    assert one.standing is one.side and several.standing is several.beside
+    one, several = state_of(), state_of(sides=jnp.array(BESIDE))
+    assert one.standing is one.side and several.standing is several.sides
     number = jnp.array([1, 0, 1])
     assert several.side_of(number).tolist() == [-1.0, -1.0, 1.0]
     assert one.side_of(number) is one.side and several.side_of(None) is several.side
-    assert listed(several.now_standing(-jnp.array(BESIDE)).beside) == (-np.array(BESIDE)).tolist()
+    assert listed(several.now_standing(-jnp.array(BESIDE)).sides) == (-np.array(BESIDE)).tolist()
     assert several.now_standing(-jnp.array(BESIDE)).side.tolist() == SIDE
     assert one.now_standing(jnp.ones(3)).side.tolist() == [1.0, 1.0, 1.0]
     # The end of a contact says where its whisker stands, of all objects.
     ended = several.ended(jnp.array([False, True, False]), -jnp.array(BESIDE))
-    assert listed(ended.beside) == [[1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
+    assert listed(ended.sides) == [[1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
     assert ended.side.tolist() == SIDE and ended.phase.tolist() == [1, 0, 0]
 
 
@@ -107,6 +107,6 @@ def test_whiskers_are_free_before_the_first_touch(several):
     assert state.side.tolist() == [1.0, -1.0]
     if several:
         assert state.friction is None and state.piece.tolist() == [0, 0]
-        assert state.beside.tolist() == sides.tolist()
+        assert state.sides.tolist() == sides.tolist()
     else:
-        assert state.friction.slip.tolist() == [-1, 1] and state.piece is None and state.beside is None
+        assert state.friction.slip.tolist() == [-1, 1] and state.piece is None and state.sides is None

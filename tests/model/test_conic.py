@@ -51,10 +51,10 @@ def test_first_touches_and_places_beside_are_where_the_curve_has_this_height():
             for rise in (0.1 * min(widest, 1.0), 0.5 * min(widest, 1.0), 1.2 * widest):
                 if not np.isfinite(rise):
                     continue
-                touch, beside = (f(HEIGHT + rise, side) for f in (curve(shape).first_touch, curve(shape).beside))
+                touch, above = (f(HEIGHT + rise, side) for f in (curve(shape).first_touch, curve(shape).above_widest))
                 assert abs(touch.y - HEIGHT - min(rise, widest)) < EXACT
-                assert abs(beside.y - HEIGHT - min(rise, 2 * widest)) < EXACT
-                for found in (touch, beside):
+                assert abs(above.y - HEIGHT - min(rise, 2 * widest)) < EXACT
+                for found in (touch, above):
                     at = curve(shape).point(found.parameter)
                     np.testing.assert_allclose([found.x, found.y], [at.x, at.y], atol=EXACT)
                     assert side * (found.x - PLACE) > -EXACT

@@ -88,13 +88,13 @@ def test_first_touch_of_an_upright_whisker(profile, height, x, y, piece):
 
 def test_the_outermost_point_at_a_height():
     box = jw.Box(0.3, 0.8, 0.5)
-    at = box.beside(0.5, 1.0)
+    at = box.above_widest(0.5, 1.0)
     np.testing.assert_allclose([at.x, at.y], [0.4, 0.5], atol=EXACT)
     assert at.piece == 5
-    assert box.beside(0.9, 1.0).y != 0.9 and box.beside(0.1, 1.0).y != 0.1
+    assert box.above_widest(0.9, 1.0).y != 0.9 and box.above_widest(0.1, 1.0).y != 0.1
     # A face that leans back is beside a point, but not in the way of an upright shaft.
     rhombus = jw.Polygon([(0.0, 0.2), (0.5, 0.6), (0.0, 1.0), (-0.5, 0.6)])
-    np.testing.assert_allclose(rhombus.beside(0.8, -1.0).x, -0.25, atol=EXACT)
+    np.testing.assert_allclose(rhombus.above_widest(0.8, -1.0).x, -0.25, atol=EXACT)
     np.testing.assert_allclose(rhombus.first_touch(0.8, -1.0).x, -0.5, atol=EXACT)
 
 

@@ -24,6 +24,6 @@ def test_a_march_starts_free_ahead_of_the_object():
     # What lies ahead of the first stop is travelled before travel counts.
     np.testing.assert_allclose(march.travel, 0.3 - march.point.u, rtol=ROUNDING)
     # The drive moves towards -x: du/ds counts as positive.
-    assert march.turn(march.tangent) == 1.0
+    assert march.drive_rate(march.tangent) == 1.0
     ended = march.stopped(Status.lost)
     assert ended.task == Task.done and ended.status == Status.lost

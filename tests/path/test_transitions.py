@@ -82,7 +82,7 @@ class March:
             *margins,
             self.problem.stance(end.u, moved),
             jnp.ones(1),
-            jnp.concatenate([jnp.reshape(self.state.turn(tangent), 1), jnp.asarray(rates)]),
+            jnp.concatenate([jnp.reshape(self.state.drive_rate(tangent), 1), jnp.asarray(rates)]),
             reason=jnp.asarray(int(Status.not_convex)),
             **more,
         )

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.linear_algebra import UNROLLED, inverse, solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.gap import CLOSEST, MOST, beside, closest, followed, gap_at
+from jaxwhisker._dynamics.gap import CLOSEST, MOST, closest, followed, gap_at, others_distance
 from jaxwhisker._dynamics.inside import deepest
 from jaxwhisker._dynamics.ledger import booked, with_pulls
 from jaxwhisker._dynamics.motion_state import LEAP, Moving, Rod, Touching, nodes_of, posed
@@ -171,7 +171,7 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     if trial.gap is not None and old.rod.touching is not None:
         arc, parameter, *_ = x.contact.T
         began = mode.touches & ~old.rod.touching.lasts(arc)
-        others, outside = old.rod.touching.beside, none + jnp.inf
+        others, outside = old.rod.touching.others, none + jnp.inf
         if others is not None:
             others -= jnp.max(jnp.linalg.norm(jax.lax.stop_gradient(at - old.rod.at), axis=1), axis=1)
         touching = Touching(arc, parameter, trial.gap, normal, drag, mode.touches, mode.slip, began, outside, others)
@@ -216,17 +216,19 @@ def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
 
     off = jnp.abs(at.gap.end) + jnp.abs(at.gap.foot) > CLOSEST
     points, found = _where(~mode.touches & off & ~mode.imposed.held, follow, still, known, ~mode.imposed.held)
-    if at.beside is None:
+    if at.others is None:
         points, _ = _where(~found, search, still, points, found)
     else:  # another object may be nearer
-        near, stays = at.beside < jnp.maximum(at.gap.distance, 0.0) + NEAR, mode.touches & ~mode.imposed.held
+        near, stays = at.others < jnp.maximum(at.gap.distance, 0.0) + NEAR, mode.touches & ~mode.imposed.held
 
         def renew(poses, points):
             points = jax.tree.map(lambda own, new: jnp.where(stays, own, new), points, search(poses, points)[0])
-            return points, jax.vmap(lambda pose, parameter: beside(posed(fixed, *pose), parameter))(poses, points[1])
+            return points, jax.vmap(lambda pose, parameter: others_distance(posed(fixed, *pose), parameter))(
+                poses, points[1]
+            )
 
-        points, others = _where(near | ~found, renew, still, points, at.beside)
-        at, found = at._replace(beside=others), found & (stays | ~near)
+        points, others = _where(near | ~found, renew, still, points, at.others)
+        at, found = at._replace(others=others), found & (stays | ~near)
 
     def measure(poses, points):
         return points, jax.vmap(lambda pose, parameter: deepest(posed(fixed, *pose), parameter))(poses, points[1])

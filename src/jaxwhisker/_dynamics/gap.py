@@ -136,7 +136,7 @@ def _sampled(posed: Posed, but: Float[Array, ""] | None = None) -> _Sampled:
     return _Sampled(arcs, parameters, nearest, jnp.take_along_axis(off, nearest[:, None], axis=1)[:, 0])
 
 
-def beside(posed: Posed, parameter: Float[Array, ""]) -> Float[Array, ""]:
+def others_distance(posed: Posed, parameter: Float[Array, ""]) -> Float[Array, ""]:
     """The distance of all objects but that with this parameter, approximately; without derivatives."""
     return jnp.min(_sampled(posed, parameter).distance)
 

@@ -37,7 +37,7 @@ MEAN = gauss(2)[0]  # Gauss points of the mean tension, exact up to the third po
 PerPlace = Float[Array, "*whiskers places"]
 
 
-class Held(NamedTuple):
+class SprungShafts(NamedTuple):
     """Springs at places of one whisker; or of all whiskers, stacked."""
 
     springs: ShaftSprings  # fields (*whiskers, places)
@@ -66,7 +66,7 @@ class Pulls(NamedTuple):
     about_base: Float[Array, "*whiskers places 3"]  # the same, with moments about the base of forces on the follicle
 
 
-def held_of(scene: Scene | Sensor, shapes: Basis) -> tuple[Held | None, Laws]:
+def held_of(scene: Scene | Sensor, shapes: Basis) -> tuple[SprungShafts | None, Laws]:
     """Dimensionless springs on the shafts of all whiskers, None without any, and the laws of those not linear."""
     if not scene.support.on_shafts:
         return None, ()
@@ -90,7 +90,7 @@ def held_of(scene: Scene | Sensor, shapes: Basis) -> tuple[Held | None, Laws]:
         rest = length * reach @ jax.vmap(whisker.curvature_at)(length * shapes.points)
         each.append((reach, reach @ shapes.curvatures, rest))
     reach, bends, rest = (jnp.stack(parts) for parts in zip(*each, strict=True))
-    return Held(springs, direction, reach, bends, rest), found.laws
+    return SprungShafts(springs, direction, reach, bends, rest), found.laws
 
 
 def _row(tissue: Tissue) -> tuple[ShaftSprings, Float[Array, "places 3"]]:
@@ -113,7 +113,7 @@ def _row(tissue: Tissue) -> tuple[ShaftSprings, Float[Array, "places 3"]]:
     return springs, jnp.stack([zero + tissue.cos, zero + tissue.sin, zero], axis=-1)
 
 
-def ends_of(held: Held, length: Scalar, q: Array, base: Array, angle: Array, drive: Array) -> Ends:
+def ends_of(held: SprungShafts, length: Scalar, q: Array, base: Array, angle: Array, drive: Array) -> Ends:
     """The springs of one whisker with these coordinates, base and angles at its Gauss points."""
     below, (x, y, turn) = jnp.minimum(held.springs.at, 0.0), base
     at = jnp.stack(
@@ -132,19 +132,19 @@ def ends_of(held: Held, length: Scalar, q: Array, base: Array, angle: Array, dri
     return Ends(jnp.asarray(at), apart, jnp.where(held.springs.axis == AXIAL, distance, along))
 
 
-def tensions(held: Held, laws: Laws, length: Float[Array, " places"]) -> Float[Array, " places"]:
+def tensions(held: SprungShafts, laws: Laws, length: Float[Array, " places"]) -> Float[Array, " places"]:
     """Tensions of springs of these lengths."""
     return jax.vmap(lambda spring, length: jnp.asarray(tension_of(spring, laws, length)))(held.springs, length)
 
 
-def energies(held: Held, laws: Laws, length: Float[Array, " places"]) -> Float[Array, " places"]:
+def energies(held: SprungShafts, laws: Laws, length: Float[Array, " places"]) -> Float[Array, " places"]:
     """Energies of springs of these lengths."""
     rest, extension = held.springs.rest_length, length - held.springs.rest_length
     each = jax.vmap(lambda share: tensions(held, laws, rest + share * extension))(jnp.asarray(POINTS))
     return extension * (WEIGHTS @ each)
 
 
-def mean_tensions(held: Held, laws: Laws, first: Array, last: Array, ahead: Scalar) -> Float[Array, " places"]:
+def mean_tensions(held: SprungShafts, laws: Laws, first: Array, last: Array, ahead: Scalar) -> Float[Array, " places"]:
     """Tensions in a step between these lengths: the mean, or those at the end if the step is implicit (ahead = 1).
 
     Springs that only pull or push begin to do so where they are unstrained, which divides the step.
@@ -162,7 +162,7 @@ def mean_tensions(held: Held, laws: Laws, first: Array, last: Array, ahead: Scal
 
 
 def pulls_of(
-    held: Held,
+    held: SprungShafts,
     laws: Laws,
     first: Ends,
     last: Ends,

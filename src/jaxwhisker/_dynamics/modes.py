@@ -218,7 +218,7 @@ def _at_step(found: Modes) -> Modes:
     return eqx.tree_at(lambda modes: modes.s, one, found.s)
 
 
-def _found(
+def _modes_of(
     problem: Problem,
     whiskers: tuple[Whisker, ...],
     at: Equilibrium,
@@ -286,7 +286,7 @@ def _result_modes(
 ) -> Modes:
     def one(at, status, control):
         u = control / problem.unit.control
-        return _found(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)
+        return _modes_of(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)
 
     found = jax.vmap(one)(at, status, control)
     return eqx.tree_at(lambda modes: modes.s, found, found.s[0])
@@ -301,7 +301,7 @@ def _unloaded_modes(
     state, _ = signals(problem, z, u, all_free(problem, jnp.ones_like(problem.length)))
     at = Equilibrium(**{name: getattr(state, name) for name in Equilibrium._fields})
     status = jnp.asarray(Status.ok)
-    return _found(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)
+    return _modes_of(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)
 
 
 @Program
@@ -321,4 +321,4 @@ def _deflection_modes(
     force_x, force_y = each.force * jnp.cos(each.direction), each.force * jnp.sin(each.direction)
     dead = DeadLoads(each.position, force_x, force_y, each.moment, lines_of(whiskers[0], loads))
     dead = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], dead)
-    return _found(problem, whiskers, _dimensionless(problem, at), status, zero, dead, damping, count, points)
+    return _modes_of(problem, whiskers, _dimensionless(problem, at), status, zero, dead, damping, count, points)

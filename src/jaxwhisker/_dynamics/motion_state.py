@@ -26,7 +26,7 @@ class Touching(NamedTuple):
     slip: Int[Array, "*whiskers"]  # direction along the tangent; 0 if the contact sticks
     began: Bool[Array, "*whiskers"]  # in the last step
     deepest: PerWhisker  # least gap of the whole whisker if it is inside the object, otherwise infinite
-    beside: PerWhisker | None = None  # least distance that other objects may have; None without any
+    others: PerWhisker | None = None  # least distance that other objects may have; None without any
 
     def lasts(self, arc: PerWhisker) -> Bool[Array, "*whiskers"]:
         """Whether a contact at this point of the whisker, one step later, continues this one."""

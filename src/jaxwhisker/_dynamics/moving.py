@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.held import Held, held_of
+from jaxwhisker._dynamics.held import SprungShafts, held_of
 from jaxwhisker._dynamics.legendre import Basis, basis
 from jaxwhisker._dynamics.outline import outline
 from jaxwhisker._equilibrium.shaft_springs import Laws
@@ -38,7 +38,7 @@ class Rods(NamedTuple):
     inertia: Float[Array, " whiskers"]  # at the base
     first: Float[Array, "whiskers points"]  # mass times reach, summed over the nodes
     second: Float[Array, "whiskers points points"]  # mass times the product of two reaches, likewise
-    held: Held | None = None  # springs on the shafts; None without any
+    held: SprungShafts | None = None  # springs on the shafts; None without any
 
 
 class Network(NamedTuple):

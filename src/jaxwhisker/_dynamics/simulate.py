@@ -277,7 +277,7 @@ def _traced(system: System, moving: Moving) -> Trace | None:
     if at is None:
         return None
     gap = jnp.minimum(at.gap.distance, at.deepest)
-    gap = gap if at.beside is None else jnp.minimum(gap, at.beside)
+    gap = gap if at.others is None else jnp.minimum(gap, at.others)
     ledger = moving.ledger
     energies = map(jnp.asarray, (ledger.work, ledger.contact, ledger.impact))
     return Trace(at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0], *energies)
@@ -296,8 +296,8 @@ def _at_samples(forces: Forces, every: int) -> Forces:
 
 
 def _no_events() -> TimedEvents:
-    none, nowhere = jnp.zeros(0, int), jnp.zeros(0)
-    return TimedEvents(none, none, nowhere, nowhere, jnp.zeros((), int))
+    none, zeros = jnp.zeros(0, int), jnp.zeros(0)
+    return TimedEvents(none, none, zeros, zeros, jnp.zeros((), int))
 
 
 def _result(

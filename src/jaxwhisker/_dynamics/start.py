@@ -12,7 +12,7 @@ from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.first_order import first_order
-from jaxwhisker._dynamics.gap import beside, closest, gap_at
+from jaxwhisker._dynamics.gap import closest, gap_at, others_distance
 from jaxwhisker._dynamics.legendre import polynomials_at, weights_at
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
 from jaxwhisker._dynamics.moving import MotionUnits, Rods, System
@@ -169,7 +169,7 @@ def initial(
         def nearest(*pose):
             here = posed(system, *pose)
             points = closest(here)
-            return *points, gap_at(here, *points), beside(here, points[1]) if several else None
+            return *points, gap_at(here, *points), others_distance(here, points[1]) if several else None
 
         arc, parameter, gap, others = jax.vmap(nearest)(system.rods.length, base, angle)
         touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, none + jnp.inf, others)

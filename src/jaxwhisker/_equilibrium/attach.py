@@ -169,7 +169,7 @@ def with_unloaded(problem: InPlane, springs: OnShafts, held: Float[Array, "whisk
         springs: the springs.
         held: see `Attached`.
     """
-    contact, pose = _found(*jax.lax.stop_gradient((problem, springs, held)))
+    contact, pose = _solved(*jax.lax.stop_gradient((problem, springs, held)))
     contact, pose = jax.lax.stop_gradient((contact, pose))
     found = jnp.all(jnp.isfinite(contact)) & jnp.all(jnp.isfinite(pose))
     contact, pose = (jnp.where(found, value, 0.0) for value in (contact, pose))
@@ -192,7 +192,7 @@ def _weakened(springs: OnShafts, share: Scalar) -> OnShafts:
     return springs._replace(held_by=springs.held_by.weakened(share), couplings=couplings)
 
 
-def _found(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3"]) -> tuple[Contacts, Poses]:
+def _solved(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3"]) -> tuple[Contacts, Poses]:
     """Contacts and coordinates of the unloaded whiskers; NaN if they are not found."""
     u = jnp.asarray(0.0 if problem.ends is None else problem.ends[0])
     state = all_free(problem, jnp.ones_like(problem.length))

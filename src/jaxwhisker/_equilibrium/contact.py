@@ -348,7 +348,7 @@ def of_each(bodies: WhiskerAtObject, function: Callable, *args, sequential: bool
         bodies: all whiskers.
         function: takes a body and a row of each argument.
         *args: leading axis: whiskers.
-        in_turn: in a batch, whether to compute one whisker after the other. Arrays of lanes alone are twice as fast as
+        sequential: in a batch, whether to compute one whisker after the other. Arrays of lanes alone are twice as fast as
             arrays of lanes and whiskers, but this has no derivatives in reverse mode.
     """
     section = bodies.section

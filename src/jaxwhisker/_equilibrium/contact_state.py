@@ -21,7 +21,7 @@ class ContactState(NamedTuple):
     friction: Friction | None = None  # None without friction
     piece: Int[Array, "*batch whiskers"] | None = None  # of the profile at each contact, 0 if free; None without edges
     # The side of each of several objects on which a whisker stands or, while it touches another one, has stood last.
-    beside: Float[Array, "*batch objects whiskers"] | None = None
+    sides: Float[Array, "*batch objects whiskers"] | None = None
 
     @property
     def free(self) -> Bool[Array, "*batch whiskers"]:
@@ -58,15 +58,15 @@ class ContactState(NamedTuple):
     @property
     def standing(self) -> PerObject:
         """The sides on which free whiskers stand: of the object, or of each of several."""
-        return self.side if self.beside is None else self.beside
+        return self.side if self.sides is None else self.sides
 
     def side_of(self, number: Int[Array, " whiskers"] | None) -> PerWhisker:
         """The side on which a free whisker stands of one of several objects; None if there is only one."""
-        return self.side if self.beside is None or number is None else of_object(self.beside, number)
+        return self.side if self.sides is None or number is None else of_object(self.sides, number)
 
     def now_standing(self, standing: PerObject) -> "ContactState":
         """The state with these sides."""
-        return self._replace(side=standing) if self.beside is None else self._replace(beside=standing)
+        return self._replace(side=standing) if self.sides is None else self._replace(sides=standing)
 
     def ended(self, which: Bool[Array, "*batch whiskers"], standing: PerObject | None = None) -> "ContactState":
         """The state after the contacts of these whiskers have ended; from now on, they stand on these sides."""

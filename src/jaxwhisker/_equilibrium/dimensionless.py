@@ -69,8 +69,8 @@ def problem_of(scene: Scene) -> Problem:
     none = jnp.zeros_like(length)
 
     def somewhere(one):
-        nowhere = Touch(none + sum(one.ends()) / 2, none, none, none, none > 0)
-        return nowhere, nowhere
+        no_touch = Touch(none + sum(one.ends()) / 2, none, none, none, none > 0)
+        return no_touch, no_touch
 
     right, left = touch.of_objects(common["profile"], somewhere)
     common |= {"flexibility": flexibility, "valid": valid, "touch_right": right, "touch_left": left}

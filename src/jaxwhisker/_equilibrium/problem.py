@@ -52,7 +52,7 @@ class Problem(eqx.Module):
 
     length: PerWhisker
     bending_stiffness: PerWhisker  # at the base
-    section: Section | tuple[Section, ...] | None  # see contact.Body
+    section: Section | tuple[Section, ...] | None  # see contact.WhiskerAtObject
     profile: AbstractProfile
     rod: AbstractRod
     motion: AbstractMotion  # its poses only

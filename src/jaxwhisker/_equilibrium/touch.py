@@ -106,7 +106,7 @@ class _Approach(NamedTuple):
 def _approach(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scalar, side: Scalar) -> _Approach:
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     x, y = own.x * cos - own.y * sin, y + own.x * sin + own.y * cos
-    touch = jax.vmap(lambda height: profile.beside(height, side))(y)
+    touch = jax.vmap(lambda height: profile.above_widest(height, side))(y)
     meets = (y > profile.vertex()[1]) & (jnp.abs(touch.y - y) < SAME_HEIGHT)
     ahead = jnp.where(meets, side * (touch.x - x), -jnp.inf)
     return _Approach(x, y, own.cos * cos - own.sin * sin, own.sin * cos + own.cos * sin, touch, ahead)
@@ -165,7 +165,7 @@ def first_touch(
     def touched(cell):
         """The object's point at the height of a point of the whisker, and whether it lies before the first touch."""
         (_, height), (cos, sin) = whisker(cell)
-        there = profile.beside(height, side)
+        there = profile.above_widest(height, side)
         at = profile.point(there.parameter)
         meets = (height > profile.vertex()[1]) & (jnp.abs(there.y - height) < SAME_HEIGHT)
         return there, jnp.where(meets, sin * at.cos > cos * at.sin, cell < k)

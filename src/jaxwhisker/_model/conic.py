@@ -57,7 +57,7 @@ class Conic(AbstractProfile):
         # The shaft of a whisker that ends above the widest point meets that point; otherwise the tip meets the flank.
         return self._at(height, side, highest=1.0)
 
-    def beside(self, height, side):
+    def above_widest(self, height, side):
         return self._at(height, side, highest=2.0)
 
     def _at(self, height: Scalar, side: Scalar, highest: float) -> FirstTouch:
@@ -130,8 +130,8 @@ class _AbstractConic(AbstractProfile):
     def first_touch(self, height, side):
         return self.conic().first_touch(height, side)
 
-    def beside(self, height, side):
-        return self.conic().beside(height, side)
+    def above_widest(self, height, side):
+        return self.conic().above_widest(height, side)
 
     def lowest(self):
         return self.conic().lowest()

@@ -57,8 +57,8 @@ class _AbstractPolygon(AbstractProfile):
     def first_touch(self, height, side):
         return self.chain().first_touch(height, side)
 
-    def beside(self, height, side):
-        return self.chain().beside(height, side)
+    def above_widest(self, height, side):
+        return self.chain().above_widest(height, side)
 
     def vertex(self):
         return self.chain().vertex()
@@ -213,7 +213,7 @@ class Chain(AbstractProfile):
         piece = jnp.where(k < n, 2 * k, 2 * (k - n) + 1)
         return FirstTouch(parameters[k], at[k], heights[k], piece)
 
-    def beside(self, height, side):
+    def above_widest(self, height, side):
         here, there = self.xy, jnp.roll(self.xy, -1, axis=0)
         (x, y), (across, rise) = here.T, (there - here).T
         share = (height - y) / jnp.where(rise == 0, 1.0, rise)

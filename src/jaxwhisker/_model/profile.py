@@ -80,7 +80,7 @@ class AbstractProfile(eqx.Module):
         The result is finite but meaningless if the object's lowest point is not below `height`.
         """
 
-    def beside(self, height: Scalar, side: Scalar) -> FirstTouch:
+    def above_widest(self, height: Scalar, side: Scalar) -> FirstTouch:
         """The object's outermost point at this height, right (side = +1) or left (-1); y differs if it has none."""
         return self.first_touch(height, side)
 

@@ -173,7 +173,7 @@ class Tilted(AbstractProfile):
     def first_touch(self, height, side):
         return self._climbed(height, side, self.ends(), lambda at: at.cos > 0)  # up to where the object is widest
 
-    def beside(self, height, side):
+    def above_widest(self, height, side):
         return self._climbed(height, side, self.span(), lambda at: side * at.sin > 0)
 
     def _climbed(

@@ -79,7 +79,9 @@ class Law:
 
     def turns(self, march: MarchState, z: Contacts, tangent: Point, least: float = -jnp.inf) -> Turns:
         """Rates, along the path, of all that must not turn back: of the drive first."""
-        return jnp.concatenate([jnp.reshape(march.turn(tangent), 1), self.rates(march.state, z, tangent.z, least)])
+        return jnp.concatenate(
+            [jnp.reshape(march.drive_rate(tangent), 1), self.rates(march.state, z, tangent.z, least)]
+        )
 
     def accepts(self, march: MarchState, trial: Trial, guess: Point) -> Bool[Array, ""] | bool:
         """Whether a solved step has not ended on another path close by."""
@@ -166,7 +168,7 @@ class Coulomb(Law):
 
     def accepts(self, march, trial, guess):
         # A stable path does not turn back. A nearly straight whisker that sticks has another equilibrium close by.
-        goes_on = ~trial.stable | (march.turn(trial.tangent) > -FOLD_SLOPE)
+        goes_on = ~trial.stable | (march.drive_rate(trial.tangent) > -FOLD_SLOPE)
         # Without any force, a contact at rest satisfies the equations with every lean: where forces are small, Newton's
         # method may arrive there.
         predicted, force = guess.z[:, FORCE], trial.solution.point.z[:, FORCE]
@@ -176,7 +178,7 @@ class Coulomb(Law):
     def after_rest(self, moved, trial, node, rests):
         slips, slip = trial.turns[1:], moved.state.slip
         sticks = (slips < -RATE_NOISE) | rests
-        sticks &= slips < moved.turn(trial.tangent)
+        sticks &= slips < moved.drive_rate(trial.tangent)
         # Without any friction, slips that come to rest turn back at once.
         slip = jnp.where(sticks, jnp.where(self.limit > 0, 0, -slip), slip)
         stick = with_changed_slips(self.problem, moved, node, slip, trial.tangent, rest=True)
@@ -196,7 +198,7 @@ class Coulomb(Law):
         others: Cases = [
             (changed & (march.tries > 4**march.state.phase.size), undetermined),
             (changed, retry),
-            ((march.turn(node.leaving) <= 0) & trial.stable, undetermined),
+            ((march.drive_rate(node.leaving) <= 0) & trial.stable, undetermined),
         ]
         onwards = onwards._replace(tries=jnp.zeros_like(march.tries), rests=jnp.zeros_like(march.state.free))
         return WaysOn(others, onwards, (march.tries == 0) | ~changed)

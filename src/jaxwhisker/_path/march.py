@@ -120,7 +120,7 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
             state.side,
             limit_of(events, jnp.asarray(0), problem, z, (none, none)),
             state.piece,
-            None if state.beside is None else jnp.zeros(n, int),
+            None if state.sides is None else jnp.zeros(n, int),
         ),
         lead=Lead(still.z, jnp.zeros_like(pose), still.u),
         before_vertex=none + 1.0,

@@ -79,7 +79,7 @@ class MarchState(NamedTuple):
         known = self.point.z[:, PARAMETER]
         return known if self.stuck_at is None else jnp.where(self.state.sticks, self.stuck_at, known)
 
-    def turn(self, tangent: Point) -> Scalar:
+    def drive_rate(self, tangent: Point) -> Scalar:
         """du/ds along a tangent, positive while the drive moves towards its stop."""
         return self.direction * tangent.u
 

@@ -243,8 +243,8 @@ def _slip(
     cos, sin = across_force(contact, lean(z[:, LEAN], state.friction, problem.friction_angle))
     unbent = state.side * ((contact.x - base.x) * cos + (contact.y - base.y) * sin) <= 0
     lands = flow.sliding & (unbent | (z[:, FORCE] < 0))
-    if state.beside is not None:
-        return _slip_among_objects(problem, state, state.beside, at, _Slip(slips, slips, ends, free, lands, holds))
+    if state.sides is not None:
+        return _slip_among_objects(problem, state, state.sides, at, _Slip(slips, slips, ends, free, lands, holds))
     near = at.first(state.side)
     return _Slip(
         slips=slips,
@@ -256,16 +256,16 @@ def _slip(
     )
 
 
-def _slip_among_objects(problem: Problem, state: ContactState, beside: PerObject, at: Stance, alone: _Slip) -> _Slip:
+def _slip_among_objects(problem: Problem, state: ContactState, sides: PerObject, at: Stance, alone: _Slip) -> _Slip:
     """Apply the snap rule to whiskers that may slip, come free or touch, if all objects let them."""
-    near = at.first(beside)
-    gap = jnp.where(near.reaches, beside * (at.x - near.x), jnp.inf)
-    own = jnp.arange(len(beside))[:, None] == problem.profile.object_of(state.piece)
+    near = at.first(sides)
+    gap = jnp.where(near.reaches, sides * (at.x - near.x), jnp.inf)
+    own = jnp.arange(len(sides))[:, None] == problem.profile.object_of(state.piece)
     others = ~own | state.free
     in_way, number = jnp.any(others & (gap < 0), axis=0), jnp.argmin(jnp.where(others, gap, jnp.inf), axis=0)
     clears = alone.slips & jnp.any(own & at.clear, axis=0)
     # It moves towards the side to which it is bent.
-    hits = clears & in_way & (of_object(beside, number) == state.side)
+    hits = clears & in_way & (of_object(sides, number) == state.side)
     leaves = alone.freed | clears
     return alone._replace(
         slides=alone.slips & ~clears,
@@ -306,10 +306,10 @@ def advance(
     now = state._replace(phase=phase, piece=piece).ended(slip.freed, at.side)
     side, fresh = jnp.where(slip.lands, -now.side, now.side), slip.begins | slip.lands
     among, number = slip.among, None
-    if among is not None and now.beside is not None:
+    if among is not None and now.sides is not None:
         # A whisker that hits another object has left its own one.
         fresh, number = fresh | among.hits, among.number
-        now = now._replace(beside=jnp.where(among.hits & among.own, at.side, now.beside))
+        now = now._replace(sides=jnp.where(among.hits & among.own, at.side, now.sides))
         side = jnp.where(slip.begins | among.hits, state.side_of(number), side)
     before = at.of(number)
     first = before.first(side)

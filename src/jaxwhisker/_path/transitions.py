@@ -267,7 +267,7 @@ def after_arrive(
         unstable_at=jnp.asarray(jnp.inf),
         before_vertex=jnp.where(after_snap, behind, march.before_vertex),
     )
-    falls = (march.turn(tangent) <= 0) | ~trial.stable
+    falls = (march.drive_rate(tangent) <= 0) | ~trial.stable
     moved = Point(point.z - march.point.z, point.u - march.point.u)
     node, moved = law.unforeseen(march, node, moved)
     near = trial.solution.converged & (dot(moved, moved, scale_of(march.point.z)) < ARRIVAL_MISS**2)

@@ -152,8 +152,8 @@ def first_violated(
     each = [np.tile(np.eye(n, dtype=bool), (1 + m.size // n, 1))[: m.size] for m in trial.here]
     whisker = jnp.asarray(np.concatenate([of & (k != AT_STOP) for k, of in enumerate(each)]))[first]
     touched = None
-    if march.state.beside is not None:
-        touched = jnp.full(n, jnp.minimum(first // n, len(march.state.beside) - 1))
+    if march.state.sides is not None:
+        touched = jnp.full(n, jnp.minimum(first // n, len(march.state.sides) - 1))
     stance, side = trial.stance.of(touched), march.state.side_of(touched)
     piece = march.state.piece
     if piece is not None:

@@ -68,7 +68,7 @@ def may_fold_twice(march: MarchState, trial: Trial) -> tuple[Bool[Array, ""], Sc
     Within the step, du/ds is taken for a parabola with the values at the step's ends and the step's mean. Near a
     critical stiffness it dips towards zero. Such a dip is passed in short steps; a dip below zero is a pair of folds.
     """
-    start, end = march.turn(march.tangent), march.turn(trial.tangent)
+    start, end = march.drive_rate(march.tangent), march.drive_rate(trial.tangent)
     mean = march.direction * (trial.solution.point.u - march.point.u) / march.step
     least, highest = jnp.minimum(start, end), jnp.maximum(start, end)
     slope, bend = 6 * mean - 4 * start - 2 * end, 3 * start + 3 * end - 6 * mean

@@ -310,8 +310,8 @@ def with_breaks(times: Float[Array, " times"], arc: Scalar, material: Material, 
     passed = jnp.cumsum(order >= times.size)[:-1]
     far = jnp.where(arc < 0, -jnp.inf, jnp.inf)
     ascending = jnp.sort(jax.lax.stop_gradient(s))
-    in_turn = jnp.concatenate([far[None], jnp.where(arc < 0, ascending, ascending[::-1]), -far[None]])
-    ends = in_turn[passed], in_turn[passed + 1]
+    ordered = jnp.concatenate([far[None], jnp.where(arc < 0, ascending, ascending[::-1]), -far[None]])
+    ends = ordered[passed], ordered[passed + 1]
     return Steps(
         jnp.concatenate([times, clipped])[order],
         jnp.argsort(order)[: times.size],

@@ -101,7 +101,7 @@ def _status(problem: Problem, point: Point, state: ContactState, kinds: Kinds) -
 def _meets_again(problem: Problem, state: ContactState, shafts: Shaft) -> Bool[Array, " whiskers"]:
     """Whether touching whiskers meet their object in a second place, or another object."""
     number = problem.profile.object_of(state.piece)
-    if number is None or state.beside is None:
+    if number is None or state.sides is None:
         return jax.vmap(lambda own: meets_again(problem.profile, own))(shafts)
     found = jnp.zeros_like(number, bool)
     for k, one in enumerate(problem.profile.objects):
@@ -112,7 +112,7 @@ def _meets_again(problem: Problem, state: ContactState, shafts: Shaft) -> Bool[A
             jax.vmap(partial(function, one))(at)
             for function, at in ((meets_again, touching), (meets, shafts), (passes, shafts))
         )
-        found |= jnp.where(own, again, other | (side * state.beside[k] < 0))
+        found |= jnp.where(own, again, other | (side * state.sides[k] < 0))
     return found
 
 

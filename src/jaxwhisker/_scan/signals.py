@@ -204,12 +204,12 @@ def _points_at_event(problem: Problem, node: Node, previous: Node) -> tuple[Side
 
 def _placeholder(node: Node) -> Node:
     """A node at which all whiskers are free and nothing happens: a placeholder for unused room."""
-    nowhere = jax.tree.map(jnp.zeros_like, node)
-    along = Point(nowhere.point.z, jnp.asarray(-1.0))
+    blank = jax.tree.map(jnp.zeros_like, node)
+    along = Point(blank.point.z, jnp.asarray(-1.0))
     side = jnp.ones_like(node.state.side)
     slipping = None if node.state.friction is None else slipping_from(side)
-    state = nowhere.state._replace(side=side, friction=slipping)
-    return nowhere._replace(arriving=along, state=state, before=state, kind=jnp.asarray(NO_EVENT))
+    state = blank.state._replace(side=side, friction=slipping)
+    return blank._replace(arriving=along, state=state, before=state, kind=jnp.asarray(NO_EVENT))
 
 
 def event_room(whiskers: int) -> int:
