@@ -86,6 +86,9 @@ def test_beyond_stays_at_its_bound_and_the_force_is_free():
     one = least_squares(MATRIX[:, :1], reaction)[0][0]
     assert found.phase.tip
     np.testing.assert_allclose(found.y, [one, 0.0], atol=EXACT)
+    by = jax.jacfwd(lambda reaction: nearest(reaction).y)(jnp.asarray(reaction))
+    pull = MATRIX[:, 0] * WEIGHT**2
+    np.testing.assert_allclose(by, [pull / (pull @ MATRIX[:, 0]), np.zeros(3)], atol=EXACT)
 
 
 def test_conditions_hold_and_bind_the_errors():
