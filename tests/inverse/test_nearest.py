@@ -52,7 +52,9 @@ class Bound(Linear):
 
 
 def nearest(reaction, family=Linear):
-    return jax.jit(lambda reaction: nearest_state(family(reaction, WEIGHT, jnp.full(1, 1.5))))(jnp.asarray(reaction))
+    return jax.jit(lambda reaction: nearest_state(family(reaction, jnp.asarray(WEIGHT), jnp.full(1, 1.5))))(
+        jnp.asarray(reaction)
+    )
 
 
 def least_squares(matrix, reaction):

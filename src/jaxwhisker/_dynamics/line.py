@@ -173,8 +173,9 @@ def _through(
     drive, given = None if sprung is None else sprung.drive, density_of(lines, first, first + length)
 
     def step(carry, ends):
-        state, load = to_next(*carry, *(first + length * ends), material, tissue, drive, steps=1, given=given)
-        return (state, load), (state, load)
+        (state, load), (start, stop) = carry, first + length * ends
+        carry = to_next(state, load, start, stop, material, tissue, drive, steps=1, given=given)
+        return carry, carry
 
     _, later = jax.lax.scan(step, (state, load), jnp.stack([AT[:-1], AT[1:]], axis=1))
     return jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), (state, load), later)

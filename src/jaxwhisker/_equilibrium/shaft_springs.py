@@ -243,8 +243,8 @@ def to_next(
         acting.append(partial(on.density, drive))
 
     def density(x: Scalar, y: Scalar, along: Scalar):
-        forces = (one(x, y, along) for one in acting)
-        return tuple(reduce(jnp.add, parts) for parts in zip(*forces, strict=True))
+        each_x, each_y = zip(*(one(x, y, along) for one in acting), strict=True)
+        return reduce(jnp.add, each_x), reduce(jnp.add, each_y)
 
     return integrate_on(state, load, s - stop, material, density, steps=steps, from_base=s)
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.implicit import solution_of
@@ -41,7 +42,7 @@ class Contacts(NamedTuple):
     """The contacts of all whiskers at one step in the scene, dimensionless; every field (whiskers, ...)."""
 
     values: Float[Array, "whiskers 8"]  # contact x, y, slope, arc; pose of the base, also where not ok; contact force
-    tip: Bool[Array, " whiskers"]
+    tip: Bool[Array | np.ndarray, " whiskers"]
     ok: Bool[Array, " whiskers"]  # whether there is a contact and its state is solved
     chi2: Float[Array, " whiskers"]
     covariance: Float[Array, "whiskers 4 4"]  # of contact x, y, slope and arc
@@ -50,8 +51,8 @@ class Contacts(NamedTuple):
 class Phase(NamedTuple):
     """A candidate for the phase of a contact."""
 
-    tip: Bool[Array, "*phases"]
-    angle: Float[Array, "*phases"]  # from the object to the whisker, in tangential contact
+    tip: Bool[Array | np.ndarray, "*phases"]
+    angle: Float[Array | np.ndarray, "*phases"]  # from the object to the whisker, in tangential contact
 
 
 class State(NamedTuple):
@@ -106,7 +107,7 @@ class Estimate(NamedTuple):
     by_y: State  # its derivatives
     phase: Phase
     ok: Bool[Array, ""]  # whether the iteration converged in at least one phase
-    chi2: Scalar
+    chi2: Float[Array, ""]
     gradient: Float[Array, "rows n"]  # of the whitened residuals and the conditions
     other: Float[Array, " n"]  # the nearest state in the other phase
     other_phase: Phase

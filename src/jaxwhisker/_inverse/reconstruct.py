@@ -246,8 +246,8 @@ def _alone(sensor: Sensor) -> tuple[Sensor, ...]:
 
 def _contacts(sensor: Sensor, control, signals, noise, poses, slips) -> Step:
     """Contacts at all steps, in the sensor's units."""
-    held = sensor.support.on_shafts
-    if held and len(sensor.whiskers) > 1:  # which are not coupled
+    held, whiskers = sensor.support.on_shafts, len(sensor.whiskers)
+    if held and whiskers > 1:  # which are not coupled
         each = []
         for k, own in enumerate(_alone(sensor)):
             of_own = (None if v is None else v[:, k : k + 1] for v in (signals, noise, poses, slips))

@@ -1,5 +1,6 @@
 """Given loads on a whisker, in the form in which `deflect` walks past them."""
 
+from functools import reduce
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -102,8 +103,8 @@ def density_of(lines: tuple[Line, ...], start: Scalar, stop: Scalar, factor: Sca
     """Force per length of `factor` times all line loads between two arc lengths; None without any."""
 
     def density(x: Scalar, y: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
-        along_x, along_y = sum(factor * line.between(start, stop) * line.density(s) for line in lines)
-        return along_x, along_y
+        total = reduce(jnp.add, (factor * line.between(start, stop) * line.density(s) for line in lines))
+        return total[0], total[1]
 
     return density if lines else None
 
