@@ -1,6 +1,8 @@
 """The line of a whisker against an initial value problem that SciPy solves, and where its elements end."""
 
 # pyright: reportArgumentType=false
+import itertools
+from functools import partial
 from typing import Any
 
 import jax
@@ -13,6 +15,7 @@ import jaxwhisker as jw
 from jaxwhisker._dynamics.elements import POINTS
 from jaxwhisker._dynamics.line import DeadLoads, Equilibrium, ends_of, line_of
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
+from jaxwhisker._scan.applied_loads import Line as LineLoads
 
 EXACT = 1e-9  # of integrated rods
 STIFFNESS, LENGTH, ARC, PLACE = 1.3, 1.1, 0.8, 0.35
@@ -102,3 +105,29 @@ def test_elements_end_at_loads_breaks_the_contact_and_the_tip(lines):
 def test_a_reaction_that_is_not_known_spoils_its_own_line(lines):
     _, found = lines
     assert np.isnan(found.cos[2]).any() and np.isfinite(found.cos[:2]).all()
+
+
+def test_a_distributed_load_acts_between_its_ends():
+    low, high, across, along = 0.2, 0.6, 0.4, -0.7
+    spread = LineLoads(jw.LineLoad(across, along), jnp.asarray(low), jnp.asarray(high), 1.0, 1.0)
+    at = Equilibrium(*map(jnp.asarray, (*BASE, *REACTION, 0.0, 0.0, ARC, 0.0, 0.0)), phase=jnp.asarray(Phase.free))
+    loads = DeadLoads(*[jnp.zeros(0)] * 4, lines=(spread,))
+    ends = ends_of(body(), at, loads, None)
+    found = line_of(body(), at, ends, loads)
+
+    def rate(push_x, push_y, _, values):
+        x, y, angle, fx, fy, about = values
+        turn = (about - x * fy + y * fx) / STIFFNESS
+        return [np.cos(angle), np.sin(angle), turn, -push_x, -push_y, y * push_x - x * push_y]
+
+    (x, y, angle), (fx, fy, mz) = BASE, REACTION
+    values, states = np.array([x, y, np.pi / 2 + angle, -fx, -fy, -mz - x * fy + y * fx]), []
+    for start, end in itertools.pairwise([0.0, *np.asarray(ends.arcs)]):
+        push = (across, along) if low <= start < high else (0.0, 0.0)
+        values = solve_ivp(partial(rate, *push), (start, end), values, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+        states.append([values[0], values[1], np.cos(values[2]), np.sin(values[2])])
+    np.testing.assert_allclose(np.transpose(found.ends), states, atol=EXACT)
+    arcs = (ends.arcs - found.lengths)[:, None] + found.lengths[:, None] * POINTS
+    passed = np.clip(arcs - low, 0.0, high - low)
+    np.testing.assert_allclose(found.force_x, -fx - across * passed, atol=EXACT)
+    np.testing.assert_allclose(found.force_y, -fy - along * passed, atol=EXACT)

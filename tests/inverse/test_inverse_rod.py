@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxwhisker._inverse.inverse_rod import REACTION, Observation, nearest_state, normal_matrix, solve2, state
+from jaxwhisker._inverse.inverse_rod import Observation
+from jaxwhisker._inverse.nearest import Phase, nearest_state
 
 STATE = 1e-10
 DIFFERENCE = 1e-6
@@ -31,7 +32,7 @@ def estimate(observed):
 
 @jax.jit
 def reaction_of(z, tip, observed):
-    return state(z, tip, observed)[REACTION]
+    return observed.state(z, Phase(tip, jnp.zeros(()))).reaction
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -45,8 +46,8 @@ def test_states_are_recovered(force, beyond, tip, pose, side):
     reaction = reaction_of(z, jnp.asarray(tip), observation(np.zeros(3), side=side, angle=angle, twist=twist))
     assert np.sign(reaction[2]) == side
     near = estimate(observation(reaction, 1e6, side, angle, twist))
-    assert bool(near.ok) and bool(near.tip) == tip
-    np.testing.assert_allclose(near.z, z, rtol=STATE)
+    assert bool(near.ok) and bool(near.phase.tip) == tip
+    np.testing.assert_allclose(near.y, z, rtol=STATE)
     assert float(near.chi2) < STATE and float(near.doubt) < STATE
 
 
@@ -66,15 +67,8 @@ def test_derivatives_with_respect_to_the_reaction(tip):
 
     @jax.jit
     def z(reaction):
-        return nearest_state(observation(reaction, 10.0, side)).z
+        return nearest_state(observation(reaction, 10.0, side)).y
 
     by = jax.jacfwd(z)(reaction)
     for k, step in enumerate(DIFFERENCE * np.eye(3)):
         np.testing.assert_allclose(by[:, k], (z(reaction + step) - z(reaction - step)) / (2 * DIFFERENCE), atol=1e-6)
-
-
-def test_two_equations():
-    matrix, right = np.array([[3.0, 1.0], [1.0, 2.0]]), np.array([[1.0, 0.0], [0.5, 2.0]])
-    np.testing.assert_allclose(solve2(jnp.asarray(matrix), jnp.asarray(right)), np.linalg.solve(matrix, right))
-    gradient = np.arange(6.0).reshape(3, 2)
-    np.testing.assert_allclose(normal_matrix(jnp.asarray(gradient)), gradient.T @ gradient)

@@ -5,7 +5,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._base.program import Program
-from jaxwhisker._inverse.least_squares import FIT_STEPS, Evaluation, minimise, possible_decrease
+from jaxwhisker._inverse.least_squares import FIT_STEPS, Evaluation, Minimum, minimise, possible_decrease
 from jaxwhisker._inverse.residuals import Comparison
 from recordings import CONTROL, TRUTH, exact, fb
 
@@ -22,6 +22,14 @@ def test_possible_decrease_of_a_linear_problem():
     held = jacobian.copy()
     held[:, 1] = 0.0
     assert 0 < possible_decrease(residual, held) <= expected
+
+
+def test_a_minimum_is_reached_where_another_step_would_hardly_help():
+    jacobian, y = np.array([[1.0], [0.0]]), np.zeros(1)
+    # A step of a tenth of a standard error lowers the sum of squares by 0.01.
+    for slope, converged, reached in ((0.09, False, True), (0.11, False, False), (0.11, True, True)):
+        solution = Minimum(y, np.array([slope, 1.0]), jacobian, (), 3, converged)
+        assert solution.reached == reached
 
 
 def rosenbrock(y):

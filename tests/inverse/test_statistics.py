@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from jaxwhisker._inverse.statistics import CHI2_95, NORMAL_95, chi_squared, correlation, identifiability, is_plausible
+from jaxwhisker._inverse.statistics import (
+    CHI2_95,
+    NORMAL_95,
+    chi_squared,
+    correlation,
+    identifiability,
+    is_plausible,
+    noise_of_residuals,
+)
 
 NAMES, LOG, SCALE = ("a", "b", "x"), np.array([True, True, False]), np.array([1.0, 1.0, 0.5])
 
@@ -25,6 +33,14 @@ def test_plausible_sums_of_squares():
     assert not any(is_plausible(chi_squared(1.5 * row), 500) for row in draws)
     assert not is_plausible(9.5e6, 85) and not is_plausible(np.nan, 85)
     assert chi_squared(np.array([[3.0], [4.0]])) == 25.0
+
+
+def test_noise_is_the_root_mean_square_of_residuals_with_fewer_degrees_of_freedom():
+    off = np.array([[3.0, 1e-9, 7.0], [-4.0, np.nan, 7.0], [0.0, -1e-9, np.nan]])
+    known = np.array([[True, True, False], [True, False, False], [True, True, False]])
+    noise = noise_of_residuals(off, known, 1, np.array([0.0, 1e-3, 1e-3]))
+    # 5 values and one unknown; the second kind is at its least noise, and the third has no residuals.
+    np.testing.assert_allclose(noise, [np.sqrt(25 / 3 * 5 / 4), 1e-3, 1.0])
 
 
 def test_everything_is_identifiable(jacobian):

@@ -8,7 +8,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._model.along import LinearTaper
 from jaxwhisker._rod.rod import Load
-from jaxwhisker._scan.applied_loads import Loads, lines_of, sorted_loads, weight_of, with_load
+from jaxwhisker._scan.applied_loads import Loads, density_of, lines_of, sorted_loads, weight_of, with_load
 
 EXACT = 1e-13
 LENGTH, STIFFNESS = 0.05, 2.4e-5
@@ -49,6 +49,16 @@ def test_distributed_loads_are_dimensionless():
     np.testing.assert_allclose(part.density(jnp.asarray(0.7)), [2.4 / unit, 0.2 / unit], rtol=EXACT)
     stretches = [(0.0, 0.2), (0.2, 0.5), (0.8, 0.5), (0.8, 1.0)]
     assert [float(part.between(*map(jnp.asarray, ends))) for ends in stretches] == [0.0, 1.0, 1.0, 0.0]
+
+
+def test_distributed_loads_add_up_where_a_stretch_lies_on_them():
+    assert density_of((), 0.0, 1.0) is None
+    lines = lines_of(WHISKER, (jw.LineLoad(y=-0.3), jw.LineLoad(LinearTaper(1.0, 3.0, 0.05), 0.2, 0.01, 0.04)))
+    unit, zero, s = STIFFNESS / LENGTH**3, jnp.zeros(()), jnp.asarray(0.7)
+    on_both, on_one = density_of(lines, 0.6, 0.8, 0.5), density_of(lines, 0.8, 1.0)
+    assert on_both is not None and on_one is not None
+    np.testing.assert_allclose(jnp.stack(on_both(zero, zero, s)), np.array([1.2, -0.05]) / unit, rtol=EXACT)
+    np.testing.assert_allclose(jnp.stack(on_one(zero, zero, s)), np.array([0.0, -0.3]) / unit, rtol=EXACT)
 
 
 def test_the_weight_is_that_of_the_whisker_and_its_tip():

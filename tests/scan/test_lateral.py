@@ -40,7 +40,7 @@ CASES = {
 }
 
 
-def scanned(support, whisker=None, profile=CIRCLE, control=CONTROL):
+def scanned(support, whisker=None, profile: jw.AbstractProfile = CIRCLE, control: np.ndarray | None = CONTROL):
     return jw.scan(jw.Scene(jw.Whisker() if whisker is None else whisker, profile, support), control)
 
 

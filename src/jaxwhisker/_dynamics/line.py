@@ -10,10 +10,10 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import POINTS, node_arcs
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of
-from jaxwhisker._equilibrium.shaft_springs import ShaftSprings, past
+from jaxwhisker._equilibrium.shaft_springs import ShaftSprings, past, to_next
 from jaxwhisker._rod import rod
-from jaxwhisker._rod.foundation import integrate_on
 from jaxwhisker._scan.applied_loads import Line as LineLoads
+from jaxwhisker._scan.applied_loads import density_of
 
 Tree = TypeVar("Tree")
 AT = np.concatenate([[0.0], POINTS, [1.0]])
@@ -170,15 +170,11 @@ def _through(
         states = rod.points(state, -length, load, material, at=jnp.asarray(AT), from_base=first)
         return states, jax.tree.map(lambda part: jnp.full(AT.shape, part), load)
 
-    def density(x: Scalar, y: Scalar, s: Scalar):
-        total = [line.between(first, first + length) * line.density(s) for line in lines]
-        if sprung is not None and tissue is not None:
-            total.append(tissue.share(first + length / 2) * jnp.stack(tissue.density(sprung.drive, x, y, s)))
-        return tuple(sum(total[1:], total[0]))
+    drive, given = None if sprung is None else sprung.drive, density_of(lines, first, first + length)
 
     def step(carry, ends):
         (state, load), (start, stop) = carry, first + length * ends
-        carry = integrate_on(state, load, start - stop, material, density, steps=1, from_base=start)
+        carry = to_next(state, load, start, stop, material, tissue, drive, steps=1, given=given)
         return carry, carry
 
     _, later = jax.lax.scan(step, (state, load), jnp.stack([AT[:-1], AT[1:]], axis=1))

@@ -348,8 +348,8 @@ def of_each(bodies: WhiskerAtObject, function: Callable, *args, sequential: bool
         bodies: all whiskers.
         function: takes a body and a row of each argument.
         *args: leading axis: whiskers.
-        sequential: in a batch, whether to compute one whisker after the other. Arrays of lanes alone are twice as fast as
-            arrays of lanes and whiskers, but this has no derivatives in reverse mode.
+        sequential: in a batch, whether to compute one whisker after the other. Arrays of lanes alone are twice as fast
+            as arrays of lanes and whiskers, but this has no derivatives in reverse mode.
     """
     section = bodies.section
     if not isinstance(section, tuple):
@@ -362,7 +362,7 @@ def of_each(bodies: WhiskerAtObject, function: Callable, *args, sequential: bool
             return function(body._replace(profile=profile, rod=rod, laws=laws), *rest)
 
         each = jax.vmap(one, in_axes=(0, None))
-        return (_in_turn(one, each) if sequential and bodies.length.shape[0] > 1 else each)(own, shared)
+        return (_sequential(one, each) if sequential and bodies.length.shape[0] > 1 else each)(own, shared)
     # Whiskers of different kinds cannot be batched: each is computed separately.
     values = []
     for k, own in enumerate(section):
@@ -373,7 +373,7 @@ def of_each(bodies: WhiskerAtObject, function: Callable, *args, sequential: bool
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *values)
 
 
-def _in_turn(one: Callable, each: Callable) -> Callable:
+def _sequential(one: Callable, each: Callable) -> Callable:
     """`each`, which applies `one` to every whisker, but in a batch as a loop over whiskers."""
     whole = custom_vmap(each)
 

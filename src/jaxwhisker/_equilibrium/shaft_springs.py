@@ -7,7 +7,7 @@ to other whiskers are given (see couplings.py).
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple, TypeAlias
 
 import diffrax
@@ -20,7 +20,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.spring import AXES
 from jaxwhisker._rod.elastica import Shooting
-from jaxwhisker._rod.foundation import integrate_on
+from jaxwhisker._rod.foundation import Density, integrate_on
 from jaxwhisker._rod.rod import Load, Material, RodState, RodStates, Section, integrate
 
 AXIAL = len(AXES)  # in addition to the indices into AXES
@@ -225,19 +225,28 @@ def to_next(
     stop: Scalar,
     material: Material,
     tissue: Tissue | None,
-    drive: Frame,
+    drive: Frame | None,
     *,
     steps: int,
     solver: diffrax.AbstractSolver | None = None,
+    given: Density | None = None,
 ) -> tuple[RodState, Load]:
     """State of the rod and the load on it at arc length `stop`, from those at `s`; no spring is between them.
 
-    The piece of the rod lies on the foundation, or nothing of it does.
+    The piece of the rod lies on the foundation, or nothing of it does. `given` is a further force per length on it.
     """
-    if tissue is None:
+    if tissue is None and given is None:
         return integrate(state, s - stop, load, material, steps=steps, solver=solver, from_base=s), load
-    on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
-    return integrate_on(state, load, s - stop, material, partial(on.density, drive), steps=steps, from_base=s)
+    acting = [] if given is None else [given]
+    if tissue is not None and drive is not None:
+        on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
+        acting.append(partial(on.density, drive))
+
+    def density(x: Scalar, y: Scalar, along: Scalar):
+        each_x, each_y = zip(*(one(x, y, along) for one in acting), strict=True)
+        return reduce(jnp.add, each_x), reduce(jnp.add, each_y)
+
+    return integrate_on(state, load, s - stop, material, density, steps=steps, from_base=s)
 
 
 def walk(

@@ -14,10 +14,10 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.program import Program
 from jaxwhisker._inverse.estimates import Estimates, estimates_of
-from jaxwhisker._inverse.least_squares import FINAL, Evaluation, Minimum, minimise, possible_decrease
+from jaxwhisker._inverse.least_squares import FINAL, Evaluation, Minimum, minimise
 from jaxwhisker._inverse.observations import as_numbers, named_values
 from jaxwhisker._inverse.parameters import Transforms, check_traceable, transforms_of
-from jaxwhisker._inverse.statistics import FitStatus, is_plausible
+from jaxwhisker._inverse.statistics import FitStatus, is_plausible, noise_of_residuals
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
@@ -36,7 +36,6 @@ ESTIMATES = 4  # of the noise from the residuals, at most
 SETTLED = 0.01  # relative change of the noise below which its estimate has settled
 EXACT = 1e-9  # of the peak: smaller residuals are numerical
 LARGEST_SCATTER = 0.05  # of the peak: without `sigma`, larger residuals are more than noise
-NEGLIGIBLE = 1e-2  # possible decrease of chi-squared (a tenth of a standard error) that a converged fit may leave
 
 
 class BendingTest(NamedTuple):
@@ -297,9 +296,8 @@ def _noise_of(problem: _Problem, solution: Minimum) -> np.ndarray:
     known = problem.test.known
     off = np.zeros(known.shape)
     off[known] = solution.residual * problem.sigma[known]
-    count, total = known.sum(axis=0), solution.residual.size
-    noise = np.sqrt(np.sum(off**2, axis=0) / np.maximum(count, 1) * total / (total - solution.y.size))
-    return np.broadcast_to(np.where(count > 0, np.maximum(noise, EXACT * problem.test.peaks), 1.0), known.shape)
+    noise = noise_of_residuals(off, known, solution.y.size, EXACT * problem.test.peaks)
+    return np.broadcast_to(noise, known.shape)
 
 
 def _status_of(problem: _Problem, solution: Minimum, given: bool) -> tuple[FitStatus, str]:
@@ -318,6 +316,6 @@ def _status_of(problem: _Problem, solution: Minimum, given: bool) -> tuple[FitSt
     if not given and np.max(scatter) > LARGEST_SCATTER:
         name = test.names[int(np.argmax(scatter))]
         return FitStatus.implausible, f"the residuals of {name} are {np.max(scatter):.2g} of its peak: give `sigma`"
-    if not solution.converged and possible_decrease(solution.residual, solution.jacobian) > NEGLIGIBLE:
+    if not solution.reached:
         return FitStatus.not_converged, f"no minimum was reached in {solution.steps} steps"
     return FitStatus.ok, ""

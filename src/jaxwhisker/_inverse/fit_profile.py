@@ -127,10 +127,14 @@ def fit_profile(
         status, covariance = FitStatus.implausible, np.full_like(covariance, np.nan)
     if observed.covariance is None:
         covariance = covariance * (chi2 / degrees if degrees else np.nan)
+    if isinstance(start, Contour):
+        profile = Contour(jnp.exp(values[0]), values[2:], start.slopes, values[1])
+    else:
+        profile = like.profile(values)
     estimates, rates = map(np.asarray, like.estimates(values))
     covariance = covariance * np.outer(rates, rates)
     return ProfileFit(
-        profile=_profile(start, values),
+        profile=profile,
         estimates=dict(zip(like.names, estimates.tolist(), strict=True)),
         standard_error=dict(zip(like.names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
         covariance=covariance,
@@ -168,12 +172,6 @@ def _judge(residual: np.ndarray, gradient: np.ndarray) -> tuple[FitStatus, np.nd
     if not ((step < SETTLED * np.sqrt(np.diag(covariance))) | (step < EXACTLY)).all():
         return FitStatus.not_converged, unknown
     return FitStatus.ok, covariance
-
-
-def _profile(start: AbstractProfile, values: Float[Array, " p"]) -> AbstractProfile:
-    if isinstance(start, Contour):
-        return Contour(jnp.exp(values[0]), values[2:], start.slopes, values[1])
-    return _Family.of(start).profile(values)
 
 
 class _Points(eqx.Module):

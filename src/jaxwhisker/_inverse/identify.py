@@ -17,12 +17,12 @@ from jaxwhisker._inverse.channels import Channels, channels_from, table_of_resul
 from jaxwhisker._inverse.estimates import estimates_of
 from jaxwhisker._inverse.features import features, neighbour_scatter
 from jaxwhisker._inverse.fit import Fit, FitProblem, FittedRecording, Recording
-from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum, possible_decrease
+from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum
 from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.observations import Observations, read_observations
 from jaxwhisker._inverse.recording import check_recording
 from jaxwhisker._inverse.residuals import Samples
-from jaxwhisker._inverse.statistics import FitStatus, chi_squared
+from jaxwhisker._inverse.statistics import FitStatus, chi_squared, noise_of_residuals
 from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.scene import Scene, units
 from jaxwhisker._path.path import Status
@@ -39,7 +39,6 @@ OVERESTIMATED = 0.5  # share of the degrees of freedom; below it, chi-squared sh
 BASELINE = 5  # first samples, from which constant offsets are guessed
 ENOUGH = 3  # starts that must end in the best minimum before the search stops
 EQUAL = 1e-3  # difference of the fit's variables up to which two minima are the same
-NEGLIGIBLE = 1e-2  # possible decrease of chi-squared (a tenth of a standard error) that a converged fit may leave
 
 
 Options: TypeAlias = Mapping[str, Any] | None
@@ -323,22 +322,13 @@ def _other_starts(y: np.ndarray, count: int) -> list[np.ndarray]:
 def _reweighted(problem: FitProblem, search: _Search) -> tuple[FitProblem, _Search]:
     """Estimate the noise from the residuals and fit again, until both have settled."""
     for _ in range(ESTIMATES):
-        problem = _with_noise_of(problem, search.solution)
-        solution = problem.solve(search.solution.y, problem.samples(), search.solution.y)
+        off, compared, y = problem.off(search.solution), problem.compared(search.solution), search.solution.y
+        problem = problem.with_noise(noise_of_residuals(off, compared, y.size, EXACT * problem.peaks))
+        solution = problem.solve(y, problem.samples(), y)
         search = search._replace(solution=solution, steps=search.steps + solution.steps)
         if solution.misfit > OVERESTIMATED * problem.degrees(solution):
             break
     return problem, search
-
-
-def _with_noise_of(problem: FitProblem, solution: Minimum) -> FitProblem:
-    """The same problem with the noise of each kind of signal estimated from the residuals."""
-    compared = problem.compared(solution)
-    count = compared.sum(axis=(0, 1))
-    correction = count.sum() / max(1, problem.degrees(solution))
-    squares = np.sum(np.where(compared, problem.off(solution), 0.0) ** 2, axis=(0, 1))
-    noise = np.sqrt(correction * squares / np.maximum(count, 1))
-    return problem.with_noise(np.where(count > 0, np.maximum(noise, EXACT * problem.peaks), 1.0))
 
 
 def _fit_of(problem: FitProblem, search: _Search) -> Fit:
@@ -380,7 +370,7 @@ def _status_of(problem: FitProblem, solution: Minimum, x: np.ndarray) -> tuple[F
         return FitStatus.at_bound, reason
     if not problem.is_plausible(solution):
         return FitStatus.implausible, _why_implausible(problem, solution)
-    if not solution.converged and possible_decrease(solution.residual, solution.jacobian) > NEGLIGIBLE:
+    if not solution.reached:
         return FitStatus.not_converged, f"no minimum was reached in {solution.steps} steps"
     return FitStatus.ok, ""
 

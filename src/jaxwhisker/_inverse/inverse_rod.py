@@ -1,10 +1,8 @@
-"""Inverse problem of one whisker: compute its contact from its support reaction.
+"""Contacts of whiskers without springs on their shafts, from the reactions at their bases.
 
-The states of a whisker on a base are a family with two parameters, z = (force, beyond). `beyond` is the angle between
-whisker and object in tip contact, or the arc beyond the contact in tangential contact; it is >= 0 in both. In each
-phase, Gauss-Newton finds the state nearest to the three measured reactions, weighted with their noise. The nearer of
-the two states decides the phase. For a uniform straight upright whisker, tangential contact requires mz^2 = 2 EI fy.
-With friction, the contact force leans from the object's normal by a known angle, against the slip.
+The states of a whisker on a base are a family with two parameters, y = (force, beyond): see nearest.py. For a uniform
+straight upright whisker, tangential contact requires mz^2 = 2 EI fy. With friction, the contact force leans from the
+object's normal by a known angle, against the slip. A base moves under the loads on all whiskers that springs couple.
 """
 
 import dataclasses
@@ -13,25 +11,31 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.dimensionless import sections
+from jaxwhisker._inverse.nearest import (
+    Contacts,
+    Estimate,
+    Phase,
+    Signals,
+    State,
+    nearest_state,
+    rotated,
+    value_and_jacobian,
+)
+from jaxwhisker._model.scene import Sensor, Units
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Section
 
 UNEVEN_STEPS = 12  # Shooting doubles it for rods that are not uniform: an error of 1e-8 for a cone
-GAUSS_NEWTON_STEPS = 7  # of Gauss-Newton; 3 without noise
 GUESSES = 16  # pieces of the rod that are searched for the zero of the moment
-LAST_STEP = 1e-5  # largest last step of a converged iteration, relative for the force, absolute for angle or arc
 LARGEST_ANGLE = 3.0  # rad, between whisker and object at the tip
-LARGEST_STEP = 0.3  # rad or lengths
 START = 0.02  # of the length: least initial arc beyond the contact, because pointed tips overflow
 POINTED = 1e-4  # of the length: least distance of a contact from a tip without stiffness
-
-
-REACTION = slice(4, 7)  # among the values of a state
 
 
 class Observation(NamedTuple):
@@ -47,179 +51,186 @@ class Observation(NamedTuple):
     section: Section | None
     lean: Scalar | None = None  # of the contact force: slope of the object minus angle of the force; None: no friction
 
+    phases = Phase(np.array([True, False]), np.zeros(2))
+    conditions = 0
+    steps = 7  # 3 without noise
+    failed = np.array([1.0, 0.1])
 
-class Estimate(NamedTuple):
-    """The state of a whisker nearest to the observation."""
+    def state(self, y: Float[Array, "2"], phase: Phase) -> State:
+        """The state with this force and angle (tip contact) or arc beyond the contact (tangential contact).
 
-    z: Float[Array, "2"]
-    tip: Bool[Array, ""]
-    ok: Bool[Array, ""]  # whether the iteration converged in at least one phase
-    chi2: Scalar
-    gradient: Float[Array, "3 2"]  # of the whitened residuals
-    other: Float[Array, "2"]  # the nearest state in the other phase
-    doubt: Scalar  # probability of the other phase
+        Its values are the contact point relative to the base, the slope of the object there (rad), the arc length from
+        base to contact, and the angle of the base to the upright (rad, counter-clockwise); dimensionless.
+        """
+        force, beyond = y
+        angle, arc = jnp.where(phase.tip, beyond, 0.0) + self._turn, self.length - jnp.where(phase.tip, 0.0, beyond)
+        method: AbstractRod = ClosedForm() if self.section is None else Shooting(steps=UNEVEN_STEPS)
+        if self.section is None:
+            end = rod_end(force / self.stiffness, arc, angle, method, method)
+        else:
+            section = dataclasses.replace(self.section, orientation=self.side)
+            end = uneven_rod_end(force, arc, angle, section, method, method)
+        x, up, cos, sin = self.side * end[0], end[1], self.side * end[2], end[3]
+        base_angle = self.angle + self.twist * force * x
+        base_cos, base_sin = jnp.cos(base_angle), jnp.sin(base_angle)
+        # The rod is computed in the frame of the contact force; the direction of its base gives the angle of the force.
+        force_cos, force_sin = base_cos * sin - base_sin * cos, base_cos * cos + base_sin * sin
+        slope = jnp.arctan2(force_sin, force_cos) + (0.0 if self.lean is None else self.lean)
+        where = [up * force_sin - x * force_cos, -x * force_sin - up * force_cos, slope, arc, base_angle]
+        reaction = [-force * force_sin, force * force_cos, -force * x]
+        return State(jnp.stack(reaction), jnp.zeros(0), jnp.stack(where))
+
+    @property
+    def _turn(self) -> Scalar:
+        """Angle from the frame of the contact force to that of the object, as the rod is bent."""
+        return jnp.zeros(()) if self.lean is None else self.side * self.lean
+
+    def limits(self, phase: Phase) -> tuple[Scalar, Scalar]:
+        """Least and largest angle or arc beyond the contact."""
+        pointed = jnp.asarray(False) if self.section is None else ~(self.section.stiffness(self.length) > 0)
+        largest = jnp.where(phase.tip, LARGEST_ANGLE, 0.999 * self.length)
+        return jnp.where(pointed & ~phase.tip, POINTED * self.length, 0.0), largest
+
+    def scale(self, y: Float[Array, "2"]) -> Float[Array, "1"]:
+        """Size of the force."""
+        return y[:1]
+
+    def guesses(self) -> Float[Array, "phases 2"]:
+        """Integrate from the base to the zero of the moment."""
+        fx, fy, mz = self.reaction
+        angle, zero = self.angle - self.twist * mz, jnp.zeros(())
+        start = (zero, zero, -jnp.sin(angle), jnp.cos(angle))
+        load = rod.Load(-fx, -fy, -mz)
+        material = self.stiffness if self.section is None else self.section
+        x, y, cos, sin = rod.points(start, -self.length, load, material, count=GUESSES + 1, from_base=zero)
+        moment = -rod.moment(x, y, load) * jnp.where(mz < 0, -1.0, 1.0)
+        last, share = zero_of(moment)
+        arc = self.length * (last + jnp.clip(share, 0.0, 1.0)) / GUESSES
+        end = jnp.where(jnp.isfinite(cos[last + 1]) & (share > 0.5), last + 1, last)
+        force = jnp.sqrt(fx**2 + fy**2)
+        slope_cos, slope_sin = fy / force, -fx / force
+        across, along = sin[end] * slope_cos - cos[end] * slope_sin, cos[end] * slope_cos + sin[end] * slope_sin
+        theta = jnp.clip(jnp.arctan2(across, self.side * along) - self._turn, 0.0, LARGEST_ANGLE)
+        beyond = jnp.clip(self.length - arc, START * self.length, 0.9 * self.length)
+        return jnp.stack([jnp.stack([force, theta]), jnp.stack([force, beyond])])
 
 
-def state(z: Float[Array, "2"], tip: Bool[Array, ""], observed: Observation) -> Float[Array, "8"]:
-    """The state with this force and angle (tip contact) or arc beyond the contact (tangential contact).
-
-    Contact point relative to the base, slope of the object there (rad), arc length from base to contact, reaction
-    fx, fy, mz, and angle of the base to the upright (rad, counter-clockwise); dimensionless.
-    """
-    force, beyond = z
-    angle, arc = jnp.where(tip, beyond, 0.0) + _turn(observed), observed.length - jnp.where(tip, 0.0, beyond)
-    method: AbstractRod = ClosedForm() if observed.section is None else Shooting(steps=UNEVEN_STEPS)
-    if observed.section is None:
-        end = rod_end(force / observed.stiffness, arc, angle, method, method)
-    else:
-        section = dataclasses.replace(observed.section, orientation=observed.side)
-        end = uneven_rod_end(force, arc, angle, section, method, method)
-    x, y, cos, sin = observed.side * end[0], end[1], observed.side * end[2], end[3]
-    base_angle = observed.angle + observed.twist * force * x
-    up, left = jnp.cos(base_angle), jnp.sin(base_angle)
-    # The rod is computed in the frame of the contact force; the direction of its base gives the angle of the force.
-    force_cos, force_sin = up * sin - left * cos, up * cos + left * sin
-    slope = jnp.arctan2(force_sin, force_cos) + (0.0 if observed.lean is None else observed.lean)
-    where = [y * force_sin - x * force_cos, -x * force_sin - y * force_cos, slope, arc]
-    reaction = [-force * force_sin, force * force_cos, -force * x]
-    return jnp.stack([*where, *reaction, base_angle])
+def zero_of(moment: Float[Array, " points"]) -> tuple[Any, Scalar]:
+    """The interval of a grid in which a moment that begins positive vanishes, and where in it, in its length."""
+    passed = ~(moment[1:] > 0)  # True for NaN: thin tips overflow where the moment does not vanish
+    last = jnp.where(jnp.any(passed), jnp.argmax(passed), moment.size - 2)
+    here, there = moment[last], moment[last + 1]
+    return last, jnp.where(there <= 0, here / jnp.where(there <= 0, here - there, 1.0), 1.0)
 
 
-def _turn(observed: Observation) -> Scalar:
-    """Angle from the frame of the contact force to that of the object, as the rod is bent."""
-    return jnp.zeros(()) if observed.lean is None else observed.side * observed.lean
-
-
-def nearest_state(observed: Observation) -> Estimate:
-    """The state nearest to the observation, in the likelier phase."""
-    constant = jax.lax.stop_gradient(observed)
-    tips = jnp.array([True, False])
-    both, chi2, ok = jax.vmap(lambda start, tip: _fit(start, tip, constant))(_guesses(constant), tips)
-    ok &= jnp.isfinite(chi2) & jnp.all(jnp.isfinite(both), axis=1)
-    chi2 = jnp.where(ok, chi2, jnp.inf)
-    tip = chi2[0] <= chi2[1]
-    both = jax.lax.stop_gradient(jnp.where(ok[:, None], both, jnp.array([1.0, 0.1])))
-    nearest, other = jnp.where(tip, both, both[::-1])
-    z = solution_of(_stationarity, nearest, (tip, observed))
-    residual, gradient = value_and_jacobian(lambda z: _whitened(z, tip, observed), z)
-    doubt = jnp.where(jnp.all(ok), jax.nn.sigmoid((jnp.min(chi2) - jnp.max(chi2)) / 2), 0.0)
-    return Estimate(z, tip, jnp.any(ok), jnp.sum(residual**2), gradient, other, doubt)
-
-
-class LocatedContact(NamedTuple):
+class Located(NamedTuple):
     """The contact of a whisker relative to its base, and its derivatives."""
 
-    values: Float[Array, "*whiskers 8"]  # see `state`
-    by_z_angle: Float[Array, "*whiskers 8 3"]  # with respect to z and the angle of the base
-    follows: Float[Array, "*whiskers 2 4"]  # of z with respect to the reaction and the angle of the base
+    state: State
+    by_y_angle: State  # with respect to y and the angle of the base
+    follows: Float[Array, "*whiskers 2 4"]  # of y with respect to the reaction and the angle of the base
     ambiguous: Float[Array, "*whiskers 4 4"]  # covariance that the other phase adds
     near: Estimate
 
 
-def locate(section: Section | None, lean: Scalar | None, *fields) -> LocatedContact:
+def locate(section: Section | None, lean: Scalar | None, *fields) -> Located:
     """Locate the contact of one whisker from the other fields of its Observation."""
     observed = Observation(*fields, section, lean)  # pyright: ignore[reportCallIssue]
     near = nearest_state(observed)
 
-    def at(z_angle: Float[Array, "3"], tip: Any = near.tip):
-        return state(z_angle[:2], tip, observed._replace(angle=z_angle[2]))
+    def at(y_angle: Float[Array, "3"]) -> State:
+        return observed._replace(angle=y_angle[2]).state(y_angle[:2], near.phase)
 
-    values, by_z_angle = value_and_jacobian(at, jnp.append(near.z, observed.angle))
-    apart = jnp.where(near.doubt > 0, at(jnp.append(near.other, observed.angle), ~near.tip) - values, 0.0)[:4]
-    ambiguous = near.doubt * apart[:, None] * apart
-    # The Gauss-Newton approximation is exact to first order in the noise.
-    by_observed = jnp.concatenate(
-        [-jnp.diag(observed.weight), by_z_angle[REACTION, 2:] * observed.weight[:, None]], axis=1
+    state, by_y_angle = value_and_jacobian(at, jnp.append(near.y, observed.angle))
+    residuals = jnp.concatenate([-jnp.diag(observed.weight), by_y_angle.reaction[:, 2:] * observed.weight[:, None]], 1)
+    return Located(state, by_y_angle, near.follows(residuals), near.ambiguity(observed, state.values[:4]), near)
+
+
+class Instrument(NamedTuple):
+    """A dimensionless sensor."""
+
+    length: Float[Array, " whiskers"]
+    stiffness: Float[Array, " whiskers"]
+    section: Section | tuple[Section, ...] | None
+    flexibility: Float[Array, "whiskers 3 whiskers 3"]  # in the drive's frame
+    rest: Float[Array, "whiskers 3"]  # x, y, angle of the unloaded bases in the drive's frame
+
+    unloaded = None
+
+    @property
+    def coupled(self) -> Bool[Array, "whiskers whiskers"]:
+        """Whether the load on one whisker moves the base of another one."""
+        return jnp.any(self.flexibility != 0, axis=(1, 3))
+
+    def contacts(self, drive: Float[Array, "3"], signals: Signals) -> Contacts:
+        """The contacts of all whiskers at one step."""
+        known = self if signals.pose is None else self._replace(flexibility=jnp.zeros_like(self.flexibility))
+        located = _each_whisker(self.section, locate, signals.lean, *known._observations(drive, signals))
+        ok = signals.touching & located.near.ok
+        reactions = jnp.where(ok[:, None], located.state.reaction, signals.measured)
+        bases = known._base_poses(drive, reactions) if signals.pose is None else signals.pose
+        x, y, slope, arc, base_angle = located.state.values.T
+        bases = bases.at[:, 2].set(jnp.where(ok, base_angle, bases[:, 2]))
+        values = jnp.stack([bases[:, 0] + x, bases[:, 1] + y, slope, arc, *bases.T, located.near.y[:, 0]], axis=1)
+        covariance = known._covariance(located, drive[2], jnp.where(ok[:, None], signals.deviation, 0.0))
+        near = located.near
+        return Contacts(values, near.phase.tip, ok, near.chi2, covariance + located.ambiguous)
+
+    def _observations(self, drive, signals: Signals) -> tuple:
+        """The fields of an Observation of every whisker, except the section."""
+        loads = rotated(-signals.measured, -drive[2])  # in the drive's frame
+        rotation = self.flexibility[:, 2]  # (whiskers, whiskers, 3): of every base by all loads
+        own = jnp.eye(self.length.size, dtype=bool)
+        by_others = jnp.sum(jnp.where(own[:, :, None], 0.0, rotation * loads), axis=(1, 2))
+        angle = drive[2] + self.rest[:, 2] + by_others if signals.pose is None else signals.pose[:, 2]
+        twist = jnp.sum(jnp.where(own, rotation[:, :, 2], 0.0), axis=1)
+        side = jnp.where(signals.reaction[:, 2] < 0, -1.0, 1.0)
+        return signals.reaction, signals.weight, angle, twist, side, self.length, self.stiffness
+
+    def _base_poses(self, drive, reactions) -> Float[Array, "whiskers 3"]:
+        """Poses of the bases that follow from drive, mounts and springs under these reactions."""
+        loads = rotated(-reactions, -drive[2])
+        return drive + rotated(self.rest + jnp.sum(self.flexibility * loads, axis=(2, 3)), drive[2])
+
+    def _covariance(self, located: Located, drive_angle: Scalar, deviation) -> Float[Array, "whiskers 4 4"]:
+        """Covariance of x, y, slope and arc from the noise of all whiskers; one with zero deviation adds nothing."""
+        others = ~jnp.eye(deviation.shape[0], dtype=bool)[:, :, None]
+        # Derivatives with respect to the reactions of all whiskers: of base angles, (j, k, 1, 3), and of y and angle.
+        angle = jnp.where(others, -rotated(self.flexibility[:, 2], drive_angle), 0.0)[:, :, None, :]
+        own = jnp.where(others[..., None], 0.0, located.follows[:, None, :, :3])
+        y_angle = jnp.concatenate([own + located.follows[:, None, :, 3:] * angle, angle], axis=2)
+        by_y_angle = jnp.concatenate([located.by_y_angle.values[:, :4], located.by_y_angle.reaction], axis=1)
+        out = jnp.sum(by_y_angle[:, None, :, :, None] * y_angle[:, :, None, :, :], axis=3)  # (j, k, 7, 3)
+
+        def rotate_rows(matrices, angle):
+            return jnp.swapaxes(rotated(jnp.swapaxes(matrices, 2, 3), angle), 2, 3)
+
+        # The bases move under all loads, which are the negative reactions.
+        loads = jnp.swapaxes(rotate_rows(-out[:, :, 4:], -drive_angle), 0, 1)  # (k, j, 3, 3)
+        moved = jnp.sum(self.flexibility[:, None, :, :, :, None] * loads[None, :, None], axis=(3, 4))
+        out = out[:, :, :4].at[:, :, :2].add(rotate_rows(moved, drive_angle)[:, :, :2]) * deviation[None, :, None, :]
+        return jnp.sum(out[:, :, :, None, :] * out[:, :, None, :, :], axis=(1, 4))
+
+
+def instrument(sensor: Sensor, unit: Units) -> Instrument:
+    """The sensor, dimensionless."""
+    whiskers, support = sensor.whiskers, sensor.support
+    bending_unit, n = unit.moment * unit.length, len(whiskers)
+    mounts = [[mount.x / unit.length, mount.y / unit.length, mount.angle] for mount in support.mounts]
+    rest = jnp.stack([jnp.stack([jnp.asarray(v, dtype=float) for v in mount]) for mount in mounts])
+    flexibility = support.flexibility().in_frames(jnp.zeros(n), unit.length, unit.force)
+    return Instrument(
+        jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length,
+        jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers]) / bending_unit,
+        sections(whiskers, unit.length, bending_unit),
+        flexibility.matrix.reshape(n, 3, n, 3),
+        rest + flexibility.offset.reshape(n, 3),
     )
-    by_observed = jnp.sum(near.gradient[:, :, None] * by_observed[:, None, :], axis=0)
-    follows = -solve2(normal_matrix(near.gradient), by_observed)
-    return LocatedContact(values, by_z_angle, follows, ambiguous, near)
 
 
-def each_whisker(section: Any, function: Callable, *args):
+def _each_whisker(section: Any, function: Callable, *args):
     """Apply a function of section and arguments to every whisker."""
     if not isinstance(section, tuple):
         return jax.vmap(function, in_axes=(None if section is None else 0, *[0] * len(args)))(section, *args)
     each = [function(own, *jax.tree.map(lambda leaf, k=k: leaf[k], args)) for k, own in enumerate(section)]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
-
-
-def value_and_jacobian(function: Callable, z):
-    """The value of a function and its derivative, in forward mode."""
-
-    def twice(z):
-        value = function(z)
-        return value, value
-
-    gradient, value = jax.jacfwd(twice, has_aux=True)(z)
-    return value, gradient
-
-
-def normal_matrix(gradient: Float[Array, "3 2"]) -> Float[Array, "2 2"]:
-    """The transposed gradient times the gradient."""
-    return jnp.sum(gradient[:, :, None] * gradient[:, None, :], axis=0)
-
-
-def solve2(matrix: Float[Array, "2 2"], right: Float[Array, "2 *k"]) -> Float[Array, "2 *k"]:
-    """Solution of two linear equations, in a form that JAX can transpose."""
-    (a, b), (c, d) = matrix
-    first, second = right
-    return jnp.stack([d * first - b * second, a * second - c * first]) / (a * d - b * c)
-
-
-def _whitened(z, tip, observed: Observation) -> Float[Array, "3"]:
-    """Residuals of the three reactions over their noise."""
-    return (state(z, tip, observed)[REACTION] - observed.reaction) * observed.weight
-
-
-def _stationarity(z, known: tuple[Bool[Array, ""], Observation]) -> Float[Array, "2"]:
-    """Half the derivative of chi-squared, which vanishes at the nearest state."""
-    tip, observed = known
-    residual, gradient = value_and_jacobian(lambda z: _whitened(z, tip, observed), z)
-    downhill = jnp.sum(gradient * residual[:, None], axis=0)
-    # At the border between the phases only the force is free.
-    return jnp.where(z[1] > 0, downhill, downhill.at[1].set(z[1]))
-
-
-def _guesses(observed: Observation):
-    """z of tip and of tangential contact, (2, 2): integrate from the base to the zero of the moment."""
-    fx, fy, mz = observed.reaction
-    angle, zero = observed.angle - observed.twist * mz, jnp.zeros(())
-    start = (zero, zero, -jnp.sin(angle), jnp.cos(angle))
-    load = rod.Load(-fx, -fy, -mz)
-    material = observed.stiffness if observed.section is None else observed.section
-    x, y, cos, sin = rod.points(start, -observed.length, load, material, count=GUESSES + 1, from_base=zero)
-    moment = -rod.moment(x, y, load) * jnp.where(mz < 0, -1.0, 1.0)
-    passed = ~(moment > 0)  # True for NaN: thin tips overflow where the moment does not vanish
-    last = jnp.where(jnp.any(passed[1:]), jnp.argmax(passed[1:]), GUESSES - 1)
-    here, there = moment[last], moment[last + 1]
-    share = jnp.where(there <= 0, here / jnp.where(there <= 0, here - there, 1.0), 1.0)
-    arc = observed.length * (last + jnp.clip(share, 0.0, 1.0)) / GUESSES
-    end = jnp.where(jnp.isfinite(cos[last + 1]) & (share > 0.5), last + 1, last)
-    force = jnp.sqrt(fx**2 + fy**2)
-    slope_cos, slope_sin = fy / force, -fx / force
-    across, along = sin[end] * slope_cos - cos[end] * slope_sin, cos[end] * slope_cos + sin[end] * slope_sin
-    theta = jnp.clip(jnp.arctan2(across, observed.side * along) - _turn(observed), 0.0, LARGEST_ANGLE)
-    beyond = jnp.clip(observed.length - arc, START * observed.length, 0.9 * observed.length)
-    return jnp.stack([jnp.stack([force, theta]), jnp.stack([force, beyond])])
-
-
-def _fit(start, tip, observed: Observation):
-    """The z of least chi-squared in one phase, chi-squared, and whether the iteration converged; no derivatives."""
-    largest = jnp.where(tip, LARGEST_ANGLE, 0.999 * observed.length)
-    pointed = jnp.asarray(False) if observed.section is None else ~(observed.section.stiffness(observed.length) > 0)
-    least = jnp.where(pointed & ~tip, POINTED * observed.length, 0.0)
-
-    def step(_, carry):
-        force, beyond = carry[0]
-        residual, gradient = value_and_jacobian(lambda z: _whitened(z, tip, observed), carry[0])
-        normal, downhill = normal_matrix(gradient), jnp.sum(gradient * residual[:, None], axis=0)
-        _, increment = solve2(normal, -downhill)
-        bounded = jnp.clip(beyond + jnp.clip(increment, -LARGEST_STEP, LARGEST_STEP), least, largest)
-        change = -(downhill[0] + normal[0, 1] * (bounded - beyond)) / normal[0, 0]
-        change = jnp.clip(change, -0.7 * force, 2.0 * force)
-        size = jnp.maximum(jnp.abs(change) / force, jnp.abs(bounded - beyond))
-        return jnp.stack([force + change, bounded]), size
-
-    z, size = jax.lax.fori_loop(0, GAUSS_NEWTON_STEPS, step, (start, jnp.zeros(())))
-    return z, jnp.sum(_whitened(z, tip, observed) ** 2), size < LAST_STEP

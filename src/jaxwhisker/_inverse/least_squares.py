@@ -27,6 +27,7 @@ COARSE = 1e-4  # the same for the first stages
 SMALL = 1e-7  # change of variables of order one, and of residuals, below which a fit ends as well
 RIDGE = 1e-14  # added to the diagonal of a scaled normal matrix, which is zero for an unknown that stays fixed
 LEAST_SHARE, GOOD_SHARE = 0.01, 0.99  # of the predicted decrease: a step is accepted, the damping is reduced
+NEGLIGIBLE = 1e-2  # possible decrease of chi-squared (a tenth of a standard error) that a converged fit may leave
 LESS, MORE = 1 / 3.5, 4.0  # factors of the damping after a good step and after a rejected one
 
 Residuals = Float[np.ndarray, " residuals"]
@@ -55,6 +56,11 @@ class Minimum(NamedTuple):
     def misfit(self) -> float:
         """Sum of squares of all residuals, including those of the prior."""
         return chi_squared(self.residual)
+
+    @property
+    def reached(self) -> bool:
+        """Whether this is a minimum, or so close to one that another step would hardly lower the sum of squares."""
+        return self.converged or not possible_decrease(self.residual, self.jacobian) > NEGLIGIBLE
 
     @property
     def observed(self) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,7 @@
 
 Drive, mount and springs determine the pose of a base under the measured load. From there the rod is known up to the
 point at which its moment vanishes. That is the contact, and the force there is normal to the object. Three reactions
-are one more than needed, which decides the phase and separates noise from signal: see inverse_rod.py.
+are one more than needed, which decides the phase and separates noise from signal: see nearest.py.
 
 Source: Will, Behn, Steigenberger (2017), ZAMM, "Object contour scanning using elastically supported technical
 vibrissae" (for exact signals).
@@ -10,33 +10,34 @@ vibrissae" (for exact signals).
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
-from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.dimensionless import sections
 from jaxwhisker._inverse.features import noise_of
-from jaxwhisker._inverse.inverse_rod import REACTION, LocatedContact, each_whisker, locate
+from jaxwhisker._inverse.inverse_held import HeldInstrument, held_instrument
+from jaxwhisker._inverse.inverse_rod import Instrument, instrument
+from jaxwhisker._inverse.nearest import Signals, rotated
 from jaxwhisker._inverse.observations import Observations, channels_of, read_observations
 from jaxwhisker._inverse.parameters import check_traceable, read_parameters
 from jaxwhisker._inverse.points import PointStatus, Reconstruction, Step
-from jaxwhisker._inverse.reconstruct_held import alone, check_held, held_contacts
 from jaxwhisker._inverse.recording import check_signs
 from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
-from jaxwhisker._rod.rod import Section
+from jaxwhisker._model.support import Support
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.scan import BLOCK
 
 FREE = 16.266  # 99.9 % quantile of chi-squared of three reactions: below it they may be only noise
-EXACTLY_FREE = 1e-18  # the same with the peaks in place of the noise, if the noise is unknown
+# The same with the peaks in place of the noise, if the noise is unknown. Without contact, reactions vanish, or differ
+# from those that springs on shafts cause by rounding: by 2e-12 of the peak for a pointed cone, and less for others.
+EXACTLY_FREE = 1e-18
 
 # Reactions of a bent whisker replace those of whiskers without a contact, because every derivative must be finite.
 PLACEHOLDER = np.array([-0.8795, 0.4758, 0.9755])
@@ -97,7 +98,7 @@ def reconstruct(
         checks.fail("covariance", allowed, f"shape {np.shape(covariance)}")
     known = sensor_of(made)
     if known.support.on_shafts:
-        check_held(known, base)
+        _check_held(known, base)
     if covariance is not None and parameters is not None and not checks.is_traced(values):
         check_traceable(sensor, parameters, called="sensor")  # pyright: ignore[reportArgumentType]
     readings = _signals(measured, sigma, known, base)
@@ -212,173 +213,103 @@ def _slips(sensor: Sensor, slip: Any, control: Any, shape: tuple[int, int]) -> F
     return jnp.broadcast_to(with_drive[:, None], shape)
 
 
-class Instrument(NamedTuple):
-    """A dimensionless sensor."""
+def _check_held(sensor: Sensor, base: Any) -> None:
+    """Check that whiskers can be reconstructed one by one, and that signals determine the poses of their bases."""
+    for spring in sensor.support.springs:
+        if 0 not in spring.between:
+            allowed = "one whose springs do not connect whiskers, if springs or foundations hold shafts"
+            checks.fail("sensor", allowed, f"a spring between {spring.between}")
+    for k, own in enumerate(_alone(sensor)):
+        support = own.support
+        held = [axis for axis in support.axes if not support.along(axis)]
+        places = [at for spring in support.attached for _, at in spring.ends]
+        below = [at for at in places if checks.is_traced(at) or float(at) <= 0]
+        if base is None and len(held) > len(below):
+            raise ValueError(
+                f"`base` must be given, because no signal shows where the springs above the base of whisker {k + 1} "
+                f"hold it along {', '.join(held)}, got None."
+            )
 
-    unit: Units
-    length: Float[Array, " whiskers"]
-    stiffness: Float[Array, " whiskers"]
-    section: Section | tuple[Section, ...] | None
-    flexibility: Float[Array, "whiskers 3 whiskers 3"]  # in the drive's frame
-    rest: Float[Array, "whiskers 3"]  # x, y, angle of the unloaded bases in the drive's frame
-    friction_angle: Scalar | None  # None without friction
 
-
-def instrument(sensor: Sensor) -> Instrument:
-    """The sensor, dimensionless in the units of the first whisker."""
-    whiskers, support = sensor.whiskers, sensor.support
-    unit = jax.tree.map(checks.as_float, units_of(whiskers[0], sensor.motion))
-    bending_unit, n = unit.moment * unit.length, len(whiskers)
-    mounts = [[mount.x / unit.length, mount.y / unit.length, mount.angle] for mount in support.mounts]
-    rest = jnp.stack([jnp.stack([jnp.asarray(v, dtype=float) for v in mount]) for mount in mounts])
-    flexibility = support.flexibility().in_frames(jnp.zeros(n), unit.length, unit.force)
-    return Instrument(
-        unit,
-        jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length,
-        jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers]) / bending_unit,
-        sections(whiskers, unit.length, bending_unit),
-        flexibility.matrix.reshape(n, 3, n, 3),
-        rest + flexibility.offset.reshape(n, 3),
-        None if sensor.friction is None else jnp.arctan(jnp.asarray(sensor.friction, dtype=float)),
-    )
+def _alone(sensor: Sensor) -> tuple[Sensor, ...]:
+    """A sensor for each whisker."""
+    support, each = sensor.support, []
+    for k, whisker in enumerate(sensor.whiskers):
+        own = [s for s in support.springs if s.between in ((0, k + 1), (k + 1, 0))]
+        springs = tuple(dataclasses.replace(s, between=(0, 1) if s.between[0] == 0 else (1, 0)) for s in own)
+        tissue = support.foundations[k]
+        attached = tissue is not None or not all(spring.linear for spring in springs)
+        held = Support(springs, support.mounts[k], foundation=tissue, free=support.free if attached else ())
+        each.append(Sensor(whisker, held, sensor.motion, sensor.friction))
+    return tuple(each)
 
 
 def _contacts(sensor: Sensor, control, signals, noise, poses, slips) -> Step:
     """Contacts at all steps, in the sensor's units."""
-    if sensor.support.on_shafts:
-        return _contacts_one_by_one(sensor, control, signals, noise, poses, slips)
-    known = instrument(sensor)
-    unit = known.unit
+    held, whiskers = sensor.support.on_shafts, len(sensor.whiskers)
+    if held and whiskers > 1:  # which are not coupled
+        each = []
+        for k, own in enumerate(_alone(sensor)):
+            of_own = (None if v is None else v[:, k : k + 1] for v in (signals, noise, poses, slips))
+            each.append(_contacts(own, control, *of_own))
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *each)
+    unit = jax.tree.map(checks.as_float, units_of(sensor.whiskers[0], sensor.motion))
+    known = held_instrument(sensor) if held else instrument(sensor, unit)
     sizes, lengths = jnp.stack([unit.force, unit.force, unit.moment]), jnp.stack([unit.length, unit.length, 1.0])
     reaction = signals / sizes
     if noise is None:
         peaks = jax.lax.stop_gradient(jnp.max(jnp.nan_to_num(jnp.abs(reaction)), axis=0))
+        if held:  # a base that is free along an axis has no reaction along it
+            peaks = jnp.max(peaks)
         deviation = jnp.broadcast_to(jnp.where(peaks > 0, peaks, 1.0), reaction.shape)
     else:
         deviation = noise / sizes
     drive = jnp.stack(jax.vmap(sensor.motion.pose)(control), axis=-1) / lengths
-    leans = None if slips is None else slips * known.friction_angle
+    leans = None if slips is None else slips * jnp.arctan(jnp.asarray(sensor.friction, dtype=float))
     each = drive, reaction, deviation, None if poses is None else poses / lengths, leans
-    return jax.vmap(lambda *at: _step(known, noise is not None, *at))(*each)
-
-
-def _contacts_one_by_one(sensor: Sensor, control, *per_whisker) -> Step:
-    """The same for whiskers with springs on their shafts, which are not coupled, and others beside them."""
-    each = []
-    for k, own in enumerate(alone(sensor)):
-        given = [None if values is None else values[:, k : k + 1] for values in per_whisker]
-        threshold = EXACTLY_FREE if given[1] is None else FREE
-        held = own.support.on_shafts
-        each.append(held_contacts(own, threshold, control, *given) if held else _contacts(own, control, *given))
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *each)
+    return jax.vmap(lambda *at: _step(known, unit, noise is not None, *at))(*each)
 
 
 _contacts_now = Program(_contacts)
 
 
-def _step(known: Instrument, noisy: bool, drive, reaction, deviation, pose, leans) -> Step:
+def _step(known: Instrument | HeldInstrument, unit: Units, noisy: bool, drive, *measured) -> Step:
     """Contacts of all whiskers at one step, computed without dimensions and given in the sensor's units."""
-    flexibility = known.flexibility if pose is None else jnp.zeros_like(known.flexibility)
-    signals = _sorted_signals(flexibility, FREE if noisy else EXACTLY_FREE, reaction, deviation, pose)
-    observed = _observations(known, flexibility, drive, signals, deviation)
-    located = each_whisker(known.section, locate, leans, *observed)
-    ok = signals.touching & located.near.ok
-
-    reactions = jnp.where(ok[:, None], located.values[:, REACTION], signals.measured)
-    bases = _base_poses(known, flexibility, drive, reactions) if signals.pose is None else signals.pose
-    bases = bases.at[:, 2].set(jnp.where(ok, located.values[:, 7], bases[:, 2]))
-    covariance = _covariance(located, flexibility, drive[2], jnp.where(ok[:, None], deviation, 0.0))
-
-    def where_ok(values):
-        return jnp.where(jnp.reshape(ok, (ok.size, *[1] * (values.ndim - 1))), values, jnp.nan)
-
-    length, if_noisy = known.unit.length, 1.0 if noisy else jnp.nan
-    sizes = jnp.stack([length, length, 1.0, length])
-    at_base = jnp.where(signals.missing[:, None], jnp.nan, bases * sizes[:3])
+    signals, significance = _sorted_signals(known, FREE if noisy else EXACTLY_FREE, drive, *measured)
+    found, if_noisy = known.contacts(drive, signals), 1.0 if noisy else jnp.nan
+    sizes = jnp.stack([unit.length, unit.length, 1.0, unit.length])
+    values = (found.values * jnp.concatenate([sizes, sizes[:3], jnp.stack([unit.force])])).T
+    at_base = jnp.where(signals.missing, jnp.nan, values[4:7])
+    values, ok = jnp.where(found.ok, values, jnp.nan), found.ok
     codes = [PointStatus.missing, PointStatus.free, PointStatus.failed]
     return Step(
-        x=where_ok(bases[:, 0] + located.values[:, 0]) * length,
-        y=where_ok(bases[:, 1] + located.values[:, 1]) * length,
-        slope=where_ok(located.values[:, 2]),
-        arc=where_ok(located.values[:, 3]) * length,
-        force=where_ok(located.near.z[:, 0]) * known.unit.force,
-        phase=jnp.where(ok, jnp.where(located.near.tip, Phase.tip, Phase.tangential), Phase.free),
-        base_x=at_base[:, 0],
-        base_y=at_base[:, 1],
-        base_angle=at_base[:, 2],
-        chi2=where_ok(located.near.chi2) * if_noisy,
-        significance=jnp.where(signals.missing, jnp.nan, jnp.sqrt(signals.significance)) * if_noisy,
+        *values[:4],
+        force=values[7],
+        phase=jnp.where(ok, jnp.where(found.tip, Phase.tip, Phase.tangential), Phase.free),
+        base_x=at_base[0],
+        base_y=at_base[1],
+        base_angle=at_base[2],
+        chi2=jnp.where(ok, found.chi2, jnp.nan) * if_noisy,
+        significance=jnp.where(signals.missing, jnp.nan, jnp.sqrt(significance)) * if_noisy,
         status=jnp.select([signals.missing, ~signals.touching, ~ok], codes, PointStatus.ok),
-        covariance=where_ok(covariance + located.ambiguous) * sizes[:, None] * sizes * if_noisy,
+        covariance=jnp.where(ok[:, None, None], found.covariance, jnp.nan) * sizes[:, None] * sizes * if_noisy,
     )
 
 
-class _Signals(NamedTuple):
-    """The signals of one step, sorted by what they show; every field (whiskers, ...)."""
-
-    missing: Bool[Array, " whiskers"]
-    touching: Bool[Array, " whiskers"]
-    significance: Float[Array, " whiskers"]  # chi-squared of no contact
-    measured: Float[Array, "whiskers 3"]  # 0 where missing; below the noise, they still move other whiskers' bases
-    pose: Float[Array, "whiskers 3"] | None  # 0 where missing
-
-
-def _sorted_signals(flexibility, threshold: float, reaction, deviation, pose) -> _Signals:
+def _sorted_signals(known: Instrument | HeldInstrument, threshold: float, drive, reaction, deviation, pose, lean):
+    """The signals of one step, and the chi-squared of no contact."""
     missing = jnp.any(jnp.isnan(reaction), axis=-1)
     if pose is None:
         # The position of a base depends on the loads on all whiskers that it is coupled to.
-        coupled = jnp.any(flexibility != 0, axis=(1, 3))
-        missing = missing | jnp.any(coupled & missing, axis=-1)
+        missing = missing | jnp.any(known.coupled & missing, axis=-1)
     else:
         missing = missing | jnp.any(jnp.isnan(pose), axis=-1)
-        pose = jnp.where(missing[:, None], 0.0, pose)
-    present = jnp.where(missing[:, None], PLACEHOLDER, reaction)
-    significance = jnp.sum((present / jnp.where(missing[:, None], 1.0, deviation)) ** 2, axis=-1)
+        pose = jnp.where(missing[:, None], drive, pose)
+    loaded = reaction if known.unloaded is None else reaction - rotated(known.unloaded, drive[2])
+    loaded = jnp.where(missing[:, None], PLACEHOLDER, loaded)
+    significance = jnp.sum((loaded / jnp.where(missing[:, None], 1.0, deviation)) ** 2, axis=-1)
     touching = ~missing & ~(significance < threshold)
-    return _Signals(missing, touching, significance, jnp.where(missing[:, None], 0.0, reaction), pose)
-
-
-def _observations(known: Instrument, flexibility, drive, signals: _Signals, deviation) -> tuple:
-    """The fields of an Observation of every whisker, except the section."""
-    reaction = jnp.where(signals.touching[:, None], signals.measured, PLACEHOLDER)
-    loads = _rotate(-signals.measured, -drive[2])  # in the drive's frame
-    rotation = flexibility[:, 2]  # (whiskers, whiskers, 3): of every base by all loads
-    own = jnp.eye(known.length.size, dtype=bool)
-    by_others = jnp.sum(jnp.where(own[:, :, None], 0.0, rotation * loads), axis=(1, 2))
-    angle = drive[2] + known.rest[:, 2] + by_others if signals.pose is None else signals.pose[:, 2]
-    twist = jnp.sum(jnp.where(own, rotation[:, :, 2], 0.0), axis=1)
-    weight = 1 / jnp.where(signals.touching[:, None], deviation, 1.0)
-    side = jnp.where(reaction[:, 2] < 0, -1.0, 1.0)
-    return reaction, weight, angle, twist, side, known.length, known.stiffness
-
-
-def _base_poses(known: Instrument, flexibility, drive, reactions) -> Float[Array, "whiskers 3"]:
-    """Poses of the bases that follow from drive, mounts and springs under these reactions."""
-    loads = _rotate(-reactions, -drive[2])
-    return drive + _rotate(known.rest + jnp.sum(flexibility * loads, axis=(2, 3)), drive[2])
-
-
-def _rotate(vectors: Float[Array, "*batch 3"], angle: Scalar) -> Float[Array, "*batch 3"]:
-    """Rotate forces with moments, or shifts with angles, counter-clockwise."""
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
-    x, y, rest = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    return jnp.stack([cos * x - sin * y, sin * x + cos * y, rest], axis=-1)
-
-
-def _covariance(located: LocatedContact, flexibility, drive_angle: Scalar, deviation) -> Float[Array, "whiskers 4 4"]:
-    """Covariance of x, y, slope and arc from the noise of all whiskers; a whisker with zero deviation adds nothing."""
-    others = ~jnp.eye(deviation.shape[0], dtype=bool)[:, :, None]
-    # Derivatives with respect to the reactions of all whiskers: of base angles, (j, k, 1, 3), and of z and angle.
-    angle = jnp.where(others, -_rotate(flexibility[:, 2], drive_angle), 0.0)[:, :, None, :]
-    own = jnp.where(others[..., None], 0.0, located.follows[:, None, :, :3])
-    z_angle = jnp.concatenate([own + located.follows[:, None, :, 3:] * angle, angle], axis=2)
-    out = jnp.sum(located.by_z_angle[:, None, :7, :, None] * z_angle[:, :, None, :, :], axis=3)  # (j, k, 7, 3)
-
-    def rotate_rows(matrices, angle):
-        return jnp.swapaxes(_rotate(jnp.swapaxes(matrices, 2, 3), angle), 2, 3)
-
-    # The bases move under all loads, which are the negative reactions.
-    loads = jnp.swapaxes(rotate_rows(-out[:, :, 4:7], -drive_angle), 0, 1)  # (k, j, 3, 3)
-    moved = jnp.sum(flexibility[:, None, :, :, :, None] * loads[None, :, None], axis=(3, 4))
-    out = out[:, :, :4].at[:, :, :2].add(rotate_rows(moved, drive_angle)[:, :, :2]) * deviation[None, :, None, :]
-    return jnp.sum(out[:, :, :, None, :] * out[:, :, None, :, :], axis=(1, 4))
+    measured = jnp.where(missing[:, None], 0.0, reaction)
+    fitted = jnp.where(touching[:, None], measured, PLACEHOLDER)
+    weight = 1 / jnp.where(touching[:, None], deviation, 1.0)
+    return Signals(missing, touching, measured, deviation, fitted, weight, pose, lean), significance

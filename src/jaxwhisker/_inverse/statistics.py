@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxwhisker._base.types import NamedInt
 
@@ -38,6 +39,23 @@ def chi_squared(whitened: np.ndarray) -> float:
 def is_plausible(chi2: float, degrees: int) -> bool:
     """Whether noise explains a sum of squares with this number of degrees of freedom."""
     return bool(chi2 < degrees + DEVIATIONS * math.sqrt(2 * max(degrees, 1)))
+
+
+def noise_of_residuals(
+    off: np.ndarray, known: np.ndarray, unknowns: int, least: np.ndarray
+) -> Float[np.ndarray, " kinds"]:
+    """Standard deviation of the noise of each kind of signal, estimated from the residuals of a fit.
+
+    Args:
+        off: residuals, (..., kinds).
+        known: which of them are compared, (..., kinds).
+        unknowns: number of fitted parameters, which all kinds share.
+        least: least estimate of each kind, (kinds,). The estimate of a kind without residuals is 1.
+    """
+    axes = tuple(range(off.ndim - 1))
+    count, squares = known.sum(axis=axes), np.sum(np.where(known, off, 0.0) ** 2, axis=axes)
+    noise = np.sqrt(count.sum() / max(1, count.sum() - unknowns) * squares / np.maximum(count, 1))
+    return np.where(count > 0, np.maximum(noise, least), 1.0)
 
 
 def correlation(covariance: np.ndarray) -> np.ndarray:

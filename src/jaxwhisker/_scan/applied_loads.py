@@ -1,5 +1,6 @@
 """Given loads on a whisker, in the form in which `deflect` walks past them."""
 
+from functools import reduce
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -10,6 +11,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
+from jaxwhisker._rod.foundation import Density
 from jaxwhisker._rod.rod import at_arc
 
 Given: TypeAlias = tuple[PointForce | PointMoment | LineLoad, ...]
@@ -95,6 +97,16 @@ def lines_of(whisker: Whisker, loads: Given) -> tuple[Line, ...]:
             start = jnp.asarray(load.start / length, dtype=float)
             lines.append(Line(load, start, stop, length, stiffness / length**3))
     return tuple(lines)
+
+
+def density_of(lines: tuple[Line, ...], start: Scalar, stop: Scalar, factor: Scalar = 1.0) -> Density | None:
+    """Force per length of `factor` times all line loads between two arc lengths; None without any."""
+
+    def density(x: Scalar, y: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
+        total = reduce(jnp.add, (factor * line.between(start, stop) * line.density(s) for line in lines))
+        return total[0], total[1]
+
+    return density if lines else None
 
 
 def with_load(total: rod.Load, load: Loads, state: rod.RodState, factor: Scalar) -> rod.Load:

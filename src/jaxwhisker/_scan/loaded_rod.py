@@ -19,15 +19,14 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.attach import attached
 from jaxwhisker._equilibrium.dimensionless import sections
-from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, past, stretched
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, past, stretched, to_next
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
-from jaxwhisker._rod.foundation import integrate_on
 from jaxwhisker._rod.rod import Section
-from jaxwhisker._scan.applied_loads import Given, Line, Loads, lines_of, sorted_loads, with_load
+from jaxwhisker._scan.applied_loads import Given, Line, Loads, density_of, lines_of, sorted_loads, with_load
 
 ROD_STEPS = 32  # of the rod between two places
 CHECKED = 17  # points on a stretch at which stability is checked
@@ -140,6 +139,7 @@ def _walk(
         State and load at the end of the walk; states and loads at the further points and the base, and at the springs.
     """
     loads, held_by = rods.loads, None if rods.held_by is None else rods.held_by.weakened(share)
+    tissue = None if held_by is None else held_by.tissue
     # Of places that coincide, the load comes before points below it, and springs come last: what the shaft carries at
     # its base excludes those at the base and below.
     ends = [end for line in rods.lines for end in (line.start, line.stop)]
@@ -167,7 +167,8 @@ def _walk(
 
     def piece(carry, place):
         (state, load, s), stop = carry, jnp.maximum(place.at, 0.0)
-        state, load = _to_next(rods, held_by, (state, load), s, stop, factor, steps)
+        given = density_of(rods.lines, s, stop, factor)
+        state, load = to_next(state, load, s, stop, rods.section, tissue, DRIVE, steps=steps, given=given)
         here = tuple(map(jnp.asarray, state)), load
         return (state, behind(load, state, place), stop), here
 
@@ -178,30 +179,6 @@ def _walk(
     rank = jnp.argsort(order)
     at_points, at_springs = (jax.tree.map(lambda leaf, k=k: leaf[rank[k]], passed) for k in (points, sprung))
     return (end, load), at_points, at_springs
-
-
-def _to_next(
-    rods: LoadedRod,
-    held_by: Attachments | None,
-    here: tuple[rod.RodState, rod.Load],
-    s: Scalar,
-    stop: Scalar,
-    factor: Scalar,
-    steps: int,
-) -> tuple[rod.RodState, rod.Load]:
-    """State of the rod and the load on it at the next place; a foundation or line load holds for all of it or none."""
-    state, load = here
-    tissue = None if held_by is None else held_by.tissue
-    if tissue is None and not rods.lines:
-        return rod.integrate(state, s - stop, load, rods.section, steps=steps, from_base=s), load
-
-    def density(x: Scalar, y: Scalar, along: Scalar):
-        total = [factor * line.between(s, stop) * line.density(along) for line in rods.lines]
-        if tissue is not None:
-            total.append(tissue.share((s + stop) / 2) * jnp.stack(tissue.density(DRIVE, x, y, along)))
-        return tuple(sum(total[1:], total[0]))
-
-    return integrate_on(state, load, s - stop, rods.section, density, steps=steps, from_base=s)
 
 
 def _about(x: Scalar, y: Scalar, load: rod.Load) -> Float[Array, "3"]:

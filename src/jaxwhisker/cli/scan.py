@@ -71,7 +71,9 @@ def run_scan(args: argparse.Namespace) -> int:
         if None not in (args.lateral_curvature, args.drive_speed):
             raise ValueError("--lateral-curvature belongs to scans, and --drive-speed to motions in time: choose one.")
         result = run_of(args)
-        losses = None if args.lateral_curvature is None else np.asarray(lateral_loss(result, args.lateral_curvature))
+        losses = None
+        if args.lateral_curvature is not None and isinstance(result, Result):
+            losses = np.asarray(lateral_loss(result, args.lateral_curvature))
     if touches_object(result):
         units = args.units
         events = event_table(result, units) if isinstance(result, Result) else timed_event_table(result, units)
