@@ -69,6 +69,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = items[first:] + items[:first]
 
 
+WORKER = 3e9  # bytes that a worker may need
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker per core, as far as the memory allows."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # on other systems
+        memory = cores * WORKER
+    return max(1, min(cores, int(memory / WORKER)))
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Let intentionally wrong input reach the library's own checks, and start no long test too late."""
     if item.get_closest_marker("long") and time.time() > LAST_START:

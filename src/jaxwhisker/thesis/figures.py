@@ -12,6 +12,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.transforms import Bbox
 
 from jaxwhisker import plot
+from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.export import columns
 from jaxwhisker._scan.report import write_columns
 from jaxwhisker._scan.result import Result
@@ -98,7 +99,8 @@ class States:
 class Signals:
     """Quantities of several scans over the drive position: one row per quantity, one column per whisker or spring.
 
-    All whiskers of a single scan share one column.
+    All whiskers of a single scan share one column. Where whiskers of the plane model would leave it, beyond the vertex,
+    panels are shaded.
     """
 
     cases: Mapping[str, Case]
@@ -124,6 +126,9 @@ class Signals:
             if row == 0 and len(indices) > 1:
                 ax.set_title(f"{'spring' if lengths else 'whisker'} {index}", fontsize=9)
             ax.set_xlim(low, high)
+            if not lengths:
+                last = np.array([_vertices(results, whisker) for whisker in (self.indices if together else [index])])
+                plot.lateral_losses(next(iter(results.values())), last, axs=[ax])
             ax.set_xlabel(ax.get_xlabel() if row == rows - 1 else "")
             ax.set_ylabel(ax.get_ylabel() if column == 0 else "")
         handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -217,6 +222,12 @@ def _control_of(result: Result, which: EventOf) -> float:
     if event is None:
         raise RuntimeError(f"The scan of {result.scene} must have a {which[0]} of whisker {which[1]}, got none.")
     return event.control
+
+
+def _vertices(results: Results, whisker: int) -> float:
+    """The drive position beyond which a whisker needs lateral guidance in all scans: the last vertex; NaN without."""
+    found = [event.control for result in results.values() for event in result.events.of(EventKind.vertex, whisker)]
+    return min(found, default=np.nan)
 
 
 def _arrange(canvas: Canvas, width: float, panel: float, rows: int, head: float, between: float = 0.1) -> None:
