@@ -27,6 +27,10 @@ whiskers (FBFBFBR). On this page you can compare the tables, figures and claims 
 computes. `python figures/thesis.py` writes it. `make demo` or `jaxwhisker reproduce` writes all results with pictures
 and data to `out/`. [When is statics enough?](when_statics_is_enough.md) examines where the differences between its
 quasi-static and its multi-body model come from.
+
+All models are plane. A straight whisker past an object that is flat across the plane leaves it at the vertex, unless
+something guides it ([out of the plane](mechanics.md#out-of-the-plane)). The thesis does not mention this. What needs
+lateral guidance is shaded in the figures of reactions.
 """
 CLAIMS_ABOUT = """
 These are the claims of chapter 6 in the order of the thesis, after the limit that bounds them. A claim that holds "in

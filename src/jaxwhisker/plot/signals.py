@@ -247,7 +247,8 @@ def lateral_losses(
 ) -> np.ndarray:
     """Mark in drawn signals where whiskers leave the plane of the scan, unless something guides them.
 
-    A dotted line marks the loss of each whisker in its colour, and the range beyond the first one is shaded.
+    A dotted line marks the loss of each whisker, in its colour if there are several, and the range beyond the first one
+    is shaded.
 
     Args:
         result: of `scan`.
@@ -267,7 +268,9 @@ def lateral_losses(
     for ax in axes:
         limits = ax.get_xlim()
         for k in np.flatnonzero(np.isfinite(places)):
-            ax.axvline(places[k], color=colour(int(k)), linestyle=":", linewidth=1.2)
+            # With one whisker, colours may distinguish scans.
+            own = colour(int(k)) if places.size > 1 else "0.35"
+            ax.axvline(places[k], color=own, linestyle=":", linewidth=1.2)
         if np.isfinite(places).any():
             end, beyond = (limits[0], np.nanmax(places)) if last < first else (limits[1], np.nanmin(places))
             ax.axvspan(beyond, end, color=GREY, alpha=0.15, linewidth=0, zorder=0)
