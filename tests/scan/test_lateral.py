@@ -93,6 +93,22 @@ def test_intrinsic_curvature_moves_the_loss(curvature, position):
     np.testing.assert_allclose(jw.lateral_loss(result, torsion_ratio=2 / 3), [position], atol=5e-4)
 
 
+@pytest.mark.parametrize("curvature", [None, 0.4])
+def test_losses_do_not_depend_on_units(curvature):
+    # A whisker of 2 mm with EI = 3e-9 N m^2, curved or straight, on springs across the plane.
+    length, stiffness = 2e-3, 3e-9
+
+    def loss(length, stiffness):
+        bent = None if curvature is None else curvature / length
+        whisker = jw.Whisker(length=length, bending_stiffness=stiffness, intrinsic_curvature=bent)
+        profile = jw.Circle(0.3 * length, length)
+        held = {"lateral_stiffness": 9.0 * stiffness / length**3, "tilt_stiffness": 7.0 * stiffness / length}
+        result = scanned(jw.Support(), whisker, profile, CONTROL * length)
+        return jw.lateral_loss(result, 0.25 / length, **held) / length
+
+    np.testing.assert_allclose(loss(length, stiffness), loss(1.0, 1.0), rtol=1e-9)
+
+
 def test_a_whisker_that_is_laterally_flat_is_lost_at_the_vertex():
     # Whatever its taper, the support and the profile: the force must push the contact back.
     whisker = jw.Whisker(bending_stiffness=lambda s: (1 - 0.6 * s) ** 4)

@@ -46,12 +46,12 @@ from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.springs import at_base
 from jaxwhisker._scan.state import State, material, state_of
 
-DEGREE = 16  # of the polynomials for phi_x and phi_y: k is exact to about 1e-11 for a curvature of 1 / L
+DEGREE = 16  # of the polynomials for phi_x and phi_y: k is exact to 1e-8
 POINTS, WEIGHTS = gauss(2 * DEGREE)
 RATES, TURNS = np.array(legendre(POINTS, DEGREE)), np.array(legendre_integrals(POINTS, DEGREE))
-HELD = 1e8  # stiffness, in the largest one of the whisker, that holds the contact
+HELD = 1e8  # stiffness, relative to the largest one of the whisker, that holds the contact
 ITERATIONS = 12  # from two steps of a scan to the exact drive position of a loss, corners included
-MISS = 1e-7  # largest excess there, 1 / length; mostly the last one is its square
+MISS = 1e-7  # largest excess of curvature there, in 1 / L; that of the last iteration is mostly its square
 LIGHT = 1e-6  # force, in EI / L^2, below which whiskers hardly bend: k, a ratio of both, is not known accurately
 POISSON_RATIO = 0.3
 
@@ -165,18 +165,22 @@ def lateral_loss(
             return _excess_now(scene.whiskers, state_of(scan(scene, way)), lateral)[first + 1, k]
 
         ends = jax.lax.stop_gradient(control)[first], jax.lax.stop_gradient(control)[first + 1]
-        u, missed = _zero(lambda u: excess(u, still_scene, still_lateral), ends, (now[first, k], now[first + 1, k]))
+        miss, values = MISS / still_scene.whiskers[k].length, (now[first, k], now[first + 1, k])
+        u, missed = _zero(lambda u: excess(u, still_scene, still_lateral), ends, values, MISS * miss)
         if checks.is_traced((scene, lateral)):
             _, slope = jax.jvp(lambda u: excess(u, still_scene, still_lateral), (u,), (jnp.ones(()),))
             u -= excess(u, scene, lateral) / slope
-        found.append(jnp.where(jnp.any(lost) & (jnp.abs(missed) < MISS), u, jnp.nan))
+        found.append(jnp.where(jnp.any(lost) & (jnp.abs(missed) < miss), u, jnp.nan))
     return jnp.stack(found)
 
 
 def _zero(
-    function: Callable[[Scalar], Scalar], ends: tuple[Scalar, Scalar], values: tuple[Scalar, Scalar]
+    function: Callable[[Scalar], Scalar], ends: tuple[Scalar, Scalar], values: tuple[Scalar, Scalar], enough: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """A zero between two ends by the Illinois method, and the value there: changes of phase make corners."""
+    """A zero between two ends by the Illinois method, and the value there: changes of phase make corners.
+
+    A smaller value than `enough` ends the iterations early, outside a jit.
+    """
 
     def step(_, points):
         (a, at_a), (b, at_b) = points
@@ -193,7 +197,7 @@ def _zero(
     else:
         for k in range(ITERATIONS):
             points = step(k, points)
-            if jnp.abs(points[1][1]) < MISS**2:
+            if jnp.abs(points[1][1]) < enough:
                 break
     return points[1]
 
@@ -290,9 +294,10 @@ def _of_curved(whisker: Whisker, at: Contact, lateral: Lateral) -> tuple[Scalar,
     force_x, force_y = -at.fx, -at.fy
     moment = (at.contact_x - x) * force_y - (at.contact_y - y) * force_x
     stiffness = jax.vmap(whisker.stiffness_at)(arc * POINTS)
-    # Unknowns: the tilt, in the energy's unit, and the coefficients of phi_x and phi_y, which vanish at the base.
+    # Unknowns, all in one unit of energy: the tilt, and the coefficients of phi_x and phi_y, which vanish at the base.
+    energy = whisker.base_stiffness / whisker.length
     base_cos, base_sin = jnp.cos(at.base_angle), jnp.sin(at.base_angle)
-    softness = jnp.sqrt(1 / lateral.tilt_stiffness)
+    softness = jnp.sqrt(energy / lateral.tilt_stiffness)
     none = jnp.zeros((n, POINTS.size))
     one = jnp.ones((1, POINTS.size))
     phi_x = jnp.concatenate([softness * base_cos * one, arc * TURNS, none])
@@ -310,12 +315,12 @@ def _of_curved(whisker: Whisker, at: Contact, lateral: Lateral) -> tuple[Scalar,
     form += products((force_x * cos + force_y * sin) * phi_x, phi_x)
     form += products((force_x * cos + force_y * sin) * phi_y, phi_y)
     mixed = products(moment * phi_x, rate_y) - products(moment * phi_y, rate_x) + products(force, tangent)
-    form -= (mixed + mixed.T) / 2
+    form = (form - (mixed + mixed.T) / 2) / energy
     form = form.at[0, 0].add(jnp.where(softness > 0, 1.0, jnp.max(jnp.abs(form))))
     sideways = jnp.sum(weights * (phi_x * sin - phi_y * cos), axis=-1)
-    compliance = jnp.sum(sideways * solve(form, sideways[:, None])[:, 0]) + 1 / lateral.stiffness
-    base = jnp.sqrt(1 / lateral.stiffness)
+    compliance = jnp.sum(sideways * solve(form, sideways[:, None])[:, 0]) / energy + 1 / lateral.stiffness
     # The base's displacement is a spring of its own, in series.
+    base = jnp.sqrt(energy / lateral.stiffness)
     whole = jnp.zeros((2 * n + 2, 2 * n + 2)).at[:-1, :-1].set(form).at[-1, -1].set(1.0)
     motion = jnp.append(sideways, base)
     holding = HELD * jnp.max(jnp.abs(form)) / jnp.sum(motion**2)
