@@ -110,7 +110,7 @@ class Event(abc.ABC):
         return jnp.zeros_like(moving.state.side)
 
     def limit(self, problem: Problem, z: Contacts, ends: Ends | None) -> PerWhisker | None:
-        """Value of the number of the contact named in `of_contact` at which it happens, unless that is 0."""
+        """Value of the contact's second number, parameter or lean, at which it happens."""
         del problem, z, ends
 
     def piece(self, state: ContactState, first: FirstTouch) -> Int[Array, " whiskers"] | None:
@@ -369,8 +369,8 @@ def condition_of(facts: Facts, whiskers: Which, like: Contacts, limit: PerWhiske
         u0: the control of a stop.
     """
     none, one = jnp.zeros_like(like), whiskers.astype(float)
+    z0 = none if limit is None else none.at[:, PARAMETER].set(jnp.where(whiskers, limit, 0.0))
     weight = none.at[:, :3].set(one[:, None] * facts.of_contact)
-    z0 = none if limit is None else weight * jnp.where(whiskers, limit, 0.0)[:, None]
     return PathCondition(weight, z0, facts.of_control, u0, one * facts.of_slope)
 
 
