@@ -83,7 +83,7 @@ def of_scan(function, name="FB"):
     return traced(function, jax.tree.map(jnp.asarray, model(name)))
 
 
-@pytest.mark.parametrize(("name", "most"), [("clamped", 6920), ("FB", 7250), ("FBFB", 7600)])
+@pytest.mark.parametrize(("name", "most"), [("clamped", 6700), ("FB", 6750), ("FBFB", 7050)])
 def test_a_scan_has_a_limited_number_of_operations(name, most):
     # Half of the operations of an FB scan are decisions of the march. A change that adds many needs a reason.
     # jax 0.12 traces a scan to a tenth fewer operations than jax 0.10.
