@@ -280,7 +280,7 @@ def _of_straight(whisker: Whisker, at: Contact, lateral: Lateral) -> tuple[Scala
     tilt = across + yields * along * moment
     total = rho + moment**2 * yields / tilt + across / lateral.stiffness
     # Of springs in series, one may be negative if the contact is held, and if the others are softer.
-    negative = (across * rho < 0).astype(int) + (tilt * across < 0)
+    negative = jnp.where(across * rho < 0, 1, 0) + jnp.where(tilt * across < 0, 1, 0)
     return across / total, (negative == 0) | ((negative == 1) & (across * total < 0))
 
 
@@ -293,7 +293,7 @@ def _of_curved(whisker: Whisker, at: Contact, lateral: Lateral) -> tuple[Scalar,
     x, y, cos, sin = (values[1:] for values in states)
     force_x, force_y = -at.fx, -at.fy
     moment = (at.contact_x - x) * force_y - (at.contact_y - y) * force_x
-    stiffness = jax.vmap(whisker.stiffness_at)(arc * POINTS)
+    stiffness = jax.vmap(whisker.stiffness_at)(jnp.asarray(arc * POINTS))
     # Unknowns, all in one unit of energy: the tilt, and the coefficients of phi_x and phi_y, which vanish at the base.
     energy = whisker.base_stiffness / whisker.length
     base_cos, base_sin = jnp.cos(at.base_angle), jnp.sin(at.base_angle)
