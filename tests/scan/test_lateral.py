@@ -130,6 +130,32 @@ def test_an_object_of_revolution_is_lost_on_the_axis():
     np.testing.assert_allclose(jw.lateral_loss(result, Parallel()), [0.0], atol=1e-9)
 
 
+def test_a_plain_function_of_the_contact_point_is_a_curvature():
+    result = scanned(jw.Support())
+    given = jw.lateral_loss(result, 0.25)
+    np.testing.assert_array_equal(jw.lateral_loss(result, lambda x, y: 0.25 + 0.0 * x * y), given)
+
+
+@pytest.mark.parametrize("tilt_stiffness", [np.inf, 7.0])
+def test_a_level_face_has_the_stiffness_of_nearly_level_ones(tilt_stiffness):
+    # The force has no part across the base; the formula of springs in series holds beside it.
+    rho, h, along, c = 0.5, 0.4, -5.0, 20.0
+    scene = jw.Scene(jw.Whisker(), CIRCLE, jw.Support())
+    given = lateral._checked(scene, 0.0, c, tilt_stiffness, 0.7)
+
+    def stiffness(across):
+        at = lateral.Contact(0.0, 0.0, 0.0, -across, -along, rho * along - h * across, rho, h, 0.9)
+        return float(lateral._of_straight(scene.whiskers[0], jax.tree.map(jnp.asarray, at), given)[0])
+
+    def series(across):
+        a = h - rho * along / across
+        return 1 / (rho / across + 1 / c + a**2 / (tilt_stiffness + along * a))
+
+    near = [series(1e-6), series(-1e-6)]
+    np.testing.assert_allclose([stiffness(1e-6), stiffness(-1e-6)], near, rtol=1e-8)
+    np.testing.assert_allclose(stiffness(0.0), np.mean(near), atol=1e-9)
+
+
 def test_free_whiskers_are_stable_and_failed_steps_are_nan():
     result = scanned(jw.Support())
     stability = jw.lateral_stability(result, 0.5)
@@ -204,6 +230,9 @@ def test_margins_work_in_batches_and_under_jit():
         ({"tilt_stiffness": -1.0}, "tilt_stiffness"),
         ({"torsion_ratio": np.inf}, "torsion_ratio"),
         ({"lateral_curvature": "flat"}, "lateral_curvature"),
+        ({"lateral_curvature": np.nan}, "lateral_curvature"),
+        ({"lateral_curvature": lambda x: x}, "lateral_curvature"),
+        ({"lateral_curvature": lambda x, y: (x, y)}, "lateral_curvature"),
     ],
 )
 @pytest.mark.unchecked

@@ -177,27 +177,29 @@ def count(name: str, value: Any, least: int = 1) -> None:
         fail(name, "a positive int" if least == 1 else f"an int of at least {least}", repr(value))
 
 
-def function(name: str, value: Any, returns: tuple[str, ...] = ()) -> None:
-    """Check that `value` is a function of one number that JAX can trace and that returns the right numbers.
+def function(name: str, value: Any, returns: tuple[str, ...] = (), *, given: int = 1) -> None:
+    """Check that `value` is a function of one or two numbers that JAX can trace and that returns the right numbers.
 
     Args:
         name: name of the argument.
-        value: the function; it is traced with one float and not evaluated.
+        value: the function; it is traced with floats and not evaluated.
         returns: names of the numbers that it must return as a sequence; empty for a single number.
+        given: how many numbers it is called with.
 
     Raises:
         ValueError: if `value` is not such a function.
     """
     result = f"({', '.join(returns)})" if returns else "one number"
-    allowed = f"a function that is called with one number and returns {result}"
+    allowed = f"a function that is called with {'one number' if given == 1 else 'two numbers'} and returns {result}"
     if not callable(value):
         fail(name, allowed, repr(value))
     called = getattr(value, "__name__", type(value).__name__)
-    if _mismatch(value, 0.0):
+    if _mismatch(value, *[0.0] * given):
         fail(name, allowed, f"{called}{inspect.signature(value)}")
     wrong = []  # filled during tracing, because results other than arrays cannot leave the trace
     try:
-        jax.eval_shape(lambda x: wrong.append(_wrong_result(value(x), returns)), jax.ShapeDtypeStruct((), float))
+        numbers = [jax.ShapeDtypeStruct((), float)] * given
+        jax.eval_shape(lambda *x: wrong.append(_wrong_result(value(*x), returns)), *numbers)
     except (TypeError, NonConcreteBooleanIndexError) as error:
         raise ValueError(
             f"`{name}` must be a function that JAX can trace, got {called}, which raised {type(error).__name__}. Use "

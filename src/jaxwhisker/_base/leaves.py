@@ -20,8 +20,8 @@ class PlainFunction(eqx.Module):
     # Static, because JAX can neither batch nor differentiate a plain function.
     function: Callable = eqx.field(static=True)
 
-    def __call__(self, x):
-        return self.function(x)
+    def __call__(self, *numbers):
+        return self.function(*numbers)
 
 
 def as_field(value: Any) -> Any:

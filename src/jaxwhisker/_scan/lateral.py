@@ -208,7 +208,9 @@ def _checked(scene: Scene, curvature, stiffness, tilt_stiffness, torsion_ratio) 
             "`result` must be that of a scene without springs or foundations on shafts, whose lateral stiffness is not "
             f"known, got {scene.support}."
         )
-    if not callable(curvature):
+    if callable(curvature):
+        checks.function("lateral_curvature", curvature, given=2)
+    else:
         checks.number("lateral_curvature", curvature)
     checks.number("lateral_stiffness", stiffness, positive=True, finite=False)
     checks.number("tilt_stiffness", tilt_stiffness, positive=True, finite=False)
@@ -276,12 +278,13 @@ def _of_straight(whisker: Whisker, at: Contact, lateral: Lateral) -> tuple[Scala
     del whisker
     rho, h, across, along = _in_base_frame(at)
     moment, yields = h * across - rho * along, 1 / lateral.tilt_stiffness
-    # The formula above, times the force across, which may vanish.
+    # The formula above, as one fraction: the force across vanishes on level faces.
     tilt = across + yields * along * moment
-    total = rho + moment**2 * yields / tilt + across / lateral.stiffness
+    total = rho + yields * h * moment + tilt / lateral.stiffness
     # Of springs in series, one may be negative if the contact is held, and if the others are softer.
-    negative = jnp.where(across * rho < 0, 1, 0) + jnp.where(tilt * across < 0, 1, 0)
-    return across / total, (negative == 0) | ((negative == 1) & (across * total < 0))
+    one = tilt * rho < 0
+    both = ~one & (across * rho < 0)
+    return tilt / total, ~both & (~one | (tilt * total < 0))
 
 
 def _of_curved(whisker: Whisker, at: Contact, lateral: Lateral) -> tuple[Scalar, Bool[Array, ""]]:
