@@ -282,9 +282,9 @@ def _of_straight(whisker: Whisker, at: Contact, lateral: Lateral) -> tuple[Scala
     tilt = across + yields * along * moment
     total = rho + yields * h * moment + tilt / lateral.stiffness
     # Of springs in series, one may be negative if the contact is held, and if the others are softer.
-    one = tilt * rho < 0
-    both = ~one & (across * rho < 0)
-    return tilt / total, ~both & (~one | (tilt * total < 0))
+    one = jnp.asarray(tilt * rho < 0)
+    both = ~one & jnp.asarray(across * rho < 0)
+    return tilt / total, ~both & (~one | jnp.asarray(tilt * total < 0))
 
 
 def _of_curved(whisker: Whisker, at: Contact, lateral: Lateral) -> tuple[Scalar, Bool[Array, ""]]:
