@@ -37,7 +37,7 @@ def results():
     made = [result, result.events, jw.shapes(result), jw.energy_balance(result), points, fit, contour]
     made += [jw.fit_profile(points, jw.Parabola), jw.information(fb, TRUTH, control=control, sigma=0.1)]
     heavy = jw.Whisker(mass_per_length=1.0)
-    made += [jw.deflect(jw.Whisker(), jw.PointForce(1.0)), jw.modes(heavy, 2)]
+    made += [jw.deflect(jw.Whisker(), jw.PointForce(1.0)), jw.modes(heavy, 2), jw.lateral_stability(result)]
     made += [jw.simulate(jw.Scene(heavy, jw.Parabola(0.2)), drive, 0.1, steps=4)]
     made += [jw.identify(lambda force, c: (jw.Whisker(bending_stiffness=c), jw.PointForce(force)), {"c": 1.0}, BENT)]
     made += [jw.study(fb, control=control, c=[50.0, 60.0], q=[0.27]), result.events[0], fit.profile("c", points=3)]
@@ -45,7 +45,7 @@ def results():
 
 
 TREES = {"Result", "Events", "Shapes", "EnergyBalance", "Reconstruction", "ProfileFit", "Deflection", "Modes"}
-TREES |= {"Simulation"}
+TREES |= {"Simulation", "LateralStability"}
 CLASSES = TREES | {"Fit", "BendingFit", "ContourFit", "Information", "Dataset", "Event", "LikelihoodProfile"}
 
 
