@@ -4,6 +4,8 @@ LAPACK is not used: with jax 0.10, two of its batched calls that run at the same
 With jax 0.12, no call in 59,000 did, but jax 0.10 is what Python 3.11 installs (docs/developing.md has the times).
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -65,15 +67,24 @@ def _with_pivot(
     return matrix[jnp.where(rows == k, pivot, jnp.where(rows == pivot, k, rows))], pivot != k
 
 
+def determinant(matrix: Float[Array, "n n"]) -> Float[Array, ""]:
+    """The determinant; 0 or NaN if the matrix is singular."""
+    return _product_of_pivots(matrix, lambda pivot: pivot)
+
+
 def sign_of_determinant(matrix: Float[Array, "n n"]) -> Float[Array, ""]:
     """1 or -1; 0 or NaN if the matrix is singular."""
+    return _product_of_pivots(matrix, jnp.sign)
+
+
+def _product_of_pivots(matrix: Float[Array, "n n"], factor: Callable[[Array], Array]) -> Float[Array, ""]:
     rows = jnp.arange(matrix.shape[0])
 
     def eliminate(k, carry):
-        (matrix, exchanged), sign = _with_pivot(carry[0], k), carry[1]
+        (matrix, exchanged), product = _with_pivot(carry[0], k), carry[1]
         below = jnp.where(rows > k, matrix[:, k] / matrix[k, k], 0.0)
-        sign *= jnp.where(exchanged, -1.0, 1.0) * jnp.sign(matrix[k, k])
-        return matrix - below[:, None] * matrix[k], sign
+        product *= jnp.where(exchanged, -1.0, 1.0) * factor(matrix[k, k])
+        return matrix - below[:, None] * matrix[k], product
 
     return jax.lax.fori_loop(0, rows.size, eliminate, (matrix, jnp.ones(())))[1]
 

@@ -1,0 +1,154 @@
+"""Signals in space: states of solved contacts in the scene's units, with their derivatives."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._base.implicit import solution_of
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._path.path import EventKind
+from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
+from jaxwhisker._space.contact import FORCE, ROLL, SLACK, UNKNOWNS, angle_and_arc, base_of, in_drive, on_surface
+from jaxwhisker._space.march import Node, SpacePath
+from jaxwhisker._space.newton import Phases
+from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
+from jaxwhisker._space.stance import base_placement
+
+EVENTS = 32  # events of one whisker that a scan has room for
+
+
+class Known(NamedTuple):
+    """What the equations of a point depend on, besides its unknowns."""
+
+    problem: SpaceProblem
+    u: Scalar  # the control, unless it is an unknown
+    phase: Phases
+    free: Contacts  # values of free whiskers
+
+
+def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> tuple[SpaceState, Scalar]:
+    """State of an equilibrium in the scene's units, and its largest residual."""
+    unit, touching = problem.unit, phase != Phase.free
+    drive = problem.drive(u)
+    residual, pose, base = _residuals(problem, z, u, phase, z)
+    placed = of_each(problem, lambda body, pose: base_placement(problem, drive, body.mount, pose), pose)
+    arc = of_each(problem, lambda body, z, phase: angle_and_arc(body, z, phase)[1], z, phase)
+    excess = jnp.where(phase == Phase.tip, z[:, SLACK], -z[:, SLACK])
+    wrong = jnp.where(touching, jnp.maximum(jnp.maximum(-z[:, FORCE], excess), 0.0), 0.0)
+
+    def if_touching(values: Array) -> Array:
+        return jnp.where(touching.reshape(touching.shape + (1,) * (values.ndim - 1)), values, 0.0)
+
+    force, moment = if_touching(-base.force).T * unit.force, if_touching(-base.moment).T * unit.moment
+    contact, at = if_touching(z[:, 3:6]).T * unit.length, placed.position.T * unit.length
+    state = SpaceState(
+        *force,
+        *moment,
+        *at,
+        placed.rotation,
+        if_touching(z[:, FORCE]) * unit.force,
+        if_touching(arc) * unit.length,
+        *contact,
+        phase,
+    )
+    return state, jnp.maximum(jnp.max(jnp.abs(residual)), jnp.max(wrong))
+
+
+def _residuals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, free: Contacts):
+    """Residuals of all equations, (whiskers, 9), coordinates of the bases, and the bases themselves."""
+    drive, rows = problem.drive(u), problem.rows
+    rates = problem.rod.for_rates()
+
+    def one(body, z, phase):
+        base = base_of(body, problem.surface, problem.rod, z, phase, rates)
+        return base, in_drive(base, drive, body.mount, z[ROLL]), on_surface(problem.surface, z)
+
+    base, inside, surface = of_each(problem, one, z, phase)
+    touching = (phase != Phase.free)[:, None]
+    pose, load = inside.pose, jnp.where(touching, inside.load, 0.0)
+    rest = jnp.zeros_like(pose)
+    if problem.springs is not None:
+        rest = rest.at[:, :rows].set(problem.springs.offset + problem.displacement(load[:, :rows]))
+    wrong = jnp.where(inside.upright, 0.0, jnp.inf)[:, None]
+    own = jnp.concatenate([pose - rest, surface + jax.lax.stop_gradient(wrong)], axis=1)
+    return jnp.where(touching, own, z - free), jnp.where(touching, pose, rest), base
+
+
+def _at_control(unknowns: Float[Array, " n"], known: Known) -> Float[Array, " n"]:
+    z = jnp.reshape(unknowns, (-1, UNKNOWNS))
+    return jnp.ravel(_residuals(known.problem, z, known.u, known.phase, known.free)[0])
+
+
+def solved(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Contacts:
+    """Solved contacts at a control, with their derivatives."""
+    still = jax.lax.stop_gradient(z)
+    unknowns = solution_of(_at_control, jnp.ravel(still), Known(problem, u, phase, still))
+    return jnp.reshape(unknowns, z.shape)
+
+
+class _KnownEvent(NamedTuple):
+    at: Known
+    weight: Contacts  # of the unknown that vanishes; if all are zero, the control is known
+
+
+def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, " n"]:
+    problem, u, phase, free = known.at
+    z = jnp.reshape(unknowns[:-1], (-1, UNKNOWNS))
+    residual = _residuals(problem, z, unknowns[-1], phase, free)[0]
+    by_control = jnp.all(known.weight == 0)
+    condition = jnp.where(by_control, unknowns[-1] - u, jnp.sum(known.weight * z))
+    return jnp.append(jnp.ravel(residual), condition)
+
+
+def events(problem: SpaceProblem, path: SpacePath) -> SpaceEvents:
+    """The events of a path, from where the drive has reached the first position of the control."""
+    nodes = path.nodes
+    room, n = nodes.whiskers.shape
+    index = jnp.arange(room)
+    reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
+    public = (nodes.kind >= 0) & reached & (index < path.count)
+    size = min(EVENTS * n, room)
+    at = jnp.nonzero(public, size=size, fill_value=0)[0]
+    filled = jnp.arange(size) < jnp.sum(public)
+
+    def one(k, filled):
+        node = jax.tree.map(lambda leaf: leaf[k], nodes)
+        return _event(problem, node, filled)
+
+    control, before, after = jax.vmap(one)(at, filled)
+
+    def where_filled(leaf):
+        keep = jnp.reshape(filled, (-1,) + (1,) * (leaf.ndim - 1))
+        return jnp.where(keep, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0)
+
+    return SpaceEvents(
+        kind=jnp.where(filled, nodes.kind[at], -1),
+        whiskers=nodes.whiskers[at] & filled[:, None],
+        control=where_filled(control * problem.unit.control),
+        before=jax.tree.map(where_filled, before),
+        after=jax.tree.map(where_filled, after),
+        count=jnp.sum(public),
+    )
+
+
+def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, SpaceState, SpaceState]:
+    """Control of an event, and the states before and after it, with derivatives."""
+    touch, concerned = node.kind == EventKind.touch, node.whiskers[:, None]
+    released = node.kind == EventKind.release
+    phase = jnp.where(touch, node.phase, node.phase_before)
+    phase = jnp.where(filled, phase, int(Phase.free))
+    column = jnp.where(touch | released, FORCE, SLACK)
+    known_control = ~filled | (node.kind < 0)
+    weight = jnp.where(concerned & ~known_control, (jnp.arange(UNKNOWNS) == column).astype(float), 0.0)
+    z = jax.lax.stop_gradient(node.point.z)
+    u = jax.lax.stop_gradient(node.point.u)
+    at = Known(problem, u, phase, z)
+    unknowns = solution_of(_at_event, jnp.append(jnp.ravel(z), u), _KnownEvent(at, weight))
+    z, u = jnp.reshape(unknowns[:-1], z.shape), unknowns[-1]
+    before = jnp.where(filled, node.phase_before, int(Phase.free))
+    after = jnp.where(filled, node.phase, int(Phase.free))
+    return u, signals(problem, z, u, before)[0], signals(problem, z, u, after)[0]

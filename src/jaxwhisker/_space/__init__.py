@@ -1,0 +1,1 @@
+"""Scans in space: contact, equilibrium and path of whiskers on surfaces."""

@@ -1,0 +1,73 @@
+"""Approach in space: where a scan begins, and where it ends if nothing happens.
+
+A drive that moves along a line comes from afar: it starts so far from the object that all whiskers are free and recede
+from it if the drive moves back. Other motions have a first and a last control.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._space.march import SpacePath
+from jaxwhisker._space.problem import SpaceProblem, of_each
+from jaxwhisker._space.stance import clearance
+
+MARGIN = 0.01  # of the default control before the first touch and after the last release, dimensionless
+DISTANCES = tuple(2.0**k for k in range(8))  # lengths
+
+
+class Limits(NamedTuple):
+    """Controls at which a scan right across the object begins and ends."""
+
+    start: Scalar
+    far: Scalar
+
+
+def limits_of(problem: SpaceProblem) -> Limits:
+    """The limits of a scan right across the object."""
+    if problem.ends is not None:
+        return Limits(*problem.ends)
+    middle = _beside(problem)
+    return Limits(_clear_of(problem, middle, -problem.onwards), _clear_of(problem, middle, problem.onwards))
+
+
+def start_before(problem: SpaceProblem, first_stop: Scalar) -> Scalar:
+    """A control, at or before the first stop, at which all whiskers are free."""
+    if problem.ends is not None:
+        return jnp.where(problem.onwards * (first_stop - problem.ends[0]) > 0, problem.ends[0], first_stop)
+    return _clear_of(problem, first_stop, -problem.onwards)
+
+
+def _beside(problem: SpaceProblem) -> Scalar:
+    """The control at which the bases are beside the middle of the object."""
+    def position(u):
+        return jnp.mean(problem.drive(u).position + problem.mount.position, axis=0)
+
+    zero = jnp.zeros(())
+    at, rate = jax.jvp(position, (zero,), (jnp.ones(()),))
+    return jnp.sum((problem.surface.centre() - at) * rate) / jnp.sum(rate**2)
+
+
+def _clear_of(problem: SpaceProblem, u: Scalar, way: Array) -> Scalar:
+    """The first of some controls, ever further in one direction, where whiskers are free and move away."""
+    places = u + way * jnp.array([0.0, *DISTANCES])
+    distance = jax.vmap(lambda u: clearance(problem, u))(places)
+    clear = (distance[:-1] > 0) & (distance[1:] > distance[:-1])
+    return jnp.where(jnp.any(clear), places[jnp.argmax(clear)], places[-1])
+
+
+def crop(problem: SpaceProblem, path: SpacePath, limits: Limits, whole: Array) -> tuple[SpacePath, Scalar, Scalar]:
+    """The path, and the first and last control at which whiskers touch on it, with a margin."""
+    nodes = path.nodes
+    known = (jnp.arange(nodes.kind.shape[0]) < path.count) & (jnp.any(nodes.phase != 0, axis=1) | (nodes.kind >= 0))
+    way = problem.onwards * nodes.point.u
+    some = jnp.any(known)
+    first = jnp.where(some, jnp.min(jnp.where(known, way, jnp.inf)) - MARGIN, problem.onwards * limits.start)
+    last = jnp.where(some, jnp.max(jnp.where(known, way, -jnp.inf)) + MARGIN, problem.onwards * limits.far)
+    first = jnp.maximum(first, problem.onwards * limits.start)
+    start, stop = problem.onwards * first, problem.onwards * last
+    travel = nodes.travel - jnp.where(whole, jnp.abs(start - limits.start), 0.0)
+    return path._replace(nodes=nodes._replace(travel=travel)), start, stop

@@ -1,0 +1,156 @@
+"""Contact of one whisker with a surface, and the pose of its base that follows.
+
+The unknowns of a contact are nine numbers: the contact force f, the roll of the whisker about its own axis there, the
+slack w, the contact point p, and the direction d in which the whisker runs along the surface, towards its tip. The point
+and the direction are vectors of space, which have no poles; three equations keep them on the surface:
+
+    G(p) = 0,    d.n = 0,    d.d = 1.
+
+The slack w tells the phase. In tip contact, w <= 0 and the tip points into the object at the angle chi = -w. In
+tangential contact, w >= 0 is the arc length from the contact to the tip. The rod is integrated from the contact to the
+base. Its end in the frame of the contact depends on force, angle, roll and arc length only.
+
+Straight round rods stay in the plane of their tangent and the force, whatever their torsional stiffness: they are
+computed as rods in that plane, and their roll is zero.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.rotation import left_jacobian, matrix_of, rotation_vector
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.drives import Placement
+from jaxwhisker._model.surface import AbstractSurface
+from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
+from jaxwhisker._rod.rod import Section
+from jaxwhisker._rod.space import SpaceSection, space_rod_end
+
+FORCE, ROLL, SLACK = 0, 1, 2
+POINT, AHEAD = slice(3, 6), slice(6, 9)
+UNKNOWNS = 9
+
+Vector = Float[Array, "3"]
+Contact = Float[Array, "9"]
+
+
+class Body(NamedTuple):
+    """A whisker, as the equations see it."""
+
+    length: Scalar
+    bending_stiffness: Scalar  # at the base
+    section: Section | SpaceSection | None  # None: uniform, straight and without torsion
+    mount: Placement  # in the frame of the drive
+
+
+class Base(NamedTuple):
+    """The base that belongs to a contact, in the frame of the scene."""
+
+    position: Vector
+    tangent: Vector  # of the whisker, there
+    rotation: Float[Array, "3 3"] | None  # of the body frame; None for a straight round rod
+    force: Vector  # of the object on the whisker
+    moment: Vector  # of that force about the base
+
+
+class InDrive(NamedTuple):
+    """Coordinates of a base in the frame of the drive, relative to its mount, and the load along each of them.
+
+    The coordinates are a displacement and a rotation vector. For a straight round whisker, whose base cannot turn, the
+    last three are the deviation of its tangent and its roll at the contact, all of which vanish.
+    """
+
+    pose: Float[Array, "6"]
+    load: Float[Array, "6"]
+    upright: Bool[Array, ""]  # whether the tangent points the way that the mount gives it
+
+
+def angle_and_arc(body: Body, z: Contact, phase: Int[Array, ""]) -> tuple[Scalar, Scalar]:
+    """Angle between whisker and surface at the contact, and arc length from the base to the contact."""
+    tip, slack = phase == Phase.tip, z[SLACK]
+    return jnp.where(tip, -slack, 0.0), jnp.where(tip, body.length, body.length - slack)
+
+
+def frame_of(surface: AbstractSurface, z: Contact) -> Float[Array, "3 3"]:
+    """The frame of the contact: along the surface towards the tip, across, and outwards; as columns."""
+    out = surface.normal(z[POINT])
+    ahead = z[AHEAD] - jnp.sum(z[AHEAD] * out) * out
+    ahead = ahead / jnp.sqrt(jnp.sum(ahead**2))
+    return jnp.stack([ahead, jnp.cross(out, ahead), out], axis=1)
+
+
+def base_of(
+    body: Body, surface: AbstractSurface, method: AbstractRod, z: Contact, phase: Int[Array, ""], rates: AbstractRod
+) -> Base:
+    """The base of a whisker in contact; the rod's derivatives are computed by `rates`."""
+    chi, arc = angle_and_arc(body, z, phase)
+    frame, force = frame_of(surface, z), z[FORCE]
+    ahead, _, out = frame.T
+    rotation = None
+    if isinstance(body.section, SpaceSection):
+        end = space_rod_end(force, arc, chi, z[ROLL], body.section, method, rates)
+        from_contact = _turned(frame, end[:3])
+        rotation = _product(frame, matrix_of(end[3:]))
+        tangent = rotation[:, 2]
+    else:
+        if body.section is None:
+            x, y, cos, sin = rod_end(force / body.bending_stiffness, arc, chi, method, rates)
+        else:
+            x, y, cos, sin = uneven_rod_end(force, arc, chi, body.section, method, rates)
+        from_contact, tangent = x * ahead - y * out, cos * ahead - sin * out
+    push = force * out
+    return Base(z[POINT] + from_contact, tangent, rotation, push, jnp.cross(-from_contact, push))
+
+
+def in_drive(base: Base, drive: Placement, mount: Placement, roll: Scalar) -> InDrive:
+    """Coordinates of a base and load on it, in the frame of the drive."""
+    back = drive.rotation.T
+    at = _turned(back, base.position - drive.position) - mount.position
+    force, moment = _turned(back, base.force), _turned(back, base.moment)
+    across = _turned(mount.rotation.T, _turned(back, base.tangent))
+    if base.rotation is None:
+        turn = jnp.stack([across[0], across[1], roll])
+    else:
+        turn = rotation_vector(_product(_product(back, base.rotation), mount.rotation.T))
+        moment = _turned(left_jacobian(turn).T, moment)
+    return InDrive(jnp.concatenate([at, turn]), jnp.concatenate([force, moment]), across[2] > 0)
+
+
+def on_surface(surface: AbstractSurface, z: Contact) -> Vector:
+    """Residuals of the equations that keep the contact point and the direction on the surface."""
+    ahead = z[AHEAD]
+    return jnp.stack([
+        surface.off(z[POINT]),
+        jnp.sum(ahead * surface.normal(z[POINT])),
+        (jnp.sum(ahead**2) - 1) / 2,
+    ])  # fmt: skip
+
+
+def spread(body: Body, surface: AbstractSurface, z: Contact, phase: Int[Array, ""]) -> Scalar:
+    """How fast whisker and surface part on both sides of a tangential contact: g_ss, a curvature.
+
+    Where it is not positive, the shaft curves more than the object, and one contact point becomes two. It is infinite
+    for a tip.
+    """
+    frame = frame_of(surface, z)
+    ahead, _, out = frame.T
+    own: Scalar = 0.0
+    if isinstance(body.section, SpaceSection):
+        _, arc = angle_and_arc(body, z, phase)
+        first, second = body.section.bending_curvature(arc)
+        cos, sin = jnp.cos(z[ROLL]), jnp.sin(z[ROLL])
+        own = -second * cos - first * sin  # n.d1 = -cos, n.d2 = sin: see rod/space.py
+    curved = jnp.sum(ahead * _turned(surface.curvature(z[POINT]), ahead))
+    return jnp.where(phase == Phase.tangential, own + curved, jnp.inf)
+
+
+def _turned(matrix: Float[Array, "3 3"], vector: Vector) -> Vector:
+    # Sums: XLA compiles small products of matrices in batches to slow loops.
+    return jnp.sum(matrix * vector, axis=1)
+
+
+def _product(a: Float[Array, "3 3"], b: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    return jnp.sum(a[:, :, None] * b, axis=1)

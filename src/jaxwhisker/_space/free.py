@@ -1,0 +1,108 @@
+"""Free whiskers: their unloaded shape, their distance from the surface, and the contact that begins where they touch.
+
+Distances are measured to first order, as G / |grad G|. For a convex function G this never exceeds the distance itself,
+and a drive that moves the whisker by less cannot miss the object.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._base.interpolation import Cubic
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.drives import Placement
+from jaxwhisker._model.surface import AbstractSurface
+from jaxwhisker._space.contact import Contact
+
+INTERVALS = 32  # of a whisker, at whose ends the distance is computed
+FINER, ROUNDS = 8, 3  # the interval around the least distance is divided so often; positions along it to 1e-6
+
+
+class Outline(NamedTuple):
+    """Shape of an unloaded whisker in the frame of its mount, at equidistant points from base to tip."""
+
+    position: Float[Array, "points 3"]
+    rotation: Float[Array, "points 3 3"]  # of the body frame; the last column is the tangent
+
+
+class Nearest(NamedTuple):
+    """The point of a free whisker that is nearest to the surface."""
+
+    distance: Scalar  # negative inside
+    contact: Contact  # that would begin there, without force
+    phase: Int[Array, ""]
+
+
+def in_scene(outline: Outline, base: Placement) -> Outline:
+    """The outline of a whisker whose mount is placed in the scene."""
+    rotation = base.rotation
+    position = base.position + jnp.sum(rotation * outline.position[:, None, :], axis=-1)
+    return Outline(position, jnp.sum(rotation[:, :, None] * outline.rotation[:, None], axis=2))
+
+
+def nearest(surface: AbstractSurface, outline: Outline, length: Scalar) -> Nearest:
+    """The point of a whisker, placed in the scene, that is nearest to the surface."""
+    spacing = length / INTERVALS
+
+    def at(place):  # in intervals from the base
+        k = jnp.clip(jnp.floor(place).astype(int), 0, INTERVALS - 1)
+        t = place - k
+        ends = outline.position[k], outline.position[k + 1]
+        slopes = (spacing * outline.rotation[j, :, 2] for j in (k, k + 1))
+        return Cubic(*ends, *slopes), t
+
+    def off(place):
+        cubic, t = at(place)
+        return surface.off(cubic.value(t))
+
+    places, width = jnp.arange(INTERVALS + 1.0), 1.0
+    distances = jax.vmap(surface.off)(outline.position)
+    for _ in range(ROUNDS):
+        middle = places[jnp.argmin(distances)]
+        places = jnp.clip(middle + width * np.linspace(-1.0, 1.0, FINER + 1), 0.0, INTERVALS)
+        distances, width = jax.vmap(off)(places), 2 * width / FINER
+    # A parabola through the least distance and its neighbours.
+    k = jnp.clip(jnp.argmin(distances), 1, FINER - 1)
+    before, here, after = distances[k - 1], distances[k], distances[k + 1]
+    bend = before - 2 * here + after
+    shift = jnp.where(bend > 0, (before - after) / (2 * jnp.where(bend > 0, bend, 1.0)), 0.0)
+    place = jnp.clip(places[k] + jnp.clip(shift, -1.0, 1.0) * width, 0.0, INTERVALS)
+    place = jnp.where(off(place) <= jnp.min(distances), place, places[jnp.argmin(distances)])
+    cubic, t = at(place)
+    point, tangent = cubic.value(t), cubic.rate(t)
+    tangent = tangent / jnp.sqrt(jnp.sum(tangent**2))
+    distance, out = surface.off(point), surface.normal(point)
+    side = outline.rotation[jnp.round(place).astype(int), :, 0]
+    tip = place >= INTERVALS - TIP
+    return Nearest(
+        distance,
+        contact_at(point - distance * out, out, tangent, side, jnp.where(tip, 0.0, (INTERVALS - place) * spacing)),
+        jnp.where(tip, Phase.tip, Phase.tangential),
+    )
+
+
+TIP = 1e-5  # intervals from the tip: nearer points are the tip
+
+
+def contact_at(
+    point: Float[Array, "3"], out: Float[Array, "3"], tangent: Float[Array, "3"], side: Float[Array, "3"], beyond: Scalar
+) -> Contact:
+    """The contact, without force, of a whisker with this tangent and first director at a point of the surface.
+
+    `beyond` is the arc length from the contact to the tip; the tip itself touches if it is zero.
+    """
+    sine = jnp.clip(jnp.sum(tangent * out), -1.0, 1.0)
+    ahead = tangent - sine * out
+    size = jnp.sqrt(jnp.sum(ahead**2))
+    # If the whisker points straight at the surface, any direction along it will do.
+    other = jnp.cross(out, jnp.where(jnp.abs(out[0]) < 0.5, jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 1.0, 0.0])))
+    ahead = jnp.where(size > 1e-9, ahead / jnp.where(size > 1e-9, size, 1.0), other / jnp.sqrt(jnp.sum(other**2)))
+    across = jnp.cross(out, ahead)
+    first = jnp.cross(across, tangent)
+    roll = jnp.arctan2(jnp.sum(side * across), jnp.sum(side * first))
+    slack = jnp.where(beyond > 0, beyond, jnp.arcsin(sine))
+    return jnp.concatenate([jnp.stack([jnp.zeros(()), roll, slack]), point, ahead])

@@ -1,0 +1,138 @@
+"""The dimensionless problem of a scene in space: what programs are compiled for.
+
+Lengths are in the length L of the first whisker, forces in EI/L^2 and moments in EI/L, with EI its bending stiffness at
+the base. Bases have six coordinates in the frame of the drive: a displacement and a rotation vector relative to their
+mounts. Clamped bases have no flexibility, and straight round whiskers no torsion: what is absent costs nothing.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import safe_placeholder
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.drives import AbstractDrive, Placement, mount_in_space, placement_of
+from jaxwhisker._model.scene import Units, units_of
+from jaxwhisker._model.space_scene import SpaceScene
+from jaxwhisker._model.surface import AbstractSurface
+from jaxwhisker._rod.elastica import AbstractRod
+from jaxwhisker._rod.rod import Section
+from jaxwhisker._rod.space import SpaceSection
+from jaxwhisker._space.contact import Body
+
+PerWhisker = Float[Array, " whiskers"]
+Contacts = Float[Array, "whiskers 9"]
+
+
+class Springs(NamedTuple):
+    """Flexibility of the bases, six rows each."""
+
+    matrix: Float[Array, "rows rows"]
+    root: Float[Array, "rows rows"]
+    offset: Float[Array, "whiskers 6"]
+
+
+class SpaceProblem(eqx.Module):
+    """A dimensionless scene in space. Whiskers are stacked along the first axis."""
+
+    length: PerWhisker
+    bending_stiffness: PerWhisker  # at the base
+    section: Section | SpaceSection | tuple[Section | SpaceSection, ...] | None
+    surface: AbstractSurface
+    rod: AbstractRod
+    motion: AbstractDrive
+    mount: Placement  # fields (whiskers, ...)
+    springs: Springs | None  # None: clamped
+    onwards: Int[Array, ""]  # +1 if the control increases during a scan, else -1
+    ends: tuple[Scalar, Scalar] | None
+    valid: Bool[Array, ""]
+    unit: Units
+
+    def drive(self, u: Scalar) -> Placement:
+        """The frame of the drive at a control."""
+        position, rotation = placement_of(self.motion, u * self.unit.control)
+        return Placement(position / self.unit.length, rotation)
+
+    def body(self, k: int) -> Body:
+        """One whisker."""
+        section = self.section[k] if isinstance(self.section, tuple) else jax.tree.map(lambda leaf: leaf[k], self.section)
+        mount = jax.tree.map(lambda leaf: leaf[k], self.mount)
+        return Body(self.length[k], self.bending_stiffness[k], section, mount)
+
+    @property
+    def rolls(self) -> bool:
+        """Whether whiskers are curved or twisted, or their bases turn: their roll is an unknown."""
+        one = self.section[0] if isinstance(self.section, tuple) else self.section
+        return isinstance(one, SpaceSection)
+
+    @property
+    def rows(self) -> int:
+        """Number of equations for the base of a whisker."""
+        return 6 if self.rolls else 5
+
+    def displacement(self, load: Float[Array, "whiskers rows"]) -> Float[Array, "whiskers rows"]:
+        """Displacement of sprung bases under loads."""
+        assert self.springs is not None
+        return jnp.reshape(jnp.sum(self.springs.matrix * jnp.ravel(load), axis=-1), load.shape)
+
+    def numbers(self) -> "SpaceProblem":
+        """The numbers that equilibria depend on, and None for everything else."""
+        numbers = eqx.filter(self, eqx.is_inexact_array)
+        decisive = [lambda p: p.ends] + ([lambda p: p.springs.root] if self.springs is not None else [])
+        for where in decisive:
+            numbers = eqx.tree_at(where, numbers, None, is_leaf=lambda leaf: leaf is None)
+        return numbers
+
+
+def of_each(problem: SpaceProblem, function, *args):
+    """Apply a function of one whisker's body to every whisker; each gets its own row of the arguments."""
+    bodies = Body(problem.length, problem.bending_stiffness, problem.section, problem.mount)
+    if not isinstance(problem.section, tuple):
+        return jax.vmap(function)(bodies, *args)
+    # Whiskers of different kinds cannot be batched.
+    own = [jax.tree.map(lambda leaf, k=k: leaf[k], (bodies._replace(section=None), args)) for k in range(len(problem.section))]
+    each = [function(body._replace(section=section), *rest) for (body, rest), section in zip(own, problem.section, strict=True)]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+
+
+def problem_in_space(scene: SpaceScene) -> SpaceProblem:
+    """The dimensionless problem of a scene in space, differentiable with respect to all numbers of the scene."""
+    valid = scene.valid()
+    scene = safe_placeholder(scene, valid)
+    whiskers = scene.whiskers
+    unit = jax.tree.map(checks.as_float, units_of(whiskers[0], scene.motion))
+    length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length
+    stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers])
+    stiffness_unit = unit.moment * unit.length
+    rolls = any(not whisker.is_straight for whisker in whiskers) or scene.support.turns
+    section = (sections_in_space if rolls else sections)(whiskers, unit.length, stiffness_unit)
+    mounts = [mount_in_space(mount) for mount in scene.support.mounts]
+    position, rotation = (jnp.stack(parts) for parts in zip(*mounts, strict=True))
+    springs = None
+    if scene.support.springs:
+        flexibility = scene.support.flexibility_in_space().in_units_of_space(unit.length, unit.force)
+        keep = np.arange(6 * len(whiskers)).reshape(-1, 6)[:, : 6 if rolls else 5].ravel()
+        springs = Springs(
+            flexibility.matrix[np.ix_(keep, keep)], flexibility.root[keep], flexibility.offset[keep].reshape(len(whiskers), -1)
+        )
+        valid &= flexibility.consistent
+    ends = scene.motion.ends
+    return SpaceProblem(
+        length=length,
+        bending_stiffness=stiffness / stiffness_unit,
+        section=section,
+        surface=scene.surface.in_unit(unit.length),
+        rod=scene.rod,
+        motion=scene.motion,
+        mount=Placement(position / unit.length, rotation),
+        springs=springs,
+        onwards=jnp.asarray(scene.motion.onwards),
+        ends=None if ends is None else tuple(jnp.asarray(end, dtype=float) / unit.control for end in ends),
+        valid=valid,
+        unit=unit,
+    )
