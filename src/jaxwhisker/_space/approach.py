@@ -48,7 +48,7 @@ def _beside(problem: SpaceProblem) -> Scalar:
 
     zero = jnp.zeros(())
     at, rate = jax.jvp(position, (zero,), (jnp.ones(()),))
-    return jnp.sum((problem.surface.centre() - at) * rate) / jnp.sum(rate**2)
+    return jnp.sum((problem.surface.interior_point() - at) * rate) / jnp.sum(rate**2)
 
 
 def _clear_of(problem: SpaceProblem, u: Scalar, way: Array) -> Scalar:

@@ -44,8 +44,8 @@ def in_scene(outline: Outline, base: Placement) -> Outline:
     return Outline(position, jnp.sum(rotation[:, :, None] * outline.rotation[:, None], axis=2))
 
 
-def nearest(surface: AbstractSurface, outline: Outline, length: Scalar) -> Nearest:
-    """The point of a whisker, placed in the scene, that is nearest to the surface."""
+def nearest(surface: AbstractSurface, outline: Outline, length: Scalar, *, rolls: bool) -> Nearest:
+    """The point of a whisker, placed in the scene, that is nearest to the surface; `rolls` if its roll is an unknown."""
     spacing = length / INTERVALS
 
     def at(place):  # in intervals from the base
@@ -75,12 +75,13 @@ def nearest(surface: AbstractSurface, outline: Outline, length: Scalar) -> Neare
     cubic, t = at(place)
     point, tangent = cubic.value(t), cubic.rate(t)
     tangent = tangent / jnp.sqrt(jnp.sum(tangent**2))
-    distance, out = surface.off(point), surface.normal(point)
-    side = outline.rotation[jnp.round(place).astype(int), :, 0]
     tip = place >= INTERVALS - TIP
+    distance, out = surface.off(point), surface.normal(point)
+    beyond = jnp.where(tip, 0.0, (INTERVALS - place) * spacing)
+    side = outline.rotation[jnp.round(place).astype(int), :, 0]
     return Nearest(
         distance,
-        contact_at(point - distance * out, out, tangent, side, jnp.where(tip, 0.0, (INTERVALS - place) * spacing)),
+        contact_at(point - distance * out, out, tangent, side if rolls else None, beyond),
         jnp.where(tip, Phase.tip, Phase.tangential),
     )
 
@@ -89,11 +90,15 @@ TIP = 1e-5  # intervals from the tip: nearer points are the tip
 
 
 def contact_at(
-    point: Float[Array, "3"], out: Float[Array, "3"], tangent: Float[Array, "3"], side: Float[Array, "3"], beyond: Scalar
+    point: Float[Array, "3"],
+    out: Float[Array, "3"],
+    tangent: Float[Array, "3"],
+    side: Float[Array, "3"] | None,
+    beyond: Scalar,
 ) -> Contact:
     """The contact, without force, of a whisker with this tangent and first director at a point of the surface.
 
-    `beyond` is the arc length from the contact to the tip; the tip itself touches if it is zero.
+    Without a director, the roll is zero. `beyond` is the arc length from the contact to the tip; the tip itself touches if it is zero.
     """
     sine = jnp.clip(jnp.sum(tangent * out), -1.0, 1.0)
     ahead = tangent - sine * out
@@ -101,8 +106,9 @@ def contact_at(
     # If the whisker points straight at the surface, any direction along it will do.
     other = jnp.cross(out, jnp.where(jnp.abs(out[0]) < 0.5, jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 1.0, 0.0])))
     ahead = jnp.where(size > 1e-9, ahead / jnp.where(size > 1e-9, size, 1.0), other / jnp.sqrt(jnp.sum(other**2)))
-    across = jnp.cross(out, ahead)
-    first = jnp.cross(across, tangent)
-    roll = jnp.arctan2(jnp.sum(side * across), jnp.sum(side * first))
+    roll = jnp.zeros(())
+    if side is not None:
+        across = jnp.cross(out, ahead)
+        roll = jnp.arctan2(jnp.sum(side * across), jnp.sum(side * jnp.cross(across, tangent)))
     slack = jnp.where(beyond > 0, beyond, jnp.arcsin(sine))
     return jnp.concatenate([jnp.stack([jnp.zeros(()), roll, slack]), point, ahead])

@@ -10,12 +10,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.dimensionless import sections
 from jaxwhisker._model.drives import AbstractDrive, Placement, mount_in_space, placement_of
 from jaxwhisker._model.scene import Units, units_of
 from jaxwhisker._model.space_scene import SpaceScene
@@ -24,6 +26,7 @@ from jaxwhisker._rod.elastica import AbstractRod
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._rod.space import SpaceSection
 from jaxwhisker._space.contact import Body
+from jaxwhisker._space.free import INTERVALS, Outline
 
 PerWhisker = Float[Array, " whiskers"]
 Contacts = Float[Array, "whiskers 9"]
@@ -48,6 +51,7 @@ class SpaceProblem(eqx.Module):
     motion: AbstractDrive
     mount: Placement  # fields (whiskers, ...)
     springs: Springs | None  # None: clamped
+    outline: Outline  # of unloaded whiskers, fields (whiskers, ...)
     onwards: Int[Array, ""]  # +1 if the control increases during a scan, else -1
     ends: tuple[Scalar, Scalar] | None
     valid: Bool[Array, ""]
@@ -83,7 +87,7 @@ class SpaceProblem(eqx.Module):
     def numbers(self) -> "SpaceProblem":
         """The numbers that equilibria depend on, and None for everything else."""
         numbers = eqx.filter(self, eqx.is_inexact_array)
-        decisive = [lambda p: p.ends] + ([lambda p: p.springs.root] if self.springs is not None else [])
+        decisive = [lambda p: p.ends, lambda p: p.outline] + ([lambda p: p.springs.root] if self.springs is not None else [])
         for where in decisive:
             numbers = eqx.tree_at(where, numbers, None, is_leaf=lambda leaf: leaf is None)
         return numbers
@@ -100,6 +104,13 @@ def of_each(problem: SpaceProblem, function, *args):
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 
+def straight_outlines(length: PerWhisker) -> Outline:
+    """Shapes of straight whiskers."""
+    places = length[:, None] * np.linspace(0.0, 1.0, INTERVALS + 1)
+    position = places[:, :, None] * np.array([0.0, 0.0, 1.0])
+    return Outline(position, jnp.broadcast_to(jnp.eye(3), (*places.shape, 3, 3)))
+
+
 def problem_in_space(scene: SpaceScene) -> SpaceProblem:
     """The dimensionless problem of a scene in space, differentiable with respect to all numbers of the scene."""
     valid = scene.valid()
@@ -109,8 +120,8 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers])
     stiffness_unit = unit.moment * unit.length
-    rolls = any(not whisker.is_straight for whisker in whiskers) or scene.support.turns
-    section = (sections_in_space if rolls else sections)(whiskers, unit.length, stiffness_unit)
+    rolls = any(not getattr(whisker, 'is_straight', True) for whisker in whiskers) or getattr(scene.support, 'turns', False)
+    section = sections(whiskers, unit.length, stiffness_unit)
     mounts = [mount_in_space(mount) for mount in scene.support.mounts]
     position, rotation = (jnp.stack(parts) for parts in zip(*mounts, strict=True))
     springs = None
@@ -122,6 +133,7 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
         )
         valid &= flexibility.consistent
     ends = scene.motion.ends
+    outline = straight_outlines(length)
     return SpaceProblem(
         length=length,
         bending_stiffness=stiffness / stiffness_unit,
@@ -131,6 +143,7 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
         motion=scene.motion,
         mount=Placement(position / unit.length, rotation),
         springs=springs,
+        outline=outline,
         onwards=jnp.asarray(scene.motion.onwards),
         ends=None if ends is None else tuple(jnp.asarray(end, dtype=float) / unit.control for end in ends),
         valid=valid,

@@ -57,7 +57,7 @@ def stance_of(problem: SpaceProblem, point: Point, phase: Phases) -> Stance:
     def near(body, placement, rate, outline):
         outline_now = in_scene(outline, placement)
         moving = in_scene(outline, rate)
-        return nearest(problem.surface, outline_now, body.length), jnp.max(jnp.sum(moving.position**2, axis=-1))
+        return nearest(problem.surface, outline_now, body.length, rolls=problem.rolls), jnp.max(jnp.sum(moving.position**2, axis=-1))
 
     found, speeds = of_each(problem, near, placed, rate, problem.outline)
     opens = of_each(problem, lambda body, z, phase: spread(body, problem.surface, z, phase), point.z, phase)
@@ -85,6 +85,6 @@ def clearance(problem: SpaceProblem, u: Scalar) -> Scalar:
 
     def distance(body, pose, outline):
         placed = base_placement(problem, drive, body.mount, pose)
-        return nearest(problem.surface, in_scene(outline, placed), body.length).distance
+        return nearest(problem.surface, in_scene(outline, placed), body.length, rolls=problem.rolls).distance
 
     return jnp.min(of_each(problem, distance, rest, problem.outline))
