@@ -61,10 +61,9 @@ def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> tup
 def _residuals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, free: Contacts):
     """Residuals of all equations, (whiskers, 9), coordinates of the bases, and the bases themselves."""
     drive, rows = problem.drive(u), problem.rows
-    rates = problem.rod.for_rates()
 
     def one(body, z, phase):
-        base = base_of(body, problem.surface, problem.rod, z, phase, rates)
+        base = base_of(body, problem.surface, problem.rod, z, phase)
         return base, in_drive(base, drive, body.mount, z[ROLL]), on_surface(problem.surface, z)
 
     base, inside, surface = of_each(problem, one, z, phase)

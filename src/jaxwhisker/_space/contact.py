@@ -83,26 +83,53 @@ def frame_of(surface: AbstractSurface, z: Contact) -> Float[Array, "3 3"]:
 
 
 def base_of(
-    body: Body, surface: AbstractSurface, method: AbstractRod, z: Contact, phase: Int[Array, ""], rates: AbstractRod
+    body: Body,
+    surface: AbstractSurface,
+    method: AbstractRod,
+    z: Contact,
+    phase: Int[Array, ""],
+    drag: Float[Array, "2"] | None = None,
 ) -> Base:
-    """The base of a whisker in contact; the rod's derivatives are computed by `rates`."""
+    """The base of a whisker in contact.
+
+    With a drag, the force has components along the surface, too: towards the tip and across. It must not vanish then.
+    """
     chi, arc = angle_and_arc(body, z, phase)
-    frame, force = frame_of(surface, z), z[FORCE]
+    frame, force, roll = frame_of(surface, z), z[FORCE], z[ROLL]
+    push = force * frame[:, 2]
+    if drag is not None:
+        frame, force, chi, roll, push = _frame_of_force(frame, force, chi, roll, drag)
     ahead, _, out = frame.T
     rotation = None
     if isinstance(body.section, SpaceSection):
-        end = space_rod_end(force, arc, chi, z[ROLL], body.section, method, rates)
+        end = space_rod_end(force, arc, chi, roll, body.section, method)
         from_contact = _turned(frame, end[:3])
         rotation = _product(frame, matrix_of(end[3:]))
         tangent = rotation[:, 2]
     else:
         if body.section is None:
-            x, y, cos, sin = rod_end(force / body.bending_stiffness, arc, chi, method, rates)
+            x, y, cos, sin = rod_end(force / body.bending_stiffness, arc, chi, method, method)
         else:
-            x, y, cos, sin = uneven_rod_end(force, arc, chi, body.section, method, rates)
+            x, y, cos, sin = uneven_rod_end(force, arc, chi, body.section, method, method)
         from_contact, tangent = x * ahead - y * out, cos * ahead - sin * out
-    push = force * out
     return Base(z[POINT] + from_contact, tangent, rotation, push, jnp.cross(-from_contact, push))
+
+
+def _frame_of_force(frame, force, chi, roll, drag):
+    """Frame, force, angle and roll of the contact with a surface that is normal to the force."""
+    ahead, across, out = frame.T
+    push = force * out + drag[0] * ahead + drag[1] * across
+    size = jnp.sqrt(jnp.sum(push**2))
+    outwards, tangent = push / size, jnp.cos(chi) * ahead - jnp.sin(chi) * out
+    along = jnp.sum(tangent * outwards)
+    beside = tangent - along * outwards
+    flat = jnp.sqrt(jnp.sum(beside**2))
+    ahead_of_force = beside / flat
+    across_force = jnp.cross(outwards, ahead_of_force)
+    # The first director is the same in both frames.
+    first = jnp.cos(roll) * jnp.cross(across, tangent) + jnp.sin(roll) * across
+    roll = jnp.arctan2(jnp.sum(first * across_force), jnp.sum(first * jnp.cross(across_force, tangent)))
+    return jnp.stack([ahead_of_force, across_force, outwards], axis=1), size, jnp.arctan2(-along, flat), roll, push
 
 
 def in_drive(base: Base, drive: Placement, mount: Placement, roll: Scalar) -> InDrive:

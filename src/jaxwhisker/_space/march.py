@@ -8,10 +8,8 @@ a batch pay for the most expensive branch that any of them takes. The tasks are:
     arrive    solve for the same point in the phase that holds from here on, which gives the direction there
     done      do nothing: the march has ended
 
-A simple loss of stability changes the sign of the determinant of the equations at fixed control. The sign is known after
-each touch and release, and a change of phase keeps it: the slack goes on in the same direction, and so does the drive. If
-the sign differs at the end of a step, steps are shortened until the loss is located. There the drive turns back (a fold),
-or a symmetric branch goes on, unstable (a bifurcation).
+Stability is checked at every node (sliding.py). If the end of a step is unstable, steps are shortened until the loss is
+located. There the drive turns back (a fold), or a symmetric branch goes on, unstable (a bifurcation).
 """
 
 from enum import IntEnum
@@ -21,7 +19,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.linear_algebra import determinant
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, at_control, dot, scale_of, unit
@@ -99,8 +96,7 @@ class March(NamedTuple):
     bend: Point  # change of the tangent per arc length
     step: Scalar
     stance: Stance  # of free whiskers
-    sign: Scalar  # of the determinant of stable states
-    size: Scalar  # the determinant here, positive while stable
+    size: Scalar  # determinant of the sliding stiffness here; halved by the Illinois rule
     unstable_at: Scalar  # distance ahead of a known unstable state, or infinity
     unstable_size: Scalar  # the determinant there
     target: Target
@@ -189,8 +185,7 @@ def _after_advance(
         jnp.ravel(share)[k] * march.step,
         _first_contacts(problem, march, stance),
     )
-    size = march.sign * determinant(solution.newton.system)
-    stable = (size > 0) | jnp.all(march.phase == Phase.free)
+    size, stable = stance.stiffness, stance.stable
     node = _node(march, point, tangent)
     shorter = march._replace(step=0.4 * march.step)
     # A loss further ahead than this one is forgotten; the Illinois rule keeps false position from creeping.
@@ -231,6 +226,7 @@ def _after_advance(
 def _to_loss(march: March) -> Scalar:
     """Length of the step that is expected to reach the loss of stability."""
     share = march.size / (march.size - march.unstable_size)
+    share = jnp.where(march.unstable_size < 0, share, 0.5)
     return march.unstable_at * jnp.clip(jnp.where(jnp.isfinite(share), share, 0.5), 0.02, 0.98)
 
 
@@ -341,16 +337,9 @@ def _after_arrive(
     back = (margin == PHASE) & jnp.any(march.target.whiskers & (march.phase == Phase.tip))
     by_control = (margin == RELEASE) | (margin == AT_STOP)
     sign = jnp.where(by_control, jnp.where(tangent.u * direction < 0, -1.0, 1.0), jnp.where(back, -1.0, 1.0))
-    raw = solution.newton.tangent
-    # `unit` keeps the orientation of the condition.
-    del raw
     tangent = Point(sign * tangent.z, sign * tangent.u)
     node = march.pending._replace(point=solution.point, leaving=tangent)
-    found = determinant(solution.newton.system)
-    known = (margin == PHASE) | (margin == AT_STOP)
-    reference = jnp.where(known, march.sign, jnp.sign(found))
     falls = tangent.u * direction <= 0
-    stable = (reference * found > 0) | jnp.all(march.phase == Phase.free)
     onwards = march._replace(
         task=jnp.asarray(int(Task.advance)),
         point=solution.point,
@@ -359,8 +348,7 @@ def _after_arrive(
         stance=stance,
         step=jnp.minimum(FIRST_STEP, _clear(stance, tangent)),
         direction=direction,
-        sign=reference,
-        size=reference * found,
+        size=stance.stiffness,
         unstable_at=jnp.asarray(jnp.inf),
         unstable_size=jnp.asarray(-1.0),
     )
@@ -368,7 +356,7 @@ def _after_arrive(
     new = first_case(
         (~solution.converged, march.stopped(Status.lost)),
         (over, march.stopped(Status.ok)),
-        (falls | ~stable, march.stopped(Status.unstable)),
+        (falls | ~stance.stable, march.stopped(Status.unstable)),
         otherwise=onwards,
     )
     return new, solution.converged, node
@@ -392,7 +380,6 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
         bend=jax.tree.map(jnp.zeros_like, still),
         step=_clear(stance, still),
         stance=stance,
-        sign=jnp.asarray(1.0),
         size=jnp.asarray(1.0),
         unstable_at=jnp.asarray(jnp.inf),
         unstable_size=jnp.asarray(-1.0),

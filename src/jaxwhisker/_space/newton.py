@@ -26,27 +26,31 @@ Phases = Int[Array, " whiskers"]
 
 
 class Linear(NamedTuple):
-    """A whisker, linearised about a contact; `rows` are the equations of its base."""
+    """A whisker, linearised about a contact; `rows` are the equations of its base, `steps` as many and those of drag."""
 
     correction: Float[Array, "9"]  # of the contact, back onto the surface
     directions: Float[Array, "9 rows"]  # of steps along the surface
     pose: Float[Array, " rows"]  # coordinates of the base, after the correction
     load: Float[Array, " rows"]
-    pose_by: Float[Array, "rows rows"]  # derivatives with respect to the steps
-    load_by: Float[Array, "rows rows"]
+    pose_by: Float[Array, "rows steps"]  # derivatives with respect to the steps
+    load_by: Float[Array, "rows steps"]
     pose_by_u: Float[Array, " rows"]
     load_by_u: Float[Array, " rows"]
     own: Scalar  # largest residual of the equations of the surface, and infinite if the base points the wrong way
 
 
 def linearise(
-    problem: SpaceProblem, body: Body, drives: tuple[Placement, Placement], z: Float[Array, "9"], phase: Int[Array, ""]
+    problem: SpaceProblem,
+    body: Body,
+    drives: tuple[Placement, Placement],
+    z: Float[Array, "9"],
+    phase: Int[Array, ""],
+    drag: Float[Array, "2"] | None = None,
 ) -> Linear:
     """Linearise one whisker; `drives` are the frame of the drive and its rate of change with the control."""
     surface, rows = problem.surface, problem.rows
     drive, rate = drives
-    frame = frame_of(surface, z)
-    ahead, across, out = frame.T
+    ahead, across, out = frame_of(surface, z).T
     off, lean, stretch = on_surface(surface, z)
     curvature = surface.curvature(z[POINT])
 
@@ -58,24 +62,27 @@ def linearise(
     turned = jnp.concatenate([jnp.zeros(6), across])
     directions = jnp.stack([*scalars, towards(ahead), towards(across), turned], axis=1)
     correction = towards(-off * out) - jnp.concatenate([jnp.zeros(6), lean * out + stretch * z[AHEAD]])
-    zero = jnp.zeros(UNKNOWNS)
+
+    def in_rows(base, drive, roll):
+        inside = in_drive(base, drive, body.mount, roll)
+        return (inside.pose[:rows], inside.load[:rows]), inside.upright
 
     def values(step):
-        at = z + step
-        base = base_of(body, surface, problem.rod, at, phase, problem.rod)
-        inside = in_drive(base, drive, body.mount, at[ROLL])
-        both = inside.pose[:rows], inside.load[:rows]
-        return both, (both, base, inside.upright)
-
-    def along(direction):
-        return jax.jvp(values, (zero,), (direction,), has_aux=True)
+        at = z + step[:UNKNOWNS]
+        base = base_of(body, surface, problem.rod, at, phase, None if drag is None else drag + step[UNKNOWNS:])
+        both, upright = in_rows(base, drive, at[ROLL])
+        return both, (both, base, upright)
 
     steps = jnp.concatenate([directions, correction[:, None]], axis=1)
-    (_, (pose_by, load_by), (value, base, upright)) = jax.vmap(along, in_axes=1, out_axes=(None, -1, None))(steps)
-    (_, (pose_by_u, load_by_u)) = jax.jvp(
-        lambda drive: _of_base(base, drive, body, z[ROLL], rows), (drive,), (rate,)
-    )
-    (pose, load) = (part + by[:, -1] for part, by in zip(value, (pose_by, load_by), strict=True))
+    if drag is not None:
+        steps = jnp.block([[directions, jnp.zeros((UNKNOWNS, 2)), correction[:, None]], [jnp.zeros((2, rows)), np.eye(2, 3)]])
+    _, (pose_by, load_by), (value, base, upright) = jax.vmap(
+        lambda direction: jax.jvp(values, (jnp.zeros_like(direction),), (direction,), has_aux=True),
+        in_axes=1,
+        out_axes=(None, -1, None),
+    )(steps)
+    _, (pose_by_u, load_by_u) = jax.jvp(lambda drive: in_rows(base, drive, z[ROLL])[0], (drive,), (rate,))
+    pose, load = (part + by[:, -1] for part, by in zip(value, (pose_by, load_by), strict=True))
     own = jnp.max(jnp.abs(jnp.stack([off, lean, stretch])))
     return Linear(
         correction,
@@ -88,11 +95,6 @@ def linearise(
         load_by_u,
         jnp.where(upright, own, jnp.inf),
     )
-
-
-def _of_base(base, drive, body, roll, rows):
-    inside = in_drive(base, drive, body.mount, roll)
-    return inside.pose[:rows], inside.load[:rows]
 
 
 class NewtonStep(NamedTuple):
