@@ -114,10 +114,19 @@ def number(name: str, value: Any, *, positive: bool = False, non_negative: bool 
 
 def pair(name: str, value: Any) -> None:
     """Check that `value` is a tuple of two finite numbers."""
-    if not (isinstance(value, tuple) and len(value) == 2):
-        fail(name, "a pair of numbers", repr(value))
+    _tuple(name, value, 2, "a pair of numbers")
+
+
+def triple(name: str, value: Any, *, positive: bool = False) -> None:
+    """Check that `value` is a tuple of three finite numbers and, on request, that they are positive."""
+    _tuple(name, value, 3, "a tuple of three numbers", positive=positive)
+
+
+def _tuple(name: str, value: Any, size: int, allowed: str, *, positive: bool = False) -> None:
+    if not (isinstance(value, tuple) and len(value) == size):
+        fail(name, allowed, repr(value))
     for part in value:
-        number(name, part)
+        number(name, part, positive=positive)
 
 
 def acute_angle(name: str, value: Any) -> None:
