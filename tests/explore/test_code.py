@@ -58,7 +58,7 @@ SCENES = [
     jw.Scene(jw.Whisker(), jw.Contour.like(jw.Parabola(0.2), (-0.5, 0.0, 0.5))),
     jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support((jw.Spring((0, 1), compliance=0.0),))),
     jw.Scene(jw.Whisker.conical(0.03, 3e9, 1e-4, 3e-6), jw.Parabola(0.02, 20.0)),
-    jw.Scene(jw.Whisker.rat("B", 2, intrinsic_curvature=2.0), jw.Parabola(0.02, 20.0)),
+    jw.Scene(jw.Whisker.rat("B", 2, intrinsic_curvature=2.0, poisson_ratio=0.4), jw.Parabola(0.02, 20.0)),
     jw.Scene(jw.Whisker(), jw.Graph(square, extent=3.0), rod=jw.Shooting(6, jw.Splitting(10))),
     jw.Scene(jw.Whisker(1.0, Taper(0.3)), jw.Parabola(0.2)),
 ]

@@ -1,14 +1,15 @@
-"""Functions along a whisker: tables, polynomials and round sections, against numpy, closed forms and quadrature."""
+"""Functions along a whisker against numpy, closed forms and quadrature."""
 
 # pyright: reportArgumentType=false, reportOptionalOperand=false
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 from scipy.integrate import quad
 
 import jaxwhisker as jw
-from jaxwhisker._model.along import LinearTaper, RoundMass, RoundSection, as_breaks
+from jaxwhisker._model.along import LinearTaper, ParabolicShape, RoundMass, RoundSection, as_breaks
 
 EXACT = 1e-13  # of numbers of order 1
 
@@ -72,6 +73,27 @@ def test_breaks_are_one_array_or_none():
     np.testing.assert_array_equal(as_breaks((0.2, 1)), [0.2, 1.0])
     np.testing.assert_array_equal(jax.jit(lambda at: as_breaks((at, 2 * at, 3)))(0.5), [0.5, 1.0, 3.0])
     assert jax.grad(lambda at: as_breaks([at, 2 * at]) @ jnp.array([1.0, 10.0]))(0.5) == 21.0
+
+
+@pytest.mark.parametrize("coefficient", [24.0, -24.0])
+def test_the_curvature_of_a_parabola_along_its_arc(coefficient):
+    x = np.array([-0.01, 0.0, 1e-9, 1e-3, 0.02, 0.0625])  # the last one where the slope is 3
+    nodes, weights = np.polynomial.legendre.leggauss(80)
+    arc = np.hypot(1.0, coefficient * np.outer(x, 1 + nodes)) @ weights * x / 2
+    expected = 2 * coefficient / np.hypot(1.0, 2 * coefficient * x) ** 3
+    found = jax.jit(jax.vmap(ParabolicShape(coefficient)))(jnp.array(arc))
+    np.testing.assert_allclose(found, expected, rtol=EXACT)
+    assert ParabolicShape(0.0)(0.5) == 0.0
+
+
+def test_derivatives_of_a_parabola():
+    def curvature(coefficient, s):
+        return ParabolicShape(coefficient)(s)
+
+    for at in (0.0, 0.7):
+        check_grads(curvature, (0.4, at), order=2, modes=("fwd", "rev"))
+    # kappa = 2 A (1 - 6 A^2 s^2 + ...)
+    np.testing.assert_allclose(jax.grad(jax.grad(curvature, 1), 1)(0.4, 0.0), -24 * 0.4**3, rtol=EXACT)
 
 
 @pytest.mark.unchecked

@@ -1,4 +1,4 @@
-"""Whiskers: materials, cones, the whiskers of a rat, functions of arc length, errors."""
+"""Whiskers: functions of arc length, masses, curvatures in space, errors."""
 
 # pyright: reportArgumentType=false
 import math
@@ -10,49 +10,9 @@ import pytest
 
 import jaxwhisker as jw
 from functions import Linear
+from jaxwhisker._model.whisker import with_equal_breaks
 
 EXACT = 1e-12
-
-
-def test_bending_stiffness_of_a_circular_section():
-    whisker = jw.Whisker.from_material(0.05, 3e9, 2e-4)
-    assert whisker.uniform
-    assert float(whisker.base_stiffness) == pytest.approx(3e9 * np.pi / 64 * 2e-4**4, rel=EXACT)
-    # A modulus that increases towards the tip makes the whisker non-uniform.
-    stiffer = jw.Whisker.from_material(0.05, lambda s: 3e9 * (1 + 10 * s), 2e-4)
-    assert not stiffer.uniform
-    assert float(stiffer.stiffness_at(0.05) / whisker.base_stiffness) == pytest.approx(1.5, rel=EXACT)
-
-
-def test_a_cone_has_a_linear_diameter():
-    cone = jw.Whisker.conical(2.0, 64e4 / np.pi, 0.1, 0.05)
-    actual = [float(cone.stiffness_at(s)) for s in (0.0, 1.0, 2.0)]
-    np.testing.assert_allclose(actual, [1.0, 0.75**4, 0.5**4], rtol=EXACT)
-
-
-def test_a_rat_has_the_whiskers_of_the_regressions():
-    # C2: 43 + 1.8 * 3 - 7.6 * 2 mm long, 0.041 + 0.002 * 33.2 + 0.011 * 3 - 0.0039 * 2 mm thick.
-    whisker = jw.Whisker.rat("C", 2)
-    assert float(whisker.length) == pytest.approx(33.2e-3, rel=EXACT)
-    assert float(whisker.base_stiffness) == pytest.approx(3e9 * np.pi / 64 * 132.6e-6**4, rel=EXACT)
-    # The radius decreases by 0.0012 + 0.00017 * 3 - 0.000066 + 0.00011 per length.
-    shorter = jw.Whisker.rat("C", 1, length=0.03, youngs_modulus=4e9, intrinsic_curvature=10.0)
-    base = 0.041 + 0.002 * 30 + 0.011 * 3 - 0.0039
-    tip = base - 2 * 30 * (0.0012 + 0.00017 * 3 - 0.000066 + 0.00011)
-    assert float(shorter.stiffness_at(0.03)) == pytest.approx(4e9 * np.pi / 64 * (tip * 1e-3) ** 4, rel=1e-9)
-    assert float(shorter.curvature_at(0.01)) == 10.0
-
-
-def test_masses_follow_from_a_density():
-    cone = jw.Whisker.conical(2.0, 64e4 / np.pi, 0.1, 0.05, density=400 / np.pi)
-    np.testing.assert_allclose([float(cone.mass_at(s)) for s in (0.0, 1.0, 2.0)], [1.0, 0.75**2, 0.5**2], rtol=EXACT)
-    rod = jw.Whisker.from_material(0.05, 3e9, 2e-4, density=1300.0)
-    assert float(rod.mass_at(0.02)) == pytest.approx(1300 * np.pi / 4 * 2e-4**2, rel=EXACT)
-    denser = jw.Whisker.from_material(0.05, 3e9, 2e-4, density=Linear(1300.0, 1e4))
-    assert float(denser.mass_at(0.05) / rod.mass_at(0.05)) == pytest.approx(1800 / 1300, rel=EXACT)
-    rat = jw.Whisker.rat("C", 2, density=1300.0)
-    assert float(rat.mass_at(0.0)) == pytest.approx(1300 * np.pi / 4 * 132.6e-6**2, rel=EXACT)
-    assert jw.Whisker.rat("C", 2).mass_per_length is None
 
 
 def test_equilibria_do_not_depend_on_masses():
@@ -114,24 +74,90 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         assert not valid(*bad), bad
 
 
+CURVED = {"lateral_curvature": Linear(0.3, 0.1), "twist": 2.0, "torsion_ratio": 0.7}
+
+
+def test_a_plane_whisker_has_nothing_of_space():
+    whisker = jw.Whisker(intrinsic_curvature=0.3)
+    assert not whisker.needs_space
+    assert len(jax.tree.leaves(whisker)) == 3
+    assert whisker.torsion == 1 / 1.3
+    np.testing.assert_array_equal(whisker.curvature_in_space(0.5), [0.0, -0.3, 0.0])
+
+
+def test_curvatures_in_space():
+    whisker = jw.Whisker(2.0, intrinsic_curvature=0.2, **CURVED)
+    assert whisker.needs_space and not whisker.uniform
+    assert whisker.torsion == 0.7
+    np.testing.assert_allclose(whisker.curvature_in_space(1.0), [0.4, -0.2, 2.0], atol=EXACT)
+    for name in ("lateral_curvature", "twist"):
+        assert jw.Whisker(**{name: 0.1}).needs_space and not jw.Whisker(**{name: 0.1}).uniform
+    assert jw.Whisker(torsion_ratio=0.7).uniform
+
+
+def test_copies_of_whiskers_keep_what_they_have_in_space():
+    whisker = jw.Whisker(2.0, mass_per_length=1.0, tip_mass=0.1, breaks=(0.5,), **CURVED)
+    assert whisker.without_masses() == jw.Whisker(2.0, breaks=(0.5,), **CURVED)
+    other = jw.Whisker(2.0, Linear(1.0, 0.1), breaks=(0.5, 1.0))
+    padded, _ = with_equal_breaks((whisker, other))
+    np.testing.assert_array_equal(padded.breaks, [0.0, 0.5])
+    assert (padded.lateral_curvature, padded.twist, padded.torsion_ratio) == tuple(CURVED.values())
+
+
+def test_a_twisted_whisker_may_be_long_as_it_does_not_curl_up():
+    # A constant twist makes a helix: the tangent goes around an axis, from which it is arctan(k1 / k3) away.
+    length = 2 * np.pi / np.hypot(1.0, 2.0)  # once around
+    whisker = jw.Whisker(length, lateral_curvature=1.0, twist=2.0)
+    assert float(whisker._largest_turn()) == pytest.approx(2 * np.arctan2(1.0, 2.0), abs=EXACT)
+    with pytest.raises(ValueError, match="must turn"):
+        jw.Whisker(length, lateral_curvature=1.0)
+
+
+def test_curvatures_in_two_directions_turn_by_their_sum_of_squares():
+    whisker = jw.Whisker(2.0, intrinsic_curvature=0.3, lateral_curvature=0.4)
+    assert float(whisker._largest_turn()) == pytest.approx(1.0, abs=EXACT)
+
+
+def test_traced_values_in_space_out_of_their_domain_are_invalid():
+    @jax.jit
+    def valid(ratio, lateral, twist):
+        return jw.Whisker(2.0, torsion_ratio=ratio, lateral_curvature=lateral, twist=twist).valid()
+
+    assert valid(0.7, 0.5, -3.0)
+    for bad in [(0.0, 0.5, 0.0), (jnp.inf, 0.5, 0.0), (0.7, 0.8, 0.0), (0.7, jnp.nan, 0.0), (0.7, 0.1, jnp.nan)]:
+        assert not valid(*bad), bad
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda whisker: jw.Scene(whisker, jw.Parabola(0.2)),
+        jw.Sensor,
+        lambda whisker: jw.Sensor((jw.Whisker(), whisker), jw.Support.fbfb(1.0)),
+        lambda whisker: jw.deflect(whisker, jw.PointForce(0.1)),
+        lambda whisker: jw.modes(jw.Whisker(mass_per_length=1.0, twist=whisker.twist, lateral_curvature=0.1)),
+        lambda whisker: jw.critical_stiffness(whisker, jw.Parabola(0.2)),
+    ],
+)
+def test_the_plane_has_no_room_for_curvatures_in_space(make):
+    with pytest.raises(ValueError, match=r"`lateral_curvature` must be None in the plane: .* in space, got 0\.1"):
+        make(jw.Whisker(lateral_curvature=0.1))
+    with pytest.raises(ValueError, match=r"`(twist|lateral_curvature)` must be None in the plane"):
+        make(jw.Whisker(twist=Linear(0.1, 0.0)))
+
+
+def test_torsion_does_no_harm_in_the_plane():
+    assert jw.Sensor(jw.Whisker(torsion_ratio=0.7)).whiskers[0].torsion_ratio == 0.7
+
+
 @pytest.mark.unchecked
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: jw.Whisker.rat("", 2), "`row` must be one of A, B, C, D, E, got ''"),
-        (lambda: jw.Whisker.rat("AB", 2), "`row` must be one of A, B, C, D, E, got 'AB'"),
-        (lambda: jw.Whisker.rat(3, 2), "`row` must be one of A, B, C, D, E, got 3"),
-        (lambda: jw.Whisker.rat(["A"], 2), "`row` must be one of"),
-        (lambda: jw.Whisker.rat("B", 5), "`column` must be an int from 0 to 4 in row B, got 5"),
-        (lambda: jw.Whisker.rat("B", True), "`column` must be an int from 0 to 4 in row B, got True"),
         (lambda: jw.Whisker(1.0, lambda s: 0.99 - s), r"`bending_stiffness` must be positive .*, got -0.01\d* at 1 of"),
         (
             lambda: jw.Whisker(1.0, lambda s: 1.0 - 2.5 * s),
             r"`bending_stiffness` must be positive and finite .*, got -0.0156\d* at 0.406",
-        ),
-        (
-            lambda: jw.Whisker.conical(1.0, 1.0, 1.0, -1.0),
-            "`tip_diameter` must be a non-negative finite number, got -1",
         ),
         (lambda: jw.Whisker(breaks=(0.5,)), r"`breaks` must be absent unless .* is a function, got \(0.5\)"),
         (
@@ -148,19 +174,18 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (lambda: jw.Whisker(tip_mass=-1.0), "`tip_mass` must be a non-negative finite number, got -1"),
         (lambda: jw.Whisker(base_mass=math.inf), "`base_mass` must be a non-negative finite number, got inf"),
         (lambda: jw.Whisker(base_inertia="1"), "`base_inertia` must be a non-negative finite number, got '1'"),
-        (lambda: jw.Whisker.rat("C", 2, density=-1.0), "`density` must be a positive finite number, got -1"),
-        (lambda: jw.Whisker.from_material(1.0, -1.0, 1.0), "`youngs_modulus` must be a positive finite number, got -1"),
-        (
-            lambda: jw.Whisker.from_material(0.06, 210e9, 0.3),
-            r"`diameter` must be at most 1/5 of the length 0.06, in the same unit: .*; got 0.3\.",
-        ),
-        (lambda: jw.Whisker.from_material(0.06, 210e9, lambda s: 1e-3 + s), "`diameter` must be at most .*; got 0.061"),
-        (lambda: jw.Whisker.conical(0.06, 3e9, 0.2, 0.0), "`base_diameter` must be at most 1/5 .*; got 0.2"),
-        (lambda: jw.Whisker.conical(0.06, 3e9, 2e-4, 0.1), "`tip_diameter` must be at most 1/5 .*; got 0.1"),
         (
             lambda: jw.Whisker(intrinsic_curvature=1.6),
             r"`intrinsic_curvature` must turn .* less than a right angle, got a turn of 91\.67 degrees",
         ),
+        (
+            lambda: jw.Whisker(intrinsic_curvature=1.2, lateral_curvature=1.2),
+            "`intrinsic_curvature` and `lateral_curvature` must turn .* got a turn of 97.23 degrees",
+        ),
+        (lambda: jw.Whisker(torsion_ratio=0.0), "`torsion_ratio` must be a positive finite number, got 0"),
+        (lambda: jw.Whisker(lateral_curvature="1"), "`lateral_curvature` must be a finite number, got '1'"),
+        (lambda: jw.Whisker(twist=math.inf), "`twist` must be a finite number, got inf"),
+        (lambda: jw.Whisker(twist=math.sin), "`twist` must be a function that JAX can trace"),
         (
             lambda: jw.Whisker(1.0, lambda s: 1.0 if s < 0.5 else 0.5),
             "`bending_stiffness` .* jnp.where instead of `if`",
@@ -168,10 +193,6 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (
             lambda: jw.Whisker(intrinsic_curvature=math.sin),
             "`intrinsic_curvature` must be a function that JAX can trace",
-        ),
-        (
-            lambda: jw.Whisker.from_material(1.0, 1.0, lambda s: math.exp(s)),
-            "`diameter` must be a function that JAX can",
         ),
         (lambda: jw.Whisker(1.0, lambda s, t: s + t), r"`bending_stiffness` .* one number, got <lambda>\(s, t\)"),
         (

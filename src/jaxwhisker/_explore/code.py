@@ -137,7 +137,8 @@ class _Writer:
         else:
             diameter = self.expression(section.diameter, "diameter")
             text = f"jw.Whisker.from_material({material}, diameter={diameter}{density})"
-        for name in ("intrinsic_curvature", "mass_per_length", "tip_mass", "base_mass", "base_inertia", "breaks"):
+        names = ("intrinsic_curvature", "mass_per_length", "tip_mass", "base_mass", "base_inertia", "torsion_ratio")
+        for name in (*names, "breaks"):
             value = getattr(whisker, name)
             if value is not None and not isinstance(value, RoundMass):
                 further.append(f"{name}={self.expression(value, name)}")

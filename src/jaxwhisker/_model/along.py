@@ -14,6 +14,8 @@ from jaxwhisker._rod.rod import AlongRod
 
 AlongWhisker: TypeAlias = AlongRod  # a number, or a function of the arc length from the base
 Breaks: TypeAlias = Float[Array, " breaks"] | Float[np.ndarray, " breaks"]
+CHECKED_POINTS = 65  # points at which a function of arc length is checked
+NEWTON_STEPS = 5  # for the arc length of a parabola: exact to rounding for slopes up to 3
 
 
 class Table(eqx.Module):
@@ -78,6 +80,38 @@ class Polynomial(eqx.Module):
 
     def __call__(self, s: Scalar) -> Float[Array, ""]:
         return jnp.polyval(jnp.asarray(self.coefficients)[::-1], s / self.length)
+
+
+class ParabolicShape(eqx.Module):
+    """Intrinsic curvature of a whisker whose unloaded shape is the parabola y = A x^2.
+
+    x runs along the root of the whisker, with its base at 0; y is to the left of it, towards -x of an upright whisker.
+    The curvature is exact to rounding where the parabola has turned by less than 70 degrees.
+
+    Args:
+        coefficient: A, 1/length; negative to the other side.
+
+    Raises:
+        ValueError: if the coefficient is not a finite number.
+
+    Examples:
+        >>> whisker = jw.Whisker.rat("C", 2, parabola=12.0)  # 1/m
+        >>> print(f"{whisker.curvature_at(0.0):.1f}, {whisker.curvature_at(0.03):.1f}")  # 2 A at the base
+        24.0, 13.7
+    """
+
+    coefficient: Scalar
+
+    def __check_init__(self):
+        checks.number("coefficient", self.coefficient)
+
+    def __call__(self, s: Scalar) -> Scalar:
+        # With the slope 2 A x = sinh(w / 2), the arc length s satisfies sinh(w) + w = 8 A s.
+        arc = 8 * jnp.asarray(self.coefficient, dtype=float) * s
+        w = 4 * jnp.sinh(jnp.arcsinh(3 / 8 * arc) / 3)  # solves the equation to third order
+        for _ in range(NEWTON_STEPS):
+            w = w - (jnp.sinh(w) + w - arc) / (jnp.cosh(w) + 1)
+        return 2 * self.coefficient / jnp.cosh(w / 2) ** 3
 
 
 def as_breaks(value: Any) -> Breaks | None:

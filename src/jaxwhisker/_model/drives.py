@@ -1,26 +1,327 @@
-from typing import NamedTuple
-import equinox as eqx, jax.numpy as jnp
+"""The drive in space: its position and orientation as functions of the control.
+
+Frame: x along the scan, y up, z = x cross y. The drive's frame has the scene's axes while its rotation is the identity.
+A whisker that stands upright on the drive has the directors d1 = x, d2 = -z and d3 = y, its tangent.
+"""
+
+import abc
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import as_field, as_text, name_of
 from jaxwhisker._base.rotation import about, rotation_matrix
+from jaxwhisker._base.types import Scalar, Triple
+from jaxwhisker._model.motion import AbstractMotion
+
+NOWHERE = (0.0, 0.0, 0.0)
+UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # columns d1, d2, d3 of an upright whisker
+RETURNS = ("(x", "y", "z)", "(rotation_x", "rotation_y", "rotation_z)")  # two triples, as error messages print them
+
+
 class Placement(NamedTuple):
-    position: object
-    rotation: object
-class AbstractDrive(eqx.Module):
-    pass
-class LinearDrive(AbstractDrive):
-    direction: tuple
-    origin: tuple = (0., 0., 0.)
-    ends = None
-    onwards = 1
-    def unit(self, length): return length
-    def valid(self): return jnp.asarray(True)
-    def placement(self, u):
-        d = jnp.stack([jnp.asarray(x, float) for x in self.direction]); d = d / jnp.sqrt(jnp.sum(d**2))
-        o = jnp.stack([jnp.asarray(x, float) for x in self.origin])
-        return Placement(o + u * d, jnp.eye(3))
-def placement_of(motion, u):
-    if isinstance(motion, AbstractDrive): return motion.placement(u)
-    x, y, a = motion.pose(u)
-    return Placement(jnp.stack([x, y, 0 * x]), about(2, a))
-def mount_in_space(mount):
-    std = jnp.array([[1., 0, 0], [0, 0, 1.], [0, -1., 0]])
-    return Placement(jnp.stack([jnp.asarray(mount.x, float), jnp.asarray(mount.y, float), jnp.zeros(())]), about(2, mount.angle) @ std)
+    """A frame in space: its origin and, as columns, the directions of its axes, in the frame that contains it."""
+
+    position: Float[Array, "3"]
+    rotation: Float[Array, "3 3"]
+
+    def containing(self, inner: "Placement") -> "Placement":
+        """Where a frame is that has the placement `inner` in this one."""
+        return Placement(self.position + self.rotation @ inner.position, self.rotation @ inner.rotation)
+
+
+class SpaceMotion(eqx.Module):
+    """A curve of placements of the drive in space; a scan follows it from one in which all whiskers are free."""
+
+    @abc.abstractmethod
+    def placement(self, control: Scalar) -> Placement:
+        """The placement of the drive's frame in the scene at a control."""
+
+    @property
+    @abc.abstractmethod
+    def ends(self) -> tuple[Scalar, Scalar] | None:
+        """First control, at which all whiskers are free, and last control of a scan; None if both are far away."""
+
+    @property
+    @abc.abstractmethod
+    def onwards(self) -> int:
+        """+1 if the control increases during a scan, else -1."""
+
+    @abc.abstractmethod
+    def unit(self, length: Scalar) -> Scalar:
+        """Unit of control of the dimensionless problem: `length`, 1 rad, or the range of a user-defined motion."""
+
+    def valid(self) -> Bool[Array, ""]:
+        """Whether traced parameters are in the domain that the constructor checks; by default, all finite numbers."""
+        return checks.all_finite(self)
+
+
+class LinearDrive(SpaceMotion):
+    """Translation of the drive along a line; the control is the distance from `origin`, a length, and increases.
+
+    Args:
+        direction: (x, y, z) of a vector along which the drive moves, of any length but zero.
+        origin: (x, y, z) of the drive at the control 0, lengths.
+
+    Raises:
+        ValueError: if an argument is not a tuple of three finite numbers, or the direction is zero.
+
+    Examples:
+        >>> oblique = jw.LinearDrive(direction=(-3.0, 0.0, 4.0), origin=(0.0, 0.1, 0.0))
+        >>> print(oblique.placement(0.5).position)
+        [-0.3  0.1  0.4]
+    """
+
+    direction: Triple
+    origin: Triple = NOWHERE
+
+    def __check_init__(self):
+        _check_direction("direction", self.direction)
+        checks.triple("origin", self.origin)
+
+    def placement(self, control):
+        return Placement(_array(self.origin) + control * _unit(self.direction), jnp.eye(3))
+
+    @property
+    def ends(self):
+        return None
+
+    @property
+    def onwards(self):
+        return 1
+
+    def unit(self, length):
+        return length
+
+    def valid(self):
+        return checks.all_finite(self) & _has_length(self.direction)
+
+    def __str__(self):
+        return f"translation along {_text(self.direction)}"
+
+
+class _Between(SpaceMotion):
+    """A motion from one control to another."""
+
+    # Its subclasses declare `start`, `stop` and `direction`, because the order of fields is that of the arguments.
+
+    def __post_init__(self: Any):
+        checks.number("start", self.start)
+        checks.number("stop", self.stop)
+        self.start, self.stop = float(self.start), float(self.stop)
+        if self.start == self.stop:
+            checks.fail("stop", "different from `start`", f"{self.stop} for both")
+        self.direction = 1 if self.stop > self.start else -1
+
+    @property
+    def ends(self: Any):
+        return self.start, self.stop
+
+    @property
+    def onwards(self: Any):
+        return self.direction
+
+
+class RotaryDrive(_Between):
+    """Rotation of the drive about an axis in space; the control is the angle, rad, right-handed about the axis.
+
+    At the control 0, the drive's frame is that of the scene.
+
+    Args:
+        axis: (x, y, z) of a vector along the axis, of any length but zero.
+        pivot: (x, y, z) of a point on the axis, lengths.
+        start: a control at which all whiskers are free, rad. Default: a right angle before 0.
+        stop: the last control of the default scan, rad. Default: a right angle after 0.
+
+    Raises:
+        ValueError: if `axis` or `pivot` is not a tuple of three finite numbers, the axis is zero, or `start` and `stop`
+            are not two different finite numbers.
+
+    Examples:
+        >>> nodding = jw.RotaryDrive(axis=(1.0, 0.0, 0.0), pivot=(0.0, -0.5, 0.0))
+        >>> print(nodding.placement(0.1).position.round(4))
+        [ 0.     -0.0025  0.0499]
+    """
+
+    axis: Triple
+    pivot: Triple = NOWHERE
+    start: Scalar = -np.pi / 2
+    stop: Scalar = np.pi / 2
+    direction: int = eqx.field(static=True, init=False)
+
+    def __check_init__(self):
+        _check_direction("axis", self.axis)
+        checks.triple("pivot", self.pivot)
+
+    def placement(self, control):
+        return _about_pivot(self.pivot, rotation_matrix(control * _unit(self.axis)))
+
+    def unit(self, length):
+        del length
+        return 1.0
+
+    def valid(self):
+        return checks.all_finite(self) & _has_length(self.axis)
+
+    def __str__(self):
+        return f"rotation about {_text(self.axis)}"
+
+
+class WhiskDrive(_Between):
+    """Whisking: protraction with an elevation and a roll that change with it.
+
+    The control u is the angle of protraction, rad, about z (towards -x for an upright whisker). The rotation of the
+    drive is Rz(u) Rx(elevation + elevation_rate u) Ry(roll + roll_rate u): the roll turns an upright whisker about its
+    root, the elevation tilts it towards +z, and the protraction turns it about z.
+
+    Args:
+        elevation: angle of elevation at u = 0, rad.
+        roll: angle of roll at u = 0, rad.
+        elevation_rate: change of the elevation per protraction.
+        roll_rate: change of the roll per protraction.
+        pivot: (x, y, z) of the point about which the drive turns, lengths. Default: the base of a whisker without
+            mount.
+        start: a control at which all whiskers are free, rad. Default: a right angle before 0.
+        stop: the last control of the default scan, rad. Default: a right angle after 0.
+
+    Raises:
+        ValueError: if a value is not a finite number, `pivot` is not a tuple of three, or `start` and `stop` are equal.
+
+    Examples:
+        >>> row_c = jw.WhiskDrive(elevation_rate=0.30, roll_rate=0.22, start=-0.6, stop=0.9)
+        >>> print(row_c.placement(0.0).rotation.diagonal())
+        [1. 1. 1.]
+
+    Rates of rats in the rows A to E: elevation 0.12, 0.30, 0.30, 0.14, 0.02 and roll -0.76, -0.25, 0.22, 0.43, 0.73.
+    """
+
+    elevation: Scalar = 0.0
+    roll: Scalar = 0.0
+    elevation_rate: Scalar = 0.0
+    roll_rate: Scalar = 0.0
+    pivot: Triple = NOWHERE
+    start: Scalar = -np.pi / 2
+    stop: Scalar = np.pi / 2
+    direction: int = eqx.field(static=True, init=False)
+
+    def __check_init__(self):
+        for name in ("elevation", "roll", "elevation_rate", "roll_rate"):
+            checks.number(name, getattr(self, name))
+        checks.triple("pivot", self.pivot)
+
+    def placement(self, control):
+        elevation, roll = self.elevation + self.elevation_rate * control, self.roll + self.roll_rate * control
+        return _about_pivot(self.pivot, _angles(control, elevation, roll))
+
+    def unit(self, length):
+        del length
+        return 1.0
+
+    def __str__(self):
+        return "whisking"
+
+
+class PoseDrive(_Between):
+    """User-defined motion of the drive in space.
+
+    Args:
+        function: maps the control to the position (x, y, z) of the drive's frame, lengths, and its rotation vector: the
+            direction of the axis times the angle, rad, right-handed. Both are tuples of three numbers or arrays of
+            shape (3,). JAX must be able to trace it. The parameters of an `equinox.Module` are differentiable; a plain
+            function is constant.
+        start: a control at which all whiskers are free.
+        stop: the last control of the default scan.
+
+    Raises:
+        ValueError: if JAX cannot trace `function` or it does not return two triples, or `start` and `stop` are not two
+            different finite numbers.
+
+    Examples:
+        >>> rolling = jw.PoseDrive(lambda u: ((1.2 - u, 0.0, 0.0), (0.0, 0.3 * u, 0.0)), start=0.0, stop=2.4)
+        >>> print(f"x = {rolling.placement(1.0).position[0]:.1f}")
+        x = 0.2
+    """
+
+    function: Callable[[Any], Any] = eqx.field(converter=lambda value: _pose_function(value))
+    start: Scalar
+    stop: Scalar
+    direction: int = eqx.field(static=True, init=False)
+
+    def placement(self, control):
+        position, turn = self.function(control)
+        return Placement(_array(position), rotation_matrix(_array(turn)))
+
+    def unit(self, length):
+        del length
+        return jnp.abs(self.stop - self.start)
+
+    def valid(self):
+        return jnp.isfinite(self.start) & jnp.isfinite(self.stop)
+
+    def __str__(self):
+        return f"motion {name_of(self.function)}(u)"
+
+
+def placement_of(motion: SpaceMotion | AbstractMotion, control: Scalar) -> Placement:
+    """The placement in space of the drive at a control, also for a motion in the plane, which turns about z."""
+    if isinstance(motion, SpaceMotion):
+        return motion.placement(control)
+    x, y, angle = motion.pose(control)
+    return Placement(_array((x, y, 0.0)), about(2, angle))
+
+
+def _pose_function(value: Any) -> Any:
+    """Check a function that returns two triples, and convert it to a field."""
+
+    def flat(control):
+        result = value(control)
+        try:
+            position, turn = map(tuple, result)
+        except (TypeError, ValueError):
+            return result
+        return [*position, *turn] if len(position) == len(turn) == 3 else result
+
+    if callable(value):
+        functools.update_wrapper(flat, value, updated=())
+        flat.__name__ = name_of(value)
+    checks.function("function", flat if callable(value) else value, RETURNS)
+    return as_field(value)
+
+
+def _angles(protraction: Scalar, elevation: Scalar, roll: Scalar) -> Float[Array, "3 3"]:
+    return about(2, protraction) @ about(0, elevation) @ about(1, roll)
+
+
+def _about_pivot(pivot: Triple, rotation: Float[Array, "3 3"]) -> Placement:
+    """The placement after a rotation about a point that the rotation leaves where it is."""
+    point = _array(pivot)
+    return Placement(point - rotation @ point, rotation)
+
+
+def _check_direction(name: str, value: Any) -> None:
+    checks.triple(name, value)
+    if not checks.is_traced(value) and not any(map(float, value)):
+        checks.fail(name, "a vector that is not zero", repr(value))
+
+
+def _has_length(direction: Triple) -> Bool[Array, ""]:
+    return jnp.any(_array(direction) != 0)
+
+
+def _unit(direction: Triple) -> Float[Array, "3"]:
+    vector = _array(direction)
+    return vector / jnp.sqrt(jnp.sum(vector**2))
+
+
+def _array(triple: Any) -> Float[Array, "3"]:
+    return jnp.stack([jnp.asarray(part, dtype=float) for part in triple])
+
+
+def _text(triple: Triple) -> str:
+    return f"({', '.join(map(as_text, triple))})"

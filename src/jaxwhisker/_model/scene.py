@@ -221,6 +221,7 @@ def _check_sensor(whisker: Any, support: Any, motion: Any, friction: Any) -> Non
         checks.fail("whisker", allowed, f"a tuple of {len(whiskers)}")
     if friction is not None:
         checks.number("friction", friction, non_negative=True)
+    check_in_plane(whiskers, support)
     whiskers = _each_whisker(whisker, support)
     for name, number, place in support.attachments():
         length = whiskers[number - 1].length
@@ -229,6 +230,19 @@ def _check_sensor(whisker: Any, support: Any, motion: Any, friction: Any) -> Non
     tissue = any(one is not None for one in support.foundations)
     if tissue and any(w.intrinsic_curvature is not None for w in whiskers):
         checks.fail("whisker", "straight on a Foundation", "one with an intrinsic curvature")
+
+
+def check_in_plane(whiskers: tuple[Whisker, ...], support: Support) -> None:
+    """Check that whiskers and their support do not leave the plane.
+
+    Raises:
+        ValueError: if they need an object in space; it names the argument.
+    """
+    for name in ("lateral_curvature", "twist"):
+        value = next((own for whisker in whiskers if (own := getattr(whisker, name)) is not None), None)
+        if value is not None:
+            text = f"{name_of(value)}(s)" if callable(value) else as_text(value)
+            checks.fail(name, "None in the plane: it needs an object in space", text)
 
 
 def _in_row(whisker: Any, support: Any) -> Any:

@@ -12,15 +12,15 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, number_or_function
 from jaxwhisker._base.suggest import Suggesting
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.along import AlongWhisker, Breaks, LinearTaper, RoundMass, RoundSection, as_breaks
-from jaxwhisker._model.measured import Measured
+from jaxwhisker._model.along import CHECKED_POINTS, AlongWhisker, Breaks, as_breaks
+from jaxwhisker._model.round import Round
 from jaxwhisker._rod.rod import Section, at_arc
 
-CHECKED_POINTS = 65  # points at which a function of arc length is checked
-SLENDER = 5  # least ratio of length and diameter; real whiskers and wires have 50 and more
+CURVATURES = ("intrinsic_curvature", "lateral_curvature", "twist")
+POISSON_RATIO = 0.3  # of a round rod whose torsional stiffness is not given
 
 
-class Whisker(Measured, metaclass=Suggesting):
+class Whisker(Round, metaclass=Suggesting):
     """A whisker, clamped upright at its base.
 
     With the default values everything is dimensionless: lengths in L, forces in EI/L^2, moments in EI/L.
@@ -42,16 +42,23 @@ class Whisker(Measured, metaclass=Suggesting):
             where springs let the base move along x or y. Default: none.
         base_inertia: rotary inertia of what is attached to the base, about the base, mass times length squared, not
             negative. Default: none.
+        torsion_ratio: GJ / EI, a positive number that is the same everywhere along the whisker. Only needed in space,
+            where curved whiskers twist. Default: 1 / (1 + nu) of a round whisker, with Poisson's ratio nu = 0.3.
+        lateral_curvature: k1 of the unloaded whisker, 1/length: a number, or a function like that of the bending
+            stiffness. Positive bends an upright whisker out of the plane towards +z; the intrinsic curvature is
+            kappa0 = -k2. Only for objects in space. Default: none.
+        twist: k3 of the unloaded whisker, rad/length, at which the directions of these two curvatures turn about it: a
+            number, or a function like that of the bending stiffness. Only for objects in space. Default: none.
         breaks: arc lengths from the base at which one of these functions jumps or has a kink: numbers inside (0, L), in
             ascending order. Integration steps and finite elements end there. The functions may have the value of either
             side at a break. Derivatives with respect to a break need the same number in the function. Default: none;
             then a warning says where functions are not resolved.
 
     Raises:
-        ValueError: if the length is not a positive finite number, the bending stiffness or the mass per length is not
-            positive and finite, another mass is negative, JAX cannot trace a function with one number as its argument,
-            the unloaded whisker turns by a right angle or more, or breaks are not inside the whisker, not in ascending
-            order, or given without a function.
+        ValueError: if the length is not a positive finite number, the bending stiffness, the mass per length or the
+            torsion ratio is not positive and finite, another mass is negative, JAX cannot trace a function with one
+            number as its argument, the unloaded whisker turns by a right angle or more, or breaks are not inside the
+            whisker, not in ascending order, or given without a function.
 
     Examples:
         >>> jw.Whisker().uniform
@@ -72,14 +79,22 @@ class Whisker(Measured, metaclass=Suggesting):
     tip_mass: Scalar | None = eqx.field(default=None, kw_only=True)
     base_mass: Scalar | None = eqx.field(default=None, kw_only=True)
     base_inertia: Scalar | None = eqx.field(default=None, kw_only=True)
+    torsion_ratio: Scalar | None = eqx.field(default=None, kw_only=True)
+    lateral_curvature: AlongWhisker | None = eqx.field(
+        default=None, kw_only=True, converter=number_or_function("lateral_curvature")
+    )
+    twist: AlongWhisker | None = eqx.field(default=None, kw_only=True, converter=number_or_function("twist"))
     breaks: Breaks | None = eqx.field(default=None, kw_only=True, converter=as_breaks)
 
     def __check_init__(self):
         checks.number("length", self.length, positive=True)
         self._check_breaks()
         self._check_masses()
-        if self.intrinsic_curvature is not None and not callable(self.intrinsic_curvature):
-            checks.number("intrinsic_curvature", self.intrinsic_curvature)
+        for name in CURVATURES:
+            if getattr(self, name) is not None and not callable(getattr(self, name)):
+                checks.number(name, getattr(self, name))
+        if self.torsion_ratio is not None:
+            checks.number("torsion_ratio", self.torsion_ratio, positive=True)
         if not callable(self.bending_stiffness):
             checks.number("bending_stiffness", self.bending_stiffness, positive=True)
         if self.uniform or checks.is_traced(self):
@@ -88,8 +103,9 @@ class Whisker(Measured, metaclass=Suggesting):
         with jax.ensure_compile_time_eval():
             turn = float(self._largest_turn())
         if not turn < np.pi / 2:
+            given = [f"`{name}`" for name in CURVATURES if getattr(self, name) is not None]
             raise ValueError(
-                "`intrinsic_curvature` must turn the unloaded whisker by less than a right angle, got a turn of "
+                f"{' and '.join(given)} must turn the unloaded whisker by less than a right angle, got a turn of "
                 f"{np.degrees(turn):.4g} degrees: a whisker that curls up would touch in more than one place."
             )
 
@@ -107,8 +123,9 @@ class Whisker(Measured, metaclass=Suggesting):
     def _check_breaks(self) -> None:
         if self.breaks is None:
             return
-        if not any(map(callable, (self.bending_stiffness, self.intrinsic_curvature, self.mass_per_length))):
-            allowed = "absent unless bending stiffness, intrinsic curvature or mass per length is a function"
+        functions = (getattr(self, name) for name in ("bending_stiffness", *CURVATURES, "mass_per_length"))
+        if not any(map(callable, functions)):
+            allowed = "absent unless bending stiffness, a curvature or mass per length is a function"
             checks.fail("breaks", allowed, _text(self.breaks))
         if checks.is_traced((self.breaks, self.length)):
             return
@@ -127,7 +144,18 @@ class Whisker(Measured, metaclass=Suggesting):
     @property
     def uniform(self) -> bool:
         """Whether the whisker is straight and its bending stiffness constant."""
-        return not callable(self.bending_stiffness) and self.intrinsic_curvature is None
+        curved = self.intrinsic_curvature is not None or self.needs_space
+        return not callable(self.bending_stiffness) and not curved
+
+    @property
+    def needs_space(self) -> bool:
+        """Whether the unloaded whisker has a lateral curvature or a twist, which the plane has no room for."""
+        return self.lateral_curvature is not None or self.twist is not None
+
+    @property
+    def torsion(self) -> Scalar:
+        """GJ / EI: the `torsion_ratio` or its default."""
+        return 1 / (1 + POISSON_RATIO) if self.torsion_ratio is None else self.torsion_ratio
 
     def stiffness_at(self, s: Scalar) -> Float[Array, ""]:
         """EI at the arc length s from the base, force times length squared."""
@@ -143,6 +171,9 @@ class Whisker(Measured, metaclass=Suggesting):
         length, (_, stiff) = jnp.asarray(self.length), self._samples(self.bending_stiffness)
         if self.breaks is not None:
             stiff &= _inside(jnp.asarray(self.breaks), length, jnp)
+        if self.torsion_ratio is not None:
+            torsion = jnp.asarray(self.torsion_ratio)
+            stiff &= (torsion > 0) & jnp.isfinite(torsion)
         return jnp.isfinite(length) & (length > 0) & jnp.all(stiff) & (self._largest_turn() < jnp.pi / 2)
 
     def valid_masses(self) -> Bool[Array, ""]:
@@ -170,6 +201,11 @@ class Whisker(Measured, metaclass=Suggesting):
         """kappa0 at the arc length s from the base, 1/length, positive counter-clockwise."""
         return at_arc(0.0 if self.intrinsic_curvature is None else self.intrinsic_curvature, s)
 
+    def curvature_in_space(self, s: Scalar) -> Float[Array, "3"]:
+        """(k1, k2, k3) at the arc length s from the base, 1/length, with k2 = -kappa0."""
+        k1, k3 = (0.0 if value is None else value for value in (self.lateral_curvature, self.twist))
+        return jnp.stack([at_arc(k1, s), -self.curvature_at(s), at_arc(k3, s)])
+
     def section(self, length_unit: Scalar, stiffness_unit: Scalar) -> Section:
         """Bending stiffness and intrinsic curvature along the whisker, in these units of length and EI."""
         one = jnp.asarray(1.0)  # an array, because the orientation of each whisker differs in a batch
@@ -179,11 +215,26 @@ class Whisker(Measured, metaclass=Suggesting):
 
     def _largest_turn(self) -> Float[Array, ""]:
         """Largest angle between the unloaded whisker and the upright."""
+        if self.needs_space:
+            return self._largest_turn_in_space()
         if self.intrinsic_curvature is None:
             return jnp.zeros(())
         step = jnp.asarray(self.length, dtype=float) / (CHECKED_POINTS - 1)
         curvature = jax.vmap(self.curvature_at)(step * jnp.arange(CHECKED_POINTS))
         return jnp.max(jnp.abs(jnp.cumsum((curvature[1:] + curvature[:-1]) / 2) * step))
+
+    def _largest_turn_in_space(self) -> Float[Array, ""]:
+        from jaxwhisker._base.rotation import rotation_matrix  # a whisker in the plane does without it
+
+        step = jnp.asarray(self.length, dtype=float) / (CHECKED_POINTS - 1)
+        middles = step * (jnp.arange(CHECKED_POINTS - 1) + 0.5)
+        turns = jax.vmap(lambda s: rotation_matrix(step * self.curvature_in_space(s)))(middles)
+
+        def onwards(frame, turn):
+            frame = frame @ turn
+            return frame, jnp.arctan2(jnp.hypot(frame[0, 2], frame[1, 2]), frame[2, 2])
+
+        return jnp.max(jax.lax.scan(onwards, jnp.eye(3), turns)[1])
 
     def _samples(self, value: AlongWhisker) -> tuple[Float[Array, " points"], Bool[Array, " points"]]:
         """A quantity at points along the whisker, and whether it is positive, or zero at the tip, and finite."""
@@ -191,144 +242,6 @@ class Whisker(Measured, metaclass=Suggesting):
         values = jax.vmap(lambda s: at_arc(value, s))(s)
         positive = (values > 0).at[-1].set(values[-1] >= 0)
         return values, positive & jnp.isfinite(values)
-
-    @classmethod
-    def from_material(
-        cls,
-        length: Scalar,
-        youngs_modulus: AlongWhisker,
-        diameter: AlongWhisker,
-        *,
-        density: AlongWhisker | None = None,
-    ) -> "Whisker":
-        """A whisker of circular cross-section, EI = E pi d^4 / 64 and rho A = rho pi d^2 / 4.
-
-        Args:
-            length: L, m; positive.
-            youngs_modulus: E, Pa; a positive number, or a function of the arc length from the base.
-            diameter: d, m; a positive number, or a function of the arc length from the base.
-            density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
-
-        Raises:
-            ValueError: as for a Whisker, or if a diameter is more than a fifth of the length.
-
-        Examples:
-            >>> whisker = jw.Whisker.from_material(length=0.05, youngs_modulus=3e9, diameter=2e-4)
-            >>> print(f"{whisker.bending_stiffness:.3e}")  # N m^2
-            2.356e-07
-        """
-        for name, value in (("youngs_modulus", youngs_modulus), ("diameter", diameter), ("density", density)):
-            if value is not None and not callable(value):
-                checks.number(name, value, positive=True)
-        section = RoundSection(youngs_modulus, diameter)
-        mass = None if density is None else RoundMass(density, diameter)
-        whisker = cls(
-            length,
-            section if callable(youngs_modulus) or callable(diameter) else section(0.0),
-            mass_per_length=mass if mass is None or callable(density) or callable(diameter) else mass(0.0),
-        )
-        _check_slender("diameter", diameter, length)
-        return whisker
-
-    @classmethod
-    def conical(
-        cls,
-        length: Scalar,
-        youngs_modulus: AlongWhisker,
-        base_diameter: Scalar,
-        tip_diameter: Scalar,
-        *,
-        density: AlongWhisker | None = None,
-    ) -> "Whisker":
-        """A whisker whose diameter decreases linearly from base to tip.
-
-        Args:
-            length: L, m; positive.
-            youngs_modulus: E, Pa; a positive number, or a function of the arc length from the base.
-            base_diameter: d at the base, m; positive.
-            tip_diameter: d at the tip, m; not negative. A pointed tip (0) carries no force: it bends away, and the
-                contact is tangential from the start.
-            density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
-
-        Raises:
-            ValueError: as for a Whisker, or if a diameter is negative or more than a fifth of the length.
-
-        Examples:
-            >>> cone = jw.Whisker.conical(length=0.05, youngs_modulus=3e9, base_diameter=2e-4, tip_diameter=5e-5)
-            >>> print(f"{cone.base_stiffness / cone.stiffness_at(0.05):.0f}")  # the ratio of diameters, to the fourth
-            256
-        """
-        checks.number("base_diameter", base_diameter, positive=True)
-        checks.number("tip_diameter", tip_diameter, non_negative=True)
-        checks.number("length", length, positive=True)
-        _check_slender("base_diameter", base_diameter, length)
-        _check_slender("tip_diameter", tip_diameter, length)
-        taper = LinearTaper(base_diameter, tip_diameter, length)
-        return cls.from_material(length, youngs_modulus, taper, density=density)
-
-    @classmethod
-    def rat(
-        cls,
-        row: str,
-        column: int,
-        *,
-        length: Scalar | None = None,
-        youngs_modulus: AlongWhisker = 3e9,
-        intrinsic_curvature: AlongWhisker | None = None,
-        density: AlongWhisker | None = None,
-    ) -> "Whisker":
-        """The average vibrissa of a rat at one position in the array, in SI units: a cone.
-
-        With r = 1 to 5 for the rows A to E, c for the column, and lengths in millimetres: the arc length is
-        S = 43 + 1.8 r - 7.6 c, the diameter at the base is 0.041 + 0.002 S + 0.011 r - 0.0039 c, and the radius
-        decreases by 0.0012 + 0.00017 r - 0.000066 c + 0.00011 c^2 per unit of arc length, to no less than 1.5
-        micrometres.
-
-        Args:
-            row: "A" (uppermost) to "E".
-            column: 0 (the Greek arc, at the back) to 5; to 4 in rows A and B.
-            length: S, m; positive. Default: the average.
-            youngs_modulus: E, Pa. 3 GPa is a common round value; measured values scatter by more than half of it.
-            intrinsic_curvature: 1/m, a number or a function, as for any whisker.
-            density: rho, kg/m^3, a number or a function. Default: unknown.
-
-        Raises:
-            ValueError: if the array has no such position, or as for a Whisker.
-
-        Examples:
-            >>> whisker = jw.Whisker.rat("C", 2)
-            >>> print(f"{1e3 * whisker.length:.1f} mm")
-            33.2 mm
-
-        Source: Belli, Yang, Bresee and Hartmann (2017), J. Neurophysiol. 117, 1807, regressions over seven studies;
-        with the coefficients and the smallest tip radius of the simulator WHISKiT Physics (Zweifel et al. 2021, PNAS
-        118, e2011905118), which uses these regressions.
-        """
-        if not isinstance(row, str) or row not in LAST_COLUMN:
-            checks.fail("row", f"one of {', '.join(LAST_COLUMN)}", repr(row))
-        if not isinstance(column, int) or isinstance(column, bool) or not 0 <= column <= LAST_COLUMN[row]:
-            checks.fail("column", f"an int from 0 to {LAST_COLUMN[row]} in row {row}", repr(column))
-        if length is not None:
-            checks.number("length", length, positive=True)
-        r, c = list(LAST_COLUMN).index(row) + 1, column
-        arc = 43 + 1.8 * r - 7.6 * c if length is None else length * 1e3
-        base = 0.041 + 0.002 * arc + 0.011 * r - 0.0039 * c
-        slope = 0.0012 + 0.00017 * r - 0.000066 * c + 0.00011 * c**2
-        tip = jnp.maximum(base - 2 * slope * arc, 2 * LEAST_TIP_RADIUS)
-        cone = cls.conical(arc * 1e-3, youngs_modulus, base * 1e-3, tip * 1e-3, density=density)
-        return cls(cone.length, cone.bending_stiffness, intrinsic_curvature, mass_per_length=cone.mass_per_length)
-
-
-def _check_slender(name: str, diameter: AlongWhisker, length: Scalar) -> None:
-    """Check that a concrete diameter is that of a slender rod, and not in another unit than the length."""
-    if checks.is_traced((diameter, length)):
-        return
-    with jax.ensure_compile_time_eval():
-        places = jnp.linspace(0.0, 1.0, CHECKED_POINTS) * length
-        thickest = float(jnp.max(jax.vmap(diameter)(places)) if callable(diameter) else diameter)
-    if thickest > float(length) / SLENDER:
-        allowed = f"at most 1/{SLENDER} of the length {float(length):g}, in the same unit: rods are slender"
-        raise ValueError(f"`{name}` must be {allowed}; got {thickest:g}.")
 
 
 def _masses(whisker: Whisker) -> tuple:
@@ -360,13 +273,3 @@ def with_equal_breaks(whiskers: tuple[Whisker, ...]) -> tuple[Whisker, ...]:
         )
         for whisker, breaks in zip(whiskers, own, strict=True)
     )
-
-
-LAST_COLUMN = {
-    "A": 4,
-    "B": 4,
-    "C": 5,
-    "D": 5,
-    "E": 5,
-}  # last column of each row for which the regression gives a length
-LEAST_TIP_RADIUS = 0.0015  # mm

@@ -15,6 +15,7 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment
+from jaxwhisker._model.scene import check_in_plane
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
@@ -157,6 +158,7 @@ def deflect(
         checks.fail("loads", "one or more of PointForce, PointMoment and LineLoad", repr(loads))
     if not isinstance(support, Support) or support.whiskers != 1:
         checks.fail("support", "a Support of one whisker", repr(support))
+    check_in_plane((whisker,), support)
     checks.count("points", points, least=2)
     support = support.in_row(whisker.length)
     for name, _, place in support.attachments():

@@ -7,6 +7,7 @@ a batch pay for the most expensive branch that any of them takes. The tasks are:
     event     solve for the point within the last step where a margin vanishes
     arrive    solve for the same point in the phase that holds from here on, which gives the direction there
     done      do nothing: the march has ended
+    lost      do nothing: stability is lost, and contacts will slide (flow.py) once all others of a batch are done or lost
 
 Stability is checked at every node (sliding.py). If the end of a step is unstable, steps are shortened until the loss is
 located. There the drive turns back (a fold), or a symmetric branch goes on, unstable (a bifurcation).
@@ -23,10 +24,11 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, at_control, dot, scale_of, unit
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Status, first_case, select
-from jaxwhisker._space.contact import FORCE, SLACK, spread
+from jaxwhisker._space.contact import FORCE, SLACK
+from jaxwhisker._space.flow import flow_from
 from jaxwhisker._space.free import Nearest
 from jaxwhisker._space.newton import Phases, Solution, solve_points
-from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
+from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.stance import Stance, stance_of
 
 CAPACITY = 192  # nodes; a scan of one whisker takes about 40
@@ -50,9 +52,10 @@ class Task(IntEnum):
     event = 1
     arrive = 2
     done = 3
+    lost = 4
 
 
-TOUCH, RELEASE, PHASE, AT_STOP = range(4)  # kinds of margins
+TOUCH, RELEASE, PHASE, AT_STOP, SNAP = range(5)  # kinds of margins, and what follows from a loss
 
 
 class Node(NamedTuple):
@@ -146,7 +149,7 @@ def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Arr
             lambda: _after_advance(problem, march, solution, tangent, stance, guess, stop_u),
             lambda: _after_event(problem, march, solution, tangent, stance, phase),
             lambda: _after_arrive(problem, march, solution, tangent, stance, stops, last),
-            lambda: (march, jnp.asarray(False), march.pending),
+            *[lambda: (march, jnp.asarray(False), march.pending)] * 2,
         ],
     )
     return new._replace(count=new.count + write), jnp.where(write, march.count, -1), node
@@ -206,13 +209,15 @@ def _after_advance(
         unstable_size=march.unstable_size / 2,
     )
     onwards = moved._replace(step=_next_step(moved, error, march.step))
-    lost = jnp.where(jnp.abs(march.tangent.u) < FOLD, Status.unstable, Status.undetermined)
+    # At a fold, contacts slide on in the direction of the path. A bifurcation is symmetric: they may go either way.
+    folds = jnp.abs(march.tangent.u) < FOLD
+    falls = select(folds, march._replace(task=jnp.asarray(int(Task.lost))), march.stopped(Status.undetermined))
     new = first_case(
         (march.count >= CAPACITY - 1, march.stopped(Status.too_long)),
         (~good & (shorter.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, shorter),
         (violated, march._replace(task=jnp.asarray(int(Task.event)), target=target)),
-        (~stable & (march.step < LOSS_BRACKET), march.stopped(lost)),
+        (~stable & (march.step < LOSS_BRACKET), falls),
         (~stable, closer),
         (_is_over(march, stance), march.stopped(Status.ok)),
         (~stance.opens, march.stopped(Status.not_convex)),
@@ -335,11 +340,11 @@ def _after_arrive(
     direction = jnp.where(turned, heading, march.direction)
     # The condition makes the force or the slack grow; a tangential contact that becomes a tip contact loses slack.
     back = (margin == PHASE) & jnp.any(march.target.whiskers & (march.phase == Phase.tip))
-    by_control = (margin == RELEASE) | (margin == AT_STOP)
+    by_control = (margin == RELEASE) | (margin == AT_STOP) | (margin == SNAP)
     sign = jnp.where(by_control, jnp.where(tangent.u * direction < 0, -1.0, 1.0), jnp.where(back, -1.0, 1.0))
     tangent = Point(sign * tangent.z, sign * tangent.u)
     node = march.pending._replace(point=solution.point, leaving=tangent)
-    falls = tangent.u * direction <= 0
+    falls, snapped = tangent.u * direction <= 0, margin == SNAP
     onwards = march._replace(
         task=jnp.asarray(int(Task.advance)),
         point=solution.point,
@@ -356,7 +361,9 @@ def _after_arrive(
     new = first_case(
         (~solution.converged, march.stopped(Status.lost)),
         (over, march.stopped(Status.ok)),
-        (falls | ~stance.stable, march.stopped(Status.unstable)),
+        (snapped & ~stance.stable, march.stopped(Status.unsettled)),
+        # A loss at a corner: the path would have to go back.
+        (falls | ~stance.stable, onwards._replace(task=jnp.asarray(int(Task.lost)))),
         otherwise=onwards,
     )
     return new, solution.converged, node
@@ -415,8 +422,45 @@ def march(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], l
         return now, nodes, count + CHUNK
 
     def goes_on(carry):
-        return (carry[0].task != Task.done) & (carry[2] < ITERATIONS)
+        return (carry[0].task < Task.done) & (carry[2] < ITERATIONS)
 
-    now, nodes, _ = jax.lax.while_loop(goes_on, chunk, (first, nodes, jnp.asarray(0)))
+    def round_(carry):
+        now, nodes, count = jax.lax.while_loop(goes_on, chunk, carry)
+        return _after_flow(problem, now), nodes, count
+
+    now, nodes, _ = jax.lax.while_loop(goes_on, round_, (first, nodes, jnp.asarray(0)))
     status = jnp.where(now.task == Task.done, now.status, int(Status.too_long))
     return SpacePath(nodes, now.count, status)
+
+
+def _after_flow(problem: SpaceProblem, march: March) -> March:
+    """Let contacts slide from a loss of stability; the march goes on where they come to rest."""
+    lost = march.task == Task.lost
+    kicked = along(march.point, march.tangent, KICK).z
+    flow = flow_from(problem, march.point.u, kicked, march.phase, lost)
+    point = Point(flow.z, march.point.u)
+    nearest = stance_of(problem, point, flow.phase).nearest
+    freed = (flow.phase == Phase.free) & (march.phase != Phase.free)
+    moved = jnp.max(jnp.abs(flow.z - march.point.z)[:, 3:6], axis=1) > SLID
+    node = _node(march, march.point, march.tangent)
+    node = node._replace(
+        phase=flow.phase,
+        kind=jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through),
+        whiskers=freed | (moved & (march.phase != Phase.free)),
+    )
+    free = flow.phase == Phase.free
+    point = point._replace(z=jnp.where(free[:, None], nearest.contact, point.z))
+    new = march._replace(
+        task=jnp.asarray(int(Task.arrive)),
+        phase=flow.phase,
+        point=point,
+        pending=node,
+        target=march.target._replace(margin=jnp.asarray(SNAP), whiskers=node.whiskers),
+    )
+    lands = jnp.any(freed & (nearest.distance < -TOUCHING))
+    new = select(flow.failed | lands, march.stopped(Status.unsettled), new)
+    return select(lost, new, march)
+
+
+KICK = 0.02  # along the path, from a fold
+SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a snap

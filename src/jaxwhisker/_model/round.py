@@ -1,0 +1,201 @@
+"""Whiskers with circular cross-sections, from materials and diameters, and the whiskers of rats."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import as_text
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.along import (
+    CHECKED_POINTS,
+    AlongWhisker,
+    LinearTaper,
+    ParabolicShape,
+    RoundMass,
+    RoundSection,
+)
+from jaxwhisker._model.measured import Measured
+
+SLENDER = 5  # least ratio of length and diameter; real whiskers and wires have 50 and more
+LAST_COLUMN = {"A": 4, "B": 4, "C": 5, "D": 5, "E": 5}  # of each row for which the regression gives a length
+LEAST_TIP_RADIUS = 0.0015  # mm
+
+
+class Round(Measured):
+    """Constructors of whiskers with circular cross-sections."""
+
+    @classmethod
+    def from_material(
+        cls: Any,
+        length: Scalar,
+        youngs_modulus: AlongWhisker,
+        diameter: AlongWhisker,
+        *,
+        density: AlongWhisker | None = None,
+        poisson_ratio: Scalar | None = None,
+    ) -> Any:
+        """A whisker of circular cross-section, EI = E pi d^4 / 64 and rho A = rho pi d^2 / 4.
+
+        Args:
+            length: L, m; positive.
+            youngs_modulus: E, Pa; a positive number, or a function of the arc length from the base.
+            diameter: d, m; a positive number, or a function of the arc length from the base.
+            density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
+            poisson_ratio: nu, above -1 and at most 0.5, of which the `torsion_ratio` is 1 / (1 + nu). Only needed in
+                space. Default: that of a Whisker.
+
+        Raises:
+            ValueError: as for a Whisker, or if a diameter is more than a fifth of the length.
+
+        Examples:
+            >>> whisker = jw.Whisker.from_material(length=0.05, youngs_modulus=3e9, diameter=2e-4)
+            >>> print(f"{whisker.bending_stiffness:.3e}")  # N m^2
+            2.356e-07
+        """
+        for name, value in (("youngs_modulus", youngs_modulus), ("diameter", diameter), ("density", density)):
+            if value is not None and not callable(value):
+                checks.number(name, value, positive=True)
+        section = RoundSection(youngs_modulus, diameter)
+        mass = None if density is None else RoundMass(density, diameter)
+        whisker = cls(
+            length,
+            section if callable(youngs_modulus) or callable(diameter) else section(0.0),
+            mass_per_length=mass if mass is None or callable(density) or callable(diameter) else mass(0.0),
+            torsion_ratio=_torsion_ratio(poisson_ratio),
+        )
+        _check_slender("diameter", diameter, length)
+        return whisker
+
+    @classmethod
+    def conical(
+        cls: Any,
+        length: Scalar,
+        youngs_modulus: AlongWhisker,
+        base_diameter: Scalar,
+        tip_diameter: Scalar,
+        *,
+        density: AlongWhisker | None = None,
+        poisson_ratio: Scalar | None = None,
+    ) -> Any:
+        """A whisker whose diameter decreases linearly from base to tip.
+
+        Args:
+            length: L, m; positive.
+            youngs_modulus: E, Pa; a positive number, or a function of the arc length from the base.
+            base_diameter: d at the base, m; positive.
+            tip_diameter: d at the tip, m; not negative. A pointed tip (0) carries no force: it bends away, and the
+                contact is tangential from the start.
+            density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
+            poisson_ratio: nu, above -1 and at most 0.5, of which the `torsion_ratio` is 1 / (1 + nu). Only needed in
+                space. Default: that of a Whisker.
+
+        Raises:
+            ValueError: as for a Whisker, or if a diameter is negative or more than a fifth of the length.
+
+        Examples:
+            >>> cone = jw.Whisker.conical(length=0.05, youngs_modulus=3e9, base_diameter=2e-4, tip_diameter=5e-5)
+            >>> print(f"{cone.base_stiffness / cone.stiffness_at(0.05):.0f}")  # the ratio of diameters, to the fourth
+            256
+        """
+        checks.number("base_diameter", base_diameter, positive=True)
+        checks.number("tip_diameter", tip_diameter, non_negative=True)
+        checks.number("length", length, positive=True)
+        _check_slender("base_diameter", base_diameter, length)
+        _check_slender("tip_diameter", tip_diameter, length)
+        taper = LinearTaper(base_diameter, tip_diameter, length)
+        return cls.from_material(length, youngs_modulus, taper, density=density, poisson_ratio=poisson_ratio)
+
+    @classmethod
+    def rat(
+        cls: Any,
+        row: str,
+        column: int,
+        *,
+        length: Scalar | None = None,
+        youngs_modulus: AlongWhisker = 3e9,
+        intrinsic_curvature: AlongWhisker | None = None,
+        density: AlongWhisker | None = None,
+        poisson_ratio: Scalar | None = None,
+        parabola: Scalar | None = None,
+    ) -> Any:
+        """The average vibrissa of a rat at one position in the array, in SI units: a cone.
+
+        With r = 1 to 5 for the rows A to E, c for the column, and lengths in millimetres: the arc length is
+        S = 43 + 1.8 r - 7.6 c, the diameter at the base is 0.041 + 0.002 S + 0.011 r - 0.0039 c, and the radius
+        decreases by 0.0012 + 0.00017 r - 0.000066 c + 0.00011 c^2 per unit of arc length, to no less than 1.5
+        micrometres.
+
+        Args:
+            row: "A" (uppermost) to "E".
+            column: 0 (the Greek arc, at the back) to 5; to 4 in rows A and B.
+            length: S, m; positive. Default: the average.
+            youngs_modulus: E, Pa. 3 GPa is a common round value; measured values scatter by more than half of it.
+            intrinsic_curvature: 1/m, a number or a function, as for any whisker.
+            density: rho, kg/m^3, a number or a function. Default: unknown.
+            poisson_ratio: as for `from_material`.
+            parabola: A, 1/m, of an unloaded shape y = A x^2, with x along the root, instead of an intrinsic curvature;
+                see ParabolicShape. Rats have values from 6 to 38 per m, the larger ones in shorter whiskers. Default:
+                straight.
+
+        Raises:
+            ValueError: if the array has no such position, both an intrinsic curvature and a parabola are given, or as
+                for a Whisker.
+
+        Examples:
+            >>> whisker = jw.Whisker.rat("C", 2)
+            >>> print(f"{1e3 * whisker.length:.1f} mm")
+            33.2 mm
+
+        Source: Belli, Yang, Bresee and Hartmann (2017), J. Neurophysiol. 117, 1807, regressions over seven studies;
+        with the coefficients and the smallest tip radius of the simulator WHISKiT Physics (Zweifel et al. 2021, PNAS
+        118, e2011905118), which uses these regressions.
+        """
+        if not isinstance(row, str) or row not in LAST_COLUMN:
+            checks.fail("row", f"one of {', '.join(LAST_COLUMN)}", repr(row))
+        if not isinstance(column, int) or isinstance(column, bool) or not 0 <= column <= LAST_COLUMN[row]:
+            checks.fail("column", f"an int from 0 to {LAST_COLUMN[row]} in row {row}", repr(column))
+        if length is not None:
+            checks.number("length", length, positive=True)
+        r, c = list(LAST_COLUMN).index(row) + 1, column
+        arc = 43 + 1.8 * r - 7.6 * c if length is None else length * 1e3
+        base = 0.041 + 0.002 * arc + 0.011 * r - 0.0039 * c
+        slope = 0.0012 + 0.00017 * r - 0.000066 * c + 0.00011 * c**2
+        tip = jnp.maximum(base - 2 * slope * arc, 2 * LEAST_TIP_RADIUS)
+        if parabola is not None:
+            if intrinsic_curvature is not None:
+                checks.fail("parabola", "None with an `intrinsic_curvature`", as_text(parabola))
+            intrinsic_curvature = ParabolicShape(parabola)
+        cone = cls.conical(
+            arc * 1e-3, youngs_modulus, base * 1e-3, tip * 1e-3, density=density, poisson_ratio=poisson_ratio
+        )
+        return cls(
+            cone.length,
+            cone.bending_stiffness,
+            intrinsic_curvature,
+            mass_per_length=cone.mass_per_length,
+            torsion_ratio=cone.torsion_ratio,
+        )
+
+
+def _torsion_ratio(poisson_ratio: Scalar | None) -> Scalar | None:
+    """GJ / EI of a circular cross-section."""
+    if poisson_ratio is None:
+        return None
+    checks.number("poisson_ratio", poisson_ratio)
+    if not checks.is_traced(poisson_ratio) and not -1 < float(poisson_ratio) <= 0.5:
+        checks.fail("poisson_ratio", "above -1 and at most 0.5", as_text(poisson_ratio))
+    return 1 / (1 + poisson_ratio)
+
+
+def _check_slender(name: str, diameter: AlongWhisker, length: Scalar) -> None:
+    """Check that a concrete diameter is that of a slender rod, and not in another unit than the length."""
+    if checks.is_traced((diameter, length)):
+        return
+    with jax.ensure_compile_time_eval():
+        places = jnp.linspace(0.0, 1.0, CHECKED_POINTS) * length
+        thickest = float(jnp.max(jax.vmap(diameter)(places)) if callable(diameter) else diameter)
+    if thickest > float(length) / SLENDER:
+        allowed = f"at most 1/{SLENDER} of the length {float(length):g}, in the same unit: rods are slender"
+        raise ValueError(f"`{name}` must be {allowed}; got {thickest:g}.")
