@@ -114,10 +114,19 @@ def number(name: str, value: Any, *, positive: bool = False, non_negative: bool 
 
 def pair(name: str, value: Any) -> None:
     """Check that `value` is a tuple of two finite numbers."""
-    if not (isinstance(value, tuple) and len(value) == 2):
-        fail(name, "a pair of numbers", repr(value))
+    _tuple(name, value, 2, "a pair of numbers")
+
+
+def triple(name: str, value: Any, *, positive: bool = False) -> None:
+    """Check that `value` is a tuple of three finite numbers and, on request, that they are positive."""
+    _tuple(name, value, 3, "a tuple of three numbers", positive=positive)
+
+
+def _tuple(name: str, value: Any, size: int, allowed: str, *, positive: bool = False) -> None:
+    if not (isinstance(value, tuple) and len(value) == size):
+        fail(name, allowed, repr(value))
     for part in value:
-        number(name, part)
+        number(name, part, positive=positive)
 
 
 def acute_angle(name: str, value: Any) -> None:
@@ -177,20 +186,24 @@ def count(name: str, value: Any, least: int = 1) -> None:
         fail(name, "a positive int" if least == 1 else f"an int of at least {least}", repr(value))
 
 
-def function(name: str, value: Any, returns: tuple[str, ...] = (), *, given: int = 1) -> None:
-    """Check that `value` is a function of one or two numbers that JAX can trace and that returns the right numbers.
+def function(
+    name: str, value: Any, returns: tuple[str, ...] = (), *, given: int = 1, shape: tuple[int, ...] = ()
+) -> None:
+    """Check that `value` is a function of numbers or arrays that JAX can trace and that returns the right numbers.
 
     Args:
         name: name of the argument.
         value: the function; it is traced with floats and not evaluated.
         returns: names of the numbers that it must return as a sequence; empty for a single number.
-        given: how many numbers it is called with.
+        given: how many arguments it is called with: one or two.
+        shape: shape of each of them; empty for numbers.
 
     Raises:
         ValueError: if `value` is not such a function.
     """
     result = f"({', '.join(returns)})" if returns else "one number"
-    allowed = f"a function that is called with {'one number' if given == 1 else 'two numbers'} and returns {result}"
+    what = f"array{'s' * (given - 1)} of shape {shape}" if shape else f"number{'s' * (given - 1)}"
+    allowed = f"a function that is called with {('one', 'two')[given - 1]} {what} and returns {result}"
     if not callable(value):
         fail(name, allowed, repr(value))
     called = getattr(value, "__name__", type(value).__name__)
@@ -198,7 +211,7 @@ def function(name: str, value: Any, returns: tuple[str, ...] = (), *, given: int
         fail(name, allowed, f"{called}{inspect.signature(value)}")
     wrong = []  # filled during tracing, because results other than arrays cannot leave the trace
     try:
-        numbers = [jax.ShapeDtypeStruct((), float)] * given
+        numbers = [jax.ShapeDtypeStruct(shape, float)] * given
         jax.eval_shape(lambda *x: wrong.append(_wrong_result(value(*x), returns)), *numbers)
     except (TypeError, NonConcreteBooleanIndexError) as error:
         raise ValueError(

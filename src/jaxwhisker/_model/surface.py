@@ -1,0 +1,403 @@
+"""The object in space: a rigid, strictly convex body inside its surface, which whiskers touch.
+
+Frame: x along the scan, y up, z = x cross y. Surfaces whose equation is quadratic become one class, `Quadric`, however
+they are placed, so that scenes with any of them share their programs.
+"""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import as_text, text_unless
+from jaxwhisker._base.rotation import rotation_matrix
+from jaxwhisker._base.types import Scalar, Triple
+
+Point = Float[Array, "3"]
+NOWHERE = (0.0, 0.0, 0.0)
+
+
+class AbstractSurface(eqx.Module):
+    """A surface: the points where a smooth function, its level, is zero. The level is negative inside the object.
+
+    The contact force acts on the whisker along the outward normal. Points are arrays (x, y, z) of shape (3,), lengths.
+    """
+
+    in_space: ClassVar[bool] = True
+
+    @abc.abstractmethod
+    def level(self, x: Point) -> Float[Array, ""]:
+        """A smooth function, negative inside, zero on the surface, positive outside; its scale is arbitrary.
+
+        Its gradient does not vanish within about one size of the object around the surface.
+        """
+
+    def gradient(self, x: Point) -> Point:
+        """Gradient of the level."""
+        return jax.grad(self.level)(x)
+
+    def hessian(self, x: Point) -> Float[Array, "3 3"]:
+        """Second derivatives of the level."""
+        return jax.jacfwd(self.gradient)(x)
+
+    def normal(self, x: Point) -> Point:
+        """Outward unit normal."""
+        gradient = self.gradient(x)
+        return gradient / _norm(gradient)
+
+    def curvature(self, x: Point) -> Float[Array, "3 3"]:
+        """Second derivatives of the level over the norm of its gradient, 1/length.
+
+        t.H t is the normal curvature along a unit tangent t, positive where the object is convex.
+        """
+        return self.hessian(x) / _norm(self.gradient(x))
+
+    def off(self, x: Point) -> Float[Array, ""]:
+        """Distance from the surface to first order, a length, positive outside."""
+        return self.level(x) / _norm(self.gradient(x))
+
+    @abc.abstractmethod
+    def in_unit(self, length: Scalar) -> "AbstractSurface":
+        """The same surface with lengths measured in `length`."""
+
+    @abc.abstractmethod
+    def interior_point(self) -> Point:
+        """A point inside the object: its centre, or a point near the vertex or axis of an unbounded object."""
+
+    def moved(self, by: Triple) -> "Placed":
+        """The surface after a shift.
+
+        Args:
+            by: (x, y, z) of the shift, lengths.
+
+        Raises:
+            ValueError: if `by` is not a tuple of three finite numbers.
+        """
+        return Placed(self, by=by)
+
+    def rotated(self, rotation: Triple, about: Triple | None = None) -> "Placed":
+        """The surface after a rotation.
+
+        Args:
+            rotation: rotation vector: the axis times the angle (rad, right-handed).
+            about: (x, y, z) of a point on the axis, lengths; by default the object's `interior_point`: the centre of a
+                sphere or ellipsoid, and the given point of a cylinder.
+
+        Raises:
+            ValueError: if an argument is not a tuple of three finite numbers.
+        """
+        return Placed(self, rotation=rotation, about=about)
+
+    def valid(self) -> Bool[Array, ""]:
+        """Whether traced parameters are in the domain that the constructor checks."""
+        return checks.all_finite(self) & jnp.all(jnp.asarray(self._positive(), dtype=float) > 0)
+
+    @abc.abstractmethod
+    def _positive(self) -> list[Scalar]:
+        """Values that must be positive."""
+
+    @abc.abstractmethod
+    def __str__(self) -> str: ...
+
+
+class Placed(AbstractSurface):
+    """A surface after a rotation and a shift; `AbstractSurface.rotated` and `moved` make it."""
+
+    surface: AbstractSurface
+    by: Triple = NOWHERE
+    rotation: Triple = NOWHERE
+    about: Triple | None = None
+
+    def __check_init__(self):
+        checks.triple("by", self.by)
+        checks.triple("rotation", self.rotation)
+        if self.about is not None:
+            checks.triple("about", self.about)
+
+    def _place(self) -> tuple[Float[Array, "3 3"], Point, Point]:
+        """The matrix of the rotation, and a point before and after the motion."""
+        before = self.surface.interior_point() if self.about is None else as_point(self.about)
+        return rotation_matrix(as_point(self.rotation)), before, before + as_point(self.by)
+
+    def _before(self, x: Point) -> tuple[Float[Array, "3 3"], Point]:
+        """The matrix of the rotation, and where a point of the object was before the motion."""
+        turn, before, after = self._place()
+        return turn, before + _times(turn.T, x - after)
+
+    def level(self, x):
+        return self.surface.level(self._before(x)[1])
+
+    def gradient(self, x):
+        turn, x = self._before(x)
+        return _times(turn, self.surface.gradient(x))
+
+    def hessian(self, x):
+        turn, x = self._before(x)
+        return _turned(turn, self.surface.hessian(x))
+
+    def in_unit(self, length):
+        about = None if self.about is None else _over(self.about, length)
+        placed = Placed(self.surface.in_unit(length), _over(self.by, length), self.rotation, about)
+        quadric = placed.surface
+        if not isinstance(quadric, Quadric):
+            return placed
+        turn, before, after = placed._place()
+        inside = after + _times(turn, quadric.inside - before)
+        return Quadric(inside, _turned(turn, quadric.matrix), _times(turn, quadric.slope), quadric.depth)
+
+    def interior_point(self):
+        turn, before, after = self._place()
+        return after + _times(turn, self.surface.interior_point() - before)
+
+    def _positive(self):
+        return self.surface._positive()
+
+    def __str__(self):
+        nowhere = triple_text(NOWHERE)
+        words = {"turned by": triple_text(self.rotation), "moved by": triple_text(self.by)}
+        return ", ".join([str(self.surface), *(f"{w} {text}" for w, text in words.items() if text != nowhere)])
+
+
+class Quadric(AbstractSurface):
+    """Quadric d.M d / 2 + w.d = depth, d = x - inside, with a symmetric matrix M that is positive semidefinite."""
+
+    inside: Point  # a point inside
+    matrix: Float[Array, "3 3"]  # M, 1/length
+    slope: Point  # w
+    depth: Float[Array, ""]  # a length, positive
+
+    def level(self, x):
+        d = x - self.inside
+        return jnp.sum(d * (_times(self.matrix, d) / 2 + self.slope)) - self.depth
+
+    def gradient(self, x):
+        return _times(self.matrix, x - self.inside) + self.slope
+
+    def hessian(self, x):
+        del x
+        return self.matrix
+
+    def in_unit(self, length):
+        return Quadric(self.inside / length, self.matrix * length, self.slope, self.depth / length)
+
+    def interior_point(self):
+        return self.inside
+
+    def _positive(self):
+        return [self.depth]
+
+    def __str__(self):
+        return "quadric"
+
+
+class AbstractDescribed(AbstractSurface):
+    """A surface that is given by the numbers or the profile that describe it, and evaluated in another form."""
+
+    @abc.abstractmethod
+    def form(self) -> AbstractSurface:
+        """The surface as it is evaluated."""
+
+    def level(self, x):
+        return self.form().level(x)
+
+    def gradient(self, x):
+        return self.form().gradient(x)
+
+    def hessian(self, x):
+        return self.form().hessian(x)
+
+    def in_unit(self, length):
+        return self.form().in_unit(length)
+
+    def interior_point(self):
+        return self.form().interior_point()
+
+
+class Sphere(AbstractDescribed):
+    """Sphere.
+
+    Args:
+        radius: r, a length; positive.
+        centre: (x, y, z) of the centre, lengths.
+
+    Raises:
+        ValueError: if a value is not a finite number, or the radius is not positive.
+
+    Examples:
+        >>> sphere = jw.Sphere(1.0, centre=(0.0, 1.3, 0.0))
+        >>> print(sphere)
+        sphere r = 1, centre (0, 1.3, 0)
+        >>> print(sphere.normal(jnp.array([0.0, 0.3, 0.0])))
+        [ 0. -1.  0.]
+    """
+
+    radius: Scalar
+    centre: Triple
+
+    def __check_init__(self):
+        checks.number("radius", self.radius, positive=True)
+        checks.triple("centre", self.centre)
+
+    def form(self):
+        radius = jnp.asarray(self.radius, dtype=float)
+        return Quadric(as_point(self.centre), jnp.eye(3) / radius, jnp.zeros(3), radius / 2)
+
+    def _positive(self):
+        return [self.radius]
+
+    def __str__(self):
+        return f"sphere r = {as_text(self.radius)}, centre {triple_text(self.centre)}"
+
+
+class Ellipsoid(AbstractDescribed):
+    """Ellipsoid with half axes a along x, b along y and c along z; `rotated` turns it about its centre.
+
+    Args:
+        half_axes: (a, b, c), lengths; positive.
+        centre: (x, y, z) of the centre, lengths.
+
+    Raises:
+        ValueError: if a value is not a finite number, or a half axis is not positive.
+
+    Examples:
+        >>> print(jw.Ellipsoid((1.2, 0.7, 0.5), centre=(0.0, 1.1, 0.0)).rotated((0.0, 0.0, 0.3)))
+        ellipsoid a = 1.2, b = 0.7, c = 0.5, centre (0, 1.1, 0), turned by (0, 0, 0.3)
+    """
+
+    half_axes: Triple
+    centre: Triple
+
+    def __check_init__(self):
+        checks.triple("half_axes", self.half_axes, positive=True)
+        checks.triple("centre", self.centre)
+
+    def form(self):
+        axes = as_point(self.half_axes)
+        size = axes[1]  # the gradient of the level is 1 at the lowest point
+        return Quadric(as_point(self.centre), jnp.diag(size / axes**2), jnp.zeros(3), size / 2)
+
+    def _positive(self):
+        return list(self.half_axes)
+
+    def __str__(self):
+        axes = ", ".join(f"{name} = {as_text(value)}" for name, value in zip("abc", self.half_axes, strict=True))
+        return f"ellipsoid {axes}, centre {triple_text(self.centre)}"
+
+
+class Cylinder(AbstractDescribed):
+    """Infinitely long circular cylinder.
+
+    Args:
+        radius: r, a length; positive.
+        point: (x, y, z) of a point on its axis, lengths.
+        axis: direction of its axis; any vector other than zero.
+
+    Raises:
+        ValueError: if a value is not a finite number, the radius is not positive, or the axis is zero.
+
+    Examples:
+        >>> print(jw.Cylinder(0.9, point=(0.0, 1.2, 0.0), axis=(0.5, 0.0, 0.8)))
+        cylinder r = 0.9, through (0, 1.2, 0) along (0.5, 0, 0.8)
+    """
+
+    radius: Scalar
+    point: Triple
+    axis: Triple = (0.0, 0.0, 1.0)
+
+    def __check_init__(self):
+        checks.number("radius", self.radius, positive=True)
+        checks.triple("point", self.point)
+        checks.triple("axis", self.axis)
+        if not checks.is_traced(self.axis) and not any(float(part) for part in self.axis):
+            checks.fail("axis", "a vector other than zero", self.axis)
+
+    def form(self):
+        radius, axis = jnp.asarray(self.radius, dtype=float), as_point(self.axis)
+        across = jnp.eye(3) - axis[:, None] * axis / jnp.sum(axis**2)
+        return Quadric(as_point(self.point), across / radius, jnp.zeros(3), radius / 2)
+
+    def _positive(self):
+        return [self.radius, jnp.sum(as_point(self.axis) ** 2)]
+
+    def __str__(self):
+        place = f"through {triple_text(self.point)} along {triple_text(self.axis)}"
+        return f"cylinder r = {as_text(self.radius)}, {place}"
+
+
+class Paraboloid(AbstractDescribed):
+    """Paraboloid y = distance + a x^2 + b z^2.
+
+    Args:
+        distance: q, height of the vertex (0, q, 0), a length.
+        a: half the curvature along x at the vertex, 1/length; positive.
+        b: half the curvature along z at the vertex, 1/length; positive; by default a.
+
+    Raises:
+        ValueError: if a value is not a finite number, or not positive where it must be.
+
+    Examples:
+        >>> paraboloid = jw.Paraboloid(0.2, a=2.0, b=0.5)
+        >>> print(paraboloid.curvature(jnp.array([0.0, 0.2, 0.0])).diagonal())
+        [4. 0. 1.]
+    """
+
+    distance: Scalar
+    a: Scalar = 1.0
+    b: Scalar | None = None
+
+    def __check_init__(self):
+        checks.number("distance", self.distance)
+        checks.number("a", self.a, positive=True)
+        if self.b is not None:
+            checks.number("b", self.b, positive=True)
+
+    def form(self):
+        a, b = self._halves()
+        depth = 1 / (2 * jnp.maximum(a, b))  # the smaller radius of curvature at the vertex
+        inside = jnp.zeros(3).at[1].set(self.distance + depth)
+        return Quadric(inside, jnp.diag(jnp.stack([2 * a, jnp.zeros(()), 2 * b])), jnp.array([0.0, -1.0, 0.0]), depth)
+
+    def _halves(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """a and b."""
+        return jnp.asarray(self.a, dtype=float), jnp.asarray(self.a if self.b is None else self.b, dtype=float)
+
+    def _positive(self):
+        return list(self._halves())
+
+    def __str__(self):
+        b = "" if self.b is None else f", b = {as_text(self.b)}"
+        return f"paraboloid q = {as_text(self.distance)}{text_unless(1.0, ', a = ', self.a)}{b}"
+
+
+def as_point(triple: Triple) -> Point:
+    """Three numbers as an array."""
+    return jnp.stack([jnp.asarray(part, dtype=float) for part in triple])
+
+
+def triple_text(triple: Triple) -> str:
+    """Three numbers as text."""
+    return f"({', '.join(map(as_text, triple))})"
+
+
+def _over(triple: Triple, length: Scalar) -> Triple:
+    x, y, z = triple
+    return x / length, y / length, z / length
+
+
+def _norm(vector: Point) -> Float[Array, ""]:
+    return jnp.sqrt(jnp.sum(vector**2))
+
+
+# A batch of small products is faster as sums.
+def _times(matrix: Float[Array, "3 3"], vector: Point) -> Point:
+    return jnp.sum(matrix * vector, axis=-1)
+
+
+def _turned(turn: Float[Array, "3 3"], matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """turn @ matrix @ turn.T, of a symmetric matrix."""
+    half = jnp.sum(turn[:, :, None] * matrix, axis=1)
+    return jnp.sum(half[:, None, :] * turn, axis=-1)
