@@ -97,6 +97,9 @@ def test_the_argument_is_named(name, make, allowed):
         (lambda: checks.number("c", np.ones(3)), "`c` must be a finite number, got an array of shape (3,)."),
         (lambda: checks.pair("p", [1.0, 2.0]), "`p` must be a pair of numbers, got [1.0, 2.0]."),
         (lambda: checks.pair("p", (1.0, nan)), "`p` must be a finite number, got nan."),
+        (lambda: checks.triple("p", (1.0, 2.0)), "`p` must be a tuple of three numbers, got (1.0, 2.0)."),
+        (lambda: checks.triple("p", (1.0, nan, 2.0)), "`p` must be a finite number, got nan."),
+        (lambda: checks.triple("p", (1.0, 0.0, 2.0), positive=True), "`p` must be a positive finite number, got 0.0."),
         (lambda: checks.acute_angle("a", -1.6), "`a` must be less than a right angle, got -1.6 rad."),
         (
             lambda: checks.vector("v", np.ones((2, 3))),
@@ -124,6 +127,11 @@ def test_the_argument_is_named(name, make, allowed):
             "got pow(base, exp, mod=None).",
         ),
         (
+            lambda: checks.function("f", lambda x: x, shape=(3,)),
+            "`f` must be a function that is called with one array of shape (3,) and returns one number, got <lambda>, "
+            "which returns an array of shape (3,) and type float64.",
+        ),
+        (
             lambda: checks.function("f", lambda u: [u], ("x", "y")),
             "`f` must be a function that is called with one number and returns (x, y), got <lambda>, which returns 1 "
             "values.",
@@ -141,11 +149,13 @@ def test_right_values_pass():
     checks.number("c", np.float32(0.0), non_negative=True)
     checks.number("c", inf, finite=False)
     checks.pair("p", (1, 2.0))
+    checks.triple("p", (1, -2.0, np.float32(0.5)))
     checks.acute_angle("a", -1.5)
     checks.vector("v", [1, 2])
     checks.within("at", [1.0 + 1e-12, -1.0], [1.0, nan, -1.0], "scan")
     checks.count("n", 2, least=2)
     checks.function("f", jnp.sin)
+    checks.function("f", jnp.sum, shape=(3,))
     checks.function("f", lambda u: (u, 0, jnp.zeros(())), ("x", "y", "angle"))
     checks.function("f", lambda u: jnp.stack([u, u]), ("x", "y"))
 

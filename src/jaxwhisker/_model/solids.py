@@ -1,0 +1,359 @@
+"""Surfaces made of plane profiles, extruded or revolved, and the surface of a user-defined function.
+
+Those of conic sections are quadrics. The level of all others is the distance from the profile. It is found from the
+foot of the perpendicular: the parameter p at which x - x(p) is orthogonal to the tangent.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PyTree
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.implicit import solution_of
+from jaxwhisker._base.leaves import as_field, name_of
+from jaxwhisker._base.types import Scalar, Triple
+from jaxwhisker._model.conic import Conic
+from jaxwhisker._model.profile import AbstractProfile, ContactPoint
+from jaxwhisker._model.profiles import Tilted
+from jaxwhisker._model.surface import (
+    AbstractDescribed,
+    AbstractSurface,
+    Placed,
+    Point,
+    Quadric,
+    as_point,
+    triple_text,
+)
+
+STEPS = 100  # of a search for the foot of a perpendicular; Newton's method takes about 6
+CONVERGED = 1e-12  # step of the parameter, relative if large; the error after it is of the order of its square
+SLOPES = (0.02, 0.1, 0.3, 0.6, 1.0, 1.3)  # rad, at which the two sides of a profile are compared
+SYMMETRIC = 1e-6  # relative difference of the sides
+# The distance from the axis is not smooth there, but sqrt(distance^2 + core^2) is. With a core of this size, over the
+# radius of curvature at the vertex, the surface moves by 5e-13 of it, and the curvature is exact to 1e-10.
+CORE = 1e-6
+
+
+class _AbstractSolid(AbstractDescribed):
+    """A surface made of a plane profile."""
+
+    # Its subclasses declare `profile`, for their docstrings.
+    profile: eqx.AbstractVar[AbstractProfile]
+
+    def __check_init__(self):
+        profile = self.profile
+        checks.instance("profile", profile, AbstractProfile, "a profile such as Parabola or Graph")
+        if len(profile.objects) > 1:
+            checks.fail("profile", "a single object", str(profile))
+        if profile.has_edges:
+            raise ValueError(
+                f"`profile` must be a profile without edges, such as Parabola, Circle, Ellipse, Graph or Contour, got "
+                f"{profile}. Boxes and pegs with an end are not available in space."
+            )
+
+    def _positive(self):
+        return self.profile._positive()
+
+
+class Extruded(_AbstractSolid):
+    """The cylinder over a plane profile: its cross-section is the same for all z.
+
+    Above its widest place, or where the profile ends, the object goes on straight up; ellipses and circles are closed.
+
+    Args:
+        profile: the cross-section, any profile without edges.
+
+    Raises:
+        ValueError: if `profile` is not a profile, has edges, or consists of several objects.
+
+    Examples:
+        >>> print(jw.Extruded(jw.Parabola(0.2)))
+        parabola q = 0.2, extruded along z
+        >>> leaning = jw.Extruded(jw.Circle(0.3, radius=0.9)).rotated((0.0, 0.4, 0.0))
+        >>> print(leaning)
+        circle q = 0.3, r = 0.9, extruded along z, turned by (0, 0.4, 0)
+    """
+
+    profile: AbstractProfile
+
+    def form(self):
+        if isinstance(self.profile, Tilted):
+            about = (*self.profile.about, 0.0)
+            return Placed(Extruded(self.profile.profile), rotation=(0.0, 0.0, self.profile.angle), about=about)
+        profile = self.profile.in_unit(1.0)
+        return _quadric(profile, 0.0) if isinstance(profile, Conic) else Cylindrical(profile, _inside(profile)[0])
+
+    def __str__(self):
+        return f"{self.profile}, extruded along z"
+
+
+class Revolved(_AbstractSolid):
+    """The solid of revolution of a plane profile about the vertical axis through its lowest point.
+
+    Above its widest place, or where the profile ends, the object goes on straight up; ellipses and circles are closed.
+    The right-hand side of the profile is revolved. The left-hand side is its mirror image, which is checked unless the
+    profile is traced.
+
+    Args:
+        profile: a profile without edges that is symmetric about its vertical axis.
+
+    Raises:
+        ValueError: if `profile` is not a profile, has edges, consists of several objects, or is not symmetric. A tilted
+            profile is not; turn the surface instead (`rotated`).
+
+    Examples:
+        >>> bowl = jw.Revolved(jw.Graph(lambda x: 0.2 + x**2 + x**4))
+        >>> print(bowl.curvature(jnp.array([0.0, 0.2, 0.0])).diagonal().round(6))
+        [2. 0. 2.]
+    """
+
+    profile: AbstractProfile
+
+    def __check_init__(self):
+        profile, needs = self.profile, "symmetric about the vertical axis through its lowest point"
+        if isinstance(profile, Tilted):
+            raise ValueError(
+                f"`profile` must be {needs}, got {profile}. Revolve the profile that is not tilted, and turn the "
+                "surface with `rotated`."
+            )
+        if not checks.is_traced(profile) and not _is_symmetric(profile):
+            checks.fail("profile", needs, str(profile))
+
+    def form(self):
+        profile = self.profile.in_unit(1.0)
+        return _quadric(profile, 1.0) if isinstance(profile, Conic) else Rotational(profile, *_inside(profile))
+
+    def __str__(self):
+        return f"{self.profile}, revolved about its axis"
+
+
+class Cylindrical(AbstractSurface):
+    """The cylinder over a profile; its level is the distance from the profile."""
+
+    profile: AbstractProfile
+    inside: Point  # a point inside, above the lowest point
+
+    def level(self, x):
+        return _foot(self.profile, x[0], x[1]).off
+
+    def gradient(self, x):
+        at = _foot(self.profile, x[0], x[1]).at
+        return jnp.stack([at.sin, -at.cos, jnp.zeros(())])
+
+    def hessian(self, x):
+        foot = _foot(self.profile, x[0], x[1])
+        tangent = jnp.stack([foot.at.cos, foot.at.sin, jnp.zeros(())])
+        return _bend(self.profile, foot) * tangent[:, None] * tangent
+
+    def in_unit(self, length):
+        return Cylindrical(self.profile.in_unit(length), self.inside / length)
+
+    def interior_point(self):
+        return self.inside
+
+    def _positive(self):
+        return self.profile._positive()
+
+    def __str__(self):
+        return f"{self.profile}, extruded along z"
+
+
+class Rotational(AbstractSurface):
+    """The surface of revolution of a profile; its level is the distance from the profile in the plane of the axis."""
+
+    profile: AbstractProfile
+    inside: Point  # a point inside, on the axis
+    radius: Float[Array, ""]  # of curvature at the lowest point
+
+    def _from_axis(self, x: Point) -> tuple[Float[Array, ""], Point]:
+        """Distance from the axis, and its gradient; both smooth on the axis."""
+        across = (x - self.inside).at[1].set(0.0)
+        distance = jnp.sqrt(jnp.sum(across**2) + (CORE * self.radius) ** 2)
+        return distance, across / distance
+
+    def level(self, x):
+        return _foot(self.profile, self.inside[0] + self._from_axis(x)[0], x[1]).off
+
+    def gradient(self, x):
+        distance, outwards = self._from_axis(x)
+        at = _foot(self.profile, self.inside[0] + distance, x[1]).at
+        return (at.sin * outwards).at[1].set(-at.cos)
+
+    def hessian(self, x):
+        distance, outwards = self._from_axis(x)
+        foot = _foot(self.profile, self.inside[0] + distance, x[1])
+        tangent = (foot.at.cos * outwards).at[1].set(foot.at.sin)
+        around = jnp.diag(jnp.array([1.0, 0.0, 1.0])) - outwards[:, None] * outwards
+        return _bend(self.profile, foot) * tangent[:, None] * tangent + foot.at.sin / distance * around
+
+    def in_unit(self, length):
+        return Rotational(self.profile.in_unit(length), self.inside / length, self.radius / length)
+
+    def interior_point(self):
+        return self.inside
+
+    def _positive(self):
+        return [*self.profile._positive(), self.radius]
+
+    def __str__(self):
+        return f"{self.profile}, revolved about its axis"
+
+
+class Surface(AbstractSurface):
+    """User-defined surface G(x) = 0 of a strictly convex object.
+
+    Args:
+        function: G of a point (x, y, z), an array of shape (3,), lengths. It must be negative inside and positive
+            outside, and smooth, with a gradient other than zero around the surface; its scale is arbitrary. JAX must be
+            able to trace it. The parameters of an `equinox.Module` are differentiable; a plain function is constant.
+        inside: (x, y, z) of a point inside, lengths.
+
+    Raises:
+        ValueError: if `function` is not a function of one array that JAX can trace, does not return one number, or is
+            not negative at `inside`, or `inside` is not a tuple of three finite numbers.
+
+    Examples:
+        >>> import jax.numpy as jnp
+        >>> rounded = jw.Surface(lambda x: jnp.sum((x - jnp.array([0.0, 1.2, 0.0])) ** 4) - 1, inside=(0.0, 1.2, 0.0))
+        >>> print(rounded.normal(jnp.array([0.0, 0.2, 0.0])))
+        [-0. -1. -0.]
+    """
+
+    function: Callable
+    inside: Triple
+    _unit: Scalar  # of points; `function` stays in the user's unit
+
+    def __init__(self, function: Callable, inside: Triple):
+        checks.function("function", function, shape=(3,))
+        checks.triple("inside", inside)
+        self.function, self.inside, self._unit = as_field(function), inside, 1.0
+        level = self.level(as_point(inside))
+        if not checks.is_traced(level) and not level < 0:
+            checks.fail("inside", "a point at which `function` is negative", f"{triple_text(inside)}: {level:.6g}")
+
+    def level(self, x):
+        return jnp.asarray(self.function(x * self._unit), dtype=float)
+
+    def in_unit(self, length):
+        inside = tuple(part / length for part in self.inside)
+        return eqx.tree_at(lambda s: (s.inside, s._unit), self, (inside, self._unit * length))
+
+    def interior_point(self):
+        return as_point(self.inside)
+
+    def _positive(self):
+        return [-self.level(self.interior_point())]
+
+    def __str__(self):
+        return f"surface {name_of(self.function)}(x) = 0"
+
+
+def _quadric(conic: Conic, around: float) -> Quadric:
+    """x^2 + around z^2 = 2 R y - k y^2, relative to the vertex; around = 1 for a solid of revolution, else 0."""
+    size, shape = conic.radius, conic.shape
+    up = size / jnp.maximum(shape, 1.0)  # the centre of a flat ellipse, the centre of curvature of a steep one
+    rise = shape * up / size  # at most 1
+    inside = jnp.stack([conic.position, conic.distance + up, jnp.zeros(())])
+    matrix = jnp.diag(jnp.stack([jnp.ones(()), shape, jnp.asarray(around)])) / size
+    return Quadric(inside, matrix, jnp.zeros(3).at[1].set(rise - 1), up * (1 - rise / 2))
+
+
+class _Foot(NamedTuple):
+    """Foot of the perpendicular from a point to a profile."""
+
+    at: ContactPoint
+    off: Float[Array, ""]  # signed distance of the point
+    parameter: Float[Array, ""]
+    free: Bool[Array, ""]  # whether it lies on the profile, and not on a straight line beyond one of its ends
+
+
+def _foot(profile: AbstractProfile, x: Scalar, y: Scalar) -> _Foot:
+    """The foot of a point (x, y), with derivatives of any order."""
+    found, free = _search(*_constant((profile, x, y)))
+    parameter = solution_of(_misses, found[None], (profile, x, y, free))[0]
+    at = profile.point(parameter)
+    return _Foot(at, at.off(x, y), parameter, free)
+
+
+def _misses(unknowns: Float[Array, "1"], known: PyTree) -> Float[Array, "1"]:
+    """Distance along the tangent between a point and its foot; an end of the profile stays where it is."""
+    profile, x, y, free = known
+    along = profile.point(unknowns[0]).along(x, y)
+    return jnp.where(free, along, unknowns - jax.lax.stop_gradient(unknowns))
+
+
+def _search(profile: AbstractProfile, x: Scalar, y: Scalar) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """The parameter of the foot, and whether it is not an end of the profile; by Newton's method or bisection."""
+    low, high = (jnp.asarray(end, dtype=float) for end in profile.ends())
+    middle = (low + high) / 2
+
+    def along(p):
+        at = profile.point(p)
+        ahead = at.along(x, y)
+        # Outside its domain (NaN), or where its slope overflows, treat the object as ending in a vertical wall.
+        known = jnp.isfinite(ahead) & (at.cos**2 + at.sin**2 > 0.5)
+        return jnp.where(known, ahead, jnp.where(p < middle, jnp.inf, -jnp.inf))
+
+    def improve(state):
+        low, high, p, last, count = state
+        ahead, rate = jax.jvp(along, (p,), (jnp.ones_like(p),))
+        low, high = jnp.where(ahead > 0, p, low), jnp.where(ahead > 0, high, p)
+        newton = p - ahead / rate
+        converges = (newton >= low) & (newton <= high) & (jnp.abs(newton - p) < last / 2)
+        better = jnp.where(converges, newton, (low + high) / 2)
+        return low, high, better, jnp.abs(better - p), count + 1
+
+    def goes_on(state):
+        _, _, p, last, count = state
+        return (last > CONVERGED * (1 + jnp.abs(p))) & (count < STEPS)
+
+    before, after = along(low) < 0, along(high) > 0
+    free = ~(before | after)
+    start = jnp.where(before, low, jnp.where(after, high, middle))
+    state = low, high, start, jnp.where(free, high - low, 0.0), jnp.asarray(0)
+    return jax.lax.while_loop(goes_on, improve, state)[2], free
+
+
+def _bend(profile: AbstractProfile, foot: _Foot) -> Float[Array, ""]:
+    """Curvature of the curve through a point at a constant distance from the profile."""
+    at, rate = jax.jvp(profile.point, (foot.parameter,), (jnp.ones_like(foot.parameter),))
+    turn, speed = rate.sin * at.cos - rate.cos * at.sin, rate.x * at.cos + rate.y * at.sin
+    return jnp.where(foot.free, turn / (speed + turn * foot.off), 0.0)
+
+
+def _inside(profile: AbstractProfile) -> tuple[Point, Float[Array, ""]]:
+    """The centre of curvature of the lowest point, and the radius of curvature there."""
+    found = jnp.reshape(_constant(profile).lowest(), 1)
+    lowest = solution_of(_steepness, found, (profile, jnp.zeros(())))[0]
+    at = profile.point(lowest)
+    radius = 1 / _bend(profile, _Foot(at, jnp.zeros(()), lowest, jnp.asarray(True)))
+    return jnp.stack([at.x, at.y + radius, jnp.zeros(())]), radius
+
+
+def _steepness(unknowns: Float[Array, "1"], known: PyTree) -> Float[Array, "1"]:
+    """Difference between the sine of the slope angle and a given one."""
+    profile, sine = known
+    return profile.point(unknowns[0]).sin[None] - sine
+
+
+@eqx.filter_jit
+def _is_symmetric(profile: AbstractProfile) -> Bool[Array, ""]:
+    """Whether points of equal slope on both sides are mirror images, where the profile is steep enough."""
+    slopes = jnp.asarray(SLOPES)
+    lowest = profile.point(profile.lowest())
+
+    def at_slope(slope):
+        at = profile.point(profile.at_slope(slope))
+        return at, jnp.abs(jnp.arctan2(at.sin, at.cos) - slope) < SYMMETRIC  # False for NaN
+
+    (right, right_is), (left, left_is) = (jax.vmap(at_slope)(side * slopes) for side in (1, -1))
+    miss = jnp.maximum(jnp.abs(right.x + left.x - 2 * lowest.x), jnp.abs(right.y - left.y))
+    return jnp.all((miss < SYMMETRIC * (right.x - left.x)) | ~(right_is & left_is))
+
+
+def _constant(tree: PyTree) -> PyTree:
+    return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_inexact_array(leaf) else leaf, tree)
