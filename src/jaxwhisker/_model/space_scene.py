@@ -14,7 +14,7 @@ import equinox as eqx
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base import checks
-from jaxwhisker._model.drives import AbstractDrive
+from jaxwhisker._model.drives import SpaceMotion
 from jaxwhisker._model.motion import AbstractMotion, Translation
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.surface import AbstractSurface
@@ -42,7 +42,7 @@ class SpaceScene(eqx.Module):
     surface: AbstractSurface
     support: Support = Support()
     rod: AbstractRod = Shooting()
-    motion: AbstractDrive | AbstractMotion = Translation()
+    motion: SpaceMotion | AbstractMotion = Translation()
 
     def __check_init__(self):
         checks.instance("surface", self.surface, AbstractSurface, "a surface")

@@ -14,11 +14,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.rotation import about
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import sections
-from jaxwhisker._model.drives import AbstractDrive, Placement, mount_in_space, placement_of
+from jaxwhisker._model.drives import UPRIGHT, Placement, SpaceMotion, placement_of
 from jaxwhisker._model.scene import Units, units_of
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.surface import AbstractSurface
@@ -48,7 +49,7 @@ class SpaceProblem(eqx.Module):
     section: Section | SpaceSection | tuple[Section | SpaceSection, ...] | None
     surface: AbstractSurface
     rod: AbstractRod
-    motion: AbstractDrive
+    motion: SpaceMotion
     mount: Placement  # fields (whiskers, ...)
     springs: Springs | None  # None: clamped
     outline: Outline  # of unloaded whiskers, fields (whiskers, ...)
@@ -109,6 +110,10 @@ def straight_outlines(length: PerWhisker) -> Outline:
     places = length[:, None] * np.linspace(0.0, 1.0, INTERVALS + 1)
     position = places[:, :, None] * np.array([0.0, 0.0, 1.0])
     return Outline(position, jnp.broadcast_to(jnp.eye(3), (*places.shape, 3, 3)))
+
+
+def mount_in_space(mount):
+    return Placement(jnp.stack([jnp.asarray(mount.x, float), jnp.asarray(mount.y, float), jnp.zeros(())]), about(2, mount.angle) @ UPRIGHT)
 
 
 def problem_in_space(scene: SpaceScene) -> SpaceProblem:
