@@ -124,12 +124,12 @@ def eigenvalues_are_positive(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
     return jnp.sum(power**2) < 1
 
 
-def block_diagonal(blocks: Float[Array, "n size size"]) -> Float[Array, "rows rows"]:
+def block_diagonal(blocks: Float[Array, "n height width"]) -> Float[Array, "rows columns"]:
     """Block-diagonal matrix with these blocks."""
-    n, size, _ = blocks.shape
-    if size == 1:
+    n, height, width = blocks.shape
+    if height == width == 1:
         return blocks[:, 0, 0, None] * jnp.eye(n)
-    return jnp.reshape(jnp.eye(n)[:, None, :, None] * blocks[:, :, None, :], (n * size, n * size))
+    return jnp.reshape(jnp.eye(n)[:, None, :, None] * blocks[:, :, None, :], (n * height, n * width))
 
 
 def times_block_diagonal(

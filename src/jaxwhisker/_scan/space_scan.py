@@ -19,7 +19,7 @@ from jaxwhisker._path.path import Status
 from jaxwhisker._scan.route import Route, across, route_of, straight, stops_of, traced_route
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_signals import events, signals, solved
-from jaxwhisker._space.approach import crop, limits_of, start_before
+from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.march import SpacePath, march
 from jaxwhisker._space.newton import Phases, solve_points
 from jaxwhisker._space.problem import Contacts, SpaceProblem, problem_in_space
@@ -44,10 +44,10 @@ class SpaceScanPath(NamedTuple):
 def follow_path(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> SpaceScanPath:
     """March to all stops, given in the scene's units; right across the object if the first one is NaN."""
     problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
-    limits, whole = limits_of(problem), jnp.isnan(stops[0])
-    stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / problem.unit.control)
-    start = jnp.where(whole, limits.start, start_before(problem, stops[0]))
-    path = march(problem, start, stops, jnp.asarray(last))
+    stops, whole = stops / problem.unit.control, jnp.isnan(stops[0])
+    limits = limits_of(problem, stops[0])
+    stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops)
+    path = march(problem, limits.start, stops, jnp.asarray(last))
     path, start, stop = crop(problem, path, limits, whole)
     return SpaceScanPath(path, start * problem.unit.control, stop * problem.unit.control)
 
@@ -84,7 +84,7 @@ def interpolate(path: SpacePath, index: Int[Array, ""], u: Scalar) -> Point:
 class SpaceSolutions(NamedTuple):
     """Equilibria at the steps of a scan. Steps that failed hold free whiskers."""
 
-    z: Float[Array, "*steps whiskers 9"]
+    z: Float[Array, "*steps whiskers 11"]
     phase: Int[Array, "*steps whiskers"]
     status: Int[Array, "*steps"]
 

@@ -12,7 +12,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
-from jaxwhisker._space.contact import FORCE, ROLL, SLACK, UNKNOWNS, angle_and_arc, base_of, in_drive, on_surface
+from jaxwhisker._space.contact import FORCE, ROLL, SLACK, TRACTION, UNKNOWNS, angle_and_arc, base_of, in_drive, on_surface
 from jaxwhisker._space.march import Node, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
@@ -60,10 +60,10 @@ def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> tup
 
 def _residuals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, free: Contacts):
     """Residuals of all equations, (whiskers, 9), coordinates of the bases, and the bases themselves."""
-    drive, rows = problem.drive(u), problem.rows
+    drive, rows, rates = problem.drive(u), problem.rows, problem.rod.for_rates()
 
     def one(body, z, phase):
-        base = base_of(body, problem.surface, problem.rod, z, phase)
+        base = base_of(body, problem.surface, problem.rod, z, phase, slides=False, rates=rates)
         return base, in_drive(base, drive, body.mount, z[ROLL]), on_surface(problem.surface, z)
 
     base, inside, surface = of_each(problem, one, z, phase)
@@ -73,7 +73,8 @@ def _residuals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, fre
     if problem.springs is not None:
         rest = rest.at[:, :rows].set(problem.springs.offset + problem.displacement(load[:, :rows]))
     wrong = jnp.where(inside.upright, 0.0, jnp.inf)[:, None]
-    own = jnp.concatenate([pose - rest, surface + jax.lax.stop_gradient(wrong)], axis=1)
+    traction = z[:, TRACTION]
+    own = jnp.concatenate([pose - rest, surface + jax.lax.stop_gradient(wrong), traction], axis=1)
     return jnp.where(touching, own, z - free), jnp.where(touching, pose, rest), base
 
 

@@ -26,23 +26,21 @@ class Limits(NamedTuple):
     far: Scalar
 
 
-def limits_of(problem: SpaceProblem) -> Limits:
-    """The limits of a scan right across the object."""
+def limits_of(problem: SpaceProblem, first_stop: Scalar) -> Limits:
+    """The limits of a scan to a first stop, or right across the object if that is NaN."""
+    whole = jnp.isnan(first_stop)
     if problem.ends is not None:
-        return Limits(*problem.ends)
-    middle = _beside(problem)
-    return Limits(_clear_of(problem, middle, -problem.onwards), _clear_of(problem, middle, problem.onwards))
-
-
-def start_before(problem: SpaceProblem, first_stop: Scalar) -> Scalar:
-    """A control, at or before the first stop, at which all whiskers are free."""
-    if problem.ends is not None:
-        return jnp.where(problem.onwards * (first_stop - problem.ends[0]) > 0, problem.ends[0], first_stop)
-    return _clear_of(problem, first_stop, -problem.onwards)
+        first, last = problem.ends
+        late = problem.onwards * (first_stop - first) > 0
+        return Limits(jnp.where(whole | late, first, first_stop), last)
+    middle = jnp.where(whole, _beside(problem), first_stop)
+    before, after = jax.vmap(lambda way: _clear_of(problem, middle, way))(problem.onwards * jnp.array([-1, 1]))
+    return Limits(before, after)
 
 
 def _beside(problem: SpaceProblem) -> Scalar:
     """The control at which the bases are beside the middle of the object."""
+
     def position(u):
         return jnp.mean(problem.drive(u).position + problem.mount.position, axis=0)
 

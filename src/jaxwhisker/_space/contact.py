@@ -1,8 +1,10 @@
 """Contact of one whisker with a surface, and the pose of its base that follows.
 
-The unknowns of a contact are nine numbers: the contact force f, the roll of the whisker about its own axis there, the
-slack w, the contact point p, and the direction d in which the whisker runs along the surface, towards its tip. The point
-and the direction are vectors of space, which have no poles; three equations keep them on the surface:
+The unknowns of a contact are eleven numbers: the contact force f, the roll of the whisker about its own axis there, the
+slack w, the contact point p, the direction d in which the whisker runs along the surface, towards its tip, and the
+traction, the force along the surface: in this direction, and across. Without friction, there is a traction only while
+contacts slide after a loss of stability. The point and the direction are vectors of space, which have no poles; three
+equations keep them on the surface:
 
     G(p) = 0,    d.n = 0,    d.d = 1.
 
@@ -30,11 +32,12 @@ from jaxwhisker._rod.rod import Section
 from jaxwhisker._rod.space import SpaceSection, space_rod_end
 
 FORCE, ROLL, SLACK = 0, 1, 2
-POINT, AHEAD = slice(3, 6), slice(6, 9)
-UNKNOWNS = 9
+POINT, AHEAD, TRACTION = slice(3, 6), slice(6, 9), slice(9, 11)
+UNKNOWNS = 11
+LIGHT = 1e-4  # EI/L^2: the direction of smaller forces is not resolved
 
 Vector = Float[Array, "3"]
-Contact = Float[Array, "9"]
+Contact = Float[Array, "11"]
 
 
 class Body(NamedTuple):
@@ -88,48 +91,59 @@ def base_of(
     method: AbstractRod,
     z: Contact,
     phase: Int[Array, ""],
-    drag: Float[Array, "2"] | None = None,
+    *,
+    slides: bool,
+    rates: AbstractRod | None = None,
 ) -> Base:
     """The base of a whisker in contact.
 
-    With a drag, the force has components along the surface, too: towards the tip and across. It must not vanish then.
+    Args:
+        body: the whisker.
+        surface: the object.
+        method: computes the rod.
+        z: the contact.
+        phase: its phase.
+        slides: whether there may be a traction.
+        rates: computes derivatives of the rod. Default: as `method`.
     """
+    rates = method if rates is None else rates
     chi, arc = angle_and_arc(body, z, phase)
     frame, force, roll = frame_of(surface, z), z[FORCE], z[ROLL]
-    push = force * frame[:, 2]
-    if drag is not None:
-        frame, force, chi, roll, push = _frame_of_force(frame, force, chi, roll, drag)
+    if slides:
+        frame, force, chi, roll = _frame_of_force(frame, force, chi, roll, z[TRACTION])
     ahead, _, out = frame.T
     rotation = None
     if isinstance(body.section, SpaceSection):
-        end = space_rod_end(force, arc, chi, roll, body.section, method)
+        end = space_rod_end(force, arc, chi, roll, body.section, method, rates)
         from_contact = _turned(frame, end[:3])
         rotation = _product(frame, matrix_of(end[3:]))
         tangent = rotation[:, 2]
     else:
         if body.section is None:
-            x, y, cos, sin = rod_end(force / body.bending_stiffness, arc, chi, method, method)
+            x, y, cos, sin = rod_end(force / body.bending_stiffness, arc, chi, method, rates)
         else:
-            x, y, cos, sin = uneven_rod_end(force, arc, chi, body.section, method, method)
+            x, y, cos, sin = uneven_rod_end(force, arc, chi, body.section, method, rates)
         from_contact, tangent = x * ahead - y * out, cos * ahead - sin * out
+    push = force * out
     return Base(z[POINT] + from_contact, tangent, rotation, push, jnp.cross(-from_contact, push))
 
 
-def _frame_of_force(frame, force, chi, roll, drag):
-    """Frame, force, angle and roll of the contact with a surface that is normal to the force."""
+def _frame_of_force(frame, force, chi, roll, traction):
+    """Frame, force, angle and roll of the same contact with a surface that is normal to the force."""
     ahead, across, out = frame.T
-    push = force * out + drag[0] * ahead + drag[1] * across
-    size = jnp.sqrt(jnp.sum(push**2))
-    outwards, tangent = push / size, jnp.cos(chi) * ahead - jnp.sin(chi) * out
+    heavy = jnp.maximum(force, LIGHT)
+    leaning = out + (traction[0] * ahead + traction[1] * across) / heavy
+    size = jnp.sqrt(jnp.sum(leaning**2))
+    outwards, tangent = leaning / size, jnp.cos(chi) * ahead - jnp.sin(chi) * out
     along = jnp.sum(tangent * outwards)
     beside = tangent - along * outwards
     flat = jnp.sqrt(jnp.sum(beside**2))
-    ahead_of_force = beside / flat
-    across_force = jnp.cross(outwards, ahead_of_force)
+    forwards = beside / flat
+    sideways = jnp.cross(outwards, forwards)
     # The first director is the same in both frames.
     first = jnp.cos(roll) * jnp.cross(across, tangent) + jnp.sin(roll) * across
-    roll = jnp.arctan2(jnp.sum(first * across_force), jnp.sum(first * jnp.cross(across_force, tangent)))
-    return jnp.stack([ahead_of_force, across_force, outwards], axis=1), size, jnp.arctan2(-along, flat), roll, push
+    roll = jnp.arctan2(jnp.sum(first * sideways), jnp.sum(first * jnp.cross(sideways, tangent)))
+    return jnp.stack([forwards, sideways, outwards], axis=1), force * size, jnp.arctan2(-along, flat), roll
 
 
 def in_drive(base: Base, drive: Placement, mount: Placement, roll: Scalar) -> InDrive:

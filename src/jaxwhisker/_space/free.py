@@ -111,4 +111,4 @@ def contact_at(
         across = jnp.cross(out, ahead)
         roll = jnp.arctan2(jnp.sum(side * across), jnp.sum(side * jnp.cross(across, tangent)))
     slack = jnp.where(beyond > 0, beyond, jnp.arcsin(sine))
-    return jnp.concatenate([jnp.stack([jnp.zeros(()), roll, slack]), point, ahead])
+    return jnp.concatenate([jnp.stack([jnp.zeros(()), roll, slack]), point, ahead, jnp.zeros(2)])

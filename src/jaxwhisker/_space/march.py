@@ -7,10 +7,15 @@ a batch pay for the most expensive branch that any of them takes. The tasks are:
     event     solve for the point within the last step where a margin vanishes
     arrive    solve for the same point in the phase that holds from here on, which gives the direction there
     done      do nothing: the march has ended
-    lost      do nothing: stability is lost, and contacts will slide (flow.py) once all others of a batch are done or lost
+    flow      take a time step in which contacts slide over the surface at fixed drive, until they come to rest
 
 Stability is checked at every node (sliding.py). If the end of a step is unstable, steps are shortened until the loss is
 located. There the drive turns back (a fold), or a symmetric branch goes on, unstable (a bifurcation).
+
+From a fold, contacts slide. The sliding is overdamped: a traction, proportional to the speed of the material point that
+touches, holds each contact back. The energy falls all the way, and the equilibria do not depend on the factor. Time steps
+are implicit and grow until the contacts are at rest. A whisker whose contact force vanishes on the way comes free, and
+stays free if its unloaded shape clears the object.
 """
 
 from enum import IntEnum
@@ -18,16 +23,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, at_control, dot, scale_of, unit
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Status, first_case, select
-from jaxwhisker._space.contact import FORCE, SLACK
-from jaxwhisker._space.flow import flow_from
+from jaxwhisker._space.contact import AHEAD, FORCE, POINT, SLACK, TRACTION, UNKNOWNS
 from jaxwhisker._space.free import Nearest
-from jaxwhisker._space.newton import Phases, Solution, solve_points
+from jaxwhisker._space.newton import Phases, Sliding, Solution, phase_by_slack, solve_points
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.stance import Stance, stance_of
 
@@ -40,6 +45,7 @@ SHORTEST_STEP = 1e-10
 PREDICTION_ERROR = 2e-3  # at which steps keep their length
 LOSS_BRACKET = 1e-9  # distance along the path within which a loss of stability is located
 LEAST_ADVANCE = 2e-4  # lengths by which free whiskers move at least in a step; shallower dips are missed
+INSIDE = 1e-6  # depth of free whiskers that must not be inside the object
 TOUCHING = 1e-9  # depth of a free whisker that counts as a touch: one that has just been released is at 0
 MARGIN_NOISE = 1e-11
 FOLD = 1e-3  # rate of the control at a loss, per arc length, below which it is a fold
@@ -52,7 +58,7 @@ class Task(IntEnum):
     event = 1
     arrive = 2
     done = 3
-    lost = 4
+    flow = 4
 
 
 TOUCH, RELEASE, PHASE, AT_STOP, SNAP = range(5)  # kinds of margins, and what follows from a loss
@@ -89,6 +95,14 @@ class Target(NamedTuple):
     first: Nearest  # contacts that may begin, fields (whiskers, ...)
 
 
+class Flow(NamedTuple):
+    """Contacts that slide after a loss of stability."""
+
+    time: Scalar  # length of the next time step
+    steps: Int[Array, ""]
+    start: Contacts  # at the loss
+
+
 class March(NamedTuple):
     """State of the march between two iterations."""
 
@@ -108,6 +122,7 @@ class March(NamedTuple):
     direction: Scalar  # +1 while the drive moves towards larger u
     travel: Scalar
     touched: Bool[Array, ""]
+    flow: Flow
     count: Int[Array, ""]
     status: Int[Array, ""]
 
@@ -120,15 +135,17 @@ def _condition(march: March, guess: Point, stop_u: Scalar) -> PathCondition:
     """The equation of the task."""
     n = march.phase.size
     target, none = march.target, jnp.zeros_like(march.point.z)
-    locating, arriving = march.task == Task.event, march.task == Task.arrive
+    locating = march.task == Task.event
     concerned = target.whiskers.astype(float)
     of_force = (target.margin == TOUCH) | ((target.margin == RELEASE) & locating)
     of_slack = target.margin == PHASE
     of_stop = ~of_force & ~of_slack
     weight = none.at[:, FORCE].set(concerned * of_force).at[:, SLACK].set(concerned * of_slack)
+    of_stop |= march.task == Task.flow
+    weight = jnp.where(march.task == Task.flow, 0.0, weight)
     u = jnp.where(locating, stop_u, march.point.u)
     at_event = PathCondition(weight, none, of_stop.astype(float), u, jnp.zeros(n))
-    return select(locating | arriving, at_event, at_arc_length(march.point, march.tangent, march.step))
+    return select(march.task != Task.advance, at_event, at_arc_length(march.point, march.tangent, march.step))
 
 
 def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], march: March):
@@ -140,16 +157,18 @@ def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Arr
     guess = select(advancing | locating, along(march.point, march.tangent, distance, march.bend), march.point)
     guess = guess._replace(z=jnp.where(begins[:, None], target.first.contact, guess.z))
     phase = jnp.where(begins, target.first.phase, march.phase)
-    solution = solve_points(problem, phase, _condition(march, guess, stop_u), guess)
+    sliding = Sliding(march.task == Task.flow, march.flow.time, march.point.z)
+    solution = solve_points(problem, phase, _condition(march, guess, stop_u), guess, sliding)
     tangent, _ = unit(solution.newton.tangent, solution.point.z)
-    stance = stance_of(problem, solution.point, phase)
+    stance = stance_of(problem, solution.point, phase, solution.newton.at)
     new, write, node = jax.lax.switch(
         march.task,
         [
             lambda: _after_advance(problem, march, solution, tangent, stance, guess, stop_u),
             lambda: _after_event(problem, march, solution, tangent, stance, phase),
             lambda: _after_arrive(problem, march, solution, tangent, stance, stops, last),
-            *[lambda: (march, jnp.asarray(False), march.pending)] * 2,
+            lambda: (march, jnp.asarray(False), march.pending),
+            lambda: _after_flow(march, solution, stance),
         ],
     )
     return new._replace(count=new.count + write), jnp.where(write, march.count, -1), node
@@ -211,7 +230,7 @@ def _after_advance(
     onwards = moved._replace(step=_next_step(moved, error, march.step))
     # At a fold, contacts slide on in the direction of the path. A bifurcation is symmetric: they may go either way.
     folds = jnp.abs(march.tangent.u) < FOLD
-    falls = select(folds, march._replace(task=jnp.asarray(int(Task.lost))), march.stopped(Status.undetermined))
+    falls = select(folds, _sliding(march), march.stopped(Status.undetermined))
     new = first_case(
         (march.count >= CAPACITY - 1, march.stopped(Status.too_long)),
         (~good & (shorter.step < SHORTEST_STEP), march.stopped(Status.lost)),
@@ -343,11 +362,12 @@ def _after_arrive(
     by_control = (margin == RELEASE) | (margin == AT_STOP) | (margin == SNAP)
     sign = jnp.where(by_control, jnp.where(tangent.u * direction < 0, -1.0, 1.0), jnp.where(back, -1.0, 1.0))
     tangent = Point(sign * tangent.z, sign * tangent.u)
-    node = march.pending._replace(point=solution.point, leaving=tangent)
+    z = jnp.where(stance.free[:, None], stance.nearest.contact, solution.point.z)
+    node = march.pending._replace(point=Point(z, solution.point.u), leaving=tangent)
     falls, snapped = tangent.u * direction <= 0, margin == SNAP
     onwards = march._replace(
         task=jnp.asarray(int(Task.advance)),
-        point=solution.point,
+        point=node.point,
         tangent=tangent,
         bend=jax.tree.map(jnp.zeros_like, tangent),
         stance=stance,
@@ -358,56 +378,121 @@ def _after_arrive(
         unstable_size=jnp.asarray(-1.0),
     )
     over = stop_kind & (march.goal > last)
+    inside = jnp.any(stance.free & (stance.nearest.distance < -INSIDE))
     new = first_case(
-        (~solution.converged, march.stopped(Status.lost)),
+        (~solution.converged | (inside & ~snapped), march.stopped(Status.lost)),
+        (inside, march.stopped(Status.unsettled)),
         (over, march.stopped(Status.ok)),
         (snapped & ~stance.stable, march.stopped(Status.unsettled)),
         # A loss at a corner: the path would have to go back.
-        (falls | ~stance.stable, onwards._replace(task=jnp.asarray(int(Task.lost)))),
+        (falls | ~stance.stable, _sliding(onwards)),
         otherwise=onwards,
     )
     return new, solution.converged, node
 
 
+def _sliding(march: March) -> March:
+    """The state in which contacts begin to slide."""
+    kicked = along(march.point, march.tangent, KICK)
+    flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z)
+    return march._replace(
+        task=jnp.asarray(int(Task.flow)),
+        point=Point(kicked.z, march.point.u),
+        flow=flow,
+        pending=_node(march, march.point, march.tangent),
+    )
+
+
+def _after_flow(march: March, solution: Solution, stance: Stance):
+    """Handle a time step in which contacts slide."""
+    z, before, time = solution.point.z, march.point.z, march.flow.time
+    moved = jnp.max(jnp.abs(z[:, POINT] - before[:, POINT]))
+    good = solution.converged & (moved < STRIDE)
+    touching = march.phase != Phase.free
+    released = touching & (z[:, FORCE] < 0)
+    phase = jnp.where(released, int(Phase.free), phase_by_slack(z, march.phase))
+    rests = good & (((moved < REST) & (time >= LONGEST_TIME / 4)) | jnp.all(phase == Phase.free))
+    longer = jnp.minimum(time * jnp.where(moved < STRIDE / 3, 3.0, 1.0), LONGEST_TIME)
+    time = jnp.where(good, longer, time / 4)
+    flow = march.flow._replace(time=time, steps=march.flow.steps + 1)
+    freed = (phase == Phase.free) & (march.pending.phase_before != Phase.free)
+    moved = jnp.max(jnp.abs(z - flow.start)[:, POINT], axis=1) > SLID
+    rested = march._replace(
+        task=jnp.where(rests, int(Task.arrive), int(Task.flow)),
+        phase=phase,
+        point=Point(z.at[:, TRACTION].multiply(~rests), march.point.u),
+        stance=stance,
+        flow=flow,
+        pending=march.pending._replace(
+            phase=phase,
+            kind=jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through),
+            whiskers=freed | (moved & touching),
+        ),
+        target=march.target._replace(margin=jnp.asarray(SNAP)),
+    )
+    new = first_case(
+        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), march.stopped(Status.unsettled)),
+        (~good, march._replace(flow=flow)),
+        otherwise=rested,
+    )
+    return new, jnp.asarray(False), march.pending
+
+
+KICK = 0.02  # along the path, from a fold
+FIRST_TIME = 1e-3  # dimensionless: a contact with the stiffness 1 moves by a thousandth of its way
+LONGEST_TIME, SHORTEST_TIME = 1e8, 1e-12
+STRIDE = 0.08  # lengths that a contact may slide in a step
+REST = 1e-9  # lengths that a contact at rest may slide in the longest time
+FLOW_STEPS = 400
+SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a snap
+
+
 def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) -> March:
+    """The state in which the first iteration looks where the free whiskers are."""
     n = problem.length.size
     direction = jnp.where(stops[0] == start, problem.onwards.astype(float), jnp.sign(stops[0] - start))
-    z = jnp.zeros((n, 9)).at[:, 6].set(1.0)
+    z = jnp.zeros((n, UNKNOWNS)).at[:, AHEAD].set(np.array([1.0, 0.0, 0.0]))
     point, still = Point(z, start), Point(jnp.zeros_like(z), direction)
     phase = jnp.full(n, int(Phase.free))
-    stance = stance_of(problem, point, phase)
-    nobody = jnp.zeros(n, bool)
+    nobody, zero = jnp.zeros(n, bool), jnp.asarray(0)
     node = Node(point, z, still, still, phase, phase, -jnp.abs(start - stops[0]), jnp.asarray(NO_EVENT), nobody)
-    zero = jnp.asarray(0)
-    march = March(
-        task=jnp.asarray(int(Task.advance)),
+    unknown = jnp.zeros(n)
+    stance = Stance(
+        free=phase == Phase.free,
+        nearest=Nearest(unknown, z, phase),
+        speed=jnp.asarray(1.0),
+        stable=jnp.asarray(True),
+        stiffness=jnp.asarray(1.0),
+        sound=jnp.asarray(True),
+        opens=jnp.asarray(True),
+    )
+    return March(
+        task=jnp.asarray(int(Task.arrive)),
         phase=phase,
         point=point,
         tangent=still,
         bend=jax.tree.map(jnp.zeros_like, still),
-        step=_clear(stance, still),
+        step=jnp.asarray(FIRST_STEP),
         stance=stance,
         size=jnp.asarray(1.0),
         unstable_at=jnp.asarray(jnp.inf),
         unstable_size=jnp.asarray(-1.0),
-        target=Target(zero, nobody, jnp.asarray(0.0), stance.nearest),
+        target=Target(jnp.asarray(AT_STOP), nobody, jnp.asarray(0.0), stance.nearest),
         pending=node,
         goal=zero,
         direction=direction,
         travel=node.travel,
         touched=jnp.asarray(False),
-        count=jnp.asarray(1),
+        flow=Flow(jnp.asarray(FIRST_TIME), zero, z),
+        count=zero,
         status=jnp.asarray(int(Status.ok)),
     )
-    penetrates = jnp.any(stance.nearest.distance < 0)
-    return select(penetrates, march.stopped(Status.lost), march)
 
 
 def march(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], last: Int[Array, ""]) -> SpacePath:
     """March from a control at which all whiskers are free to all stops in turn."""
     first = _start(problem, start, stops)
     nodes = jax.tree.map(lambda leaf: jnp.zeros((CAPACITY, *jnp.shape(leaf)), jnp.asarray(leaf).dtype), first.pending)
-    nodes = jax.tree.map(lambda all_, leaf: all_.at[0].set(leaf), nodes, first.pending)
 
     def chunk(carry):
         now, nodes, count = carry
@@ -422,45 +507,8 @@ def march(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], l
         return now, nodes, count + CHUNK
 
     def goes_on(carry):
-        return (carry[0].task < Task.done) & (carry[2] < ITERATIONS)
+        return (carry[0].task != Task.done) & (carry[2] < ITERATIONS)
 
-    def round_(carry):
-        now, nodes, count = jax.lax.while_loop(goes_on, chunk, carry)
-        return _after_flow(problem, now), nodes, count
-
-    now, nodes, _ = jax.lax.while_loop(goes_on, round_, (first, nodes, jnp.asarray(0)))
+    now, nodes, _ = jax.lax.while_loop(goes_on, chunk, (first, nodes, jnp.asarray(0)))
     status = jnp.where(now.task == Task.done, now.status, int(Status.too_long))
     return SpacePath(nodes, now.count, status)
-
-
-def _after_flow(problem: SpaceProblem, march: March) -> March:
-    """Let contacts slide from a loss of stability; the march goes on where they come to rest."""
-    lost = march.task == Task.lost
-    kicked = along(march.point, march.tangent, KICK).z
-    flow = flow_from(problem, march.point.u, kicked, march.phase, lost)
-    point = Point(flow.z, march.point.u)
-    nearest = stance_of(problem, point, flow.phase).nearest
-    freed = (flow.phase == Phase.free) & (march.phase != Phase.free)
-    moved = jnp.max(jnp.abs(flow.z - march.point.z)[:, 3:6], axis=1) > SLID
-    node = _node(march, march.point, march.tangent)
-    node = node._replace(
-        phase=flow.phase,
-        kind=jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through),
-        whiskers=freed | (moved & (march.phase != Phase.free)),
-    )
-    free = flow.phase == Phase.free
-    point = point._replace(z=jnp.where(free[:, None], nearest.contact, point.z))
-    new = march._replace(
-        task=jnp.asarray(int(Task.arrive)),
-        phase=flow.phase,
-        point=point,
-        pending=node,
-        target=march.target._replace(margin=jnp.asarray(SNAP), whiskers=node.whiskers),
-    )
-    lands = jnp.any(freed & (nearest.distance < -TOUCHING))
-    new = select(flow.failed | lands, march.stopped(Status.unsettled), new)
-    return select(lost, new, march)
-
-
-KICK = 0.02  # along the path, from a fold
-SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a snap

@@ -2,7 +2,8 @@
 
 A contact on the surface has six degrees of freedom: force, roll and slack, two coordinates of the contact point, and the
 direction in which the whisker runs along the surface. A straight round whisker has no roll. A Newton step is a step in
-these coordinates, and one back onto the surface. A network of springs couples the bases of all whiskers.
+these coordinates, and one back onto the surface. A network of springs couples the bases of all whiskers. Where contacts
+may slide after a loss of stability, their tractions are two more unknowns.
 """
 
 from typing import Any, NamedTuple
@@ -18,18 +19,37 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, scale_of
 from jaxwhisker._model.drives import Placement
-from jaxwhisker._rod.elastica import AbstractRod
-from jaxwhisker._space.contact import AHEAD, POINT, ROLL, UNKNOWNS, Body, base_of, frame_of, in_drive, on_surface
+from jaxwhisker._space.contact import (
+    AHEAD,
+    POINT,
+    ROLL,
+    SLACK,
+    TRACTION,
+    UNKNOWNS,
+    Body,
+    base_of,
+    frame_of,
+    in_drive,
+    on_surface,
+)
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
 
 Phases = Int[Array, " whiskers"]
 
 
-class Linear(NamedTuple):
-    """A whisker, linearised about a contact; `rows` are the equations of its base, `steps` as many and those of drag."""
+class Sliding(NamedTuple):
+    """A time step in which contacts slide against a traction that is proportional to their speed."""
 
-    correction: Float[Array, "9"]  # of the contact, back onto the surface
-    directions: Float[Array, "9 rows"]  # of steps along the surface
+    now: Bool[Array, ""]  # whether they do; otherwise there is no traction
+    time: Scalar  # length of the step
+    start: Contacts
+
+
+class Linear(NamedTuple):
+    """A whisker, linearised about a contact: `rows` equations of its base, and as many `steps` or, with traction, 2 more."""
+
+    correction: Float[Array, "11"]  # of the contact, back onto the surface
+    directions: Float[Array, "11 steps"]
     pose: Float[Array, " rows"]  # coordinates of the base, after the correction
     load: Float[Array, " rows"]
     pose_by: Float[Array, "rows steps"]  # derivatives with respect to the steps
@@ -43,9 +63,10 @@ def linearise(
     problem: SpaceProblem,
     body: Body,
     drives: tuple[Placement, Placement],
-    z: Float[Array, "9"],
+    z: Float[Array, "11"],
     phase: Int[Array, ""],
-    drag: Float[Array, "2"] | None = None,
+    *,
+    slides: bool,
 ) -> Linear:
     """Linearise one whisker; `drives` are the frame of the drive and its rate of change with the control."""
     surface, rows = problem.surface, problem.rows
@@ -54,36 +75,37 @@ def linearise(
     off, lean, stretch = on_surface(surface, z)
     curvature = surface.curvature(z[POINT])
 
-    def towards(point):  # a step of the contact point turns the direction with the surface
-        return jnp.concatenate([jnp.zeros(3), point, -jnp.sum(z[AHEAD] * jnp.sum(curvature * point, axis=1)) * out])
+    def step_of(point=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
+        # A step of the contact point turns the direction with the surface.
+        point = jnp.asarray(point)
+        turn = jnp.asarray(turn) - jnp.sum(z[AHEAD] * jnp.sum(curvature * point, axis=1)) * out
+        return jnp.concatenate([jnp.zeros(3), point, turn, jnp.zeros(2)])
 
     unit = np.eye(UNKNOWNS)
     scalars = [unit[k] for k in range(3) if problem.rolls or k != ROLL]
-    turned = jnp.concatenate([jnp.zeros(6), across])
-    directions = jnp.stack([*scalars, towards(ahead), towards(across), turned], axis=1)
-    correction = towards(-off * out) - jnp.concatenate([jnp.zeros(6), lean * out + stretch * z[AHEAD]])
+    tractions = [unit[9], unit[10]] * slides
+    own = [step_of(ahead), step_of(across), step_of(turn=across)]
+    directions = jnp.stack([*scalars, *own, *tractions], axis=1)
+    correction = step_of(-off * out, -lean * out - stretch * z[AHEAD])
 
     def in_rows(base, drive, roll):
         inside = in_drive(base, drive, body.mount, roll)
         return (inside.pose[:rows], inside.load[:rows]), inside.upright
 
     def values(step):
-        at = z + step[:UNKNOWNS]
-        base = base_of(body, surface, problem.rod, at, phase, None if drag is None else drag + step[UNKNOWNS:])
+        at = z + step
+        base = base_of(body, surface, problem.rod, at, phase, slides=slides)
         both, upright = in_rows(base, drive, at[ROLL])
         return both, (both, base, upright)
 
-    steps = jnp.concatenate([directions, correction[:, None]], axis=1)
-    if drag is not None:
-        steps = jnp.block([[directions, jnp.zeros((UNKNOWNS, 2)), correction[:, None]], [jnp.zeros((2, rows)), np.eye(2, 3)]])
     _, (pose_by, load_by), (value, base, upright) = jax.vmap(
-        lambda direction: jax.jvp(values, (jnp.zeros_like(direction),), (direction,), has_aux=True),
+        lambda direction: jax.jvp(values, (jnp.zeros(UNKNOWNS),), (direction,), has_aux=True),
         in_axes=1,
         out_axes=(None, -1, None),
-    )(steps)
+    )(jnp.concatenate([directions, correction[:, None]], axis=1))
     _, (pose_by_u, load_by_u) = jax.jvp(lambda drive: in_rows(base, drive, z[ROLL])[0], (drive,), (rate,))
     pose, load = (part + by[:, -1] for part, by in zip(value, (pose_by, load_by), strict=True))
-    own = jnp.max(jnp.abs(jnp.stack([off, lean, stretch])))
+    missed = jnp.max(jnp.abs(jnp.stack([off, lean, stretch])))
     return Linear(
         correction,
         directions,
@@ -93,8 +115,34 @@ def linearise(
         load_by[:, :-1],
         pose_by_u,
         load_by_u,
-        jnp.where(upright, own, jnp.inf),
+        jnp.where(upright, missed, jnp.inf),
     )
+
+
+def phase_by_slack(z: Contacts, phase: Phases) -> Phases:
+    """Phases of touching whiskers by the signs of their slacks."""
+    touching = jnp.where(z[:, SLACK] > 0, int(Phase.tangential), int(Phase.tip))
+    return jnp.where(phase == Phase.free, phase, touching)
+
+
+def _tractions(problem: SpaceProblem, at: Contacts, phase: Phases, sliding: Sliding):
+    """Residuals of the equations of the tractions, (whiskers, 2), and their derivatives by the steps."""
+
+    def one(z, phase, start):
+        ahead, across, _ = frame_of(problem.surface, z).T
+        chord = z[POINT] - start[POINT]
+        along, beside = jnp.sum(chord * ahead), jnp.sum(chord * across)
+        # The material point that touches: a contact that rolls along the shaft does not slide.
+        slid = along + jnp.maximum(z[SLACK], 0.0) - jnp.maximum(start[SLACK], 0.0)
+        tangential, zero, one = (phase == Phase.tangential).astype(float), jnp.zeros(()), jnp.ones(())
+        heads = [zero] * (problem.rows - 4)
+        first = jnp.stack([*heads, tangential, one, zero, beside, sliding.time, zero])
+        second = jnp.stack([*heads, zero, zero, one, -along, zero, sliding.time])
+        return sliding.time * z[TRACTION] + jnp.stack([slid, beside]), jnp.stack([first, second])
+
+    residual, by = jax.vmap(one)(at, phase, sliding.start)
+    n = by.shape[2]
+    return jnp.where(sliding.now, residual, at[:, TRACTION]), jnp.where(sliding.now, by, np.eye(2, n, n - 2))
 
 
 class NewtonStep(NamedTuple):
@@ -103,49 +151,56 @@ class NewtonStep(NamedTuple):
     step: Point
     tangent: Point  # condition . tangent = 1
     residual: Scalar  # before the step
-    system: Float[Array, "rows rows"]  # of the equilibrium at a fixed control
+    at: Linear  # fields (whiskers, ...)
 
 
-def newton_step(problem: SpaceProblem, phase: Phases, condition: PathCondition, point: Point) -> NewtonStep:
+def newton_step(
+    problem: SpaceProblem, phase: Phases, condition: PathCondition, point: Point, sliding: Sliding | None = None
+) -> NewtonStep:
     """Solve the linearised equations of all whiskers, the network and the condition."""
-    n, rows = phase.size, problem.rows
+    n, rows, slides = phase.size, problem.rows, sliding is not None
+    steps = rows + 2 * slides
+    if sliding is not None:
+        phase = jnp.where(sliding.now, phase_by_slack(point.z, phase), phase)
     drives = jax.jvp(problem.drive, (point.u,), (jnp.ones_like(point.u),))
-    at = of_each(problem, lambda body, z, phase: linearise(problem, body, drives, z, phase), point.z, phase)
+    at = of_each(problem, lambda body, *own: linearise(problem, body, drives, *own, slides=slides), point.z, phase)
     touching = (phase != Phase.free)[:, None]
     block = touching[:, :, None]
-    residual = jnp.where(touching, at.pose, 0.0)
-    pose_by = jnp.where(block, at.pose_by, jnp.eye(rows))
-    by_u = jnp.where(touching, at.pose_by_u, 0.0)
-    system = block_diagonal(pose_by)
+    residual, system, by_u = at.pose, block_diagonal(at.pose_by), at.pose_by_u
     if problem.springs is not None:
         load, load_by, load_by_u = (
             jnp.where(touching if part.ndim == 2 else block, part, 0.0) for part in (at.load, at.load_by, at.load_by_u)
         )
-        moved = problem.displacement(load)
-        residual = jnp.where(touching, residual - problem.springs.offset - moved, 0.0)
-        yields = jnp.sum(problem.springs.matrix[:, :, None] * block_diagonal(load_by), axis=1)
-        system -= jnp.where(jnp.repeat(touching, rows, axis=0), yields, 0.0)
-        by_u = jnp.where(touching, by_u - problem.displacement(load_by_u), 0.0)
+        residual = residual - problem.springs.offset - problem.displacement(load)
+        system -= jnp.sum(problem.springs.matrix[:, :, None] * block_diagonal(load_by), axis=1)
+        by_u = by_u - problem.displacement(load_by_u)
+    system = jnp.reshape(system, (n, rows, n * steps))
     correction = jnp.where(touching, at.correction, 0.0)
-    directions = jnp.where(block, at.directions, np.eye(UNKNOWNS)[:, :rows])
+    if sliding is not None:
+        held, held_by = _tractions(problem, point.z + correction, phase, sliding)
+        residual = jnp.concatenate([residual, held], axis=1)
+        system = jnp.concatenate([system, jnp.reshape(block_diagonal(held_by), (n, 2, n * steps))], axis=1)
+        by_u = jnp.concatenate([by_u, jnp.zeros((n, 2))], axis=1)
+    residual, by_u = jnp.where(touching, residual, 0.0), jnp.where(touching, by_u, 0.0)
+    system = jnp.where(block, system, jnp.reshape(np.eye(n * steps), (n, steps, n * steps)))
+    directions = jnp.where(block, at.directions, np.eye(UNKNOWNS)[:, :steps])
     weight = jnp.ravel(jnp.sum(condition.weight_z[:, :, None] * directions, axis=1))
     missed = condition.residual(Point(point.z + correction, point.u), jnp.zeros(n))
-    bordered = jnp.block([[system, jnp.ravel(by_u)[:, None]], [weight[None, :], jnp.reshape(condition.weight_u, (1, 1))]])
+    bordered = jnp.block([
+        [jnp.reshape(system, (n * steps, n * steps)), jnp.ravel(by_u)[:, None]],
+        [weight[None, :], jnp.reshape(condition.weight_u, (1, 1))],
+    ])  # fmt: skip
     residuals = jnp.append(jnp.ravel(residual), missed)
     last = np.eye(residuals.size)[-1]
     solution = solve(bordered, jnp.stack([-residuals, last], axis=1))
 
     def point_of(column):
-        steps = jnp.reshape(column[:-1], (n, 1, rows))
-        return Point(jnp.sum(directions * steps, axis=-1), column[-1])
+        return Point(jnp.sum(directions * jnp.reshape(column[:-1], (n, 1, steps)), axis=-1), column[-1])
 
     step, tangent = point_of(solution[:, 0]), point_of(solution[:, 1])
     own = jnp.max(jnp.where(touching[:, 0], at.own, 0.0))
     return NewtonStep(
-        step._replace(z=step.z + correction),
-        tangent,
-        jnp.maximum(jnp.max(jnp.abs(residuals)), own),
-        system,
+        step._replace(z=step.z + correction), tangent, jnp.maximum(jnp.max(jnp.abs(residuals)), own), at
     )
 
 
@@ -196,14 +251,22 @@ class Solution(NamedTuple):
     converged: Bool[Array, "*batch"]
 
 
-def solve_points(problem: SpaceProblem, phases: Phases, conditions: PathCondition, guesses: Point) -> Solution:
+def solve_points(
+    problem: SpaceProblem,
+    phases: Phases,
+    conditions: PathCondition,
+    guesses: Point,
+    sliding: Sliding | None = None,
+) -> Solution:
     """Solve the equations of one point, or of several along a leading axis in one loop. Failure is a flag."""
-    problem, conditions, guesses = jax.lax.stop_gradient((problem, conditions, guesses))
     several = jnp.ndim(guesses.u) > 0
 
     def equations(point, args):
-        problem, phases, conditions = args
-        one = lambda *own: newton_step(problem, *own)
+        problem, phases, conditions, sliding = args
+
+        def one(phase, condition, point):
+            return newton_step(problem, phase, condition, point, sliding)
+
         at = (jax.vmap(one) if several else one)(phases, conditions, point)
         return at.residual, at
 
@@ -212,7 +275,7 @@ def solve_points(problem: SpaceProblem, phases: Phases, conditions: PathConditio
         equations,
         SpaceNewton(0.0, tolerance),
         guesses,
-        args=(problem, phases, conditions),
+        args=jax.lax.stop_gradient((problem, phases, conditions, sliding)),
         has_aux=True,
         max_steps=problem.rod.newton_steps,
         throw=False,

@@ -30,7 +30,7 @@ from jaxwhisker._space.contact import Body
 from jaxwhisker._space.free import INTERVALS, Outline
 
 PerWhisker = Float[Array, " whiskers"]
-Contacts = Float[Array, "whiskers 9"]
+Contacts = Float[Array, "whiskers 11"]
 
 
 class Springs(NamedTuple):

@@ -12,11 +12,9 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base.linear_algebra import block_diagonal, solve
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._space.contact import FORCE
+from jaxwhisker._space.contact import FORCE, LIGHT
 from jaxwhisker._space.newton import Linear, Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
-
-LIGHT = 1e-4  # EI/L^2: contacts with smaller forces are stable, and their rods nearly rigid along their axes
 
 
 def passive_columns(derivatives: Float[Array, "whiskers rows steps"], phase: Phases) -> Array:
@@ -33,31 +31,22 @@ def passive_columns(derivatives: Float[Array, "whiskers rows steps"], phase: Pha
 def sliding_stiffness(problem: SpaceProblem, z: Contacts, phase: Phases, at: Linear) -> Float[Array, "rows rows"]:
     """Forces along the surface per displacement along it, two rows for each whisker; the identity for free ones.
 
-    `at` are all whiskers, linearised with forces along the surface.
+    `at` are all whiskers, linearised with tractions. Contacts with hardly any force are stable, and their rods are nearly
+    rigid along their axes: for these, it is the identity, too.
     """
     n, rows = at.pose.shape
     held = (phase == Phase.free) | (z[:, FORCE] < LIGHT)
+    still, fixed = jnp.repeat(held, rows), jnp.repeat(held, 2)
 
     def of(derivatives):
-        passive = passive_columns(derivatives, phase)
-        return block_diagonal(passive), derivatives[:, :, rows - 3 : rows - 1]
+        return block_diagonal(passive_columns(derivatives, phase)), block_diagonal(derivatives[:, :, rows - 3 : rows - 1])
 
     system, active = of(at.pose_by)
-    active = _blocks(active)
     if problem.springs is not None:
         load, load_active = of(at.load_by)
-        matrix = problem.springs.matrix
-        system -= jnp.sum(matrix[:, :, None] * load, axis=1)
-        active -= jnp.sum(matrix[:, :, None] * _blocks(load_active), axis=1)
-    still = jnp.repeat(held, rows)
+        system -= jnp.sum(problem.springs.matrix[:, :, None] * load, axis=1)
+        active -= jnp.sum(problem.springs.matrix[:, :, None] * load_active, axis=1)
     system = jnp.where(still[:, None], jnp.eye(n * rows), jnp.where(still[None, :], 0.0, system))
-    active = jnp.where(still[:, None], 0.0, active)
-    moved = -solve(system, active)
+    moved = -solve(system, jnp.where(still[:, None], 0.0, active))
     forces = jnp.reshape(moved, (n, rows, 2 * n))[:, -2:].reshape(2 * n, 2 * n)
-    fixed = jnp.repeat(held, 2)
     return jnp.where(fixed[:, None] | fixed[None, :], jnp.eye(2 * n), forces)
-
-
-def _blocks(parts: Float[Array, "whiskers rows two"]) -> Float[Array, "all some"]:
-    n, rows, two = parts.shape
-    return jnp.reshape(jnp.eye(n)[:, None, :, None] * parts[:, :, None, :], (n * rows, n * two))

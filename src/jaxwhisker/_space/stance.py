@@ -12,11 +12,11 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._model.drives import Placement
-from jaxwhisker._space.contact import FORCE, spread
+from jaxwhisker._space.contact import spread
 from jaxwhisker._space.free import Nearest, in_scene, nearest
-from jaxwhisker._space.newton import Phases, linearise
+from jaxwhisker._space.newton import Linear, Phases
 from jaxwhisker._space.problem import SpaceProblem, of_each
-from jaxwhisker._space.sliding import LIGHT, sliding_stiffness
+from jaxwhisker._space.sliding import sliding_stiffness
 
 
 class Stance(NamedTuple):
@@ -31,18 +31,14 @@ class Stance(NamedTuple):
     opens: Bool[Array, ""]  # whether object and shaft part on both sides of every tangential contact
 
 
-def stance_of(problem: SpaceProblem, point: Point, phase: Phases) -> Stance:
-    """The stance at a point of the path."""
-    free, z, rows = phase == Phase.free, point.z, problem.rows
-    drives = jax.jvp(problem.drive, (point.u,), (jnp.ones_like(point.u),))
-    heavy = z.at[:, FORCE].set(jnp.maximum(z[:, FORCE], LIGHT))
-    still = jnp.zeros((phase.size, 2))
-    at = of_each(problem, lambda body, *own: linearise(problem, body, drives, *own), heavy, phase, still)
+def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear) -> Stance:
+    """The stance at a point of the path, near which whiskers are linearised with tractions."""
+    free, z = phase == Phase.free, point.z
     stiffness = sliding_stiffness(problem, z, phase, at)
     pose = jnp.zeros((phase.size, 6))
     if problem.springs is not None:
-        load = jnp.where(free[:, None], 0.0, at.load * (z[:, FORCE] / heavy[:, FORCE])[:, None])
-        pose = pose.at[:, :rows].set(problem.springs.offset + problem.displacement(load))
+        moved = problem.springs.offset + problem.displacement(jnp.where(free[:, None], 0.0, at.load))
+        pose = pose.at[:, : problem.rows].set(moved)
 
     def placements(u):
         drive = problem.drive(u)
