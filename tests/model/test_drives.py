@@ -17,6 +17,7 @@ from jaxwhisker._model.drives import (
     PoseDrive,
     RotaryDrive,
     WhiskDrive,
+    mount_in_space,
     placement_of,
 )
 
@@ -118,6 +119,20 @@ def test_a_frame_in_a_frame():
     np.testing.assert_allclose(
         both.position + both.rotation @ point, outer.position + outer.rotation @ step, atol=EXACT
     )
+
+
+def test_mounts_in_space_hold_the_directors_of_the_root():
+    upright = mount_in_space(jw.Mount(0.1, 0.2))
+    np.testing.assert_allclose(upright.position, [0.1, 0.2, 0.0], atol=EXACT)
+    np.testing.assert_allclose(upright.rotation, UPRIGHT, atol=EXACT)
+    placement = mount_in_space(jw.Mount(0.1, 0.2, 0.3, z=-0.4, elevation=0.5, roll=-0.6))
+    np.testing.assert_allclose(placement.position, [0.1, 0.2, -0.4], atol=EXACT)
+    tilted = Rotation.from_rotvec([0.0, 0.0, 0.3]) * Rotation.from_rotvec([0.5, 0.0, 0.0])
+    about_root = Rotation.from_rotvec([0.0, 0.0, -0.6]).as_matrix()
+    np.testing.assert_allclose(placement.rotation, tilted.as_matrix() @ UPRIGHT @ about_root, atol=EXACT)
+    # The angle is that of the plane: the tangent leans towards -x.
+    tangent = mount_in_space(jw.Mount(angle=0.3)).rotation[:, 2]
+    np.testing.assert_allclose(tangent, [-np.sin(0.3), np.cos(0.3), 0.0], atol=EXACT)
 
 
 def test_ends_units_and_directions():

@@ -37,7 +37,12 @@ def test_traced_compliance(compliance, valid):
     [
         (lambda: jw.Spring((0, 1)), "one of `stiffness` and `compliance` must be given, got None and None"),
         (lambda: jw.Spring((0, 1), 3.0, compliance=1.0), "one of `stiffness` and `compliance` .* got 3.0 and 1.0"),
-        (lambda: jw.Spring((0, 1), 1.0, 0.0, "z"), "`axis` must be one of x, y, phi, axial, got 'z'"),
+        (
+            lambda: jw.Spring((0, 1), 1.0, 0.0, "phi_x", at=0.1),
+            "`axis` must be one of x, y, phi, axial for a spring that is on a shaft or not linear, got 'phi_x'",
+        ),
+        (lambda: jw.Spring((0, 1), jnp.sinh, axis="z"), "`axis` must be one of x, y, phi, axial for a spring that is"),
+        (lambda: jw.Spring((0, 1), 1.0, 0.0, "w"), "`axis` must be one of x, y, z, phi_x, phi_y, phi, axial, got 'w'"),
         (lambda: jw.Spring((0, 1), 1.0, None, "phi"), "`rest_length` must be a finite number, got None"),
         (lambda: jw.Spring((1, 1), 70.0), r"`between` must be two different ends, got \(1, 1\)"),
         (lambda: jw.Spring((0, -1), 70.0), "`between` must be a pair of ints, 0 for the drive"),

@@ -86,10 +86,89 @@ def test_spring_lengths():
     assert jw.Support.clamped().spring_length(at[:, :1]).shape == (0,)
 
 
+def test_spring_lengths_in_space():
+    springs = [jw.Spring((0, 1), 1.0, axis=axis) for axis in ("phi_x", "z", "phi")]
+    support = jw.Support((*springs, jw.Spring((1, 2), 1.0, axis="z")))
+    at = jnp.arange(12.0).reshape(2, 6)  # x, y, z, phi_x, phi_y, phi_z of both bases
+    np.testing.assert_allclose(support.spring_length(at), [3.0, 2.0, 5.0, 6.0], atol=EXACT)
+
+
+def test_a_follicle_in_space_has_springs_along_six_axes():
+    support = jw.Support.follicle(1.0, 2.0, 3.0, z=4.0, phi_x=5.0, phi_y=6.0)
+    assert support.axes == ("x", "y", "z", "phi_x", "phi_y", "phi")
+    assert support.name == "follicle"
+    np.testing.assert_allclose(
+        np.diag(support.flexibility_in_space().matrix), [1, 1 / 2, 1 / 4, 1 / 5, 1 / 6, 1 / 3], atol=EXACT
+    )
+    assert jw.Support.follicle(z=4.0).name == "follicle"
+
+
+OUTSIDE = [
+    (jw.Support.follicle(x=9.0, z=1.0), r"`axis` must be one of x, y, phi, axial in the plane: .* in space, got 'z'"),
+    (jw.Support.follicle(phi_x=1.0), "`axis` must be one of .* in the plane: .* in space, got 'phi_x'"),
+    (jw.Support(mount=jw.Mount(z=0.1)), r"`z` must be None in the plane: others need an object in space, got 0\.1"),
+    (jw.Support.follicle(1.0, mount=jw.Mount(elevation=0.2)), r"`elevation` must be None in the plane: .*, got 0\.2"),
+    (jw.Support(mount=(jw.Mount(roll=0.0),)), "`roll` must be None in the plane: others need .*, got 0"),
+]
+
+
+@pytest.mark.parametrize(("support", "message"), OUTSIDE)
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda support: jw.Sensor(jw.Whisker(), support),
+        lambda support: jw.Scene(jw.Whisker(), jw.Parabola(0.2), support),
+        lambda support: jw.deflect(jw.Whisker(), jw.PointForce(0.1), support=support),
+        lambda support: jw.modes(jw.Whisker(mass_per_length=1.0), support=support),
+        lambda support: support.flexibility(),
+    ],
+)
+def test_the_plane_has_no_room_for_supports_in_space(use, support, message):
+    with pytest.raises(ValueError, match=message):
+        use(support)
+
+
+@pytest.mark.parametrize(
+    ("support", "message"),
+    [
+        (jw.Support((jw.Spring((0, 1), 1.0, at=0.1),), free=("phi",)), r"`at` must be None in space, got 0\.1"),
+        (jw.Support((jw.Spring((0, 1), 1.0, anchor=(0.0, 0.1)),)), r"`anchor` must be None in space, got \(0"),
+        (
+            jw.Support((jw.Spring((0, 1), 1.0, 0.1, "axial"),)),
+            "`axis` must be one of x, y, z, .* in space, got 'axial'",
+        ),
+        (
+            jw.Support((jw.Spring((0, 1), 1.0, one_sided="tension"),)),
+            "`one_sided` must be None in space, got 'tension'",
+        ),
+        (jw.Support((jw.Spring((0, 1), jnp.sinh),)), "`stiffness` must be a number in space, got sinh"),
+        (jw.Support(foundation=jw.Foundation(0.0, 0.1, 9.0)), "`foundation` must be None in space, got Foundation"),
+    ],
+)
+def test_space_has_no_room_for_springs_on_shafts(support, message):
+    with pytest.raises(ValueError, match=message):
+        support.check_in_space()
+    with pytest.raises(ValueError, match=message):
+        support.flexibility_in_space()
+
+
+def test_space_has_room_for_supports_of_the_plane():
+    for support in (jw.Support(), jw.Support.fbfbr(1.0), jw.Support.follicle(1.0, z=2.0, mount=jw.Mount(roll=0.1))):
+        support.check_in_space()
+
+
 def test_traced_parameters_out_of_their_domain_are_invalid():
     @jax.jit
     def valid(stiffness, angle):
         return jw.Support.follicle(x=stiffness, mount=jw.Mount(angle=angle)).valid()
+
+    @jax.jit
+    def valid_in_space(z, elevation, roll):
+        return jw.Support(mount=jw.Mount(z=z, elevation=elevation, roll=roll)).valid()
+
+    assert valid_in_space(-0.1, 2.0, 4.0)
+    for bad in [(jnp.nan, 2.0, 4.0), (-0.1, jnp.inf, 4.0), (-0.1, 2.0, jnp.nan)]:
+        assert not valid_in_space(*bad)
 
     assert valid(70.0, 1.5) and valid(jnp.inf, -1.5)
     assert not valid(-70.0, 1.5) and not valid(70.0, 2.0) and not valid(70.0, jnp.nan)
@@ -111,6 +190,16 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
             lambda: jw.Support((jw.Spring((0, 1), 1.0),), (jw.Mount(), jw.Mount())),
             r"`mount` must be one Mount or one per base \(1\), got 2 of them",
         ),
+        (
+            lambda: jw.Support((*jw.Support.fbfb(1.0).springs, jw.Spring((1, 2), 1.0, axis="z"))),
+            "`springs` must connect .* base 1 along z",
+        ),
+        (
+            lambda: jw.Support((*(jw.Spring((0, k), 1.0, at=0.1) for k in (1, 2)), jw.Spring((1, 2), 1.0, axis="z"))),
+            "`springs` must connect .* base 1 along z",
+        ),
+        (lambda: jw.Mount(z="a"), "`z` must be a finite number, got 'a'"),
+        (lambda: jw.Mount(roll=jnp.nan), "`roll` must be a finite number, got nan"),
         (lambda: jw.Mount(angle=2.0), "`angle` must be less than a right angle, got 2 rad"),
         (lambda: jw.Support.fbfbr(jnp.inf, [0.2, 0.2, 0.5]), "`rest_length` must be the same along all paths"),
         (

@@ -18,7 +18,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_field, as_text, name_of
 from jaxwhisker._base.rotation import about, rotation_matrix
 from jaxwhisker._base.types import Scalar, Triple
-from jaxwhisker._model.motion import AbstractMotion
+from jaxwhisker._model.motion import AbstractMotion, Mount
 
 NOWHERE = (0.0, 0.0, 0.0)
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # columns d1, d2, d3 of an upright whisker
@@ -274,6 +274,16 @@ def placement_of(motion: SpaceMotion | AbstractMotion, control: Scalar) -> Place
         return motion.placement(control)
     x, y, angle = motion.pose(control)
     return Placement(_array((x, y, 0.0)), about(2, angle))
+
+
+def mount_in_space(mount: Mount) -> Placement:
+    """The placement, in the drive's frame, of the directors of a whisker's root while its base is on its mount.
+
+    The origin is (x, y, z) of the mount, and the rotation is Rz(angle) Rx(elevation) R Rot3(roll), with the directors R
+    of an upright whisker and Rot3 about the third one, the tangent.
+    """
+    z, elevation, roll = (0.0 if value is None else value for value in (mount.z, mount.elevation, mount.roll))
+    return Placement(_array((mount.x, mount.y, z)), _angles(mount.angle, elevation, roll) @ jnp.asarray(UPRIGHT))
 
 
 def _pose_function(value: Any) -> Any:

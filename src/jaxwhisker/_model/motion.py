@@ -11,8 +11,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.leaves import as_field, name_of
+from jaxwhisker._base.leaves import as_field, as_text, name_of
 from jaxwhisker._base.types import Scalar
+
+IN_SPACE = ("z", "elevation", "roll")  # of a mount
 
 
 class Pose(NamedTuple):
@@ -210,6 +212,11 @@ class Mount(eqx.Module):
         y: height of the base, a length.
         angle: angle between the root of the unloaded whisker and the upright, rad, positive counter-clockwise (towards
             -x); less than a right angle.
+        z: offset along z, a length. Only for objects in space. Default: none.
+        elevation: angle, rad, by which the whisker is tilted towards +z before `angle` turns it about z. Only for
+            objects in space. Default: none.
+        roll: angle, rad, right-handed, by which the whisker is turned about its root before that, which matters only
+            for curved whiskers. Only for objects in space. Default: none.
 
     Raises:
         ValueError: if a value is not a finite number, or the angle is not less than a right angle.
@@ -223,15 +230,27 @@ class Mount(eqx.Module):
     x: Scalar = 0.0
     y: Scalar = 0.0
     angle: Scalar = 0.0
+    z: Scalar | None = eqx.field(default=None, kw_only=True)
+    elevation: Scalar | None = eqx.field(default=None, kw_only=True)
+    roll: Scalar | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
         checks.number("x", self.x)
         checks.number("y", self.y)
         checks.acute_angle("angle", self.angle)
+        for name in IN_SPACE:
+            if getattr(self, name) is not None:
+                checks.number(name, getattr(self, name))
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructor checks."""
         return checks.all_finite(self) & (jnp.abs(jnp.asarray(self.angle)) < checks.RIGHT_ANGLE)
+
+    def check_in_plane(self) -> None:
+        """Raise a ValueError if it leaves the plane."""
+        for name in IN_SPACE:
+            if getattr(self, name) is not None:
+                checks.fail(name, "None in the plane: others need an object in space", as_text(getattr(self, name)))
 
 
 class Frame(NamedTuple):

@@ -13,7 +13,8 @@ from jaxwhisker._model.spring import AXES, Spring
 class Flexibility(NamedTuple):
     """Displacement of the bases under loads on them: displacement = offset + matrix @ load.
 
-    If bases move along x only, there is one row per base; otherwise three, for x, y and angle.
+    If bases move along x only, there is one row per base; otherwise three, for x, y and angle. In space there are six:
+    x, y, z and the angles about these axes.
     """
 
     matrix: Float[Array, "rows rows"]
@@ -26,6 +27,17 @@ class Flexibility(NamedTuple):
         stiffness = force / length
         root = self.root * jnp.sqrt(jax.lax.stop_gradient(jnp.asarray(stiffness)))
         return Flexibility(self.matrix * stiffness, root, self.offset / length, self.consistent)
+
+    def in_space(self, length: Scalar, force: Scalar) -> "Flexibility":
+        """The dimensionless flexibility with six rows per base, in the axes of the drive's frame.
+
+        Displacements are in units of length, forces of `force` and moments of `force` times length; angles are in rad.
+        """
+        lengths = jnp.tile(jnp.array([length, length, length, 1.0, 1.0, 1.0], dtype=float), self.offset.size // 6)
+        work = force * length
+        root = self.root * jax.lax.stop_gradient(jnp.sqrt(work) / lengths)[:, None]
+        matrix = self.matrix * (work / (lengths[:, None] * lengths))
+        return Flexibility(matrix, root, self.offset / lengths, self.consistent)
 
     def in_frames(self, angle: Float[Array, " whiskers"], length: Scalar, force: Scalar) -> "Flexibility":
         """The dimensionless flexibility along all axes, each base in a frame at this angle (rad) to the drive's."""
@@ -54,12 +66,12 @@ def rigid(whiskers: int) -> Flexibility:
     return Flexibility(none, none, jnp.zeros(whiskers), jnp.asarray(True))
 
 
-def along_all_axes(parts: dict[str, Flexibility]) -> Flexibility:
-    """The flexibility for x, y and angle of every base, from those along each axis that has springs."""
-    n, k = next(iter(parts.values())).offset.size, len(AXES)
+def along_all_axes(parts: dict[str, Flexibility], axes: tuple[str, ...] = AXES) -> Flexibility:
+    """The flexibility along all axes (x, y and angle) of every base, from those along each axis that has springs."""
+    n, k = next(iter(parts.values())).offset.size, len(axes)
     matrix, root, offset = jnp.zeros((n, k, n, k)), jnp.zeros((n, k, n, k)), jnp.zeros((n, k))
     for axis, part in parts.items():
-        a = AXES.index(axis)
+        a = axes.index(axis)
         matrix, root = matrix.at[:, a, :, a].set(part.matrix), root.at[:, a, :, a].set(part.root)
         offset = offset.at[:, a].set(part.offset)
     consistent = jnp.all(jnp.stack([part.consistent for part in parts.values()]))

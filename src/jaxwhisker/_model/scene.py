@@ -242,7 +242,8 @@ def check_in_plane(whiskers: tuple[Whisker, ...], support: Support) -> None:
         value = next((own for whisker in whiskers if (own := getattr(whisker, name)) is not None), None)
         if value is not None:
             text = f"{name_of(value)}(s)" if callable(value) else as_text(value)
-            checks.fail(name, "None in the plane: it needs an object in space", text)
+            checks.fail(name, "None in the plane: others need an object in space", text)
+    support.check_in_plane()
 
 
 def _in_row(whisker: Any, support: Any) -> Any:

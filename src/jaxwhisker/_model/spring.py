@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.leaves import number_or_function
+from jaxwhisker._base.leaves import name_of, number_or_function
 from jaxwhisker._base.quadrature import gauss
 from jaxwhisker._base.types import Scalar
 
-AXES = ("x", "y", "phi")
+AXES = ("x", "y", "phi")  # in the plane
+AXES_IN_SPACE = ("x", "y", "z", "phi_x", "phi_y", "phi")  # phi is the angle about z
 ONE_SIDED = ("tension", "compression")
 POINTS, WEIGHTS = gauss(16)  # for the energies of user-defined springs
 SPACING = 0.2  # default distance between neighbours in a row, in lengths of the first whisker
@@ -42,7 +43,9 @@ class Spring(eqx.Module):
             0.2 lengths of the first whisker of the scene, so that the bases rest in a row at equal distances.
         axis: "x" or "y", across or along the upright whisker in the frame of the drive, "phi" for a torsion spring, or
             "axial" for a spring along the line between its ends, whichever way that turns. Lengths and angles are
-            positive along +x, +y and counter-clockwise.
+            positive along +x, +y and counter-clockwise. With objects in space also "z", and "phi_x" and "phi_y" for
+            torsion springs about the x and y axes, right-handed; "phi" is the one about z. Angles in space are the
+            components of the rotation vector of the base relative to the drive, along the axes of the drive's frame.
         compliance: 1/c, not negative, an alternative to `stiffness`; 0 for a rigid link. Unlike derivatives with
             respect to an infinite stiffness, those with respect to a compliance of 0 do not vanish.
         at: arc length from the base to where the spring is attached to the shaft; negative on a rigid follicle that
@@ -87,8 +90,8 @@ class Spring(eqx.Module):
             checks.number("stiffness", self.stiffness, positive=True, finite=False)
         if self.compliance is not None:
             checks.number("compliance", self.compliance, non_negative=True)
-        if self.axis not in (*AXES, "axial"):
-            checks.fail("axis", f"one of {', '.join(AXES)}, axial", repr(self.axis))
+        if self.axis not in (*AXES_IN_SPACE, "axial"):
+            checks.fail("axis", f"one of {', '.join(AXES_IN_SPACE)}, axial", repr(self.axis))
         if self.rest_length is not None or self.axis not in ("x", "axial"):
             checks.number("rest_length", self.rest_length)
         if self.at is not None and self.between[0] != 0:
@@ -103,6 +106,9 @@ class Spring(eqx.Module):
             self._check_attached()
 
     def _check_attached(self) -> None:
+        if self.axis not in (*AXES, "axial"):
+            allowed = f"one of {', '.join(AXES)}, axial for a spring that is on a shaft or not linear"
+            checks.fail("axis", allowed, repr(self.axis))
         if self.between[1] == 0:
             checks.fail("between", "(0, k) for a spring from the drive to a shaft", repr(self.between))
         if self.anchor is not None and self.between[0] != 0:
@@ -111,6 +117,22 @@ class Spring(eqx.Module):
             name = "stiffness" if self.compliance is None else "compliance"
             allowed = f"{'finite' if self.compliance is None else 'positive'} for a spring on a shaft"
             checks.fail(name, allowed, getattr(self, name))
+
+    def check_in_plane(self) -> None:
+        """Raise a ValueError if it acts along an axis that needs an object in space."""
+        if self.axis not in (*AXES, "axial"):
+            allowed = f"one of {', '.join(AXES)}, axial in the plane: others need an object in space"
+            checks.fail("axis", allowed, repr(self.axis))
+
+    def check_in_space(self) -> None:
+        """Raise a ValueError if it is not linear along a coordinate of the bases, as springs in space must be."""
+        if self.axis == "axial":
+            checks.fail("axis", f"one of {', '.join(AXES_IN_SPACE)} in space", repr(self.axis))
+        if callable(self.stiffness):
+            checks.fail("stiffness", "a number in space", name_of(self.stiffness))
+        for name in ("at", "anchor", "one_sided"):
+            if getattr(self, name) is not None:
+                checks.fail(name, "None in space", repr(getattr(self, name)))
 
     @property
     def linear(self) -> bool:

@@ -16,7 +16,7 @@ from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.motion import Mount
 from jaxwhisker._model.network import Flexibility, along_all_axes, connected, flexibility, rigid
 from jaxwhisker._model.published import Published
-from jaxwhisker._model.spring import AXES, Spring
+from jaxwhisker._model.spring import AXES, AXES_IN_SPACE, Spring
 
 _NAMED = {
     "FB": ((0, 1),),
@@ -85,7 +85,7 @@ class Support(Published):
         tissue = (Spring((0, base), 1.0) for base, one in enumerate(self.foundations, 1) if one is not None)
         ends = connected((*self.springs, *tissue))
         for axis in self.axes:
-            loose = {base for base in self._held(axis) if base not in self._attached}
+            loose = {base for base in self._held(axis) if base not in self._attached or axis not in AXES}
             missing = loose | (set(range(1, self.whiskers + 1)) - ends)
             if missing:
                 raise ValueError(
@@ -139,7 +139,7 @@ class Support(Published):
     @property
     def axes(self) -> tuple[str, ...]:
         """The axes along which bases are free, at least some."""
-        return tuple(axis for axis in AXES if self.freed(axis))
+        return tuple(axis for axis in AXES_IN_SPACE if self.freed(axis))
 
     def freed(self, axis: str) -> set[int]:
         """The bases that are free along an axis."""
@@ -179,7 +179,7 @@ class Support(Published):
                 return own + (anchor[0] - mount.x if axis == "x" else anchor[1] - mount.y)
             return tissue.rest_length if axis == "x" and tissue is not None else 0.0
 
-        stiffness = hold[:, AXES.index(axis)]
+        stiffness = hold[:, AXES.index(axis)] if axis in AXES else None
         held = (Spring((0, base), stiffness[base - 1], rest_length(base), axis=axis) for base in self._held(axis))
         return (*self.along(axis), *held)
 
@@ -265,20 +265,31 @@ class Support(Published):
 
     @classmethod
     def follicle(
-        cls, x: Scalar | None = None, y: Scalar | None = None, phi: Scalar | None = None, *, mount: Mount | None = None
+        cls,
+        x: Scalar | None = None,
+        y: Scalar | None = None,
+        phi: Scalar | None = None,
+        *,
+        z: Scalar | None = None,
+        phi_x: Scalar | None = None,
+        phi_y: Scalar | None = None,
+        mount: Mount | None = None,
     ) -> "Support":
-        """One whisker whose base can move in up to three directions; at rest it is on the drive.
+        """One whisker whose base can move in up to three directions, in space six; at rest it is on the drive.
 
         Args:
             x: stiffness across the whisker, force per length; positive, or None for rigid.
             y: stiffness along the whisker, force per length; positive, or None for rigid.
             phi: torsional stiffness, moment per rad; positive, or None for rigid.
+            z: stiffness along z. This and the following are for objects in space.
+            phi_x: torsional stiffness about the x axis.
+            phi_y: torsional stiffness about the y axis, along the upright whisker.
             mount: the mount of the whisker. Default: upright at height 0.
 
         Raises:
             ValueError: if a stiffness is not a positive number, or `mount` is not a Mount.
         """
-        stiffness = {"x": x, "y": y, "phi": phi}
+        stiffness = {"x": x, "y": y, "phi": phi, "z": z, "phi_x": phi_x, "phi_y": phi_y}
         springs = (Spring((0, 1), value, axis=axis) for axis, value in stiffness.items() if value is not None)
         return cls(tuple(springs), mount)
 
@@ -316,8 +327,9 @@ class Support(Published):
         while a rest length has its default, which a scene determines.
 
         Raises:
-            ValueError: if there are springs on shafts and `hold` is not given.
+            ValueError: if there are springs on shafts and `hold` is not given, or springs only for space.
         """
+        self.check_in_plane()
         if not self.axes:
             return rigid(self.whiskers)
         if hold is None:
@@ -327,16 +339,43 @@ class Support(Published):
         parts = {axis: flexibility(self._network(axis, hold), self.whiskers) for axis in self.axes}
         return parts["x"] if self.axes == ("x",) else along_all_axes(parts)
 
+    def flexibility_in_space(self) -> Flexibility:
+        """Flexibility of the bases along all axes of the drive's frame, with six rows per base; zero without springs.
+
+        The rows are displacements x, y, z and angles phi_x, phi_y, phi_z of base 1, then of base 2; the loads are
+        forces along, and moments about, the same axes.
+
+        Raises:
+            ValueError: as `check_in_space`.
+        """
+        self.check_in_space()
+        none = jnp.zeros((self.whiskers, len(AXES)))
+        parts = {axis: flexibility(self._network(axis, none), self.whiskers) for axis in self.axes}
+        return along_all_axes(parts or {"x": rigid(self.whiskers)}, AXES_IN_SPACE)
+
+    def check_in_plane(self) -> None:
+        """Raise a ValueError if a spring or a mount needs an object in space."""
+        for part in (*self.springs, *self.mounts):
+            part.check_in_plane()
+
+    def check_in_space(self) -> None:
+        """Raise a ValueError if a spring is attached to a shaft or not linear, or there is a foundation."""
+        if any(one is not None for one in self.foundations):
+            checks.fail("foundation", "None in space", repr(self.foundation))
+        for spring in self.springs:
+            spring.check_in_space()
+
     def spring_length(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
         """Length of every linear spring, or angle of a torsion spring, from the bases' positions relative to the drive.
 
-        Positions have one axis (x) or three, as in `flexibility`.
+        Positions have one axis (x) or three, as in `flexibility`, or six, as in `flexibility_in_space`.
         """
         linear = [spring for spring in self.springs if spring.linear]
         still = jnp.zeros_like(displacement[..., :1, :])
         nodes = jnp.concatenate([still, displacement], axis=-2)
         first, second = np.reshape([spring.between for spring in linear], (-1, 2)).astype(int).T
-        axis = np.array([AXES.index(spring.axis) for spring in linear], dtype=int)
+        axes = AXES_IN_SPACE if displacement.shape[-1] == len(AXES_IN_SPACE) else AXES
+        axis = np.array([axes.index(spring.axis) for spring in linear], dtype=int)
         return nodes[..., second, axis] - nodes[..., first, axis]
 
     def valid(self) -> Bool[Array, ""]:
