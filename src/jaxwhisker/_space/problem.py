@@ -14,12 +14,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.rotation import about
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import sections
-from jaxwhisker._model.drives import UPRIGHT, Placement, SpaceMotion, placement_of
+from jaxwhisker._model.drives import Placement, SpaceMotion, mount_in_space, placement_of
 from jaxwhisker._model.scene import Units, units_of
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.surface import AbstractSurface
@@ -34,11 +33,10 @@ Contacts = Float[Array, "whiskers 11"]
 
 
 class Springs(NamedTuple):
-    """Flexibility of the bases, six rows each."""
+    """Flexibility of the bases, and their displacement by the rest lengths of the springs."""
 
-    matrix: Float[Array, "rows rows"]
-    root: Float[Array, "rows rows"]
-    offset: Float[Array, "whiskers 6"]
+    matrix: Float[Array, "all all"]
+    offset: Float[Array, "whiskers rows"]
 
 
 class SpaceProblem(eqx.Module):
@@ -88,10 +86,7 @@ class SpaceProblem(eqx.Module):
     def numbers(self) -> "SpaceProblem":
         """The numbers that equilibria depend on, and None for everything else."""
         numbers = eqx.filter(self, eqx.is_inexact_array)
-        decisive = [lambda p: p.ends, lambda p: p.outline] + ([lambda p: p.springs.root] if self.springs is not None else [])
-        for where in decisive:
-            numbers = eqx.tree_at(where, numbers, None, is_leaf=lambda leaf: leaf is None)
-        return numbers
+        return eqx.tree_at(lambda p: [p.ends, p.outline], numbers, replace_fn=lambda _: None, is_leaf=lambda x: x is None)
 
 
 def of_each(problem: SpaceProblem, function, *args):
@@ -112,10 +107,6 @@ def straight_outlines(length: PerWhisker) -> Outline:
     return Outline(position, jnp.broadcast_to(jnp.eye(3), (*places.shape, 3, 3)))
 
 
-def mount_in_space(mount):
-    return Placement(jnp.stack([jnp.asarray(mount.x, float), jnp.asarray(mount.y, float), jnp.zeros(())]), about(2, mount.angle) @ UPRIGHT)
-
-
 def problem_in_space(scene: SpaceScene) -> SpaceProblem:
     """The dimensionless problem of a scene in space, differentiable with respect to all numbers of the scene."""
     valid = scene.valid()
@@ -125,18 +116,17 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers])
     stiffness_unit = unit.moment * unit.length
-    rolls = any(not getattr(whisker, 'is_straight', True) for whisker in whiskers) or getattr(scene.support, 'turns', False)
+    curved = any(w.needs_space or w.intrinsic_curvature is not None for w in whiskers)
+    rolls = curved or any(axis.startswith("phi") for axis in scene.support.axes)
     section = sections(whiskers, unit.length, stiffness_unit)
     mounts = [mount_in_space(mount) for mount in scene.support.mounts]
     position, rotation = (jnp.stack(parts) for parts in zip(*mounts, strict=True))
     springs = None
     if scene.support.springs:
-        flexibility = scene.support.flexibility_in_space().in_units_of_space(unit.length, unit.force)
-        keep = np.arange(6 * len(whiskers)).reshape(-1, 6)[:, : 6 if rolls else 5].ravel()
-        springs = Springs(
-            flexibility.matrix[np.ix_(keep, keep)], flexibility.root[keep], flexibility.offset[keep].reshape(len(whiskers), -1)
-        )
-        valid &= flexibility.consistent
+        whole, n = scene.support.flexibility_in_space().in_space(unit.length, unit.force), len(whiskers)
+        keep = np.arange(6 * n).reshape(n, 6)[:, : 6 if rolls else 5].ravel()
+        springs = Springs(whole.matrix[np.ix_(keep, keep)], whole.offset[keep].reshape(n, -1))
+        valid &= whole.consistent
     ends = scene.motion.ends
     outline = straight_outlines(length)
     return SpaceProblem(
