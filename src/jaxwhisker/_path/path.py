@@ -26,7 +26,7 @@ class Status(NamedInt):
     too_long = 5  # more nodes, iterations or (for a traced control) turning points than there is room for
     inexact = 6  # this step's equations are not satisfied to tolerance
     unstable = 7  # this step's equilibrium is not stable
-    undetermined = 8  # friction lets the contacts move on in no way, or in more than one
+    undetermined = 8  # contacts may move on in no way (with friction), or in more than one
     second_contact = 9  # a whisker has met the object in a second place; see `Scene.detects`
     crossing = 10  # two whiskers have crossed; see `Scene.detects`
     at_spring = 11  # a contact has reached a spring or a foundation on its shaft
@@ -45,6 +45,7 @@ class EventKind(NamedInt):
     stick = 7  # a contact stops slipping along the object
     slip = 8  # a contact that stuck begins to slip
     edge = 9  # a contact passes an end of an edge: from the edge to a face or arc, or onto the edge
+    bifurcation = 10  # in space: a symmetric branch loses its stability, and whiskers may go either way
 
 
 SNAPS = (EventKind.snap_through, EventKind.snap_off)

@@ -10,13 +10,14 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
 from jaxwhisker._space.contact import FORCE, ROLL, SLACK, TRACTION, UNKNOWNS, angle_and_arc, base_of, in_drive, on_surface
 from jaxwhisker._space.march import Node, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
-from jaxwhisker._space.stance import base_placement
+from jaxwhisker._space.stance import base_placement, stability_of
 
 EVENTS = 32  # events of one whisker that a scan has room for
 
@@ -93,14 +94,16 @@ def solved(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Cont
 class _KnownEvent(NamedTuple):
     at: Known
     weight: Contacts  # of the unknown that vanishes; if all are zero, the control is known
+    lost: Array  # whether the sliding stiffness is singular instead
 
 
 def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, " n"]:
     problem, u, phase, free = known.at
-    z = jnp.reshape(unknowns[:-1], (-1, UNKNOWNS))
-    residual = _residuals(problem, z, unknowns[-1], phase, free)[0]
+    z, control = jnp.reshape(unknowns[:-1], (-1, UNKNOWNS)), unknowns[-1]
+    residual = _residuals(problem, z, control, phase, free)[0]
     by_control = jnp.all(known.weight == 0)
-    condition = jnp.where(by_control, unknowns[-1] - u, jnp.sum(known.weight * z))
+    condition = jnp.where(by_control, control - u, jnp.sum(known.weight * z))
+    condition = jnp.where(known.lost, stability_of(problem, Point(z, control), phase)[1], condition)
     return jnp.append(jnp.ravel(residual), condition)
 
 
@@ -143,12 +146,16 @@ def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, Sp
     phase = jnp.where(filled, phase, int(Phase.free))
     column = jnp.where(touch | released, FORCE, SLACK)
     known_control = ~filled | (node.kind < 0)
-    weight = jnp.where(concerned & ~known_control, (jnp.arange(UNKNOWNS) == column).astype(float), 0.0)
-    z = jax.lax.stop_gradient(node.point.z)
+    snaps = (node.kind == EventKind.snap_through) | (node.kind == EventKind.snap_off)
+    lost = filled & (snaps | (node.kind == EventKind.bifurcation))
+    weight = jnp.where(concerned & ~known_control & ~lost, (jnp.arange(UNKNOWNS) == column).astype(float), 0.0)
     u = jax.lax.stop_gradient(node.point.u)
+    # A touch is solved for as the contact that begins, everything else as what it was before.
+    z = jax.lax.stop_gradient(jnp.where(touch, node.point.z, node.z_before))
     at = Known(problem, u, phase, z)
-    unknowns = solution_of(_at_event, jnp.append(jnp.ravel(z), u), _KnownEvent(at, weight))
+    unknowns = solution_of(_at_event, jnp.append(jnp.ravel(z), u), _KnownEvent(at, weight, lost))
     z, u = jnp.reshape(unknowns[:-1], z.shape), unknowns[-1]
     before = jnp.where(filled, node.phase_before, int(Phase.free))
     after = jnp.where(filled, node.phase, int(Phase.free))
-    return u, signals(problem, z, u, before)[0], signals(problem, z, u, after)[0]
+    z_after = jnp.where(snaps, solved(problem, node.point.z, u, after), z)
+    return u, signals(problem, z, u, before)[0], signals(problem, z_after, u, after)[0]

@@ -43,7 +43,7 @@ FIRST_STEP = 0.02  # after a corner
 LONGEST_STEP = 0.25
 SHORTEST_STEP = 1e-10
 PREDICTION_ERROR = 2e-3  # at which steps keep their length
-LOSS_BRACKET = 1e-9  # distance along the path within which a loss of stability is located
+LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
 LEAST_ADVANCE = 2e-4  # lengths by which free whiskers move at least in a step; shallower dips are missed
 INSIDE = 1e-6  # depth of free whiskers that must not be inside the object
 TOUCHING = 1e-9  # depth of a free whisker that counts as a touch: one that has just been released is at 0
@@ -209,6 +209,12 @@ def _after_advance(
     )
     size, stable = stance.stiffness, stance.stable
     node = _node(march, point, tangent)
+    located = good & ~violated & ~stable & (march.step < LOSS_BRACKET)
+    branches = located & (jnp.abs(march.tangent.u) >= FOLD)
+    share_to_loss = march.size / (march.size - size)
+    middle = march.point.u + share_to_loss * (point.u - march.point.u)
+    bifurcation = _node(march, march.point._replace(u=middle), march.tangent)
+    bifurcation = bifurcation._replace(kind=jnp.asarray(int(EventKind.bifurcation)), whiskers=march.phase != Phase.free)
     shorter = march._replace(step=0.4 * march.step)
     # A loss further ahead than this one is forgotten; the Illinois rule keeps false position from creeping.
     closer = march._replace(
@@ -229,14 +235,13 @@ def _after_advance(
     )
     onwards = moved._replace(step=_next_step(moved, error, march.step))
     # At a fold, contacts slide on in the direction of the path. A bifurcation is symmetric: they may go either way.
-    folds = jnp.abs(march.tangent.u) < FOLD
-    falls = select(folds, _sliding(march), march.stopped(Status.undetermined))
+    falls = select(branches, march.stopped(Status.undetermined), _sliding(march))
     new = first_case(
         (march.count >= CAPACITY - 1, march.stopped(Status.too_long)),
         (~good & (shorter.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, shorter),
         (violated, march._replace(task=jnp.asarray(int(Task.event)), target=target)),
-        (~stable & (march.step < LOSS_BRACKET), falls),
+        (located, falls),
         (~stable, closer),
         (_is_over(march, stance), march.stopped(Status.ok)),
         (~stance.opens, march.stopped(Status.not_convex)),
@@ -244,7 +249,8 @@ def _after_advance(
     )
     # While all whiskers are free, nothing happens between events.
     write = good & ~violated & stable & stance.opens & jnp.any(march.phase != Phase.free)
-    return new, write & (march.count < CAPACITY - 1), node
+    node = select(branches, bifurcation, node)
+    return new, (write | branches) & (march.count < CAPACITY - 1), node
 
 
 def _to_loss(march: March) -> Scalar:
