@@ -124,7 +124,7 @@ def _symmetric(half: list[float], total: float, middle: bool) -> list[float]:
 
 
 # For each number of rotations: fractions of a step for shifts and rotations, which alternate, starting with a shift.
-_METHODS = {
+METHODS = {
     6: (
         _symmetric([0.0829844064174052, 0.396309801498368, -0.0390563049223486], total=1.0, middle=True),
         _symmetric([0.245298957184271, 0.604872665711080], total=1.0, middle=False),
@@ -157,7 +157,7 @@ _METHODS = {
 
 
 # Points of a step of the default method for sections at which it evaluates stiffness and curvature, and their weights.
-NODES, NODE_WEIGHTS = np.cumsum(_METHODS[10][0])[:-1], np.array(_METHODS[10][1])
+NODES, NODE_WEIGHTS = np.cumsum(METHODS[10][0])[:-1], np.array(METHODS[10][1])
 
 
 class Splitting(diffrax.AbstractSolver):
@@ -184,7 +184,7 @@ class Splitting(diffrax.AbstractSolver):
     stages: int = eqx.field(static=True, default=11)
 
     def __check_init__(self):
-        if self.stages not in _METHODS:
+        if self.stages not in METHODS:
             checks.fail("stages", "6, 10 or 11", repr(self.stages))
 
     def order(self, terms):
@@ -218,7 +218,7 @@ class Splitting(diffrax.AbstractSolver):
             rotation, passed, next_shift = fractions
             return shift(rotate(state, rotation, passed), next_shift), None
 
-        shifts, rotations = _METHODS[self.stages]
+        shifts, rotations = METHODS[self.stages]
         passed = np.cumsum(shifts)[:-1]  # time advances with the position
         stages = tuple(jnp.asarray(fractions) for fractions in (rotations, passed, shifts[1:]))
         y1, _ = jax.lax.scan(stage, shift(y0, shifts[0]), stages)
