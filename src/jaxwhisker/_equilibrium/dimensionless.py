@@ -145,10 +145,14 @@ def sections(
         return None
     whiskers = with_equal_breaks(jax.tree.map(checks.as_float, whiskers))
     length, stiffness = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit))
-    each = tuple(whisker.section(length, stiffness) for whisker in whiskers)
+    return stacked_or_each([whisker.section(length, stiffness) for whisker in whiskers])
+
+
+def stacked_or_each(each: list[Any]) -> Any:
+    """Sections of all whiskers: stacked if they differ in numbers only, otherwise a tuple."""
     kinds = [(jax.tree.structure(section), [leaf.shape for leaf in jax.tree.leaves(section)]) for section in each]
     if any(kind != kinds[0] for kind in kinds):
-        return each
+        return tuple(each)
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 

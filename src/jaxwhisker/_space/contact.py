@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.rotation import left_jacobian, matrix_of, rotation_vector
@@ -29,7 +30,8 @@ from jaxwhisker._model.drives import Placement
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Section
-from jaxwhisker._rod.space import SpaceSection, space_rod_end
+from jaxwhisker._rod.space import SpaceSection
+from jaxwhisker._rod.space_end import space_rod_end
 
 FORCE, ROLL, SLACK = 0, 1, 2
 POINT, AHEAD, TRACTION = slice(3, 6), slice(6, 9), slice(9, 11)
@@ -114,7 +116,8 @@ def base_of(
     ahead, _, out = frame.T
     rotation = None
     if isinstance(body.section, SpaceSection):
-        end = space_rod_end(force, arc, chi, roll, body.section, method, rates)
+        steps = (1 if body.section.uniform else 2) * np.array([method.steps, rates.steps])
+        end = space_rod_end(force, arc, chi, roll, body.section, *map(int, steps))
         from_contact = _turned(frame, end[:3])
         rotation = _product(frame, matrix_of(end[3:]))
         tangent = rotation[:, 2]
@@ -181,9 +184,8 @@ def spread(body: Body, surface: AbstractSurface, z: Contact, phase: Int[Array, "
     own: Scalar = 0.0
     if isinstance(body.section, SpaceSection):
         _, arc = angle_and_arc(body, z, phase)
-        first, second = body.section.bending_curvature(arc)
-        cos, sin = jnp.cos(z[ROLL]), jnp.sin(z[ROLL])
-        own = -second * cos - first * sin  # n.d1 = -cos, n.d2 = sin: see rod/space.py
+        first, second, _ = (0.0 if part is None else part for part in body.section.intrinsic(arc))
+        own = -second * jnp.cos(z[ROLL]) - first * jnp.sin(z[ROLL])  # n.d1 = -cos, n.d2 = sin: see rod/space_end.py
     curved = jnp.sum(ahead * _turned(surface.curvature(z[POINT]), ahead))
     return jnp.where(phase == Phase.tangential, own + curved, jnp.inf)
 

@@ -5,6 +5,7 @@ the base. Bases have six coordinates in the frame of the drive: a displacement a
 mounts. Clamped bases have no flexibility, and straight round whiskers no torsion: what is absent costs nothing.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,17 +15,19 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.rotation import matrix_of
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.dimensionless import sections
+from jaxwhisker._equilibrium.dimensionless import sections, stacked_or_each
 from jaxwhisker._model.drives import Placement, SpaceMotion, mount_in_space, placement_of
 from jaxwhisker._model.scene import Units, units_of
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.surface import AbstractSurface
+from jaxwhisker._model.whisker import Whisker, with_equal_breaks
 from jaxwhisker._rod.elastica import AbstractRod
 from jaxwhisker._rod.rod import Section
-from jaxwhisker._rod.space import SpaceSection
+from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
 from jaxwhisker._space.contact import Body
 from jaxwhisker._space.free import INTERVALS, Outline
 
@@ -100,11 +103,54 @@ def of_each(problem: SpaceProblem, function, *args):
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 
-def straight_outlines(length: PerWhisker) -> Outline:
-    """Shapes of straight whiskers."""
-    places = length[:, None] * np.linspace(0.0, 1.0, INTERVALS + 1)
-    position = places[:, :, None] * np.array([0.0, 0.0, 1.0])
-    return Outline(position, jnp.broadcast_to(jnp.eye(3), (*places.shape, 3, 3)))
+class Opposite(eqx.Module):
+    """A function of arc length with the opposite sign."""
+
+    function: Callable
+
+    def __call__(self, s: Scalar) -> Scalar:
+        return -self.function(s)
+
+
+def sections_in_space(
+    whiskers: tuple[Whisker, ...], length_unit: Scalar, stiffness_unit: Scalar
+) -> SpaceSection | tuple[SpaceSection, ...]:
+    """Sections of curved or twisted whiskers: stacked if they differ in numbers only, otherwise a tuple."""
+    whiskers = with_equal_breaks(jax.tree.map(checks.as_float, whiskers))
+    length, stiffness = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit))
+
+    def one(whisker):
+        plane, breaks = whisker.intrinsic_curvature, whisker.breaks
+        second = Opposite(plane) if callable(plane) else None if plane is None else -plane
+        return SpaceSection(
+            whisker.bending_stiffness,
+            jnp.asarray(whisker.torsion, dtype=float),
+            (whisker.lateral_curvature, second, whisker.twist),
+            length,
+            stiffness,
+            None if breaks is None else jnp.asarray(breaks),
+        )
+
+    return stacked_or_each([one(whisker) for whisker in whiskers])
+
+
+def outlines_in_space(length: PerWhisker, section) -> Outline:
+    """Shapes of unloaded whiskers."""
+    places = np.linspace(0.0, 1.0, INTERVALS + 1)
+
+    def one(length, section):
+        if not isinstance(section, SpaceSection):
+            position = (length * places)[:, None] * np.array([0.0, 0.0, 1.0])
+            return Outline(position, jnp.broadcast_to(jnp.eye(3), (places.size, 3, 3)))
+        zero = jnp.zeros(())
+        start = (zero, zero, zero), (zero + 1, zero, zero, zero)
+        r, q = points(start, -length, SpaceLoad((zero, zero, zero)), section, at=jnp.asarray(places), from_base=zero)
+        return Outline(jnp.stack(r, axis=-1), jax.vmap(matrix_of)(jnp.stack(q, axis=-1)))
+
+    if isinstance(section, tuple):
+        each = [one(length[k], own) for k, own in enumerate(section)]
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    return jax.lax.stop_gradient(jax.vmap(one)(length, section))
 
 
 def problem_in_space(scene: SpaceScene) -> SpaceProblem:
@@ -118,7 +164,7 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
     stiffness_unit = unit.moment * unit.length
     curved = any(w.needs_space or w.intrinsic_curvature is not None for w in whiskers)
     rolls = curved or any(axis.startswith("phi") for axis in scene.support.axes)
-    section = sections(whiskers, unit.length, stiffness_unit)
+    section = (sections_in_space if rolls else sections)(whiskers, unit.length, stiffness_unit)
     mounts = [mount_in_space(mount) for mount in scene.support.mounts]
     position, rotation = (jnp.stack(parts) for parts in zip(*mounts, strict=True))
     springs = None
@@ -128,7 +174,7 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
         springs = Springs(whole.matrix[np.ix_(keep, keep)], whole.offset[keep].reshape(n, -1))
         valid &= whole.consistent
     ends = scene.motion.ends
-    outline = straight_outlines(length)
+    outline = outlines_in_space(length, section)
     return SpaceProblem(
         length=length,
         bending_stiffness=stiffness / stiffness_unit,
