@@ -64,10 +64,10 @@ class SpaceSection(eqx.Module):
         return not any(map(callable, (self.bending_stiffness, *self.curvature)))
 
     @property
-    def twists(self) -> bool:
-        """Whether the torsional stiffness differs from EI."""
+    def excess(self) -> Scalar | None:
+        """Torsional compliance minus that of bending, relative to the latter; None if it is known to be zero."""
         ratio = self.torsion_ratio
-        return ratio is not None and not (isinstance(ratio, int | float) and ratio == 1)
+        return None if ratio is None or (isinstance(ratio, int | float) and ratio == 1) else 1 / ratio - 1
 
     @property
     def in_plane(self) -> Section | None:
@@ -148,9 +148,9 @@ def _step(state: SpaceState, ends: tuple, rod: _Rod) -> tuple[SpaceState, tuple[
     """The state after a step, the stages of the step, and its last shift."""
     (t0, t1, between), load, section = ends, rod.load, rod.section
     h = (t0 - t1) * rod.arc
+    excess = section.excess
     # The order conditions of the method with 11 rotations hold for uniform rods without twist only.
-    shifts, rotations = METHODS[11 if section.uniform and not section.twists else 10]
-    excess = 1 / section.torsion_ratio - 1 if section.twists else None
+    shifts, rotations = METHODS[11 if section.uniform and excess is None else 10]
 
     def shifted(state: SpaceState, fraction: Scalar, twist: Scalar | None) -> tuple[SpaceState, _Stage]:
         r, q = state
@@ -261,6 +261,6 @@ def curvature(state: SpaceState, load: SpaceLoad, section: SpaceSection, s: Scal
     """Curvatures about d1 and d2 and twist, at the arc length s from the base."""
     r, q = state
     k1, k2, k3 = times(section.compliance(s), turned(inverse_rotation(q), load.moment_at(r)))
-    if section.twists:
-        k3 = k3 / section.torsion_ratio
+    if section.excess is not None:
+        k3 = k3 * (1 + section.excess)
     return plus((k1, k2, k3), section.intrinsic(s))

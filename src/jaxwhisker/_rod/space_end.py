@@ -62,12 +62,15 @@ def space_rod_end(
 
 @space_rod_end.def_jvp
 def _(primals, tangents):
-    *at, section, steps, rate_steps = primals
-    end, slopes = _end_and_slopes(*at, section, rate_steps)
+    force, arc, chi, gamma, section, steps, rate_steps = primals
+    end, slopes = _end_and_slopes(force, arc, chi, gamma, section, rate_steps)
     terms = [slope * dot for slope, dot in zip(slopes, tangents, strict=False) if dot is not None]
     if jax.tree.leaves(tangents[4]):
-        _, by_section = eqx.filter_jvp(lambda section: _end(*at, section, rate_steps), (section,), (tangents[4],))
-        terms.append(by_section)
+
+        def by_section(section):
+            return _end(force, arc, chi, gamma, section, rate_steps)
+
+        terms.append(eqx.filter_jvp(by_section, (section,), (tangents[4],))[1])
     return end if steps == rate_steps else space_rod_end(*primals), total(*terms)
 
 
