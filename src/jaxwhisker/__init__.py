@@ -46,6 +46,11 @@ from jaxwhisker._study.summary import summary
 from jaxwhisker.film.animate import animate
 
 if TYPE_CHECKING:
+    from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
+    from jaxwhisker._model.solids import Extruded, Revolved, Surface
+    from jaxwhisker._model.space_scene import SpaceScene
+    from jaxwhisker._model.surface import Cylinder, Ellipsoid, Paraboloid, Sphere
+    from jaxwhisker._scan.space_result import SpaceResult, SpaceState
     from jaxwhisker._dynamics.drive import Sweep, Whisking
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate
@@ -62,12 +67,15 @@ __all__ = [
     "Contour",
     "ContourFit",
     "Cut",
+    "Cylinder",
     "Deflection",
     "Ellipse",
+    "Ellipsoid",
     "EnergyBalance",
     "Event",
     "EventKind",
     "Events",
+    "Extruded",
     "Fit",
     "FitStatus",
     "Foundation",
@@ -75,34 +83,45 @@ __all__ = [
     "Information",
     "LateralStability",
     "LineLoad",
+    "LinearDrive",
     "Modes",
     "Motion",
     "Mount",
     "Parabola",
+    "Paraboloid",
     "Phase",
     "PointForce",
     "PointMoment",
     "PointStatus",
     "Polygon",
     "Polynomial",
+    "PoseDrive",
     "ProfileFit",
     "Reconstruction",
     "Result",
+    "Revolved",
+    "RotaryDrive",
     "Rotation",
     "Scene",
     "Sensor",
     "Shapes",
     "Shooting",
     "Simulation",
+    "SpaceResult",
+    "SpaceScene",
+    "SpaceState",
+    "Sphere",
     "Splitting",
     "Spring",
     "State",
     "Status",
     "Support",
+    "Surface",
     "Sweep",
     "Table",
     "Tilted",
     "Translation",
+    "WhiskDrive",
     "Whisker",
     "Whisking",
     "animate",
@@ -131,24 +150,29 @@ __all__ = [
 
 __version__ = "0.1.0"
 
-_DYNAMICS = {
-    "Modes": "modes",
-    "Simulation": "simulation",
-    "Sweep": "drive",
-    "Whisking": "drive",
-    "modes": "modes",
-    "simulate": "simulate",
+# Names that are loaded on first use, and their modules.
+_LATER = {
+    "_dynamics.drive": ("Sweep", "Whisking"),
+    "_dynamics.modes": ("Modes", "modes"),
+    "_dynamics.simulate": ("simulate",),
+    "_dynamics.simulation": ("Simulation",),
+    "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
+    "_model.solids": ("Extruded", "Revolved", "Surface"),
+    "_model.space_scene": ("SpaceScene",),
+    "_model.surface": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
+    "_scan.space_result": ("SpaceResult", "SpaceState"),
 }
+_MODULE_OF = {name: module for module, names in _LATER.items() for name in names}
 
 
 def __getattr__(name: str):
     import importlib
 
-    # matplotlib is loaded when the first figure is asked for, and the dynamics on first use.
+    # matplotlib is loaded when the first figure is asked for, and what most scans do not need on first use.
     if name == "plot":
         return importlib.import_module("jaxwhisker.plot")
-    if name in _DYNAMICS:
-        return getattr(importlib.import_module(f"jaxwhisker._dynamics.{_DYNAMICS[name]}"), name)
+    if name in _MODULE_OF:
+        return getattr(importlib.import_module(f"jaxwhisker.{_MODULE_OF[name]}"), name)
     raise no_attribute(f"module {__name__!r}", name, __dir__())
 
 

@@ -19,7 +19,8 @@ Where the drive turns (motion.py), springs act along the axes of its frame; all 
 """
 
 import copy
-from typing import Any, NamedTuple
+import dataclasses
+from typing import Any, NamedTuple, dataclass_transform
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -47,8 +48,27 @@ def _as_names(value: Any) -> Any:
     return tuple(name for name in DETECTABLE if name in names) if known else value
 
 
-class Scene(eqx.Module):
+@dataclass_transform(field_specifiers=(dataclasses.field, eqx.field))  # as that of equinox, for type checkers
+class _OfObject(type(eqx.Module)):
+    """The type of scenes, whose kind depends on the object."""
+
+    def __call__(cls, *args, **kwargs):
+        kwargs |= {"surface": kwargs.pop("profile")} if _in_space(kwargs.get("profile")) else {}
+        if _in_space(kwargs.get("surface")) or any(map(_in_space, args)):
+            from jaxwhisker._model.space_scene import SpaceScene
+
+            return SpaceScene(*args, **kwargs)
+        return super().__call__(*args, **kwargs)
+
+
+def _in_space(value: Any) -> bool:
+    return getattr(value, "is_surface", False)
+
+
+class Scene(eqx.Module, metaclass=_OfObject):
     """Whiskers on a support, scanned past an object.
+
+    With a surface (`Sphere`, ...) in place of the profile, it is a scene in space: a `SpaceScene`.
 
     Args:
         whisker: one Whisker for all bases, or a tuple with one per base.
@@ -81,7 +101,7 @@ class Scene(eqx.Module):
     detect: str | tuple[str, ...] | None = eqx.field(static=True, default=None, converter=_as_names)
 
     def __post_init__(self):
-        self.support = _in_row(self.whisker, self.support)
+        self.support = in_row(self.whisker, self.support)
 
     def __check_init__(self):
         allowed = "a Parabola, Circle, Ellipse, Graph, Contour, Polygon, Box, Cut or Tilted, or a tuple of these"
@@ -106,7 +126,7 @@ class Scene(eqx.Module):
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
         """One Whisker per base."""
-        return _each_whisker(self.whisker, self.support)
+        return each_whisker(self.whisker, self.support)
 
     def in_equilibrium(self) -> "Scene":
         """The scene without masses and `detect`: scenes that differ in these share the programs of equilibria."""
@@ -130,23 +150,26 @@ class Scene(eqx.Module):
         rods = "" if self.rod == Shooting() else f", {self.rod}"
         detect = ", detects " * bool(self.detect) + " and ".join(self.detect or ()).replace("_", " ")
         friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
-        whisker, motion = _whisker_text(self.whiskers[0]), _motion_text(self.motion)
-        return f"{_support_text(self.support)}, {self.profile}{whisker}{friction}{rods}{motion}{detect}"
+        whisker, motion = whisker_text(self.whiskers[0]), motion_text(self.motion)
+        return f"{support_text(self.support)}, {self.profile}{whisker}{friction}{rods}{motion}{detect}"
 
     __repr__ = __str__
 
 
-def _support_text(support: Support) -> str:
+def support_text(support: Support) -> str:
+    """Text of a support, its whiskers and springs."""
     n, springs = support.whiskers, len(support.springs)
     counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
     return f"{support.name}: {', '.join(counted)}"
 
 
-def _motion_text(motion: AbstractMotion) -> str:
+def motion_text(motion: AbstractMotion) -> str:
+    """Text of a motion that is not the default."""
     return "" if isinstance(motion, Translation) and motion.onwards < 0 else f", {motion}"
 
 
-def _whisker_text(whisker: Whisker) -> str:
+def whisker_text(whisker: Whisker) -> str:
+    """Text of what differs from the default whisker."""
     text = text_unless(1.0, ", L = ", whisker.length)
     if callable(whisker.bending_stiffness):
         text += f", EI = {name_of(whisker.bending_stiffness)}(s)"
@@ -185,7 +208,7 @@ class Sensor(eqx.Module):
     friction: Scalar | None = None
 
     def __post_init__(self):
-        self.support = _in_row(self.whisker, self.support)
+        self.support = in_row(self.whisker, self.support)
 
     def __check_init__(self):
         _check_sensor(self.whisker, self.support, self.motion, self.friction)
@@ -202,27 +225,20 @@ class Sensor(eqx.Module):
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
         """One Whisker per base."""
-        return _each_whisker(self.whisker, self.support)
+        return each_whisker(self.whisker, self.support)
 
     def __str__(self) -> str:
-        return f"{_support_text(self.support)}, no object{_whisker_text(self.whiskers[0])}{_motion_text(self.motion)}"
+        return f"{support_text(self.support)}, no object{whisker_text(self.whiskers[0])}{motion_text(self.motion)}"
 
     __repr__ = __str__
 
 
 def _check_sensor(whisker: Any, support: Any, motion: Any, friction: Any) -> None:
-    whiskers = whisker if isinstance(whisker, tuple) else (whisker,)
-    if not whiskers or not all(isinstance(w, Whisker) for w in whiskers):
-        checks.fail("whisker", "a Whisker or a tuple of them", repr(whisker))
-    checks.instance("support", support, Support, "a Support")
+    whiskers = check_whiskers(whisker, support)
     checks.instance("motion", motion, AbstractMotion, "a Translation, Rotation or Motion")
-    if isinstance(whisker, tuple) and len(whiskers) != support.whiskers:
-        allowed = f"one Whisker or one per base ({support.whiskers} in {support.name})"
-        checks.fail("whisker", allowed, f"a tuple of {len(whiskers)}")
     if friction is not None:
         checks.number("friction", friction, non_negative=True)
     check_in_plane(whiskers, support)
-    whiskers = _each_whisker(whisker, support)
     for name, number, place in support.attachments():
         length = whiskers[number - 1].length
         if not checks.is_traced((place, length)) and not float(place) < float(length):
@@ -230,6 +246,18 @@ def _check_sensor(whisker: Any, support: Any, motion: Any, friction: Any) -> Non
     tissue = any(one is not None for one in support.foundations)
     if tissue and any(w.intrinsic_curvature is not None for w in whiskers):
         checks.fail("whisker", "straight on a Foundation", "one with an intrinsic curvature")
+
+
+def check_whiskers(whisker: Any, support: Any) -> tuple[Whisker, ...]:
+    """Check the types of whisker and support and that their numbers agree; return one whisker per base."""
+    whiskers = whisker if isinstance(whisker, tuple) else (whisker,)
+    if not whiskers or not all(isinstance(w, Whisker) for w in whiskers):
+        checks.fail("whisker", "a Whisker or a tuple of them", repr(whisker))
+    checks.instance("support", support, Support, "a Support")
+    if isinstance(whisker, tuple) and len(whiskers) != support.whiskers:
+        allowed = f"one Whisker or one per base ({support.whiskers} in {support.name})"
+        checks.fail("whisker", allowed, f"a tuple of {len(whiskers)}")
+    return each_whisker(whisker, support)
 
 
 def check_in_plane(whiskers: tuple[Whisker, ...], support: Support) -> None:
@@ -246,13 +274,14 @@ def check_in_plane(whiskers: tuple[Whisker, ...], support: Support) -> None:
     support.check_in_plane()
 
 
-def _in_row(whisker: Any, support: Any) -> Any:
+def in_row(whisker: Any, support: Any) -> Any:
     """The support with the rest lengths that follow from the first whisker; wrong types are rejected later."""
     first = whisker[0] if isinstance(whisker, tuple) and whisker else whisker
     return support.in_row(first.length) if isinstance(support, Support) and isinstance(first, Whisker) else support
 
 
-def _each_whisker(whisker: Whisker | tuple[Whisker, ...], support: Support) -> tuple[Whisker, ...]:
+def each_whisker(whisker: Whisker | tuple[Whisker, ...], support: Support) -> tuple[Whisker, ...]:
+    """One whisker per base."""
     return whisker if isinstance(whisker, tuple) else (whisker,) * support.whiskers
 
 

@@ -8,18 +8,20 @@ The contact force is f n, with f >= 0 and the outward normal n of the object. Th
 on the whisker, and the moment (mx, my, mz) about its displaced base; all in the frame of the scene.
 """
 
-from typing import Any
+from typing import ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base import checks
 from jaxwhisker._model.drives import SpaceMotion
 from jaxwhisker._model.motion import AbstractMotion, Translation
+from jaxwhisker._model.scene import check_whiskers, each_whisker, in_row, motion_text, support_text, whisker_text
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._rod.elastica import AbstractRod, Shooting
+from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 
 
 class SpaceScene(eqx.Module):
@@ -35,7 +37,12 @@ class SpaceScene(eqx.Module):
         motion: motion of the drive: a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or one in the plane.
 
     Raises:
-        ValueError: if an argument has the wrong type or value.
+        ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, the support has
+            springs that are only available in the plane, or `rod` cannot compute the whiskers.
+
+    Examples:
+        >>> jw.Scene(jw.Whisker(), jw.Sphere(radius=1.0, centre=(0.0, 1.3, 0.2)))
+        clamped: 1 whisker, sphere r = 1 at (0, 1.3, 0.2)
     """
 
     whisker: Whisker | tuple[Whisker, ...]
@@ -43,18 +50,41 @@ class SpaceScene(eqx.Module):
     support: Support = Support()
     rod: AbstractRod = Shooting()
     motion: SpaceMotion | AbstractMotion = Translation()
+    in_space: ClassVar[bool] = True
+
+    def __post_init__(self):
+        self.support = in_row(self.whisker, self.support)
 
     def __check_init__(self):
-        checks.instance("surface", self.surface, AbstractSurface, "a surface")
+        allowed = "a Sphere, Ellipsoid, Cylinder, Paraboloid, Extruded, Revolved or Surface"
+        checks.instance("surface", self.surface, AbstractSurface, allowed)
+        kinds = "a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or a motion in the plane"
+        checks.instance("motion", self.motion, (SpaceMotion, AbstractMotion), kinds)
+        check_whiskers(self.whisker, self.support)
+        self.support.check_in_space()
+        checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
+        if isinstance(self.rod, ClosedForm) and (self.rolls or not all(w.uniform for w in self.whiskers)):
+            checks.fail("rod", "Shooting() for whiskers that are curved, not uniform or on torsion springs", "ClosedForm()")
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:
         """One Whisker per base."""
-        return self.whisker if isinstance(self.whisker, tuple) else (self.whisker,) * self.support.whiskers
+        return each_whisker(self.whisker, self.support)
+
+    @property
+    def rolls(self) -> bool:
+        """Whether whiskers are curved or twisted, or their bases may turn: torsion then plays a part."""
+        curved = any(w.needs_space or w.intrinsic_curvature is not None for w in self.whiskers)
+        return curved or any(axis.startswith("phi") for axis in self.support.axes)
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domains that the constructors check."""
-        valid: Any = self.surface.valid() & self.support.valid() & self.motion.valid()
-        for whisker in self.whiskers:
-            valid &= whisker.valid()
-        return valid
+        valid = self.surface.valid() & self.support.valid() & self.motion.valid()
+        return valid & jnp.all(jnp.stack([whisker.valid() for whisker in self.whiskers]))
+
+    def __str__(self) -> str:
+        rods = "" if self.rod == Shooting() else f", {self.rod}"
+        whisker, motion = whisker_text(self.whiskers[0]), motion_text(self.motion)
+        return f"{support_text(self.support)}, {self.surface}{whisker}{rods}{motion}"
+
+    __repr__ = __str__

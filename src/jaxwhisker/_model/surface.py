@@ -27,7 +27,7 @@ class AbstractSurface(eqx.Module):
     The contact force acts on the whisker along the outward normal. Points are arrays (x, y, z) of shape (3,), lengths.
     """
 
-    in_space: ClassVar[bool] = True
+    is_surface: ClassVar[bool] = True
 
     @abc.abstractmethod
     def level(self, x: Point) -> Float[Array, ""]:

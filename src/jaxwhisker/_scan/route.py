@@ -1,5 +1,6 @@
 """The route of the drive: its positions, the distance travelled, and the turning points."""
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -7,9 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxwhisker._base import checks
+from jaxwhisker._base.program import Program
+from jaxwhisker._base.types import Control
+from jaxwhisker._model.scene import Units
 from jaxwhisker._path.march import STOPS
 from jaxwhisker._path.path import Status
 
+STEP = 0.001  # of the default control, dimensionless: in lengths of the first whisker if the drive moves along x
+MOST_STEPS = 1_000_000  # of the default control
+TRACED_STEPS = 2048  # of the default control of a traced scene, whose length must not depend on values
 
 class Route(NamedTuple):
     """Drive positions of a scan, in the unit of the control."""
@@ -69,3 +77,37 @@ def across() -> tuple[Float[np.ndarray, "2"], int]:
 
 def _travel(control: Float[Array, " steps"]) -> Float[Array, " steps"]:
     return jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.abs(jnp.diff(control)))])
+
+
+def route_through(control: Control) -> tuple[Route, Int[Array, ""] | None]:
+    """The route through positions of the drive, and its status; None if the positions are concrete."""
+    still = jax.lax.stop_gradient(control)
+    if checks.is_traced(still):
+        return traced_route_now(jnp.asarray(control, dtype=float))
+    still = np.asarray(still, dtype=float)
+    route = route_of(still)
+    if checks.is_traced(control):
+        control = jnp.asarray(control)
+        route = route._replace(control=control, stops=control[stops_of(still)])
+    return route, None
+
+
+def default_positions(start: float, stop: float, unit: Units) -> np.ndarray:
+    """The positions of the default control from `start` to `stop`, in the unit of the control."""
+    step = STEP * float(unit.control)
+    count = max(2, int(np.ceil(abs(stop - start) / step)) + 1)
+    if count > MOST_STEPS:
+        raise ValueError(
+            f"Springs this soft need an explicit `control`: the default, from {start:g} to {stop:g}, would have "
+            f"{count:,} steps, and at most {MOST_STEPS:,} are allowed."
+        )
+    return start + math.copysign(step, stop - start) * np.arange(count)
+
+
+def evenly(start: Float[Array, ""], stop: Float[Array, ""], steps: int) -> Route:
+    """The route through equidistant positions."""
+    start, stop = jax.lax.stop_gradient((start, stop))  # derivatives are taken at fixed positions
+    return straight(start + (stop - start) * jnp.linspace(0.0, 1.0, steps))
+
+
+traced_route_now, evenly_now = Program(traced_route), Program(evenly, frozen=True)

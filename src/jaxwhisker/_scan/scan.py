@@ -8,8 +8,6 @@ interpolation.
 Both parts are programs of the dimensionless problem, compiled once per problem shape.
 """
 
-import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -29,21 +27,30 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import capacity_of, march
 from jaxwhisker._path.path import Path, Status
+from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.detect import Kinds, detect, kinds_of, without_gains
 from jaxwhisker._scan.memory import remembered, with_places
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.route import Route, across, route_of, stops_of, straight, traced_route
+from jaxwhisker._scan.route import (
+    MOST_STEPS as MOST_STEPS,
+    STEP as STEP,
+    TRACED_STEPS,
+    Route,
+    across,
+    default_positions,
+    evenly,
+    evenly_now,
+    route_of,
+    route_through,
+    traced_route,
+)
 from jaxwhisker._scan.signals import events
 from jaxwhisker._scan.slopes import event_tangents, remembered_tangents, spring_tangents, state_tangents
 from jaxwhisker._scan.springs import bases_of, spring_lengths, suspension
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps, states
 
-STEP = 0.001  # of the default control, dimensionless: in lengths of the first whisker if the drive moves along x
-MOST_STEPS = 1_000_000  # of the default control
-TRACED_STEPS = 2048  # of the default control of a traced scene, whose length must not depend on values
-BLOCK = 512  # steps computed by one call; a control is padded to a multiple
 
 
 @with_own_settings
@@ -82,6 +89,10 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
     jacfwd of jacfwd.
     """
     checks.float64_mode()
+    if getattr(scene, "in_space", False):
+        from jaxwhisker._scan.space_scan import scan_in_space
+
+        return scan_in_space(scene, control)
     if not isinstance(scene, Scene):
         raise ValueError(f"`scene` must be a Scene, got {scene!r}.")
     if control is not None:
@@ -119,7 +130,7 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
         route = evenly_now(start, stop, steps)
         route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
     elif route is None:
-        route = route_of(_default_control(problem, float(start), float(stop)))
+        route = route_of(default_positions(float(start), float(stop), problem.unit))
     state, step_status, lengths = _in_blocks(scene, problem, path, route)
     return _result(whole, problem, path, jnp.asarray(route.control), state, step_status, lengths)
 
@@ -135,46 +146,6 @@ def _in_blocks(
         return state, status, spring_lengths_now(suspension(scene), bases_of(scene, state), control)
 
     return in_blocks(block, (route.control, route.travel), BLOCK)
-
-
-def in_blocks(function: Callable, arrays: Any, size: int) -> Any:
-    """Results of a function of arrays whose first axis runs over the steps of a scan, or over other rows.
-
-    All blocks have one size, which lets one program serve scans of every length. The last row is repeated as padding.
-    """
-    count = jax.tree.leaves(arrays)[0].shape[0]
-
-    def split(values):
-        values, pad = (values, jnp.pad) if checks.is_traced(values) else (np.asarray(values), np.pad)
-        padding = [(0, -count % size)] + [(0, 0)] * (values.ndim - 1)
-        return pad(values, padding, mode="edge").reshape(-1, size, *values.shape[1:])
-
-    blocks = jax.vmap(function)(*jax.tree.map(split, arrays))
-    if checks.is_traced(blocks):
-        return _joined(blocks, count)
-    # NumPy joins them without compiling anything.
-    return jax.tree.map(jax.device_put, _first_steps(jax.tree.map(np.asarray, blocks), count))
-
-
-def _first_steps(blocks, count: int):
-    """The first steps of arrays whose two leading axes run over blocks and their steps."""
-    return jax.tree.map(lambda leaf: leaf.reshape(leaf.shape[0] * leaf.shape[1], *leaf.shape[2:])[:count], blocks)
-
-
-_joined = jax.jit(_first_steps, static_argnums=1)
-
-
-def route_through(control: Control) -> tuple[Route, Int[Array, ""] | None]:
-    """The route through positions of the drive, and its status; None if the positions are concrete."""
-    still = jax.lax.stop_gradient(control)
-    if checks.is_traced(still):
-        return traced_route_now(jnp.asarray(control, dtype=float))
-    still = np.asarray(still, dtype=float)
-    route = route_of(still)
-    if checks.is_traced(control):
-        control = jnp.asarray(control)
-        route = route._replace(control=control, stops=control[stops_of(still)])
-    return route, None
 
 
 def path_along(problem: Problem, kinds: Kinds, route: Route | None, status: Int[Array, ""] | None = None) -> "ScanPath":
@@ -200,18 +171,7 @@ def default_control(scene: Scene) -> np.ndarray:
         raise ValueError("`scene` must be concrete, got a traced one: the number of positions depends on its values.")
     problem = problem_now(jax.tree.map(checks.as_float, scene.in_equilibrium()))
     path = follow_path_now(problem, *map(np.asarray, across()))
-    return _default_control(problem, float(path.start), float(path.stop))
-
-
-def _default_control(problem: Problem, start: float, stop: float) -> np.ndarray:
-    step = STEP * float(problem.unit.control)
-    count = max(2, int(np.ceil(abs(stop - start) / step)) + 1)
-    if count > MOST_STEPS:
-        raise ValueError(
-            f"Springs this soft need an explicit `control`: the default, from {start:g} to {stop:g}, would have "
-            f"{count:,} steps, and at most {MOST_STEPS:,} are allowed."
-        )
-    return start + math.copysign(step, stop - start) * np.arange(count)
+    return default_positions(float(path.start), float(path.stop), problem.unit)
 
 
 def check_valid(scene: Scene, problem: Problem) -> None:
@@ -282,12 +242,6 @@ def _if_ok(path: Path, status: Int[Array, ""] | None) -> Path:
     return path._replace(count=jnp.where(good, path.count, 0), status=jnp.where(good, path.status, status))
 
 
-def evenly(start: Float[Array, ""], stop: Float[Array, ""], steps: int) -> Route:
-    """The route through equidistant positions."""
-    start, stop = jax.lax.stop_gradient((start, stop))  # derivatives are taken at fixed positions
-    return straight(start + (stop - start) * jnp.linspace(0.0, 1.0, steps))
-
-
 def _scan_staged(scene: Scene, control: Control | None) -> Result:
     if control is None:
         return scan_across(scene, TRACED_STEPS)
@@ -328,7 +282,6 @@ solve_steps_now = Program(solve_steps, frozen=True)
 states_now = Program(states, tangent=state_tangents)
 events_now = Program(events, tangent=event_tangents)
 spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
-traced_route_now, evenly_now = Program(traced_route), Program(evenly, frozen=True)
 
 
 def prepare(problem: Problem, stops: int, kinds: Kinds = (), events: bool = False) -> None:

@@ -9,14 +9,27 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.aside import Compilers
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, at_control, dot, scale_of
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.route import Route, across, route_of, straight, stops_of, traced_route
+from jaxwhisker._scan.blocks import BLOCK, in_blocks
+from jaxwhisker._scan.route import (
+    TRACED_STEPS,
+    Route,
+    across,
+    default_positions,
+    evenly,
+    evenly_now,
+    route_of,
+    route_through,
+    traced_route,
+)
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_signals import events, signals, solved
 from jaxwhisker._space.approach import crop, limits_of
@@ -24,13 +37,10 @@ from jaxwhisker._space.march import SpacePath, march
 from jaxwhisker._space.newton import Phases, solve_points
 from jaxwhisker._space.problem import Contacts, SpaceProblem, problem_in_space
 
-STEP = 0.001  # of the default control, dimensionless
-TRACED_STEPS = 2048  # of the default control of a traced scene
 BATCH = 32  # steps solved for at once
-BLOCK = 512
 RESIDUAL = 1e-8  # largest residual of a step marked ok
 JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
-TRAVEL_NOISE = 1e-12
+TRAVEL_NOISE = 1e-12  # relative to the length of the path: travels that differ by less are taken as equal
 
 
 class SpaceScanPath(NamedTuple):
@@ -41,8 +51,70 @@ class SpaceScanPath(NamedTuple):
     stop: Scalar
 
 
+@with_own_settings
+def scan_in_space(scene: SpaceScene, control: Control | None = None) -> SpaceResult:
+    """Scan past a surface in space; see `scan`."""
+    if control is not None:
+        checks.vector("control", control)
+    scene = jax.tree.map(checks.as_float, scene)
+    if checks.is_staged((scene, control)):
+        return _staged(scene, control)
+    problem = problem_now(scene)
+    if not checks.is_traced(scene) and not bool(problem.valid):
+        raise ValueError(f"`scene` must have parameters that its constructors accept, got {scene}.")
+    route, status = (None, None) if control is None else route_through(control)
+    stops, last = across() if route is None else (route.stops, route.last)
+    if not checks.is_traced((problem, stops)):
+        prepare(problem, stops.shape[0])
+    path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
+    path = _if_ok(path, status)
+    if route is None and checks.is_traced((problem, start)):
+        route = evenly_now(start, stop, TRACED_STEPS)
+    elif route is None:
+        route = route_of(default_positions(float(start), float(stop), problem.unit))
+
+    def block(control, travel):
+        return states_now(problem, control, solve_steps_now(problem, path, control, travel))
+
+    state, status = in_blocks(block, (route.control, route.travel), BLOCK)
+    return _result(scene, problem, path, jnp.asarray(route.control), state, status)
+
+
+def _staged(scene: SpaceScene, control: Control | None) -> SpaceResult:
+    """The result as part of a caller's jit."""
+    problem, status = problem_in_space(scene), None
+    if control is None:
+        stops, last = across()
+    else:
+        route, status = traced_route(jnp.asarray(control, dtype=float))
+        stops, last = route.stops, route.last
+    path, start, stop = follow_path(problem, jnp.asarray(stops), jnp.asarray(last))
+    route = evenly(start, stop, TRACED_STEPS) if control is None else route
+    path, positions = _if_ok(path, status), jnp.asarray(route.control)
+    solutions = solve_steps(problem, path, positions, jnp.asarray(route.travel))
+    return _result(scene, problem, path, positions, *states(problem, positions, solutions))
+
+
+def _if_ok(path: SpacePath, status: Int[Array, ""] | None) -> SpacePath:
+    """The path, or no path and this status if it is not ok."""
+    if status is None:
+        return path
+    good = status == Status.ok
+    return path._replace(count=jnp.where(good, path.count, 0), status=jnp.where(good, path.status, status))
+
+
+def _result(scene, problem, path, control, state, status) -> SpaceResult:
+    fields = {name: getattr(state, name) for name in SpaceState.__dataclass_fields__}
+    return SpaceResult(
+        **fields, control=control, status=status, deferred_events=lambda: events_now(problem, path), scene=scene
+    )
+
+
 def follow_path(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> SpaceScanPath:
-    """March to all stops, given in the scene's units; right across the object if the first one is NaN."""
+    """March to all stops, given in the scene's units; right across the object if the first one is NaN.
+
+    A path has no derivatives: they are attached to what is computed from it.
+    """
     problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
     stops, whole = stops / problem.unit.control, jnp.isnan(stops[0])
     limits = limits_of(problem, stops[0])
@@ -63,7 +135,7 @@ def interpolate(path: SpacePath, index: Int[Array, ""], u: Scalar) -> Point:
     apart = length > 0
     length = jnp.where(apart, length, 1.0)
     into = dot(here.leaving, there.arriving, scale)
-    into = jnp.where(into > 0.1, into, 1.0)
+    into = jnp.where(into > 0, into, 1.0)
 
     def cubic(start, stop, leaving, arriving):
         return Cubic(start, stop, leaving * length, arriving * length / into)
@@ -89,7 +161,10 @@ class SpaceSolutions(NamedTuple):
     status: Int[Array, "*steps"]
 
 
-def _solve(problem: SpaceProblem, path: SpacePath, index, u, known) -> SpaceSolutions:
+def _solve(
+    problem: SpaceProblem, path: SpacePath, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
+) -> SpaceSolutions:
+    """Solve for the equilibria at controls after nodes `index`; `known` is the status of the path there."""
     phase = path.nodes.phase[index]
     guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
     solution = solve_points(problem, phase, jax.vmap(at_control)(u, guess.z), guess)
@@ -99,22 +174,30 @@ def _solve(problem: SpaceProblem, path: SpacePath, index, u, known) -> SpaceSolu
     status = jnp.where(known == Status.ok, status, known)
     accepted = (status == Status.ok)[:, None]
     phase = jnp.where(accepted, phase, int(Phase.free))
-    z = jnp.where(accepted[:, None] & jnp.isfinite(z), z, path.nodes.point.z[0])
+    z = jnp.where(accepted[:, None], z, path.nodes.point.z[0])
     return SpaceSolutions(z, phase, status)
 
 
-def solve_steps(problem: SpaceProblem, path: SpacePath, control: Array, travel: Array) -> SpaceSolutions:
-    """Solve for the equilibria at control positions that the drive passes after travelling `travel`."""
+def solve_steps(
+    problem: SpaceProblem, path: SpacePath, control: Float[Array, " steps"], travel: Float[Array, " steps"]
+) -> SpaceSolutions:
+    """Solve for the equilibria at control positions that the drive passes after travelling `travel`.
+
+    Positions are in the scene's units. The solutions have no derivatives: `states` attaches them.
+    """
     problem, path, control, travel = jax.lax.stop_gradient((problem, path, control, travel))
     u, travel = control / problem.unit.control, travel / problem.unit.control
     node_travel = jnp.where(jnp.arange(path.nodes.travel.shape[0]) < path.count, path.nodes.travel, jnp.inf)
-    end, u_end = (values[path.count - 1] for values in (node_travel, jnp.asarray(path.nodes.point.u)))
+    last = jnp.maximum(path.count - 1, 0)
+    end, u_end = (values[last] for values in (node_travel, jnp.asarray(path.nodes.point.u)))
     noise = TRAVEL_NOISE * (1 + end)
-    index = jnp.clip(jnp.searchsorted(node_travel, travel + noise, side="right") - 1, 0, path.count - 1)
+    # A step exactly at an event belongs to the phase that begins, whichever side rounding puts it on.
+    index = jnp.clip(jnp.searchsorted(node_travel, travel + noise, side="right") - 1, 0, last)
     # A path that ends well has left the object behind.
-    free = jnp.all(path.nodes.phase[path.count - 1] == Phase.free) & (path.status == Status.ok)
+    free = jnp.all(path.nodes.phase[last] == Phase.free) & (path.status == Status.ok)
     beyond = ((travel > end + noise) & ~free) | (path.count == 0)
     known = jnp.where(problem.valid, jnp.where(beyond, path.status, Status.ok), Status.invalid)
+    # Newton's method would fail slowly at the steps beyond the end of a path.
     u = jnp.where(known == Status.ok, u, u_end)
     count = control.shape[0]
     batch = min(BATCH, count)
@@ -123,7 +206,9 @@ def solve_steps(problem: SpaceProblem, path: SpacePath, control: Array, travel: 
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], solutions)
 
 
-def states(problem: SpaceProblem, control: Array, solutions: SpaceSolutions) -> tuple[SpaceState, Int[Array, " steps"]]:
+def states(
+    problem: SpaceProblem, control: Float[Array, " steps"], solutions: SpaceSolutions
+) -> tuple[SpaceState, Int[Array, " steps"]]:
     """States and status of solved steps, in the scene's units, with derivatives; NaN for steps that failed."""
     u = control / problem.unit.control
 
@@ -142,29 +227,19 @@ def states(problem: SpaceProblem, control: Array, solutions: SpaceSolutions) -> 
     return jax.tree.map(if_ok, values), status
 
 
-follow_path_now = Program(follow_path, frozen=True)
+problem_now = Program(problem_in_space)
+follow_path_now = Program(follow_path, frozen=True, batched=True)
 solve_steps_now = Program(solve_steps, frozen=True)
-states_now, events_now, problem_now = Program(states), Program(events), Program(problem_in_space)
+states_now, events_now = Program(states), Program(events)
 
 
-def scan_in_space(scene: SpaceScene, control: Control | None = None) -> SpaceResult:
-    """Scan past a surface in space; see `scan`."""
-    if control is not None:
-        checks.vector("control", control)
-    scene = jax.tree.map(checks.as_float, scene)
-    problem = problem_now(scene)
-    stops, last = across()
-    route = None
-    if control is not None:
-        route = route_of(np.asarray(control, dtype=float))
-        stops, last = route.stops, route.last
-    path, start, stop = follow_path_now(problem, stops, np.asarray(last))
-    if route is None:
-        step = STEP * float(problem.unit.control)
-        count = max(2, int(np.ceil(abs(float(stop) - float(start)) / step)) + 1)
-        route = route_of(float(start) + np.sign(float(stop) - float(start)) * step * np.arange(count))
-    solutions = solve_steps_now(problem, path, route.control, route.travel)
-    state, status = states_now(problem, route.control, solutions)
-    fields = {name: getattr(state, name) for name in SpaceState.__dataclass_fields__}
-    return SpaceResult(**fields, control=jnp.asarray(route.control), status=status,
-                       deferred_events=lambda: events_now(problem, path), scene=scene)
+def prepare(problem: SpaceProblem, stops: int) -> None:
+    """Compile the programs of a scan for a problem shape at the same time; one compiler alone leaves a core idle."""
+    ends = np.zeros(stops), np.asarray(0)
+    if follow_path_now.is_ready(problem, *ends):
+        return
+    block = np.zeros(BLOCK)
+    with Compilers() as pool:
+        path = follow_path_now.prepare(pool, problem, *ends).path
+        solutions = solve_steps_now.prepare(pool, problem, path, block, block)
+        states_now.prepare(pool, problem, block, solutions)

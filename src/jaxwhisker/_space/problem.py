@@ -162,15 +162,13 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers])
     stiffness_unit = unit.moment * unit.length
-    curved = any(w.needs_space or w.intrinsic_curvature is not None for w in whiskers)
-    rolls = curved or any(axis.startswith("phi") for axis in scene.support.axes)
-    section = (sections_in_space if rolls else sections)(whiskers, unit.length, stiffness_unit)
+    section = (sections_in_space if scene.rolls else sections)(whiskers, unit.length, stiffness_unit)
     mounts = [mount_in_space(mount) for mount in scene.support.mounts]
     position, rotation = (jnp.stack(parts) for parts in zip(*mounts, strict=True))
     springs = None
     if scene.support.springs:
         whole, n = scene.support.flexibility_in_space().in_space(unit.length, unit.force), len(whiskers)
-        keep = np.arange(6 * n).reshape(n, 6)[:, : 6 if rolls else 5].ravel()
+        keep = np.arange(6 * n).reshape(n, 6)[:, : 6 if scene.rolls else 5].ravel()
         springs = Springs(whole.matrix[np.ix_(keep, keep)], whole.offset[keep].reshape(n, -1))
         valid &= whole.consistent
     ends = scene.motion.ends
