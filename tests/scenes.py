@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from jaxwhisker._model.whisker import LinearTaper, RoundSection
+from jaxwhisker._model.along import LinearTaper, RoundSection
 
 MODES = 1e-10  # forward against reverse mode, relative to the sum of sizes: the same sums in another order
 DIFFERENCE = 1e-5  # relative step of central differences

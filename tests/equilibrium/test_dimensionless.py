@@ -11,7 +11,7 @@ from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.dimensionless import _turned, outlines, problem_of, sections
 from jaxwhisker._equilibrium.problem import AlongX, InPlane
-from jaxwhisker._model.whisker import LinearTaper
+from jaxwhisker._model.along import LinearTaper
 from jaxwhisker._rod.rod import Section
 from scenes import cone
 

@@ -11,7 +11,7 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium import shaft
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
 from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._model.whisker import LinearTaper
+from jaxwhisker._model.along import LinearTaper
 from jaxwhisker._rod.rod import Section
 
 POINTS = 2e-6  # promised of a uniform whisker, between its points; they are better

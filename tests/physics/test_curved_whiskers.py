@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._model.whisker import LinearTaper
+from jaxwhisker._model.along import LinearTaper
 from scenes import all_ok, check_derivatives, cone
 
 EXACT = 1e-7  # of signals relative to their size: error of the rods' steps

@@ -10,7 +10,7 @@ import pytest
 from discrete import Chains
 
 import jaxwhisker as jw
-from jaxwhisker._model.whisker import LinearTaper
+from jaxwhisker._model.along import LinearTaper
 from scenes import all_ok, cone, follicle
 
 EXACT = 1e-7  # of signals relative to their size: error of the rods' steps

@@ -179,7 +179,7 @@ class Support(Published):
                 return own + (anchor[0] - mount.x if axis == "x" else anchor[1] - mount.y)
             return tissue.rest_length if axis == "x" and tissue is not None else 0.0
 
-        stiffness = hold[:, AXES.index(axis)] if axis in AXES else None
+        stiffness = hold[:, AXES.index(axis) if axis in AXES else 0]  # along other axes, it is not used
         held = (Spring((0, base), stiffness[base - 1], rest_length(base), axis=axis) for base in self._held(axis))
         return (*self.along(axis), *held)
 
