@@ -7,17 +7,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxwhisker._base.implicit import solution_of
+from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
 from jaxwhisker._space.contact import FORCE, ROLL, SLACK, TRACTION, UNKNOWNS, angle_and_arc, base_of, in_drive, on_surface
 from jaxwhisker._space.march import Node, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
-from jaxwhisker._space.stance import base_placement, stability_of
+from jaxwhisker._space.stance import base_placement
 
 EVENTS = 32  # events of one whisker that a scan has room for
 
@@ -93,8 +92,8 @@ def solved(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Cont
 
 class _KnownEvent(NamedTuple):
     at: Known
-    weight: Contacts  # of the unknown that vanishes; if all are zero, the control is known
-    lost: Array  # whether the sliding stiffness is singular instead
+    weight: Contacts  # of the unknowns in a sum that vanishes; if all are zero, the control is known
+    at_loss: Contacts  # the unknowns at a fold, from which that sum is measured
 
 
 def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, " n"]:
@@ -102,8 +101,7 @@ def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, 
     z, control = jnp.reshape(unknowns[:-1], (-1, UNKNOWNS)), unknowns[-1]
     residual = _residuals(problem, z, control, phase, free)[0]
     by_control = jnp.all(known.weight == 0)
-    condition = jnp.where(by_control, control - u, jnp.sum(known.weight * z))
-    condition = jnp.where(known.lost, stability_of(problem, Point(z, control), phase)[1], condition)
+    condition = jnp.where(by_control, control - u, jnp.sum(known.weight * (z - known.at_loss)))
     return jnp.append(jnp.ravel(residual), condition)
 
 
@@ -119,10 +117,13 @@ def events(problem: SpaceProblem, path: SpacePath) -> SpaceEvents:
     filled = jnp.arange(size) < jnp.sum(public)
 
     def one(k, filled):
-        node = jax.tree.map(lambda leaf: leaf[k], nodes)
-        return _event(problem, node, filled)
+        return _event(problem, jax.tree.map(lambda leaf: leaf[k], nodes), filled)
 
-    control, before, after = jax.vmap(one)(at, filled)
+    control, *sides = jax.vmap(one)(at, filled)
+    # With both sides in one batch, the rods are compiled only once.
+    both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides)
+    states, _ = jax.vmap(lambda side: signals(problem, *side))(both)
+    before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)
 
     def where_filled(leaf):
         keep = jnp.reshape(filled, (-1,) + (1,) * (leaf.ndim - 1))
@@ -138,24 +139,40 @@ def events(problem: SpaceProblem, path: SpacePath) -> SpaceEvents:
     )
 
 
-def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, SpaceState, SpaceState]:
-    """Control of an event, and the states before and after it, with derivatives."""
+class _Side(NamedTuple):
+    """An equilibrium before or after an event."""
+
+    z: Contacts
+    u: Scalar
+    phase: Phases
+
+
+def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, _Side, _Side]:
+    """Control of an event, and the equilibria before and after it, with derivatives."""
     touch, concerned = node.kind == EventKind.touch, node.whiskers[:, None]
     released = node.kind == EventKind.release
     phase = jnp.where(touch, node.phase, node.phase_before)
     phase = jnp.where(filled, phase, int(Phase.free))
     column = jnp.where(touch | released, FORCE, SLACK)
     known_control = ~filled | (node.kind < 0)
-    snaps = (node.kind == EventKind.snap_through) | (node.kind == EventKind.snap_off)
-    lost = filled & (snaps | (node.kind == EventKind.bifurcation))
-    weight = jnp.where(concerned & ~known_control & ~lost, (jnp.arange(UNKNOWNS) == column).astype(float), 0.0)
+    snaps = filled & ((node.kind == EventKind.snap_through) | (node.kind == EventKind.snap_off))
+    branches = filled & (node.kind == EventKind.bifurcation)
+    known_control |= branches
+    weight = jnp.where(concerned & ~known_control, (jnp.arange(UNKNOWNS) == column).astype(float), 0.0)
+    # At a fold the control is stationary along the path, and a shift along the path does not change its derivatives.
+    weight = jnp.where(snaps, node.arriving.z, weight)
     u = jax.lax.stop_gradient(node.point.u)
     # A touch is solved for as the contact that begins, everything else as what it was before.
     z = jax.lax.stop_gradient(jnp.where(touch, node.point.z, node.z_before))
     at = Known(problem, u, phase, z)
-    unknowns = solution_of(_at_event, jnp.append(jnp.ravel(z), u), _KnownEvent(at, weight, lost))
-    z, u = jnp.reshape(unknowns[:-1], z.shape), unknowns[-1]
+    known = _KnownEvent(at, jax.lax.stop_gradient(weight), jnp.where(snaps, z, 0.0))
+    unknowns = solution_of(_at_event, jnp.append(jnp.ravel(z), u), known)
+    # The equations are singular where stability is lost: derivatives of contacts there, and of the control at a
+    # bifurcation, would need second derivatives of the rods.
+    unknown = without_rule((z, u), problem)
+    z = jnp.where(snaps | branches, unknown[0], jnp.reshape(unknowns[:-1], z.shape))
+    u = jnp.where(branches, unknown[1], unknowns[-1])
     before = jnp.where(filled, node.phase_before, int(Phase.free))
     after = jnp.where(filled, node.phase, int(Phase.free))
     z_after = jnp.where(snaps, solved(problem, node.point.z, u, after), z)
-    return u, signals(problem, z, u, before)[0], signals(problem, z_after, u, after)[0]
+    return u, _Side(z, u, before), _Side(z_after, u, after)

@@ -14,7 +14,7 @@ from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._model.drives import Placement
 from jaxwhisker._space.contact import spread
 from jaxwhisker._space.free import Nearest, in_scene, nearest
-from jaxwhisker._space.newton import Linear, Phases, linearise
+from jaxwhisker._space.newton import Linear, Phases
 from jaxwhisker._space.problem import SpaceProblem, of_each
 from jaxwhisker._space.sliding import sliding_stiffness
 
@@ -61,14 +61,6 @@ def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear) ->
         sound=jnp.all(free | jnp.isfinite(at.own)),
         opens=jnp.all((opens > 0) | (phase != Phase.tangential)),
     )
-
-
-def stability_of(problem: SpaceProblem, point: Point, phase: Phases) -> tuple[Float[Array, "rows rows"], Scalar]:
-    """The sliding stiffness, and its determinant."""
-    drives = jax.jvp(problem.drive, (point.u,), (jnp.ones_like(point.u),))
-    at = of_each(problem, lambda body, *own: linearise(problem, body, drives, *own, slides=True), point.z, phase)
-    stiffness = sliding_stiffness(problem, point.z, phase, at)
-    return stiffness, determinant(stiffness)
 
 
 def clearance(problem: SpaceProblem, u: Scalar) -> Scalar:
