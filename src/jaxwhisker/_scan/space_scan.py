@@ -36,6 +36,7 @@ from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.march import SpacePath, march
 from jaxwhisker._space.newton import Phases, solve_points
 from jaxwhisker._space.problem import Contacts, SpaceProblem, problem_in_space
+from jaxwhisker._space.shape import touches_twice
 
 BATCH = 32  # steps solved for at once
 RESIDUAL = 1e-8  # largest residual of a step marked ok
@@ -121,7 +122,22 @@ def follow_path(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops)
     path = march(problem, limits.start, stops, jnp.asarray(last))
     path, start, stop = crop(problem, path, limits, whole)
+    path = _until_second_contact(problem, path)
     return SpaceScanPath(path, start * problem.unit.control, stop * problem.unit.control)
+
+
+def _until_second_contact(problem: SpaceProblem, path: SpacePath) -> SpacePath:
+    """The path to the last node before a whisker meets the object in a second place."""
+    if not problem.curved:
+        return path
+    nodes = path.nodes
+    twice = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))(nodes.point.z, nodes.phase)
+    twice &= jnp.arange(twice.size) < path.count
+    some, first = jnp.any(twice), jnp.argmax(twice)
+    return path._replace(
+        count=jnp.where(some, first, path.count),
+        status=jnp.where(some, int(Status.second_contact), path.status),
+    )
 
 
 def interpolate(path: SpacePath, index: Int[Array, ""], u: Scalar) -> Point:
@@ -218,6 +234,9 @@ def states(
     values, residual = jax.vmap(one)(jnp.where(jnp.isfinite(u), u, 0.0), solutions.z, solutions.phase)
     ok = solutions.status == Status.ok
     status = jnp.where(ok & ~(residual < RESIDUAL), Status.inexact, solutions.status)
+    if problem.curved:
+        twice = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))(solutions.z, solutions.phase)
+        status = jnp.where((status == Status.ok) & twice, Status.second_contact, status)
     ok = status == Status.ok
 
     def if_ok(leaf):

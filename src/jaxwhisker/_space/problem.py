@@ -77,6 +77,12 @@ class SpaceProblem(eqx.Module):
         return isinstance(one, SpaceSection)
 
     @property
+    def curved(self) -> bool:
+        """Whether any unloaded whisker is curved."""
+        every = self.section if isinstance(self.section, tuple) else (self.section,)
+        return any(isinstance(one, SpaceSection) and one.curvature[:2] != (None, None) for one in every)
+
+    @property
     def rows(self) -> int:
         """Number of equations for the base of a whisker."""
         return 6 if self.rolls else 5
