@@ -9,8 +9,10 @@ import pytest
 from jax.test_util import check_grads
 
 import jaxwhisker as jw
+from jaxwhisker._model.objects import as_one
+from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
 from jaxwhisker._model.solids import CORE, Extruded, Revolved, Surface
-from jaxwhisker._model.surface import Cylinder, Ellipsoid, Paraboloid, Quadric, Sphere
+from jaxwhisker._model.surface import Quadric
 
 EXACT = 1e-12  # sums of a few numbers of size 1, after a search that ends at rounding
 TABLE = 1e-9  # contours are tables of polynomials, whose second derivatives are a little less exact
@@ -163,13 +165,14 @@ def test_the_level_is_the_distance_from_the_profile(make):
             x = jnp.stack([at.x + distance * at.sin, at.y - distance * at.cos, jnp.zeros(())])
             off, normal, _, _ = evaluated(make(curve), x)
             np.testing.assert_allclose(off, distance, atol=EXACT)
-            np.testing.assert_allclose(normal, [at.sin, -at.cos, 0.0], atol=EXACT)
+            np.testing.assert_allclose(normal, np.array([at.sin, -at.cos, 0.0]), atol=EXACT)
 
 
 @pytest.mark.parametrize("distance", [0.0, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3])
 def test_a_revolved_profile_is_smooth_on_its_axis(distance):
-    exact, solid, radius = Paraboloid(0.2, 2.0), Revolved(jw.Graph(Curve(0.2, 2.0))), 0.25
-    x = jnp.array([0.6 * distance, 0.2 + 2.0 * distance**2, -0.8 * distance])
+    solid, radius = Revolved(jw.Graph(Curve(0.2, 2.0, shift=0.37), position=0.1)), 0.25
+    exact = Paraboloid(0.2, 2.0).moved((0.47, 0.0, 0.0))
+    x = jnp.array([0.47 + 0.6 * distance, 0.2 + 2.0 * distance**2, -0.8 * distance])
     tangent = jnp.array([0.3, 4.0 * distance * (0.3 * 0.6 + 0.5 * 0.8), -0.5])
     (off, normal, bent, change), expected = (along_tangent(surface, x, tangent) for surface in (solid, exact))
     assert abs(off) < SMOOTHED * radius
@@ -314,6 +317,10 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
             lambda: Extruded(jw.Polygon([(-1.0, 1.0), (0.0, 0.2), (1.0, 1.0)])),
             "`profile` must be a profile without edges, such as Parabola, Circle, Ellipse, Graph or Contour, ",
         ),
+        (
+            lambda: Extruded(as_one((jw.Parabola(0.2), jw.Circle(0.2, 0.1, 3.0)))),
+            "`profile` must be a single object, got",
+        ),
         (lambda: Revolved(jw.Box(0.2, 0.3, 0.4)), "Boxes and pegs with an end are not available in space."),
         (
             lambda: Extruded(jw.Tilted(jw.Box(0.2, 0.3, 0.4), 0.1)),
@@ -357,7 +364,8 @@ def test_errors_name_the_argument(make, message):
 )
 def test_symmetric_profiles_can_be_revolved(profile):
     x, y = profile.vertex()
-    np.testing.assert_allclose(Revolved(profile).normal(jnp.stack([x, y, jnp.zeros(())])), [0, -1, 0], atol=TABLE)
+    _, normal, _, _ = evaluated(Revolved(profile), jnp.stack([x, y, jnp.zeros(())]))
+    np.testing.assert_allclose(normal, [0.0, -1.0, 0.0], atol=TABLE)
 
 
 def test_text():
