@@ -40,6 +40,14 @@ def test_derivatives_agree_with_the_closed_form(size):
     np.testing.assert_allclose(*second, rtol=EXACT, atol=EXACT)
 
 
+def test_equations_that_do_not_depend_on_what_is_known_have_a_constant_solution():
+    def solution(known):
+        return solution_of(lambda unknowns, known: unknowns - 2.0, jnp.array([2.0]), (known,))
+
+    for mode in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_array_equal(mode(solution)(jnp.asarray(3.0)), [0.0])
+
+
 def test_a_singular_system_is_a_failure_of_its_own_batch_element():
     batch = jnp.stack([CUBES, CUBES.at[1].set(0.0), CUBES])
     slopes = jax.jit(jax.vmap(jax.jacfwd(solved), in_axes=(0, None)))(batch, jnp.asarray(2.0))

@@ -44,5 +44,6 @@ def _(primals, tangents):
     here = solution_of(equations, unknowns, known)
     slope = jax.jacfwd(lambda unknowns: equations(unknowns, known))(here)
     _, change = eqx.filter_jvp(lambda known: equations(here, known), (known,), (tangents[2],))
+    change = jnp.zeros_like(here) if change is None else change  # of equations that do not depend on what changes
     # With the inverse, the change enters linearly, and JAX can transpose this.
     return here, -jnp.sum(inverse(slope) * change, axis=-1)

@@ -30,7 +30,7 @@ from jaxwhisker._model.surface import (
 )
 
 STEPS = 100  # of a search for the foot of a perpendicular; Newton's method takes about 6
-CONVERGED = 1e-12  # step of the parameter, relative if large; the error after it is of the order of its square
+CONVERGED = 1e-14  # step of the parameter, relative if large
 SLOPES = (0.02, 0.1, 0.3, 0.6, 1.0, 1.3)  # rad, at which the two sides of a profile are compared
 SYMMETRIC = 1e-6  # relative difference of the sides
 # The distance from the axis is not smooth there, but sqrt(distance^2 + core^2) is. With a core of this size, over the
@@ -41,19 +41,7 @@ CORE = 1e-6
 class _AbstractSolid(AbstractDescribed):
     """A surface made of a plane profile."""
 
-    # Its subclasses declare `profile`, for their docstrings.
     profile: eqx.AbstractVar[AbstractProfile]
-
-    def __check_init__(self):
-        profile = self.profile
-        checks.instance("profile", profile, AbstractProfile, "a profile such as Parabola or Graph")
-        if len(profile.objects) > 1:
-            checks.fail("profile", "a single object", str(profile))
-        if profile.has_edges:
-            raise ValueError(
-                f"`profile` must be a profile without edges, such as Parabola, Circle, Ellipse, Graph or Contour, got "
-                f"{profile}. Boxes and pegs with an end are not available in space."
-            )
 
     def _positive(self):
         return self.profile._positive()
@@ -80,12 +68,15 @@ class Extruded(_AbstractSolid):
 
     profile: AbstractProfile
 
+    def __check_init__(self):
+        _check_without_edges(self.profile)
+
     def form(self):
         if isinstance(self.profile, Tilted):
             about = (*self.profile.about, 0.0)
             return Placed(Extruded(self.profile.profile), rotation=(0.0, 0.0, self.profile.angle), about=about)
         profile = self.profile.in_unit(1.0)
-        return _quadric(profile, 0.0) if isinstance(profile, Conic) else Cylindrical(profile, _inside(profile)[0])
+        return _quadric(profile, 0.0) if isinstance(profile, Conic) else Cylindrical.of(profile)
 
     def __str__(self):
         return f"{self.profile}, extruded along z"
@@ -96,7 +87,7 @@ class Revolved(_AbstractSolid):
 
     Above its widest place, or where the profile ends, the object goes on straight up; ellipses and circles are closed.
     The right-hand side of the profile is revolved. The left-hand side is its mirror image, which is checked unless the
-    profile is traced.
+    profile is traced or the surface is made below `jax.jit`.
 
     Args:
         profile: a profile without edges that is symmetric about its vertical axis.
@@ -115,59 +106,88 @@ class Revolved(_AbstractSolid):
 
     def __check_init__(self):
         profile, needs = self.profile, "symmetric about the vertical axis through its lowest point"
+        _check_without_edges(profile)
         if isinstance(profile, Tilted):
             raise ValueError(
                 f"`profile` must be {needs}, got {profile}. Revolve the profile that is not tilted, and turn the "
                 "surface with `rotated`."
             )
-        if not checks.is_traced(profile) and not _is_symmetric(profile):
+        symmetric = checks.is_traced(profile) or _is_symmetric(profile)
+        if not (checks.is_traced(symmetric) or symmetric):  # below jit, all results are traced
             checks.fail("profile", needs, str(profile))
 
     def form(self):
         profile = self.profile.in_unit(1.0)
-        return _quadric(profile, 1.0) if isinstance(profile, Conic) else Rotational(profile, *_inside(profile))
+        return _quadric(profile, 1.0) if isinstance(profile, Conic) else Rotational.of(profile)
 
     def __str__(self):
         return f"{self.profile}, revolved about its axis"
 
 
-class Cylindrical(AbstractSurface):
-    """The cylinder over a profile; its level is the distance from the profile."""
+class _Foot(NamedTuple):
+    """Foot of the perpendicular from a point to a profile."""
+
+    at: ContactPoint
+    off: Float[Array, ""]  # signed distance of the point
+    parameter: Float[Array, ""]
+    free: Bool[Array, ""]  # whether it lies on the profile, and not on a straight line beyond one of its ends
+
+
+class _AbstractSwept(AbstractSurface):
+    """A surface swept by a profile; its level is the distance from the profile."""
 
     profile: AbstractProfile
-    inside: Point  # a point inside, above the lowest point
+    lowest: Float[Array, ""]  # parameter of the lowest point
+    inside: Point  # centre of curvature of the lowest point
+    radius: Float[Array, ""]  # of curvature there
 
-    def level(self, x):
-        return _foot(self.profile, x[0], x[1]).off
+    @classmethod
+    def of(cls, profile: AbstractProfile):
+        """The surface of this profile."""
+        found = jnp.reshape(_constant(profile).lowest(), 1)
+        lowest = solution_of(_steepness, found, (profile, jnp.zeros(())))[0]
+        at = profile.point(lowest)
+        radius = 1 / _bend(profile, _Foot(at, jnp.zeros(()), lowest, jnp.asarray(True)))
+        return cls(profile, lowest, jnp.stack([at.x, at.y + radius, jnp.zeros(())]), radius)
 
-    def gradient(self, x):
-        at = _foot(self.profile, x[0], x[1]).at
-        return jnp.stack([at.sin, -at.cos, jnp.zeros(())])
-
-    def hessian(self, x):
-        foot = _foot(self.profile, x[0], x[1])
-        tangent = jnp.stack([foot.at.cos, foot.at.sin, jnp.zeros(())])
-        return _bend(self.profile, foot) * tangent[:, None] * tangent
+    def foot(self, x: Float[Array, ""], y: Float[Array, ""]) -> _Foot:
+        """The foot of a point (x, y), with derivatives of any order."""
+        found, free = _search(*_constant((self.profile, self.lowest, x, y)))
+        parameter = solution_of(_misses, found[None], (self.profile, x, y, free))[0]
+        at = self.profile.point(parameter)
+        return _Foot(at, at.off(x, y), parameter, free)
 
     def in_unit(self, length):
-        return Cylindrical(self.profile.in_unit(length), self.inside / length)
+        return type(self).of(self.profile.in_unit(length))
 
     def interior_point(self):
         return self.inside
 
     def _positive(self):
-        return self.profile._positive()
+        return [*self.profile._positive(), self.radius]
+
+
+class Cylindrical(_AbstractSwept):
+    """The cylinder over a profile."""
+
+    def level(self, x):
+        return self.foot(x[0], x[1]).off
+
+    def gradient(self, x):
+        at = self.foot(x[0], x[1]).at
+        return jnp.stack([at.sin, -at.cos, jnp.zeros(())])
+
+    def hessian(self, x):
+        foot = self.foot(x[0], x[1])
+        tangent = jnp.stack([foot.at.cos, foot.at.sin, jnp.zeros(())])
+        return _bend(self.profile, foot) * tangent[:, None] * tangent
 
     def __str__(self):
         return f"{self.profile}, extruded along z"
 
 
-class Rotational(AbstractSurface):
-    """The surface of revolution of a profile; its level is the distance from the profile in the plane of the axis."""
-
-    profile: AbstractProfile
-    inside: Point  # a point inside, on the axis
-    radius: Float[Array, ""]  # of curvature at the lowest point
+class Rotational(_AbstractSwept):
+    """The surface of revolution of a profile about the vertical axis through its lowest point."""
 
     def _from_axis(self, x: Point) -> tuple[Float[Array, ""], Point]:
         """Distance from the axis, and its gradient; both smooth on the axis."""
@@ -176,28 +196,19 @@ class Rotational(AbstractSurface):
         return distance, across / distance
 
     def level(self, x):
-        return _foot(self.profile, self.inside[0] + self._from_axis(x)[0], x[1]).off
+        return self.foot(self.inside[0] + self._from_axis(x)[0], x[1]).off
 
     def gradient(self, x):
         distance, outwards = self._from_axis(x)
-        at = _foot(self.profile, self.inside[0] + distance, x[1]).at
+        at = self.foot(self.inside[0] + distance, x[1]).at
         return (at.sin * outwards).at[1].set(-at.cos)
 
     def hessian(self, x):
         distance, outwards = self._from_axis(x)
-        foot = _foot(self.profile, self.inside[0] + distance, x[1])
+        foot = self.foot(self.inside[0] + distance, x[1])
         tangent = (foot.at.cos * outwards).at[1].set(foot.at.sin)
         around = jnp.diag(jnp.array([1.0, 0.0, 1.0])) - outwards[:, None] * outwards
         return _bend(self.profile, foot) * tangent[:, None] * tangent + foot.at.sin / distance * around
-
-    def in_unit(self, length):
-        return Rotational(self.profile.in_unit(length), self.inside / length, self.radius / length)
-
-    def interior_point(self):
-        return self.inside
-
-    def _positive(self):
-        return [*self.profile._positive(), self.radius]
 
     def __str__(self):
         return f"{self.profile}, revolved about its axis"
@@ -219,8 +230,8 @@ class Surface(AbstractSurface):
     Examples:
         >>> import jax.numpy as jnp
         >>> rounded = jw.Surface(lambda x: jnp.sum((x - jnp.array([0.0, 1.2, 0.0])) ** 4) - 1, inside=(0.0, 1.2, 0.0))
-        >>> print(rounded.normal(jnp.array([0.0, 0.2, 0.0])))
-        [-0. -1. -0.]
+        >>> print(f"{rounded.off(jnp.array([0.0, 0.1, 0.0])):.4f}")
+        0.0872
     """
 
     function: Callable
@@ -252,6 +263,17 @@ class Surface(AbstractSurface):
         return f"surface {name_of(self.function)}(x) = 0"
 
 
+def _check_without_edges(profile: AbstractProfile) -> None:
+    checks.instance("profile", profile, AbstractProfile, "a profile such as Parabola or Graph")
+    if len(profile.objects) > 1:
+        checks.fail("profile", "a single object", str(profile))
+    if profile.has_edges:
+        raise ValueError(
+            f"`profile` must be a profile without edges, such as Parabola, Circle, Ellipse, Graph or Contour, got "
+            f"{profile}. Boxes and pegs with an end are not available in space."
+        )
+
+
 def _quadric(conic: Conic, around: float) -> Quadric:
     """x^2 + around z^2 = 2 R y - k y^2, relative to the vertex; around = 1 for a solid of revolution, else 0."""
     size, shape = conic.radius, conic.shape
@@ -262,23 +284,6 @@ def _quadric(conic: Conic, around: float) -> Quadric:
     return Quadric(inside, matrix, jnp.zeros(3).at[1].set(rise - 1), up * (1 - rise / 2))
 
 
-class _Foot(NamedTuple):
-    """Foot of the perpendicular from a point to a profile."""
-
-    at: ContactPoint
-    off: Float[Array, ""]  # signed distance of the point
-    parameter: Float[Array, ""]
-    free: Bool[Array, ""]  # whether it lies on the profile, and not on a straight line beyond one of its ends
-
-
-def _foot(profile: AbstractProfile, x: Scalar, y: Scalar) -> _Foot:
-    """The foot of a point (x, y), with derivatives of any order."""
-    found, free = _search(*_constant((profile, x, y)))
-    parameter = solution_of(_misses, found[None], (profile, x, y, free))[0]
-    at = profile.point(parameter)
-    return _Foot(at, at.off(x, y), parameter, free)
-
-
 def _misses(unknowns: Float[Array, "1"], known: PyTree) -> Float[Array, "1"]:
     """Distance along the tangent between a point and its foot; an end of the profile stays where it is."""
     profile, x, y, free = known
@@ -286,17 +291,17 @@ def _misses(unknowns: Float[Array, "1"], known: PyTree) -> Float[Array, "1"]:
     return jnp.where(free, along, unknowns - jax.lax.stop_gradient(unknowns))
 
 
-def _search(profile: AbstractProfile, x: Scalar, y: Scalar) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+def _search(
+    profile: AbstractProfile, lowest: Float[Array, ""], x: Float[Array, ""], y: Float[Array, ""]
+) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """The parameter of the foot, and whether it is not an end of the profile; by Newton's method or bisection."""
-    low, high = (jnp.asarray(end, dtype=float) for end in profile.ends())
-    middle = (low + high) / 2
 
     def along(p):
         at = profile.point(p)
         ahead = at.along(x, y)
         # Outside its domain (NaN), or where its slope overflows, treat the object as ending in a vertical wall.
         known = jnp.isfinite(ahead) & (at.cos**2 + at.sin**2 > 0.5)
-        return jnp.where(known, ahead, jnp.where(p < middle, jnp.inf, -jnp.inf))
+        return jnp.where(known, ahead, jnp.where(p < lowest, jnp.inf, -jnp.inf))
 
     def improve(state):
         low, high, p, last, count = state
@@ -311,11 +316,19 @@ def _search(profile: AbstractProfile, x: Scalar, y: Scalar) -> tuple[Float[Array
         _, _, p, last, count = state
         return (last > CONVERGED * (1 + jnp.abs(p))) & (count < STEPS)
 
-    before, after = along(low) < 0, along(high) > 0
-    free = ~(before | after)
-    start = jnp.where(before, low, jnp.where(after, high, middle))
-    state = low, high, start, jnp.where(free, high - low, 0.0), jnp.asarray(0)
-    return jax.lax.while_loop(goes_on, improve, state)[2], free
+    # The foot of a point outside is on its side of the lowest point.
+    left, right = (jnp.asarray(end, dtype=float) for end in profile.ends())
+    on_right = along(lowest) > 0
+    end = jnp.where(on_right, right, left)
+    ahead = along(end)
+    free = jnp.where(on_right, ahead <= 0, ahead >= 0)
+    low, high = jnp.minimum(lowest, end), jnp.maximum(lowest, end)
+    start = low, high, jnp.where(free, lowest, end), jnp.where(free, high - low, 0.0), jnp.asarray(0)
+    low, high, p, _, _ = jax.lax.while_loop(goes_on, improve, start)
+    # The profile may end before: where it is no longer defined.
+    last, next_one = jnp.where(on_right, low, high), jnp.where(on_right, high, low)
+    ends = free & (high - low < 10 * CONVERGED * (1 + jnp.abs(p))) & jnp.isinf(along(next_one))
+    return jnp.where(ends, last, p), free & ~ends
 
 
 def _bend(profile: AbstractProfile, foot: _Foot) -> Float[Array, ""]:
@@ -323,15 +336,6 @@ def _bend(profile: AbstractProfile, foot: _Foot) -> Float[Array, ""]:
     at, rate = jax.jvp(profile.point, (foot.parameter,), (jnp.ones_like(foot.parameter),))
     turn, speed = rate.sin * at.cos - rate.cos * at.sin, rate.x * at.cos + rate.y * at.sin
     return jnp.where(foot.free, turn / (speed + turn * foot.off), 0.0)
-
-
-def _inside(profile: AbstractProfile) -> tuple[Point, Float[Array, ""]]:
-    """The centre of curvature of the lowest point, and the radius of curvature there."""
-    found = jnp.reshape(_constant(profile).lowest(), 1)
-    lowest = solution_of(_steepness, found, (profile, jnp.zeros(())))[0]
-    at = profile.point(lowest)
-    radius = 1 / _bend(profile, _Foot(at, jnp.zeros(()), lowest, jnp.asarray(True)))
-    return jnp.stack([at.x, at.y + radius, jnp.zeros(())]), radius
 
 
 def _steepness(unknowns: Float[Array, "1"], known: PyTree) -> Float[Array, "1"]:
@@ -342,17 +346,16 @@ def _steepness(unknowns: Float[Array, "1"], known: PyTree) -> Float[Array, "1"]:
 
 @eqx.filter_jit
 def _is_symmetric(profile: AbstractProfile) -> Bool[Array, ""]:
-    """Whether points of equal slope on both sides are mirror images, where the profile is steep enough."""
-    slopes = jnp.asarray(SLOPES)
-    lowest = profile.point(profile.lowest())
+    """Whether points of equal slope on both sides are equally high, where the profile is steep enough."""
+    profile = profile.in_unit(1.0)
 
     def at_slope(slope):
         at = profile.point(profile.at_slope(slope))
         return at, jnp.abs(jnp.arctan2(at.sin, at.cos) - slope) < SYMMETRIC  # False for NaN
 
-    (right, right_is), (left, left_is) = (jax.vmap(at_slope)(side * slopes) for side in (1, -1))
-    miss = jnp.maximum(jnp.abs(right.x + left.x - 2 * lowest.x), jnp.abs(right.y - left.y))
-    return jnp.all((miss < SYMMETRIC * (right.x - left.x)) | ~(right_is & left_is))
+    at, is_there = jax.vmap(jax.vmap(at_slope))(jnp.asarray([SLOPES, [-slope for slope in SLOPES]]))
+    same = jnp.abs(at.y[0] - at.y[1]) < SYMMETRIC * (at.x[0] - at.x[1])
+    return jnp.all(same | ~jnp.all(is_there, axis=0))
 
 
 def _constant(tree: PyTree) -> PyTree:
