@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
     from jaxwhisker._model.solids import Extruded, Revolved, Surface
     from jaxwhisker._model.space_scene import SpaceScene
-    from jaxwhisker._model.surface import Cylinder, Ellipsoid, Paraboloid, Sphere
+    from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
     from jaxwhisker._scan.space_result import SpaceResult, SpaceState
     from jaxwhisker._dynamics.drive import Sweep, Whisking
     from jaxwhisker._dynamics.modes import Modes, modes
@@ -159,7 +159,7 @@ _LATER = {
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),
     "_model.space_scene": ("SpaceScene",),
-    "_model.surface": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
+    "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
     "_scan.space_result": ("SpaceResult", "SpaceState"),
 }
 _MODULE_OF = {name: module for module, names in _LATER.items() for name in names}

@@ -1,0 +1,74 @@
+"""Draw the figures of docs/space.md.
+
+python figures/space.py writes docs/space_signals.png and docs/space_instability.png.
+"""
+
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import numpy as np
+from matplotlib import pyplot
+from matplotlib.axes import Axes
+
+import jaxwhisker as jw
+from jaxwhisker.plot import COLOURS
+
+DOCS = Path(__file__).parents[1] / "docs"
+OFFSETS = (0.2, 0.05, 0.01, 0.001)  # of the sphere's centre from the plane of the scan, in whisker lengths
+WIRE = {"length": 0.05, "youngs_modulus": 2.1e11, "diameter": 2e-4}
+
+
+def past_sphere(offset: float) -> jw.SpaceResult:
+    """A straight whisker that is moved towards -x below a sphere."""
+    return jw.scan(jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, -offset))))
+
+
+def draw_signals() -> None:
+    """Six signals of the wire and the ball of the page."""
+    wire, ball = jw.Whisker.from_material(**WIRE), jw.Sphere(0.04, (0.0, 0.06, 0.01))
+    result = jw.scan(jw.Scene(wire, ball, jw.Support.follicle(x=40.0, z=20.0)))
+    figure, axes = pyplot.subplots(1, 2, figsize=(8, 2.8), layout="constrained")
+    groups = {"force (mN)": ("fx", "fy", "fz"), "moment (mN mm)": ("mx", "my", "mz")}
+    for axis, (label, names), scale in zip(axes, groups.items(), (1e3, 1e6), strict=True):
+        for name, colour in zip(names, COLOURS, strict=False):
+            values = np.asarray(getattr(result, name))[:, 0] * scale
+            axis.plot(np.asarray(result.control) * 1e3, values, color=colour, label=name)
+        axis.set(xlabel="drive position $u$ (mm)", ylabel=label)
+        axis.invert_xaxis()
+        axis.legend(frameon=False)
+    figure.savefig(DOCS / "space_signals.png", dpi=150)
+
+
+def draw_instability() -> None:
+    """Where the contact goes if the sphere is not quite in the plane of the scan, and the force that follows."""
+    figure, (below, signal) = pyplot.subplots(1, 2, figsize=(8, 3.2), layout="constrained")
+    for offset, colour in zip(OFFSETS, COLOURS, strict=False):
+        result = past_sphere(offset)
+        touching = np.asarray(result.phase)[:, 0] > 0
+        x, z = (np.asarray(getattr(result, name))[touching, 0] for name in ("contact_x", "contact_z"))
+        below.plot(x, z + offset, color=colour, label=f"offset {offset:g} L")
+        signal.plot(np.asarray(result.control), np.asarray(result.fx)[:, 0], color=colour)
+    plane = jw.scan(jw.Scene(jw.Whisker(), jw.Circle(0.3, 1.0)))
+    signal.plot(np.asarray(plane.control), np.asarray(plane.fx)[:, 0], "k:", label="guided in the plane")
+    mark(below)
+    below.set(xlabel="contact, $x/L$", ylabel="contact, $z/L$ from the centre", aspect="equal")
+    below.legend(frameon=False, loc="upper center", fontsize="small")
+    below.set_ylim(-0.25, 1.0)
+    signal.set(xlabel="drive position $u/L$", ylabel="$f_x L^2/EI$")
+    signal.legend(frameon=False)
+    for axis in (below, signal):
+        axis.invert_xaxis()
+    figure.savefig(DOCS / "space_instability.png", dpi=150)
+
+
+def mark(axis: Axes) -> None:
+    """The point below the centre, where a whisker without an offset loses its stability."""
+    axis.plot(0.0, 0.0, "k+", markersize=8)
+
+
+if __name__ == "__main__":
+    draw_signals()
+    draw_instability()
