@@ -18,12 +18,13 @@ from jaxwhisker.plot import COLOURS
 
 DOCS = Path(__file__).parents[1] / "docs"
 OFFSETS = (0.2, 0.05, 0.01, 0.001)  # of the sphere's centre from the plane of the scan, in whisker lengths
+CONTROL = -np.linspace(-1.0, 1.0, 1201) ** 3  # denser where the whisker swings around
 WIRE = {"length": 0.05, "youngs_modulus": 2.1e11, "diameter": 2e-4}
 
 
 def past_sphere(offset: float) -> jw.SpaceResult:
     """A straight whisker that is moved towards -x below a sphere."""
-    return jw.scan(jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, -offset))))
+    return jw.scan(jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, -offset))), CONTROL)
 
 
 def draw_signals() -> None:
@@ -55,8 +56,8 @@ def draw_instability() -> None:
     signal.plot(np.asarray(plane.control), np.asarray(plane.fx)[:, 0], "k:", label="guided in the plane")
     mark(below)
     below.set(xlabel="contact, $x/L$", ylabel="contact, $z/L$ from the centre", aspect="equal")
-    below.legend(frameon=False, loc="upper center", fontsize="small")
-    below.set_ylim(-0.25, 1.0)
+    below.legend(frameon=False, loc="upper center", fontsize="small", ncols=2)
+    below.set_ylim(-0.1, 1.0)
     signal.set(xlabel="drive position $u/L$", ylabel="$f_x L^2/EI$")
     signal.legend(frameon=False)
     for axis in (below, signal):
