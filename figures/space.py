@@ -18,7 +18,7 @@ from jaxwhisker.plot import COLOURS
 
 DOCS = Path(__file__).parents[1] / "docs"
 OFFSETS = (0.2, 0.05, 0.01, 0.001)  # of the sphere's centre from the plane of the scan, in whisker lengths
-CONTROL = -np.linspace(-1.0, 1.0, 1201) ** 3  # denser where the whisker swings around
+CONTROL = -(np.linspace(-1.0, 1.0, 1201) ** 3)  # denser where the whisker swings around
 WIRE = {"length": 0.05, "youngs_modulus": 2.1e11, "diameter": 2e-4}
 
 

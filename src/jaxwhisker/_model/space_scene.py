@@ -64,7 +64,9 @@ class SpaceScene(eqx.Module):
         self.support.check_in_space()
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and (self.rolls or not all(w.uniform for w in self.whiskers)):
-            checks.fail("rod", "Shooting() for whiskers that are curved, not uniform or on torsion springs", "ClosedForm()")
+            checks.fail(
+                "rod", "Shooting() for whiskers that are curved, not uniform or on torsion springs", "ClosedForm()"
+            )
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:

@@ -19,6 +19,7 @@ STEP = 0.001  # of the default control, dimensionless: in lengths of the first w
 MOST_STEPS = 1_000_000  # of the default control
 TRACED_STEPS = 2048  # of the default control of a traced scene, whose length must not depend on values
 
+
 class Route(NamedTuple):
     """Drive positions of a scan, in the unit of the control."""
 

@@ -52,7 +52,6 @@ from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps, states
 
 
-
 @with_own_settings
 def scan(scene: Scene, control: Control | None = None) -> Result:
     """Scan the object quasi-statically with the drive at every position of `control`.

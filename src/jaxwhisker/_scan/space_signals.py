@@ -12,7 +12,17 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
-from jaxwhisker._space.contact import FORCE, ROLL, SLACK, TRACTION, UNKNOWNS, angle_and_arc, base_of, in_drive, on_surface
+from jaxwhisker._space.contact import (
+    FORCE,
+    ROLL,
+    SLACK,
+    TRACTION,
+    UNKNOWNS,
+    angle_and_arc,
+    base_of,
+    in_drive,
+    on_surface,
+)
 from jaxwhisker._space.march import Node, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each

@@ -185,7 +185,13 @@ def margins_of(phase: Phases, z: Contacts, stance: Stance, remaining: Scalar) ->
 
 
 def _after_advance(
-    problem: SpaceProblem, march: March, solution: Solution, tangent: Point, stance: Stance, guess: Point, stop_u: Scalar
+    problem: SpaceProblem,
+    march: March,
+    solution: Solution,
+    tangent: Point,
+    stance: Stance,
+    guess: Point,
+    stop_u: Scalar,
 ):
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
     point, scale = solution.point, scale_of(march.point.z)
@@ -287,8 +293,12 @@ def _node(march: March, point: Point, tangent: Point) -> Node:
 def _is_over(march: March, stance: Stance) -> Bool[Array, ""]:
     """Whether all whiskers have passed the object and recede from it."""
     free = jnp.all(march.phase == Phase.free)
-    return free & march.touched & jnp.all(stance.nearest.distance > march.stance.nearest.distance) & (march.goal > 0) & (
-        jnp.all(stance.nearest.distance > PASSED)
+    return (
+        free
+        & march.touched
+        & jnp.all(stance.nearest.distance > march.stance.nearest.distance)
+        & (march.goal > 0)
+        & (jnp.all(stance.nearest.distance > PASSED))
     )
 
 

@@ -199,9 +199,7 @@ def newton_step(
 
     step, tangent = point_of(solution[:, 0]), point_of(solution[:, 1])
     own = jnp.max(jnp.where(touching[:, 0], at.own, 0.0))
-    return NewtonStep(
-        step._replace(z=step.z + correction), tangent, jnp.maximum(jnp.max(jnp.abs(residuals)), own), at
-    )
+    return NewtonStep(step._replace(z=step.z + correction), tangent, jnp.maximum(jnp.max(jnp.abs(residuals)), own), at)
 
 
 class _State(NamedTuple):

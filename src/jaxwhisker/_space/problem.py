@@ -66,7 +66,9 @@ class SpaceProblem(eqx.Module):
 
     def body(self, k: int) -> Body:
         """One whisker."""
-        section = self.section[k] if isinstance(self.section, tuple) else jax.tree.map(lambda leaf: leaf[k], self.section)
+        section = (
+            self.section[k] if isinstance(self.section, tuple) else jax.tree.map(lambda leaf: leaf[k], self.section)
+        )
         mount = jax.tree.map(lambda leaf: leaf[k], self.mount)
         return Body(self.length[k], self.bending_stiffness[k], section, mount)
 
@@ -95,7 +97,9 @@ class SpaceProblem(eqx.Module):
     def numbers(self) -> "SpaceProblem":
         """The numbers that equilibria depend on, and None for everything else."""
         numbers = eqx.filter(self, eqx.is_inexact_array)
-        return eqx.tree_at(lambda p: [p.ends, p.outline], numbers, replace_fn=lambda _: None, is_leaf=lambda x: x is None)
+        return eqx.tree_at(
+            lambda p: [p.ends, p.outline], numbers, replace_fn=lambda _: None, is_leaf=lambda x: x is None
+        )
 
 
 def of_each(problem: SpaceProblem, function, *args):
@@ -104,8 +108,14 @@ def of_each(problem: SpaceProblem, function, *args):
     if not isinstance(problem.section, tuple):
         return jax.vmap(function)(bodies, *args)
     # Whiskers of different kinds cannot be batched.
-    own = [jax.tree.map(lambda leaf, k=k: leaf[k], (bodies._replace(section=None), args)) for k in range(len(problem.section))]
-    each = [function(body._replace(section=section), *rest) for (body, rest), section in zip(own, problem.section, strict=True)]
+    own = [
+        jax.tree.map(lambda leaf, k=k: leaf[k], (bodies._replace(section=None), args))
+        for k in range(len(problem.section))
+    ]
+    each = [
+        function(body._replace(section=section), *rest)
+        for (body, rest), section in zip(own, problem.section, strict=True)
+    ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 

@@ -23,9 +23,7 @@ def passive_columns(derivatives: Float[Array, "whiskers rows steps"], phase: Pha
     # Steps: force, (roll,) slack, along, across, turn; then the two forces along the surface.
     slack, along = derivatives[:, :, n - 4], derivatives[:, :, n - 3]
     rolling = jnp.where((phase == Phase.tangential)[:, None], slack - along, slack)
-    return jnp.concatenate(
-        [derivatives[:, :, : n - 4], rolling[:, :, None], derivatives[:, :, n - 1 :]], axis=2
-    )
+    return jnp.concatenate([derivatives[:, :, : n - 4], rolling[:, :, None], derivatives[:, :, n - 1 :]], axis=2)
 
 
 def sliding_stiffness(problem: SpaceProblem, z: Contacts, phase: Phases, at: Linear) -> Float[Array, "rows rows"]:
@@ -39,7 +37,9 @@ def sliding_stiffness(problem: SpaceProblem, z: Contacts, phase: Phases, at: Lin
     still, fixed = jnp.repeat(held, rows), jnp.repeat(held, 2)
 
     def of(derivatives):
-        return block_diagonal(passive_columns(derivatives, phase)), block_diagonal(derivatives[:, :, rows - 3 : rows - 1])
+        return block_diagonal(passive_columns(derivatives, phase)), block_diagonal(
+            derivatives[:, :, rows - 3 : rows - 1]
+        )
 
     system, active = of(at.pose_by)
     if problem.springs is not None:

@@ -77,9 +77,7 @@ def clearance(problem: SpaceProblem, u: Scalar) -> Scalar:
     return jnp.min(of_each(problem, distance, rest, problem.outline))
 
 
-def base_placement(
-    problem: SpaceProblem, drive: Placement, mount: Placement, pose: Float[Array, "6"]
-) -> Placement:
+def base_placement(problem: SpaceProblem, drive: Placement, mount: Placement, pose: Float[Array, "6"]) -> Placement:
     """Where a base with these coordinates is in the scene, and its body frame."""
     position = drive.position + jnp.sum(drive.rotation * (mount.position + pose[:3]), axis=1)
     rotation = drive.rotation
