@@ -66,6 +66,7 @@ def crop(problem: SpaceProblem, path: SpacePath, limits: Limits, whole: Array) -
     first = jnp.where(some, jnp.min(jnp.where(known, way, jnp.inf)) - MARGIN, problem.onwards * limits.start)
     last = jnp.where(some, jnp.max(jnp.where(known, way, -jnp.inf)) + MARGIN, problem.onwards * limits.far)
     first = jnp.maximum(first, problem.onwards * limits.start)
+    last = jnp.minimum(last, problem.onwards * limits.far)
     start, stop = problem.onwards * first, problem.onwards * last
     travel = nodes.travel - jnp.where(whole, jnp.abs(start - limits.start), 0.0)
     return path._replace(nodes=nodes._replace(travel=travel)), start, stop

@@ -134,8 +134,8 @@ def base_of(
 def _frame_of_force(frame, force, chi, roll, traction):
     """Frame, force, angle and roll of the same contact with a surface that is normal to the force."""
     ahead, across, out = frame.T
-    heavy = jnp.maximum(force, LIGHT)
-    leaning = out + (traction[0] * ahead + traction[1] * across) / heavy
+    light = (force < LIGHT) & (jnp.sum(traction**2) < LIGHT**2)
+    leaning = jnp.where(light, LIGHT, force) * out + traction[0] * ahead + traction[1] * across
     size = jnp.sqrt(jnp.sum(leaning**2))
     outwards, tangent = leaning / size, jnp.cos(chi) * ahead - jnp.sin(chi) * out
     along = jnp.sum(tangent * outwards)
@@ -146,7 +146,8 @@ def _frame_of_force(frame, force, chi, roll, traction):
     # The first director is the same in both frames.
     first = jnp.cos(roll) * jnp.cross(across, tangent) + jnp.sin(roll) * across
     roll = jnp.arctan2(jnp.sum(first * sideways), jnp.sum(first * jnp.cross(sideways, tangent)))
-    return jnp.stack([forwards, sideways, outwards], axis=1), force * size, jnp.arctan2(-along, flat), roll
+    whole = jnp.where(light, force / LIGHT, 1.0) * size
+    return jnp.stack([forwards, sideways, outwards], axis=1), whole, jnp.arctan2(-along, flat), roll
 
 
 def in_drive(base: Base, drive: Placement, mount: Placement, roll: Scalar) -> InDrive:

@@ -164,7 +164,7 @@ def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Arr
     new, write, node = jax.lax.switch(
         march.task,
         [
-            lambda: _after_advance(problem, march, solution, tangent, stance, guess, stop_u),
+            lambda: _after_advance(problem, march, solution, tangent, stance, guess, stop_u, last),
             lambda: _after_event(problem, march, solution, tangent, stance, phase),
             lambda: _after_arrive(problem, march, solution, tangent, stance, stops, last),
             lambda: (march, jnp.asarray(False), march.pending),
@@ -185,7 +185,14 @@ def margins_of(phase: Phases, z: Contacts, stance: Stance, remaining: Scalar) ->
 
 
 def _after_advance(
-    problem: SpaceProblem, march: March, solution: Solution, tangent: Point, stance: Stance, guess: Point, stop_u: Scalar
+    problem: SpaceProblem,
+    march: March,
+    solution: Solution,
+    tangent: Point,
+    stance: Stance,
+    guess: Point,
+    stop_u: Scalar,
+    last: Int[Array, ""],
 ):
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
     point, scale = solution.point, scale_of(march.point.z)
@@ -243,7 +250,7 @@ def _after_advance(
         (violated, march._replace(task=jnp.asarray(int(Task.event)), target=target)),
         (located, falls),
         (~stable, closer),
-        (_is_over(march, stance), march.stopped(Status.ok)),
+        (_is_over(problem, march, stance, last), march.stopped(Status.ok)),
         (~stance.opens, march.stopped(Status.not_convex)),
         otherwise=onwards,
     )
@@ -284,12 +291,13 @@ def _node(march: March, point: Point, tangent: Point) -> Node:
     return Node(point, point.z, tangent, tangent, march.phase, march.phase, travel, jnp.asarray(NO_EVENT), nobody)
 
 
-def _is_over(march: March, stance: Stance) -> Bool[Array, ""]:
-    """Whether all whiskers have passed the object and recede from it."""
-    free = jnp.all(march.phase == Phase.free)
-    return free & march.touched & jnp.all(stance.nearest.distance > march.stance.nearest.distance) & (march.goal > 0) & (
-        jnp.all(stance.nearest.distance > PASSED)
-    )
+def _is_over(problem: SpaceProblem, march: March, stance: Stance, last: Int[Array, ""]) -> Bool[Array, ""]:
+    """Whether all whiskers have passed the object and cannot meet it again: the drive moves on along a line."""
+    distance = stance.nearest.distance
+    if problem.ends is not None:
+        return jnp.asarray(False)
+    leaves = jnp.all((distance > march.stance.nearest.distance) & (distance > PASSED))
+    return jnp.all(march.phase == Phase.free) & march.touched & (march.goal > 0) & (march.goal >= last) & leaves
 
 
 PASSED = 0.25  # lengths from the object at which a scan right across it ends
