@@ -24,13 +24,13 @@ WIRE = {"length": 0.05, "youngs_modulus": 2.1e11, "diameter": 2e-4}
 
 def past_sphere(offset: float) -> jw.SpaceResult:
     """A straight whisker that is moved towards -x below a sphere."""
-    return jw.scan(jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, -offset))), CONTROL)
+    return jw.scan(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, -offset))), CONTROL)
 
 
 def draw_signals() -> None:
     """Six signals of the wire and the ball of the page."""
     wire, ball = jw.Whisker.from_material(**WIRE), jw.Sphere(0.04, (0.0, 0.06, 0.01))
-    result = jw.scan(jw.Scene(wire, ball, jw.Support.follicle(x=40.0, z=20.0)))
+    result = jw.scan(jw.SpaceScene(wire, ball, jw.Support.follicle(x=40.0, z=20.0)))
     figure, axes = pyplot.subplots(1, 2, figsize=(8, 2.8), layout="constrained")
     groups = {"force (mN)": ("fx", "fy", "fz"), "moment (mN mm)": ("mx", "my", "mz")}
     for axis, (label, names), scale in zip(axes, groups.items(), (1e3, 1e6), strict=True):

@@ -46,15 +46,15 @@ from jaxwhisker._study.summary import summary
 from jaxwhisker.film.animate import animate
 
 if TYPE_CHECKING:
-    from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
-    from jaxwhisker._model.solids import Extruded, Revolved, Surface
-    from jaxwhisker._model.space_scene import SpaceScene
-    from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
-    from jaxwhisker._scan.space_result import SpaceResult, SpaceState
     from jaxwhisker._dynamics.drive import Sweep, Whisking
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
+    from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
+    from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
+    from jaxwhisker._model.solids import Extruded, Revolved, Surface
+    from jaxwhisker._model.space_scene import SpaceScene
+    from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 
 __all__ = [
     "AbstractMotion",

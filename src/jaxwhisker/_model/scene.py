@@ -52,7 +52,7 @@ def _as_names(value: Any) -> Any:
 class _OfObject(type(eqx.Module)):
     """The type of scenes, whose kind depends on the object."""
 
-    def __call__(cls, *args, **kwargs):
+    def __call__(cls, *args: Any, **kwargs: Any):
         kwargs |= {"surface": kwargs.pop("profile")} if _in_space(kwargs.get("profile")) else {}
         if _in_space(kwargs.get("surface")) or any(map(_in_space, args)):
             from jaxwhisker._model.space_scene import SpaceScene
@@ -163,7 +163,7 @@ def support_text(support: Support) -> str:
     return f"{support.name}: {', '.join(counted)}"
 
 
-def motion_text(motion: AbstractMotion) -> str:
+def motion_text(motion: Any) -> str:
     """Text of a motion that is not the default."""
     return "" if isinstance(motion, Translation) and motion.onwards < 0 else f", {motion}"
 
@@ -299,7 +299,7 @@ def units(scene: Scene | Sensor) -> Units:
     return units_of(scene.whiskers[0], scene.motion)
 
 
-def units_of(first: Whisker, motion: AbstractMotion) -> Units:
+def units_of(first: Whisker, motion: Any) -> Units:
     """L, EI/L^2, EI/L and the unit of control, with EI at the base of the first whisker."""
     length, stiffness = first.length, first.base_stiffness
     return Units(length, stiffness / length**2, stiffness / length, motion.unit(length))

@@ -1,11 +1,11 @@
 """The scene in space: whiskers, a surface, springs and a drive.
 
-Frame: x along the scan, y up, z = x cross y; the object is above. A whisker on the default mount stands at the origin of
-the drive's frame and points along +y; the axes of its body are d1 = x, d2 = -z and d3 = y, its tangent. Springs act along
-the axes of the drive's frame.
+Frame: x along the scan, y up, z = x cross y; the object is above. A whisker on the default mount stands at the origin
+of the drive's frame and points along +y; the axes of its body are d1 = x, d2 = -z and d3 = y, its tangent. Springs act
+along the axes of the drive's frame.
 
-The contact force is f n, with f >= 0 and the outward normal n of the object. The support exerts the reaction (fx, fy, fz)
-on the whisker, and the moment (mx, my, mz) about its displaced base; all in the frame of the scene.
+The contact force is f n, with f >= 0 and the outward normal n of the object. The support exerts the reaction
+(fx, fy, fz) on the whisker, and the moment (mx, my, mz) about its displaced base; all in the frame of the scene.
 """
 
 from typing import ClassVar
@@ -37,8 +37,8 @@ class SpaceScene(eqx.Module):
         motion: motion of the drive: a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or one in the plane.
 
     Raises:
-        ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, the support has
-            springs that are only available in the plane, or `rod` cannot compute the whiskers.
+        ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, the support
+            has springs that are only available in the plane, or `rod` cannot compute the whiskers.
 
     Examples:
         >>> jw.Scene(jw.Whisker(), jw.Sphere(radius=1.0, centre=(0.0, 1.3, 0.2)))

@@ -8,7 +8,7 @@ interpolation.
 Both parts are programs of the dimensionless problem, compiled once per problem shape.
 """
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,11 @@ from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import (
     MOST_STEPS as MOST_STEPS,
+)
+from jaxwhisker._scan.route import (
     STEP as STEP,
+)
+from jaxwhisker._scan.route import (
     TRACED_STEPS,
     Route,
     across,
@@ -51,13 +55,21 @@ from jaxwhisker._scan.springs import bases_of, spring_lengths, suspension
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solve_steps, states
 
+if TYPE_CHECKING:
+    from jaxwhisker._model.space_scene import SpaceScene
+    from jaxwhisker._scan.space_result import SpaceResult
 
+
+@overload
+def scan(scene: Scene, control: Control | None = None) -> Result: ...
+@overload
+def scan(scene: "SpaceScene", control: Control | None = None) -> "SpaceResult": ...
 @with_own_settings
-def scan(scene: Scene, control: Control | None = None) -> Result:
+def scan(scene: Any, control: Control | None = None) -> Any:
     """Scan the object quasi-statically with the drive at every position of `control`.
 
     Args:
-        scene: whiskers, object and support.
+        scene: whiskers, object and support; with a surface as its object, a scene in space.
         control: drive positions u, shape (steps,): lengths, or angles in rad for a Rotation; arbitrarily spaced; may
             reverse direction. The drive approaches control[0] from where all whiskers are free (the right of the
             object, the left for `Translation(direction=1)`, or the start of a bounded motion) and then visits the
@@ -67,9 +79,9 @@ def scan(scene: Scene, control: Control | None = None) -> Result:
             range.
 
     Returns:
-        A Result. The values of a step that fails are NaN, and its status says why (`invalid`: a parameter is outside
-        its domain; `lost`, `unsettled`, `not_convex`, `too_long`, `inexact`, `unstable`, `undetermined`: see `Status`).
-        With `Scene(detect=...)`, a scan also ends where a contact that is not modelled begins: from there on, the
+        A Result, or a SpaceResult of a scene in space. The values of a step that fails are NaN, and its status says why
+        (`invalid`: a parameter is outside its domain; `lost`, `unsettled`, `not_convex`, `too_long`, `inexact`,
+        `unstable`, `undetermined`: see `Status`). With `Scene(detect=...)`, a scan also ends where a contact that is not modelled begins: from there on, the
         status is `second_contact` or `crossing`.
 
     Raises:

@@ -21,7 +21,6 @@ from jaxwhisker._path.path import Status
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.route import (
     TRACED_STEPS,
-    Route,
     across,
     default_positions,
     evenly,
@@ -33,7 +32,8 @@ from jaxwhisker._scan.route import (
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_signals import events, signals, solved
 from jaxwhisker._space.approach import crop, limits_of
-from jaxwhisker._space.march import SpacePath, march
+from jaxwhisker._space.march import march
+from jaxwhisker._space.march_state import SpacePath
 from jaxwhisker._space.newton import Phases, solve_points
 from jaxwhisker._space.problem import Contacts, SpaceProblem, problem_in_space
 from jaxwhisker._space.shape import touches_twice
@@ -48,8 +48,8 @@ class SpaceScanPath(NamedTuple):
     """A path, and the range of the control in which whiskers touch the object."""
 
     path: SpacePath
-    start: Scalar
-    stop: Scalar
+    start: Float[Array, ""]
+    stop: Float[Array, ""]
 
 
 @with_own_settings

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
@@ -14,6 +14,7 @@ from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
 from jaxwhisker._space.contact import (
     FORCE,
+    POINT,
     ROLL,
     SLACK,
     TRACTION,
@@ -23,7 +24,7 @@ from jaxwhisker._space.contact import (
     in_drive,
     on_surface,
 )
-from jaxwhisker._space.march import Node, SpacePath
+from jaxwhisker._space.march_state import Node, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
 from jaxwhisker._space.stance import base_placement
@@ -53,17 +54,19 @@ def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> tup
     def if_touching(values: Array) -> Array:
         return jnp.where(touching.reshape(touching.shape + (1,) * (values.ndim - 1)), values, 0.0)
 
-    force, moment = if_touching(-base.force).T * unit.force, if_touching(-base.moment).T * unit.moment
-    contact, at = if_touching(z[:, 3:6]).T * unit.length, placed.position.T * unit.length
+    vectors = {
+        ("fx", "fy", "fz"): if_touching(-base.force) * unit.force,
+        ("mx", "my", "mz"): if_touching(-base.moment) * unit.moment,
+        ("base_x", "base_y", "base_z"): placed.position * unit.length,
+        ("contact_x", "contact_y", "contact_z"): if_touching(z[:, POINT]) * unit.length,
+    }
+    components = {name: part for names, vector in vectors.items() for name, part in zip(names, vector.T, strict=True)}
     state = SpaceState(
-        *force,
-        *moment,
-        *at,
-        placed.rotation,
-        if_touching(z[:, FORCE]) * unit.force,
-        if_touching(arc) * unit.length,
-        *contact,
-        phase,
+        **components,
+        base_rotation=placed.rotation,
+        contact_force=if_touching(z[:, FORCE]) * unit.force,
+        contact_arc=if_touching(arc) * unit.length,
+        phase=phase,
     )
     return state, jnp.maximum(jnp.max(jnp.abs(residual)), jnp.max(wrong))
 

@@ -10,9 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxwhisker._base.types import Scalar
-from jaxwhisker._space.march import SpacePath
-from jaxwhisker._space.problem import SpaceProblem, of_each
+from jaxwhisker._space.march_state import SpacePath
+from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import clearance
 
 MARGIN = 0.01  # of the default control before the first touch and after the last release, dimensionless
@@ -22,11 +21,11 @@ DISTANCES = tuple(2.0**k for k in range(8))  # lengths
 class Limits(NamedTuple):
     """Controls at which a scan right across the object begins and ends."""
 
-    start: Scalar
-    far: Scalar
+    start: Float[Array, ""]
+    far: Float[Array, ""]
 
 
-def limits_of(problem: SpaceProblem, first_stop: Scalar) -> Limits:
+def limits_of(problem: SpaceProblem, first_stop: Float[Array, ""]) -> Limits:
     """The limits of a scan to a first stop, or right across the object if that is NaN."""
     whole = jnp.isnan(first_stop)
     if problem.ends is not None:
@@ -38,7 +37,7 @@ def limits_of(problem: SpaceProblem, first_stop: Scalar) -> Limits:
     return Limits(before, after)
 
 
-def _beside(problem: SpaceProblem) -> Scalar:
+def _beside(problem: SpaceProblem) -> Float[Array, ""]:
     """The control at which the bases are beside the middle of the object."""
 
     def position(u):
@@ -49,7 +48,7 @@ def _beside(problem: SpaceProblem) -> Scalar:
     return jnp.sum((problem.surface.interior_point() - at) * rate) / jnp.sum(rate**2)
 
 
-def _clear_of(problem: SpaceProblem, u: Scalar, way: Array) -> Scalar:
+def _clear_of(problem: SpaceProblem, u: Float[Array, ""], way: Array) -> Float[Array, ""]:
     """The first of some controls, ever further in one direction, where whiskers are free and move away."""
     places = u + way * jnp.array([0.0, *DISTANCES])
     distance = jax.vmap(lambda u: clearance(problem, u))(places)
@@ -57,7 +56,9 @@ def _clear_of(problem: SpaceProblem, u: Scalar, way: Array) -> Scalar:
     return jnp.where(jnp.any(clear), places[jnp.argmax(clear)], places[-1])
 
 
-def crop(problem: SpaceProblem, path: SpacePath, limits: Limits, whole: Array) -> tuple[SpacePath, Scalar, Scalar]:
+def crop(
+    problem: SpaceProblem, path: SpacePath, limits: Limits, whole: Array
+) -> tuple[SpacePath, Float[Array, ""], Float[Array, ""]]:
     """The path, and the first and last control at which whiskers touch on it, with a margin."""
     nodes = path.nodes
     known = (jnp.arange(nodes.kind.shape[0]) < path.count) & (jnp.any(nodes.phase != 0, axis=1) | (nodes.kind >= 0))
@@ -66,6 +67,7 @@ def crop(problem: SpaceProblem, path: SpacePath, limits: Limits, whole: Array) -
     first = jnp.where(some, jnp.min(jnp.where(known, way, jnp.inf)) - MARGIN, problem.onwards * limits.start)
     last = jnp.where(some, jnp.max(jnp.where(known, way, -jnp.inf)) + MARGIN, problem.onwards * limits.far)
     first = jnp.maximum(first, problem.onwards * limits.start)
+    last = jnp.minimum(last, problem.onwards * limits.far)
     start, stop = problem.onwards * first, problem.onwards * last
     travel = nodes.travel - jnp.where(whole, jnp.abs(start - limits.start), 0.0)
     return path._replace(nodes=nodes._replace(travel=travel)), start, stop

@@ -18,9 +18,7 @@ computed as rods in that plane, and their roll is zero.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.rotation import left_jacobian, matrix_of, rotation_vector
@@ -28,7 +26,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.drives import Placement
 from jaxwhisker._model.surface import AbstractSurface
-from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
+from jaxwhisker._rod.elastica import AbstractRod, Shooting, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._rod.space import SpaceSection
 from jaxwhisker._rod.space_end import space_rod_end
@@ -116,8 +114,9 @@ def base_of(
     ahead, _, out = frame.T
     rotation = None
     if isinstance(body.section, SpaceSection):
-        steps = (1 if body.section.uniform else 2) * np.array([method.steps, rates.steps])
-        end = space_rod_end(force, arc, chi, roll, body.section, *map(int, steps))
+        assert isinstance(method, Shooting) and isinstance(rates, Shooting)  # checked by SpaceScene
+        twice = 1 if body.section.uniform else 2
+        end = space_rod_end(force, arc, chi, roll, body.section, twice * method.steps, twice * rates.steps)
         from_contact = _turned(frame, end[:3])
         rotation = _product(frame, matrix_of(end[3:]))
         tangent = rotation[:, 2]
@@ -134,8 +133,8 @@ def base_of(
 def _frame_of_force(frame, force, chi, roll, traction):
     """Frame, force, angle and roll of the same contact with a surface that is normal to the force."""
     ahead, across, out = frame.T
-    heavy = jnp.maximum(force, LIGHT)
-    leaning = out + (traction[0] * ahead + traction[1] * across) / heavy
+    light = (force < LIGHT) & (jnp.sum(traction**2) < LIGHT**2)
+    leaning = jnp.where(light, LIGHT, force) * out + traction[0] * ahead + traction[1] * across
     size = jnp.sqrt(jnp.sum(leaning**2))
     outwards, tangent = leaning / size, jnp.cos(chi) * ahead - jnp.sin(chi) * out
     along = jnp.sum(tangent * outwards)
@@ -146,7 +145,8 @@ def _frame_of_force(frame, force, chi, roll, traction):
     # The first director is the same in both frames.
     first = jnp.cos(roll) * jnp.cross(across, tangent) + jnp.sin(roll) * across
     roll = jnp.arctan2(jnp.sum(first * sideways), jnp.sum(first * jnp.cross(sideways, tangent)))
-    return jnp.stack([forwards, sideways, outwards], axis=1), force * size, jnp.arctan2(-along, flat), roll
+    whole = jnp.where(light, force / LIGHT, 1.0) * size
+    return jnp.stack([forwards, sideways, outwards], axis=1), whole, jnp.arctan2(-along, flat), roll
 
 
 def in_drive(base: Base, drive: Placement, mount: Placement, roll: Scalar) -> InDrive:
@@ -179,8 +179,7 @@ def spread(body: Body, surface: AbstractSurface, z: Contact, phase: Int[Array, "
     Where it is not positive, the shaft curves more than the object, and one contact point becomes two. It is infinite
     for a tip.
     """
-    frame = frame_of(surface, z)
-    ahead, _, out = frame.T
+    ahead = frame_of(surface, z)[:, 0]
     own: Scalar = 0.0
     if isinstance(body.section, SpaceSection):
         _, arc = angle_and_arc(body, z, phase)

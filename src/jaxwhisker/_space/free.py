@@ -45,7 +45,10 @@ def in_scene(outline: Outline, base: Placement) -> Outline:
 
 
 def nearest(surface: AbstractSurface, outline: Outline, length: Scalar, *, rolls: bool) -> Nearest:
-    """The point of a whisker, placed in the scene, that is nearest to the surface; `rolls` if its roll is an unknown."""
+    """The point of a whisker, placed in the scene, that is nearest to the surface.
+
+    `rolls` tells whether the roll of its contact is an unknown.
+    """
     spacing = length / INTERVALS
 
     def at(place):  # in intervals from the base
@@ -98,7 +101,8 @@ def contact_at(
 ) -> Contact:
     """The contact, without force, of a whisker with this tangent and first director at a point of the surface.
 
-    Without a director, the roll is zero. `beyond` is the arc length from the contact to the tip; the tip itself touches if it is zero.
+    Without a director, the roll is zero. `beyond` is the arc length from the contact to the tip, which touches itself
+    if it is zero.
     """
     sine = jnp.clip(jnp.sum(tangent * out), -1.0, 1.0)
     ahead = tangent - sine * out

@@ -1,9 +1,9 @@
 """Newton's method for whiskers in space.
 
-A contact on the surface has six degrees of freedom: force, roll and slack, two coordinates of the contact point, and the
-direction in which the whisker runs along the surface. A straight round whisker has no roll. A Newton step is a step in
-these coordinates, and one back onto the surface. A network of springs couples the bases of all whiskers. Where contacts
-may slide after a loss of stability, their tractions are two more unknowns.
+A contact on the surface has six degrees of freedom: force, roll and slack, two coordinates of the contact point, and
+the direction in which the whisker runs along the surface. A straight round whisker has no roll. A Newton step is a step
+in these coordinates, and one back onto the surface. A network of springs couples the bases of all whiskers. Where
+contacts may slide after a loss of stability, their tractions are two more unknowns.
 """
 
 from typing import Any, NamedTuple
@@ -46,7 +46,10 @@ class Sliding(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """A whisker, linearised about a contact: `rows` equations of its base, and as many `steps` or, with traction, 2 more."""
+    """A whisker, linearised about a contact.
+
+    There are `rows` equations of its base and as many `steps`, or with a traction two more.
+    """
 
     correction: Float[Array, "11"]  # of the contact, back onto the surface
     directions: Float[Array, "11 steps"]
@@ -251,7 +254,7 @@ class Solution(NamedTuple):
 
 def solve_points(
     problem: SpaceProblem,
-    phases: Phases,
+    phases: Int[Array, "*batch whiskers"],
     conditions: PathCondition,
     guesses: Point,
     sliding: Sliding | None = None,

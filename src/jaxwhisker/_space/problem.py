@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.rotation import matrix_of
 from jaxwhisker._base.leaves import safe_placeholder
+from jaxwhisker._base.rotation import matrix_of
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.dimensionless import sections, stacked_or_each
 from jaxwhisker._model.drives import Placement, SpaceMotion, mount_in_space, placement_of
+from jaxwhisker._model.motion import AbstractMotion
 from jaxwhisker._model.scene import Units, units_of
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.surface import AbstractSurface
@@ -50,12 +50,12 @@ class SpaceProblem(eqx.Module):
     section: Section | SpaceSection | tuple[Section | SpaceSection, ...] | None
     surface: AbstractSurface
     rod: AbstractRod
-    motion: SpaceMotion
+    motion: SpaceMotion | AbstractMotion
     mount: Placement  # fields (whiskers, ...)
     springs: Springs | None  # None: clamped
     outline: Outline  # of unloaded whiskers, fields (whiskers, ...)
     onwards: Int[Array, ""]  # +1 if the control increases during a scan, else -1
-    ends: tuple[Scalar, Scalar] | None
+    ends: tuple[Float[Array, ""], Float[Array, ""]] | None
     valid: Bool[Array, ""]
     unit: Units
 
@@ -63,14 +63,6 @@ class SpaceProblem(eqx.Module):
         """The frame of the drive at a control."""
         position, rotation = placement_of(self.motion, u * self.unit.control)
         return Placement(position / self.unit.length, rotation)
-
-    def body(self, k: int) -> Body:
-        """One whisker."""
-        section = (
-            self.section[k] if isinstance(self.section, tuple) else jax.tree.map(lambda leaf: leaf[k], self.section)
-        )
-        mount = jax.tree.map(lambda leaf: leaf[k], self.mount)
-        return Body(self.length[k], self.bending_stiffness[k], section, mount)
 
     @property
     def rolls(self) -> bool:
@@ -102,20 +94,15 @@ class SpaceProblem(eqx.Module):
         )
 
 
-def of_each(problem: SpaceProblem, function, *args):
+def of_each(problem: SpaceProblem, function: Callable, *args):
     """Apply a function of one whisker's body to every whisker; each gets its own row of the arguments."""
-    bodies = Body(problem.length, problem.bending_stiffness, problem.section, problem.mount)
-    if not isinstance(problem.section, tuple):
-        return jax.vmap(function)(bodies, *args)
+    section = problem.section
+    bare = Body(problem.length, problem.bending_stiffness, None, problem.mount)
+    if not isinstance(section, tuple):
+        return jax.vmap(function)(bare._replace(section=section), *args)
     # Whiskers of different kinds cannot be batched.
-    own = [
-        jax.tree.map(lambda leaf, k=k: leaf[k], (bodies._replace(section=None), args))
-        for k in range(len(problem.section))
-    ]
-    each = [
-        function(body._replace(section=section), *rest)
-        for (body, rest), section in zip(own, problem.section, strict=True)
-    ]
+    rows = [jax.tree.map(lambda leaf, k=k: leaf[k], (bare, args)) for k in range(len(section))]
+    each = [function(body._replace(section=own), *rest) for (body, rest), own in zip(rows, section, strict=True)]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 

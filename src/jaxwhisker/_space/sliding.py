@@ -2,9 +2,9 @@
 
 Hold the contacts of all whiskers where they are on the surface, and move them along it. The forces along the surface
 that are needed, per displacement, are the sliding stiffness. A displacement is one of the material point of the whisker
-that touches: at a tip, that of the contact point; at a tangential contact, that without what the contact moves along the
-shaft. The equilibrium is stable if this matrix is positive definite: it is the second variation of the energy in which
-everything but the contacts is at its minimum, and the minimum exists as long as the whole is stable.
+that touches: at a tip, that of the contact point; at a tangential contact, that without what the contact moves along
+the shaft. The equilibrium is stable if this matrix is positive definite: it is the second variation of the energy in
+which everything but the contacts is at its minimum, and the minimum exists as long as the whole is stable.
 """
 
 import jax.numpy as jnp
@@ -29,8 +29,8 @@ def passive_columns(derivatives: Float[Array, "whiskers rows steps"], phase: Pha
 def sliding_stiffness(problem: SpaceProblem, z: Contacts, phase: Phases, at: Linear) -> Float[Array, "rows rows"]:
     """Forces along the surface per displacement along it, two rows for each whisker; the identity for free ones.
 
-    `at` are all whiskers, linearised with tractions. Contacts with hardly any force are stable, and their rods are nearly
-    rigid along their axes: for these, it is the identity, too.
+    `at` are all whiskers, linearised with tractions. Contacts with hardly any force are stable, and their rods are
+    nearly rigid along their axes: for these, it is the identity, too.
     """
     n, rows = at.pose.shape
     held = (phase == Phase.free) | (z[:, FORCE] < LIGHT)

@@ -63,7 +63,7 @@ def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear) ->
     )
 
 
-def clearance(problem: SpaceProblem, u: Scalar) -> Scalar:
+def clearance(problem: SpaceProblem, u: Scalar) -> Float[Array, ""]:
     """Least distance of the unloaded whiskers from the object at a control."""
     rest = jnp.zeros((problem.length.size, 6))
     if problem.springs is not None:

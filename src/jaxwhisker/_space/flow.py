@@ -1,0 +1,71 @@
+"""What follows from a loss of stability: contacts slide over the surface at fixed drive until they come to rest.
+
+The sliding is overdamped: a traction, proportional to the speed of the material point that touches, holds each contact
+back. The energy falls all the way, and the equilibria do not depend on the factor. Time steps are implicit and grow
+until the contacts are at rest. A whisker whose contact force vanishes on the way comes free, and stays free if its
+unloaded shape clears the object.
+"""
+
+import jax.numpy as jnp
+
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.point import Point, along
+from jaxwhisker._path.path import EventKind, Status, first_case
+from jaxwhisker._space.contact import FORCE, POINT, TRACTION
+from jaxwhisker._space.march_state import SNAP, Flow, March, Outcome, Task, Trial, node_at
+from jaxwhisker._space.newton import phase_by_slack
+
+KICK = 0.02  # along the path, from a fold
+FIRST_TIME = 1e-3  # dimensionless: a contact with the stiffness 1 moves by a thousandth of its way
+LONGEST_TIME, SHORTEST_TIME = 1e8, 1e-12
+STRIDE = 0.08  # lengths that a contact may slide in a step
+REST = 1e-9  # lengths that a contact at rest may slide in the longest time
+FLOW_STEPS = 400
+SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a snap
+
+
+def sliding(march: March) -> March:
+    """The state in which contacts begin to slide."""
+    kicked = along(march.point, march.tangent, KICK)
+    flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z)
+    return march._replace(
+        task=jnp.asarray(int(Task.flow)),
+        point=Point(kicked.z, march.point.u),
+        flow=flow,
+        pending=node_at(march, march.point, march.tangent),
+    )
+
+
+def after_flow(march: March, trial: Trial) -> Outcome:
+    """Handle a time step in which contacts slide."""
+    z, before, time = trial.point.z, march.point.z, march.flow.time
+    moved = jnp.max(jnp.abs(z[:, POINT] - before[:, POINT]))
+    good = trial.solution.converged & (moved < STRIDE)
+    touching = march.phase != Phase.free
+    released = touching & (z[:, FORCE] < 0)
+    phase = jnp.where(released, int(Phase.free), phase_by_slack(z, march.phase))
+    rests = good & (((moved < REST) & (time >= LONGEST_TIME / 4)) | jnp.all(phase == Phase.free))
+    longer = jnp.minimum(time * jnp.where(moved < STRIDE / 3, 3.0, 1.0), LONGEST_TIME)
+    time = jnp.where(good, longer, time / 4)
+    flow = march.flow._replace(time=time, steps=march.flow.steps + 1)
+    freed = (phase == Phase.free) & (march.pending.phase_before != Phase.free)
+    moved = jnp.max(jnp.abs(z - flow.start)[:, POINT], axis=1) > SLID
+    rested = march._replace(
+        task=jnp.where(rests, int(Task.arrive), int(Task.flow)),
+        phase=phase,
+        point=Point(z.at[:, TRACTION].multiply(~rests), march.point.u),
+        stance=trial.stance,
+        flow=flow,
+        pending=march.pending._replace(
+            phase=phase,
+            kind=jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through),
+            whiskers=freed | (moved & touching),
+        ),
+        target=march.target._replace(margin=jnp.asarray(SNAP)),
+    )
+    new = first_case(
+        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), march.stopped(Status.unsettled)),
+        (~good, march._replace(flow=flow)),
+        otherwise=rested,
+    )
+    return new, jnp.asarray(False), march.pending

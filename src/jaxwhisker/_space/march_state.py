@@ -1,0 +1,123 @@
+"""The state of a march in space: where it is, what it is doing, and the nodes that it writes."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.point import Point
+from jaxwhisker._path.path import NO_EVENT, Status
+from jaxwhisker._space.free import Nearest
+from jaxwhisker._space.newton import Phases, Solution
+from jaxwhisker._space.problem import Contacts
+from jaxwhisker._space.stance import Stance
+
+
+class Task(IntEnum):
+    """Task of an iteration of the march (see march.py)."""
+
+    advance = 0
+    event = 1
+    arrive = 2
+    done = 3
+    flow = 4
+
+
+TOUCH, RELEASE, PHASE, AT_STOP, SNAP = range(5)  # kinds of margins, and what follows from a loss
+
+
+class Node(NamedTuple):
+    """An equilibrium on the path, and the path's directions before and after it."""
+
+    point: Point
+    z_before: Contacts  # on arrival, which differs for a whisker that begins to touch
+    arriving: Point
+    leaving: Point
+    phase: Phases  # from here on
+    phase_before: Phases
+    travel: Float[Array, "*nodes"]  # distance that the drive has travelled since the first stop; negative before it
+    kind: Int[Array, ""]  # EventKind, NO_EVENT or STOP
+    whiskers: Bool[Array, " whiskers"]
+
+
+class SpacePath(NamedTuple):
+    """Nodes 0 to count - 1, in padded arrays. The status says why the path ends where it does."""
+
+    nodes: Node
+    count: Int[Array, ""]
+    status: Int[Array, ""]
+
+
+class Target(NamedTuple):
+    """An event to be solved for."""
+
+    margin: Int[Array, ""]
+    whiskers: Bool[Array, " whiskers"]
+    distance: Scalar  # along the path, expected
+    first: Nearest  # contacts that may begin, fields (whiskers, ...)
+
+
+class Flow(NamedTuple):
+    """Contacts that slide after a loss of stability."""
+
+    time: Scalar  # length of the next time step
+    steps: Int[Array, ""]
+    start: Contacts  # at the loss
+
+
+class March(NamedTuple):
+    """State of the march between two iterations."""
+
+    task: Int[Array, ""]
+    phase: Phases
+    point: Point
+    tangent: Point
+    bend: Point  # change of the tangent per arc length
+    step: Scalar
+    stance: Stance  # of free whiskers
+    size: Scalar  # determinant of the sliding stiffness here; halved by the Illinois rule
+    unstable_at: Scalar  # distance ahead of a known unstable state, or infinity
+    unstable_size: Scalar  # the determinant there
+    target: Target
+    pending: Node
+    goal: Int[Array, ""]
+    direction: Scalar  # +1 while the drive moves towards larger u
+    travel: Scalar
+    touched: Bool[Array, ""]
+    flow: Flow
+    count: Int[Array, ""]
+    status: Int[Array, ""]
+
+    def stopped(self, status: Status | Array) -> "March":
+        """The state after the march has ended with this status."""
+        return self._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(status, dtype=int))
+
+
+class Trial(NamedTuple):
+    """The solved point of an iteration, and what it is like there."""
+
+    solution: Solution
+    tangent: Point  # of unit length in the scale of the point
+    stance: Stance
+    guess: Point
+    phase: Phases  # in which it is solved for
+    stop: Scalar  # the control that the drive moves to
+    stops: Float[Array, " stops"]
+    last: Int[Array, ""]  # index of the last stop
+
+    @property
+    def point(self) -> Point:
+        """The solved point."""
+        return self.solution.point
+
+
+Outcome = tuple[March, Bool[Array, ""] | Array, Node]  # the next state, whether to write a node, and that node
+
+
+def node_at(march: March, point: Point, tangent: Point) -> Node:
+    """A plain node: the path goes on as it arrives."""
+    travel = march.travel + jnp.abs(point.u - march.point.u)
+    nobody = jnp.zeros_like(march.phase, bool)
+    return Node(point, point.z, tangent, tangent, march.phase, march.phase, travel, jnp.asarray(NO_EVENT), nobody)

@@ -1,0 +1,246 @@
+"""Transitions of the march in space: what follows from a solved step, by task."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.point import Point, dot, scale_of
+from jaxwhisker._path.path import STOP, EventKind, Status, first_case, select
+from jaxwhisker._space.contact import FORCE, SLACK
+from jaxwhisker._space.flow import sliding
+from jaxwhisker._space.march_state import (
+    AT_STOP,
+    PHASE,
+    RELEASE,
+    SNAP,
+    TOUCH,
+    March,
+    Node,
+    Outcome,
+    Target,
+    Task,
+    Trial,
+    node_at,
+)
+from jaxwhisker._space.newton import Phases
+from jaxwhisker._space.problem import Contacts, SpaceProblem
+from jaxwhisker._space.stance import Stance
+
+CAPACITY = 192  # nodes; a scan of one whisker takes about 60
+FIRST_STEP = 0.02  # after a corner
+LONGEST_STEP = 0.25
+SHORTEST_STEP = 1e-10
+PREDICTION_ERROR = 2e-3  # at which steps keep their length
+LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
+LEAST_ADVANCE = 2e-4  # lengths by which free whiskers move at least in a step; shallower dips are missed
+INSIDE = 1e-6  # depth of free whiskers that must not be inside the object
+TOUCHING = 1e-9  # depth of a free whisker that counts as a touch: one that has just been released is at 0
+PASSED = 0.25  # lengths from the object at which a scan right across it ends
+MARGIN_NOISE = 1e-11
+FOLD = 1e-3  # rate of the control at a loss, per arc length, below which it is a fold
+
+
+def margins_of(phase: Phases, z: Contacts, stance: Stance, remaining: Scalar) -> Float[Array, "kinds whiskers"]:
+    """Margins of the four kinds of events: positive before them."""
+    free, tip = phase == Phase.free, phase == Phase.tip
+    touch = jnp.where(free, stance.nearest.distance + TOUCHING, jnp.inf)
+    release = jnp.where(free, jnp.inf, z[:, FORCE])
+    slack = jnp.where(free, jnp.inf, jnp.where(tip, -z[:, SLACK], z[:, SLACK]))
+    stop = jnp.full_like(touch, jnp.inf).at[0].set(remaining)
+    return jnp.stack([touch, release, slack, stop])
+
+
+def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
+    """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
+    point, tangent, stance, scale = trial.point, trial.tangent, trial.stance, scale_of(march.point.z)
+    miss = Point(point.z - trial.guess.z, point.u - trial.guess.u)
+    error, straight = jnp.sqrt(dot(miss, miss, scale)), dot(march.tangent, tangent, scale)
+    good = trial.solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5) & stance.sound
+    violated, target = _first_violated(march, trial)
+    stable, node = stance.stable, node_at(march, point, tangent)
+    located = good & ~violated & ~stable & (march.step < LOSS_BRACKET)
+    # At a fold, contacts slide on in the direction of the path. A bifurcation is symmetric: they may go either way.
+    branches = located & (jnp.abs(march.tangent.u) >= FOLD)
+    lost = select(branches, march.stopped(Status.undetermined), sliding(march))
+    shorter = march._replace(step=0.4 * march.step)
+    moved = march._replace(
+        point=point,
+        tangent=tangent,
+        stance=stance,
+        size=stance.stiffness,
+        travel=node.travel,
+        bend=Point((tangent.z - march.tangent.z) / march.step, (tangent.u - march.tangent.u) / march.step),
+        unstable_at=march.unstable_at - march.step,
+        unstable_size=march.unstable_size / 2,
+    )
+    new = first_case(
+        (march.count >= CAPACITY - 1, march.stopped(Status.too_long)),
+        (~good & (shorter.step < SHORTEST_STEP), march.stopped(Status.lost)),
+        (~good, shorter),
+        (violated, march._replace(task=jnp.asarray(int(Task.event)), target=target)),
+        (located, lost),
+        (~stable, _before_loss(march, stance.stiffness)),
+        (_is_over(problem, march, trial), march.stopped(Status.ok)),
+        (~stance.opens, march.stopped(Status.not_convex)),
+        otherwise=moved._replace(step=_next_step(moved, error, march.step)),
+    )
+    # While all whiskers are free, nothing happens between events.
+    write = good & ~violated & stable & stance.opens & jnp.any(march.phase != Phase.free)
+    return new, (write | branches) & (march.count < CAPACITY - 1), select(branches, _bifurcation(march, trial), node)
+
+
+def _first_violated(march: March, trial: Trial) -> tuple[Bool[Array, ""], Target]:
+    """Whether a margin vanishes within the step, and the first event."""
+    here, there = (
+        margins_of(march.phase, z, stance, march.direction * (trial.stop - u))
+        for (z, u), stance in ((march.point, march.stance), (trial.point, trial.stance))
+    )
+    crossed = there < -MARGIN_NOISE
+    drop = jnp.where(crossed, here - there, 1.0)
+    share = jnp.where(crossed, jnp.clip(here / jnp.where(drop > 0, drop, 1.0), 0.0, 1.0), jnp.inf)
+    k = jnp.argmin(share)
+    margin, whisker = jnp.unravel_index(k, share.shape)
+    whiskers = (jnp.arange(march.phase.size) == whisker) & (margin != AT_STOP)
+    return jnp.any(crossed), Target(margin, whiskers, jnp.ravel(share)[k] * march.step, trial.stance.nearest)
+
+
+def _bifurcation(march: March, trial: Trial) -> Node:
+    """The node where stability is lost, within a short step."""
+    share = march.size / (march.size - trial.stance.stiffness)
+    middle = march.point.u + share * (trial.point.u - march.point.u)
+    node = node_at(march, march.point._replace(u=middle), march.tangent)
+    return node._replace(kind=jnp.asarray(int(EventKind.bifurcation)), whiskers=march.phase != Phase.free)
+
+
+def _before_loss(march: March, stiffness: Scalar) -> March:
+    """The state with a shorter step, towards the loss of stability within this one."""
+    again = jnp.isfinite(march.unstable_at)
+    # The Illinois rule keeps false position from creeping.
+    size = jnp.where(again, march.size / 2, march.size)
+    closer = march._replace(unstable_at=march.step, unstable_size=stiffness, size=size)
+    return closer._replace(step=_to_loss(closer))
+
+
+def _to_loss(march: March) -> Scalar:
+    """Length of the step that is expected to reach the loss of stability."""
+    share = march.size / (march.size - march.unstable_size)
+    share = jnp.where(march.unstable_size < 0, share, 0.5)
+    return march.unstable_at * jnp.clip(jnp.where(jnp.isfinite(share), share, 0.5), 0.02, 0.98)
+
+
+def _next_step(march: March, error: Scalar, step: Scalar) -> Scalar:
+    factor = jnp.clip((PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3), 0.3, 2.5)
+    length = jnp.minimum(factor * step, jnp.where(jnp.all(march.phase == Phase.free), jnp.inf, LONGEST_STEP))
+    length = jnp.minimum(length, _clear(march.stance, march.tangent))
+    return jnp.where(jnp.isfinite(march.unstable_at), jnp.minimum(length, _to_loss(march)), length)
+
+
+def _clear(stance: Stance, tangent: Point) -> Scalar:
+    """Length of a step in which free whiskers cannot pass through the object unnoticed."""
+    speed = jnp.maximum(stance.speed * jnp.abs(tangent.u), 1e-12)
+    return jnp.min(jnp.where(stance.free, (jnp.maximum(stance.nearest.distance, 0.0) + LEAST_ADVANCE) / speed, jnp.inf))
+
+
+def _is_over(problem: SpaceProblem, march: March, trial: Trial) -> Bool[Array, ""]:
+    """Whether all whiskers have passed the object and cannot meet it again: the drive moves on along a line."""
+    distance = trial.stance.nearest.distance
+    if problem.ends is not None:
+        return jnp.asarray(False)
+    leaves = jnp.all((distance > march.stance.nearest.distance) & (distance > PASSED))
+    return jnp.all(march.phase == Phase.free) & march.touched & (march.goal > 0) & (march.goal >= trial.last) & leaves
+
+
+def after_event(march: March, trial: Trial) -> Outcome:
+    """Handle the point where a margin vanishes."""
+    point, tangent, phase, converged = trial.point, trial.tangent, trial.phase, trial.solution.converged
+    target, scale = march.target, scale_of(march.point.z)
+    touches = target.whiskers & (target.margin == TOUCH)
+    z_before = jnp.where(touches[:, None], march.point.z, point.z)
+    chord = Point(z_before - march.point.z, point.u - march.point.u)
+    distance, reach = dot(march.tangent, chord, scale), jnp.sqrt(dot(chord, chord, scale))
+    good = converged & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-6)
+    # The whisker may touch with its tip where its shaft was expected to, or the reverse.
+    slack = jnp.where(touches, jnp.where(phase == Phase.tip, point.z[:, SLACK], -point.z[:, SLACK]), -1.0)
+    other = converged & (slack > MARGIN_NOISE)
+    swapped = jnp.where(target.first.phase == Phase.tip, Phase.tangential, Phase.tip)
+    first = target.first._replace(
+        phase=jnp.where(other, swapped, target.first.phase),
+        contact=target.first.contact.at[:, SLACK].multiply(~other),
+    )
+    again = march._replace(task=jnp.asarray(int(Task.advance)), step=0.5 * jnp.minimum(march.step, target.distance))
+    tip = jnp.any(target.whiskers & (phase == Phase.tip))
+    kinds = jnp.array([
+        EventKind.touch,
+        EventKind.release,
+        jnp.where(tip, EventKind.tip_to_tangential, EventKind.tangential_to_tip),
+        STOP,
+    ])  # fmt: skip
+    swaps = target.whiskers & (target.margin == PHASE)
+    after = jnp.where(swaps, jnp.where(phase == Phase.tip, Phase.tangential, Phase.tip), phase)
+    after = jnp.where(target.whiskers & (target.margin == RELEASE), Phase.free, after)
+    forwards = dot(tangent, march.tangent, scale) > 0
+    arriving = select(forwards, tangent, Point(-tangent.z, -tangent.u))
+    arriving = select(jnp.any(touches), march.tangent, arriving)
+    node = node_at(march, point, arriving)
+    node = node._replace(z_before=z_before, phase=after, kind=kinds[target.margin], whiskers=target.whiskers)
+    node = node._replace(travel=jnp.where((target.margin == AT_STOP) & (march.goal == 0), 0.0, node.travel))
+    arrived = march._replace(
+        task=jnp.asarray(int(Task.arrive)),
+        phase=after,
+        point=point,
+        pending=node,
+        stance=trial.stance,
+        travel=node.travel,
+        goal=march.goal + (target.margin == AT_STOP),
+        touched=march.touched | jnp.any(touches),
+    )
+    new = first_case(
+        (jnp.any(other), march._replace(target=target._replace(first=first))),
+        (~good & (again.step < SHORTEST_STEP), march.stopped(Status.lost)),
+        (~good, again),
+        otherwise=arrived,
+    )
+    return new, jnp.asarray(False), node
+
+
+def after_arrive(march: March, trial: Trial) -> Outcome:
+    """Handle the point of an event in its new phase: leave along the path."""
+    point, tangent, stance, last = trial.point, trial.tangent, trial.stance, trial.last
+    margin, stop_kind = march.target.margin, march.pending.kind == STOP
+    heading = jnp.sign(trial.stops[jnp.minimum(march.goal, last)] - march.point.u)
+    turned = stop_kind & (march.goal <= last) & (heading != 0)
+    direction = jnp.where(turned, heading, march.direction)
+    # The condition makes the force or the slack grow; a tangential contact that becomes a tip contact loses slack.
+    back = (margin == PHASE) & jnp.any(march.target.whiskers & (march.phase == Phase.tip))
+    by_control = (margin == RELEASE) | (margin == AT_STOP) | (margin == SNAP)
+    sign = jnp.where(by_control, jnp.where(tangent.u * direction < 0, -1.0, 1.0), jnp.where(back, -1.0, 1.0))
+    tangent = Point(sign * tangent.z, sign * tangent.u)
+    z = jnp.where(stance.free[:, None], stance.nearest.contact, point.z)
+    node = march.pending._replace(point=Point(z, point.u), leaving=tangent)
+    falls, snapped = tangent.u * direction <= 0, margin == SNAP
+    onwards = march._replace(
+        task=jnp.asarray(int(Task.advance)),
+        point=node.point,
+        tangent=tangent,
+        bend=jax.tree.map(jnp.zeros_like, tangent),
+        stance=stance,
+        step=jnp.minimum(FIRST_STEP, _clear(stance, tangent)),
+        direction=direction,
+        size=stance.stiffness,
+        unstable_at=jnp.asarray(jnp.inf),
+        unstable_size=jnp.asarray(-1.0),
+    )
+    over = stop_kind & (march.goal > last)
+    inside = jnp.any(stance.free & (stance.nearest.distance < -INSIDE))
+    new = first_case(
+        (~trial.solution.converged | (inside & ~snapped), march.stopped(Status.lost)),
+        (inside, march.stopped(Status.unsettled)),
+        (over, march.stopped(Status.ok)),
+        (snapped & ~stance.stable, march.stopped(Status.unsettled)),
+        # A loss at a corner: the path would have to go back.
+        (falls | ~stance.stable, sliding(onwards)),
+        otherwise=onwards,
+    )
+    return new, trial.solution.converged, node

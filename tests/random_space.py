@@ -1,0 +1,197 @@
+"""Random ordinary scenes in space, each also in plain numbers for space_laws.py."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from space_laws import UPRIGHT, Plain, Surface, _hat
+
+import jaxwhisker as jw
+
+
+class Cone(eqx.Module):
+    """Bending stiffness of a cone; a module, so that scenes share programs."""
+
+    taper: float
+
+    def __call__(self, s):
+        return (1 - self.taper * s) ** 4
+
+
+class Drawn(NamedTuple):
+    """A scene, in plain numbers too, and the range of a scan across it."""
+
+    scene: jw.Scene
+    plain: Plain
+    text: str
+
+
+KINDS = tuple(
+    f"{rod} {base} {drive}"
+    for rod in ("straight", "cone", "curved", "curved cone")
+    for base in ("clamped", "sprung", "tilting")
+    for drive in ("linear", "whisk")
+)
+SURFACES = "sphere", "ellipsoid", "cylinder", "paraboloid"
+
+
+def surface_drawn(rng, kind: str, size: float):
+    """A surface about the origin, and its plain form."""
+    turn = tuple(map(float, rng.normal(size=3) * 0.6))
+    if kind == "sphere":
+        return jw.Sphere(size, (0.0, 0.0, 0.0)), np.eye(3) / size, np.zeros(3), size / 2
+    if kind == "ellipsoid":
+        axes = tuple(map(float, size * rng.uniform(0.5, 1.0, 3)))
+        r = Rotation.from_rotvec(turn).as_matrix()
+        plain = r @ np.diag(axes[1] / np.array(axes) ** 2) @ r.T
+        return jw.Ellipsoid(axes, (0.0, 0.0, 0.0)).rotated(turn), plain, np.zeros(3), axes[1] / 2
+    if kind == "cylinder":
+        tilt, lift = rng.uniform(-0.9, 0.9), rng.uniform(-0.3, 0.3)
+        axis = np.array([np.sin(tilt), np.sin(lift), np.cos(tilt)])
+        unit = axis / np.linalg.norm(axis)
+        plain = (np.eye(3) - np.outer(unit, unit)) / size
+        return jw.Cylinder(size, (0.0, 0.0, 0.0), tuple(map(float, axis))), plain, np.zeros(3), size / 2
+    a, b = 0.5 / (size * rng.uniform(0.6, 1.0)), 0.5 / (size * rng.uniform(0.6, 1.0))
+    depth = 1 / (2 * max(a, b))
+    surface = jw.Paraboloid(float(-depth), float(a), float(b))
+    return surface, np.diag([2 * a, 0.0, 2 * b]), np.array([0.0, -1.0, 0.0]), depth
+
+
+def unloaded(curvature, taper=0.0, arcs=None):
+    """Positions and body frames of an unloaded whisker on an upright mount."""
+    arcs = np.linspace(0.0, 1.0, 101) if arcs is None else arcs
+
+    def slope(s, y):
+        d = y[3:].reshape(3, 3)
+        return np.concatenate([d[:, 2], (d @ _hat(curvature)).ravel()])
+
+    y = solve_ivp(slope, (0.0, 1.0), np.concatenate([np.zeros(3), UPRIGHT.ravel()]), rtol=1e-10, atol=1e-12, t_eval=arcs).y
+    return y[:3].T, y[3:].T.reshape(-1, 3, 3)
+
+
+def drawn(kind: str, rng: np.random.Generator) -> Drawn:
+    """A random scene of a kind."""
+    *rod, base, drive = kind.split()
+    while True:
+        found = _tried(" ".join(rod), base, drive, rng)
+        if found is not None:
+            return found
+
+
+def _tried(rod, base, drive, rng):
+    curved, cone = "curved" in rod, "cone" in rod
+    whisker, curvature, roll, taper = {}, np.zeros(3), 0.0, 0.0
+    ratio = float(rng.uniform(0.6, 0.8))
+    if curved:
+        curvature = np.array([0.0, -rng.uniform(-1.2, 1.2), rng.uniform(-0.8, 0.8)])
+        whisker = {"intrinsic_curvature": float(-curvature[1]), "twist": float(curvature[2])}
+    if curved or drive == "whisk":
+        roll = float(rng.uniform(-np.pi, np.pi))
+    if cone:
+        taper = float(rng.uniform(0.3, 0.8))
+        whisker["bending_stiffness"] = Cone(taper)
+    turned = UPRIGHT @ Rotation.from_rotvec([0, 0, roll]).as_matrix()
+    points, _ = unloaded(curvature)
+    points = points @ (turned @ UPRIGHT.T).T
+    name = SURFACES[rng.integers(4)]
+    size = float(np.exp(rng.uniform(np.log(0.2), np.log(1.5 if drive == "linear" else 0.8))))
+    surface, matrix, slope, depth = surface_drawn(rng, name, size)
+    tip = points[-1]
+    inside = np.array([0.0, 0.0, 0.0])
+    if name == "paraboloid" and drive == "whisk":
+        return None
+
+    def placed(inside):
+        return Surface(inside, matrix, slope, depth)
+
+    if drive == "linear":
+        heading = rng.uniform(-np.pi, np.pi) if rng.random() < 0.7 else np.pi
+        direction = np.array([np.cos(heading), rng.uniform(-0.2, 0.2), np.sin(heading)])
+        direction /= np.linalg.norm(direction)
+        side = np.cross(direction, [0.0, 1.0, 0.0])
+        side /= np.linalg.norm(side)
+        # The lowest point of the object in the plane of the scan, at a lateral offset.
+        along = np.linspace(-1, 1, 41) * 1.5 * size
+        offset = rng.uniform(-0.8, 0.8) * size
+        ground = np.array([direction[0], 0.0, direction[2]])
+        ground /= np.linalg.norm(ground)
+        heights = np.linspace(-3, 3, 1201)
+        grid = along[:, None, None] * ground + offset * side + heights[None, :, None] * np.array([0.0, 1.0, 0.0])
+        hit = placed(inside).off(grid) < 0
+        if not np.any(hit):
+            return None
+        lowest = np.min(np.broadcast_to(heights, hit.shape)[hit])
+        bottom = placed(inside).off(heights[:, None] * [0, 1.0, 0])
+        overlap = rng.uniform(0.05, 0.6)
+        inside = tip - offset * side + (0 - lowest - overlap) * np.array([0.0, 1.0, 0.0])
+        # No part of the object near the plane in which the base moves.
+        flat = np.linspace(-2, 2, 41)
+        plane = np.stack(np.meshgrid(flat, flat), -1).reshape(-1, 2)
+        plane = plane[:, :1] * ground + plane[:, 1:] * side
+        if np.min(placed(inside).off(plane[np.abs(plane @ side) < 0.4] + np.array([0, 0.1, 0]))) < 0:
+            return None
+        motion = jw.LinearDrive(tuple(map(float, direction)))
+        mount = jw.Mount(roll=roll) if curved else None
+
+        def placement(u):
+            return u * direction, np.eye(3), turned
+
+        text = f"dir {direction.round(2)} offset {offset:.2f} overlap {overlap:.2f}"
+    else:
+        elevation, rate = float(rng.uniform(-0.25, 0.25)), float(rng.uniform(-0.8, 0.8))
+        motion = jw.WhiskDrive(elevation=elevation, roll=roll, roll_rate=rate)
+        mount = None
+
+        def placement(u):
+            r = Rotation.from_euler("Y", roll + rate * u).as_matrix()
+            r = Rotation.from_euler("Z", u).as_matrix() @ Rotation.from_euler("X", elevation).as_matrix() @ r
+            return np.zeros(3), r, r @ UPRIGHT
+
+        own, _ = unloaded(curvature)
+        u = rng.uniform(-0.4, 0.5)
+        part = int(100 * rng.uniform(0.4, 0.95))
+        where = placement(u)[1] @ own[part]
+        ahead = (placement(u + 1e-3)[1] @ own[part] - where) / 1e-3
+        ahead /= np.linalg.norm(ahead)
+        across = rng.normal(size=3)
+        across -= across @ ahead * ahead
+        across /= np.linalg.norm(across)
+        lean = rng.uniform(-0.9, 0.9)
+        ray = np.cos(lean) * ahead + np.sin(lean) * across
+        steps = np.linspace(0, 3, 301)
+        inside = where + ray * (steps[np.argmax(placed(inside).off(-steps[:, None] * ray) > 0)])
+        if np.min(placed(inside).off(np.zeros(3))) < 0.08:
+            return None
+        angles = np.linspace(-np.pi / 2, u, 60)
+        if np.min(placed(inside).off(placement(-np.pi / 2)[1] @ own[:, :, None])if False else
+                  placed(inside).off(own @ placement(-np.pi / 2)[1].T)) < 0.01:  # fmt: skip
+            return None
+        del angles
+        text = f"elevation {elevation:.2f} roll rate {rate:.2f} at {part} u {u:.2f}"
+    inside = inside if inside.shape else np.zeros(3)
+    surface = surface.moved(tuple(map(float, inside)))
+    springs, linear, tilting = [], np.full(3, np.inf), np.full(3, np.inf)
+    if base != "clamped":
+        linear = np.exp(rng.uniform(np.log(5), np.log(1000), 3))
+        springs += [jw.Spring((0, 1), float(c), axis=a) for c, a in zip(linear, "xyz", strict=True)]
+    if base == "tilting":
+        tilting = np.exp(rng.uniform(np.log(3), np.log(100), 3))
+        springs += [jw.Spring((0, 1), float(c), axis=a) for c, a in zip(tilting, ("phi_x", "phi_y", "phi"), strict=True)]
+    for spring in springs:
+        assert spring.rest_length is None or True
+    scene = jw.Scene(
+        jw.Whisker(torsion_ratio=ratio, **whisker), surface, jw.Support(tuple(springs), mount), motion=motion
+    )
+    plain = Plain(
+        placed(inside),
+        placement,
+        stiffness=(lambda s: (1 - taper * s) ** 4),
+        torsion_ratio=ratio,
+        curvature=lambda s: curvature,
+        springs=linear,
+        tilting=tilting,
+    )
+    return Drawn(scene, plain, f"{name} {size:.2f} {text} curv {curvature.round(2)} roll {roll:.2f} taper {taper:.2f}")
