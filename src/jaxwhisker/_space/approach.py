@@ -16,6 +16,7 @@ from jaxwhisker._space.problem import SpaceProblem, of_each
 from jaxwhisker._space.stance import clearance
 
 MARGIN = 0.01  # of the default control before the first touch and after the last release, dimensionless
+REACH = 2.0  # lengths of the longest whisker from the object: so far away, it has come free
 DISTANCES = tuple(2.0**k for k in range(8))  # lengths
 
 
@@ -34,7 +35,8 @@ def limits_of(problem: SpaceProblem, first_stop: Scalar) -> Limits:
         late = problem.onwards * (first_stop - first) > 0
         return Limits(jnp.where(whole | late, first, first_stop), last)
     middle = jnp.where(whole, _beside(problem), first_stop)
-    before, after = jax.vmap(lambda way: _clear_of(problem, middle, way))(problem.onwards * jnp.array([-1, 1]))
+    reach = REACH * jnp.max(problem.length) * jnp.array([0.0, 1.0])
+    before, after = jax.vmap(_clear_of, (None, None, 0, 0))(problem, middle, problem.onwards * jnp.array([-1, 1]), reach)
     return Limits(before, after)
 
 
@@ -49,11 +51,11 @@ def _beside(problem: SpaceProblem) -> Scalar:
     return jnp.sum((problem.surface.interior_point() - at) * rate) / jnp.sum(rate**2)
 
 
-def _clear_of(problem: SpaceProblem, u: Scalar, way: Array) -> Scalar:
-    """The first of some controls, ever further in one direction, where whiskers are free and move away."""
+def _clear_of(problem: SpaceProblem, u: Scalar, way: Array, least: Scalar) -> Scalar:
+    """The first of some controls, ever further in one direction, where whiskers are so far away and move away."""
     places = u + way * jnp.array([0.0, *DISTANCES])
     distance = jax.vmap(lambda u: clearance(problem, u))(places)
-    clear = (distance[:-1] > 0) & (distance[1:] > distance[:-1])
+    clear = (distance[:-1] > least) & (distance[1:] > distance[:-1])
     return jnp.where(jnp.any(clear), places[jnp.argmax(clear)], places[-1])
 
 

@@ -237,7 +237,7 @@ def _after_advance(
         size=size,
         travel=node.travel,
         bend=Point((tangent.z - march.tangent.z) / march.step, (tangent.u - march.tangent.u) / march.step),
-        unstable_at=march.unstable_at - march.step,
+        unstable_at=jnp.where(march.unstable_at > march.step, march.unstable_at - march.step, jnp.inf),
         unstable_size=march.unstable_size / 2,
     )
     onwards = moved._replace(step=_next_step(moved, error, march.step))
@@ -264,7 +264,9 @@ def _to_loss(march: March) -> Scalar:
     """Length of the step that is expected to reach the loss of stability."""
     share = march.size / (march.size - march.unstable_size)
     share = jnp.where(march.unstable_size < 0, share, 0.5)
-    return march.unstable_at * jnp.clip(jnp.where(jnp.isfinite(share), share, 0.5), 0.02, 0.98)
+    share = jnp.clip(jnp.where(jnp.isfinite(share), share, 0.5), 0.02, 0.98)
+    # A last step to the unstable state itself, which false position approaches for ever.
+    return march.unstable_at * jnp.where(march.unstable_at < LOSS_BRACKET, 1.0, share)
 
 
 def _next_step(march: March, error: Scalar, step: Scalar) -> Scalar:
