@@ -15,6 +15,8 @@ from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import clearance
 
 MARGIN = 0.01  # of the default control before the first touch and after the last release, dimensionless
+REACH = 2.0  # lengths of the longest whisker
+HIGHEST_FORCE = 100.0  # EI/L^2 on every base, and the moment in EI/L; forces before a release hardly ever reach it
 DISTANCES = tuple(2.0**k for k in range(8))  # lengths
 
 
@@ -33,8 +35,17 @@ def limits_of(problem: SpaceProblem, first_stop: Float[Array, ""]) -> Limits:
         late = problem.onwards * (first_stop - first) > 0
         return Limits(jnp.where(whole | late, first, first_stop), last)
     middle = jnp.where(whole, _beside(problem), first_stop)
-    before, after = jax.vmap(lambda way: _clear_of(problem, middle, way))(problem.onwards * jnp.array([-1, 1]))
-    return Limits(before, after)
+    ways, reach = problem.onwards * jnp.array([-1, 1]), jnp.stack([jnp.zeros(()), _reach(problem)])
+    return Limits(*jax.vmap(_clear_of, (None, None, 0, 0))(problem, middle, ways, reach))
+
+
+def _reach(problem: SpaceProblem) -> Float[Array, ""]:
+    """Distance of unloaded whiskers from the object at which loaded ones have come free, too."""
+    lengths = REACH * jnp.max(problem.length)
+    if problem.springs is None:
+        return lengths
+    hardest = jnp.full_like(problem.springs.offset, HIGHEST_FORCE)
+    return lengths + jnp.max(jnp.abs(problem.displacement(hardest)[:, :3]))
 
 
 def _beside(problem: SpaceProblem) -> Float[Array, ""]:
@@ -48,11 +59,11 @@ def _beside(problem: SpaceProblem) -> Float[Array, ""]:
     return jnp.sum((problem.surface.interior_point() - at) * rate) / jnp.sum(rate**2)
 
 
-def _clear_of(problem: SpaceProblem, u: Float[Array, ""], way: Array) -> Float[Array, ""]:
-    """The first of some controls, ever further in one direction, where whiskers are free and move away."""
+def _clear_of(problem: SpaceProblem, u: Float[Array, ""], way: Array, least: Array) -> Float[Array, ""]:
+    """The first of some controls, ever further in one direction, where whiskers are so far away and move away."""
     places = u + way * jnp.array([0.0, *DISTANCES])
     distance = jax.vmap(lambda u: clearance(problem, u))(places)
-    clear = (distance[:-1] > 0) & (distance[1:] > distance[:-1])
+    clear = (distance[:-1] > least) & (distance[1:] > distance[:-1])
     return jnp.where(jnp.any(clear), places[jnp.argmax(clear)], places[-1])
 
 

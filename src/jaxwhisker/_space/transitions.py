@@ -72,7 +72,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         size=stance.stiffness,
         travel=node.travel,
         bend=Point((tangent.z - march.tangent.z) / march.step, (tangent.u - march.tangent.u) / march.step),
-        unstable_at=march.unstable_at - march.step,
+        unstable_at=jnp.where(march.unstable_at > march.step, march.unstable_at - march.step, jnp.inf),
         unstable_size=march.unstable_size / 2,
     )
     new = first_case(
@@ -127,7 +127,9 @@ def _to_loss(march: March) -> Scalar:
     """Length of the step that is expected to reach the loss of stability."""
     share = march.size / (march.size - march.unstable_size)
     share = jnp.where(march.unstable_size < 0, share, 0.5)
-    return march.unstable_at * jnp.clip(jnp.where(jnp.isfinite(share), share, 0.5), 0.02, 0.98)
+    share = jnp.clip(jnp.where(jnp.isfinite(share), share, 0.5), 0.02, 0.98)
+    # A last step to the unstable state itself, which false position approaches for ever.
+    return march.unstable_at * jnp.where(march.unstable_at < LOSS_BRACKET, 1.0, share)
 
 
 def _next_step(march: March, error: Scalar, step: Scalar) -> Scalar:
