@@ -26,8 +26,9 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.leaves import as_text, name_of, text_unless
+from jaxwhisker._base.leaves import as_text, name_of
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.assembly import check_whiskers, each_whisker, in_row, motion_text, support_text, whisker_text
 from jaxwhisker._model.motion import AbstractMotion, Translation
 from jaxwhisker._model.objects import as_one
 from jaxwhisker._model.profile import AbstractProfile
@@ -156,34 +157,6 @@ class Scene(eqx.Module, metaclass=_OfObject):
     __repr__ = __str__
 
 
-def support_text(support: Support) -> str:
-    """Text of a support, its whiskers and springs."""
-    n, springs = support.whiskers, len(support.springs)
-    counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
-    return f"{support.name}: {', '.join(counted)}"
-
-
-def motion_text(motion: Any) -> str:
-    """Text of a motion that is not the default."""
-    return "" if isinstance(motion, Translation) and motion.onwards < 0 else f", {motion}"
-
-
-def whisker_text(whisker: Whisker) -> str:
-    """Text of what differs from the default whisker."""
-    text = text_unless(1.0, ", L = ", whisker.length)
-    if callable(whisker.bending_stiffness):
-        text += f", EI = {name_of(whisker.bending_stiffness)}(s)"
-    else:
-        text += text_unless(1.0, ", EI = ", whisker.bending_stiffness)
-    if callable(whisker.intrinsic_curvature):
-        text += f", kappa0 = {name_of(whisker.intrinsic_curvature)}(s)"
-    elif whisker.intrinsic_curvature is not None:
-        text += f", kappa0 = {as_text(whisker.intrinsic_curvature)}"
-    if whisker.breaks is not None:
-        text += f", {len(whisker.breaks)} break" + "s" * (len(whisker.breaks) > 1)
-    return text
-
-
 class Sensor(eqx.Module):
     """Whiskers on a support: a Scene without its object.
 
@@ -248,18 +221,6 @@ def _check_sensor(whisker: Any, support: Any, motion: Any, friction: Any) -> Non
         checks.fail("whisker", "straight on a Foundation", "one with an intrinsic curvature")
 
 
-def check_whiskers(whisker: Any, support: Any) -> tuple[Whisker, ...]:
-    """Check the types of whisker and support and that their numbers agree; return one whisker per base."""
-    whiskers = whisker if isinstance(whisker, tuple) else (whisker,)
-    if not whiskers or not all(isinstance(w, Whisker) for w in whiskers):
-        checks.fail("whisker", "a Whisker or a tuple of them", repr(whisker))
-    checks.instance("support", support, Support, "a Support")
-    if isinstance(whisker, tuple) and len(whiskers) != support.whiskers:
-        allowed = f"one Whisker or one per base ({support.whiskers} in {support.name})"
-        checks.fail("whisker", allowed, f"a tuple of {len(whiskers)}")
-    return each_whisker(whisker, support)
-
-
 def check_in_plane(whiskers: tuple[Whisker, ...], support: Support) -> None:
     """Check that whiskers and their support do not leave the plane.
 
@@ -272,17 +233,6 @@ def check_in_plane(whiskers: tuple[Whisker, ...], support: Support) -> None:
             text = f"{name_of(value)}(s)" if callable(value) else as_text(value)
             checks.fail(name, "None in the plane: others need an object in space", text)
     support.check_in_plane()
-
-
-def in_row(whisker: Any, support: Any) -> Any:
-    """The support with the rest lengths that follow from the first whisker; wrong types are rejected later."""
-    first = whisker[0] if isinstance(whisker, tuple) and whisker else whisker
-    return support.in_row(first.length) if isinstance(support, Support) and isinstance(first, Whisker) else support
-
-
-def each_whisker(whisker: Whisker | tuple[Whisker, ...], support: Support) -> tuple[Whisker, ...]:
-    """One whisker per base."""
-    return whisker if isinstance(whisker, tuple) else (whisker,) * support.whiskers
 
 
 class Units(NamedTuple):

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base import checks
+from jaxwhisker._model.assembly import check_whiskers, each_whisker, in_row, motion_text, support_text, whisker_text
 from jaxwhisker._model.drives import SpaceMotion
 from jaxwhisker._model.motion import AbstractMotion, Translation
-from jaxwhisker._model.scene import check_whiskers, each_whisker, in_row, motion_text, support_text, whisker_text
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._model.whisker import Whisker
