@@ -11,17 +11,18 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.leaves import safe_placeholder
+from jaxwhisker._base.load_path import follow
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment
+from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.applied_loads import Given, weight_of
-from jaxwhisker._scan.load_path import follow
 from jaxwhisker._scan.loaded_rod import ROD_STEPS, LoadedRod, bent, checks_of, loaded_rod, misfit
 from jaxwhisker._scan.resolution import warn_of_whisker
+from jaxwhisker._space.deflect import SpaceDeflection, deflect_in_space
 
 ACCURACY = 1e-8  # largest accepted error of the base's angle and position, by comparison with twice as many steps
 UNEVEN_ACCURACY = 1e-4  # of whiskers with functions of arc length: a warning tells where steps do not resolve these
@@ -107,11 +108,11 @@ def _solution(whisker: Whisker, loads: Given, support: Support) -> tuple[Array, 
 @with_own_settings
 def deflect(
     whisker: Whisker,
-    *loads: PointForce | PointMoment | LineLoad,
+    *loads: PointForce | PointMoment | LineLoad | SpaceForce,
     support: Support = CLAMP,
     gravity: tuple[Scalar, Scalar] | None = None,
     points: int = 101,
-) -> Deflection:
+) -> Deflection | SpaceDeflection:
     """Reaction and shape of a whisker under given loads, clamped at (0, 0) along +y or on a support.
 
     All loads are increased together from zero, and the solution is the one that begins at rest.
@@ -153,8 +154,9 @@ def deflect(
     """
     checks.float64_mode()
     checks.instance("whisker", whisker, Whisker, "a Whisker")
-    if not all(isinstance(load, PointForce | PointMoment | LineLoad) for load in loads) or not (loads or gravity):
-        checks.fail("loads", "one or more of PointForce, PointMoment and LineLoad", repr(loads))
+    kinds = PointForce | PointMoment | LineLoad | SpaceForce
+    if not all(isinstance(load, kinds) for load in loads) or not (loads or gravity):
+        checks.fail("loads", "one or more of PointForce, PointMoment, LineLoad and SpaceForce", repr(loads))
     if not isinstance(support, Support) or support.whiskers != 1:
         checks.fail("support", "a Support of one whisker", repr(support))
     checks.count("points", points, least=2)
@@ -172,6 +174,9 @@ def deflect(
         start = load.start if isinstance(load, LineLoad) else 0.0
         if not checks.is_traced((start, whisker)) and float(start) >= float(whisker.length):
             checks.fail("start", f"less than the length {whisker.length}", start)
+    if _in_space(whisker) or any(isinstance(load, SpaceForce) for load in loads):
+        warn_of_whisker(whisker, ROD_STEPS)
+        return deflect_in_space(whisker, loads, support, gravity, points)
     if gravity is not None:
         checks.pair("gravity", gravity)
         if whisker.mass_per_length is None:
@@ -182,6 +187,11 @@ def deflect(
     return Deflection(
         **_deflect(whisker.without_masses(), loads, support, points), whisker=whisker, loads=loads, support=support
     )
+
+
+def _in_space(whisker: Whisker) -> bool:
+    """Whether a whisker leaves the plane by itself."""
+    return any(getattr(whisker, name, None) is not None for name in ("lateral_curvature", "twist"))
 
 
 @Program

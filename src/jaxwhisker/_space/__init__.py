@@ -1,0 +1,1 @@
+"""Whiskers in space: deflections under given loads."""
