@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
@@ -47,9 +48,7 @@ class SpaceDeflection(eqx.Module):
     y: Float[Array, " points"]
     z: Float[Array, " points"]
     rotation: Float[Array, "points 3 3"]  # columns d1, d2 and tangent; at the base x, -z and y
-    curvature: Float[
-        Array, "points 3"
-    ]  # about d1 and d2, and twist, 1/length
+    curvature: Float[Array, "points 3"]  # about d1 and d2, and twist, 1/length
     status: Int[Array, ""]  # Status.ok, .unstable, .inexact or .invalid
     whisker: Whisker
     loads: Forces
@@ -103,7 +102,7 @@ def _deflect(whisker: Whisker, loads: Forces, points: int) -> dict[str, Array]:
 def _shape(rods: LoadedInSpace, top: Array, whisker: Whisker, points: int) -> dict[str, Array]:
     """Reaction and shape at `points` points on each stretch between forces."""
     length, stiffness = whisker.length, whisker.base_stiffness
-    found = walk(top, rods, 1.0, points, -(-ROD_STEPS // (points - 1)))
+    found = walk(top, rods, 1.0, np.linspace(0.0, 1.0, points), -(-ROD_STEPS // (points - 1)))
     # The last point of each stretch is the first one of the next.
     kept = [k for k in range(found.s.size) if k % points != points - 1 or k == found.s.size - 1][::-1]
     s, states, loads = jax.tree.map(lambda leaf: leaf[jnp.array(kept)], (found.s, found.states, found.loads))

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.linear_algebra import positive_definite
+from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
 from jaxwhisker._base.rotations import (
     Quaternion,
     Vector,
@@ -22,6 +24,7 @@ from jaxwhisker._base.rotations import (
     plus,
     product,
     small_rotation,
+    third_axis,
 )
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.loads import PointForce, SpaceForce
@@ -30,7 +33,8 @@ from jaxwhisker._rod.rod import AlongRod
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, SpaceState, integrate
 
 ROD_STEPS = 32  # of the rod between two forces
-CHECKED = 17  # points on a stretch at which stability is checked
+NODES, MODES = 12, 8  # quadrature points on a stretch and polynomials for each axis, with which stability is checked
+ENDS = np.zeros(1)  # fractions of stretches at which a walk stops: at the forces only
 LEAST_LOAD = 1e-3  # added to the size of loads, which may vanish
 HALF = float(np.sqrt(0.5))
 CLAMP: Quaternion = (HALF, -HALF, 0.0, 0.0)  # d1 = x, d2 = -z, d3 = y
@@ -111,22 +115,21 @@ class Walk(NamedTuple):
     load: SpaceLoad
 
 
-def walk(top: Top, rods: LoadedInSpace, factor: Scalar, count: int, steps: int) -> Walk:
+def walk(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, steps: int) -> Walk:
     """From the top to the base, with `factor` times the forces.
 
     Args:
         top: the unknowns.
         rods: see LoadedInSpace.
         factor: of the forces.
-        count: number of points on each stretch between forces.
+        share: points on each stretch between forces as fractions of the stretch; the first one is 0.
         steps: of the rod between two points.
     """
     ends, added = jnp.append(rods.position, 0.0), rods.force
     if rods.free_beyond:
         ends, added = jnp.concatenate([jnp.ones(1), ends]), jnp.concatenate([jnp.zeros((1, 3)), added])
-    share = jnp.linspace(0.0, 1.0, count)
     s = jnp.ravel(jnp.where(share == 1, ends[1:, None], ends[:-1, None] + jnp.diff(ends)[:, None] * share))
-    force = jnp.zeros((s.size, 3)).at[::count].set(factor * added)
+    force = jnp.zeros((s.size, 3)).at[:: share.size].set(factor * added)
 
     def piece(carry, place):
         (state, load), (start, stop, force) = carry, place
@@ -150,7 +153,7 @@ def _turn(q: Quaternion) -> Float[Array, "3"]:
 
 def misfit(top: Top, rods: LoadedInSpace, factor: Scalar = 1.0) -> Float[Array, "3"]:
     """The equations, with `factor` times the forces."""
-    return _turn(walk(top, rods, factor, 1, ROD_STEPS).end[1])
+    return _turn(walk(top, rods, factor, ENDS, ROD_STEPS).end[1])
 
 
 class Checks(NamedTuple):
@@ -162,24 +165,45 @@ class Checks(NamedTuple):
 
 
 def checks_of(rods: LoadedInSpace, top: Top, factor: Scalar) -> Checks:
-    """Error and stability of a solution with `factor` times the forces.
+    """Error and stability of a solution with `factor` times the forces."""
+    nodes, weights = gauss(NODES)
+    share = np.concatenate([[0.0], nodes, [1.0]])
+    fine = walk(top, rods, factor, share, -(-2 * ROD_STEPS // (share.size - 1)))
+    coarse = walk(top, rods, factor, ENDS, ROD_STEPS)
+    apart = [a - b for a, b in zip(fine.end[0], coarse.end[0], strict=True)]
+    by_steps = jnp.max(jnp.abs(jnp.stack([*_turn(fine.end[1]), *apart])))
+    stretches = jnp.abs(jnp.diff(jnp.append(fine.s[:: share.size], 0.0)))
+    every = jnp.ravel(stretches[:, None] * np.concatenate([[0.0], weights, [0.0]]))
+    stable = positive_definite(second_variation(rods, fine, every))
+    return Checks(jnp.max(jnp.abs(_turn(coarse.end[1]))), by_steps, stable)
 
-    The rotations along the rod change with that at the top. An equilibrium under dead forces is stable if the
-    determinant of this change is positive everywhere (Jacobi's condition, as in the plane).
+
+def second_variation(rods: LoadedInSpace, found: Walk, weights: Float[Array, " points"]) -> Float[Array, "n n"]:
+    """Second variation of the energy on rotation fields that vanish at the base, integrated with these weights.
+
+    For a rotation field w, with D the stiffness in the fixed frame, it is the integral of
+
+        w'.D w' - m.(w x w') - (F.w)(t.w) + (F.t) w.w.
+
+    The determinant of the equations does not show whether a straight whisker buckles: two modes lose stability at once.
     """
+    top = found.s[0]
+    fields = jnp.stack(legendre_integrals(found.s / top, MODES)) * top
+    slopes = jnp.stack(jnp.broadcast_arrays(*legendre(found.s / top, MODES)))
+    force, tangent = jnp.stack(found.loads.force, axis=-1), jnp.stack(third_axis(found.states[1]), axis=-1)
+    moment = jnp.stack(found.loads.moment_at(found.states[0]), axis=-1)
+    flexible = jax.vmap(rods.section.compliance)(found.s)
+    bending = jnp.where(flexible > 0, 1 / jnp.where(flexible > 0, flexible, 1.0), 0.0)
+    excess = 0.0 if rods.section.excess is None else rods.section.excess
+    along = tangent[:, :, None] * tangent[:, None, :]
+    stiffness = bending[:, None, None] * (jnp.eye(3) - excess / (1 + excess) * along)
+    turning = jnp.cross(moment[:, None, :], jnp.eye(3)[None])  # m.(a x b) of the axes a and b
+    both = force[:, :, None] * tangent[:, None, :]
+    loading = jnp.sum(force * tangent, axis=-1)[:, None, None] * jnp.eye(3) - both
 
-    def refined(top):
-        found = walk(top, rods, factor, CHECKED, -(-2 * ROD_STEPS // (CHECKED - 1)))
-        rotations = jax.tree.map(jnp.append, found.states[1], found.end[1])
-        return jnp.stack(rotations), (rotations, found.end)
+    def form(a, matrix, b):
+        return jnp.einsum("p,ip,pab,jp->iajb", weights, a, matrix, b)
 
-    slope, (rotations, (r, q)) = jax.jacfwd(refined, has_aux=True)(top)
-
-    def turned(by: Float[Array, "4 points"]) -> Float[Array, "3 points"]:
-        return 2 * jnp.stack(product(tuple(by), inverse_rotation(rotations))[1:])
-
-    change = jnp.moveaxis(jax.vmap(turned, in_axes=-1, out_axes=-1)(slope), 1, 0)
-    coarse_r, coarse_q = walk(top, rods, factor, 1, ROD_STEPS).end
-    apart = [a - b for a, b in zip(r, coarse_r, strict=True)]
-    by_steps = jnp.max(jnp.abs(jnp.stack([*_turn(q), *apart])))
-    return Checks(jnp.max(jnp.abs(_turn(coarse_q))), by_steps, jnp.all(jnp.linalg.det(change) > 0))
+    total = form(slopes, stiffness, slopes) - form(fields, turning, slopes) + form(fields, loading, fields)
+    matrix = jnp.reshape(total, (3 * MODES, 3 * MODES))
+    return (matrix + matrix.T) / 2
