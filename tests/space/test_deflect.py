@@ -132,7 +132,7 @@ def test_a_straight_whisker_buckles_at_eulers_load(share, position, status):
 
 
 def parameters(p):
-    whisker = InSpace(p[0], Cone(p[1]), p[2], torsion_ratio=p[3], lateral_curvature=p[4], twist=p[5])
+    whisker = InSpace(p[0], p[1], p[2], torsion_ratio=p[3], lateral_curvature=p[4], twist=p[5])
     bent = jw.deflect(whisker, SpaceForce(p[6], 0.3, p[7], position=p[8]), points=3)
     return jnp.stack([bent.fz, bent.mx, bent.mz, bent.x[-1], bent.z[-1], bent.rotation[-1, 0, 0], bent.curvature[1, 2]])
 

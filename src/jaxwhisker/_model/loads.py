@@ -82,7 +82,7 @@ class SpaceForce(eqx.Module):
         >>> from jaxwhisker._model.loads import SpaceForce
         >>> bent = jw.deflect(jw.Whisker(), SpaceForce(-1.0, 0.0, 0.5))
         >>> print(f"x = {bent.x[-1]:.3f}, z = {bent.z[-1]:.3f}")
-        x = -0.297, z = 0.149
+        x = -0.295, z = 0.148
     """
 
     fx: Scalar

@@ -121,7 +121,7 @@ def deflect(
         whisker: the whisker.
         *loads: any number of PointForce, PointMoment and LineLoad, in any order; at least one without `gravity`. Their
             directions refer to the upright whisker at rest, also if it is mounted at an angle; a dead load keeps its
-            direction.
+            direction. With a SpaceForce, a clamped whisker bends in space, and all loads must be dead forces.
         support: support of one whisker, with the drive at (0, 0). Default: a clamp. Springs on the shaft grow from zero
             before the loads do. fx, fy and mz are then what the shaft carries at its base, as in a scan.
         gravity: acceleration along x and y, whose weight of the whisker's `mass_per_length` and `tip_mass` is added to
@@ -130,10 +130,11 @@ def deflect(
         points: number of points on each stretch between point loads, and between a load and the base; at least 2.
 
     Returns:
-        A Deflection. Its values are NaN with status `unstable` if the whisker loses its stability before the full load
-        is reached: it would snap, or buckle to either side. They are NaN with status `inexact` if the load is too large
-        for the steps of the rod (beyond a few hundred EI/L^2) or no equilibrium is found, and with status `invalid` if
-        a traced parameter is outside its domain or a traced load or spring is beyond the tip.
+        A Deflection, or a SpaceDeflection of a whisker that bends in space. Its values are NaN with status `unstable`
+        if the whisker loses its stability before the full load is reached: it would snap, or buckle to either side.
+        They are NaN with status `inexact` if the load is too large for the steps of the rod (beyond a few hundred
+        EI/L^2) or no equilibrium is found, and with status `invalid` if a traced parameter is outside its domain or a
+        traced load or spring is beyond the tip.
 
     Warns:
         UserWarning: if the steps of the rod do not resolve a concrete function of arc length; see `Whisker(breaks=)`.
@@ -174,18 +175,19 @@ def deflect(
         start = load.start if isinstance(load, LineLoad) else 0.0
         if not checks.is_traced((start, whisker)) and float(start) >= float(whisker.length):
             checks.fail("start", f"less than the length {whisker.length}", start)
-    if _in_space(whisker) or any(isinstance(load, SpaceForce) for load in loads):
+    given: Given = tuple(load for load in loads if not isinstance(load, SpaceForce))
+    if _in_space(whisker) or len(given) < len(loads):
         warn_of_whisker(whisker, ROD_STEPS)
         return deflect_in_space(whisker, loads, support, gravity, points)
     if gravity is not None:
         checks.pair("gravity", gravity)
         if whisker.mass_per_length is None:
             checks.fail("mass_per_length", "given for a whisker with a weight", "None")
-        loads = (*loads, *weight_of(whisker, gravity))
+        given = (*given, *weight_of(whisker, gravity))
     warn_of_whisker(whisker, ROD_STEPS)
-    whisker, loads, support = jax.tree.map(checks.as_float, (whisker, loads, support))
+    whisker, given, support = jax.tree.map(checks.as_float, (whisker, given, support))
     return Deflection(
-        **_deflect(whisker.without_masses(), loads, support, points), whisker=whisker, loads=loads, support=support
+        **_deflect(whisker.without_masses(), given, support, points), whisker=whisker, loads=given, support=support
     )
 
 

@@ -28,7 +28,8 @@ Forces = tuple[PointForce | SpaceForce, ...]
 class SpaceDeflection(eqx.Module):
     """A whisker deflected in space: support reaction, and its shape at arc lengths s from the base.
 
-    Values are in the units of the whisker. All of them are NaN unless `status` is `Status.ok`.
+    Values are in the units of the whisker. All of them are NaN unless `status` is `Status.ok`. In the plane, the
+    curvature about d2 is the opposite of that of a Deflection, since d2 points along -z.
 
     Examples:
         >>> from jaxwhisker._model.loads import SpaceForce

@@ -89,7 +89,7 @@ def loaded_in_space(whisker: Whisker, loads: tuple[PointForce | SpaceForce, ...]
     table = table[jnp.argsort(-table[:, 3])]
     section, zero = space_section(whisker, length, stiffness), jnp.zeros(())
     free_beyond = all(load.position is not None for load in loads)
-    start = (zero, zero, zero), tuple(jnp.asarray(part) for part in CLAMP)
+    start = (zero, zero, zero), CLAMP
     nothing = SpaceLoad((zero, zero, zero))
     top = jnp.ones(()) if free_beyond else table[0, 3]
     _, unbent = integrate(start, -top, nothing, section, steps=ROD_STEPS, from_base=zero)
