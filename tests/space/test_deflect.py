@@ -148,6 +148,27 @@ def test_derivatives_in_both_modes():
     np.testing.assert_allclose(reverse @ way, weights @ forward, rtol=ROUNDING)
 
 
+def test_a_strong_force_bends_the_whisker_in_one_direction():
+    for load in (50.0, 150.0):
+        bent = jw.deflect(jw.Whisker(), SpaceForce(-load, 0.3 * load, load / 2))
+        assert bent.status == jw.Status.ok
+        along = bent.rotation[:, :, 2] @ np.array([-1.0, 0.3, 0.5])
+        assert np.all(np.diff(along) > 0)  # the tangent turns towards the force, all the way
+
+
+def test_a_batch_with_an_unstable_whisker():
+    loads = jnp.array([-1.0, -3.0, 2.0])
+
+    def bent(load):
+        result = jw.deflect(jw.Whisker(), SpaceForce(0.0, load, 0.0), SpaceForce(0.0, 0.0, 0.0, 0.5), points=3)
+        return result.status, result.z
+
+    status, z = jax.jit(jax.vmap(bent))(loads)
+    assert status.tolist() == [jw.Status.ok, jw.Status.unstable, jw.Status.ok]
+    for k, load in enumerate(loads):
+        np.testing.assert_allclose(z[k], bent(load)[1], atol=ROUNDING)
+
+
 def test_traced_values_outside_their_domain_are_invalid():
     @jax.jit
     def status(position):
