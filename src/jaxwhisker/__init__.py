@@ -14,12 +14,12 @@ from jaxwhisker._inverse.information import Information, design, information
 from jaxwhisker._inverse.points import PointStatus, Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus
-from jaxwhisker._model.along import Polynomial, Table
+from jaxwhisker._model.along import ParabolicShape, Polynomial, Table
 from jaxwhisker._model.conic import Circle, Ellipse, Parabola
 from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.cut import Cut
 from jaxwhisker._model.foundation import Foundation
-from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment
+from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce
 from jaxwhisker._model.motion import AbstractMotion, Motion, Mount, Rotation, Translation
 from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from jaxwhisker._model.solids import Extruded, Revolved, Surface
     from jaxwhisker._model.space_scene import SpaceScene
     from jaxwhisker._scan.space_result import SpaceResult, SpaceState
+    from jaxwhisker._space.deflect import SpaceDeflection
 
 __all__ = [
     "AbstractMotion",
@@ -88,6 +89,7 @@ __all__ = [
     "Motion",
     "Mount",
     "Parabola",
+    "ParabolicShape",
     "Paraboloid",
     "Phase",
     "PointForce",
@@ -107,6 +109,8 @@ __all__ = [
     "Shapes",
     "Shooting",
     "Simulation",
+    "SpaceDeflection",
+    "SpaceForce",
     "SpaceResult",
     "SpaceScene",
     "SpaceState",
@@ -161,6 +165,7 @@ _LATER = {
     "_model.space_scene": ("SpaceScene",),
     "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
     "_scan.space_result": ("SpaceResult", "SpaceState"),
+    "_space.deflect": ("SpaceDeflection",),
 }
 _MODULE_OF = {name: module for module, names in _LATER.items() for name in names}
 

@@ -238,11 +238,11 @@ def test_shapes_have_points_on_each_stretch():
         (lambda: jw.deflect("whisker", jw.PointForce(1.0)), "`whisker` must be a Whisker, got 'whisker'"),  # pyright: ignore[reportArgumentType]
         (
             lambda: jw.deflect(jw.Whisker()),
-            r"`loads` must be one or more of PointForce, PointMoment and LineLoad, got \(\)",
+            r"`loads` must be one or more of PointForce, PointMoment, LineLoad and SpaceForce, got \(\)",
         ),
         (
             lambda: jw.deflect(jw.Whisker(), 3.0),  # pyright: ignore[reportArgumentType]
-            "`loads` must be one or more of PointForce, PointMoment and LineLoad, got",
+            "`loads` must be one or more of PointForce, PointMoment, LineLoad and SpaceForce, got",
         ),  # pyright: ignore[reportArgumentType]
         (
             lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0, 1.5)),
@@ -350,3 +350,12 @@ def test_failed_batch_elements_have_no_derivative():
     # A batch of valid loads only has the same mean.
     _, _, alone = gradient(jnp.tile(forces[4:], 3), jnp.tile(positions[4:], 3), 1.0)
     np.testing.assert_allclose(by_stiffness, alone, rtol=MODES)
+
+
+@pytest.mark.parametrize("load", [50.0, 80.0, 150.0])
+def test_a_strong_force_bends_the_whisker_in_one_direction(load):
+    """Near such a solution are others, whose curvature changes sign."""
+    bent = jw.deflect(jw.Whisker(), jw.PointForce(load, direction=np.pi - 0.3))
+    assert bent.status == jw.Status.ok
+    assert np.all(bent.curvature > -1e-9)
+    assert np.pi / 2 < bent.angle[-1] < np.pi - 0.3

@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -200,7 +200,7 @@ class _Problem(NamedTuple):
         def one(_, conditions):
             whisker, *loads = test.build(**values, **conditions)
             support = loads.pop() if loads and isinstance(loads[-1], Support) else CLAMP
-            return deflect(whisker, *loads, support=support)
+            return cast(Deflection, deflect(whisker, *loads, support=support))
 
         conditions = {name: jnp.asarray(values[test.first]) for name, values in test.conditions.items()}
         return jax.vmap(one)(jnp.arange(test.first.size), conditions)

@@ -66,6 +66,37 @@ class PointMoment(eqx.Module):
             checks.number("position", self.position, positive=True)
 
 
+class SpaceForce(eqx.Module):
+    """A force in space at one point of the whisker, which keeps its direction.
+
+    Args:
+        fx: force along x (in EI/L^2 with the default whisker).
+        fy: force along y, likewise.
+        fz: force along z, out of the plane, likewise.
+        position: arc length from the base to the point, a length; positive. Default: the tip.
+
+    Raises:
+        ValueError: if a value is not a finite number, or the position is not positive.
+
+    Examples:
+        >>> from jaxwhisker._model.loads import SpaceForce
+        >>> bent = jw.deflect(jw.Whisker(), SpaceForce(-1.0, 0.0, 0.5))
+        >>> print(f"x = {bent.x[-1]:.3f}, z = {bent.z[-1]:.3f}")
+        x = -0.295, z = 0.148
+    """
+
+    fx: Scalar
+    fy: Scalar
+    fz: Scalar
+    position: Scalar | None = None
+
+    def __check_init__(self):
+        for name in ("fx", "fy", "fz"):
+            checks.number(name, getattr(self, name))
+        if self.position is not None:
+            checks.number("position", self.position, positive=True)
+
+
 class LineLoad(eqx.Module):
     """A force per length that keeps its direction, along the whisker or a part of it.
 

@@ -1,6 +1,6 @@
 """Deflection of one whisker under given loads: forces and moments at points along it, and forces per length."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import equinox as eqx
 import jax
@@ -11,18 +11,21 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.leaves import safe_placeholder
+from jaxwhisker._base.load_path import follow
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment
+from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce
 from jaxwhisker._model.scene import check_in_plane
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.applied_loads import Given, weight_of
-from jaxwhisker._scan.load_path import follow
 from jaxwhisker._scan.loaded_rod import ROD_STEPS, LoadedRod, bent, checks_of, loaded_rod, misfit
 from jaxwhisker._scan.resolution import warn_of_whisker
+
+if TYPE_CHECKING:
+    from jaxwhisker._space.deflect import SpaceDeflection
 
 ACCURACY = 1e-8  # largest accepted error of the base's angle and position, by comparison with twice as many steps
 UNEVEN_ACCURACY = 1e-4  # of whiskers with functions of arc length: a warning tells where steps do not resolve these
@@ -105,14 +108,24 @@ def _solution(whisker: Whisker, loads: Given, support: Support) -> tuple[Array, 
     return solved.unknowns, jnp.where(valid, status, Status.invalid)
 
 
-@with_own_settings
+@overload
 def deflect(
     whisker: Whisker,
     *loads: PointForce | PointMoment | LineLoad,
     support: Support = CLAMP,
     gravity: tuple[Scalar, Scalar] | None = None,
     points: int = 101,
-) -> Deflection:
+) -> Deflection: ...
+@overload
+def deflect(whisker: Whisker, *loads: PointForce | SpaceForce, points: int = 101) -> "SpaceDeflection": ...
+@with_own_settings
+def deflect(
+    whisker: Whisker,
+    *loads: PointForce | PointMoment | LineLoad | SpaceForce,
+    support: Support = CLAMP,
+    gravity: tuple[Scalar, Scalar] | None = None,
+    points: int = 101,
+) -> Any:
     """Reaction and shape of a whisker under given loads, clamped at (0, 0) along +y or on a support.
 
     All loads are increased together from zero, and the solution is the one that begins at rest.
@@ -121,7 +134,7 @@ def deflect(
         whisker: the whisker.
         *loads: any number of PointForce, PointMoment and LineLoad, in any order; at least one without `gravity`. Their
             directions refer to the upright whisker at rest, also if it is mounted at an angle; a dead load keeps its
-            direction.
+            direction. With a SpaceForce, a clamped whisker bends in space, and all loads must be dead forces.
         support: support of one whisker, with the drive at (0, 0). Default: a clamp. Springs on the shaft grow from zero
             before the loads do. fx, fy and mz are then what the shaft carries at its base, as in a scan.
         gravity: acceleration along x and y, whose weight of the whisker's `mass_per_length` and `tip_mass` is added to
@@ -130,10 +143,11 @@ def deflect(
         points: number of points on each stretch between point loads, and between a load and the base; at least 2.
 
     Returns:
-        A Deflection. Its values are NaN with status `unstable` if the whisker loses its stability before the full load
-        is reached: it would snap, or buckle to either side. They are NaN with status `inexact` if the load is too large
-        for the steps of the rod (beyond a few hundred EI/L^2) or no equilibrium is found, and with status `invalid` if
-        a traced parameter is outside its domain or a traced load or spring is beyond the tip.
+        A Deflection, or a SpaceDeflection of a whisker that bends in space. Its values are NaN with status `unstable`
+        if the whisker loses its stability before the full load is reached: it would snap, or buckle to either side.
+        They are NaN with status `inexact` if the load is too large for the steps of the rod (beyond a few hundred
+        EI/L^2) or no equilibrium is found, and with status `invalid` if a traced parameter is outside its domain or a
+        traced load or spring is beyond the tip.
 
     Warns:
         UserWarning: if the steps of the rod do not resolve a concrete function of arc length; see `Whisker(breaks=)`.
@@ -154,11 +168,11 @@ def deflect(
     """
     checks.float64_mode()
     checks.instance("whisker", whisker, Whisker, "a Whisker")
-    if not all(isinstance(load, PointForce | PointMoment | LineLoad) for load in loads) or not (loads or gravity):
-        checks.fail("loads", "one or more of PointForce, PointMoment and LineLoad", repr(loads))
+    kinds = PointForce | PointMoment | LineLoad | SpaceForce
+    if not all(isinstance(load, kinds) for load in loads) or not (loads or gravity):
+        checks.fail("loads", "one or more of PointForce, PointMoment, LineLoad and SpaceForce", repr(loads))
     if not isinstance(support, Support) or support.whiskers != 1:
         checks.fail("support", "a Support of one whisker", repr(support))
-    check_in_plane((whisker,), support)
     checks.count("points", points, least=2)
     support = support.in_row(whisker.length)
     for name, _, place in support.attachments():
@@ -174,15 +188,22 @@ def deflect(
         start = load.start if isinstance(load, LineLoad) else 0.0
         if not checks.is_traced((start, whisker)) and float(start) >= float(whisker.length):
             checks.fail("start", f"less than the length {whisker.length}", start)
+    given: Given = tuple(load for load in loads if not isinstance(load, SpaceForce))
+    if whisker.needs_space or len(given) < len(loads):
+        from jaxwhisker._space.deflect import deflect_in_space
+
+        warn_of_whisker(whisker, ROD_STEPS)
+        return deflect_in_space(whisker, loads, support, gravity, points)
+    check_in_plane((whisker,), support)
     if gravity is not None:
         checks.pair("gravity", gravity)
         if whisker.mass_per_length is None:
             checks.fail("mass_per_length", "given for a whisker with a weight", "None")
-        loads = (*loads, *weight_of(whisker, gravity))
+        given = (*given, *weight_of(whisker, gravity))
     warn_of_whisker(whisker, ROD_STEPS)
-    whisker, loads, support = jax.tree.map(checks.as_float, (whisker, loads, support))
+    whisker, given, support = jax.tree.map(checks.as_float, (whisker, given, support))
     return Deflection(
-        **_deflect(whisker.without_masses(), loads, support, points), whisker=whisker, loads=loads, support=support
+        **_deflect(whisker.without_masses(), given, support, points), whisker=whisker, loads=given, support=support
     )
 
 

@@ -1,1 +1,1 @@
-"""Scans in space: contact, equilibrium and path of whiskers on surfaces."""
+"""Whiskers in space: contact with surfaces, equilibria and their path; deflections under given loads."""

@@ -8,6 +8,7 @@ the printed values; those without a value are not recorded.
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from jaxwhisker._model.loads import PointForce
 from jaxwhisker._model.whisker import Whisker
@@ -61,10 +62,12 @@ TABLES = {
 
 def bend(table: Table) -> dict[str, Deflection]:
     """Deflections under every load of the table, by label."""
-    return {
-        load.label: deflect(Whisker(), PointForce(load.force, position=load.position, follower=table.follower))
-        for load in table.loads
-    }
+
+    def one(load: PrintedLoad) -> Deflection:
+        force = PointForce(load.force, position=load.position, follower=table.follower)
+        return cast(Deflection, deflect(Whisker(), force))
+
+    return {load.label: one(load) for load in table.loads}
 
 
 def table_rows(table: Table) -> list[list[str]]:

@@ -26,6 +26,7 @@ GROWTH, REDUCTION = 2.0, 0.25  # of the next step, after a good one and after on
 CORRECTIONS = 5  # evaluations per step
 CONVERGED = 1e-8  # last correction
 NEAR = 0.1  # largest correction of an accepted step, relative to its length
+MISSED = 0.3  # largest residual at the predicted end of an accepted step, where others are near under a large load
 STRAIGHT = 0.97  # least cosine of the angle by which the tangent turns
 VANISHES = (
     1e-2  # size of the determinant next to a loss of stability, where it is zero; it is 1 without springs and loads
@@ -80,15 +81,15 @@ def follow(
             at, *_ = carry
             slope, value = jax.jacfwd(evaluate, has_aux=True)(at)
             change = -solved(slope, row, jnp.append(value, row @ (at - predicted)))
-            return (at + change, jnp.max(jnp.abs(change)), slope), None
+            return (at + change, jnp.max(jnp.abs(change)), slope), jnp.max(jnp.abs(value))
 
         carry = predicted, jnp.asarray(0.0), jnp.zeros((start.size, start.size + 1))
-        (at, change, slope), _ = jax.lax.scan(correct, carry, length=CORRECTIONS)
+        (at, change, slope), missed = jax.lax.scan(correct, carry, length=CORRECTIONS)
         tangent = solved(slope, curve.tangent, along_load)
         tangent /= jnp.sqrt(jnp.sum(tangent**2))
         apart = jnp.sqrt(jnp.sum((at - predicted) ** 2))
         solution = change < CONVERGED
-        near = solution & (apart <= NEAR * length) & (tangent @ curve.tangent > STRAIGHT)
+        near = solution & (apart <= NEAR * length) & (tangent @ curve.tangent > STRAIGHT) & (missed[0] < MISSED)
         determinant = jnp.linalg.det(slope[:, :-1])
         stable = determinant > 0
         accepted = stable & (near | (begins & solution))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from jaxwhisker._scan.load_path import SHORTEST, follow
+from jaxwhisker._base.load_path import SHORTEST, follow
 
 SOLVED = 1e-12
 NEAR = 1e-3  # a limit point is approached with the square root of the distance in load

@@ -1,0 +1,209 @@
+"""The equilibrium of one clamped whisker under dead forces in space.
+
+The rod is integrated from its top past all forces to the base. The top is the tip, or the outermost force if the
+whisker is free beyond it. Only differences of positions enter the moments. The rotation at the top is therefore the
+only unknown, and the rotation of the base the only equation.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.linear_algebra import positive_definite
+from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
+from jaxwhisker._base.rotations import (
+    Quaternion,
+    Vector,
+    cross,
+    inverse_rotation,
+    plus,
+    product,
+    small_rotation,
+    third_axis,
+)
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.loads import PointForce, SpaceForce
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod.rod import AlongRod
+from jaxwhisker._rod.space import SpaceLoad, SpaceSection, SpaceState, integrate
+
+ROD_STEPS = 32  # of the rod between two forces
+NODES, MODES = 12, 8  # quadrature points on a stretch and polynomials for each axis, with which stability is checked
+ENDS = np.zeros(1)  # fractions of stretches at which a walk stops: at the forces only
+LEAST_LOAD = 1e-3  # added to the size of loads, which may vanish
+HALF = float(np.sqrt(0.5))
+CLAMP: Quaternion = (HALF, -HALF, 0.0, 0.0)  # d1 = x, d2 = -z, d3 = y
+
+Top = Float[Array, "3"]  # rotation vector of the whisker at its top, from its direction without loads
+
+
+class _Opposite(eqx.Module):
+    value: Callable
+
+    def __call__(self, s: Scalar) -> Scalar:
+        return -self.value(s)
+
+
+def space_section(whisker: Whisker, length_unit: Scalar, stiffness_unit: Scalar) -> SpaceSection:
+    """Stiffness and curvature along a whisker, in these units of length and EI."""
+    # A curvature in the plane is positive counter-clockwise, and d2 points along -z.
+    bow: AlongRod | None = whisker.intrinsic_curvature
+    bow = None if bow is None else _Opposite(bow) if callable(bow) else -bow
+    ratio, lateral, twist = (getattr(whisker, name, None) for name in ("torsion_ratio", "lateral_curvature", "twist"))
+    breaks = None if whisker.breaks is None else jnp.asarray(whisker.breaks)
+    return SpaceSection(whisker.bending_stiffness, ratio, (lateral, bow, twist), length_unit, stiffness_unit, breaks)
+
+
+class LoadedInSpace(eqx.Module):
+    """The dimensionless equations of one whisker and its forces."""
+
+    force: Float[Array, "forces 3"]  # from the tip to the base
+    position: Float[Array, " forces"]
+    section: SpaceSection
+    unbent: Float[Array, "4"]  # rotation at the top without loads
+    free_beyond: bool = eqx.field(static=True)  # whether the whisker goes on beyond the outermost force
+
+    @property
+    def load(self) -> Float[Array, ""]:
+        """Size of all forces together, positive."""
+        return jnp.sum(jnp.abs(self.force)) + LEAST_LOAD
+
+
+def loaded_in_space(whisker: Whisker, loads: tuple[PointForce | SpaceForce, ...]) -> LoadedInSpace:
+    """The equations of a whisker and its dead forces."""
+    length, stiffness = whisker.length, whisker.base_stiffness
+    rows = []
+    for load in loads:
+        if isinstance(load, PointForce):
+            force = [load.force * jnp.cos(load.direction), load.force * jnp.sin(load.direction), 0.0]
+        else:
+            force = [load.fx, load.fy, load.fz]
+        place = 1.0 if load.position is None else load.position / length
+        rows.append(jnp.array([*(part * length**2 / stiffness for part in force), place], dtype=float))
+    table = jnp.stack(rows)
+    table = table[jnp.argsort(-table[:, 3])]
+    section, zero = space_section(whisker, length, stiffness), jnp.zeros(())
+    free_beyond = all(load.position is not None for load in loads)
+    start = (zero, zero, zero), CLAMP
+    nothing = SpaceLoad((zero, zero, zero))
+    top = jnp.ones(()) if free_beyond else table[0, 3]
+    _, unbent = integrate(start, -top, nothing, section, steps=ROD_STEPS, from_base=zero)
+    return LoadedInSpace(table[:, :3], table[:, 3], section, jnp.stack(unbent), free_beyond)
+
+
+def _rotation(vector: Top) -> Quaternion:
+    """The rotation about a vector by its length, up to a whole turn."""
+    x, y, z = vector / 8
+    q = small_rotation((x, y, z))
+    for _ in range(3):
+        q = product(q, q)
+    return q
+
+
+class Walk(NamedTuple):
+    """States along the whisker from its top on, and its end at the base."""
+
+    s: Float[Array, " points"]
+    states: SpaceState
+    loads: SpaceLoad
+    end: SpaceState
+    load: SpaceLoad
+
+
+def walk(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, steps: int) -> Walk:
+    """From the top to the base, with `factor` times the forces.
+
+    Args:
+        top: the unknowns.
+        rods: see LoadedInSpace.
+        factor: of the forces.
+        share: points on each stretch between forces as fractions of the stretch; the first one is 0.
+        steps: of the rod between two points.
+    """
+    ends, added = jnp.append(rods.position, 0.0), rods.force
+    if rods.free_beyond:
+        ends, added = jnp.concatenate([jnp.ones(1), ends]), jnp.concatenate([jnp.zeros((1, 3)), added])
+    s = jnp.ravel(jnp.where(share == 1, ends[1:, None], ends[:-1, None] + jnp.diff(ends)[:, None] * share))
+    force = jnp.zeros((s.size, 3)).at[:: share.size].set(factor * added)
+
+    def piece(carry, place):
+        (state, load), (start, stop, force) = carry, place
+        own: Vector = (force[0], force[1], force[2])
+        load = SpaceLoad(plus(load.force, own), plus(load.moment, cross(state[0], own)))
+        end = integrate(state, start - stop, load, rods.section, steps=steps, from_base=start)
+        return (end, load), (state, load)
+
+    w, x, y, z = rods.unbent
+    zero = jnp.zeros(())
+    still = zero, zero, zero
+    start = (still, product(_rotation(top), (w, x, y, z))), SpaceLoad(still, still)
+    (end, load), (states, loads) = jax.lax.scan(piece, start, (s, jnp.append(s[1:], 0.0), force))
+    return Walk(s, states, loads, end, load)
+
+
+def _turn(q: Quaternion) -> Float[Array, "3"]:
+    """Rotation from the clamp; its derivatives at zero are those of the rotation vector."""
+    return 2 * jnp.stack(product(q, inverse_rotation(CLAMP))[1:])
+
+
+def misfit(top: Top, rods: LoadedInSpace, factor: Scalar = 1.0) -> Float[Array, "3"]:
+    """The equations, with `factor` times the forces."""
+    return _turn(walk(top, rods, factor, ENDS, ROD_STEPS).end[1])
+
+
+class Checks(NamedTuple):
+    """What is known of a solution."""
+
+    residual: Float[Array, ""]
+    by_steps: Float[Array, ""]  # residual and change of the base's position with twice as many steps
+    stable: Bool[Array, ""]
+
+
+def checks_of(rods: LoadedInSpace, top: Top, factor: Scalar) -> Checks:
+    """Error and stability of a solution with `factor` times the forces."""
+    nodes, weights = gauss(NODES)
+    share = np.concatenate([[0.0], nodes, [1.0]])
+    fine = walk(top, rods, factor, share, -(-2 * ROD_STEPS // (share.size - 1)))
+    coarse = walk(top, rods, factor, ENDS, ROD_STEPS)
+    apart = [a - b for a, b in zip(fine.end[0], coarse.end[0], strict=True)]
+    by_steps = jnp.max(jnp.abs(jnp.stack([*_turn(fine.end[1]), *apart])))
+    stretches = jnp.abs(jnp.diff(jnp.append(fine.s[:: share.size], 0.0)))
+    every = jnp.ravel(stretches[:, None] * np.concatenate([[0.0], weights, [0.0]]))
+    stable = positive_definite(second_variation(rods, fine, every))
+    return Checks(jnp.max(jnp.abs(_turn(coarse.end[1]))), by_steps, stable)
+
+
+def second_variation(rods: LoadedInSpace, found: Walk, weights: Float[Array, " points"]) -> Float[Array, "n n"]:
+    """Second variation of the energy on rotation fields that vanish at the base, integrated with these weights.
+
+    For a rotation field w, with D the stiffness in the fixed frame, it is the integral of
+
+        w'.D w' - m.(w x w') - (F.w)(t.w) + (F.t) w.w.
+
+    The determinant of the equations does not show whether a straight whisker buckles: two modes lose stability at once.
+    """
+    top = found.s[0]
+    fields = jnp.stack(legendre_integrals(found.s / top, MODES)) * top
+    slopes = jnp.stack(jnp.broadcast_arrays(*legendre(found.s / top, MODES)))
+    force, tangent = jnp.stack(found.loads.force, axis=-1), jnp.stack(third_axis(found.states[1]), axis=-1)
+    moment = jnp.stack(found.loads.moment_at(found.states[0]), axis=-1)
+    flexible = jax.vmap(rods.section.compliance)(found.s)
+    bending = jnp.where(flexible > 0, 1 / jnp.where(flexible > 0, flexible, 1.0), 0.0)
+    excess = 0.0 if rods.section.excess is None else rods.section.excess
+    along = tangent[:, :, None] * tangent[:, None, :]
+    stiffness = bending[:, None, None] * (jnp.eye(3) - excess / (1 + excess) * along)
+    turning = jnp.cross(moment[:, None, :], jnp.eye(3)[None])  # m.(a x b) of the axes a and b
+    both = force[:, :, None] * tangent[:, None, :]
+    loading = jnp.sum(force * tangent, axis=-1)[:, None, None] * jnp.eye(3) - both
+
+    def form(a, matrix, b):
+        return jnp.einsum("p,ip,pab,jp->iajb", weights, a, matrix, b)
+
+    total = form(slopes, stiffness, slopes) - form(fields, turning, slopes) + form(fields, loading, fields)
+    matrix = jnp.reshape(total, (3 * MODES, 3 * MODES))
+    return (matrix + matrix.T) / 2
