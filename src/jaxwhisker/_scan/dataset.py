@@ -56,8 +56,8 @@ SIGNS = (
     "support exerts on the whisker at its base"
 )
 SIGNS_IN_SPACE = (
-    "x along the scan, y up, z = x cross y; fx, fy, fz and mx, my, mz (right-handed, about the displaced base) are what "
-    "the support exerts on the whisker"
+    "x along the scan, y up, z = x cross y; fx, fy, fz and mx, my, mz (right-handed, about the displaced base) are "
+    "what the support exerts on the whisker"
 )
 
 

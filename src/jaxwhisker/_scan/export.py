@@ -118,8 +118,8 @@ def to_dataframe(result: Any) -> "pd.DataFrame":
     Columns of a scan: control; fx_1, fy_1, mz_1, base_x_1, base_y_1, base_angle_1, contact_force_1, contact_slope_1,
     contact_arc_1, contact_x_1, contact_y_1 and the same for further whiskers; spring_1, ...; phase_1, ... (0 free,
     1 tip, 2 tangential); status (0 ok); with friction, also slip_1, ..., normal_force_1, ..., friction_force_1, ...;
-    with several objects, also contact_object_1, ... A simulation has the column time before control, and gap_1, tip_x_1
-    and tip_y_1. Failed steps are NaN. `identify` and `reconstruct` read such tables.
+    with several objects, also contact_object_1, ... A simulation has the column time before control, and gap_1,
+    tip_x_1 and tip_y_1. Failed steps are NaN. `identify` and `reconstruct` read such tables.
 
     A scan in space has no angles base_angle_1 and contact_slope_1, but also fz_1, mx_1, my_1, base_z_1, contact_z_1, and
     the directors of the base: base_rotation_1_x_d1, the component of d1 along x, to base_rotation_1_z_d3.
@@ -129,8 +129,8 @@ def to_dataframe(result: Any) -> "pd.DataFrame":
     positions of the main ones. A deflection has one row for each point: s, x, y, angle and curvature.
 
     Args:
-        result: the Result or SpaceResult of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary` or
-            `Result.to_xarray`.
+        result: the Result or SpaceResult of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary`
+            or `Result.to_xarray`.
 
     Raises:
         ValueError: if `result` is none of these, or a batch.
@@ -151,8 +151,8 @@ def to_csv(result: Any, path: str | Path) -> None:
     of scans and simulations.
 
     Args:
-        result: the Result or SpaceResult of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary` or
-            `Result.to_xarray`.
+        result: the Result or SpaceResult of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary`
+            or `Result.to_xarray`.
         path: path of the file; an existing file is overwritten.
 
     Raises:
