@@ -3,13 +3,12 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from space_laws import UPRIGHT, Plain, Surface, _hat
 
 import jaxwhisker as jw
+from space_laws import UPRIGHT, Plain, Surface, _hat
 
 
 class Cone(eqx.Module):
@@ -68,7 +67,9 @@ def unloaded(curvature, taper=0.0, arcs=None):
         d = y[3:].reshape(3, 3)
         return np.concatenate([d[:, 2], (d @ _hat(curvature)).ravel()])
 
-    y = solve_ivp(slope, (0.0, 1.0), np.concatenate([np.zeros(3), UPRIGHT.ravel()]), rtol=1e-10, atol=1e-12, t_eval=arcs).y
+    y = solve_ivp(
+        slope, (0.0, 1.0), np.concatenate([np.zeros(3), UPRIGHT.ravel()]), rtol=1e-10, atol=1e-12, t_eval=arcs
+    ).y
     return y[:3].T, y[3:].T.reshape(-1, 3, 3)
 
 
@@ -179,7 +180,9 @@ def _tried(rod, base, drive, rng):
         springs += [jw.Spring((0, 1), float(c), axis=a) for c, a in zip(linear, "xyz", strict=True)]
     if base == "tilting":
         tilting = np.exp(rng.uniform(np.log(3), np.log(100), 3))
-        springs += [jw.Spring((0, 1), float(c), axis=a) for c, a in zip(tilting, ("phi_x", "phi_y", "phi"), strict=True)]
+        springs += [
+            jw.Spring((0, 1), float(c), axis=a) for c, a in zip(tilting, ("phi_x", "phi_y", "phi"), strict=True)
+        ]
     for spring in springs:
         assert spring.rest_length is None or True
     scene = jw.Scene(

@@ -12,7 +12,8 @@ import xarray as xr
 from distributed import Client, LocalCluster
 
 import jaxwhisker as jw
-from jaxwhisker._scan.scan import STEP, default_control
+from jaxwhisker._scan.route import STEP
+from jaxwhisker._scan.scan import default_control
 from jaxwhisker._study.compute import Job, common_control, compute_in_worker, key_of
 from jaxwhisker._study.parameters import parameters_of
 from study_child import AXES, CONTROL

@@ -79,10 +79,17 @@ def fail(name: str, allowed: str, got: Any) -> NoReturn:
     raise ValueError(f"`{name}` must be {allowed}, got {got}.")
 
 
-def instance(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str) -> None:
-    """Check that `value` is an instance of `kinds`; the error message describes these as `allowed`."""
-    if not isinstance(value, kinds):
-        fail(name, allowed, repr(value))
+def instance(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str, *, verb: str = "be") -> None:
+    """Check that `value` is an instance of `kinds`; the error message describes these as `allowed`.
+
+    The message about a scene, state or result in space where only those in the plane are allowed says so.
+    """
+    if isinstance(value, kinds):
+        return
+    in_space = getattr(value, "in_space", False)
+    allowed += " in the plane, because scans in space are not supported here" * in_space
+    got = f"a {type(value).__name__}" if in_space else repr(value)  # a result would print its events
+    raise ValueError(f"`{name}` must {verb} {allowed}, got {got}.")
 
 
 def _numbers(value: Any) -> Any:

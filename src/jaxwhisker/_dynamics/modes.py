@@ -122,8 +122,8 @@ def modes(
         3.5160, 22.0345, 61.6972
     """
     checks.float64_mode()
-    if not isinstance(at, Whisker | Sensor | Scene | Deflection | Result):
-        checks.fail("at", "a Whisker, Sensor, Scene, Deflection or Result", repr(at))
+    kinds = Whisker, Sensor, Scene, Deflection, Result
+    checks.instance("at", at, kinds, "a Whisker, Sensor, Scene, Deflection or Result")
     checks.count("count", count)
     if count > MOST:
         checks.fail("count", f"at most {MOST}", count)

@@ -125,7 +125,7 @@ def _arrays(picture: Picture, units: UnitSystem) -> dict[str, Any]:
     arrays: dict[str, Any] = {
         name: units.shown(name, getattr(result, name)).astype(quantity(name).dtype)
         for name in ("control", *STATE, "status")
-        if getattr(result, name) is not None
+        if getattr(result, name, None) is not None
     }
     arrays |= {"drive_x": drive.x / length, "drive_y": drive.y / length, "drive_angle": drive.angle}
     if len(objects_of(result.scene)) == 1:

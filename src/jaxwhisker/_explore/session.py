@@ -114,8 +114,7 @@ class Session:
         """What `build` makes of values."""
         checks.arguments("ranges", self._build, list(values))
         built = self._build(**values)
-        if not isinstance(built, Scene | Simulation):
-            raise ValueError(f"`build` must return a Scene or a Simulation, got {built!r}.")
+        checks.instance("build", built, (Scene, Simulation), "a Scene or a Simulation", verb="return")
         return built
 
     def _checked(self, values: Any) -> dict[str, float]:

@@ -28,7 +28,7 @@ from jaxwhisker._inverse.recording import check_recording
 from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour, check_slopes
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.scene import Scene, Sensor
+from jaxwhisker._model.scene import AbstractScene, Scene, Sensor
 from jaxwhisker._scan.quantities import REACTIONS
 
 GRID = 0.05  # rad, to which outermost knots are rounded: similar contours share compiled code
@@ -143,7 +143,7 @@ def fit_contour(
         slopes, count = None, knots
     else:
         slopes, count = check_slopes("knots", knots), len(knots)
-    if isinstance(sensor, (Sensor, Scene)):
+    if isinstance(sensor, (Sensor, AbstractScene)):
         sensor = _ConstantSensor(jax.tree.map(float, sensor_of(sensor)))
     checks.arguments("parameters", sensor, list(values), called="sensor")
     known = sensor_of(sensor(**values))

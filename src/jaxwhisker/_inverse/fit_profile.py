@@ -214,10 +214,9 @@ def _points_table(points: Any, significance: float) -> dict[str, Any]:
         return table | {"covariance": noise if np.isfinite(noise).all(axis=(1, 2)).any() else None}
     if isinstance(points, Mapping) and {"x", "y"} <= set(points) <= {"x", "y", "slope", "covariance", "sigma"}:
         return {name: np.asarray(value, dtype=float) for name, value in points.items() if value is not None}
-    raise ValueError(
-        "`points` must be a Reconstruction or a mapping with x, y and optionally slope, covariance or sigma, got "
-        f"{sorted(points) if isinstance(points, Mapping) else repr(points)}."
-    )
+    allowed = "a Reconstruction or a mapping with x, y and optionally slope, covariance or sigma"
+    checks.instance("points", points, Mapping, allowed)
+    checks.fail("points", allowed, sorted(points))
 
 
 def _noise_of(table: Mapping[str, Any], size: int) -> np.ndarray | None:

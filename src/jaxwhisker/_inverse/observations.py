@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._scan.quantities import MOTION, QUANTITIES, REACTIONS
 from jaxwhisker._scan.result import Result
 
@@ -170,12 +171,9 @@ def named_values(data: Any, kinds: tuple[str, ...]) -> dict[str, Any]:
     if hasattr(data, "columns"):  # a DataFrame
         data = data.reset_index() if data.index.name in ("control", *kinds) else data
         return {str(name): data[name] for name in data.columns}
-    if isinstance(data, Mapping):
-        return {str(name): values for name, values in data.items()}
-    raise ValueError(
-        "`measured` must be a mapping of arrays, a Result, a Dataset, a DataFrame or the path of a CSV file, got "
-        f"{data!r}."
-    )
+    allowed = "a mapping of arrays, a Result, a Dataset, a DataFrame or the path of a CSV file"
+    checks.instance("measured", data, Mapping, allowed)
+    return {str(name): values for name, values in data.items()}
 
 
 def _table_of_dataset(data: Any) -> dict[str, Any]:

@@ -197,8 +197,7 @@ def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Scene
     """
     checks.arguments(argument, build, list(values))
     scene = build(**values)
-    if not isinstance(scene, Scene):
-        raise ValueError(f"`build` must return a Scene, got {scene!r}.")
+    checks.instance("build", scene, Scene, "a Scene", verb="return")
     return scene
 
 

@@ -126,8 +126,7 @@ def sensor_of(sensor: Any) -> Sensor:
     """
     if isinstance(sensor, Scene):
         return Sensor.of(sensor)
-    if not isinstance(sensor, Sensor):
-        raise ValueError(f"`sensor` must be a Sensor, a Scene or a function that returns one, got {sensor!r}.")
+    checks.instance("sensor", sensor, Sensor, "a Sensor, a Scene or a function that returns one")
     return sensor
 
 

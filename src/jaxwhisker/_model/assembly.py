@@ -1,12 +1,28 @@
-"""Whiskers on a support: checks and texts that scenes in the plane, sensors and scenes in space share."""
+"""Whiskers on a support: what scenes in the plane, sensors and scenes in space share."""
 
 from typing import Any
+
+import equinox as eqx
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, name_of, text_unless
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
+
+
+class AbstractScene(eqx.Module):
+    """Whiskers on a support that a drive moves past an object, in the plane or in space."""
+
+    whisker: eqx.AbstractVar[Whisker | tuple[Whisker, ...]]
+    support: eqx.AbstractVar[Support]
+    motion: eqx.AbstractVar[Any]
+    in_space = False
+
+    @property
+    def whiskers(self) -> tuple[Whisker, ...]:
+        """One Whisker per base."""
+        return each_whisker(self.whisker, self.support)
 
 
 def check_whiskers(whisker: Any, support: Any) -> tuple[Whisker, ...]:

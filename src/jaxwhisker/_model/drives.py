@@ -39,6 +39,8 @@ class Placement(NamedTuple):
 class SpaceMotion(eqx.Module):
     """A curve of placements of the drive in space; a scan follows it from one in which all whiskers are free."""
 
+    control_kind = "number"  # what the control is: a "length", an "angle" or a "number"
+
     @abc.abstractmethod
     def placement(self, control: Scalar) -> Placement:
         """The placement of the drive's frame in the scene at a control."""
@@ -80,6 +82,7 @@ class LinearDrive(SpaceMotion):
 
     direction: Triple
     origin: Triple = NOWHERE
+    control_kind = "length"
 
     def __check_init__(self):
         _check_direction("direction", self.direction)
@@ -154,6 +157,7 @@ class RotaryDrive(_Between):
     start: Scalar = -np.pi / 2
     stop: Scalar = np.pi / 2
     direction: int = eqx.field(static=True, init=False)
+    control_kind = "angle"
 
     def __check_init__(self):
         _check_direction("axis", self.axis)
@@ -209,6 +213,7 @@ class WhiskDrive(_Between):
     start: Scalar = -np.pi / 2
     stop: Scalar = np.pi / 2
     direction: int = eqx.field(static=True, init=False)
+    control_kind = "angle"
 
     def __check_init__(self):
         for name in ("elevation", "roll", "elevation_rate", "roll_rate"):

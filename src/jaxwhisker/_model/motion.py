@@ -28,6 +28,8 @@ class Pose(NamedTuple):
 class AbstractMotion(eqx.Module):
     """A curve of poses of the drive; a scan follows it from a pose in which all whiskers are free."""
 
+    control_kind = "number"  # what the control is: a "length", an "angle" or a "number"
+
     @abc.abstractmethod
     def pose(self, control: Scalar) -> Pose:
         """The pose of the drive's frame at a control."""
@@ -84,6 +86,7 @@ class Translation(_AbstractDirected):
     """
 
     direction: int = eqx.field(static=True, default=-1)
+    control_kind = "length"
 
     def pose(self, control):
         control = jnp.asarray(control, dtype=float)
@@ -126,6 +129,7 @@ class Rotation(_AbstractDirected):
     pivot: tuple[Scalar, Scalar] = (0.0, 0.0)
     radius: Scalar = 0.0
     direction: int = eqx.field(static=True, default=1)
+    control_kind = "angle"
 
     def __check_init__(self):
         checks.pair("pivot", self.pivot)

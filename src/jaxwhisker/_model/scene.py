@@ -28,7 +28,15 @@ import jax.numpy as jnp
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, name_of
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.assembly import check_whiskers, each_whisker, in_row, motion_text, support_text, whisker_text
+from jaxwhisker._model.assembly import (
+    AbstractScene,
+    check_whiskers,
+    each_whisker,
+    in_row,
+    motion_text,
+    support_text,
+    whisker_text,
+)
 from jaxwhisker._model.motion import AbstractMotion, Translation
 from jaxwhisker._model.objects import as_one
 from jaxwhisker._model.profile import AbstractProfile
@@ -58,6 +66,9 @@ class _OfObject(type(eqx.Module)):
         if _in_space(kwargs.get("surface")) or any(map(_in_space, args)):
             from jaxwhisker._model.space_scene import SpaceScene
 
+            for name in ("friction", "detect"):
+                if (value := kwargs.pop(name, None)) is not None:
+                    checks.fail(name, "None in space", repr(value))
             return SpaceScene(*args, **kwargs)
         return super().__call__(*args, **kwargs)
 
@@ -66,7 +77,7 @@ def _in_space(value: Any) -> bool:
     return getattr(value, "is_surface", False)
 
 
-class Scene(eqx.Module, metaclass=_OfObject):
+class Scene(AbstractScene, metaclass=_OfObject):
     """Whiskers on a support, scanned past an object.
 
     With a surface (`Sphere`, ...) in place of the profile, it is a scene in space: a `SpaceScene`.
@@ -123,11 +134,6 @@ class Scene(eqx.Module, metaclass=_OfObject):
         if self.detect is not None and not known:
             allowed = f"{' or '.join(map(repr, DETECTABLE))}, or a tuple of these"
             checks.fail("detect", allowed, repr(self.detect))
-
-    @property
-    def whiskers(self) -> tuple[Whisker, ...]:
-        """One Whisker per base."""
-        return each_whisker(self.whisker, self.support)
 
     def in_equilibrium(self) -> "Scene":
         """The scene without masses and `detect`: scenes that differ in these share the programs of equilibria."""
@@ -189,6 +195,7 @@ class Sensor(eqx.Module):
     @classmethod
     def of(cls, scene: Scene) -> "Sensor":
         """The sensor of a scene."""
+        checks.instance("scene", scene, Scene, "a Scene")
         return cls(scene.whisker, scene.support, scene.motion, scene.friction)
 
     def before(self, profile: AbstractProfile) -> Scene:
@@ -244,7 +251,7 @@ class Units(NamedTuple):
     control: Scalar
 
 
-def units(scene: Scene | Sensor) -> Units:
+def units(scene: AbstractScene | Sensor) -> Units:
     """Units in which the scene's problem is dimensionless."""
     return units_of(scene.whiskers[0], scene.motion)
 

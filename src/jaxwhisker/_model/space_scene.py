@@ -8,14 +8,11 @@ The contact force is f n, with f >= 0 and the outward normal n of the object. Th
 (fx, fy, fz) on the whisker, and the moment (mx, my, mz) about its displaced base; all in the frame of the scene.
 """
 
-from typing import ClassVar
-
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base import checks
-from jaxwhisker._model.assembly import check_whiskers, each_whisker, in_row, motion_text, support_text, whisker_text
+from jaxwhisker._model.assembly import AbstractScene, check_whiskers, in_row, motion_text, support_text, whisker_text
 from jaxwhisker._model.drives import SpaceMotion
 from jaxwhisker._model.motion import AbstractMotion, Translation
 from jaxwhisker._model.support import Support
@@ -24,7 +21,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 
 
-class SpaceScene(eqx.Module):
+class SpaceScene(AbstractScene):
     """Whiskers on a support, scanned past a surface in space.
 
     `jw.Scene` with a surface in place of a profile makes one.
@@ -42,7 +39,7 @@ class SpaceScene(eqx.Module):
 
     Examples:
         >>> jw.Scene(jw.Whisker(), jw.Sphere(radius=1.0, centre=(0.0, 1.3, 0.2)))
-        clamped: 1 whisker, sphere r = 1 at (0, 1.3, 0.2)
+        clamped: 1 whisker, sphere r = 1, centre (0, 1.3, 0.2)
     """
 
     whisker: Whisker | tuple[Whisker, ...]
@@ -50,7 +47,7 @@ class SpaceScene(eqx.Module):
     support: Support = Support()
     rod: AbstractRod = Shooting()
     motion: SpaceMotion | AbstractMotion = Translation()
-    in_space: ClassVar[bool] = True
+    in_space = True
 
     def __post_init__(self):
         self.support = in_row(self.whisker, self.support)
@@ -67,11 +64,6 @@ class SpaceScene(eqx.Module):
             checks.fail(
                 "rod", "Shooting() for whiskers that are curved, not uniform or on torsion springs", "ClosedForm()"
             )
-
-    @property
-    def whiskers(self) -> tuple[Whisker, ...]:
-        """One Whisker per base."""
-        return each_whisker(self.whisker, self.support)
 
     @property
     def rolls(self) -> bool:

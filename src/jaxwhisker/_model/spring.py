@@ -118,6 +118,11 @@ class Spring(eqx.Module):
             allowed = f"{'finite' if self.compliance is None else 'positive'} for a spring on a shaft"
             checks.fail(name, allowed, getattr(self, name))
 
+    @property
+    def turns(self) -> bool:
+        """Whether it is a torsion spring, whose length is an angle."""
+        return self.axis.startswith("phi")
+
     def check_in_plane(self) -> None:
         """Raise a ValueError if it acts along an axis that needs an object in space."""
         if self.axis not in (*AXES, "axial"):

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import Deferred, name_of
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.result import AbstractResult, Result
 from jaxwhisker._scan.springs import bases_of, spring_lengths
 from jaxwhisker._scan.state import FRICTION, OBJECTS, State
 
@@ -66,15 +66,33 @@ def traced_channels(
     return TracedChannels(tuple(dict.fromkeys(names)), code)
 
 
-def example_of(scene: Scene) -> Result:
+def example_of(scene: AbstractScene) -> AbstractResult:
     """A result of the scene with which a function is tried: every value is zero."""
     zero = jnp.zeros((EXAMPLE_STEPS, len(scene.whiskers)))
+    if not isinstance(scene, Scene):
+        return _example_in_space(scene, zero)
     fields: dict[str, Any] = dict.fromkeys(State.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
     fields |= dict.fromkeys(FRICTION) if scene.friction is None else {"slip": zero.astype(int)}
     loads = scene.support.shaft_loads
     fields["shaft_loads"] = (zero,) * loads if loads else None
     fields |= dict.fromkeys(OBJECTS, None if len(scene.profile.objects) == 1 else zero.astype(int))
     return result_of(scene, State(**fields), jnp.zeros(EXAMPLE_STEPS))
+
+
+def _example_in_space(scene: Any, zero: Float[Array, "steps whiskers"]) -> AbstractResult:
+    from jaxwhisker._scan.space_result import SpaceResult, SpaceState
+
+    fields: dict[str, Any] = dict.fromkeys(SpaceState.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
+    fields["base_rotation"] = jnp.zeros((*zero.shape, 3, 3))
+    lengths, status = jnp.zeros((EXAMPLE_STEPS, len(scene.support.springs))), jnp.zeros(EXAMPLE_STEPS, int)
+    return SpaceResult(
+        **fields,
+        control=jnp.zeros(EXAMPLE_STEPS),
+        spring_length=lengths,
+        status=status,
+        deferred_events=_WithoutEvents(tuple),
+        scene=scene,
+    )
 
 
 def columns_of(signals: Any, steps: int) -> dict[str, Array]:

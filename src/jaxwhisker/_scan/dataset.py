@@ -12,20 +12,23 @@ import numpy as np
 from jaxwhisker._base.checks import is_traced
 from jaxwhisker._base.types import NamedInt
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._model.scene import units as natural_units
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import (
+    ABSENT_IN_SPACE,
     CONTROL,
+    DIRECTORS,
     QUANTITIES,
     Quantity,
     control_kind,
     control_name,
     in_si,
+    in_space,
     is_dimensionless,
     unit_in_words,
 )
-from jaxwhisker._scan.state import FRICTION, OBJECTS
+from jaxwhisker._scan.state import FRICTION, IN_SPACE, OBJECTS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -52,6 +55,10 @@ SIGNS = (
     "x along the scan, y up from the bases to the object; fx, fy and mz (counter-clockwise positive) are what the "
     "support exerts on the whisker at its base"
 )
+SIGNS_IN_SPACE = (
+    "x along the scan, y up, z = x cross y; fx, fy, fz and mx, my, mz (right-handed, about the displaced base) are "
+    "what the support exerts on the whisker"
+)
 
 
 class SceneLayout(NamedTuple):
@@ -66,9 +73,11 @@ class SceneLayout(NamedTuple):
     absent: tuple[str, ...]  # fields of a state that the scene does not have
     dimensionless: bool  # the first whisker's length and bending stiffness are 1
     sizes: dict[str, float]  # typical force and length, unless dimensionless; empty if unknown
+    in_space: bool = False
 
     def attributes(self, name: str, quantity: Quantity) -> dict[str, Any]:
         """Attributes of a variable: long name, units, and the meaning of a positive sign and of flags."""
+        quantity = in_space(quantity) if self.in_space else quantity
         kind = self.control_kind if quantity.kind == CONTROL else quantity.kind
         found: dict[str, Any] = {"long_name": quantity.description}
         if kind:
@@ -76,7 +85,8 @@ class SceneLayout(NamedTuple):
         if quantity.sign:
             found["positive_means"] = quantity.sign
         if name == "spring_length" and any(" phi" in spring for spring in self.springs):
-            found["comment"] = "torsion springs (`between` ends in phi) have an angle instead, in rad"
+            ends = "phi, phi_x or phi_y" if self.in_space else "phi"
+            found["comment"] = f"torsion springs (`between` ends in {ends}) have an angle instead, in rad"
         plain = name.removeprefix("before_").removeprefix("after_").removeprefix("point_")
         if plain in FLAGS:
             words, missing = FLAGS[plain]
@@ -94,6 +104,8 @@ class SceneLayout(NamedTuple):
         if "spring" in dimensions:
             ends = np.array(self.springs, dtype=object)
             found["between"] = ("spring", ends, {"long_name": "ends of the spring, 0 the drive", "units": "1"})
+        for dim in (dim for dim in DIRECTORS if dim in dimensions):
+            found[dim] = (dim, np.array(DIRECTORS[dim], dtype=object), {"long_name": dim, "units": "1"})
         return found
 
     def dataset_attributes(self) -> dict[str, Any]:
@@ -101,7 +113,7 @@ class SceneLayout(NamedTuple):
         return {
             "title": f"scans with tactile whiskers: {self.description}",
             "scene": self.description,
-            "signs": SIGNS,
+            "signs": SIGNS_IN_SPACE if self.in_space else SIGNS,
             "source": f"jaxwhisker {version('jaxwhisker')}",
             "jaxwhisker_version": version("jaxwhisker"),
             "jax_version": jax.__version__,
@@ -112,16 +124,19 @@ class SceneLayout(NamedTuple):
         } | {f"typical_{name}": size for name, size in self.sizes.items()}
 
 
-def layout_of(scene: Scene) -> SceneLayout:
+def layout_of(scene: AbstractScene) -> SceneLayout:
     """The layout of a scene, traced or not."""
     springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in scene.support.springs)
     control = control_name(scene), control_kind(scene), scene.motion.onwards
-    absent = FRICTION * (scene.friction is None) + OBJECTS * (len(scene.profile.objects) == 1)
+    absent = ABSENT_IN_SPACE
+    if isinstance(scene, Scene):
+        absent = FRICTION * (scene.friction is None) + OBJECTS * (len(scene.profile.objects) == 1) + IN_SPACE
     dimensionless, sizes = is_dimensionless(scene), {}
     if not dimensionless and not is_traced(scene.whiskers[0]):
         natural = natural_units(scene)
         sizes = {"force": float(natural.force), "length": float(natural.length)}
-    return SceneLayout(str(scene), scene.support.whiskers, springs, *control, absent, dimensionless, sizes)
+    own = str(scene), scene.support.whiskers, springs
+    return SceneLayout(*own, *control, absent, dimensionless, sizes, scene.in_space)
 
 
 def in_shown_units(data: Any, attributes: Mapping[str, Any]) -> Any:
@@ -153,7 +168,7 @@ def in_shown_units(data: Any, attributes: Mapping[str, Any]) -> Any:
     return data.assign_coords(coordinates)
 
 
-def scan_dataset(scene: Scene, arrays: Mapping[str, Any]) -> "xr.Dataset":
+def scan_dataset(scene: AbstractScene, arrays: Mapping[str, Any]) -> "xr.Dataset":
     """The Dataset of one scan.
 
     Args:
@@ -173,7 +188,8 @@ def scan_dataset(scene: Scene, arrays: Mapping[str, Any]) -> "xr.Dataset":
         for name, quantity in VARIABLES.items()
         if name in arrays
     }
-    coordinates = layout.coordinates(arrays["control"], ("whisker", "spring"))
+    used = {dim for axes, *_ in variables.values() for dim in axes}
+    coordinates = layout.coordinates(arrays["control"], used)
     attributes = layout.dataset_attributes() | {"points": points_in_words(first_failure(arrays["status"]))}
     attributes |= omitted_events(arrays["event_count"], arrays["event_kind"].size)
     return xr.Dataset(variables, coordinates, attributes)

@@ -1,16 +1,18 @@
 """Scans, simulations, deflections and studies as tables: every signal by name, for other programs."""
 
+import math
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxwhisker._base import checks
-from jaxwhisker._model.scene import Scene, Sensor, time_unit
+from jaxwhisker._model.scene import AbstractScene, Sensor, time_unit
 from jaxwhisker._scan.deflect import Deflection
-from jaxwhisker._scan.quantities import MOTION, STATE, is_dimensionless, kind_of, unit_in_words
+from jaxwhisker._scan.quantities import DIRECTORS, MOTION, STATE, is_dimensionless, kind_of, quantity, unit_in_words
 from jaxwhisker._scan.report import write_columns
-from jaxwhisker._scan.result import check_not_batched, check_one_scan
+from jaxwhisker._scan.result import AbstractResult, check_not_batched
 from jaxwhisker._scan.state import State
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
 # Columns of a deflection, and their kinds.
 POINTS = {"s": "length", "x": "length", "y": "length", "angle": "angle", "curvature": "curvature"}
-NUMBERED = ("whisker", "spring")  # dimensions of a Dataset whose labels become parts of names
+NUMBERED = ("whisker", "spring", *DIRECTORS)  # dimensions of a Dataset whose labels become parts of names
 OWN_UNITS = "force, length and time are in the units of the scene's numbers, such as N, m and s"
 CODES = "phase 0 free, 1 tip, 2 tangential; status 0 ok"
 
@@ -32,13 +34,16 @@ def columns(result: Any) -> dict[str, np.ndarray]:
             checks.fail("result", "a single deflection", f"a batch of shape {np.shape(result.status)}")
         return {name: np.asarray(getattr(result, name)) for name in POINTS}
     moves = _is_motion(result)
-    if moves:
-        check_not_batched(result, "a single simulation")
-    else:
-        check_one_scan(result)
+    if not moves:
+        checks.instance("result", result, AbstractResult, "the Result of a scan")
+    check_not_batched(result, "a single simulation" if moves else "the result of a single scan")
     found = {name: np.asarray(getattr(result, name)) for name in ("time",) * moves + ("control",)}
     for k in range(result.fx.shape[1]):
-        found |= {f"{name}_{k + 1}": np.asarray(getattr(result, name))[:, k] for name in _signals(result)}
+        for name in _signals(result):
+            labels = product(*(DIRECTORS[dim] for dim in quantity(name).axes[2:]))
+            names = ["_".join([f"{name}_{k + 1}", *own]) for own in labels]
+            values = np.asarray(getattr(result, name))[:, k]
+            found |= dict(zip(names, values.reshape(-1, len(names)).T, strict=True))
     for name, values in (("spring", result.spring_length), ("phase", result.phase)):
         found |= {f"{name}_{k + 1}": column for k, column in enumerate(np.asarray(values).T)}
     return found | {"status": np.asarray(result.status)}
@@ -51,7 +56,7 @@ def _is_motion(result: Any) -> bool:
 def _signals(result: Any) -> list[str]:
     """Names of the signals of every whisker, without the phase."""
     further = [name for name in MOTION if _is_motion(result) and name != "time"]
-    return [name for name in (*STATE, *further) if name != "phase" and getattr(result, name) is not None]
+    return [name for name in (*STATE, *further) if name != "phase" and getattr(result, name, None) is not None]
 
 
 def _columns_of_dataset(data: Any) -> dict[str, np.ndarray]:
@@ -67,8 +72,9 @@ def _columns_of_dataset(data: Any) -> dict[str, np.ndarray]:
         numbered = [dim for dim in variable.dims if dim in NUMBERED]
         whole = variable.variable.set_dims({dim: data.sizes[dim] for dim in (*rows, *numbered)})
         name = "spring" if name == "spring_length" else name
-        names = [f"{name}_{label}" for dim in numbered for label in data[dim].values] or [name]
-        found |= dict(zip(names, whole.values.reshape(-1, len(names)).T, strict=True))
+        names = ["_".join([name, *map(str, own)]) for own in product(*(data[dim].values for dim in numbered))]
+        values = whole.values.reshape(math.prod(data.sizes[dim] for dim in rows), len(names))
+        found |= dict(zip(names, values.T, strict=True))
     return found
 
 
@@ -94,7 +100,7 @@ def header(result: Any) -> str:
     return f"{text}; units: {units}{own}{codes}"
 
 
-def _unit(kind: str, scene: Scene | Sensor) -> str:
+def _unit(kind: str, scene: AbstractScene | Sensor) -> str:
     """The unit of stored numbers, in words."""
     dimensionless = is_dimensionless(scene)
     if kind == "time":  # of scenes with L = EI = 1, in T only if the mass per length is 1, too
@@ -102,8 +108,8 @@ def _unit(kind: str, scene: Scene | Sensor) -> str:
     return unit_in_words(kind, dimensionless)
 
 
-def _unit_of_spring(spring: Any, scene: Scene | Sensor) -> str:
-    return _unit("angle" if spring.axis == "phi" else "length", scene)
+def _unit_of_spring(spring: Any, scene: AbstractScene | Sensor) -> str:
+    return _unit("angle" if spring.turns else "length", scene)
 
 
 def to_dataframe(result: Any) -> "pd.DataFrame":
@@ -112,16 +118,19 @@ def to_dataframe(result: Any) -> "pd.DataFrame":
     Columns of a scan: control; fx_1, fy_1, mz_1, base_x_1, base_y_1, base_angle_1, contact_force_1, contact_slope_1,
     contact_arc_1, contact_x_1, contact_y_1 and the same for further whiskers; spring_1, ...; phase_1, ... (0 free,
     1 tip, 2 tangential); status (0 ok); with friction, also slip_1, ..., normal_force_1, ..., friction_force_1, ...;
-    with several objects, also contact_object_1, ... A simulation has the column time before control, and gap_1, tip_x_1
-    and tip_y_1. Failed steps are NaN. `identify` and `reconstruct` read such tables.
+    with several objects, also contact_object_1, ... A simulation has the column time before control, and gap_1,
+    tip_x_1 and tip_y_1. Failed steps are NaN. `identify` and `reconstruct` read such tables.
+
+    A scan in space has no angles base_angle_1 and contact_slope_1, but also fz_1, mx_1, my_1, base_z_1, contact_z_1, and
+    the directors of the base: base_rotation_1_x_d1, the component of d1 along x, to base_rotation_1_z_d3.
 
     A study has one row for each scene, and for each drive position if it contains signals: the parameters, then all
     variables with the number of the whisker, such as max_mz_1. Variables of events are left out; `summary` has the
     positions of the main ones. A deflection has one row for each point: s, x, y, angle and curvature.
 
     Args:
-        result: the Result of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary` or
-            `Result.to_xarray`.
+        result: the Result or SpaceResult of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary`
+            or `Result.to_xarray`.
 
     Raises:
         ValueError: if `result` is none of these, or a batch.
@@ -142,8 +151,8 @@ def to_csv(result: Any, path: str | Path) -> None:
     of scans and simulations.
 
     Args:
-        result: the Result of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary` or
-            `Result.to_xarray`.
+        result: the Result or SpaceResult of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary`
+            or `Result.to_xarray`.
         path: path of the file; an existing file is overwritten.
 
     Raises:

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxwhisker._base.checks import is_traced
-from jaxwhisker._model.motion import Rotation, Translation
-from jaxwhisker._model.scene import Scene, Sensor, Units, time_unit
+from jaxwhisker._model.scene import AbstractScene, Sensor, Units, time_unit
 from jaxwhisker._model.scene import units as natural_units
+from jaxwhisker._scan.state import FRICTION, IN_SPACE, OBJECTS
 
 # Kinds of quantities, as powers of force and length.
 KINDS = {
@@ -49,20 +49,29 @@ class Quantity(NamedTuple):
 
 
 _STEP, _EVENT = ("control", "whisker"), ("event", "whisker")
+# Labels of the further axes of a rotation. The directors of a base are d1, d2 and d3, its tangent.
+DIRECTORS = {"component": ("x", "y", "z"), "director": ("d1", "d2", "d3")}
+_MOMENT = "moment of the support reaction"
 
-# Fields of a state, for every whisker.
+# Fields of a state, for every whisker, in the plane or in space.
 STATE = {
     "fx": Quantity("support reaction along x", "f_x", "force", _STEP, "the support pushes the whisker towards +x"),
     "fy": Quantity("support reaction along y", "f_y", "force", _STEP, "the support pushes the whisker towards +y"),
+    "fz": Quantity("support reaction along z", "f_z", "force", _STEP, "the support pushes the whisker towards +z"),
+    "mx": Quantity(f"{_MOMENT} about x", "m_x", "moment", _STEP, "right-handed about +x"),
+    "my": Quantity(f"{_MOMENT} about y", "m_y", "moment", _STEP, "right-handed about +y"),
     "mz": Quantity("support reaction, moment", "m_z", "moment", _STEP, "counter-clockwise on the whisker"),
     "base_x": Quantity("position of the base", "x_0", "length", _STEP),
     "base_y": Quantity("height of the base", "y_0", "length", _STEP),
+    "base_z": Quantity("position of the base along z", "z_0", "length", _STEP),
+    "base_rotation": Quantity("directors of the base along x, y and z", "", "number", (*_STEP, *DIRECTORS)),
     "base_angle": Quantity("angle of the base to the upright", r"\varphi_0", "angle", _STEP, "counter-clockwise"),
     "contact_force": Quantity("contact force", "f", "force", _STEP, "never negative: the object only pushes"),
     "contact_slope": Quantity("slope of the object at the contact", r"\alpha", "angle", _STEP, "rising towards +x"),
     "contact_arc": Quantity("arc length from base to contact", "s_1", "length", _STEP),
     "contact_x": Quantity("contact point, x", r"\xi", "length", _STEP),
     "contact_y": Quantity("contact point, y", r"\eta", "length", _STEP),
+    "contact_z": Quantity("contact point, z", r"\zeta", "length", _STEP),
     "phase": Quantity("phase of contact", "", "number", _STEP, dtype="int8"),
     # With friction only:
     "slip": Quantity("direction of slip along the object", "", "number", _STEP, dtype="int8", missing=-128),
@@ -85,7 +94,9 @@ QUANTITIES = (
         "event_energy_after": Quantity("stored elastic energy after the event", "U", "energy", ("event",)),
     }
     | {
-        f"{when}_{name}": quantity._replace(description=f"{quantity.description}, {when} the event", axes=_EVENT)
+        f"{when}_{name}": quantity._replace(
+            description=f"{quantity.description}, {when} the event", axes=("event", *quantity.axes[1:])
+        )
         for when in ("before", "after")
         for name, quantity in STATE.items()
     }
@@ -99,11 +110,15 @@ MOTION = {
     "tip_y": Quantity("height of the tip", "y_1", "length", _SAMPLE),
 }
 REACTIONS = ("fx", "fy", "mz")
+REACTIONS_IN_SPACE = ("fx", "fy", "fz", "mx", "my", "mz")
+ENERGIES = ("event_energy_before", "event_energy_after")
+# Quantities, also before and after events, that scenes in space do not have.
+ABSENT_IN_SPACE = ("base_angle", "contact_slope", *FRICTION, *OBJECTS, *ENERGIES)
 # What figures compute from a run.
 DERIVED = {"spring_extension": Quantity("extension of the spring", r"\Delta\ell", "length", ("control", "spring"))}
 OF_SPRINGS = ("spring_length", "spring_extension")
 # Quantities that can be plotted against the control.
-DRAWN = (*(name for name in STATE if name not in ("phase", "slip", "contact_object")), *OF_SPRINGS)
+DRAWN = (*(name for name in STATE if name not in ("phase", "slip", *OBJECTS, *IN_SPACE)), *OF_SPRINGS)
 
 
 def quantity(name: str) -> Quantity:
@@ -111,25 +126,30 @@ def quantity(name: str) -> Quantity:
     return (QUANTITIES | MOTION | DERIVED)[name]
 
 
-def kind_of(name: str, scene: Scene | Sensor) -> str:
+def in_space(quantity: Quantity) -> Quantity:
+    """The quantity in the words of a scene in space, where mz is one of three moments."""
+    words = quantity.description.replace(STATE["mz"].description, f"{_MOMENT} about z")
+    sign = quantity.sign.replace(STATE["mz"].sign, "right-handed about +z")
+    return quantity._replace(description=words, sign=sign)
+
+
+def kind_of(name: str, scene: AbstractScene | Sensor) -> str:
     """The kind of a quantity of a scene; for a drive position, a length, angle or number."""
     kind = quantity(name).kind
     return control_kind(scene) if kind == CONTROL else kind
 
 
-def control_kind(scene: Scene | Sensor) -> str:
+def control_kind(scene: AbstractScene | Sensor) -> str:
     """The kind of the control of a scene: a length, angle or number."""
-    if isinstance(scene.motion, Translation):
-        return "length"
-    return "angle" if isinstance(scene.motion, Rotation) else "number"
+    return scene.motion.control_kind
 
 
-def control_name(scene: Scene | Sensor) -> str:
+def control_name(scene: AbstractScene | Sensor) -> str:
     """Name of the control of a scene."""
     return {"length": "drive position", "angle": "angle of the drive", "number": "control"}[control_kind(scene)]
 
 
-def is_dimensionless(scene: Scene | Sensor) -> bool:
+def is_dimensionless(scene: AbstractScene | Sensor) -> bool:
     """Whether the first whisker has length 1 and bending stiffness 1 at its base; other scenes are shown in SI."""
     first = scene.whiskers[0]
     values = (first.length, first.base_stiffness)
@@ -174,7 +194,13 @@ class UnitSystem:
         ValueError: if `units` is none of these.
     """
 
-    def __init__(self, scene: Scene | Sensor, units: str = "auto", *, prefixes_of: Scene | Sensor | None = None):
+    def __init__(
+        self,
+        scene: AbstractScene | Sensor,
+        units: str = "auto",
+        *,
+        prefixes_of: AbstractScene | Sensor | None = None,
+    ):
         check_units(units)
         self.scene = scene
         self.dimensionless = is_dimensionless(scene) if units == "auto" else units == "dimensionless"
@@ -205,7 +231,7 @@ class UnitSystem:
         values = np.asarray(values)
         if name in OF_SPRINGS:  # torsion springs have an angle, in rad
             size = self.unit(name).size
-            return values / [1.0 if spring.axis == "phi" else size for spring in self.scene.support.springs]
+            return values / [1.0 if spring.turns else size for spring in self.scene.support.springs]
         return np.asarray(values / self.unit(name).size)
 
     def scale(self, kind: str) -> float:
@@ -239,7 +265,7 @@ def dimensionless_label(symbol: str, kind: str) -> str:
     return f"${symbol}{times}{'/EI' if force else '/L' if length > 0 else ''}$" + " (rad)" * (kind == "angle")
 
 
-def _unit_of_time(scene: Scene | Sensor) -> float:
+def _unit_of_time(scene: AbstractScene | Sensor) -> float:
     return float(time_unit(scene.whiskers[0]))
 
 

@@ -8,13 +8,14 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import Deferred, deferred
 from jaxwhisker._base.settings import in_double
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.dataset import counted, scan_dataset
 from jaxwhisker._scan.energy import stored_energy
-from jaxwhisker._scan.quantities import QUANTITIES
+from jaxwhisker._scan.quantities import ENERGIES, QUANTITIES
 from jaxwhisker._scan.state import State
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ class Event(NamedTuple):
     kind: EventKind
     whiskers: tuple[int, ...]  # numbered from 1; for a snap, those that slipped off their branch
     control: float  # drive position, in the unit of the control
-    before: State  # fields (whiskers,)
+    before: State  # fields (whiskers,); in space, a SpaceState
     after: State  # differs from `before` at a snap
 
     @property
@@ -100,17 +101,13 @@ class Events(eqx.Module):
         return [e for e in self if e.kind == kind and (whisker is None or whisker in e.whiskers)]
 
 
-class Result(State):
-    """A scan: the states at all steps, with shape (steps, whiskers), and the events.
+class AbstractResult(eqx.Module):
+    """What results of scans in the plane and in space have in common."""
 
-    A step whose status is not `Status.ok` holds NaN; its phase is `free`.
-    """
-
-    control: Float[Array, " steps"]  # drive position u: a length; for a Rotation, an angle in rad
-    spring_length: Float[Array, "steps springs"]  # x (y, angle) of the spring's second end minus that of its first
-    status: Int[Array, " steps"]  # Status.ok, or the reason for failure
-    deferred_events: Deferred = eqx.field(converter=deferred)
-    scene: Scene
+    control: eqx.AbstractVar[Float[Array, " steps"]]
+    status: eqx.AbstractVar[Int[Array, " steps"]]
+    deferred_events: eqx.AbstractVar[Deferred]
+    scene: eqx.AbstractVar[AbstractScene]
 
     @property
     def events(self) -> Events:
@@ -127,7 +124,7 @@ class Result(State):
             ValueError: if it is a batch of scans.
             ImportError: if xarray is missing: `pip install jaxwhisker[study]`.
         """
-        check_one_scan(self)
+        check_not_batched(self, "the result of a single scan")
         return scan_dataset(self.scene, arrays_of(self))
 
     def __str__(self) -> str:
@@ -143,14 +140,26 @@ class Result(State):
     __repr__ = __str__
 
 
+class Result(AbstractResult, State):
+    """A scan: the states at all steps, with shape (steps, whiskers), and the events.
+
+    A step whose status is not `Status.ok` holds NaN; its phase is `free`.
+    """
+
+    control: Float[Array, " steps"]  # drive position u: a length; for a Rotation, an angle in rad
+    spring_length: Float[Array, "steps springs"]  # x (y, angle) of the spring's second end minus that of its first
+    status: Int[Array, " steps"]  # Status.ok, or the reason for failure
+    deferred_events: Deferred = eqx.field(converter=deferred)
+    scene: Scene
+
+
 def check_one_scan(result: Any) -> Result:
-    """Check that `result` is the result of a single scan, and return it.
+    """Check that `result` is the result of a single scan in the plane, and return it.
 
     Raises:
         ValueError: if it is not, or if it is a batch of scans.
     """
-    if not isinstance(result, Result):
-        raise ValueError(f"`result` must be the Result of a scan, got {result!r}.")
+    checks.instance("result", result, Result, "the Result of a scan")
     check_not_batched(result, "the result of a single scan")
     return result
 
@@ -168,18 +177,20 @@ def check_not_batched(result: Any, what: str) -> None:
         )
 
 
-def arrays_of(result: Result, names: Iterable[str] = tuple(QUANTITIES)) -> dict[str, Array]:
+def arrays_of(result: AbstractResult, names: Iterable[str] = tuple(QUANTITIES)) -> dict[str, Array]:
     """Quantities of a scan by their names in `quantities.QUANTITIES`; without those that the scene does not have."""
     arrays = {name: _array(result, name) for name in names}
     return {name: array for name, array in arrays.items() if array is not None}
 
 
-def _array(result: Result, name: str) -> Array | None:
+def _array(result: AbstractResult, name: str) -> Array | None:
     when, _, field = name.partition("_")
     if when in ("before", "after"):
-        return getattr(getattr(result.events, when), field)
-    if name.startswith("event_energy_"):
+        return getattr(getattr(result.events, when), field, None)
+    if name in ENERGIES:
+        if not isinstance(result.scene, Scene):
+            return None
         return stored_energy(result.scene, getattr(result.events, field.removeprefix("energy_")), result.events.control)
     if when == "event":
         return getattr(result.events, {"whisker": "whiskers"}.get(field, field))
-    return getattr(result, name)
+    return getattr(result, name, None)

@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.aside import Compilers
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.slopes import by_slopes
-from jaxwhisker._base.types import Control
+from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.march import capacity_of, march
 from jaxwhisker._path.path import Path, Status
@@ -32,12 +32,6 @@ from jaxwhisker._scan.detect import Kinds, detect, kinds_of, without_gains
 from jaxwhisker._scan.memory import remembered, with_places
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.route import (
-    MOST_STEPS as MOST_STEPS,
-)
-from jaxwhisker._scan.route import (
-    STEP as STEP,
-)
 from jaxwhisker._scan.route import (
     TRACED_STEPS,
     Route,
@@ -100,12 +94,11 @@ def scan(scene: Any, control: Control | None = None) -> Any:
     jacfwd of jacfwd.
     """
     checks.float64_mode()
-    if getattr(scene, "in_space", False):
+    checks.instance("scene", scene, AbstractScene, "a Scene")
+    if not isinstance(scene, Scene):
         from jaxwhisker._scan.space_scan import scan_in_space
 
         return scan_in_space(scene, control)
-    if not isinstance(scene, Scene):
-        raise ValueError(f"`scene` must be a Scene, got {scene!r}.")
     if control is not None:
         checks.vector("control", control)
     scene = jax.tree.map(checks.as_float, scene)
@@ -183,6 +176,30 @@ def default_control(scene: Scene) -> np.ndarray:
     problem = problem_now(jax.tree.map(checks.as_float, scene.in_equilibrium()))
     path = follow_path_now(problem, *map(np.asarray, across()))
     return default_positions(float(path.start), float(path.stop), problem.unit)
+
+
+class Range(NamedTuple):
+    """The range of the default control of a scene, and the unit of the control; undefined if it is invalid."""
+
+    valid: Bool[Array, ""]
+    start: Float[Array, ""]
+    stop: Float[Array, ""]
+    unit: Scalar
+
+
+def range_of(scene: AbstractScene) -> Range:
+    """The range of the default control; prepares the programs of the scans that follow."""
+    scene, (stops, last) = jax.tree.map(checks.as_float, scene), across()
+    if isinstance(scene, Scene):
+        problem, follow = problem_now(scene.in_equilibrium()), follow_path_now
+        prepare(problem, stops.size, kinds_of(scene), events=True)
+    else:
+        from jaxwhisker._scan import space_scan
+
+        problem, follow = space_scan.problem_now(scene), space_scan.follow_path_now
+        space_scan.prepare(problem, stops.size, events=True)
+    path = follow(problem, stops, np.asarray(last))
+    return Range(problem.valid, path.start, path.stop, problem.unit.control)
 
 
 def check_valid(scene: Scene, problem: Problem) -> None:

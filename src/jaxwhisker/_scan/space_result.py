@@ -1,18 +1,12 @@
 """States, events and results of scans in space."""
 
-from collections.abc import Iterator
-from typing import NamedTuple
-
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.leaves import Deferred, deferred
 from jaxwhisker._model.space_scene import SpaceScene
-from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.dataset import counted
+from jaxwhisker._scan.result import AbstractResult, Events
 
 
 class SpaceState(eqx.Module):
@@ -37,6 +31,7 @@ class SpaceState(eqx.Module):
     contact_y: Float[Array, "*steps whiskers"]
     contact_z: Float[Array, "*steps whiskers"]
     phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
+    in_space = True
 
     @property
     def force(self) -> Float[Array, "*steps whiskers 3"]:
@@ -59,78 +54,21 @@ class SpaceState(eqx.Module):
         return jnp.sum(self.base_rotation * self.moment[..., :, None], axis=-2)
 
 
-class SpaceEvent(NamedTuple):
-    """One event of a scan in space."""
-
-    kind: EventKind
-    whiskers: tuple[int, ...]  # numbered from 1
-    control: float
-    before: SpaceState  # fields (whiskers,)
-    after: SpaceState
-
-    @property
-    def state(self) -> SpaceState:
-        """The state at the event."""
-        return self.after
-
-    def __str__(self) -> str:
-        named = " ".join(str(w) for w in self.whiskers)
-        return f"u = {self.control:+.9f}  {self.kind.name}{f' of whisker {named}' if named else ''}"
-
-
-class SpaceEvents(eqx.Module):
+class SpaceEvents(Events):
     """The events of a scan in order: arrays of fixed size, of which the first `count` are filled."""
 
-    kind: Int[Array, " events"]  # EventKind; -1 beyond count
-    whiskers: Bool[Array, "events whiskers"]
-    control: Float[Array, " events"]  # drive position; NaN beyond count
-    before: SpaceState
+    before: SpaceState  # fields (events, whiskers)
     after: SpaceState
-    count: Int[Array, ""]
-
-    def __len__(self) -> int:
-        if np.ndim(self.count) != 0:
-            raise TypeError(
-                f"The events are those of a batch of shape {np.shape(self.count)}: select one scan of the result first."
-            )
-        return min(int(self.count), self.kind.shape[0])
-
-    def __iter__(self) -> Iterator[SpaceEvent]:
-        return (self[k] for k in range(len(self)))
-
-    def __getitem__(self, index: int) -> SpaceEvent:
-        index = range(len(self))[index]
-        before, after = (jax.tree.map(lambda leaf: np.asarray(leaf)[index], s) for s in (self.before, self.after))
-        kind, whiskers, control = (np.asarray(each)[index] for each in (self.kind, self.whiskers, self.control))
-        which = tuple(int(k) + 1 for k in np.flatnonzero(whiskers))
-        return SpaceEvent(EventKind(int(kind)), which, float(control), before, after)
-
-    def of(self, kind: EventKind) -> list[SpaceEvent]:
-        """The events of one kind."""
-        return [event for event in self if event.kind == kind]
 
 
-class SpaceResult(SpaceState):
+class SpaceResult(AbstractResult, SpaceState):
     """A scan in space: the states at all steps, with shape (steps, whiskers), and the events.
 
     A step whose status is not `Status.ok` holds NaN; its phase is `free`.
     """
 
-    control: Float[Array, " steps"]
+    control: Float[Array, " steps"]  # drive position: a length, an angle in rad or a number, depending on the motion
+    spring_length: Float[Array, "steps springs"]  # of torsion springs, angles, rad; in the frame of the drive
     status: Int[Array, " steps"]  # Status.ok, or the reason for failure
     deferred_events: Deferred = eqx.field(converter=deferred)
     scene: SpaceScene
-
-    @property
-    def events(self) -> SpaceEvents:
-        """The events in order; they are computed when first asked for."""
-        return self.deferred_events.value
-
-    def __str__(self) -> str:
-        bad = counted(self.status)
-        steps = f"{bad.pop('ok', 0)} of {np.size(self.status)} steps ok" + "".join(
-            f"; {n}: {s}" for s, n in bad.items()
-        )
-        return "\n".join([str(self.scene), steps, *map(str, self.events)])
-
-    __repr__ = __str__

@@ -17,6 +17,7 @@ from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, at_control, dot, scale_of
 from jaxwhisker._model.space_scene import SpaceScene
+from jaxwhisker._model.support import Support
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.route import (
@@ -75,10 +76,11 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None) -> SpaceRes
         route = route_of(default_positions(float(start), float(stop), problem.unit))
 
     def block(control, travel):
-        return states_now(problem, control, solve_steps_now(problem, path, control, travel))
+        state, status, displacement = states_now(problem, control, solve_steps_now(problem, path, control, travel))
+        return state, status, None if displacement is None else spring_lengths_now(scene.support, displacement)
 
-    state, status = in_blocks(block, (route.control, route.travel), BLOCK)
-    return _result(scene, problem, path, jnp.asarray(route.control), state, status)
+    states = in_blocks(block, (route.control, route.travel), BLOCK)
+    return _result(scene, problem, path, jnp.asarray(route.control), *states)
 
 
 def _staged(scene: SpaceScene, control: Control | None) -> SpaceResult:
@@ -93,7 +95,9 @@ def _staged(scene: SpaceScene, control: Control | None) -> SpaceResult:
     route = evenly(start, stop, TRACED_STEPS) if control is None else route
     path, positions = _if_ok(path, status), jnp.asarray(route.control)
     solutions = solve_steps(problem, path, positions, jnp.asarray(route.travel))
-    return _result(scene, problem, path, positions, *states(problem, positions, solutions))
+    state, status, displacement = states(problem, positions, solutions)
+    lengths = None if displacement is None else scene.support.spring_length(displacement)
+    return _result(scene, problem, path, positions, state, status, lengths)
 
 
 def _if_ok(path: SpacePath, status: Int[Array, ""] | None) -> SpacePath:
@@ -104,10 +108,15 @@ def _if_ok(path: SpacePath, status: Int[Array, ""] | None) -> SpacePath:
     return path._replace(count=jnp.where(good, path.count, 0), status=jnp.where(good, path.status, status))
 
 
-def _result(scene, problem, path, control, state, status) -> SpaceResult:
+def _result(scene, problem, path, control, state, status, lengths) -> SpaceResult:
     fields = {name: getattr(state, name) for name in SpaceState.__dataclass_fields__}
     return SpaceResult(
-        **fields, control=control, status=status, deferred_events=lambda: events_now(problem, path), scene=scene
+        **fields,
+        control=control,
+        spring_length=jnp.zeros((control.size, 0)) if lengths is None else lengths,
+        status=status,
+        deferred_events=lambda: events_now(problem, path),
+        scene=scene,
     )
 
 
@@ -224,14 +233,17 @@ def solve_steps(
 
 def states(
     problem: SpaceProblem, control: Float[Array, " steps"], solutions: SpaceSolutions
-) -> tuple[SpaceState, Int[Array, " steps"]]:
-    """States and status of solved steps, in the scene's units, with derivatives; NaN for steps that failed."""
+) -> tuple[SpaceState, Int[Array, " steps"], Float[Array, "steps whiskers 6"] | None]:
+    """States and status of solved steps, and displacements of the bases, in the scene's units, with derivatives.
+
+    Steps that failed hold NaN. Clamped bases have no displacements.
+    """
     u = control / problem.unit.control
 
     def one(u: Scalar, z: Contacts, phase: Phases):
         return signals(problem, solved(problem, z, u, phase), u, phase)
 
-    values, residual = jax.vmap(one)(jnp.where(jnp.isfinite(u), u, 0.0), solutions.z, solutions.phase)
+    values, residual, displacement = jax.vmap(one)(jnp.where(jnp.isfinite(u), u, 0.0), solutions.z, solutions.phase)
     ok = solutions.status == Status.ok
     status = jnp.where(ok & ~(residual < RESIDUAL), Status.inexact, solutions.status)
     if problem.curved:
@@ -243,16 +255,18 @@ def states(
         keep = jnp.reshape(ok, (-1,) + (1,) * (leaf.ndim - 1))
         return jnp.where(keep, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0)
 
-    return jax.tree.map(if_ok, values), status
+    values, displacement = jax.tree.map(if_ok, (values, displacement))
+    return values, status, displacement
 
 
 problem_now = Program(problem_in_space)
 follow_path_now = Program(follow_path, frozen=True, batched=True)
 solve_steps_now = Program(solve_steps, frozen=True)
 states_now, events_now = Program(states), Program(events)
+spring_lengths_now = Program(Support.spring_length)
 
 
-def prepare(problem: SpaceProblem, stops: int) -> None:
+def prepare(problem: SpaceProblem, stops: int, events: bool = False) -> None:
     """Compile the programs of a scan for a problem shape at the same time; one compiler alone leaves a core idle."""
     ends = np.zeros(stops), np.asarray(0)
     if follow_path_now.is_ready(problem, *ends):
@@ -262,3 +276,5 @@ def prepare(problem: SpaceProblem, stops: int) -> None:
         path = follow_path_now.prepare(pool, problem, *ends).path
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)
         states_now.prepare(pool, problem, block, solutions)
+        if events:
+            events_now.prepare(pool, problem, path)

@@ -32,6 +32,11 @@ from jaxwhisker._space.stance import base_placement
 EVENTS = 32  # events of one whisker that a scan has room for
 
 
+def event_room(whiskers: int) -> int:
+    """Number of events that a scan has room for."""
+    return EVENTS * whiskers
+
+
 class Known(NamedTuple):
     """What the equations of a point depend on, besides its unknowns."""
 
@@ -41,8 +46,16 @@ class Known(NamedTuple):
     free: Contacts  # values of free whiskers
 
 
-def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> tuple[SpaceState, Scalar]:
-    """State of an equilibrium in the scene's units, and its largest residual."""
+class Signals(NamedTuple):
+    """An equilibrium in the scene's units, and its largest residual."""
+
+    state: SpaceState
+    residual: Scalar
+    displacement: Float[Array, "whiskers 6"] | None  # of the bases relative to their mounts; None if they are clamped
+
+
+def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Signals:
+    """State of an equilibrium, and what is known besides."""
     unit, touching = problem.unit, phase != Phase.free
     drive = problem.drive(u)
     residual, pose, base = _residuals(problem, z, u, phase, z)
@@ -68,7 +81,10 @@ def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> tup
         contact_arc=if_touching(arc) * unit.length,
         phase=phase,
     )
-    return state, jnp.maximum(jnp.max(jnp.abs(residual)), jnp.max(wrong))
+    displacement = None
+    if problem.springs is not None:
+        displacement = jnp.concatenate([pose[:, :3] * unit.length, pose[:, 3:]], axis=1)
+    return Signals(state, jnp.maximum(jnp.max(jnp.abs(residual)), jnp.max(wrong)), displacement)
 
 
 def _residuals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, free: Contacts):
@@ -125,7 +141,7 @@ def events(problem: SpaceProblem, path: SpacePath) -> SpaceEvents:
     index = jnp.arange(room)
     reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
     public = (nodes.kind >= 0) & reached & (index < path.count)
-    size = min(EVENTS * n, room)
+    size = event_room(n)
     at = jnp.nonzero(public, size=size, fill_value=0)[0]
     filled = jnp.arange(size) < jnp.sum(public)
 
@@ -135,7 +151,7 @@ def events(problem: SpaceProblem, path: SpacePath) -> SpaceEvents:
     control, *sides = jax.vmap(one)(at, filled)
     # With both sides in one batch, the rods are compiled only once.
     both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides)
-    states, _ = jax.vmap(lambda side: signals(problem, *side))(both)
+    states, *_ = jax.vmap(lambda side: signals(problem, *side))(both)
     before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)
 
     def where_filled(leaf):
@@ -146,6 +162,7 @@ def events(problem: SpaceProblem, path: SpacePath) -> SpaceEvents:
         kind=jnp.where(filled, nodes.kind[at], -1),
         whiskers=nodes.whiskers[at] & filled[:, None],
         control=where_filled(control * problem.unit.control),
+        travel=where_filled(nodes.travel[at] * problem.unit.control),
         before=jax.tree.map(where_filled, before),
         after=jax.tree.map(where_filled, after),
         count=jnp.sum(public),

@@ -43,7 +43,8 @@ class State(eqx.Module):
 
 FRICTION = ("slip", "normal_force", "friction_force")  # fields that are None without friction
 OBJECTS = ("contact_object",)  # fields that are None with a single object
-OPTIONAL = (*FRICTION, *OBJECTS, "shaft_loads")
+IN_SPACE = ("fz", "mx", "my", "base_z", "base_rotation", "contact_z")  # fields of states in space only
+OPTIONAL = (*FRICTION, *OBJECTS, "shaft_loads", *IN_SPACE)  # fields that not every state has
 
 
 def state_of(state: State) -> State:

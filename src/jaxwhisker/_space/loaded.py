@@ -5,7 +5,6 @@ whisker is free beyond it. Only differences of positions enter the moments. The 
 only unknown, and the rotation of the base the only equation.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -29,8 +28,8 @@ from jaxwhisker._base.rotations import (
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.loads import PointForce, SpaceForce
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._rod.rod import AlongRod
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, SpaceState, integrate
+from jaxwhisker._space.section import space_section
 
 ROD_STEPS = 32  # of the rod between two forces
 NODES, MODES = 12, 8  # quadrature points on a stretch and polynomials for each axis, with which stability is checked
@@ -40,23 +39,6 @@ HALF = float(np.sqrt(0.5))
 CLAMP: Quaternion = (HALF, -HALF, 0.0, 0.0)  # d1 = x, d2 = -z, d3 = y
 
 Top = Float[Array, "3"]  # rotation vector of the whisker at its top, from its direction without loads
-
-
-class _Opposite(eqx.Module):
-    value: Callable
-
-    def __call__(self, s: Scalar) -> Scalar:
-        return -self.value(s)
-
-
-def space_section(whisker: Whisker, length_unit: Scalar, stiffness_unit: Scalar) -> SpaceSection:
-    """Stiffness and curvature along a whisker, in these units of length and EI."""
-    # A curvature in the plane is positive counter-clockwise, and d2 points along -z.
-    bow: AlongRod | None = whisker.intrinsic_curvature
-    bow = None if bow is None else _Opposite(bow) if callable(bow) else -bow
-    ratio, lateral, twist = (getattr(whisker, name, None) for name in ("torsion_ratio", "lateral_curvature", "twist"))
-    breaks = None if whisker.breaks is None else jnp.asarray(whisker.breaks)
-    return SpaceSection(whisker.bending_stiffness, ratio, (lateral, bow, twist), length_unit, stiffness_unit, breaks)
 
 
 class LoadedInSpace(eqx.Module):

@@ -24,12 +24,13 @@ from jaxwhisker._model.motion import AbstractMotion
 from jaxwhisker._model.scene import Units, units_of
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.surface import AbstractSurface
-from jaxwhisker._model.whisker import Whisker, with_equal_breaks
+from jaxwhisker._model.whisker import with_equal_breaks
 from jaxwhisker._rod.elastica import AbstractRod
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
 from jaxwhisker._space.contact import Body
 from jaxwhisker._space.free import INTERVALS, Outline
+from jaxwhisker._space.section import space_section
 
 PerWhisker = Float[Array, " whiskers"]
 Contacts = Float[Array, "whiskers 11"]
@@ -106,37 +107,6 @@ def of_each(problem: SpaceProblem, function: Callable, *args):
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 
-class Opposite(eqx.Module):
-    """A function of arc length with the opposite sign."""
-
-    function: Callable
-
-    def __call__(self, s: Scalar) -> Scalar:
-        return -self.function(s)
-
-
-def sections_in_space(
-    whiskers: tuple[Whisker, ...], length_unit: Scalar, stiffness_unit: Scalar
-) -> SpaceSection | tuple[SpaceSection, ...]:
-    """Sections of curved or twisted whiskers: stacked if they differ in numbers only, otherwise a tuple."""
-    whiskers = with_equal_breaks(jax.tree.map(checks.as_float, whiskers))
-    length, stiffness = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit))
-
-    def one(whisker):
-        plane, breaks = whisker.intrinsic_curvature, whisker.breaks
-        second = Opposite(plane) if callable(plane) else None if plane is None else -plane
-        return SpaceSection(
-            whisker.bending_stiffness,
-            jnp.asarray(whisker.torsion, dtype=float),
-            (whisker.lateral_curvature, second, whisker.twist),
-            length,
-            stiffness,
-            None if breaks is None else jnp.asarray(breaks),
-        )
-
-    return stacked_or_each([one(whisker) for whisker in whiskers])
-
-
 def outlines_in_space(length: PerWhisker, section) -> Outline:
     """Shapes of unloaded whiskers."""
     places = np.linspace(0.0, 1.0, INTERVALS + 1)
@@ -165,7 +135,11 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in whiskers])
     stiffness_unit = unit.moment * unit.length
-    section = (sections_in_space if scene.rolls else sections)(whiskers, unit.length, stiffness_unit)
+    if scene.rolls:
+        alike = with_equal_breaks(jax.tree.map(checks.as_float, whiskers))
+        section = stacked_or_each([space_section(whisker, unit.length, stiffness_unit) for whisker in alike])
+    else:
+        section = sections(whiskers, unit.length, stiffness_unit)
     mounts = [mount_in_space(mount) for mount in scene.support.mounts]
     position, rotation = (jnp.stack(parts) for parts in zip(*mounts, strict=True))
     springs = None

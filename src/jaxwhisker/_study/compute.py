@@ -14,17 +14,15 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxwhisker._base import checks
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import AbstractScene
 from jaxwhisker._path.approach import MARGIN
 from jaxwhisker._scan.channels import columns_of
 from jaxwhisker._scan.dataset import VARIABLES, first_failure
-from jaxwhisker._scan.detect import kinds_of
-from jaxwhisker._scan.result import Result, arrays_of
-from jaxwhisker._scan.route import across
-from jaxwhisker._scan.scan import STEP, follow_path_now, prepare, problem_now, scan
+from jaxwhisker._scan.result import AbstractResult, arrays_of
+from jaxwhisker._scan.route import STEP
+from jaxwhisker._scan.scan import Range, range_of, scan
 from jaxwhisker._study.layout import POINT_STATUS, channel_quantities
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, lanes_for
 from jaxwhisker._study.structure import channels_of, fingerprint, sampled
@@ -32,7 +30,7 @@ from jaxwhisker._study.summary import derivative_name, summarise
 
 Arrays = dict[str, np.ndarray]
 Write = Callable[[BlockIndex, Arrays], None]  # stores the variables of a block
-ChannelsFunction = Callable[[Result], Mapping[str, Any]]
+ChannelsFunction = Callable[[AbstractResult], Mapping[str, Any]]
 
 MOST_POSITIONS = 100_000  # largest number of positions of the default control
 BLOCKS_AHEAD = 2  # blocks submitted for each thread of a cluster: one is computed, one waits
@@ -43,7 +41,7 @@ RETRIES = 3  # of a block whose computation fails; blocks of a worker that dies 
 class Job:
     """What a study computes at each of its points; it is sent to the workers of a cluster."""
 
-    build: Callable[..., Scene]
+    build: Callable[..., AbstractScene]
     names: tuple[str, ...]  # of the parameters
     control: Float[np.ndarray, " steps"]
     outputs: tuple[str, ...]  # quantities that are computed
@@ -169,7 +167,9 @@ def key_of(job: Job, samples: list[dict[str, float]]) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
-def common_control(build: Callable[..., Scene], parameters: Parameters, onwards: int) -> Float[np.ndarray, " steps"]:
+def common_control(
+    build: Callable[..., AbstractScene], parameters: Parameters, onwards: int
+) -> Float[np.ndarray, " steps"]:
     """The default control of all points: from the earliest start to the latest end of the default controls of `scan`.
 
     Args:
@@ -197,19 +197,15 @@ def common_control(build: Callable[..., Scene], parameters: Parameters, onwards:
     return onwards * (first + step * np.arange(max(2, steps)))
 
 
-def _ranges(build: Callable[..., Scene], parameters: Parameters) -> Float[np.ndarray, "3 points"]:
+def _ranges(build: Callable[..., AbstractScene], parameters: Parameters) -> Float[np.ndarray, "3 points"]:
     """First and last position of the default control of every point, and its step; NaN for invalid points."""
 
     def point(values):
-        scene, (stops, last) = jax.tree.map(checks.as_float, build(**values)), across()
-        problem, kinds = problem_now(scene.in_equilibrium()), kinds_of(scene)
-        prepare(problem, stops.size, kinds, events=True)  # for the scans that follow
-        path = follow_path_now(problem, stops, np.asarray(last))
-        return problem.valid, path.start, path.stop, problem.unit.control
+        return range_of(build(**values))
 
     total, lanes = parameters.total, lanes_for(parameters.total)
     blocks = [np.arange(first, min(first + lanes, total)) for first in range(0, total, lanes)]
     with ThreadPoolExecutor(threads()) as pool:
         found = list(pool.map(as_here(lambda numbers: jax.vmap(point)(parameters.numbered(numbers))), blocks))
-    valid, start, stop, unit = (np.concatenate(each) for each in zip(*found, strict=True))
-    return np.where(valid, [start, stop, STEP * unit], np.nan)
+    every = Range(*(np.concatenate(each) for each in zip(*found, strict=True)))
+    return np.where(every.valid, [every.start, every.stop, STEP * every.unit], np.nan)

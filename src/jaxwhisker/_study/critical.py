@@ -78,8 +78,9 @@ def critical_stiffness(
     """
     checks.instance("whisker", whisker, Whisker, "a Whisker")
     softness = softest(Support.named(model, 1.0))
-    objects = Scene(whisker, profile).profile.objects
-    return jnp.max(jnp.stack([steepest(whisker, one).slope for one in objects])) * softness
+    scene = Scene(whisker, profile)
+    checks.instance("profile", scene, Scene, "one or more profiles")
+    return jnp.max(jnp.stack([steepest(whisker, one).slope for one in scene.profile.objects])) * softness
 
 
 def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:

@@ -7,20 +7,20 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._scan.dataset import VARIABLES, SceneLayout
-from jaxwhisker._scan.quantities import REACTIONS, STATE, Quantity, unit_in_words
-from jaxwhisker._scan.state import FRICTION, OPTIONAL
+from jaxwhisker._scan.quantities import DIRECTORS, REACTIONS_IN_SPACE, STATE, Quantity, unit_in_words
+from jaxwhisker._scan.state import FRICTION, IN_SPACE, OBJECTS, OPTIONAL
 from jaxwhisker._study.parameters import Parameters
-from jaxwhisker._study.summary import SUMMARY, comment_on, derivative_in_words, derivative_name
+from jaxwhisker._study.summary import comment_on, derivative_in_words, derivative_name, summary_without
 
 if TYPE_CHECKING:
     import xarray as xr
 
-GROUPS = {
-    "reactions": REACTIONS,
+GROUPS = {  # scenes have those of these variables that are not absent
+    "reactions": REACTIONS_IN_SPACE,
     "status": ("status",),
     "events": tuple(name for name in VARIABLES if name.startswith("event_")),
     "contact": ("phase", *(name for name in STATE if name.startswith("contact_")), *FRICTION),
-    "springs": ("base_x", "base_y", "base_angle", "spring_length"),
+    "springs": ("base_x", "base_y", "base_z", "base_rotation", "base_angle", "spring_length"),
     "event_states": tuple(name for name in VARIABLES if name.startswith(("before_", "after_"))),
     "all": tuple(VARIABLES),
 }
@@ -64,11 +64,12 @@ def variables_of(
     kept = {name: VARIABLES[name] for name in chosen(outputs, absent)}
     for name in (outputs,) if isinstance(outputs, str) else outputs:
         if name in VARIABLES and name not in kept:
-            lack = "friction" if field_of(name) in FRICTION else "several objects"
+            lacks = {"friction": FRICTION, "several objects": OBJECTS, "object in space": IN_SPACE}
+            lack = next((one for one, fields in lacks.items() if field_of(name) in fields), f"{name} in space")
             raise ValueError(f"`outputs` must be names of what the scenes have, but they have no {lack}: got {name!r}.")
     if summarised:
         kept = {name: quantity for name, quantity in kept.items() if "control" not in quantity.axes}
-    kept |= channel_quantities(channels) | (SUMMARY if summarised else {})
+    kept |= channel_quantities(channels) | (summary_without(absent) if summarised else {})
     for name, quantity in list(kept.items()):
         for parameter in derivatives if quantity.dtype == "float64" else ():
             words = derivative_in_words(quantity, parameter)
@@ -105,7 +106,7 @@ class Layout(NamedTuple):
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes of the dimensions that follow those of the points."""
-        own = {"control": self.control.size, "event": self.events}
+        own = {"control": self.control.size, "event": self.events} | {dim: len(DIRECTORS[dim]) for dim in DIRECTORS}
         return own | {"whisker": self.scene.whiskers, "spring": len(self.scene.springs)}
 
     def dims(self, name: str) -> tuple[str, ...]:
@@ -166,7 +167,7 @@ class Layout(NamedTuple):
         return None
 
 
-RESERVED = {"control", "whisker", "spring", "event", "point", "between"}
+RESERVED = {"control", "whisker", "spring", "event", "point", "between", *DIRECTORS}
 
 
 def _other_values(here: np.ndarray, stored: np.ndarray) -> str | None:

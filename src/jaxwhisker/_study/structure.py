@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from jaxwhisker._base import checks
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import AbstractScene
 from jaxwhisker._scan.channels import arguments_of, example_of, traced_channels
 from jaxwhisker._scan.dataset import SceneLayout, layout_of
 from jaxwhisker._study.parameters import Parameters
@@ -44,8 +44,8 @@ def layout_of_scenes(build: Callable, parameters: Parameters) -> SceneLayout:
     return layout_of(traced)._replace(sizes=layout_of(samples[0]).sizes if samples else {})
 
 
-def _checked(scene: Any) -> Scene:
-    if not isinstance(scene, Scene):
+def _checked(scene: Any) -> AbstractScene:
+    if not isinstance(scene, AbstractScene):
         raise _NoSceneError(f"`build` must return a Scene, got {scene!r}.")
     return scene
 
@@ -54,9 +54,9 @@ class _NoSceneError(ValueError):
     """`build` itself is wrong, rather than its arguments at one point."""
 
 
-def _samples(build: Callable, parameters: Parameters) -> list[Scene]:
+def _samples(build: Callable, parameters: Parameters) -> list[AbstractScene]:
     """Scenes at a few points spread over all; points that `build` rejects are left out."""
-    found: list[Scene] = []
+    found: list[AbstractScene] = []
     for point in sampled(parameters):
         with suppress(Exception):  # a bad point: it gets a status and NaN
             found.append(build(**point))
@@ -65,7 +65,7 @@ def _samples(build: Callable, parameters: Parameters) -> list[Scene]:
     return [_checked(scene) for scene in found]
 
 
-def _traced(build: Callable, parameters: Parameters, built: bool) -> Scene:
+def _traced(build: Callable, parameters: Parameters, built: bool) -> AbstractScene:
     """The scene of traced parameters; `built` says whether `build` succeeded at a concrete point."""
     try:
         return _trace(build, tuple(parameters.values), {})
@@ -85,7 +85,7 @@ def _traced(build: Callable, parameters: Parameters, built: bool) -> Scene:
         raise ValueError(f"`build` must return a Scene, got {failed} at every point that was tried.") from error
 
 
-def _trace(build: Callable, names: tuple[str, ...], fixed: dict) -> Scene:
+def _trace(build: Callable, names: tuple[str, ...], fixed: dict) -> AbstractScene:
     scenes: list[Any] = []
 
     def probe(values):

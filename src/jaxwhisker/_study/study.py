@@ -13,11 +13,11 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import AbstractScene
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.dataset import VARIABLES, omitted_events, points_in_words
+from jaxwhisker._scan.dataset import VARIABLES, SceneLayout, omitted_events, points_in_words
 from jaxwhisker._scan.quantities import Quantity
-from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.result import AbstractResult
 from jaxwhisker._scan.signals import event_room
 from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster
 from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, chosen, variables_of
@@ -38,12 +38,12 @@ SUMMARISED = ("reactions", "base_x", "status", "events", "event_states")  # outp
 
 @with_own_settings
 def study(
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     *,
     control: Control | None = None,
     points: Any = None,
     outputs: Sequence[str] | str = DEFAULT,
-    channels: Callable[[Result], Mapping[str, Any]] | None = None,
+    channels: Callable[[AbstractResult], Mapping[str, Any]] | None = None,
     derivatives: Sequence[str] | str = (),
     summary: bool = False,
     store: Any = None,
@@ -66,8 +66,9 @@ def study(
             end of the default controls of `scan` at all points, in steps of 0.001 lengths of the longest whisker, or
             0.001 rad. An explicit control avoids computing these ends first.
         points: a table with one column per parameter (a mapping or a DataFrame) and one row per point, instead of axes.
-        outputs: variables, or groups of them: `reactions` (fx fy mz), `status`, `events`, `contact`, `springs`
-            (base_x base_y base_angle spring_length), `event_states`, `all`.
+        outputs: variables, or groups of them: `reactions` (fx fy mz, in space also fz mx my), `status`, `events`,
+            `contact`, `springs` (base_x base_y base_angle spring_length, in space base_z and base_rotation instead of
+            base_angle), `event_states`, `all`.
         channels: a function of the result of a scan that returns further variables along the control by name, as for
             `identify`: arrays (steps,), or (steps, n) for n variables name_1 to name_n. It is traced and must not use
             the result's events. For example, frequencies of vibration:
@@ -122,9 +123,17 @@ def study(
         job = Job(build, arguments, layout.control, computed, derivatives, summary, kept, channels, names)
         kernel = Kernel(job)
         if any(VARIABLES[name].axes[:1] == ("event",) for name in computed):
-            layout = layout._replace(events=event_room(layout.scene.whiskers))
+            layout = layout._replace(events=_event_room(layout.scene))
         _compute(kernel, target, layout, blocks, client, visible)
         return _finished(target, build, layout, visible)
+
+
+def _event_room(scene: SceneLayout) -> int:
+    if scene.in_space:
+        from jaxwhisker._scan import space_signals
+
+        return space_signals.event_room(scene.whiskers)
+    return event_room(scene.whiskers)
 
 
 def _check_names(parameters: Parameters, variables: dict[str, Quantity], channels: Sequence[str]) -> None:
@@ -138,7 +147,7 @@ def _check_names(parameters: Parameters, variables: dict[str, Quantity], channel
             )
 
 
-def _layout(build: Callable[..., Scene], parameters: Parameters, control: Any) -> Layout:
+def _layout(build: Callable[..., AbstractScene], parameters: Parameters, control: Any) -> Layout:
     """The layout of the Dataset without its variables; its control is empty until the default one is computed."""
     if control is not None:
         checks.vector("control", control)
@@ -168,7 +177,7 @@ def _checked_derivatives(derivatives: Sequence[str] | str, parameters: Parameter
 
 def _planned(
     layout: Layout,
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     computed: Sequence[str],
     derivatives: Sequence[str],
     memory: float,
@@ -205,7 +214,9 @@ def _compute(
             bar.update(points(index) * steps)
 
 
-def _finished(target: Memory | Store, build: Callable[..., Scene], layout: Layout, visible: bool) -> "xr.Dataset":
+def _finished(
+    target: Memory | Store, build: Callable[..., AbstractScene], layout: Layout, visible: bool
+) -> "xr.Dataset":
     """The Dataset with a description of failed points, which is printed as well."""
     data = target.dataset()
     attributes = {"points": _points_in_words(build, layout.parameters, data[POINT_STATUS].values)}
@@ -216,7 +227,7 @@ def _finished(target: Memory | Store, build: Callable[..., Scene], layout: Layou
     return target.dataset(attributes)
 
 
-def _points_in_words(build: Callable[..., Scene], parameters: Parameters, status: np.ndarray) -> str:
+def _points_in_words(build: Callable[..., AbstractScene], parameters: Parameters, status: np.ndarray) -> str:
     """How many points are ok or failed, and why the first invalid one is invalid."""
     words = points_in_words(status)
     invalid = np.flatnonzero(status == Status.invalid)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.dataset import VARIABLES
-from jaxwhisker._scan.quantities import CONTROL, REACTIONS, Quantity
+from jaxwhisker._scan.quantities import CONTROL, DIRECTORS, ENERGIES, REACTIONS_IN_SPACE, Quantity
 from jaxwhisker._scan.route import route_of
 
 if TYPE_CHECKING:
@@ -25,15 +25,14 @@ EXTREMUM_STEPS = 5  # to the extremum of that polynomial, which is at most half 
 BLOCK_BYTES = 64e6  # bytes of a Dataset that are read at a time
 WIDTHS = ("contact_width", "half_width_mz")
 _EVENTS = ("event_kind", "event_control", "event_whisker", "event_count")
-_ENERGIES = ("event_energy_before", "event_energy_after")
-_PER_SCENE = ("control", "whisker", "spring", "event")
+_PER_SCENE = ("control", "whisker", "spring", "event", *DIRECTORS)
 STEP = 1e-30  # of complex-step derivatives (Squire and Trapp 1998), which are exact for any small step
 
 
 def _summary() -> dict[str, Quantity]:
     each = ("whisker",)
     found = {}
-    for name, (which, word) in product(REACTIONS, (("max", "largest"), ("min", "smallest"))):
+    for name, (which, word) in product(REACTIONS_IN_SPACE, (("max", "largest"), ("min", "smallest"))):
         found[f"{which}_{name}"] = Quantity(f"{word} {name}", "", VARIABLES[name].kind, each)
         found[f"control_of_{which}_{name}"] = Quantity(f"drive position of the {word} {name}", "", CONTROL, each)
     return found | {
@@ -48,6 +47,15 @@ def _summary() -> dict[str, Quantity]:
 
 
 SUMMARY = _summary()
+
+
+def summary_without(absent: Sequence[str]) -> dict[str, Quantity]:
+    """The summary of scenes that do not have these quantities."""
+
+    def needed(name: str) -> str:
+        return ENERGIES[0] if name == "snap_work" else name.rpartition("_")[2]
+
+    return {name: quantity for name, quantity in SUMMARY.items() if needed(name) not in absent}
 
 
 @with_own_settings
@@ -195,8 +203,8 @@ def _summarise(arrays: Mapping[str, np.ndarray], control: np.ndarray) -> dict[st
         found["contact_width"] = scans.distance(found["first_touch"], found["last_contact"])
     if scans.has_events:
         found["snaps"] = np.where(scans.count < 0, -1, scans.snap.sum(axis=1))
-        if set(_ENERGIES) <= set(arrays):
-            lost = np.where(scans.snap, np.subtract(*(scans.arrays[name] for name in _ENERGIES)), 0.0)
+        if set(ENERGIES) <= set(arrays):
+            lost = np.where(scans.snap, np.subtract(*(scans.arrays[name] for name in ENERGIES)), 0.0)
             found["snap_work"] = np.where(scans.failed, np.nan, lost.sum(axis=1))
     if "status" in arrays:
         status = scans.arrays["status"]
@@ -219,7 +227,7 @@ class _Scans:
             array, own = np.asarray(arrays[name]), len(VARIABLES[name].axes)
             self.lead, shape = array.shape[: array.ndim - own], array.shape[array.ndim - own :]
             self.arrays[name] = array.reshape((math.prod(self.lead), *shape))
-        self.reactions = [name for name in REACTIONS if name in arrays]
+        self.reactions = [name for name in REACTIONS_IN_SPACE if name in arrays]
         self.has_events = set(_EVENTS) <= set(arrays)
         failures = [np.isnan(np.real(self.arrays[name])).any(axis=(1, 2)) for name in self.reactions]
         if "status" in arrays:

@@ -22,7 +22,8 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, Shooting
 from jaxwhisker._scan.quantities import KINDS, UNITS, unit_in_words
-from jaxwhisker._scan.scan import MOST_STEPS, STEP, default_control
+from jaxwhisker._scan.route import MOST_STEPS, STEP
+from jaxwhisker._scan.scan import default_control
 
 MODEL_NAMES = ("clamped", "FB", "FBFB", "FBFBR", "FBFBFBR")
 

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from jaxwhisker._base import checks
 from jaxwhisker._scan.dataset import in_shown_units
-from jaxwhisker._scan.quantities import REACTIONS, STATE
+from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE, STATE
 from jaxwhisker.plot.axes import COLOURS, colour, grid_of_axes, legend_above, title
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def _check_dataset(data: Any, name: str) -> None:
 
 def _name_and_unit(variable: "xr.DataArray") -> str:
     name, unit = variable.attrs.get("long_name", str(variable.name)), variable.attrs.get("units", "1")
-    for reaction in REACTIONS:
+    for reaction in REACTIONS_IN_SPACE:
         name = re.sub(rf"\b{reaction}\b", f"${STATE[reaction].symbol}$", name)
     raised = re.sub(r"\^(\d+)", r"$^{\1}$", unit)
     return name if unit == "1" else f"{name} ({raised})"

@@ -1,0 +1,34 @@
+"""From a whisker to the section of its rod in space."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod.space import SpaceSection
+
+
+class Opposite(eqx.Module):
+    """A function of arc length with the opposite sign."""
+
+    function: Callable
+
+    def __call__(self, s: Scalar) -> Scalar:
+        return -self.function(s)
+
+
+def space_section(whisker: Whisker, length_unit: Scalar, stiffness_unit: Scalar) -> SpaceSection:
+    """Stiffness and curvature along a whisker, in these units of length and EI."""
+    # A curvature in the plane is positive counter-clockwise, and d2 points along -z.
+    bow, breaks = whisker.intrinsic_curvature, whisker.breaks
+    second = None if bow is None else Opposite(bow) if callable(bow) else -jnp.asarray(bow)
+    return SpaceSection(
+        whisker.bending_stiffness,
+        jnp.asarray(whisker.torsion, dtype=float),
+        (whisker.lateral_curvature, second, whisker.twist),
+        jnp.asarray(length_unit, dtype=float),
+        jnp.asarray(stiffness_unit, dtype=float),
+        None if breaks is None else jnp.asarray(breaks),
+    )
