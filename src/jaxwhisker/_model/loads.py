@@ -79,8 +79,7 @@ class SpaceForce(eqx.Module):
         ValueError: if a value is not a finite number, or the position is not positive.
 
     Examples:
-        >>> from jaxwhisker._model.loads import SpaceForce
-        >>> bent = jw.deflect(jw.Whisker(), SpaceForce(-1.0, 0.0, 0.5))
+        >>> bent = jw.deflect(jw.Whisker(), jw.SpaceForce(-1.0, 0.0, 0.5))
         >>> print(f"x = {bent.x[-1]:.3f}, z = {bent.z[-1]:.3f}")
         x = -0.295, z = 0.148
     """

@@ -32,8 +32,7 @@ class SpaceDeflection(eqx.Module):
     curvature about d2 is the opposite of that of a Deflection, since d2 points along -z.
 
     Examples:
-        >>> from jaxwhisker._model.loads import SpaceForce
-        >>> bent = jw.deflect(jw.Whisker(), SpaceForce(-1.0, 0.0, 0.5))
+        >>> bent = jw.deflect(jw.Whisker(), jw.SpaceForce(-1.0, 0.0, 0.5))
         >>> print(bent.status == jw.Status.ok, bent.rotation.shape)
         True (101, 3, 3)
     """
