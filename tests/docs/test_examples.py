@@ -12,6 +12,7 @@ import jaxwhisker as jw
 # Users start with these names; each must have an example.
 ILLUSTRATED = [
     *("Circle", "ClosedForm", "Contour", "Deflection", "Ellipse", "Graph", "Motion", "Mount", "Parabola", "PointForce"),
+    *("LinearDrive", "Sphere", "SpaceForce", "SpaceScene", "WhiskDrive"),
     *("PointMoment", "Rotation", "Scene", "Sensor", "Shooting", "Spring", "Support", "Tilted", "Translation"),
     *("Whisker", "Whisker.conical", "Whisker.from_material", "Whisker.rat", "deflect"),
 ]
@@ -22,10 +23,16 @@ def examples():
     finder, found = doctest.DocTestFinder(exclude_empty=True), {}
     for name in jw.__all__:
         own = inspect.unwrap(getattr(jw, name))
-        for test in finder.find(own, name, module=False, globs={"jw": jw, "jnp": jnp, "np": np}):
-            if test.examples:
-                found[test.name] = test
+        # Constructors may be those of a base class.
+        for kind in [base for base in inspect.getmro(own) if ours(base)] if inspect.isclass(own) else [own]:
+            for test in finder.find(kind, name, module=False, globs={"jw": jw, "jnp": jnp, "np": np}):
+                if test.examples:
+                    found.setdefault(test.name, test)
     return found
+
+
+def ours(kind):
+    return kind.__module__.startswith("jaxwhisker")
 
 
 EXAMPLES = examples()
