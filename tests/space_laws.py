@@ -30,7 +30,9 @@ class Surface(NamedTuple):
         """Distance to first order, of points (..., 3)."""
         d = x - self.inside
         gradient = d @ self.matrix + self.slope
-        return (np.sum(d * (d @ self.matrix / 2 + self.slope), axis=-1) - self.depth) / np.linalg.norm(gradient, axis=-1)
+        return (np.sum(d * (d @ self.matrix / 2 + self.slope), axis=-1) - self.depth) / np.linalg.norm(
+            gradient, axis=-1
+        )
 
     def normal_and_curvature(self, x):
         gradient = (x - self.inside) @ self.matrix + self.slope
@@ -121,7 +123,9 @@ def shaft(plain: Plain, state: State) -> Shaft:
 def _yield_of(plain: Plain, state: State):
     """Displacement and rotation vector of the base in the frame of the drive."""
     position, drive, mount = plain.placement(state.control)
-    return drive.T @ (state.base - position), Rotation.from_matrix(drive.T @ state.rotation @ (drive.T @ mount).T).as_rotvec()
+    return drive.T @ (state.base - position), Rotation.from_matrix(
+        drive.T @ state.rotation @ (drive.T @ mount).T
+    ).as_rotvec()
 
 
 def _left_jacobian(turn):
@@ -148,7 +152,9 @@ def violations(plain: Plain, state: State) -> dict[str, float]:
     normal, curvature = plain.surface.normal_and_curvature(state.contact)
     tangent = whole.directors[:, 2]
     bent = plain.curvature(state.contact_arc)
-    spread = normal @ (bent[1] * whole.directors[:, 0] - bent[0] * whole.directors[:, 1]) + tangent @ curvature @ tangent
+    spread = (
+        normal @ (bent[1] * whole.directors[:, 0] - bent[0] * whole.directors[:, 1]) + tangent @ curvature @ tangent
+    )
     size = 1 + np.linalg.norm(state.force)
     found |= {
         "contact": np.max(np.abs(whole.at_contact - state.contact)),
