@@ -6,9 +6,9 @@ import equinox as eqx
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from space_laws import UPRIGHT, Plain, Surface, _hat
 
 import jaxwhisker as jw
-from space_laws import UPRIGHT, Plain, Surface, _hat
 
 
 class Cone(eqx.Module):
@@ -59,9 +59,9 @@ def surface_drawn(rng, kind: str, size: float):
     return surface, np.diag([2 * a, 0.0, 2 * b]), np.array([0.0, -1.0, 0.0]), depth
 
 
-def unloaded(curvature, taper=0.0, arcs=None):
+def unloaded(curvature):
     """Positions and body frames of an unloaded whisker on an upright mount."""
-    arcs = np.linspace(0.0, 1.0, 101) if arcs is None else arcs
+    arcs = np.linspace(0.0, 1.0, 101)
 
     def slope(s, y):
         d = y[3:].reshape(3, 3)
@@ -125,7 +125,6 @@ def _tried(rod, base, drive, rng):
         if not np.any(hit):
             return None
         lowest = np.min(np.broadcast_to(heights, hit.shape)[hit])
-        bottom = placed(inside).off(heights[:, None] * [0, 1.0, 0])
         overlap = rng.uniform(0.05, 0.6)
         inside = tip - offset * side + (0 - lowest - overlap) * np.array([0.0, 1.0, 0.0])
         # No part of the object near the plane in which the base moves.
@@ -166,13 +165,9 @@ def _tried(rod, base, drive, rng):
         inside = where + ray * (steps[np.argmax(placed(inside).off(-steps[:, None] * ray) > 0)])
         if np.min(placed(inside).off(np.zeros(3))) < 0.08:
             return None
-        angles = np.linspace(-np.pi / 2, u, 60)
-        if np.min(placed(inside).off(placement(-np.pi / 2)[1] @ own[:, :, None])if False else
-                  placed(inside).off(own @ placement(-np.pi / 2)[1].T)) < 0.01:  # fmt: skip
+        if np.min(placed(inside).off(own @ placement(-np.pi / 2)[1].T)) < 0.01:
             return None
-        del angles
         text = f"elevation {elevation:.2f} roll rate {rate:.2f} at {part} u {u:.2f}"
-    inside = inside if inside.shape else np.zeros(3)
     surface = surface.moved(tuple(map(float, inside)))
     springs, linear, tilting = [], np.full(3, np.inf), np.full(3, np.inf)
     if base != "clamped":
@@ -183,8 +178,6 @@ def _tried(rod, base, drive, rng):
         springs += [
             jw.Spring((0, 1), float(c), axis=a) for c, a in zip(tilting, ("phi_x", "phi_y", "phi"), strict=True)
         ]
-    for spring in springs:
-        assert spring.rest_length is None or True
     scene = jw.Scene(
         jw.Whisker(torsion_ratio=ratio, **whisker), surface, jw.Support(tuple(springs), mount), motion=motion
     )

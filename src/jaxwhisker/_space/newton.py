@@ -59,7 +59,7 @@ class Linear(NamedTuple):
     load_by: Float[Array, "rows steps"]
     pose_by_u: Float[Array, " rows"]
     load_by_u: Float[Array, " rows"]
-    own: Scalar  # largest residual of the equations of the surface, and infinite if the base points the wrong way
+    own: Scalar  # largest residual of the surface; infinite beyond the base, or if the base points the wrong way
 
 
 def linearise(
@@ -118,7 +118,7 @@ def linearise(
         load_by[:, :-1],
         pose_by_u,
         load_by_u,
-        jnp.where(upright, missed, jnp.inf),
+        jnp.where(upright & (z[SLACK] < body.length), missed, jnp.inf),
     )
 
 
