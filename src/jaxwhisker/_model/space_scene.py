@@ -39,7 +39,7 @@ class SpaceScene(AbstractScene):
 
     Examples:
         >>> jw.Scene(jw.Whisker(), jw.Sphere(radius=1.0, centre=(0.0, 1.3, 0.2)))
-        clamped: 1 whisker, sphere r = 1 at (0, 1.3, 0.2)
+        clamped: 1 whisker, sphere r = 1, centre (0, 1.3, 0.2)
     """
 
     whisker: Whisker | tuple[Whisker, ...]
