@@ -9,10 +9,12 @@ import jaxwhisker as jw
 from jaxwhisker._scan.quantities import (
     CONTROL,
     DERIVED,
+    DIRECTORS,
     DRAWN,
     KINDS,
     QUANTITIES,
     REACTIONS,
+    REACTIONS_IN_SPACE,
     STATE,
     UnitSystem,
     control_kind,
@@ -24,7 +26,8 @@ from jaxwhisker._scan.quantities import (
     with_prefix,
 )
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.space_result import SpaceResult, SpaceState
+from jaxwhisker._scan.state import IN_SPACE, State
 
 ROUNDING = 1e-14
 
@@ -35,14 +38,20 @@ ROTATING = jw.Scene(jw.Whisker(), jw.Parabola(0.2), motion=jw.Rotation((0.0, -0.
 MOVING = jw.Scene(jw.Whisker(), jw.Parabola(0.2), motion=jw.Motion(lambda u: (1 - u, 0.0, 0.0), 0.0, 2.0))
 
 
+def in_space(motion):
+    return jw.Scene(jw.Whisker(LENGTH, BENDING_STIFFNESS), jw.Sphere(0.05, (0.0, 0.065, 0.01)), motion=motion)
+
+
 def test_every_field_of_a_result_is_in_the_table():
     fields = {field.name for field in dataclasses.fields(State)} - {"shaft_loads"}  # one per spring between shafts
-    assert set(STATE) == fields
-    others = {field.name for field in dataclasses.fields(Result)} - fields - {"shaft_loads"}
-    assert others - set(QUANTITIES) == {"deferred_events", "scene"}
-    assert {f"{when}_{name}" for when in ("before", "after") for name in fields} <= set(QUANTITIES)
-    assert set(REACTIONS) < set(STATE)
-    assert set(DRAWN) <= set(QUANTITIES | DERIVED) and "phase" not in DRAWN
+    in_space = {field.name for field in dataclasses.fields(SpaceState)}
+    assert set(STATE) == fields | in_space and set(IN_SPACE) == in_space - fields
+    for kind, own in ((Result, fields), (SpaceResult, in_space)):
+        others = {field.name for field in dataclasses.fields(kind)} - own - {"shaft_loads"}
+        assert others - set(QUANTITIES) == {"deferred_events", "scene"}
+        assert {f"{when}_{name}" for when in ("before", "after") for name in own} <= set(QUANTITIES)
+    assert set(REACTIONS) < fields and set(REACTIONS_IN_SPACE) < in_space
+    assert set(DRAWN) <= set(QUANTITIES | DERIVED) - set(IN_SPACE) and "phase" not in DRAWN
 
 
 @pytest.mark.parametrize("name", QUANTITIES)
@@ -50,7 +59,7 @@ def test_every_quantity_is_well_formed(name):
     quantity = QUANTITIES[name]
     assert quantity.kind in (*KINDS, CONTROL)
     assert quantity.description and quantity.description[0].islower()
-    assert set(quantity.axes) <= {"control", "whisker", "spring", "event"}
+    assert set(quantity.axes) <= {"control", "whisker", "spring", "event", *DIRECTORS}
     assert np.asarray(quantity.fill, dtype=quantity.dtype).dtype == quantity.dtype
     if name.startswith("event_") or name.startswith(("before_", "after_")):
         assert "control" not in quantity.axes
@@ -68,13 +77,28 @@ def test_values_where_nothing_is_known():
         (PLAIN, "length", "drive position"),
         (ROTATING, "angle", "angle of the drive"),
         (MOVING, "number", "control"),
+        (in_space(jw.Translation()), "length", "drive position"),
+        (in_space(jw.LinearDrive((-3.0, 0.0, 4.0))), "length", "drive position"),
+        (in_space(jw.RotaryDrive((1.0, 0.0, 0.0))), "angle", "angle of the drive"),
+        (in_space(jw.WhiskDrive(elevation=0.1)), "angle", "angle of the drive"),
+        (in_space(jw.PoseDrive(lambda u: ((-u, 0.0, 0.0), (0.0, 0.0, u)), 0.0, 2.0)), "number", "control"),
     ],
-    ids=["translation", "rotation", "motion"],
+    ids=["translation", "rotation", "motion", "in space", "linear", "rotary", "whisking", "user-defined"],
 )
 def test_the_control_is_what_the_motion_has(scene, kind, name):
     assert control_kind(scene) == kind_of("control", scene) == kind_of("event_control", scene) == kind
     assert control_name(scene) == name
     assert kind_of("fx", scene) == "force"
+
+
+def test_a_scene_in_space_has_si_units():
+    units = UnitSystem(in_space(jw.LinearDrive((1.0, 0.0, 0.0))))
+    names = {"control": "mm", "fz": "mN", "mx": "mN mm", "base_z": "mm", "contact_z": "mm", "base_rotation": ""}
+    assert {name: units.unit(name).name for name in names} == names
+    assert units.label("my") == "$m_y$ (mN mm)"
+    support = jw.Support.follicle(z=13.0, phi_x=1e-3)
+    units = UnitSystem(jw.Scene(SI.whisker, jw.Sphere(0.05, (0.0, 0.065, 0.01)), support))
+    np.testing.assert_allclose(units.shown("spring_length", np.array([[0.01, 0.3]])), [[10.0, 0.3]], rtol=ROUNDING)
 
 
 def test_a_dimensionless_scene():

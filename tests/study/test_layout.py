@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from jaxwhisker._scan.dataset import SceneLayout
+from jaxwhisker._scan.quantities import ABSENT_IN_SPACE
 from jaxwhisker._scan.state import OPTIONAL
 from jaxwhisker._study.layout import Layout, chosen, kind_of_axis, variables_of
 from jaxwhisker._study.parameters import Parameters
-from jaxwhisker._study.summary import SUMMARY
+from jaxwhisker._study.summary import SUMMARY, summary_without
 
 SCENE = SceneLayout("a scene", 2, ("0-1", "1-2"), "angle of the drive", "angle", 1, OPTIONAL, True, {})
 
@@ -18,14 +19,50 @@ def layout(variables):
 
 
 def test_groups_and_names_are_in_the_order_of_the_table():
-    assert chosen(("status", "reactions")) == ("fx", "fy", "mz", "status")
+    assert chosen(("status", "reactions"), OPTIONAL) == ("fx", "fy", "mz", "status")
+    assert chosen("reactions", ABSENT_IN_SPACE) == ("fx", "fy", "fz", "mx", "my", "mz")
+    springs = ("base_x", "base_y", "base_z", "base_rotation", "spring_length")
+    assert chosen("springs", ABSENT_IN_SPACE) == springs
     assert chosen("mz") == ("mz",)
 
 
 def test_variables_along_the_control_are_left_out_if_summarised():
     variables = variables_of(("reactions", "events"), (), True)
     assert not any("control" in quantity.axes for quantity in variables.values())
-    assert set(SUMMARY) < set(variables) and "event_control" in variables
+    assert set(summary_without(OPTIONAL)) < set(variables) and "event_control" in variables
+
+
+def test_a_summary_has_what_the_scenes_have():
+    plane, space = summary_without(OPTIONAL), summary_without(ABSENT_IN_SPACE)
+    assert SUMMARY.keys() - plane.keys() == {f"{way}_{n}" for way in WAYS for n in ("fz", "mx", "my")}
+    assert SUMMARY.keys() - space.keys() == {"snap_work"}
+    assert list(plane) == [name for name in SUMMARY if name in plane]
+
+
+WAYS = ("max", "min", "control_of_max", "control_of_min")
+
+
+@pytest.mark.parametrize(
+    ("name", "absent", "lack"),
+    [
+        ("fz", OPTIONAL, "object in space"),
+        ("before_base_rotation", OPTIONAL, "object in space"),
+        ("slip", ABSENT_IN_SPACE, "friction"),
+        ("base_angle", ABSENT_IN_SPACE, "base_angle in space"),
+        ("event_energy_before", ABSENT_IN_SPACE, "event_energy_before in space"),
+    ],
+)
+def test_outputs_that_scenes_do_not_have_are_rejected(name, absent, lack):
+    with pytest.raises(ValueError, match=rf"`outputs` must be .* but they have no {lack}: got '{name}'\."):
+        variables_of(name, (), False, absent)
+
+
+def test_a_rotation_has_labelled_axes():
+    found = layout(variables_of("base_rotation", (), False, ABSENT_IN_SPACE))
+    assert found.dims("base_rotation") == ("stiffness", "control", "whisker", "component", "director")
+    assert found.shape("base_rotation") == (2, 3, 2, 3, 3)
+    assert list(found.frame().director.values) == ["d1", "d2", "d3"]
+    assert list(found.frame().component.values) == ["x", "y", "z"]
 
 
 def test_derivatives_have_the_unit_of_the_quotient():
