@@ -76,3 +76,12 @@ def test_without_a_rule_the_derivative_is_nan_and_the_value_stays():
     assert np.isnan(by_known[0]) and by_known[1] == 0  # no derivative with respect to infinity
     by_point = jax.grad(lambda point: without_rule(point, known).sum())(point)
     assert by_point.tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+def test_only_where_a_condition_holds_derivatives_are_unknown(mode):
+    def both(x):
+        return jnp.stack([without_rule(2 * x, x, jnp.asarray(lost)) for lost in (False, True)])
+
+    slopes = mode(both)(jnp.asarray(3.0))
+    assert slopes[0] == 2 and jnp.isnan(slopes[1])

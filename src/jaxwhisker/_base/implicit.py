@@ -5,14 +5,16 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from jaxwhisker._base.leaves import Tree
 from jaxwhisker._base.linear_algebra import inverse
 
 
-def without_rule(point: Tree, known: PyTree) -> Tree:
+def without_rule(point: Tree, known: PyTree, where: Bool[Array, ""] | bool = True) -> Tree:
     """The point, with NaN as its derivatives with respect to `known`: only a custom rule knows the true derivatives.
+
+    Where a condition does not hold, the point has no derivatives by this.
 
     When a loop around a solved point (lax.scan, lax.map) is differentiated backwards and then once more, jax 0.10 drops
     the custom rule. Without the NaN, the derivatives would be zero: wrong, and unnoticed.
@@ -20,7 +22,8 @@ def without_rule(point: Tree, known: PyTree) -> Tree:
     leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(eqx.filter(known, eqx.is_inexact_array))]
     everything = jnp.concatenate(leaves)
     # The value is 0. The derivative is NaN, because the square root has no derivative at 0.
-    nothing = 0.0 * jnp.sqrt(jnp.sum(jnp.where(jnp.isfinite(everything), 0.0 * everything, 0.0)))
+    zero = jnp.sum(jnp.where(jnp.isfinite(everything), 0.0 * everything, 0.0))
+    nothing = 0.0 * jnp.sqrt(zero if where is True else jnp.where(where, zero, 1.0))
     return jax.tree.map(lambda leaf: leaf + nothing, point)
 
 

@@ -199,9 +199,9 @@ def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, _S
     unknowns = solution_of(_at_event, jnp.append(jnp.ravel(z), u), known)
     # The equations are singular where stability is lost: derivatives of contacts there, and of the control at a
     # bifurcation, would need second derivatives of the rods.
-    unknown = without_rule((z, u), problem)
-    z = jnp.where(snaps | branches, unknown[0], jnp.reshape(unknowns[:-1], z.shape))
-    u = jnp.where(branches, unknown[1], unknowns[-1])
+    z = jnp.where(snaps | branches, z, jnp.reshape(unknowns[:-1], z.shape))
+    u = jnp.where(branches, u, unknowns[-1])
+    z, u = without_rule(z, problem, snaps | branches), without_rule(u, problem, branches)
     before = jnp.where(filled, node.phase_before, int(Phase.free))
     after = jnp.where(filled, node.phase, int(Phase.free))
     z_after = jnp.where(snaps, solved(problem, node.point.z, u, after), z)
