@@ -80,8 +80,7 @@ def test_without_a_rule_the_derivative_is_nan_and_the_value_stays():
 
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_only_where_a_condition_holds_derivatives_are_unknown(mode):
-    def both(x):
-        return jnp.stack([without_rule(2 * x, x, jnp.asarray(lost)) for lost in (False, True)])
+    def slope(lost):
+        return mode(lambda x: without_rule(2 * x, x, jnp.asarray(lost)))(jnp.asarray(3.0))
 
-    slopes = mode(both)(jnp.asarray(3.0))
-    assert slopes[0] == 2 and jnp.isnan(slopes[1])
+    assert slope(False) == 2 and jnp.isnan(slope(True))

@@ -202,3 +202,22 @@ def test_the_loop_of_the_march_ends_on_more_than_one_value():
     for condition in loops:
         used = {id(v) for equation in condition.eqns for v in equation.invars} & {id(v) for v in condition.invars}
         assert len(used) > 1
+
+
+def test_a_scan_in_the_plane_loads_nothing_of_space():
+    code = (
+        "import sys, jax; jax.config.update('jax_enable_x64', True); import jaxwhisker as jw; "
+        "jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.2)), [0.5, 0.4]); "
+        "of_space = ('space', 'surface', 'quadrics', 'solids', 'drives', 'rotation'); "
+        "print([name for name in sys.modules if name.startswith('jaxwhisker') and any(part in name for part in of_space)])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300)
+    assert found.stdout.strip() == "[]"
+
+
+def test_a_scene_in_the_plane_has_no_leaf_of_space():
+    """Whisker, support and mounts have fields for space; without them, a scene has the numbers that it had before."""
+    support = jw.Support.fb(70.0)
+    assert len(jax.tree.leaves(jw.Whisker())) == 2  # length and bending stiffness
+    assert len(jax.tree.leaves(jw.Mount())) == 3
+    assert len(jax.tree.leaves(jw.Scene(jw.Whisker(), jw.Parabola(0.2), support))) == 2 + 3 + 2
