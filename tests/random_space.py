@@ -6,9 +6,9 @@ import equinox as eqx
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from space_laws import UPRIGHT, Plain, Surface, _hat
 
 import jaxwhisker as jw
+from space_laws import UPRIGHT, Plain, Surface, _hat
 
 
 class Cone(eqx.Module):

@@ -1,8 +1,8 @@
 """Laws of a whisker in contact in space, checked by numpy and scipy only: nothing is shared with the package.
 
-The rod is integrated forward, from the base with the reaction of the support to its tip. `violations` returns one number
-per law, zero up to the accuracy of the state. `stability` is the smallest eigenvalue of the second variation of a
-discrete rod.
+The rod is integrated forward, from the base with the reaction of the support to its tip. `violations` returns one
+number per law, zero up to the accuracy of the state. `stability` is the smallest eigenvalue of the second variation of
+a discrete rod.
 """
 
 from collections.abc import Callable

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from random_space import Cone, drawn
 from scipy.spatial.transform import Rotation
-from space_laws import power, shaft, stability, state_of, violations
 
 import jaxwhisker as jw
+from random_space import Cone, drawn
+from space_laws import power, shaft, stability, state_of, violations
 
 REFERENCE = 1e-7  # relative to the largest; the reference gives ten digits and is accurate to 1e-9
 EXACT = 1e-9  # both sides are integrated to 1e-12
