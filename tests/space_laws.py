@@ -1,8 +1,8 @@
 """Laws of a whisker in contact in space, checked by numpy and scipy only: nothing is shared with the package.
 
-The rod is integrated forward, from the base with the reaction of the support to its tip. A state that obeys all laws has
-no violation: `violations` returns one number per law, zero up to the accuracy of the state. `stability` is the smallest
-eigenvalue of the second variation of a discrete rod.
+The rod is integrated forward, from the base with the reaction of the support to its tip. `violations` returns one
+number per law, zero up to the accuracy of the state. `stability` is the smallest eigenvalue of the second variation of
+a discrete rod.
 """
 
 from collections.abc import Callable
@@ -30,6 +30,7 @@ class Surface(NamedTuple):
         """Distance to first order, of points (..., 3)."""
         d = x - self.inside
         gradient = d @ self.matrix + self.slope
+        gradient[np.all(gradient == 0, axis=-1)] = 1e-9  # at the centre
         return (np.sum(d * (d @ self.matrix / 2 + self.slope), axis=-1) - self.depth) / np.linalg.norm(
             gradient, axis=-1
         )
@@ -243,7 +244,7 @@ def power(plain: Plain, state: State) -> float:
     """Power of the drive per rate of the control: the increase of the stored energy."""
     h = 1e-5
     (before, turned, _), (after, further, _) = (plain.placement(state.control + step) for step in (-h, h))
-    at, drive, _ = plain.placement(state.control)
+    at = plain.placement(state.control)[0]
     turn = Rotation.from_matrix(further @ turned.T).as_rotvec() / (2 * h)
     # The reaction is transmitted by the springs to the drive, at the displaced base.
     rate = (after - before) / (2 * h) + np.cross(turn, state.base - at)
