@@ -1,5 +1,7 @@
 """Studies of scans in space: the same values as single scans, statuses, summaries, derivatives, channels, stores."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -32,9 +34,10 @@ def test_points_are_single_scans(data):
         for name in ("fz", "mx", "my", "mz", "base_z", "contact_z", "base_rotation"):
             np.testing.assert_allclose(one[name], getattr(alone, name), rtol=0, atol=SAME, err_msg=name)
         for k, event in enumerate(alone.events):
+            before: Any = event.before
             assert int(one.event_kind[k]) == event.kind
             np.testing.assert_allclose(one.event_control[k], event.control, atol=SAME)
-            np.testing.assert_allclose(one.before_mx[k], event.before.mx, atol=SAME)
+            np.testing.assert_allclose(one.before_mx[k], before.mx, atol=SAME)
 
 
 def test_the_axes_of_variables_have_names_and_units(data):

@@ -1,5 +1,6 @@
 """Whiskers on a support: what scenes in the plane, sensors and scenes in space share."""
 
+import abc
 from typing import Any
 
 import equinox as eqx
@@ -15,9 +16,18 @@ class AbstractScene(eqx.Module):
     """Whiskers on a support that a drive moves past an object, in the plane or in space."""
 
     whisker: eqx.AbstractVar[Whisker | tuple[Whisker, ...]]
-    support: eqx.AbstractVar[Support]
-    motion: eqx.AbstractVar[Any]
     in_space = False
+
+    # Type checkers would take variables for fields before the object.
+    @property
+    @abc.abstractmethod
+    def support(self) -> Support:
+        """The support of the whiskers."""
+
+    @property
+    @abc.abstractmethod
+    def motion(self) -> Any:
+        """The motion of the drive."""
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:

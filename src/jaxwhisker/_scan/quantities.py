@@ -202,7 +202,7 @@ class UnitSystem:
         prefixes_of: AbstractScene | Sensor | None = None,
     ):
         check_units(units)
-        self.scene = scene
+        self.scene: Any = scene
         self.dimensionless = is_dimensionless(scene) if units == "auto" else units == "dimensionless"
         self.natural = natural_units(scene)
         self._prefixes_of = scene if prefixes_of is None else prefixes_of

@@ -22,7 +22,7 @@ from jaxwhisker._scan.channels import columns_of
 from jaxwhisker._scan.dataset import VARIABLES, first_failure
 from jaxwhisker._scan.result import AbstractResult, arrays_of
 from jaxwhisker._scan.route import STEP
-from jaxwhisker._scan.scan import Range, range_of, scan
+from jaxwhisker._scan.scan import range_of, scan
 from jaxwhisker._study.layout import POINT_STATUS, channel_quantities
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, lanes_for
 from jaxwhisker._study.structure import channels_of, fingerprint, sampled
@@ -41,7 +41,7 @@ RETRIES = 3  # of a block whose computation fails; blocks of a worker that dies 
 class Job:
     """What a study computes at each of its points; it is sent to the workers of a cluster."""
 
-    build: Callable[..., AbstractScene]
+    build: Callable[..., Any]  # returns a scene
     names: tuple[str, ...]  # of the parameters
     control: Float[np.ndarray, " steps"]
     outputs: tuple[str, ...]  # quantities that are computed
@@ -207,5 +207,5 @@ def _ranges(build: Callable[..., AbstractScene], parameters: Parameters) -> Floa
     blocks = [np.arange(first, min(first + lanes, total)) for first in range(0, total, lanes)]
     with ThreadPoolExecutor(threads()) as pool:
         found = list(pool.map(as_here(lambda numbers: jax.vmap(point)(parameters.numbered(numbers))), blocks))
-    every = Range(*(np.concatenate(each) for each in zip(*found, strict=True)))
-    return np.where(every.valid, [every.start, every.stop, STEP * every.unit], np.nan)
+    valid, start, stop, unit = (np.concatenate(each) for each in zip(*found, strict=True))
+    return np.where(valid, [start, stop, STEP * unit], np.nan)
