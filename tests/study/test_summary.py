@@ -6,8 +6,9 @@ import xarray as xr
 
 import jaxwhisker as jw
 from jaxwhisker._scan.dataset import VARIABLES
+from jaxwhisker._scan.state import OPTIONAL
 from jaxwhisker._study import summary as module
-from jaxwhisker._study.summary import SUMMARY, summarise, summary
+from jaxwhisker._study.summary import summarise, summary, summary_without
 from scenes import model
 
 PEAK = 1e-7  # relative: a polynomial through steps of 0.001 next to the steepest peak
@@ -16,6 +17,7 @@ ROUNDING = 1e-12
 COARSE = 0.1  # three uneven steps of a peak's width; across the turn a polynomial would be off by 0.2
 PLACE = 1e-5  # of a peak: the size of the finer steps
 PRINTED = 5e-6  # half a unit of the last digit of the exact peaks
+SUMMARY = summary_without(OPTIONAL)  # of scenes in the plane
 WIDTH = 1e-5  # straight lines between steps of 0.001
 STIFFNESS = (20.0, 70.0)  # the softer one snaps through before the second whisker's vertex and lands on the far side
 CONTROL = np.arange(0.9, -1.8, -0.001)
