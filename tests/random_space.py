@@ -1,5 +1,7 @@
 """Random ordinary scenes in space, each also in plain numbers for space_laws.py."""
 
+# pyright: reportArgumentType=false, reportRedeclaration=false
+
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,7 +25,7 @@ class Cone(eqx.Module):
 class Drawn(NamedTuple):
     """A scene, in plain numbers too, and the range of a scan across it."""
 
-    scene: jw.Scene
+    scene: jw.SpaceScene
     plain: Plain
     text: str
 
@@ -178,7 +180,7 @@ def _tried(rod, base, drive, rng):
         springs += [
             jw.Spring((0, 1), float(c), axis=a) for c, a in zip(tilting, ("phi_x", "phi_y", "phi"), strict=True)
         ]
-    scene = jw.Scene(
+    scene = jw.SpaceScene(
         jw.Whisker(torsion_ratio=ratio, **whisker), surface, jw.Support(tuple(springs), mount), motion=motion
     )
     plain = Plain(

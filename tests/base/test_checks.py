@@ -1,6 +1,6 @@
 """Argument checks: before tracing, a ValueError with name, allowed values and value; while tracing, a status."""
 
-# pyright: reportArgumentType=false
+# pyright: reportArgumentType=false, reportCallIssue=false
 import subprocess
 import sys
 

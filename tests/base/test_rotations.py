@@ -1,5 +1,7 @@
 """Vectors and rotations with absent parts, against numpy and scipy's rotations."""
 
+# pyright: reportArgumentType=false
+
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -43,14 +43,14 @@ def test_what_is_not_available_in_space_is_named(name, change):
     ],
 )
 def test_torsion_plays_a_part_for_curved_whiskers_and_turning_bases(whisker, support, rolls):
-    assert jw.Scene(whisker, BALL, support).rolls == rolls
+    assert jw.SpaceScene(whisker, BALL, support).rolls == rolls
 
 
 def test_the_closed_form_computes_uniform_straight_whiskers():
     control = [-1.2, -0.4, 0.2]
     drive = jw.LinearDrive((-1.0, 0.0, 0.0))
     exact, integrated = (
-        jw.scan(jw.Scene(jw.Whisker(), BALL, rod=rod, motion=drive), control).force
+        jw.scan(jw.SpaceScene(jw.Whisker(), BALL, rod=rod, motion=drive), control).force
         for rod in (jw.ClosedForm(), jw.Shooting())
     )
     assert abs(exact - integrated).max() < RODS

@@ -1,5 +1,7 @@
 """Rods in space: helices, rods in a plane, scipy's DOP853, and what stays constant along a rod."""
 
+# pyright: reportArgumentType=false, reportCallIssue=false
+
 from functools import partial
 
 import equinox as eqx

@@ -1,5 +1,7 @@
 """The end of a rod in space and its derivatives, against the rod in a plane and finite differences."""
 
+# pyright: reportArgumentType=false
+
 from functools import partial
 
 import equinox as eqx

@@ -1,6 +1,6 @@
 """Channels from a user's function: names, columns, examples of results and results made from states."""
 
-# pyright: reportArgumentType=false
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
 import functools
 
 import jax

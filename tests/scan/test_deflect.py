@@ -235,15 +235,15 @@ def test_shapes_have_points_on_each_stretch():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: jw.deflect("whisker", jw.PointForce(1.0)), "`whisker` must be a Whisker, got 'whisker'"),  # pyright: ignore[reportArgumentType]
+        (lambda: jw.deflect("whisker", jw.PointForce(1.0)), "`whisker` must be a Whisker, got 'whisker'"),  # pyright: ignore
         (
             lambda: jw.deflect(jw.Whisker()),
             r"`loads` must be one or more of PointForce, PointMoment, LineLoad and SpaceForce, got \(\)",
         ),
         (
-            lambda: jw.deflect(jw.Whisker(), 3.0),  # pyright: ignore[reportArgumentType]
+            lambda: jw.deflect(jw.Whisker(), 3.0),  # pyright: ignore
             "`loads` must be one or more of PointForce, PointMoment, LineLoad and SpaceForce, got",
-        ),  # pyright: ignore[reportArgumentType]
+        ),
         (
             lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0, 1.5)),
             "`position` must be at most the length 1.0, got 1.5",

@@ -1,5 +1,7 @@
 """Results in space: spring lengths, tables, Datasets, and functions that are only for the plane."""
 
+# pyright: reportArgumentType=false, reportCallIssue=false
+
 from typing import Any
 
 import jax
@@ -23,7 +25,7 @@ STIFFNESS = {"x": 60.0, "z": 40.0, "phi_x": 5.0}  # EI/L^3, EI/L
 
 
 def clamped(height=1.3, z=0.2):
-    return jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, height, z)))
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, height, z)))
 
 
 def sprung(z=0.2, length=1.0, bending_stiffness=1.0):
@@ -33,7 +35,7 @@ def sprung(z=0.2, length=1.0, bending_stiffness=1.0):
         name: k * (torsion if name.startswith("phi") else linear) for name, k in STIFFNESS.items()
     }
     sphere = jw.Sphere(length, (0.0, 1.3 * length, z * length))
-    return jw.Scene(jw.Whisker(length, bending_stiffness), sphere, jw.Support.follicle(**stiffness))
+    return jw.SpaceScene(jw.Whisker(length, bending_stiffness), sphere, jw.Support.follicle(**stiffness))
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """Scans in space: the reference, exact reductions to the plane, symmetries, laws of single states, batches."""
 
+# pyright: reportArgumentType=false
+
 import json
 from pathlib import Path
 
@@ -22,7 +24,7 @@ ALONG = jw.LinearDrive((-1.0, 0.0, 0.0))
 CONTROL = np.linspace(-1.2, 1.2, 49)
 
 
-def case(row) -> jw.Scene:
+def case(row) -> jw.SpaceScene:
     """The scene of a case of the reference."""
     rod, drive, surface = (row["params"][key] for key in ("rod", "drive", "surface"))
     first, second, twist = rod["kappa0"]
@@ -48,7 +50,7 @@ def case(row) -> jw.Scene:
         for stiffness, axis in zip(row["params"].get(key, ()), axes, strict=False)
     ]
     mount = jw.Mount(roll=drive["roll"]) if drive.get("roll") else None
-    return jw.Scene(jw.Whisker(**whisker), body, jw.Support(tuple(springs), mount), motion=motion)
+    return jw.SpaceScene(jw.Whisker(**whisker), body, jw.Support(tuple(springs), mount), motion=motion)
 
 
 @pytest.mark.parametrize("row", CASES, ids=[row["name"].replace(" ", "_") for row in CASES])
@@ -68,7 +70,7 @@ def test_scans_agree_with_the_reference(row):
 
 
 def sphere(b=0.2, **fields):
-    return jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, b)), motion=ALONG, **fields)
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, b)), motion=ALONG, **fields)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +82,7 @@ def beside():
 def in_plane(profile, distances):
     """Reactions (force x, force y, moment z) of a plane scan at these distances of the base before the vertex."""
     order = np.argsort(-distances)
-    found = jw.scan(jw.Scene(jw.Whisker(), profile), distances[order])
+    found = jw.scan(jw.SpaceScene(jw.Whisker(), profile), distances[order])
     assert np.all(np.asarray(found.status) == jw.Status.ok)
     values = np.stack([found.fx[:, 0], found.fy[:, 0], found.mz[:, 0]], axis=-1)
     return values[np.argsort(order)]
@@ -104,7 +106,7 @@ def test_a_sphere_beside_the_scan_is_the_plane_problem_at_the_distance_of_its_ax
 def test_a_tilted_cylinder_is_the_plane_problem_normal_to_its_axis():
     tilt, control = 0.5, np.linspace(-1.3, -0.01, 30)
     body = jw.Cylinder(1.0, (0.0, 1.3, 0.0), (np.sin(tilt), 0.0, np.cos(tilt)))
-    found = jw.scan(jw.Scene(jw.Whisker(), body, motion=ALONG), control)
+    found = jw.scan(jw.SpaceScene(jw.Whisker(), body, motion=ALONG), control)
     outwards = np.array([np.cos(tilt), 0.0, -np.sin(tilt)])
     force, moment = in_space(in_plane(jw.Circle(0.3, 1.0), -control * np.cos(tilt)), outwards)
     np.testing.assert_allclose(found.force[:, 0], force, atol=EXACT)
@@ -113,7 +115,7 @@ def test_a_tilted_cylinder_is_the_plane_problem_normal_to_its_axis():
 
 def ellipsoid(turn, centre, direction):
     body = jw.Ellipsoid((1.1, 0.8, 0.6), centre).rotated(turn)
-    return jw.scan(jw.Scene(jw.Whisker(), body, motion=jw.LinearDrive(direction)), CONTROL)
+    return jw.scan(jw.SpaceScene(jw.Whisker(), body, motion=jw.LinearDrive(direction)), CONTROL)
 
 
 def test_a_mirrored_scene_has_mirrored_reactions():
@@ -132,7 +134,7 @@ def test_a_turned_and_shifted_scene_has_turned_reactions(beside):
     body = jw.Sphere(1.0, (0.0, 1.3, 0.2)).rotated(vector, about=(0.0, 0.0, 0.0)).moved(shift)
     drive = jw.LinearDrive(tuple(map(float, turn.apply([-1.0, 0.0, 0.0]))), shift)
     mount = jw.Mount(angle=angle, elevation=elevation, roll=roll)
-    found = jw.scan(jw.Scene(jw.Whisker(), body, jw.Support(mount=mount), motion=drive), CONTROL)
+    found = jw.scan(jw.SpaceScene(jw.Whisker(), body, jw.Support(mount=mount), motion=drive), CONTROL)
     np.testing.assert_allclose(found.force[:, 0], turn.apply(np.array(beside.force[:, 0])), atol=EXACT)
     np.testing.assert_allclose(found.moment[:, 0], turn.apply(np.array(beside.moment[:, 0])), atol=EXACT)
     np.testing.assert_allclose(found.own_force, beside.own_force, atol=EXACT)
@@ -142,7 +144,7 @@ def test_reactions_scale_with_the_units(beside):
     size, stiffness = 30.0, 7.0
     body = jw.Sphere(size, (0.0, 1.3 * size, 0.2 * size))
     whisker = jw.Whisker(length=size, bending_stiffness=stiffness)
-    found = jw.scan(jw.Scene(whisker, body, motion=ALONG), CONTROL * size)
+    found = jw.scan(jw.SpaceScene(whisker, body, motion=ALONG), CONTROL * size)
     np.testing.assert_allclose(np.asarray(found.force) * size**2 / stiffness, beside.force, atol=EXACT)
     np.testing.assert_allclose(np.asarray(found.moment) * size / stiffness, beside.moment, atol=EXACT)
     np.testing.assert_allclose(np.asarray(found.contact_arc) / size, beside.contact_arc, atol=EXACT)
@@ -150,7 +152,9 @@ def test_reactions_scale_with_the_units(beside):
 
 def curved(roll, direction, b):
     whisker = jw.Whisker(intrinsic_curvature=0.7, twist=0.3)
-    scene = jw.Scene(whisker, jw.Sphere(1.0, (0.0, 1.2, b)), jw.Support(mount=jw.Mount(roll=roll)), motion=direction)
+    scene = jw.SpaceScene(
+        whisker, jw.Sphere(1.0, (0.0, 1.2, b)), jw.Support(mount=jw.Mount(roll=roll)), motion=direction
+    )
     return jw.scan(scene, CONTROL)
 
 
@@ -174,7 +178,7 @@ def test_states_of_random_scenes_obey_the_laws_and_are_stable(kind):
         found = jw.scan(scene)
         steps = np.flatnonzero(np.asarray(found.status) == jw.Status.ok)
         for step in steps[:: max(1, steps.size // 6)]:
-            state = state_of(Step(found, step), found.control[step])
+            state = state_of(Step(found, step), float(found.control[step]))
             wrong = {law: value for law, value in violations(plain, state).items() if value > LAWS}
             assert not wrong, (text, state.control)
             touching += state.phase > 0
@@ -197,7 +201,7 @@ def test_the_drive_does_the_work_that_the_whisker_stores():
     found = jw.scan(scene)
     touching = np.flatnonzero(np.asarray(found.phase)[:, 0] > 0)
     steps = touching[: touching.size // 2]
-    states = [state_of(Step(found, step), found.control[step]) for step in steps]
+    states = [state_of(Step(found, step), float(found.control[step])) for step in steps]
     energy = np.array([shaft(plain, state).energy for state in states[:: steps.size - 1]])
     rates = np.array([power(plain, state) for state in states])
     assert energy[1] > 0.05
@@ -215,7 +219,7 @@ def test_a_scan_that_returns_touches_again():
 
 def test_a_whisker_that_swings_around_a_cylinder_comes_free():
     body = jw.Cylinder(0.22, (-0.07, 0.67, -0.16), (0.19, 0.14, 0.98))
-    found = jw.scan(jw.Scene(jw.Whisker(), body, motion=jw.LinearDrive((-0.91, 0.125, 0.39))))
+    found = jw.scan(jw.SpaceScene(jw.Whisker(), body, motion=jw.LinearDrive((-0.91, 0.125, 0.39))))
     assert np.all(np.asarray(found.status) == jw.Status.ok)
     assert [event.kind.name for event in found.events][-1] == "snap_off"
 
@@ -253,7 +257,7 @@ def sprung(values):
     radius, height, offset, spring, curvature, roll, torsion = values
     whisker = jw.Whisker(intrinsic_curvature=curvature, torsion_ratio=torsion)
     support = jw.Support.follicle(x=spring, y=300.0, z=20.0, mount=jw.Mount(roll=roll))
-    scene = jw.Scene(whisker, jw.Sphere(radius, (0.0, height, offset)), support, motion=ALONG)
+    scene = jw.SpaceScene(whisker, jw.Sphere(radius, (0.0, height, offset)), support, motion=ALONG)
     found = jw.scan(scene, np.concatenate([[-1.5], STEPS]))
     return jnp.concatenate([found.force[1:, 0].ravel(), found.moment[1:, 0].ravel(), found.events.control[:2]])
 

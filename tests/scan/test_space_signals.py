@@ -15,7 +15,7 @@ DIFFERENCES = 1e-6  # of central differences with steps of 1e-5
 
 @pytest.fixture(scope="module")
 def result():
-    return jw.scan(jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=ALONG), STEPS)
+    return jw.scan(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=ALONG), STEPS)
 
 
 def test_the_reaction_balances_the_contact_force(result):
@@ -40,7 +40,7 @@ def test_in_the_frame_of_the_whisker_a_straight_one_has_no_twisting_moment(resul
 def past_ellipsoid(size):
     """Drive positions of all events, and the force before and after the snap."""
     ellipsoid = jw.Ellipsoid((1.1 * size, 0.8, 0.6), (0.0, 1.1, 0.0)).rotated((0.3, 0.2, -0.4))
-    scene = jw.Scene(jw.Whisker(), ellipsoid, motion=jw.LinearDrive((-0.944, 0.0, -0.33)))
+    scene = jw.SpaceScene(jw.Whisker(), ellipsoid, motion=jw.LinearDrive((-0.944, 0.0, -0.33)))
     found = jw.scan(scene, np.linspace(-1.0, 1.0, 11)).events
     return found.control[:5], found.before.contact_force[2], found.after.contact_force[2]
 

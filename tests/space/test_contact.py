@@ -1,5 +1,7 @@
 """One whisker in contact: its base by an independent rod, frames, tractions."""
 
+# pyright: reportArgumentType=false, reportCallIssue=false
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +19,7 @@ TIP, TANGENTIAL = jnp.asarray(int(Phase.tip)), jnp.asarray(int(Phase.tangential)
 
 
 def problem(**whisker):
-    scene = jw.Scene(jw.Whisker(**whisker), jw.Sphere(RADIUS, tuple(map(float, CENTRE))))
+    scene = jw.SpaceScene(jw.Whisker(**whisker), jw.Sphere(RADIUS, tuple(map(float, CENTRE))))
     return problem_in_space(scene)
 
 

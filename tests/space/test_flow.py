@@ -1,5 +1,7 @@
 """What follows from a loss of stability: where contacts come to rest, and what that does to the energy."""
 
+# pyright: reportAttributeAccessIssue=false
+
 import numpy as np
 
 import jaxwhisker as jw
@@ -12,7 +14,7 @@ def test_past_an_ellipsoid_the_whisker_comes_to_rest_on_the_mirror_image():
     """The ellipsoid is symmetric about its centre, and the whisker passes below it: x and z change their signs."""
     half_axes, heading = (1.2, 0.7, 0.5), (-0.9438583564, 0.0, -0.3303504247)
     drive = jw.LinearDrive(heading)
-    result = jw.scan(jw.Scene(jw.Whisker(), jw.Ellipsoid(half_axes, (0.0, 1.1, 0.0)), motion=drive), CONTROL)
+    result = jw.scan(jw.SpaceScene(jw.Whisker(), jw.Ellipsoid(half_axes, (0.0, 1.1, 0.0)), motion=drive), CONTROL)
     (snap,) = result.events.of(jw.EventKind.snap_through)
     there = jw.scan(result.scene, np.array([-1.2, -snap.control]))  # before the loss, as far from the centre
     after = snap.after
@@ -23,7 +25,7 @@ def test_past_an_ellipsoid_the_whisker_comes_to_rest_on_the_mirror_image():
 
 def test_a_snap_takes_energy_from_the_whisker():
     drive = jw.LinearDrive((-0.9438583564, 0.0, -0.3303504247))
-    scene = jw.Scene(jw.Whisker(), jw.Ellipsoid((1.2, 0.7, 0.5), (0.0, 1.1, 0.0)), motion=drive)
+    scene = jw.SpaceScene(jw.Whisker(), jw.Ellipsoid((1.2, 0.7, 0.5), (0.0, 1.1, 0.0)), motion=drive)
     result = jw.scan(scene, CONTROL)
     (snap,) = result.events.of(jw.EventKind.snap_through)
     direction = np.array([-0.9438583564, 0.0, -0.3303504247])

@@ -16,7 +16,7 @@ EXACT = 1e-8  # events are solved for to 1e-10
 def scene(*offsets):
     """Clamped whiskers beside each other, scanned past a sphere."""
     mounts = tuple(jw.Mount(z=z) for z in offsets)
-    return jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), jw.Support(mount=mounts), motion=ALONG)
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), jw.Support(mount=mounts), motion=ALONG)
 
 
 @pytest.fixture(scope="module")

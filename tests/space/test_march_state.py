@@ -10,7 +10,7 @@ from jaxwhisker._space.march import _start
 from jaxwhisker._space.march_state import Task, node_at
 from jaxwhisker._space.problem import problem_in_space
 
-SCENE = jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
+SCENE = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
 
 
 def started():

@@ -18,7 +18,9 @@ U = jnp.asarray(-0.803317)
 
 @pytest.fixture(scope="module")
 def problem():
-    return problem_in_space(jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), motion=jw.LinearDrive((-1, 0, 0))))
+    return problem_in_space(
+        jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), motion=jw.LinearDrive((-1, 0, 0)))
+    )
 
 
 def reference():

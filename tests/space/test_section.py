@@ -1,5 +1,7 @@
 """From a whisker to the section of its rod in space: signs and units."""
 
+# pyright: reportArgumentType=false, reportCallIssue=false
+
 import numpy as np
 
 import jaxwhisker as jw

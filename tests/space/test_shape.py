@@ -15,7 +15,7 @@ LENGTH = 1e-3  # chords are shorter than arcs
 
 
 def test_the_shape_runs_from_the_contact_to_the_base_and_to_the_tip():
-    scene = jw.Scene(jw.Whisker(intrinsic_curvature=0.5), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=ALONG)
+    scene = jw.SpaceScene(jw.Whisker(intrinsic_curvature=0.5), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=ALONG)
     problem = problem_now(scene)
     path = follow_path_now(problem, np.array([-1.2, 0.0]), np.asarray(1)).path
     at = int(path.count) - 1
@@ -32,11 +32,13 @@ def test_the_shape_runs_from_the_contact_to_the_base_and_to_the_tip():
 @pytest.mark.parametrize(("roll", "twice"), [(0.0, False), (np.pi, True)])
 def test_a_shaft_that_curves_around_the_object_is_inside_it(roll, twice):
     """An arc of radius 1/1.5 that touches a sphere of radius 1 with its middle, from outside on either side."""
-    problem = problem_now(jw.Scene(jw.Whisker(intrinsic_curvature=1.5), jw.Sphere(1.0, (0.0, 1.0, 0.0)), motion=ALONG))
+    problem = problem_now(
+        jw.SpaceScene(jw.Whisker(intrinsic_curvature=1.5), jw.Sphere(1.0, (0.0, 1.0, 0.0)), motion=ALONG)
+    )
     at_lowest_point = jnp.array([0.0, roll, 0.5, *(0.0, 0.0, 0.0), *(1.0, 0.0, 0.0), 0.0, 0.0])
     assert bool(touches_twice(problem, at_lowest_point[None], jnp.array([int(jw.Phase.tangential)]))) == twice
 
 
 def test_straight_whiskers_touch_once():
-    problem = problem_now(jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=ALONG))
+    problem = problem_now(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=ALONG))
     assert not bool(touches_twice(problem, jnp.zeros((1, 11)), jnp.array([1])))

@@ -1,5 +1,7 @@
 """Stiffness against sliding: a light contact resists like a cantilever."""
 
+# pyright: reportArgumentType=false
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +28,7 @@ def stiffness(force, support, angle=0.5):
     """Stiffness against sliding of an upright whisker whose tip touches a sphere at this angle."""
     out = np.array([np.cos(angle), -np.sin(angle), 0.0])  # t.n = -sin(angle)
     tip = np.array([0.0, 1.0, 0.0])
-    scene = jw.Scene(jw.Whisker(), jw.Sphere(1.0, tuple(map(float, tip - out))), support)
+    scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, tuple(map(float, tip - out))), support)
     problem = problem_in_space(scene)
     ahead = np.array([np.sin(angle), np.cos(angle), 0.0])
     return stiffness_of(problem, jnp.array([[force, 0.0, -angle, *tip, *ahead, 0.0, 0.0]]), TIP)
@@ -65,7 +67,7 @@ def test_contacts_without_force_count_as_held():
 def test_stability_is_lost_where_the_plane_model_says():
     """A sphere in the plane of the scan: exactly above its centre. The state is that of the reference (S1)."""
     problem = problem_in_space(
-        jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), motion=jw.LinearDrive((-1, 0, 0)))
+        jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), motion=jw.LinearDrive((-1, 0, 0)))
     )
     point = np.array([0.372582132, 0.3720007786, 0.0])
     out = point - [0.0, 1.3, 0.0]

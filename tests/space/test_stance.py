@@ -18,7 +18,7 @@ FREE = jnp.array([int(Phase.free)])
 
 def free_stance(motion, u, length=1.0):
     """The stance of a free whisker, and its problem."""
-    problem = problem_in_space(jw.Scene(jw.Whisker(length=length), jw.Sphere(0.3, (0.0, 0.7, 0.0)), motion=motion))
+    problem = problem_in_space(jw.SpaceScene(jw.Whisker(length=length), jw.Sphere(0.3, (0.0, 0.7, 0.0)), motion=motion))
     point = Point(jnp.zeros((1, UNKNOWNS)).at[:, 6].set(1.0), jnp.asarray(u))
     drives = jax.jvp(problem.drive, (point.u,), (jnp.ones_like(point.u),))
     at = linear(problem, drives, point.z, FREE)

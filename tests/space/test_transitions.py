@@ -33,7 +33,7 @@ def test_contacts_end_without_force_and_change_their_phase_without_slack():
 
 
 def test_a_default_scan_ends_shortly_after_the_release():
-    scene = jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
+    scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
     result = jw.scan(scene)
     (release,) = result.events.of(jw.EventKind.release)
     assert 0 < float(result.control[-1]) - release.control < PASSED

@@ -17,7 +17,7 @@ SLOPE = 1e-6  # accuracy of slopes by differences of values that are solved to 1
 
 
 def build(z, radius=1.0):
-    return jw.Scene(jw.Whisker(), jw.Sphere(radius, (0.0, radius + 0.3, z)))
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(radius, (0.0, radius + 0.3, z)))
 
 
 @pytest.fixture(scope="module")
