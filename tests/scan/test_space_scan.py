@@ -235,6 +235,14 @@ def test_a_loss_that_is_approached_from_the_stable_side_is_found():
     assert found.events.of(jw.EventKind.snap_through) or found.events.of(jw.EventKind.snap_off)
 
 
+def test_a_release_just_before_a_change_of_phase_is_found():
+    """A whisker that leaves a cylinder while its contact reaches the tip: the force vanishes first."""
+    scene, _, _ = drawn("straight clamped whisk", np.random.default_rng([1, 63]))
+    found = jw.scan(scene, np.linspace(0.5, 0.7, 21))
+    assert np.all(np.asarray(found.status) == jw.Status.ok)
+    assert [event.kind for event in found.events][-1] == jw.EventKind.release
+
+
 def test_the_default_scan_of_a_rotation_ends_at_its_last_control():
     row = next(row for row in CASES if row["name"].startswith("S7"))
     scene = eqx.tree_at(lambda scene: scene.motion.stop, case(row), 0.3)
