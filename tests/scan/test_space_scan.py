@@ -149,7 +149,7 @@ def test_reactions_scale_with_the_units(beside):
 
 
 def curved(roll, direction, b):
-    whisker = jw.Whisker(intrinsic_curvature=0.7, twist=0.3)
+    whisker = jw.Whisker(intrinsic_curvature=0.7, torsion_ratio=0.7)
     scene = jw.Scene(whisker, jw.Sphere(1.0, (0.0, 1.2, b)), jw.Support(mount=jw.Mount(roll=roll)), motion=direction)
     return jw.scan(scene, CONTROL)
 
