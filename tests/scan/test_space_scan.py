@@ -151,7 +151,7 @@ def test_reactions_scale_with_the_units(beside):
 
 
 def curved(roll, direction, b):
-    whisker = jw.Whisker(intrinsic_curvature=0.7, twist=0.3)
+    whisker = jw.Whisker(intrinsic_curvature=0.7, torsion_ratio=0.7)
     scene = jw.SpaceScene(
         whisker, jw.Sphere(1.0, (0.0, 1.2, b)), jw.Support(mount=jw.Mount(roll=roll)), motion=direction
     )
@@ -237,6 +237,14 @@ def test_a_loss_that_is_approached_from_the_stable_side_is_found():
     found = jw.scan(scene)
     assert np.all(np.asarray(found.status) == jw.Status.ok)
     assert found.events.of(jw.EventKind.snap_through) or found.events.of(jw.EventKind.snap_off)
+
+
+def test_a_release_just_before_a_change_of_phase_is_found():
+    """A whisker that leaves a cylinder while its contact reaches the tip: the force vanishes first."""
+    scene, _, _ = drawn("straight clamped whisk", np.random.default_rng([1, 63]))
+    found = jw.scan(scene, np.linspace(0.5, 0.7, 21))
+    assert np.all(np.asarray(found.status) == jw.Status.ok)
+    assert [event.kind for event in found.events][-1] == jw.EventKind.release
 
 
 def test_the_default_scan_of_a_rotation_ends_at_its_last_control():

@@ -65,7 +65,7 @@ def test_contacts_without_force_count_as_held():
 
 
 def test_stability_is_lost_where_the_plane_model_says():
-    """A sphere in the plane of the scan: exactly above its centre. The state is that of the reference (S1)."""
+    """A sphere in the plane of the scan: exactly above its centre, in a state of the reference (S1, offset 0)."""
     problem = problem_in_space(
         jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), motion=jw.LinearDrive((-1, 0, 0)))
     )
