@@ -9,14 +9,14 @@ import jaxwhisker as jw
 
 EXACT = 1e-8  # events are solved for to 1e-10
 DIFFERENCES = 1e-6  # of central differences with steps of 1e-5
-CENTRE = np.array([0.0, 1.3, 0.2])
+CENTRE = 0.0, 1.3, 0.2
 
 
 @pytest.fixture(scope="module")
 def result():
     """A scan of a clamped whisker past a sphere."""
     scene = jw.SpaceScene(
-        jw.Whisker(), jw.Sphere(1.0, tuple(map(float, CENTRE))), motion=jw.LinearDrive((-1.0, 0.0, 0.0))
+        jw.Whisker(), jw.Sphere(1.0, CENTRE), motion=jw.LinearDrive((-1.0, 0.0, 0.0))
     )
     return jw.scan(scene, np.linspace(-1.2, 1.2, 49))
 

@@ -37,7 +37,7 @@ class Event(NamedTuple):
         return self.whiskers[0] if len(self.whiskers) == 1 else None
 
     @property
-    def state(self) -> State:
+    def state(self) -> Any:
         """The state at the event; for a snap, the state in which the whiskers come to rest."""
         return self.after
 
