@@ -58,7 +58,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     miss = Point(point.z - trial.guess.z, point.u - trial.guess.u)
     error, straight = jnp.sqrt(dot(miss, miss, scale)), dot(march.tangent, tangent, scale)
     good = trial.solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5) & stance.sound
-    violated, target = _first_violated(march, trial)
+    violated, target = _first_violated(march, trial, march.step)
     stable, node = stance.stable, node_at(march, point, tangent)
     located = good & ~violated & ~stable & (march.step < LOSS_BRACKET)
     # At a fold, contacts slide on in the direction of the path. A bifurcation is symmetric: they may go either way.
@@ -91,19 +91,26 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     return new, (write | branches) & (march.count < CAPACITY - 1), select(branches, _bifurcation(march, trial), node)
 
 
-def _first_violated(march: March, trial: Trial) -> tuple[Bool[Array, ""], Target]:
-    """Whether a margin vanishes within the step, and the first event."""
+def _first_violated(
+    march: March, trial: Trial, length: Scalar, solved: Bool[Array, "kinds whiskers"] | None = None
+) -> tuple[Bool[Array, ""], Target]:
+    """Whether a margin vanishes on the way to the trial, of this length, and the first such event.
+
+    Margins that are `solved` for vanish at its end.
+    """
     here, there = (
         margins_of(march.phase, z, stance, march.direction * (trial.stop - u))
         for (z, u), stance in ((march.point, march.stance), (trial.point, trial.stance))
     )
     crossed = there < -MARGIN_NOISE
+    if solved is not None:
+        crossed &= ~solved
     drop = jnp.where(crossed, here - there, 1.0)
     share = jnp.where(crossed, jnp.clip(here / jnp.where(drop > 0, drop, 1.0), 0.0, 1.0), jnp.inf)
     k = jnp.argmin(share)
     margin, whisker = jnp.unravel_index(k, share.shape)
     whiskers = (jnp.arange(march.phase.size) == whisker) & (margin != AT_STOP)
-    return jnp.any(crossed), Target(margin, whiskers, jnp.ravel(share)[k] * march.step, trial.stance.nearest)
+    return jnp.any(crossed), Target(margin, whiskers, jnp.ravel(share)[k] * length, trial.stance.nearest)
 
 
 def _bifurcation(march: March, trial: Trial) -> Node:
@@ -172,6 +179,9 @@ def after_event(march: March, trial: Trial) -> Outcome:
         contact=target.first.contact.at[:, SLACK].multiply(~other),
     )
     again = march._replace(task=jnp.asarray(int(Task.advance)), step=0.5 * jnp.minimum(march.step, target.distance))
+    # Another margin may vanish before: events close to each other are told apart only here.
+    own = (jnp.arange(4) == target.margin)[:, None] & (target.whiskers | (target.margin == AT_STOP))
+    missed, earlier = _first_violated(march, trial, reach, own | touches)
     tip = jnp.any(target.whiskers & (phase == Phase.tip))
     kinds = jnp.array([
         EventKind.touch,
@@ -202,6 +212,7 @@ def after_event(march: March, trial: Trial) -> Outcome:
         (jnp.any(other), march._replace(target=target._replace(first=first))),
         (~good & (again.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, again),
+        (missed, march._replace(target=earlier)),
         otherwise=arrived,
     )
     return new, jnp.asarray(False), node
