@@ -87,13 +87,6 @@ class SpaceProblem(eqx.Module):
         assert self.springs is not None
         return jnp.reshape(jnp.sum(self.springs.matrix * jnp.ravel(load), axis=-1), load.shape)
 
-    def numbers(self) -> "SpaceProblem":
-        """The numbers that equilibria depend on, and None for everything else."""
-        numbers = eqx.filter(self, eqx.is_inexact_array)
-        return eqx.tree_at(
-            lambda p: [p.ends, p.outline], numbers, replace_fn=lambda _: None, is_leaf=lambda x: x is None
-        )
-
 
 def of_each(problem: SpaceProblem, function: Callable, *args):
     """Apply a function of one whisker's body to every whisker; each gets its own row of the arguments."""
