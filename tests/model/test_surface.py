@@ -215,5 +215,5 @@ def test_text():
     assert triple_text((1.0, 2, np.float64(0.1))) == "(1, 2, 0.1)"
 
 
-def test_surfaces_say_that_they_are_in_space():
-    assert all(surface.in_space for surface in SURFACES.values())
+def test_surfaces_say_that_they_are_is_surface():
+    assert all(surface.is_surface for surface in SURFACES.values())

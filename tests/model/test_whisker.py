@@ -134,7 +134,6 @@ def test_traced_values_in_space_out_of_their_domain_are_invalid():
         lambda whisker: jw.Scene(whisker, jw.Parabola(0.2)),
         jw.Sensor,
         lambda whisker: jw.Sensor((jw.Whisker(), whisker), jw.Support.fbfb(1.0)),
-        lambda whisker: jw.deflect(whisker, jw.PointForce(0.1)),
         lambda whisker: jw.modes(jw.Whisker(mass_per_length=1.0, twist=whisker.twist, lateral_curvature=0.1)),
         lambda whisker: jw.critical_stiffness(whisker, jw.Parabola(0.2)),
     ],

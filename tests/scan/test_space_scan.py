@@ -82,7 +82,7 @@ def beside():
 def in_plane(profile, distances):
     """Reactions (force x, force y, moment z) of a plane scan at these distances of the base before the vertex."""
     order = np.argsort(-distances)
-    found = jw.scan(jw.SpaceScene(jw.Whisker(), profile), distances[order])
+    found = jw.scan(jw.Scene(jw.Whisker(), profile), distances[order])
     assert np.all(np.asarray(found.status) == jw.Status.ok)
     values = np.stack([found.fx[:, 0], found.fy[:, 0], found.mz[:, 0]], axis=-1)
     return values[np.argsort(order)]

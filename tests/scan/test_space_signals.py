@@ -15,9 +15,7 @@ CENTRE = 0.0, 1.3, 0.2
 @pytest.fixture(scope="module")
 def result():
     """A scan of a clamped whisker past a sphere."""
-    scene = jw.SpaceScene(
-        jw.Whisker(), jw.Sphere(1.0, CENTRE), motion=jw.LinearDrive((-1.0, 0.0, 0.0))
-    )
+    scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, CENTRE), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
     return jw.scan(scene, np.linspace(-1.2, 1.2, 49))
 
 
