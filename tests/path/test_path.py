@@ -45,8 +45,8 @@ def test_numbers_of_status_and_kinds_are_those_that_files_hold():
     names += ["undetermined", "second_contact", "crossing", "at_spring"]
     assert [status.name for status in Status] == names and list(Status) == list(range(12))
     kinds = ["touch", "tip_to_tangential", "vertex", "tangential_to_tip", "release", "snap_through", "snap_off"]
-    kinds += ["stick", "slip", "edge"]
-    assert [kind.name for kind in EventKind] == kinds and list(EventKind) == list(range(10))
+    kinds += ["stick", "slip", "edge", "bifurcation"]
+    assert [kind.name for kind in EventKind] == kinds and list(EventKind) == list(range(11))
 
 
 @pytest.fixture(scope="module")

@@ -216,7 +216,8 @@ def test_a_contact_that_reaches_a_spring_ends_the_scan():
         (lambda: jw.Spring((0, 1), compliance=0.0, at=0.1), "compliance"),
         (lambda: jw.Spring((0, 1), 70.0, anchor=0.1), "anchor"),  # pyright: ignore[reportArgumentType]
         (lambda: jw.Spring((0, 1), 70.0, one_sided="pull"), "one_sided"),
-        (lambda: jw.Spring((0, 1), 70.0, axis="z"), "axis"),
+        (lambda: jw.Spring((0, 1), 70.0, axis="w"), "axis"),
+        (lambda: jw.Spring((0, 1), 70.0, axis="z", at=0.1), "axis"),
         (lambda: jw.Spring((0, 1), lambda: 1.0), "stiffness"),
         (lambda: jw.Support(free=("x",)), "free"),
         (lambda: scene(axial(70.0, at=1.0)), "at"),
