@@ -41,7 +41,7 @@ from jaxwhisker._space.march_state import (
 from jaxwhisker._space.newton import Sliding, solve_points
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import Stance, stance_of
-from jaxwhisker._space.transitions import CAPACITY, FIRST_STEP, after_advance, after_arrive, after_event
+from jaxwhisker._space.transitions import FIRST_STEP, after_advance, after_arrive, after_event, capacity_of
 
 ITERATIONS = 2000  # a march that needs more ends as `too_long`
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
@@ -137,7 +137,8 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
 def march(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], last: Int[Array, ""]) -> SpacePath:
     """March from a control at which all whiskers are free to all stops in turn."""
     first = _start(problem, start, stops)
-    nodes = jax.tree.map(lambda leaf: jnp.zeros((CAPACITY, *jnp.shape(leaf)), jnp.asarray(leaf).dtype), first.pending)
+    capacity = capacity_of(problem, stops.size)
+    nodes = jax.tree.map(lambda leaf: jnp.zeros((capacity, *jnp.shape(leaf)), jnp.asarray(leaf).dtype), first.pending)
 
     def chunk(carry):
         now, nodes, count = carry
@@ -147,7 +148,7 @@ def march(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], l
             return new, (index, node)
 
         now, (index, written) = jax.lax.scan(body, now, None, length=CHUNK)
-        index = jnp.where(index < 0, CAPACITY, index)
+        index = jnp.where(index < 0, capacity, index)
         nodes = jax.tree.map(lambda all_, new: all_.at[index].set(new, mode="drop"), nodes, written)
         return now, nodes, count + CHUNK
 

@@ -28,7 +28,7 @@ from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.stance import Stance
 
-CAPACITY = 192  # nodes; a scan of one whisker takes about 60
+NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
 FIRST_STEP = 0.02  # after a corner
 LONGEST_STEP = 0.25
 SHORTEST_STEP = 1e-10
@@ -50,6 +50,11 @@ def margins_of(phase: Phases, z: Contacts, stance: Stance, remaining: Scalar) ->
     slack = jnp.where(free, jnp.inf, jnp.where(tip, -z[:, SLACK], z[:, SLACK]))
     stop = jnp.full_like(touch, jnp.inf).at[0].set(remaining)
     return jnp.stack([touch, release, slack, stop])
+
+
+def capacity_of(problem: SpaceProblem, stops: int) -> int:
+    """Number of nodes that a path has room for."""
+    return NODES * (1 + problem.length.size) * (stops - 1)
 
 
 def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
@@ -75,8 +80,9 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         unstable_at=jnp.where(march.unstable_at > march.step, march.unstable_at - march.step, jnp.inf),
         unstable_size=march.unstable_size / 2,
     )
+    full = march.count >= capacity_of(problem, trial.stops.size) - 1
     new = first_case(
-        (march.count >= CAPACITY - 1, march.stopped(Status.too_long)),
+        (full, march.stopped(Status.too_long)),
         (~good & (shorter.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, shorter),
         (violated, march._replace(task=jnp.asarray(int(Task.event)), target=target)),
@@ -88,7 +94,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     )
     # While all whiskers are free, nothing happens between events.
     write = good & ~violated & stable & stance.opens & jnp.any(march.phase != Phase.free)
-    return new, (write | branches) & (march.count < CAPACITY - 1), select(branches, _bifurcation(march, trial), node)
+    return new, (write | branches) & ~full, select(branches, _bifurcation(march, trial), node)
 
 
 def _first_violated(
