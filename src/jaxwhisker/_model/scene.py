@@ -66,9 +66,8 @@ class _OfObject(type(eqx.Module)):
         if _in_space(kwargs.get("surface")) or any(map(_in_space, args)):
             from jaxwhisker._model.space_scene import SpaceScene
 
-            for name in ("friction", "detect"):
-                if (value := kwargs.pop(name, None)) is not None:
-                    checks.fail(name, "None in space", repr(value))
+            if (detect := kwargs.pop("detect", None)) is not None:
+                checks.fail("detect", "None in space", repr(detect))
             return SpaceScene(*args, **kwargs)
         return super().__call__(*args, **kwargs)
 

@@ -4,7 +4,8 @@ Frame: x along the scan, y up, z = x cross y; the object is above. A whisker on 
 of the drive's frame and points along +y; the axes of its body are d1 = x, d2 = -z and d3 = y, its tangent. Springs act
 along the axes of the drive's frame.
 
-The contact force is f n, with f >= 0 and the outward normal n of the object. The support exerts the reaction
+Without friction, the contact force is f n, with f >= 0 and the outward normal n of the object. With the friction
+coefficient mu, a contact slips with the force f (n - mu v/|v|), v the velocity of the whisker's material point there. The support exerts the reaction
 (fx, fy, fz) on the whisker, and the moment (mx, my, mz) about its displaced base; all in the frame of the scene.
 """
 
@@ -12,6 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.leaves import as_text
+from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.assembly import AbstractScene, check_whiskers, in_row, motion_text, support_text, whisker_text
 from jaxwhisker._model.drives import SpaceMotion
 from jaxwhisker._model.motion import AbstractMotion, Translation
@@ -32,6 +35,7 @@ class SpaceScene(AbstractScene):
         support: springs between the drive and the bases. Default: clamped.
         rod: how rods are computed.
         motion: motion of the drive: a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or one in the plane.
+        friction: Coulomb friction coefficient mu between whiskers and object, positive. Default: no friction.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, the support
@@ -47,6 +51,7 @@ class SpaceScene(AbstractScene):
     support: Support = Support()
     rod: AbstractRod = Shooting()
     motion: SpaceMotion | AbstractMotion = Translation()
+    friction: Scalar | None = None
     in_space = True
 
     def __post_init__(self):
@@ -59,6 +64,8 @@ class SpaceScene(AbstractScene):
         checks.instance("motion", self.motion, (SpaceMotion, AbstractMotion), kinds)
         check_whiskers(self.whisker, self.support)
         self.support.check_in_space()
+        if self.friction is not None:
+            checks.number("friction", self.friction, positive=True)
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and (self.rolls or not all(w.uniform for w in self.whiskers)):
             checks.fail(
@@ -74,11 +81,14 @@ class SpaceScene(AbstractScene):
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domains that the constructors check."""
         valid = self.surface.valid() & self.support.valid() & self.motion.valid()
+        if self.friction is not None:
+            valid &= (self.friction > 0) & jnp.isfinite(self.friction)
         return valid & jnp.all(jnp.stack([whisker.valid() for whisker in self.whiskers]))
 
     def __str__(self) -> str:
         rods = "" if self.rod == Shooting() else f", {self.rod}"
         whisker, motion = whisker_text(self.whiskers[0]), motion_text(self.motion)
-        return f"{support_text(self.support)}, {self.surface}{whisker}{rods}{motion}"
+        friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
+        return f"{support_text(self.support)}, {self.surface}{whisker}{friction}{rods}{motion}"
 
     __repr__ = __str__

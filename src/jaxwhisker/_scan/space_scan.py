@@ -35,7 +35,7 @@ from jaxwhisker._scan.space_signals import events, signals, solved
 from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.march import march
 from jaxwhisker._space.march_state import SpacePath
-from jaxwhisker._space.newton import Phases, solve_points
+from jaxwhisker._space.newton import Phases, plain, solve_points
 from jaxwhisker._space.problem import Contacts, SpaceProblem, problem_in_space
 from jaxwhisker._space.shape import touches_twice
 
@@ -192,8 +192,9 @@ def _solve(
     """Solve for the equilibria at controls after nodes `index`; `known` is the status of the path there."""
     phase = path.nodes.phase[index]
     guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
-    solution = solve_points(problem, phase, jax.vmap(at_control)(u, guess.z), guess)
-    z = solution.point.z
+    equations = jax.vmap(plain)(phase, jax.vmap(at_control)(u, guess.z))
+    solution = solve_points(problem, equations, jax.tree.map(lambda leaf: leaf[:, None], guess))
+    z = solution.end.z
     near = jnp.max(jnp.abs(z - guess.z) / scale_of(z), axis=(1, 2)) < JUMP
     status = jnp.where(solution.converged & near, Status.ok, Status.inexact)
     status = jnp.where(known == Status.ok, status, known)

@@ -92,7 +92,7 @@ def _residuals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, fre
     drive, rows, rates = problem.drive(u), problem.rows, problem.rod.for_rates()
 
     def one(body, z, phase):
-        base = base_of(body, problem.surface, problem.rod, z, phase, slides=False, rates=rates)
+        base = base_of(body, problem.surface, problem.rod, z, phase, None, rates)
         return base, in_drive(base, drive, body.mount, z[ROLL]), on_surface(problem.surface, z)
 
     base, inside, surface = of_each(problem, one, z, phase)

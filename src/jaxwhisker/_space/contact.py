@@ -3,8 +3,9 @@
 The unknowns of a contact are eleven numbers: the contact force f, the roll of the whisker about its own axis there, the
 slack w, the contact point p, the direction d in which the whisker runs along the surface, towards its tip, and the
 traction, the force along the surface: in this direction, and across. Without friction, there is a traction only while
-contacts slide after a loss of stability. The point and the direction are vectors of space, which have no poles; three
-equations keep them on the surface:
+contacts slide after a loss of stability. With friction, the traction is in units of mu f, the largest that friction can
+hold, except after such a loss. The point and the direction are vectors of space, which have no poles; three equations
+keep them on the surface:
 
     G(p) = 0,    d.n = 0,    d.d = 1.
 
@@ -59,6 +60,13 @@ class Base(NamedTuple):
     moment: Vector  # of that force about the base
 
 
+class Traction(NamedTuple):
+    """What the tractions of contacts mean."""
+
+    friction: Scalar | None  # the coefficient mu; None without friction
+    flows: Bool[Array, ""]  # whether contacts slide after a loss of stability: tractions are forces
+
+
 class InDrive(NamedTuple):
     """Coordinates of a base in the frame of the drive, relative to its mount, and the load along each of them.
 
@@ -91,8 +99,7 @@ def base_of(
     method: AbstractRod,
     z: Contact,
     phase: Int[Array, ""],
-    *,
-    slides: bool,
+    traction: Traction | None,
     rates: AbstractRod | None = None,
 ) -> Base:
     """The base of a whisker in contact.
@@ -103,14 +110,14 @@ def base_of(
         method: computes the rod.
         z: the contact.
         phase: its phase.
-        slides: whether there may be a traction.
+        traction: what its traction means; None if there is none.
         rates: computes derivatives of the rod. Default: as `method`.
     """
     rates = method if rates is None else rates
     chi, arc = angle_and_arc(body, z, phase)
     frame, force, roll = frame_of(surface, z), z[FORCE], z[ROLL]
-    if slides:
-        frame, force, chi, roll = _frame_of_force(frame, force, chi, roll, z[TRACTION])
+    if traction is not None:
+        frame, force, chi, roll = _frame_of_force(frame, force, chi, roll, z[TRACTION], traction)
     ahead, _, out = frame.T
     rotation = None
     if isinstance(body.section, SpaceSection):
@@ -130,23 +137,26 @@ def base_of(
     return Base(z[POINT] + from_contact, tangent, rotation, push, jnp.cross(-from_contact, push))
 
 
-def _frame_of_force(frame, force, chi, roll, traction):
+def _frame_of_force(frame, force, chi, roll, along, traction: Traction):
     """Frame, force, angle and roll of the same contact with a surface that is normal to the force."""
     ahead, across, out = frame.T
-    light = (force < LIGHT) & (jnp.sum(traction**2) < LIGHT**2)
-    leaning = jnp.where(light, LIGHT, force) * out + traction[0] * ahead + traction[1] * across
+    light = (force < LIGHT) & (jnp.sum(along**2) < LIGHT**2)
+    normal, unit = jnp.where(light, LIGHT, force), jnp.where(light, force / LIGHT, 1.0)
+    if traction.friction is not None:
+        along = jnp.where(traction.flows, along, traction.friction * along)
+        normal, unit = jnp.where(traction.flows, normal, 1.0), jnp.where(traction.flows, unit, force)
+    leaning = normal * out + along[0] * ahead + along[1] * across
     size = jnp.sqrt(jnp.sum(leaning**2))
     outwards, tangent = leaning / size, jnp.cos(chi) * ahead - jnp.sin(chi) * out
-    along = jnp.sum(tangent * outwards)
-    beside = tangent - along * outwards
+    sine = jnp.sum(tangent * outwards)
+    beside = tangent - sine * outwards
     flat = jnp.sqrt(jnp.sum(beside**2))
     forwards = beside / flat
     sideways = jnp.cross(outwards, forwards)
     # The first director is the same in both frames.
     first = jnp.cos(roll) * jnp.cross(across, tangent) + jnp.sin(roll) * across
     roll = jnp.arctan2(jnp.sum(first * sideways), jnp.sum(first * jnp.cross(sideways, tangent)))
-    whole = jnp.where(light, force / LIGHT, 1.0) * size
-    return jnp.stack([forwards, sideways, outwards], axis=1), whole, jnp.arctan2(-along, flat), roll
+    return jnp.stack([forwards, sideways, outwards], axis=1), unit * size, jnp.arctan2(-sine, flat), roll
 
 
 def in_drive(base: Base, drive: Placement, mount: Placement, roll: Scalar) -> InDrive:

@@ -10,10 +10,12 @@ import jax.numpy as jnp
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, along
-from jaxwhisker._path.path import EventKind, Status, first_case
+from jaxwhisker._path.path import EventKind, Status, first_case, select
 from jaxwhisker._space.contact import FORCE, POINT, TRACTION
 from jaxwhisker._space.march_state import SNAP, Flow, March, Outcome, Task, Trial, node_at
 from jaxwhisker._space.newton import phase_by_slack
+from jaxwhisker._space.problem import SpaceProblem
+from jaxwhisker._space.slip import FAINT, Mode
 
 KICK = 0.02  # along the path, from a fold
 FIRST_TIME = 1e-3  # dimensionless: a contact with the stiffness 1 moves by a thousandth of its way
@@ -24,9 +26,13 @@ FLOW_STEPS = 400
 SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a snap
 
 
-def sliding(march: March) -> March:
+def sliding(problem: SpaceProblem, march: March) -> March:
     """The state in which contacts begin to slide."""
     kicked = along(march.point, march.tangent, KICK)
+    if problem.friction is not None:
+        # In a flow, tractions are forces.
+        held = problem.friction * jnp.maximum(kicked.z[:, FORCE, None], 0.0)
+        kicked = kicked._replace(z=kicked.z.at[:, TRACTION].multiply(held))
     flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z)
     return march._replace(
         task=jnp.asarray(int(Task.flow)),
@@ -36,7 +42,7 @@ def sliding(march: March) -> March:
     )
 
 
-def after_flow(march: March, trial: Trial) -> Outcome:
+def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     """Handle a time step in which contacts slide."""
     z, before, time = trial.point.z, march.point.z, march.flow.time
     moved = jnp.max(jnp.abs(z[:, POINT] - before[:, POINT]))
@@ -50,10 +56,16 @@ def after_flow(march: March, trial: Trial) -> Outcome:
     flow = march.flow._replace(time=time, steps=march.flow.steps + 1)
     freed = (phase == Phase.free) & (march.pending.phase_before != Phase.free)
     moved = jnp.max(jnp.abs(z - flow.start)[:, POINT], axis=1) > SLID
+    resting, slip = jnp.zeros_like(z[:, TRACTION]), march.slip
+    if slip is not None:
+        largest = problem.friction * jnp.maximum(z[:, FORCE], FAINT)
+        resting = z[:, TRACTION] / jnp.maximum(largest, jnp.sqrt(jnp.sum(z[:, TRACTION] ** 2, axis=1)))[:, None]
+        slip = slip._replace(mode=jnp.full_like(slip.mode, int(Mode.sticks)), changes=jnp.asarray(0))
     rested = march._replace(
         task=jnp.where(rests, int(Task.arrive), int(Task.flow)),
         phase=phase,
-        point=Point(z.at[:, TRACTION].multiply(~rests), march.point.u),
+        point=Point(z.at[:, TRACTION].set(jnp.where(rests, resting, z[:, TRACTION])), march.point.u),
+        slip=select(rests, slip, march.slip),
         stance=trial.stance,
         flow=flow,
         pending=march.pending._replace(

@@ -22,11 +22,12 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, unit
 from jaxwhisker._path.path import NO_EVENT, Status, select
-from jaxwhisker._space.contact import AHEAD, FORCE, SLACK, UNKNOWNS
+from jaxwhisker._space.contact import AHEAD, FORCE, SLACK, TRACTION, UNKNOWNS, Traction
 from jaxwhisker._space.flow import FIRST_TIME, after_flow
 from jaxwhisker._space.free import Nearest
 from jaxwhisker._space.march_state import (
     AT_STOP,
+    GRIP,
     PHASE,
     RELEASE,
     TOUCH,
@@ -38,8 +39,9 @@ from jaxwhisker._space.march_state import (
     Task,
     Trial,
 )
-from jaxwhisker._space.newton import Sliding, solve_points
+from jaxwhisker._space.newton import Equations, solve_points
 from jaxwhisker._space.problem import SpaceProblem
+from jaxwhisker._space.slip import Mode, Motion, Slip, ends_of_step, grip_of, radau, stages_of, without_traction
 from jaxwhisker._space.stance import Stance, stance_of
 from jaxwhisker._space.transitions import FIRST_STEP, after_advance, after_arrive, after_event, capacity_of
 
@@ -53,15 +55,17 @@ def _condition(march: March, stop: Scalar) -> PathCondition:
     target, none = march.target, jnp.zeros_like(march.point.z)
     locating = march.task == Task.event
     concerned = target.whiskers.astype(float)
+    of_grip = (target.margin == GRIP) & locating & (march.slip is not None)
     of_force = (target.margin == TOUCH) | ((target.margin == RELEASE) & locating)
     of_slack = target.margin == PHASE
-    of_stop = ~of_force & ~of_slack
+    of_stop = ~of_force & ~of_slack & ~of_grip
     weight = none.at[:, FORCE].set(concerned * of_force).at[:, SLACK].set(concerned * of_slack)
     of_stop |= march.task == Task.flow
     weight = jnp.where(march.task == Task.flow, 0.0, weight)
     u = jnp.where(locating, stop, march.point.u)
     at_event = PathCondition(weight, none, of_stop.astype(float), u, jnp.zeros(n))
-    return select(march.task != Task.advance, at_event, at_arc_length(march.point, march.tangent, march.step))
+    ahead = at_arc_length(march.point, without_traction(march.tangent), march.step)
+    return select(march.task != Task.advance, at_event, ahead)
 
 
 def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], march: March):
@@ -71,22 +75,55 @@ def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Arr
     # A touch is solved for as the contact that begins, without force.
     begins = locating & (target.margin == TOUCH) & target.whiskers
     distance = jnp.where(locating, target.distance, march.step)
-    guess = select(advancing | locating, along(march.point, march.tangent, distance, march.bend), march.point)
-    guess = guess._replace(z=jnp.where(begins[:, None], target.first.contact, guess.z))
+    places, _ = radau(stages_of(problem))
+
+    def ahead(place):
+        return select(
+            advancing | locating, along(march.point, march.tangent, place * distance, march.bend), march.point
+        )
+
+    guesses = jax.vmap(ahead)(jnp.asarray(places))
+    first_contact = jnp.where(begins[:, None], target.first.contact, guesses.z[-1])
+    guesses = guesses._replace(z=guesses.z.at[-1].set(first_contact))
+    guess = jax.tree.map(lambda leaf: leaf[-1], guesses)
     phase = jnp.where(begins, target.first.phase, march.phase)
-    slides = Sliding(march.task == Task.flow, march.flow.time, march.point.z)
-    solution = solve_points(problem, phase, _condition(march, stop), guess, slides)
-    tangent, _ = unit(solution.newton.tangent, solution.point.z)
-    stance = stance_of(problem, solution.point, phase, solution.newton.at)
+    condition, flows = _condition(march, stop), march.task == Task.flow
+    time = jnp.where(flows, march.flow.time, march.step)
+    motion = Motion(march.point.z, Traction(problem.friction, flows), time)
+    between = None
+    if march.slip is not None:
+        measure = at_arc_length(march.point, without_traction(march.tangent), jnp.zeros(()))
+        between = select(locating, measure, condition)._replace(z0=march.point.z, u0=march.point.u)
+        waits = begins | (march.task == Task.arrive)
+        grips = (target.whiskers & locating & (target.margin == GRIP)).astype(float)
+        slipping = march.slip.mode == Mode.slips
+        motion = motion._replace(
+            mode=march.slip.mode,
+            waits=waits,
+            given=jnp.where(begins[:, None], 0.0, march.point.z[:, TRACTION]),
+            cone=grips * ~slipping,
+            power=grips * slipping,
+        )
+    phases = jnp.broadcast_to(march.phase, (places.size, phase.size)).at[-1].set(phase)
+    equations = Equations(phases, condition, between, motion)
+    solution = solve_points(problem, equations, guesses)
+    point = solution.end
+    rate = solution.newton.tangent
+    if march.slip is not None:
+        rate = select((advancing | locating) & ~jnp.any(begins), ends_of_step(march.slip, march.point, solution.points)[1], rate)
+    _, length = unit(without_traction(rate), point.z)
+    tangent = jax.tree.map(lambda leaf: leaf / length, rate)
+    grip = None if march.slip is None else grip_of(problem, march.slip.mode, phase, point, tangent)
+    stance = stance_of(problem, point, phase, solution.newton.at, march.direction * tangent.u, grip)
     trial = Trial(solution, tangent, stance, guess, phase, stop, stops, last)
     new, write, node = jax.lax.switch(
         march.task,
         [
             lambda: after_advance(problem, march, trial),
-            lambda: after_event(march, trial),
-            lambda: after_arrive(march, trial),
+            lambda: after_event(problem, march, trial),
+            lambda: after_arrive(problem, march, trial),
             lambda: (march, jnp.asarray(False), march.pending),
-            lambda: after_flow(march, trial),
+            lambda: after_flow(problem, march, trial),
         ],
     )
     return new._replace(count=new.count + write), jnp.where(write, march.count, -1), node
@@ -100,7 +137,13 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
     point, still = Point(z, start), Point(jnp.zeros_like(z), direction)
     phase = jnp.full(n, int(Phase.free))
     nobody, zero = jnp.zeros(n, bool), jnp.asarray(0)
-    node = Node(point, z, still, still, phase, phase, -jnp.abs(start - stops[0]), jnp.asarray(NO_EVENT), nobody)
+    slip, inner = None, None
+    if problem.friction is not None:
+        slip = Slip(jnp.full(n, int(Mode.slips)), zero, jnp.asarray(True), nobody, zero)
+        others = stages_of(problem) - 1
+        inner = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (others, *jnp.shape(leaf))), point)
+    kind, mode = jnp.asarray(NO_EVENT), None if slip is None else slip.mode
+    node = Node(point, z, still, still, phase, phase, -jnp.abs(start - stops[0]), kind, nobody, mode, inner)
     unknown = jnp.zeros(n)
     stance = Stance(
         free=phase == Phase.free,
@@ -109,6 +152,7 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
         stable=jnp.asarray(True),
         stiffness=jnp.asarray(1.0),
         sound=jnp.asarray(True),
+        grip=None if problem.friction is None else unknown,
         opens=jnp.asarray(True),
     )
     return March(
@@ -129,6 +173,7 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
         travel=node.travel,
         touched=jnp.asarray(False),
         flow=Flow(jnp.asarray(FIRST_TIME), zero, z),
+        slip=slip,
         count=zero,
         status=jnp.asarray(int(Status.ok)),
     )

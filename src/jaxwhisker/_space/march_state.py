@@ -3,6 +3,7 @@
 from enum import IntEnum
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -12,6 +13,7 @@ from jaxwhisker._path.path import NO_EVENT, Status
 from jaxwhisker._space.free import Nearest
 from jaxwhisker._space.newton import Phases, Solution
 from jaxwhisker._space.problem import Contacts
+from jaxwhisker._space.slip import Slip
 from jaxwhisker._space.stance import Stance
 
 
@@ -25,7 +27,7 @@ class Task(IntEnum):
     flow = 4
 
 
-TOUCH, RELEASE, PHASE, AT_STOP, SNAP = range(5)  # kinds of margins, and what follows from a loss
+TOUCH, RELEASE, PHASE, AT_STOP, GRIP, SNAP = range(6)  # kinds of margins, and what follows from a loss
 
 
 class Node(NamedTuple):
@@ -40,6 +42,9 @@ class Node(NamedTuple):
     travel: Float[Array, "*nodes"]  # distance that the drive has travelled since the first stop; negative before it
     kind: Int[Array, ""]  # EventKind, NO_EVENT or STOP
     whiskers: Bool[Array, " whiskers"]
+    # Of the step that ends here; None without friction:
+    mode: Int[Array, " whiskers"] | None
+    inner: Point | None  # its other stages, fields (stages - 1, ...)
 
 
 class SpacePath(NamedTuple):
@@ -87,6 +92,7 @@ class March(NamedTuple):
     travel: Scalar
     touched: Bool[Array, ""]
     flow: Flow
+    slip: Slip | None
     count: Int[Array, ""]
     status: Int[Array, ""]
 
@@ -101,7 +107,7 @@ class Trial(NamedTuple):
     solution: Solution
     tangent: Point  # of unit length in the scale of the point
     stance: Stance
-    guess: Point
+    guess: Point  # of the end of the step
     phase: Phases  # in which it is solved for
     stop: Scalar  # the control that the drive moves to
     stops: Float[Array, " stops"]
@@ -109,15 +115,20 @@ class Trial(NamedTuple):
 
     @property
     def point(self) -> Point:
-        """The solved point."""
-        return self.solution.point
+        """The solved point: the end of the step."""
+        return self.solution.end
 
 
 Outcome = tuple[March, Bool[Array, ""] | Array, Node]  # the next state, whether to write a node, and that node
 
 
-def node_at(march: March, point: Point, tangent: Point) -> Node:
-    """A plain node: the path goes on as it arrives."""
+def node_at(march: March, point: Point, tangent: Point, points: Point | None = None) -> Node:
+    """A plain node: the path goes on as it arrives. `points` are the stages of a step with friction."""
     travel = march.travel + jnp.abs(point.u - march.point.u)
     nobody = jnp.zeros_like(march.phase, bool)
-    return Node(point, point.z, tangent, tangent, march.phase, march.phase, travel, jnp.asarray(NO_EVENT), nobody)
+    mode, inner = None, None
+    if march.slip is not None:
+        points = march.pending.inner if points is None else jax.tree.map(lambda leaf: leaf[:-1], points)
+        mode, inner = march.slip.mode, points
+    kind = jnp.asarray(NO_EVENT)
+    return Node(point, point.z, tangent, tangent, march.phase, march.phase, travel, kind, nobody, mode, inner)

@@ -55,6 +55,7 @@ class SpaceProblem(eqx.Module):
     mount: Placement  # fields (whiskers, ...)
     springs: Springs | None  # None: clamped
     outline: Outline  # of unloaded whiskers, fields (whiskers, ...)
+    friction: Scalar | None  # the coefficient mu; None without friction
     onwards: Int[Array, ""]  # +1 if the control increases during a scan, else -1
     ends: tuple[Float[Array, ""], Float[Array, ""]] | None
     valid: Bool[Array, ""]
@@ -153,6 +154,7 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
         mount=Placement(position / unit.length, rotation),
         springs=springs,
         outline=outline,
+        friction=None if scene.friction is None else jnp.asarray(scene.friction, dtype=float),
         onwards=jnp.asarray(scene.motion.onwards),
         ends=None if ends is None else tuple(jnp.asarray(end, dtype=float) / unit.control for end in ends),
         valid=valid,

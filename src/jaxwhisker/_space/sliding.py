@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 from jaxwhisker._base.linear_algebra import block_diagonal, solve
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._space.contact import FORCE, LIGHT
-from jaxwhisker._space.newton import Linear, Phases
+from jaxwhisker._space.linear import Linear
+from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 
 

@@ -14,7 +14,8 @@ from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._model.drives import Placement
 from jaxwhisker._space.contact import spread
 from jaxwhisker._space.free import Nearest, in_scene, nearest
-from jaxwhisker._space.newton import Linear, Phases
+from jaxwhisker._space.linear import Linear
+from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import SpaceProblem, of_each
 from jaxwhisker._space.sliding import sliding_stiffness
 
@@ -26,15 +27,27 @@ class Stance(NamedTuple):
     nearest: Nearest  # of free whiskers
     speed: Scalar  # largest speed of any point of a whisker whose base does not yield, per control
     stable: Bool[Array, ""]
-    stiffness: Scalar  # determinant of the sliding stiffness, which vanishes where stability is lost
+    # Vanishes where stability is lost: the determinant of the sliding stiffness, or with friction the rate of the control
+    # along the path.
+    stiffness: Scalar
     sound: Bool[Array, ""]  # whether bases point the way of their mounts
+    grip: Float[Array, " whiskers"] | None  # margin to sticking or slipping, positive before; None without friction
     opens: Bool[Array, ""]  # whether object and shaft part on both sides of every tangential contact
 
 
-def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear) -> Stance:
-    """The stance at a point of the path, near which whiskers are linearised with tractions."""
+def stance_of(
+    problem: SpaceProblem, point: Point, phase: Phases, at: Linear, onwards: Scalar, grip: Array | None
+) -> Stance:
+    """The stance at a point of the path, near which whiskers are linearised with tractions.
+
+    `onwards` is the rate at which the drive moves on along the path.
+    """
     free, z = phase == Phase.free, point.z
-    stiffness = sliding_stiffness(problem, z, phase, at)
+    if grip is None:
+        sliding = sliding_stiffness(problem, z, phase, at)
+        stiffness, stable = determinant(sliding), positive_definite(sliding)
+    else:
+        stiffness, stable = onwards, (onwards > 0) | jnp.all(free)
     pose = jnp.zeros((phase.size, 6))
     if problem.springs is not None:
         moved = problem.springs.offset + problem.displacement(jnp.where(free[:, None], 0.0, at.load))
@@ -56,9 +69,10 @@ def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear) ->
         free=free,
         nearest=found,
         speed=jnp.sqrt(jnp.max(speeds)),
-        stable=positive_definite(stiffness),
-        stiffness=determinant(stiffness),
+        stable=stable,
+        stiffness=stiffness,
         sound=jnp.all(free | jnp.isfinite(at.own)),
+        grip=grip,
         opens=jnp.all((opens > 0) | (phase != Phase.tangential)),
     )
 

@@ -8,10 +8,11 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._path.path import STOP, EventKind, Status, first_case, select
-from jaxwhisker._space.contact import FORCE, SLACK
+from jaxwhisker._space.contact import FORCE, SLACK, TRACTION
 from jaxwhisker._space.flow import sliding
 from jaxwhisker._space.march_state import (
     AT_STOP,
+    GRIP,
     PHASE,
     RELEASE,
     SNAP,
@@ -26,6 +27,7 @@ from jaxwhisker._space.march_state import (
 )
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
+from jaxwhisker._space.slip import Mode, defect_of, next_guess, slip_after, slip_at_corner, speeds, without_guess, without_traction
 from jaxwhisker._space.stance import Stance
 
 NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
@@ -33,6 +35,7 @@ FIRST_STEP = 0.02  # after a corner
 LONGEST_STEP = 0.25
 SHORTEST_STEP = 1e-10
 PREDICTION_ERROR = 2e-3  # at which steps keep their length
+SLIP_DEFECT = 1e-5  # the same for the rate at the start of a step with friction, times its length
 LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
 LEAST_ADVANCE = 2e-4  # lengths by which free whiskers move at least in a step; shallower dips are missed
 INSIDE = 1e-6  # depth of free whiskers that must not be inside the object
@@ -43,32 +46,40 @@ FOLD = 1e-3  # rate of the control at a loss, per arc length, below which it is 
 
 
 def margins_of(phase: Phases, z: Contacts, stance: Stance, remaining: Scalar) -> Float[Array, "kinds whiskers"]:
-    """Margins of the four kinds of events: positive before them."""
+    """Margins of all kinds of events: positive before them."""
     free, tip = phase == Phase.free, phase == Phase.tip
     touch = jnp.where(free, stance.nearest.distance + TOUCHING, jnp.inf)
     release = jnp.where(free, jnp.inf, z[:, FORCE])
     slack = jnp.where(free, jnp.inf, jnp.where(tip, -z[:, SLACK], z[:, SLACK]))
     stop = jnp.full_like(touch, jnp.inf).at[0].set(remaining)
-    return jnp.stack([touch, release, slack, stop])
+    return jnp.stack([touch, release, slack, stop, *([] if stance.grip is None else [stance.grip])])
 
 
 def capacity_of(problem: SpaceProblem, stops: int) -> int:
     """Number of nodes that a path has room for."""
-    return NODES * (1 + problem.length.size) * (stops - 1)
+    return NODES * (1 + problem.length.size) * (stops - 1) * (1 if problem.friction is None else 2)
 
 
 def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
     point, tangent, stance, scale = trial.point, trial.tangent, trial.stance, scale_of(march.point.z)
     miss = Point(point.z - trial.guess.z, point.u - trial.guess.u)
-    error, straight = jnp.sqrt(dot(miss, miss, scale)), dot(march.tangent, tangent, scale)
+    miss = miss if march.slip is None else without_guess(march.slip, miss)
+    error, straight = jnp.sqrt(dot(miss, miss, scale)), dot(march.tangent, without_traction(tangent), scale)
     good = trial.solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5) & stance.sound
+    factor = (PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3)
+    if march.slip is not None:
+        # Behind a corner, the tangent is that of the equations.
+        defect = defect_of(march.slip, march.point, march.tangent, trial.solution.points)
+        defect = jnp.where(march.slip.at_corner, 0.0, defect)
+        good &= defect < 10 * SLIP_DEFECT
+        factor = jnp.minimum(factor, (SLIP_DEFECT / jnp.maximum(defect, 1e-14)) ** (1 / 4))
     violated, target = _first_violated(march, trial, march.step)
-    stable, node = stance.stable, node_at(march, point, tangent)
+    stable, node = stance.stable, node_at(march, point, tangent, trial.solution.points)
     located = good & ~violated & ~stable & (march.step < LOSS_BRACKET)
     # At a fold, contacts slide on in the direction of the path. A bifurcation is symmetric: they may go either way.
     branches = located & (jnp.abs(march.tangent.u) >= FOLD)
-    lost = select(branches, march.stopped(Status.undetermined), sliding(march))
+    lost = select(branches, march.stopped(Status.undetermined), sliding(problem, march))
     shorter = march._replace(step=0.4 * march.step)
     moved = march._replace(
         point=point,
@@ -80,6 +91,16 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         unstable_at=jnp.where(march.unstable_at > march.step, march.unstable_at - march.step, jnp.inf),
         unstable_size=march.unstable_size / 2,
     )
+    if march.slip is not None:
+        slip = march.slip
+        begins = jnp.any(slip.begins)
+        wrong = begins & (~good | jnp.any(slip.begins & (stance.grip < 0)))
+        good &= ~wrong
+        moved = moved._replace(slip=slip._replace(at_corner=jnp.asarray(False), begins=jnp.zeros_like(slip.begins)))
+        guess, traction = next_guess(slip, march.point.z[:, TRACTION])
+        again = march._replace(slip=guess, point=march.point._replace(z=march.point.z.at[:, TRACTION].set(traction)))
+        guessed = jnp.where(begins & (guess.guess != 0), march.step, shorter.step)
+        shorter = select(begins, again, shorter)._replace(step=guessed)
     full = march.count >= capacity_of(problem, trial.stops.size) - 1
     new = first_case(
         (full, march.stopped(Status.too_long)),
@@ -90,7 +111,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         (~stable, _before_loss(march, stance.stiffness)),
         (_is_over(problem, march, trial), march.stopped(Status.ok)),
         (~stance.opens, march.stopped(Status.not_convex)),
-        otherwise=moved._replace(step=_next_step(moved, error, march.step)),
+        otherwise=moved._replace(step=_next_step(moved, factor, march.step)),
     )
     # While all whiskers are free, nothing happens between events.
     write = good & ~violated & stable & stance.opens & jnp.any(march.phase != Phase.free)
@@ -145,8 +166,8 @@ def _to_loss(march: March) -> Scalar:
     return march.unstable_at * jnp.where(march.unstable_at < LOSS_BRACKET, 1.0, share)
 
 
-def _next_step(march: March, error: Scalar, step: Scalar) -> Scalar:
-    factor = jnp.clip((PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3), 0.3, 2.5)
+def _next_step(march: March, factor: Scalar, step: Scalar) -> Scalar:
+    factor = jnp.clip(factor, 0.3, 2.5)
     length = jnp.minimum(factor * step, jnp.where(jnp.all(march.phase == Phase.free), jnp.inf, LONGEST_STEP))
     length = jnp.minimum(length, _clear(march.stance, march.tangent))
     return jnp.where(jnp.isfinite(march.unstable_at), jnp.minimum(length, _to_loss(march)), length)
@@ -167,13 +188,13 @@ def _is_over(problem: SpaceProblem, march: March, trial: Trial) -> Bool[Array, "
     return jnp.all(march.phase == Phase.free) & march.touched & (march.goal > 0) & (march.goal >= trial.last) & leaves
 
 
-def after_event(march: March, trial: Trial) -> Outcome:
+def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     """Handle the point where a margin vanishes."""
     point, tangent, phase, converged = trial.point, trial.tangent, trial.phase, trial.solution.converged
     target, scale = march.target, scale_of(march.point.z)
     touches = target.whiskers & (target.margin == TOUCH)
     z_before = jnp.where(touches[:, None], march.point.z, point.z)
-    chord = Point(z_before - march.point.z, point.u - march.point.u)
+    chord = without_traction(Point(z_before - march.point.z, point.u - march.point.u))
     distance, reach = dot(march.tangent, chord, scale), jnp.sqrt(dot(chord, chord, scale))
     good = converged & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-6)
     # The whisker may touch with its tip where its shaft was expected to, or the reverse.
@@ -186,22 +207,35 @@ def after_event(march: March, trial: Trial) -> Outcome:
     )
     again = march._replace(task=jnp.asarray(int(Task.advance)), step=0.5 * jnp.minimum(march.step, target.distance))
     # Another margin may vanish before: events close to each other are told apart only here.
-    own = (jnp.arange(4) == target.margin)[:, None] & (target.whiskers | (target.margin == AT_STOP))
+    kinds_of_margins = 4 if march.slip is None else 5
+    own = (jnp.arange(kinds_of_margins) == target.margin)[:, None] & (target.whiskers | (target.margin == AT_STOP))
     missed, earlier = _first_violated(march, trial, reach, own | touches)
     tip = jnp.any(target.whiskers & (phase == Phase.tip))
+    slip, sticks = march.slip, False
+    if slip is not None:
+        sticks = jnp.any(target.whiskers & (slip.mode == Mode.sticks))
+        heading = jnp.sign(trial.stops[jnp.minimum(march.goal + 1, trial.last)] - point.u)
+        turns = (target.margin == AT_STOP) & (march.goal < trial.last) & (heading == -march.direction)
+        slip = slip_after(slip, target.whiskers & (target.margin == GRIP), turns, touches)
+        # A contact begins to slip the way that it moves without friction.
+        velocity = speeds(problem.surface, point.z, phase, tangent.z)
+        fast = jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True))
+        against = -velocity / jnp.where(fast > 0, fast, 1.0)
+        point = point._replace(z=point.z.at[:, TRACTION].set(jnp.where(touches[:, None], against, point.z[:, TRACTION])))
     kinds = jnp.array([
         EventKind.touch,
         EventKind.release,
         jnp.where(tip, EventKind.tip_to_tangential, EventKind.tangential_to_tip),
         STOP,
+        jnp.where(sticks, EventKind.slip, EventKind.stick),
     ])  # fmt: skip
     swaps = target.whiskers & (target.margin == PHASE)
     after = jnp.where(swaps, jnp.where(phase == Phase.tip, Phase.tangential, Phase.tip), phase)
     after = jnp.where(target.whiskers & (target.margin == RELEASE), Phase.free, after)
-    forwards = dot(tangent, march.tangent, scale) > 0
+    forwards = dot(tangent, without_traction(march.tangent), scale) > 0
     arriving = select(forwards, tangent, Point(-tangent.z, -tangent.u))
     arriving = select(jnp.any(touches), march.tangent, arriving)
-    node = node_at(march, point, arriving)
+    node = node_at(march, point, arriving, trial.solution.points)
     node = node._replace(z_before=z_before, phase=after, kind=kinds[target.margin], whiskers=target.whiskers)
     node = node._replace(travel=jnp.where((target.margin == AT_STOP) & (march.goal == 0), 0.0, node.travel))
     arrived = march._replace(
@@ -213,6 +247,7 @@ def after_event(march: March, trial: Trial) -> Outcome:
         travel=node.travel,
         goal=march.goal + (target.margin == AT_STOP),
         touched=march.touched | jnp.any(touches),
+        slip=slip,
     )
     new = first_case(
         (jnp.any(other), march._replace(target=target._replace(first=first))),
@@ -224,7 +259,7 @@ def after_event(march: March, trial: Trial) -> Outcome:
     return new, jnp.asarray(False), node
 
 
-def after_arrive(march: March, trial: Trial) -> Outcome:
+def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     """Handle the point of an event in its new phase: leave along the path."""
     point, tangent, stance, last = trial.point, trial.tangent, trial.stance, trial.last
     margin, stop_kind = march.target.margin, march.pending.kind == STOP
@@ -234,11 +269,22 @@ def after_arrive(march: March, trial: Trial) -> Outcome:
     # The condition makes the force or the slack grow; a tangential contact that becomes a tip contact loses slack.
     back = (margin == PHASE) & jnp.any(march.target.whiskers & (march.phase == Phase.tip))
     by_control = (margin == RELEASE) | (margin == AT_STOP) | (margin == SNAP)
+    if march.slip is not None:
+        slips = jnp.any(march.target.whiskers & (march.slip.mode == Mode.slips))
+        back |= (margin == GRIP) & slips & jnp.any(march.target.whiskers & (stance.grip < 0))
+        by_control |= (margin == GRIP) & ~slips
     sign = jnp.where(by_control, jnp.where(tangent.u * direction < 0, -1.0, 1.0), jnp.where(back, -1.0, 1.0))
     tangent = Point(sign * tangent.z, sign * tangent.u)
     z = jnp.where(stance.free[:, None], stance.nearest.contact, point.z)
     node = march.pending._replace(point=Point(z, point.u), leaving=tangent)
-    falls, snapped = tangent.u * direction <= 0, margin == SNAP
+    falls, snapped, changed = tangent.u * direction <= 0, margin == SNAP, None
+    stable, size, leaving = stance.stable, stance.stiffness, None
+    if march.slip is not None:
+        stable, size = jnp.asarray(True), jnp.abs(tangent.u)
+        slip, grip = slip_at_corner(problem, march.slip, march.phase, point, tangent)
+        stance = stance._replace(grip=grip)
+        changed = jnp.any(slip.mode != march.slip.mode)
+        leaving = march.slip._replace(changes=jnp.asarray(0), at_corner=jnp.asarray(True))
     onwards = march._replace(
         task=jnp.asarray(int(Task.advance)),
         point=node.point,
@@ -247,19 +293,24 @@ def after_arrive(march: March, trial: Trial) -> Outcome:
         stance=stance,
         step=jnp.minimum(FIRST_STEP, _clear(stance, tangent)),
         direction=direction,
-        size=stance.stiffness,
+        size=size,
         unstable_at=jnp.asarray(jnp.inf),
         unstable_size=jnp.asarray(-1.0),
+        slip=leaving,
     )
     over = stop_kind & (march.goal > last)
     inside = jnp.any(stance.free & (stance.nearest.distance < -INSIDE))
-    new = first_case(
+    cases = [
         (~trial.solution.converged | (inside & ~snapped), march.stopped(Status.lost)),
         (inside, march.stopped(Status.unsettled)),
         (over, march.stopped(Status.ok)),
-        (snapped & ~stance.stable, march.stopped(Status.unsettled)),
+        (snapped & ~stable, march.stopped(Status.unsettled)),
         # A loss at a corner: the path would have to go back.
-        (falls | ~stance.stable, sliding(onwards)),
-        otherwise=onwards,
-    )
-    return new, trial.solution.converged, node
+        (falls | ~stable, sliding(problem, onwards)),
+    ]
+    write = trial.solution.converged
+    if changed is not None:
+        again, often = march._replace(slip=slip), slip.changes > 2 * march.phase.size
+        cases[3:3] = [(changed & often, march.stopped(Status.undetermined)), (changed, again)]
+        write &= ~changed | over
+    return first_case(*cases, otherwise=onwards), write, node

@@ -1,0 +1,111 @@
+"""A whisker in space, linearised about a contact.
+
+A contact on the surface has six degrees of freedom: force, roll and slack, two coordinates of the contact point, and
+the direction in which the whisker runs along the surface. A straight round whisker has no roll. With a traction, there
+are two more.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.drives import Placement
+from jaxwhisker._space.contact import (
+    AHEAD,
+    POINT,
+    ROLL,
+    SLACK,
+    UNKNOWNS,
+    Body,
+    Traction,
+    base_of,
+    frame_of,
+    in_drive,
+    on_surface,
+)
+from jaxwhisker._space.problem import SpaceProblem
+
+
+class Linear(NamedTuple):
+    """A whisker, linearised about a contact.
+
+    There are `rows` equations of its base and as many `steps`, or with a traction two more.
+    """
+
+    correction: Float[Array, "11"]  # of the contact, back onto the surface
+    directions: Float[Array, "11 steps"]
+    pose: Float[Array, " rows"]  # coordinates of the base, after the correction
+    load: Float[Array, " rows"]
+    pose_by: Float[Array, "rows steps"]  # derivatives with respect to the steps
+    load_by: Float[Array, "rows steps"]
+    pose_by_u: Float[Array, " rows"]
+    load_by_u: Float[Array, " rows"]
+    own: Scalar  # largest residual of the surface; infinite beyond the base, or if the base points the wrong way
+    frame: Float[Array, "3 3"]  # of the contact, as columns
+    out_by: Float[Array, "3 steps"]  # derivatives of the normal
+
+
+def linearise(
+    problem: SpaceProblem,
+    body: Body,
+    drives: tuple[Placement, Placement],
+    z: Float[Array, "11"],
+    phase: Int[Array, ""],
+    traction: Traction | None,
+) -> Linear:
+    """Linearise one whisker; `drives` are the frame of the drive and its rate of change with the control."""
+    surface, rows = problem.surface, problem.rows
+    drive, rate = drives
+    frame = frame_of(surface, z)
+    ahead, across, out = frame.T
+    off, lean, stretch = on_surface(surface, z)
+    curvature = surface.curvature(z[POINT])
+
+    def step_of(point=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
+        # A step of the contact point turns the direction with the surface.
+        point = jnp.asarray(point)
+        turn = jnp.asarray(turn) - jnp.sum(z[AHEAD] * jnp.sum(curvature * point, axis=1)) * out
+        return jnp.concatenate([jnp.zeros(3), point, turn, jnp.zeros(2)])
+
+    unit = np.eye(UNKNOWNS)
+    scalars = [unit[k] for k in range(3) if problem.rolls or k != ROLL]
+    tractions = [] if traction is None else [unit[9], unit[10]]
+    own = [step_of(ahead), step_of(across), step_of(turn=across)]
+    directions = jnp.stack([*scalars, *own, *tractions], axis=1)
+    correction = step_of(-off * out, -lean * out - stretch * z[AHEAD])
+
+    def in_rows(base, drive, roll):
+        inside = in_drive(base, drive, body.mount, roll)
+        return (inside.pose[:rows], inside.load[:rows]), inside.upright
+
+    def values(step):
+        at = z + step
+        base = base_of(body, surface, problem.rod, at, phase, traction)
+        both, upright = in_rows(base, drive, at[ROLL])
+        return both, (both, base, upright)
+
+    _, (pose_by, load_by), (value, base, upright) = jax.vmap(
+        lambda direction: jax.jvp(values, (jnp.zeros(UNKNOWNS),), (direction,), has_aux=True),
+        in_axes=1,
+        out_axes=(None, -1, None),
+    )(jnp.concatenate([directions, correction[:, None]], axis=1))
+    _, (pose_by_u, load_by_u) = jax.jvp(lambda drive: in_rows(base, drive, z[ROLL])[0], (drive,), (rate,))
+    pose, load = (part + by[:, -1] for part, by in zip(value, (pose_by, load_by), strict=True))
+    missed = jnp.max(jnp.abs(jnp.stack([off, lean, stretch])))
+    return Linear(
+        correction,
+        directions,
+        pose,
+        load,
+        pose_by[:, :-1],
+        load_by[:, :-1],
+        pose_by_u,
+        load_by_u,
+        jnp.where(upright & (z[SLACK] < body.length), missed, jnp.inf),
+        frame,
+        jnp.sum(curvature[:, :, None] * directions[None, POINT], axis=1),
+    )
