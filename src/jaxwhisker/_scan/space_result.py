@@ -25,12 +25,19 @@ class SpaceState(eqx.Module):
     base_y: Float[Array, "*steps whiskers"]
     base_z: Float[Array, "*steps whiskers"]
     base_rotation: Float[Array, "*steps whiskers 3 3"]  # columns: d1, d2 and the tangent d3 at the base
-    contact_force: Float[Array, "*steps whiskers"]  # f >= 0, a force
+    contact_force: Float[Array, "*steps whiskers"]  # size of the force of the object on the whisker
     contact_arc: Float[Array, "*steps whiskers"]  # arc length from base to contact
     contact_x: Float[Array, "*steps whiskers"]  # contact point, a length
     contact_y: Float[Array, "*steps whiskers"]
     contact_z: Float[Array, "*steps whiskers"]
     phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
+    # The following fields are None without friction: whether a contact slips (1) or sticks (0), and the parts of the
+    # contact force: that along the object's normal (>= 0), and friction, which acts on the whisker along the object.
+    slip: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    normal_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    friction_x: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    friction_y: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    friction_z: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
     in_space = True
 
     @property

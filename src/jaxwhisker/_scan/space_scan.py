@@ -33,11 +33,14 @@ from jaxwhisker._scan.route import (
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_signals import events, signals, solved
 from jaxwhisker._space.approach import crop, limits_of
+from jaxwhisker._space.contact import TRACTION, Traction
+from jaxwhisker._space.history import Linked, Step, linked, measure_of, stages_after, stages_between
 from jaxwhisker._space.march import march
 from jaxwhisker._space.march_state import SpacePath
-from jaxwhisker._space.newton import Phases, plain, solve_points
+from jaxwhisker._space.newton import Equations, Phases, plain, solve_points
 from jaxwhisker._space.problem import Contacts, SpaceProblem, problem_in_space
 from jaxwhisker._space.shape import touches_twice
+from jaxwhisker._space.slip import Mode, Motion
 
 BATCH = 32  # steps solved for at once
 RESIDUAL = 1e-8  # largest residual of a step marked ok
@@ -75,12 +78,15 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None) -> SpaceRes
     elif route is None:
         route = route_of(default_positions(float(start), float(stop), problem.unit))
 
+    links = () if problem.friction is None else (path, linked_now(problem, path, stops))
+
     def block(control, travel):
-        state, status, displacement = states_now(problem, control, solve_steps_now(problem, path, control, travel))
+        solutions = solve_steps_now(problem, path, control, travel)
+        state, status, displacement = states_now(problem, control, solutions, *links)
         return state, status, None if displacement is None else spring_lengths_now(scene.support, displacement)
 
     states = in_blocks(block, (route.control, route.travel), BLOCK)
-    return _result(scene, problem, path, jnp.asarray(route.control), *states)
+    return _result(scene, problem, path, links, jnp.asarray(route.control), *states)
 
 
 def _staged(scene: SpaceScene, control: Control | None) -> SpaceResult:
@@ -95,9 +101,10 @@ def _staged(scene: SpaceScene, control: Control | None) -> SpaceResult:
     route = evenly(start, stop, TRACED_STEPS) if control is None else route
     path, positions = _if_ok(path, status), jnp.asarray(route.control)
     solutions = solve_steps(problem, path, positions, jnp.asarray(route.travel))
-    state, status, displacement = states(problem, positions, solutions)
+    links = () if problem.friction is None else (path, linked(problem, path, jnp.asarray(stops)))
+    state, status, displacement = states(problem, positions, solutions, *links)
     lengths = None if displacement is None else scene.support.spring_length(displacement)
-    return _result(scene, problem, path, positions, state, status, lengths)
+    return _result(scene, problem, path, links, positions, state, status, lengths)
 
 
 def _if_ok(path: SpacePath, status: Int[Array, ""] | None) -> SpacePath:
@@ -108,14 +115,14 @@ def _if_ok(path: SpacePath, status: Int[Array, ""] | None) -> SpacePath:
     return path._replace(count=jnp.where(good, path.count, 0), status=jnp.where(good, path.status, status))
 
 
-def _result(scene, problem, path, control, state, status, lengths) -> SpaceResult:
+def _result(scene, problem, path, links, control, state, status, lengths) -> SpaceResult:
     fields = {name: getattr(state, name) for name in SpaceState.__dataclass_fields__}
     return SpaceResult(
         **fields,
         control=control,
         spring_length=jnp.zeros((control.size, 0)) if lengths is None else lengths,
         status=status,
-        deferred_events=lambda: events_now(problem, path),
+        deferred_events=lambda: events_now(problem, path, *links[1:]),
         scene=scene,
     )
 
@@ -184,6 +191,8 @@ class SpaceSolutions(NamedTuple):
     z: Float[Array, "*steps whiskers 11"]
     phase: Int[Array, "*steps whiskers"]
     status: Int[Array, "*steps"]
+    node: Int[Array, "*steps"]  # index of the node before
+    stages: Point | None  # of a step from there; None without friction
 
 
 def _solve(
@@ -194,6 +203,10 @@ def _solve(
     guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
     equations = jax.vmap(plain)(phase, jax.vmap(at_control)(u, guess.z))
     solution = solve_points(problem, equations, jax.tree.map(lambda leaf: leaf[:, None], guess))
+    return _accepted(path, index, solution, guess, phase, known)
+
+
+def _accepted(path, index, solution, guess, phase, known) -> SpaceSolutions:
     z = solution.end.z
     near = jnp.max(jnp.abs(z - guess.z) / scale_of(z), axis=(1, 2)) < JUMP
     status = jnp.where(solution.converged & near, Status.ok, Status.inexact)
@@ -201,7 +214,35 @@ def _solve(
     accepted = (status == Status.ok)[:, None]
     phase = jnp.where(accepted, phase, int(Phase.free))
     z = jnp.where(accepted[:, None], z, path.nodes.point.z[0])
-    return SpaceSolutions(z, phase, status)
+    return SpaceSolutions(z, phase, status, index, None)
+
+
+def _solve_with_friction(
+    problem: SpaceProblem, path: SpacePath, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
+) -> SpaceSolutions:
+    """The same with friction: each state ends a step from the node before."""
+    assert path.nodes.mode is not None
+    following = jnp.minimum(index + 1, path.count - 1)
+    phase, mode = path.nodes.phase[index], path.nodes.mode[following]
+    stages = jax.vmap(lambda index, u: stages_between(path, index, u))(index, u)
+    start, leaving = (jax.tree.map(lambda leaf: leaf[index], part) for part in (path.nodes.point, path.nodes.leaving))
+
+    def equations(start, leaving, phase, mode, u, guess):
+        motion = Motion(start.z, Traction(problem.friction, jnp.asarray(False)), jnp.ones(()), mode)
+        nobody = jnp.zeros_like(phase, bool)
+        weight = jnp.zeros_like(phase, float)
+        motion = motion._replace(waits=nobody, given=start.z[:, TRACTION], cone=weight, power=weight)
+        between = measure_of(start, leaving)._replace(z0=start.z, u0=start.u)
+        phases = jnp.broadcast_to(phase, (guess.u.size, phase.size))
+        return Equations(phases, at_control(u, start.z), between, motion)
+
+    solution = solve_points(problem, jax.vmap(equations)(start, leaving, phase, mode, u, stages), stages)
+    guess = jax.tree.map(lambda leaf: leaf[:, -1], stages)
+    found = _accepted(path, index, solution, guess, phase, known)
+    good = (found.status == Status.ok)[:, None]
+    points = solution.points
+    points = Point(jnp.where(good[..., None, None], points.z, found.z[:, None]), jnp.where(good, points.u, 0.0))
+    return found._replace(stages=points)
 
 
 def solve_steps(
@@ -228,23 +269,44 @@ def solve_steps(
     count = control.shape[0]
     batch = min(BATCH, count)
     padded = [jnp.pad(values, (0, -count % batch), mode="edge").reshape(-1, batch) for values in (index, u, known)]
-    solutions = jax.lax.map(lambda some: _solve(problem, path, *some), padded)
+    solve = _solve if problem.friction is None else _solve_with_friction
+    solutions = jax.lax.map(lambda some: solve(problem, path, *some), padded)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], solutions)
 
 
 def states(
-    problem: SpaceProblem, control: Float[Array, " steps"], solutions: SpaceSolutions
+    problem: SpaceProblem,
+    control: Float[Array, " steps"],
+    solutions: SpaceSolutions,
+    path: SpacePath | None = None,
+    links: Linked | None = None,
 ) -> tuple[SpaceState, Int[Array, " steps"], Float[Array, "steps whiskers 6"] | None]:
     """States and status of solved steps, and displacements of the bases, in the scene's units, with derivatives.
 
-    Steps that failed hold NaN. Clamped bases have no displacements.
+    With friction, states follow from the nodes of the path, and `links` are these with their derivatives. Steps that failed hold NaN. Clamped bases have no displacements.
     """
     u = control / problem.unit.control
 
     def one(u: Scalar, z: Contacts, phase: Phases):
         return signals(problem, solved(problem, z, u, phase), u, phase)
 
-    values, residual, displacement = jax.vmap(one)(jnp.where(jnp.isfinite(u), u, 0.0), solutions.z, solutions.phase)
+    def one_with_friction(u: Scalar, found: SpaceSolutions):
+        assert path is not None and path.nodes.mode is not None and links is not None and found.stages is not None
+        here = jax.tree.map(lambda leaf: leaf[found.node], (path.nodes.point, path.nodes.leaving))
+        mode = path.nodes.mode[jnp.minimum(found.node + 1, path.count - 1)]
+        start, none = Point(links.z[found.node], links.u[found.node]), jnp.zeros(mode.size)
+        phases = jnp.broadcast_to(found.phase, (found.stages.u.size, mode.size))
+        at = at_control(u, start.z)
+        ok = found.status == Status.ok
+        step = Step(problem, start, phases, mode, measure_of(*here), at, none, none, found.stages, ok)
+        end = jax.tree.map(lambda leaf: leaf[-1], stages_after(step))
+        return signals(problem, end.z, u, found.phase, mode == Mode.slips)
+
+    u = jnp.where(jnp.isfinite(u), u, 0.0)
+    if links is None:
+        values, residual, displacement = jax.vmap(one)(u, solutions.z, solutions.phase)
+    else:
+        values, residual, displacement = jax.vmap(one_with_friction)(u, solutions)
     ok = solutions.status == Status.ok
     status = jnp.where(ok & ~(residual < RESIDUAL), Status.inexact, solutions.status)
     if problem.curved:
@@ -263,7 +325,7 @@ def states(
 problem_now = Program(problem_in_space)
 follow_path_now = Program(follow_path, frozen=True, batched=True)
 solve_steps_now = Program(solve_steps, frozen=True)
-states_now, events_now = Program(states), Program(events)
+states_now, events_now, linked_now = Program(states), Program(events), Program(linked)
 spring_lengths_now = Program(Support.spring_length)
 
 
@@ -276,6 +338,7 @@ def prepare(problem: SpaceProblem, stops: int, events: bool = False) -> None:
     with Compilers() as pool:
         path = follow_path_now.prepare(pool, problem, *ends).path
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)
-        states_now.prepare(pool, problem, block, solutions)
+        links = () if problem.friction is None else (path, linked_now.prepare(pool, problem, path, ends[0]))
+        states_now.prepare(pool, problem, block, solutions, *links)
         if events:
-            events_now.prepare(pool, problem, path)
+            events_now.prepare(pool, problem, path, *links[1:])

@@ -1,32 +1,25 @@
 """Signals in space: states of solved contacts in the scene's units, with their derivatives."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
-from jaxwhisker._space.contact import (
-    FORCE,
-    POINT,
-    ROLL,
-    SLACK,
-    TRACTION,
-    UNKNOWNS,
-    angle_and_arc,
-    base_of,
-    in_drive,
-    on_surface,
-)
+from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, UNKNOWNS, Base, angle_and_arc
+from jaxwhisker._space.history import Linked
 from jaxwhisker._space.march_state import Node, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
+from jaxwhisker._space.residuals import residuals
+from jaxwhisker._space.slip import Mode
 from jaxwhisker._space.stance import base_placement
 
 EVENTS = 32  # events of one whisker that a scan has room for
@@ -54,15 +47,22 @@ class Signals(NamedTuple):
     displacement: Float[Array, "whiskers 6"] | None  # of the bases relative to their mounts; None if they are clamped
 
 
-def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Signals:
-    """State of an equilibrium, and what is known besides."""
+def signals(
+    problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, slips: Bool[Array, " whiskers"] | None = None
+) -> Signals:
+    """State of an equilibrium, and what is known besides; with friction, `slips` tells which contacts slip."""
     unit, touching = problem.unit, phase != Phase.free
     drive = problem.drive(u)
-    residual, pose, base = _residuals(problem, z, u, phase, z)
+    residual, pose, base = residuals(problem, z, u, phase, z)
     placed = of_each(problem, lambda body, pose: base_placement(problem, drive, body.mount, pose), pose)
     arc = of_each(problem, lambda body, z, phase: angle_and_arc(body, z, phase)[1], z, phase)
     excess = jnp.where(phase == Phase.tip, z[:, SLACK], -z[:, SLACK])
-    wrong = jnp.where(touching, jnp.maximum(jnp.maximum(-z[:, FORCE], excess), 0.0), 0.0)
+    wrong = jnp.maximum(-z[:, FORCE], excess)
+    if problem.friction is not None:
+        residual = residual.at[:, TRACTION].set(0.0)
+        beyond = (jnp.sum(z[:, TRACTION] ** 2, axis=1) - 1) * problem.friction * z[:, FORCE]
+        wrong = jnp.maximum(wrong, beyond)
+    wrong = jnp.where(touching, jnp.maximum(wrong, 0.0), 0.0)
 
     def if_touching(values: Array) -> Array:
         return jnp.where(touching.reshape(touching.shape + (1,) * (values.ndim - 1)), values, 0.0)
@@ -77,9 +77,10 @@ def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Sig
     state = SpaceState(
         **components,
         base_rotation=placed.rotation,
-        contact_force=if_touching(z[:, FORCE]) * unit.force,
+        contact_force=if_touching(_size(problem, z)) * unit.force,
         contact_arc=if_touching(arc) * unit.length,
         phase=phase,
+        **({} if slips is None else _friction(problem, z, base, slips, if_touching)),
     )
     displacement = None
     if problem.springs is not None:
@@ -87,29 +88,27 @@ def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Sig
     return Signals(state, jnp.maximum(jnp.max(jnp.abs(residual)), jnp.max(wrong)), displacement)
 
 
-def _residuals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, free: Contacts):
-    """Residuals of all equations, (whiskers, 9), coordinates of the bases, and the bases themselves."""
-    drive, rows, rates = problem.drive(u), problem.rows, problem.rod.for_rates()
+def _size(problem: SpaceProblem, z: Contacts) -> Float[Array, " whiskers"]:
+    """Size of the contact forces."""
+    if problem.friction is None:
+        return z[:, FORCE]
+    return z[:, FORCE] * jnp.sqrt(1 + problem.friction**2 * jnp.sum(z[:, TRACTION] ** 2, axis=1))
 
-    def one(body, z, phase):
-        base = base_of(body, problem.surface, problem.rod, z, phase, None, rates)
-        return base, in_drive(base, drive, body.mount, z[ROLL]), on_surface(problem.surface, z)
 
-    base, inside, surface = of_each(problem, one, z, phase)
-    touching = (phase != Phase.free)[:, None]
-    pose, load = inside.pose, jnp.where(touching, inside.load, 0.0)
-    rest = jnp.zeros_like(pose)
-    if problem.springs is not None:
-        rest = rest.at[:, :rows].set(problem.springs.offset + problem.displacement(load[:, :rows]))
-    wrong = jnp.where(inside.upright, 0.0, jnp.inf)[:, None]
-    traction = z[:, TRACTION]
-    own = jnp.concatenate([pose - rest, surface + jax.lax.stop_gradient(wrong), traction], axis=1)
-    return jnp.where(touching, own, z - free), jnp.where(touching, pose, rest), base
+def _friction(problem: SpaceProblem, z: Contacts, base: Base, slips: Array, if_touching: Callable) -> dict[str, Array]:
+    """Fields of a state with friction."""
+    normal = jax.vmap(problem.surface.normal)(z[:, POINT])
+    along = if_touching(base.force - z[:, FORCE, None] * normal) * problem.unit.force
+    return {
+        "slip": jnp.where(if_touching(slips.astype(int)) > 0, 1, 0),
+        "normal_force": if_touching(z[:, FORCE]) * problem.unit.force,
+        **{f"friction_{axis}": part for axis, part in zip("xyz", along.T, strict=True)},
+    }
 
 
 def _at_control(unknowns: Float[Array, " n"], known: Known) -> Float[Array, " n"]:
     z = jnp.reshape(unknowns, (-1, UNKNOWNS))
-    return jnp.ravel(_residuals(known.problem, z, known.u, known.phase, known.free)[0])
+    return jnp.ravel(residuals(known.problem, z, known.u, known.phase, known.free)[0])
 
 
 def solved(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Contacts:
@@ -128,14 +127,17 @@ class _KnownEvent(NamedTuple):
 def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, " n"]:
     problem, u, phase, free = known.at
     z, control = jnp.reshape(unknowns[:-1], (-1, UNKNOWNS)), unknowns[-1]
-    residual = _residuals(problem, z, control, phase, free)[0]
+    residual = residuals(problem, z, control, phase, free)[0]
     by_control = jnp.all(known.weight == 0)
     condition = jnp.where(by_control, control - u, jnp.sum(known.weight * (z - known.at_loss)))
     return jnp.append(jnp.ravel(residual), condition)
 
 
-def events(problem: SpaceProblem, path: SpacePath) -> SpaceEvents:
-    """The events of a path, from where the drive has reached the first position of the control."""
+def events(problem: SpaceProblem, path: SpacePath, links: Linked | None = None) -> SpaceEvents:
+    """The events of a path, from where the drive has reached the first position of the control.
+
+    `links` are the nodes of a path with friction, with their derivatives.
+    """
     nodes = path.nodes
     room, n = nodes.whiskers.shape
     index = jnp.arange(room)
@@ -146,6 +148,8 @@ def events(problem: SpaceProblem, path: SpacePath) -> SpaceEvents:
     filled = jnp.arange(size) < jnp.sum(public)
 
     def one(k, filled):
+        if links is not None:
+            return _linked_event(nodes, links, k, filled)
         return _event(problem, jax.tree.map(lambda leaf: leaf[k], nodes), filled)
 
     control, *sides = jax.vmap(one)(at, filled)
@@ -175,6 +179,16 @@ class _Side(NamedTuple):
     z: Contacts
     u: Scalar
     phase: Phases
+    slips: Bool[Array, " whiskers"] | None = None
+
+
+def _linked_event(nodes: Node, links: Linked, k: Scalar, filled: Array) -> tuple[Scalar, _Side, _Side]:
+    """Control of an event with friction, and the equilibria before and after it."""
+    assert nodes.mode is not None
+    before, after = (jnp.where(filled, phase[k], int(Phase.free)) for phase in (nodes.phase_before, nodes.phase))
+    modes = (nodes.mode[j] == Mode.slips for j in (k, jnp.minimum(k + 1, nodes.kind.size - 1)))
+    sides = zip((links.z_before[k], links.z[k]), (before, after), modes, strict=True)
+    return links.u[k], *(_Side(z, links.u[k], phase, slips) for z, phase, slips in sides)
 
 
 def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, _Side, _Side]:

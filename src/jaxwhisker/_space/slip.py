@@ -137,6 +137,34 @@ def laws_of(motion: Motion, z: Array, phase: Array, at: Linear, rates: np.ndarra
     return Laws(value, by, along, jnp.sum(missed), missed_by)
 
 
+def laws(
+    surface: AbstractSurface,
+    z: Float[Array, "stages whiskers 11"],
+    start: Contacts,
+    phase: Int[Array, "stages whiskers"],
+    mode: Int[Array, " whiskers"],
+    given: Float[Array, "whiskers 2"],
+) -> tuple[Float[Array, "stages whiskers 2"], Float[Array, "stages whiskers 2"]]:
+    """Residuals of the laws of contacts with friction, and how far these move; see `Laws`."""
+    _, rates = radau(z.shape[0])
+
+    def one(z, start, phase, mode, given):
+        frame = jax.vmap(lambda z: frame_of(surface, z))(z)
+        moves = _moves(z, start, phase, frame, rates[1:])
+        law = jax.vmap(lambda moves, z: _plain_law(mode, given, moves, z[TRACTION]))
+        return law(moves, z), moves
+
+    return jax.vmap(one, (1, 0, 1, 0, 0), 1)(z, start, phase, mode, given)
+
+
+def _moves(z: Array, start: Array, phase: Array, frame: Array, rates: np.ndarray) -> Float[Array, "stages 2"]:
+    ahead, across, _ = jnp.moveaxis(frame, -1, 0)
+    velocity = jnp.sum(rates[:, :, None] * (z[:, POINT] - start[POINT]), axis=1)
+    beyond = jnp.where(phase == Phase.tangential, z[:, SLACK], 0.0) - jnp.maximum(start[SLACK], 0.0)
+    rolls = jnp.sum(rates * beyond, axis=1)
+    return jnp.stack([jnp.sum(velocity * ahead, axis=1) + rolls, jnp.sum(velocity * across, axis=1)], axis=1)
+
+
 def _movement(
     z: Float[Array, "stages 11"], start: Float[Array, "11"], phase: Int[Array, " stages"], at: Linear, rates: np.ndarray
 ) -> tuple[Float[Array, "stages 2"], Float[Array, "stages 2 stages steps"], Float[Array, "2 steps"]]:
@@ -147,13 +175,8 @@ def _movement(
     """
     ahead, across, out = jnp.moveaxis(at.frame, -1, 0)
     tangential = phase == Phase.tangential
-    point, by_point = z[:, POINT] - start[POINT], at.directions[:, POINT]
-    beyond = jnp.where(tangential, z[:, SLACK], 0.0) - jnp.maximum(start[SLACK], 0.0)
-    by_beyond = jnp.where(tangential[:, None], at.directions[:, SLACK], 0.0)
-    velocity = jnp.sum(rates[:, :, None] * point, axis=1)
-
-    def along(axis):
-        return jnp.sum(velocity * axis, axis=1)
+    by_point, by_beyond = at.directions[:, POINT], jnp.where(tangential[:, None], at.directions[:, SLACK], 0.0)
+    velocity = jnp.sum(rates[:, :, None] * (z[:, POINT] - start[POINT]), axis=1)
 
     def along_by(axis):
         return rates[:, :, None] * jnp.sum(by_point * axis[:, None, :, None], axis=2)
@@ -163,12 +186,11 @@ def _movement(
 
     ahead_by = at.directions[:, AHEAD]
     across_by = jnp.cross(at.out_by, ahead[:, :, None], axis=1) + jnp.cross(out[:, :, None], ahead_by, axis=1)
-    first = along(ahead) + jnp.sum(rates * beyond, axis=1)
     first_by = along_by(ahead) + rates[:, :, None] * by_beyond + with_frame(ahead_by)
     second_by = along_by(across) + with_frame(across_by)
     displaced = jnp.stack([jnp.sum(by_point[-1] * axis[-1, :, None], axis=0) for axis in (ahead, across)])
     unit_by = displaced.at[0].add(by_beyond[-1])
-    return jnp.stack([first, along(across)], axis=1), jnp.stack([first_by, second_by], axis=1), unit_by
+    return _moves(z, start, phase, at.frame, rates), jnp.stack([first_by, second_by], axis=1), unit_by
 
 
 def _law(motion: Motion, mode: Int[Array, ""] | None, given: Pair | None, moves: Pair, traction: Pair, force: Scalar):
@@ -181,10 +203,14 @@ def _law(motion: Motion, mode: Int[Array, ""] | None, given: Pair | None, moves:
     holds = square <= (friction * force) ** 2
     size = jnp.sqrt(jnp.where(holds, 1.0, square))
     excess = jnp.where(holds, 0.0, (1 - friction * jnp.maximum(force, 0.0) / size) * traction)
-    slips = jnp.stack([(square - 1) / 2, traction[0] * moves[1] - traction[1] * moves[0]])
-    waits = traction - given
-    plain = jnp.where(mode == Mode.slips, slips, jnp.where(mode == Mode.sticks, moves, waits))
+    plain = _plain_law(mode, given, moves, traction)
     return jnp.where(flows, moves + motion.time * excess, plain)
+
+
+def _plain_law(mode: Int[Array, ""], given: Pair, moves: Pair, traction: Pair) -> Pair:
+    square = jnp.sum(traction**2)
+    slips = jnp.stack([(square - 1) / 2, traction[0] * moves[1] - traction[1] * moves[0]])
+    return jnp.where(mode == Mode.slips, slips, jnp.where(mode == Mode.sticks, moves, traction - given))
 
 
 def speeds(surface: AbstractSurface, z: Contacts, phase: Int[Array, " whiskers"], rate: Contacts) -> Array:
