@@ -33,14 +33,13 @@ from jaxwhisker._scan.route import (
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_signals import events, signals, solved
 from jaxwhisker._space.approach import crop, limits_of
-from jaxwhisker._space.contact import TRACTION, Traction
-from jaxwhisker._space.history import Linked, Step, linked, measure_of, stages_after, stages_between
+from jaxwhisker._space.history import Followed, Linked, contacts_within, interpolated, linked, stages_before
 from jaxwhisker._space.march import march
 from jaxwhisker._space.march_state import SpacePath
 from jaxwhisker._space.newton import Equations, Phases, plain, solve_points
 from jaxwhisker._space.problem import Contacts, SpaceProblem, problem_in_space
 from jaxwhisker._space.shape import touches_twice
-from jaxwhisker._space.slip import Mode, Motion
+from jaxwhisker._space.slip import Mode, following
 
 BATCH = 32  # steps solved for at once
 RESIDUAL = 1e-8  # largest residual of a step marked ok
@@ -192,7 +191,6 @@ class SpaceSolutions(NamedTuple):
     phase: Int[Array, "*steps whiskers"]
     status: Int[Array, "*steps"]
     node: Int[Array, "*steps"]  # index of the node before
-    stages: Point | None  # of a step from there; None without friction
 
 
 def _solve(
@@ -214,35 +212,26 @@ def _accepted(path, index, solution, guess, phase, known) -> SpaceSolutions:
     accepted = (status == Status.ok)[:, None]
     phase = jnp.where(accepted, phase, int(Phase.free))
     z = jnp.where(accepted[:, None], z, path.nodes.point.z[0])
-    return SpaceSolutions(z, phase, status, index, None)
+    return SpaceSolutions(z, phase, status, index)
 
 
 def _solve_with_friction(
     problem: SpaceProblem, path: SpacePath, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
 ) -> SpaceSolutions:
-    """The same with friction: each state ends a step from the node before."""
-    assert path.nodes.mode is not None
-    following = jnp.minimum(index + 1, path.count - 1)
-    phase, mode = path.nodes.phase[index], path.nodes.mode[following]
-    stages = jax.vmap(lambda index, u: stages_between(path, index, u))(index, u)
-    start, leaving = (jax.tree.map(lambda leaf: leaf[index], part) for part in (path.nodes.point, path.nodes.leaving))
+    """The same with friction: the contacts are those within the steps of the path."""
+    nodes = path.nodes
+    assert nodes.mode is not None
 
-    def equations(start, leaving, phase, mode, u, guess):
-        motion = Motion(start.z, Traction(problem.friction, jnp.asarray(False)), jnp.ones(()), mode)
-        nobody = jnp.zeros_like(phase, bool)
-        weight = jnp.zeros_like(phase, float)
-        motion = motion._replace(waits=nobody, given=start.z[:, TRACTION], cone=weight, power=weight)
-        between = measure_of(start, leaving)._replace(z0=start.z, u0=start.u)
-        phases = jnp.broadcast_to(phase, (guess.u.size, phase.size))
-        return Equations(phases, at_control(u, start.z), between, motion)
+    def at(index, u):
+        end = jnp.minimum(index + 1, path.count - 1)
+        start, phase = jax.tree.map(lambda leaf: leaf[index], (nodes.point, nodes.phase))
+        guess = interpolated(start, stages_before(nodes, end), phase, u)
+        motion = following(guess, problem.friction, nodes.mode[end])
+        return Point(guess, u), Equations(phase[None], at_control(u, guess), None, motion)
 
-    solution = solve_points(problem, jax.vmap(equations)(start, leaving, phase, mode, u, stages), stages)
-    guess = jax.tree.map(lambda leaf: leaf[:, -1], stages)
-    found = _accepted(path, index, solution, guess, phase, known)
-    good = (found.status == Status.ok)[:, None]
-    points = solution.points
-    points = Point(jnp.where(good[..., None, None], points.z, found.z[:, None]), jnp.where(good, points.u, 0.0))
-    return found._replace(stages=points)
+    guess, equations = jax.vmap(at)(index, u)
+    solution = solve_points(problem, equations, jax.tree.map(lambda leaf: leaf[:, None], guess))
+    return _accepted(path, index, solution, guess, nodes.phase[index], known)
 
 
 def solve_steps(
@@ -291,16 +280,14 @@ def states(
         return signals(problem, solved(problem, z, u, phase), u, phase)
 
     def one_with_friction(u: Scalar, found: SpaceSolutions):
-        assert path is not None and path.nodes.mode is not None and links is not None and found.stages is not None
-        here = jax.tree.map(lambda leaf: leaf[found.node], (path.nodes.point, path.nodes.leaving))
-        mode = path.nodes.mode[jnp.minimum(found.node + 1, path.count - 1)]
-        start, none = Point(links.z[found.node], links.u[found.node]), jnp.zeros(mode.size)
-        phases = jnp.broadcast_to(found.phase, (found.stages.u.size, mode.size))
-        at = at_control(u, start.z)
-        ok = found.status == Status.ok
-        step = Step(problem, start, phases, mode, measure_of(*here), at, none, none, found.stages, ok)
-        end = jax.tree.map(lambda leaf: leaf[-1], stages_after(step))
-        return signals(problem, end.z, u, found.phase, mode == Mode.slips)
+        assert path is not None and path.nodes.mode is not None and links is not None
+        end = jnp.minimum(found.node + 1, path.count - 1)
+        start = jax.tree.map(lambda leaf: leaf[found.node], links.point)
+        stages, mode = jax.tree.map(lambda leaf: leaf[end], (links.stages, path.nodes.mode))
+        within = interpolated(start, stages, found.phase, u)
+        within = jnp.where((found.phase != Phase.free)[:, None], within, found.z)
+        z = contacts_within(Followed(problem, u, found.phase, mode, within), found.z)
+        return signals(problem, z, u, found.phase, mode == Mode.slips)
 
     u = jnp.where(jnp.isfinite(u), u, 0.0)
     if links is None:

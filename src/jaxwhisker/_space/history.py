@@ -21,7 +21,7 @@ from jaxwhisker._space.march_state import Node, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.residuals import residuals
-from jaxwhisker._space.slip import Mode, laws, radau, without_traction
+from jaxwhisker._space.slip import FOLLOWING, Mode, laws, radau, without_traction
 
 
 class Step(NamedTuple):
@@ -68,6 +68,29 @@ def _equations(unknowns: Float[Array, " n"], step: Step) -> Float[Array, " n"]:
     return jnp.where(step.active, rows, still)
 
 
+class Followed(NamedTuple):
+    """An equilibrium within a step: what it follows from."""
+
+    problem: SpaceProblem
+    u: Scalar
+    phase: Phases
+    mode: Phases
+    within: Contacts  # interpolated
+
+
+def contacts_within(known: Followed, z: Contacts) -> Contacts:
+    """Solved contacts within a step, with their derivatives."""
+    return jnp.reshape(solution_of(_equations_within, jnp.ravel(jax.lax.stop_gradient(z)), known), z.shape)
+
+
+def _equations_within(unknowns: Float[Array, " n"], known: Followed) -> Float[Array, " n"]:
+    problem, u, phase, mode, within = known
+    z = jnp.reshape(unknowns, within.shape)
+    own, _, _ = residuals(problem, z, u, phase, within)
+    law, _ = laws(problem.surface, z[None], within, phase[None], mode, within[:, TRACTION], jnp.asarray(FOLLOWING))
+    return jnp.ravel(own.at[:, TRACTION].set(jnp.where((phase != Phase.free)[:, None], law[0], own[:, TRACTION])))
+
+
 def measure_of(start: Point, tangent: Point) -> PathCondition:
     """What measures how far points are along a tangent; of differences to the start."""
     still = jax.tree.map(jax.lax.stop_gradient, start)
@@ -75,42 +98,42 @@ def measure_of(start: Point, tangent: Point) -> PathCondition:
     return along._replace(z0=jnp.zeros_like(start.z), u0=jnp.zeros_like(start.u))
 
 
-def stages_between(path: SpacePath, index: Int[Array, ""], u: Scalar) -> Point:
-    """Guess of the stages of a step that ends at a control between a node and the next one."""
-    nodes = path.nodes
-    assert nodes.inner is not None
-    start, phase = jax.tree.map(lambda leaf: leaf[index], (nodes.point, nodes.phase))
-    end = jnp.minimum(index + 1, path.count - 1)
-    z = jnp.concatenate([nodes.inner.z[end], nodes.z_before[end][None]])
-    places, _ = radau(z.shape[0])
+def interpolated(start: Point, stages: Point, phase: Phases, u: Scalar) -> Contacts:
+    """Contacts at a control within a step, on the polynomial through its stages."""
+    places, _ = radau(stages.u.size)
     powers = np.arange(places.size)
-    # Polynomials through all stages, and through the start. Its traction may be a guess.
-    all_, stages = (np.linalg.inv(places[:, None] ** exponents) for exponents in (powers + 1, powers))
-    z_by = jnp.tensordot(all_, z - start.z, axes=1)
-    u_by = jnp.sum(all_ * (jnp.append(nodes.inner.u[end], nodes.point.u[end]) - start.u), axis=1)
-    traction_by = jnp.tensordot(stages, z[:, :, TRACTION], axes=1)
+    # Through all stages, and through the start. Its traction may be a guess.
+    whole, part = (np.linalg.inv(places[:, None] ** exponents) for exponents in (powers + 1, powers))
+    z_by = jnp.tensordot(whole, stages.z - start.z, axes=1)
+    u_by = jnp.sum(whole * (stages.u - start.u), axis=1)
+    traction_by = jnp.tensordot(part, stages.z[:, :, TRACTION], axes=1)
 
-    def towards(_, t):
+    def towards(t):
         slope = jnp.sum(u_by * (powers + 1) * t**powers)
         missed = start.u + jnp.sum(u_by * t ** (powers + 1)) - u
         return jnp.clip(t - missed / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
 
-    span = nodes.point.u[end] - start.u
+    span = stages.u[-1] - start.u
     t = jnp.clip((u - start.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
-    at = (jax.lax.fori_loop(0, 6, towards, t) * places)[:, None]
-    z = start.z + jnp.tensordot(at ** (powers + 1), z_by, axes=1)
-    z = z.at[:, :, TRACTION].set(jnp.tensordot(at**powers, traction_by, axes=1))
-    touching = (phase != Phase.free)[:, None]
-    reached = start.u + jnp.sum(u_by * at ** (powers + 1), axis=1)
-    return Point(jnp.where(touching, z, start.z), reached.at[-1].set(u))
+    t = jax.lax.fori_loop(0, 6, lambda _, t: towards(t), jax.lax.stop_gradient(t))
+    t = towards(jax.lax.stop_gradient(t))  # with derivatives
+    z = start.z + jnp.tensordot(t ** (powers + 1), z_by, axes=1)
+    z = z.at[:, TRACTION].set(jnp.tensordot(t**powers, traction_by, axes=1))
+    return jnp.where((phase != Phase.free)[:, None], z, start.z)
+
+
+def stages_before(nodes: Node, end: Int[Array, ""]) -> Point:
+    """The stages of the step that ends at a node."""
+    assert nodes.inner is not None
+    inner = jax.tree.map(lambda leaf: leaf[end], nodes.inner)
+    return Point(jnp.concatenate([inner.z, nodes.z_before[end][None]]), jnp.append(inner.u, nodes.point.u[end]))
 
 
 class Linked(NamedTuple):
-    """Nodes of a path, with derivatives."""
+    """Nodes of a path, with derivatives; fields (nodes, ...)."""
 
-    z_before: Contacts  # fields (nodes, ...)
-    z: Contacts
-    u: Float[Array, " nodes"]
+    point: Point
+    stages: Point  # of the steps that end there, fields (nodes, stages, ...)
 
 
 def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]) -> Linked:
@@ -126,7 +149,7 @@ def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]
     def link(start: Point, at):
         node, before, stop, follows = at
         end = _node_after(problem, start, before, node, stop, follows)
-        return Point(end.z, end.u), end
+        return end.point, end
 
     def first(leaf):
         return leaf[0]
@@ -144,11 +167,8 @@ def _node_after(problem: SpaceProblem, start: Point, before: Node, node: Node, s
     snaps = (kind == EventKind.snap_through) | (kind == EventKind.snap_off)
     begins = touches & node.whiskers
     z_end = jnp.where(begins[:, None], node.point.z.at[:, TRACTION].set(0.0), node.z_before)
-    known = Point(
-        jnp.concatenate([node.inner.z, z_end[None]]), jnp.append(node.inner.u, node.point.u)
-    )
-    stages = known.u.size
-    phase = jnp.broadcast_to(node.phase_before, (stages, concerned.size))
+    known = Point(jnp.concatenate([node.inner.z, z_end[None]]), jnp.append(node.inner.u, node.point.u))
+    phase = jnp.broadcast_to(node.phase_before, (known.u.size, concerned.size))
     phase = phase.at[-1].set(jnp.where(begins, node.phase, node.phase_before))
     measure = measure_of(before.point, before.leaving)
     of_force = touches | (kind == EventKind.release)
@@ -167,14 +187,12 @@ def _node_after(problem: SpaceProblem, start: Point, before: Node, node: Node, s
     cone, power = (jnp.where(kind == of, concerned, 0.0) for of in (EventKind.slip, EventKind.stick))
     assert node.mode is not None
     step = Step(problem, start, phase, node.mode, measure, condition, cone, power, known, follows & ~snaps)
-    solved = stages_after(step)
-    z, u = solved.z[-1], solved.u[-1]
+    stages = stages_after(step)
+    z, u = stages.z[-1], stages.u[-1]
     z, u = jnp.where(snaps, start.z, z), jnp.where(snaps, start.u, u)
-    z_before = jnp.where(begins[:, None], node.z_before, z)
-    free = (node.phase == Phase.free)[:, None]
-    after = jnp.where(snaps, node.point.z, z).at[:, TRACTION].set(
-        jnp.where(begins[:, None], node.point.z[:, TRACTION], z[:, TRACTION])
-    )
-    after = jnp.where(free, node.point.z, after)
+    traction = jnp.where(begins[:, None], node.point.z[:, TRACTION], z[:, TRACTION])
+    after = jnp.where(snaps, node.point.z, z).at[:, TRACTION].set(traction)
+    after = jnp.where((node.phase == Phase.free)[:, None], node.point.z, after)
     rests = snaps & jnp.any(node.phase != Phase.free)
-    return Linked(z_before, without_rule(after, (problem, start), rests), u)
+    end = Point(without_rule(after, (problem, start), rests), u)
+    return Linked(end, stages._replace(z=stages.z.at[-1].set(jnp.where(begins[:, None], node.z_before, z))))

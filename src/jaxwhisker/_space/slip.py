@@ -25,8 +25,10 @@ from jaxwhisker._space.contact import AHEAD, FORCE, POINT, SLACK, TRACTION, UNKN
 from jaxwhisker._space.linear import Linear
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 
+STAGES = 5
 FAINT = 1e-6  # EI/L^2: less friction does not bend a whisker, and its direction has no rate
 RELAXATION = 1e-3  # arc length of the path
+FOLLOWING = 0.01  # lengths
 Pair = Float[Array, "2"]  # along the whisker, and across
 
 
@@ -60,6 +62,14 @@ class Motion(NamedTuple):
     # Weights, in the condition of a step, of how far a traction is beyond mu f, and of its power.
     cone: Float[Array, " whiskers"] | None = None
     power: Float[Array, " whiskers"] | None = None
+    # The start is where contacts are known to be nearly, and this length weighs their tractions; otherwise None.
+    follows: Scalar | None = None
+
+
+def following(z: Contacts, friction: Scalar, mode: Int[Array, " whiskers"]) -> Motion:
+    """The motion of contacts that are known to be nearly there."""
+    none, plain = jnp.zeros(mode.size), Traction(friction, jnp.asarray(False))
+    return Motion(z, plain, none[0], mode, mode < 0, z[:, TRACTION], none, none, jnp.asarray(FOLLOWING))
 
 
 def radau(stages: int) -> tuple[np.ndarray, np.ndarray]:
@@ -68,16 +78,16 @@ def radau(stages: int) -> tuple[np.ndarray, np.ndarray]:
     The rates have one row for the start, and one for each stage; and one column for each stage, as the polynomial is
     measured from the start.
     """
-    places = {1: [1.0], 2: [1 / 3, 1.0], 3: [0.4 - np.sqrt(0.06), 0.4 + np.sqrt(0.06), 1.0]}[stages]
+    x = np.polynomial.Polynomial([0.0, 1.0])
+    places = np.sort((x ** (stages - 1) * (x - 1) ** stages).deriv(stages - 1).roots().real)
     powers = np.arange(1, stages + 1)
-    values = np.array(places)[:, None] ** powers
-    rates = powers * np.array([0.0, *places])[:, None] ** (powers - 1)
-    return np.array(places), rates @ np.linalg.inv(values)
+    rates = powers * np.append(0.0, places)[:, None] ** (powers - 1)
+    return places, rates @ np.linalg.inv(places[:, None] ** powers)
 
 
 def stages_of(problem: SpaceProblem) -> int:
     """Number of stages of a step: one is enough without friction, where nothing has a history."""
-    return 1 if problem.friction is None else 3
+    return 1 if problem.friction is None else STAGES
 
 
 class Laws(NamedTuple):
@@ -144,14 +154,15 @@ def laws(
     phase: Int[Array, "stages whiskers"],
     mode: Int[Array, " whiskers"],
     given: Float[Array, "whiskers 2"],
+    follows: Scalar | None = None,
 ) -> tuple[Float[Array, "stages whiskers 2"], Float[Array, "stages whiskers 2"]]:
-    """Residuals of the laws of contacts with friction, and how far these move; see `Laws`."""
+    """Residuals of the laws of contacts with friction, and how far these move; see `Laws` and `Motion`."""
     _, rates = radau(z.shape[0])
 
     def one(z, start, phase, mode, given):
         frame = jax.vmap(lambda z: frame_of(surface, z))(z)
         moves = _moves(z, start, phase, frame, rates[1:])
-        law = jax.vmap(lambda moves, z: _plain_law(mode, given, moves, z[TRACTION]))
+        law = jax.vmap(lambda moves, z: _plain_law(mode, given, moves, z[TRACTION], follows))
         return law(moves, z), moves
 
     return jax.vmap(one, (1, 0, 1, 0, 0), 1)(z, start, phase, mode, given)
@@ -203,13 +214,16 @@ def _law(motion: Motion, mode: Int[Array, ""] | None, given: Pair | None, moves:
     holds = square <= (friction * force) ** 2
     size = jnp.sqrt(jnp.where(holds, 1.0, square))
     excess = jnp.where(holds, 0.0, (1 - friction * jnp.maximum(force, 0.0) / size) * traction)
-    plain = _plain_law(mode, given, moves, traction)
+    plain = _plain_law(mode, given, moves, traction, motion.follows)
     return jnp.where(flows, moves + motion.time * excess, plain)
 
 
-def _plain_law(mode: Int[Array, ""], given: Pair, moves: Pair, traction: Pair) -> Pair:
-    square = jnp.sum(traction**2)
-    slips = jnp.stack([(square - 1) / 2, traction[0] * moves[1] - traction[1] * moves[0]])
+def _plain_law(mode: Int[Array, ""], given: Pair, moves: Pair, traction: Pair, follows: Scalar | None) -> Pair:
+    square, along = jnp.sum(traction**2), traction
+    if follows is not None:
+        # Either the place of a contact or its traction may hardly depend on the other one.
+        moves, along = moves + follows * (traction - given), given
+    slips = jnp.stack([(square - 1) / 2, along[0] * moves[1] - along[1] * moves[0]])
     return jnp.where(mode == Mode.slips, slips, jnp.where(mode == Mode.sticks, moves, traction - given))
 
 

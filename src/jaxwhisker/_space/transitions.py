@@ -35,7 +35,7 @@ FIRST_STEP = 0.02  # after a corner
 LONGEST_STEP = 0.25
 SHORTEST_STEP = 1e-10
 PREDICTION_ERROR = 2e-3  # at which steps keep their length
-SLIP_DEFECT = 1e-5  # the same for the rate at the start of a step with friction, times its length
+SLIP_DEFECT = 1e-6  # the same for the rate at the start of a step with friction, times its length
 LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
 LEAST_ADVANCE = 2e-4  # lengths by which free whiskers move at least in a step; shallower dips are missed
 INSIDE = 1e-6  # depth of free whiskers that must not be inside the object
@@ -291,7 +291,7 @@ def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         tangent=tangent,
         bend=jax.tree.map(jnp.zeros_like, tangent),
         stance=stance,
-        step=jnp.minimum(FIRST_STEP, _clear(stance, tangent)),
+        step=jnp.minimum(FIRST_STEP if march.slip is None else FIRST_STEP / 4, _clear(stance, tangent)),
         direction=direction,
         size=size,
         unstable_at=jnp.asarray(jnp.inf),
