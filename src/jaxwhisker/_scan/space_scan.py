@@ -18,7 +18,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, at_control, dot, scale_of
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.support import Support
-from jaxwhisker._path.path import Status
+from jaxwhisker._path.path import STOP, Status
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.route import (
     TRACED_STEPS,
@@ -221,6 +221,8 @@ def _solve_with_friction(
     """The same with friction: the contacts are those within the steps of the path."""
     nodes = path.nodes
     assert nodes.mode is not None
+    # The last node ends a step.
+    index = index - ((index == path.count - 1) & (nodes.kind[index] == STOP) & (index > 0))
 
     def at(index, u):
         end = jnp.minimum(index + 1, path.count - 1)

@@ -141,10 +141,12 @@ def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]
 
     The contacts that come to rest after a loss of stability have no derivatives.
     """
-    nodes = jax.lax.stop_gradient(path.nodes)
-    capacity = nodes.kind.shape[0]
-    turn = jnp.clip(jnp.cumsum(nodes.kind == STOP) - 1, 0, stops.size - 1)
-    follows = jnp.arange(capacity) < path.count
+    index = jnp.arange(path.nodes.kind.shape[0])
+    follows = index < path.count
+    # Padding, which is the last node, has no derivatives, not even infinite ones.
+    padded = jnp.minimum(index, jnp.maximum(path.count - 1, 0))
+    nodes = jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf)[padded], path.nodes)
+    turn = jnp.clip(jnp.cumsum((nodes.kind == STOP) & follows) - 1, 0, stops.size - 1)
 
     def link(start: Point, at):
         node, before, stop, follows = at

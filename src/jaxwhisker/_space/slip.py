@@ -27,7 +27,7 @@ from jaxwhisker._space.problem import Contacts, SpaceProblem
 
 STAGES = 5
 FAINT = 1e-6  # EI/L^2: less friction does not bend a whisker, and its direction has no rate
-RELAXATION = 1e-3  # arc length of the path
+RELAXATION = 1e-6  # arc length of the path
 FOLLOWING = 0.01  # lengths
 Pair = Float[Array, "2"]  # along the whisker, and across
 
