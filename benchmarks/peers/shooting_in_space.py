@@ -39,14 +39,15 @@ def scan(scene: InSpace, control: np.ndarray, tolerance: float) -> np.ndarray:
                        np.append(p, tangent), tolerance)  # fmt: skip
             return np.append(end[:3] - base, end[[3, 5]])
 
-        def bend(_, y):
-            w, v = y[3], y[4:]
-            moment = _turned(p - y[:3], force)
+        def bend(_, state):
+            w, v = state[3], state[4:]
+            moment = _turned(p - state[:3], force)
             # Into the body frame, and the tangent out of it.
             own = moment + 2 * _turned(v, _turned(v, moment) - w * moment)
             k = bow + own / stiffness
-            along = np.array([2 * (v[0] * v[2] + w * v[1]), 2 * (v[1] * v[2] - w * v[0]), 1 - 2 * (v[0]**2 + v[1]**2)])
-            return -arc * np.concatenate([along, [-(v @ k) / 2], (w * k + _turned(v, k)) / 2])
+            x, y, z = v
+            along = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)
+            return -arc * np.array([*along, -(v @ k) / 2, *((w * k + _turned(v, k)) / 2)])
 
         first = np.cos(z[ROLL]) * np.cross(across, tangent) + np.sin(z[ROLL]) * across
         start = np.stack([first, np.cross(tangent, first), tangent], axis=1)
@@ -88,9 +89,8 @@ def _touch(scene, centre, clamp):
     # The tip in the frame of the clamp, whose k2 is minus the curvature.
     tip = clamp @ ([-(1 - np.cos(turn)) / turn, 0.0, np.sin(turn) / turn] if turn else [0.0, 0.0, 1.0])
     directors = clamp @ Rotation.from_rotvec([0.0, -turn, 0.0]).as_matrix()
-    tangent, across_tip = directors[:, 2], tip + [0.0, 0.0, scene.offset] - centre
-    x = np.sqrt(scene.radius**2 - across_tip[1] ** 2 - across_tip[2] ** 2)
-    out = np.array([x, across_tip[1], across_tip[2]]) / scene.radius
+    tangent, y, z = directors[:, 2], tip[1] - centre[1], tip[2] + scene.offset
+    out = np.array([np.sqrt(scene.radius**2 - y**2 - z**2), y, z]) / scene.radius
     chi = np.arcsin(-tangent @ out)
     ahead = (tangent + np.sin(chi) * out) / np.cos(chi)
     across = np.cross(out, ahead)
