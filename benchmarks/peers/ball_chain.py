@@ -2,7 +2,7 @@
 
 This is the discretisation of MuJoCo's cables. Links of length h = 1/n, with half a link at either end, are joined by
 balls of stiffness 1/h; the first half link is clamped. The sphere moves instead of the base. Inertia and damping are
-those of `hinge_chain`; states that do not come to rest are NaN.
+those of `hinge_chain`, contacts are harder; states that do not come to rest are NaN.
 """
 
 import mujoco
@@ -24,7 +24,7 @@ def model(scene: InSpace, links: int) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(f"""
         <mujoco>
           <option gravity="0 0 0" timestep="0.1" integrator="implicitfast"/>
-          <default><geom condim="1" solref="0.4 1" solimp="0.999 0.999 0.001" contype="1" conaffinity="2"/></default>
+          <default><geom condim="1" solref="0.2 1" solimp="0.9999 0.9999 0.001" contype="1" conaffinity="2"/></default>
           <worldbody>
             <body mocap="true" pos="0 0 {-scene.offset}">
               <geom type="sphere" size="{scene.radius - THICKNESS}" contype="2" conaffinity="1"/>
