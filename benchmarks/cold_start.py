@@ -117,7 +117,7 @@ def settings(folder: str) -> dict[str, str]:
 
 def laps(model: str, code: str, folder: str) -> dict[str, float]:
     """Seconds for each part of a task in a new process."""
-    code = PREPARED.replace("MODEL", repr(model)) + code + CALIBRATION
+    code = (PREPARED + code + CALIBRATION).replace("MODEL", repr(model))
     out = subprocess.run(
         [sys.executable, "-c", code], env=settings(folder), check=True, stdout=subprocess.PIPE, text=True
     )
