@@ -216,7 +216,7 @@ def main(batches: list[int], quick: bool) -> None:
         rows += cosserat_rows((10,) if quick else (20, 40))
     for batch in batches:
         rows += measured(batch, quick)
-    rows.sort(key=lambda row: (row["whisker"] != "straight", row["method"] != "jaxwhisker", row["method"], row["batch"]))
+    rows.sort(key=lambda row: (row["whisker"] == "curved", row["method"] != "jaxwhisker", row["method"], row["batch"]))
     write(name, rows, "scipy", "mujoco", "pyelastica")
 
 
