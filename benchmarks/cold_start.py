@@ -5,7 +5,7 @@ python benchmarks/cold_start.py [--space]
 Every task runs in a process of its own, with an empty folder for compiled programs and then with the folder that this
 run has filled. Times of tasks that follow others in the same process do not include these. Each run also compiles a
 fixed function without jaxwhisker, because the speed of the machine varies: rows hold its median time. With --space,
-scans in space are measured instead, for cold_start_space.json.
+only scans in space are measured.
 """
 
 import argparse
@@ -133,11 +133,11 @@ def command(folder: str) -> float:
     return time.perf_counter() - start
 
 
-def main(space: bool) -> None:
-    """Measure all tasks and store the table."""
+def measure(name: str, tasks: list[tuple[str, str]]) -> None:
+    """Measure these tasks, and for the plane the command, and store the table."""
     times: dict[str, dict[str, list[float]]] = {}
     calibration = []
-    for model, code in IN_SPACE if space else TASKS:
+    for model, code in tasks:
         for _ in range(RUNS):
             with tempfile.TemporaryDirectory() as folder:
                 if code is FIT:
@@ -153,19 +153,26 @@ def main(space: bool) -> None:
         print(
             {name: {k: [round(t, 2) for t in v] for k, v in each.items()} for name, each in times.items()}, flush=True
         )
-    name = f"jaxwhisker {COMMAND}"
-    for _ in range(0 if space else RUNS):
+    for _ in range(RUNS if tasks is TASKS else 0):
         with tempfile.TemporaryDirectory() as folder:
             for kind in ("empty", "filled"):
-                times.setdefault(name, {"empty": [], "filled": []})[kind].append(command(folder))
+                each = times.setdefault(f"jaxwhisker {COMMAND}", {"empty": [], "filled": []})
+                each[kind].append(command(folder))
     calibrated = statistics.median(calibration)
-    write("cold_start_space" if space else "cold_start", [
-        {"task": name} | {f"{kind}, s": statistics.median(each[kind]) for kind in each} | {"calibration, s": calibrated}
-        for name, each in times.items()
+    write(name, [
+        {"task": task} | {f"{kind}, s": statistics.median(each[kind]) for kind in each} | {"calibration, s": calibrated}
+        for task, each in times.items()
     ])  # fmt: skip
+
+
+def main(only_space: bool) -> None:
+    """Measure and store."""
+    if not only_space:
+        measure("cold_start", TASKS)
+    measure("cold_start_space", IN_SPACE)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--space", action="store_true", help="scans in space; writes cold_start_space.json")
+    parser.add_argument("--space", action="store_true", help="only scans in space: cold_start_space.json")
     main(parser.parse_args().space)
