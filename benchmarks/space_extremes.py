@@ -7,8 +7,9 @@ code with the package; they are checked at some states marked ok. Violations are
 compared, which matters where soft springs yield by many lengths or tiny objects are hit.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 
@@ -48,11 +49,10 @@ class Case:
     roll: float = 0.0
     springs: tuple[float, float, float] = (INF, INF, INF)
     tilting: tuple[float, float, float] = (INF, INF, INF)
-    control: np.ndarray | None = field(default=None)
 
     def scene(self) -> jw.SpaceScene:
         """Scene for the package."""
-        own = {"bending_stiffness": Cone(self.taper)} if self.taper else {}
+        own: dict[str, Any] = {"bending_stiffness": Cone(self.taper)} if self.taper else {}
         own |= {"intrinsic_curvature": self.curvature, "twist": self.twist} if self.curvature else {}
         ellipsoid = jw.Ellipsoid(self.radii, self.centre).rotated(self.turned)
         surface = jw.Sphere(self.radii[0], self.centre) if len(set(self.radii)) == 1 else ellipsoid
@@ -82,7 +82,7 @@ class Case:
 
 def bent(group: str, name: str, **numbers) -> Case:
     """A curved whisker with a roll of 60 degrees past the sphere."""
-    return Case(group, name, **{"curvature": 0.8, "roll": np.pi / 3, "offset": 0.1} | numbers)
+    return replace(Case(group, name, curvature=0.8, roll=np.pi / 3, offset=0.1), **numbers)
 
 
 def cases() -> list[Case]:
@@ -101,7 +101,7 @@ def cases() -> list[Case]:
         for r in (1e-4, 1e-3, 1e-2, 0.1, 10.0, 1e2, 1e4)
     ]
     made += [
-        Case("sphere radius 0.001, offset", f"{b:g} radii", (1e-3,) * 3, (0.0, 0.5, 0.0), offset=1e-3 * b)
+        Case("sphere radius 0.001, offset", f"{b:g} radii", (1e-3, 1e-3, 1e-3), (0.0, 0.5, 0.0), offset=1e-3 * b)
         for b in (0.0, 1e-3, 0.5, 0.9, 0.99)
     ]
     made += [
@@ -134,13 +134,13 @@ def relative(plain: Plain, state: State) -> dict[str, float]:
 
 def measured(case: Case) -> dict:
     """One row of the table."""
-    result, plain = jw.scan(case.scene(), case.control), case.plain()
+    result, plain = jw.scan(case.scene()), case.plain()
     control, status, phase = (np.asarray(value) for value in (result.control, result.status, result.phase[:, 0]))
     ok = np.flatnonzero((status == jw.Status.ok) & (phase > 0))
     worst, least, unstable = {"": 0.0}, INF, 0
     for k in ok[np.unique(np.linspace(0, ok.size - 1, CHECKED).astype(int))] if ok.size else ():
         fields = {name: np.asarray(getattr(result, name))[k] for name in jw.SpaceState.__dataclass_fields__}
-        state = state_of(SimpleNamespace(**fields), control[k])
+        state = state_of(SimpleNamespace(**fields), float(control[k]))
         found = relative(plain, state)
         law = max(found, key=found.__getitem__)
         worst = max(worst, {law: found[law]}, key=lambda one: max(one.values()))

@@ -148,7 +148,7 @@ def ours(scene: InSpace, rod: jw.AbstractRod, batch: int) -> Method:
 
     offsets = lanes_of(scene, batch)
     run = jax.jit(jax.vmap(scan)) if batch > 1 else lambda offsets: scan(float(offsets[0]))[None]
-    setting = "elliptic functions" if isinstance(rod, jw.ClosedForm) else f"{rod.steps} steps"
+    setting = f"{rod.steps} steps" if isinstance(rod, jw.Shooting) else "elliptic functions"
     return Method("jaxwhisker", setting, scene, batch, STEPS, lambda: np.asarray(run(offsets)))
 
 
