@@ -1,12 +1,14 @@
 """Waiting in a new process: time to the first scan, derivative, batch, fit, picture and command.
 
-python benchmarks/cold_start.py
+python benchmarks/cold_start.py [--space]
 
 Every task runs in a process of its own, with an empty folder for compiled programs and then with the folder that this
 run has filled. Times of tasks that follow others in the same process do not include these. Each run also compiles a
-fixed function without jaxwhisker, because the speed of the machine varies: rows hold its median time.
+fixed function without jaxwhisker, because the speed of the machine varies: rows hold its median time. With --space,
+only scans in space are measured.
 """
 
+import argparse
 import os
 import statistics
 import subprocess
@@ -29,7 +31,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp, numpy as np, jaxwhisker as jw
 def scene(c=70.0, q=0.2):
-    return jw.Scene(jw.Whisker(), jw.Parabola(q), getattr(jw.Support, MODEL)(c))
+    return jw.Scene(jw.Whisker(), jw.Parabola(q), getattr(jw.Support, MODEL.lower())(c))
 def signals(scene):
     result = jw.scan(scene, control)
     return result.fx, result.fy, result.mz
@@ -85,7 +87,25 @@ session = Session(scene, {"c": (30.0, 200.0, 70.0)})
 session.answer({"c": 70.0})
 lap("sliders: first picture")
 """
-TASKS = [("fb", SCAN), ("fbfbr", SCAN), ("fb", BATCH), ("fb", STUDY), ("fbfbr", FIT), ("fbfbr", SLIDERS)]
+SPACE = """
+own = {"intrinsic_curvature": 0.8} if "curved" in MODEL else {}
+springs = jw.Support.follicle(x=40.0, z=20.0).springs if "springs" in MODEL else ()
+support = jw.Support(springs, jw.Mount(roll=1.0) if own else None)
+def in_space(offset):
+    drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, offset))
+    ball = jw.Sphere(1.0, (0.0, 1.3, 0.0))
+    return jw.Scene(jw.Whisker(**own), ball, support, motion=drive)
+result = jw.scan(in_space(0.1))
+result.force.block_until_ready()
+lap("first scan")
+control = np.asarray(result.control)
+jax.block_until_ready(jax.jacfwd(lambda offset: jw.scan(in_space(offset), control).force)(0.1))
+lap("then jacfwd of the force by the offset")
+jax.block_until_ready(jax.vmap(lambda offset: jw.scan(in_space(offset), control).force)(jnp.linspace(0.1, 0.2, 32)))
+lap("then vmap over 32 scans")
+"""
+TASKS = [("FB", SCAN), ("FBFBR", SCAN), ("FB", BATCH), ("FB", STUDY), ("FBFBR", FIT), ("FBFBR", SLIDERS)]
+IN_SPACE = [(whisker, SPACE) for whisker in ("straight", "straight on springs", "curved")]
 COMMAND = "scan --model FBFBR --plot"
 
 
@@ -97,12 +117,12 @@ def settings(folder: str) -> dict[str, str]:
 
 def laps(model: str, code: str, folder: str) -> dict[str, float]:
     """Seconds for each part of a task in a new process."""
-    code = PREPARED.replace("MODEL", repr(model)) + code + CALIBRATION
+    code = (PREPARED + code + CALIBRATION).replace("MODEL", repr(model))
     out = subprocess.run(
         [sys.executable, "-c", code], env=settings(folder), check=True, stdout=subprocess.PIPE, text=True
     )
     parts = (line.rsplit(":", 1) for line in out.stdout.splitlines())
-    return {f"{model.upper()}, {name}": float(seconds) for name, seconds in parts if name}
+    return {f"{model}, {name}": float(seconds) for name, seconds in parts if name}
 
 
 def command(folder: str) -> float:
@@ -113,11 +133,11 @@ def command(folder: str) -> float:
     return time.perf_counter() - start
 
 
-def main() -> None:
-    """Measure all tasks and store the table."""
+def measure(name: str, tasks: list[tuple[str, str]]) -> None:
+    """Measure these tasks, and for the plane the command, and store the table."""
     times: dict[str, dict[str, list[float]]] = {}
     calibration = []
-    for model, code in TASKS:
+    for model, code in tasks:
         for _ in range(RUNS):
             with tempfile.TemporaryDirectory() as folder:
                 if code is FIT:
@@ -133,17 +153,26 @@ def main() -> None:
         print(
             {name: {k: [round(t, 2) for t in v] for k, v in each.items()} for name, each in times.items()}, flush=True
         )
-    name = f"jaxwhisker {COMMAND}"
-    for _ in range(RUNS):
+    for _ in range(RUNS if tasks is TASKS else 0):
         with tempfile.TemporaryDirectory() as folder:
             for kind in ("empty", "filled"):
-                times.setdefault(name, {"empty": [], "filled": []})[kind].append(command(folder))
+                each = times.setdefault(f"jaxwhisker {COMMAND}", {"empty": [], "filled": []})
+                each[kind].append(command(folder))
     calibrated = statistics.median(calibration)
-    write("cold_start", [
-        {"task": name} | {f"{kind}, s": statistics.median(each[kind]) for kind in each} | {"calibration, s": calibrated}
-        for name, each in times.items()
+    write(name, [
+        {"task": task} | {f"{kind}, s": statistics.median(each[kind]) for kind in each} | {"calibration, s": calibrated}
+        for task, each in times.items()
     ])  # fmt: skip
 
 
+def main(only_space: bool) -> None:
+    """Measure and store."""
+    if not only_space:
+        measure("cold_start", TASKS)
+    measure("cold_start_space", IN_SPACE)
+
+
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--space", action="store_true", help="only scans in space: cold_start_space.json")
+    main(parser.parse_args().space)

@@ -84,6 +84,32 @@ def speed_up() -> str:
     return table(kept)
 
 
+def space_precision() -> str:
+    """Every method in space, and how much longer the fastest setting of scipy takes that is as accurate.
+
+    Where none is, its most accurate setting counts.
+    """
+    e, rows, kept = read("space_precision")["environment"], read("space_precision")["rows"], []
+    for row in rows:
+        others = [one for one in rows if one["whisker"] == row["whisker"] and "scipy" in one["method"]]
+        smallest = min(one["error"] for one in others)
+        same = [one["us per equilibrium"] for one in others if one["error"] <= max(row["error"], smallest)]
+        kept.append({
+            "whisker": row["whisker"],
+            "method": row["method"],
+            "setting": row["setting"],
+            "batch": row["batch"],
+            "error": row["error"],
+            "us per equilibrium": row["us per equilibrium"],
+            "quartiles": f"{row['lower quartile']:.3g} to {row['upper quartile']:.3g}",
+            "speed-up over scipy": min(same) / row["us per equilibrium"] if row["method"] == "jaxwhisker" else None,
+            "first call, s": row["first call, s"],
+            "failed": f"{row['failed']:.0%}" if row["failed"] else None,
+        })  # fmt: skip
+    others = ", ".join(f"{name} {e[name]}" for name in ("scipy", "mujoco", "pyelastica"))
+    return f"{table(kept)}\n\n{environment('space_precision')[:-1]}; {others}; load {e['load']}."
+
+
 def is_other(method: str) -> bool:
     """Whether a row is about another simulator of motion than `simulate`, or another method of integration."""
     return method != "jaxwhisker" and "check" not in method
@@ -391,10 +417,10 @@ def sliders() -> str:
 
 WHOLE = (
     *("roofline", "ladder", "cold_start", "extremes", "soak", "soak_supports", "soak_friction"),
-    "soak_shafts",
+    *("soak_shafts", "space_extremes", "cold_start_space", "space_rod"),
     *("identify_guesses", "identify_noise", "reconstruct"),
 )
-SELECTED = (in_short, work_precision, speed_up, motion, motion_best, models, settings, claims)
+SELECTED = (in_short, work_precision, speed_up, space_precision, motion, motion_best, models, settings, claims)
 SELECTED += (known_subsets, known_errors, known_networks, known_friction, revealed_friction, films, sliders)
 TABLES = {function.__name__: function for function in SELECTED}
 TABLES |= {"growth": partial(whole, "growth", "failed")} | {name: partial(whole, name) for name in WHOLE}

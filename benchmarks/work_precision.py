@@ -207,7 +207,7 @@ def cosserat_rows(elements: tuple[int, ...]) -> list[dict]:
     reference = np.stack([state.fx, state.fy, state.mz], axis=-1)
     for n in elements:
         start = time.perf_counter()
-        got = cosserat_rod.states(CIRCLE, BASES, n)
+        got = cosserat_rod.states(CIRCLE, BASES, n)[:, [0, 1, 5]]
         taken = time.perf_counter() - start
         method = Method(
             "PyElastica", f"{n} elements", CIRCLE, 1, BASES.size, lambda: BASES, [taken, taken], first=taken

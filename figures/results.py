@@ -1,6 +1,7 @@
 """Draw the figures of stored benchmark results: python figures/results.py
 
-Writes docs/work_precision.png, motion_precision.png, numbers.png, supports.png, whiskers.png and known.png.
+Writes docs/work_precision.png, space_precision.png, motion_precision.png, numbers.png, supports.png, whiskers.png and
+known.png.
 """
 
 import sys
@@ -76,6 +77,41 @@ def draw_work_precision() -> None:
     handles, labels = axs[0, 0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     fig.savefig(DOCS / "work_precision.png", dpi=130)
+
+
+SPATIAL = {
+    "jaxwhisker": METHODS["jaxwhisker, integrated"],
+    "jaxwhisker, closed form": METHODS["jaxwhisker, closed form"],
+    "scipy: fsolve, solve_ivp": METHODS["scipy: fsolve, solve_ivp (thesis)"],
+    "MuJoCo: chain of balls": METHODS["MuJoCo: hinge chain"],
+    "PyElastica": METHODS["PyElastica"],
+}
+
+
+def draw_space_precision() -> None:
+    """Error against time of scans in space: a panel for each whisker, and a line for each batch size."""
+    rows = read("space_precision")["rows"]
+    for row in rows:
+        row["method"] += ", closed form" if row["setting"] == "elliptic functions" else ""
+    whiskers = list(dict.fromkeys(row["whisker"] for row in rows))
+    fig, axs = plt.subplots(1, len(whiskers), figsize=(9, 4.2), sharex=True, sharey=True, layout="constrained")
+    for ax, whisker in zip(axs, whiskers, strict=True):
+        for method, (colour, marker) in SPATIAL.items():
+            own = [row for row in rows if row["whisker"] == whisker and row["method"] == method]
+            batches = sorted({row["batch"] for row in own})
+            for batch, style in zip(batches, ("-", "--", ":"), strict=False):
+                line = [row for row in own if row["batch"] == batch]
+                line.sort(key=lambda row: row["us per equilibrium"])
+                x, y = [row["us per equilibrium"] for row in line], [row["error"] for row in line]
+                size = f", batch of {batch}" if batch > 1 else ", one scan"
+                label = method + size * (len(batches) > 1)
+                ax.loglog(x, y, color=colour, marker=marker, ms=4, lw=1, ls=style, label=label)
+        ax.set_title(f"{whisker} whisker past a sphere", fontsize=10)
+        ax.set_xlabel("time per equilibrium (µs)")
+        ax.grid(alpha=0.3, lw=0.5)
+    axs[0].set_ylabel("error, relative to the peak")
+    fig.legend(*axs[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    fig.savefig(DOCS / "space_precision.png", dpi=130)
 
 
 MOVING = {
@@ -267,7 +303,8 @@ def draw_known() -> None:
 
 def main() -> None:
     """Draw all figures."""
-    for draw in (draw_work_precision, draw_motion, draw_numbers, draw_supports, draw_whiskers, draw_known):
+    of_speed = draw_work_precision, draw_space_precision, draw_motion, draw_numbers
+    for draw in (*of_speed, draw_supports, draw_whiskers, draw_known):
         draw()
 
 

@@ -55,8 +55,11 @@ class _Clamp(ea.ConstraintBase):
         system.omega_collection[..., 0] = 0.0
 
 
-def states(scene: Circle, base_x: np.ndarray, elements: int) -> np.ndarray:
-    """Support reactions fx, fy, mz of a clamped whisker at decreasing base positions, (states, 3)."""
+def states(scene: Circle, base_x: np.ndarray, elements: int, offset: float = 0.0) -> np.ndarray:
+    """Support reactions of a clamped whisker at decreasing base positions, (states, 6).
+
+    The base moves beside the centre of the sphere, at z = `offset`. The reactions are fx, fy, fz, mx, my, mz.
+    """
     start = scene.radius  # clear of the object
     drag = np.abs(np.diff([start, *base_x])) / SPEED
     ends = np.cumsum(drag + REST)
@@ -66,7 +69,7 @@ def states(scene: Circle, base_x: np.ndarray, elements: int) -> np.ndarray:
     simulator = _Simulator()
     rod = ea.CosseratRod.straight_rod(
         elements,
-        start=np.array([start, 0.0, 0.0]),
+        start=np.array([start, 0.0, offset]),
         direction=np.array([0.0, 1.0, 0.0]),
         normal=np.array([0.0, 0.0, 1.0]),
         base_length=1.0,
@@ -91,5 +94,5 @@ def states(scene: Circle, base_x: np.ndarray, elements: int) -> np.ndarray:
         while time < end:
             time = stepper.step(simulator, time, np.float64(dt))
         push, arm = _Object(scene).forces(rod), rod.position_collection - rod.position_collection[:, :1]
-        reactions.append((-push[0].sum(), -push[1].sum(), -(arm[0] * push[1] - arm[1] * push[0]).sum()))
+        reactions.append(-np.append(push.sum(axis=1), np.cross(arm, push, axis=0).sum(axis=1)))
     return np.array(reactions)

@@ -30,3 +30,15 @@ class Circle(Scene):
     def contact(self, alpha):
         """Point of the circle at slope angle alpha."""
         return self.radius * np.sin(alpha), self.distance + self.radius * (1 - np.cos(alpha))
+
+
+@dataclass(frozen=True)
+class InSpace:
+    """A clamped whisker (L = EI = 1) that passes a sphere; its base is at (-u, 0, offset)."""
+
+    offset: float = 0.2
+    curvature: float = 0.0
+    roll: float = 0.0
+    torsion_ratio: float = 2 / 3
+    radius: float = 1.0
+    height: float = 1.3  # of the centre of the sphere above the base
