@@ -21,12 +21,13 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._model.surface import AbstractSurface
-from jaxwhisker._space.contact import AHEAD, FORCE, POINT, SLACK, TRACTION, UNKNOWNS, Traction, frame_of
+from jaxwhisker._space.contact import AHEAD, FORCE, POINT, SLACK, TRACTION, Traction, frame_of
 from jaxwhisker._space.linear import Linear
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 
 STAGES = 5
 FAINT = 1e-6  # EI/L^2: less friction does not bend a whisker, and its direction has no rate
+FELT = 0.1  # EI/L^2: the direction of smaller friction matters less
 RELAXATION = 1e-6  # arc length of the path
 FOLLOWING = 0.01  # lengths
 Pair = Float[Array, "2"]  # along the whisker, and across
@@ -266,18 +267,21 @@ def ends_of_step(slip: Slip, start: Point, points: Point) -> tuple[Point, Point]
     return at(rates[0]), at(rates[-1])
 
 
-def defect_of(slip: Slip, start: Point, tangent: Point, points: Point) -> Scalar:
+def defect_of(friction: Scalar, slip: Slip, start: Point, tangent: Point, points: Point) -> Scalar:
     """How far a step begins in another direction than the path arrives, over the length of the step."""
     scale, (first, _) = scale_of(start.z), ends_of_step(slip, start, points)
     length = dot(without_traction(tangent), first, scale)
-    off = Point(first.z - length * tangent.z, first.u - length * tangent.u)
+    off = as_felt(friction, start.z, Point(first.z - length * tangent.z, first.u - length * tangent.u))
     return jnp.sqrt(dot(off, off, scale))
 
 
-def without_guess(slip: Slip, change: Point) -> Point:
-    """A change of a point in which tractions that are only a guess do not count."""
-    guessed = slip.begins[:, None] & (np.arange(UNKNOWNS) >= TRACTION.start)
-    return change._replace(z=jnp.where(guessed, 0.0, change.z))
+def as_felt(friction: Scalar, z: Contacts, change: Point) -> Point:
+    """A change of a point, with those of tractions as whiskers feel them: the direction of a small force hardly matters.
+
+    Towards a release it may have no rate.
+    """
+    weight = jnp.clip(friction * z[:, FORCE] / FELT, 0.0, 1.0)
+    return change._replace(z=change.z.at[:, TRACTION].multiply(weight[:, None]))
 
 
 def without_traction(change: Point) -> Point:

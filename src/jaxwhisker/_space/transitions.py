@@ -27,7 +27,7 @@ from jaxwhisker._space.march_state import (
 )
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
-from jaxwhisker._space.slip import Mode, defect_of, next_guess, slip_after, slip_at_corner, speeds, without_guess, without_traction
+from jaxwhisker._space.slip import Mode, as_felt, defect_of, next_guess, slip_after, slip_at_corner, speeds, without_traction
 from jaxwhisker._space.stance import Stance
 
 NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
@@ -65,13 +65,13 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
     point, tangent, stance, scale = trial.point, trial.tangent, trial.stance, scale_of(march.point.z)
     miss = Point(point.z - trial.guess.z, point.u - trial.guess.u)
-    miss = miss if march.slip is None else without_guess(march.slip, miss)
+    miss = miss if problem.friction is None else as_felt(problem.friction, march.point.z, miss)
     error, straight = jnp.sqrt(dot(miss, miss, scale)), dot(march.tangent, without_traction(tangent), scale)
     good = trial.solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5) & stance.sound
     factor = (PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3)
     if march.slip is not None:
         # Behind a corner, the tangent is that of the equations.
-        defect = defect_of(march.slip, march.point, march.tangent, trial.solution.points)
+        defect = defect_of(problem.friction, march.slip, march.point, march.tangent, trial.solution.points)
         defect = jnp.where(march.slip.at_corner, 0.0, defect)
         good &= defect < 10 * SLIP_DEFECT
         factor = jnp.minimum(factor, (SLIP_DEFECT / jnp.maximum(defect, 1e-14)) ** (1 / 4))
