@@ -68,8 +68,8 @@ def _condition(march: March, stop: Scalar) -> PathCondition:
     return select(march.task != Task.advance, at_event, ahead)
 
 
-def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], march: March):
-    """Predict, solve, decide. Return the new state, and the index (-1 for none) and value of the node to write."""
+def _trial(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], march: March) -> Trial:
+    """Predict and solve."""
     stop, target = stops[jnp.minimum(march.goal, last)], march.target
     locating, advancing = march.task == Task.event, march.task == Task.advance
     # A touch is solved for as the contact that begins, without force.
@@ -115,7 +115,12 @@ def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Arr
     tangent = jax.tree.map(lambda leaf: leaf / length, rate)
     grip = None if march.slip is None else grip_of(problem, march.slip.mode, phase, point, tangent)
     stance = stance_of(problem, point, phase, solution.newton.at, march.direction * tangent.u, grip)
-    trial = Trial(solution, tangent, stance, guess, phase, stop, stops, last)
+    return Trial(solution, tangent, stance, guess, phase, stop, stops, last)
+
+
+def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], march: March):
+    """Predict, solve, decide. Return the new state, and the index (-1 for none) and value of the node to write."""
+    trial = _trial(problem, stops, last, march)
     new, write, node = jax.lax.switch(
         march.task,
         [

@@ -42,6 +42,7 @@ INSIDE = 1e-6  # depth of free whiskers that must not be inside the object
 TOUCHING = 1e-9  # depth of a free whisker that counts as a touch: one that has just been released is at 0
 PASSED = 0.25  # lengths from the object at which a scan right across it ends
 MARGIN_NOISE = 1e-11
+BRIEF_STEP = 1e-6  # behind a corner, within which contacts may begin or cease to slip
 LEAST_GRIP = 1e-9  # smaller margins of contacts that stick or slip have just been left
 FOLD = 1e-3  # rate of the control at a loss, per arc length, below which it is a fold
 
@@ -96,8 +97,9 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         slip = march.slip
         begins = jnp.any(slip.begins)
         wrong = begins & (~good | jnp.any(slip.begins & (stance.grip < 0)))
-        # A contact that has just stuck or slipped must do so for a while before its margin can vanish again.
-        good &= ~wrong & ~jnp.any((march.stance.grip < LEAST_GRIP) & (stance.grip < 0))
+        # A contact sticks or slips for a while behind a corner. What seems to end at once is another solution.
+        fresh = (march.stance.grip < LEAST_GRIP) | (slip.at_corner & (march.step > BRIEF_STEP))
+        good &= ~wrong & ~jnp.any(fresh & (stance.grip < 0))
         moved = moved._replace(slip=slip._replace(at_corner=jnp.asarray(False), begins=jnp.zeros_like(slip.begins)))
         guess, traction = next_guess(slip, march.point.z[:, TRACTION])
         again = march._replace(slip=guess, point=march.point._replace(z=march.point.z.at[:, TRACTION].set(traction)))
