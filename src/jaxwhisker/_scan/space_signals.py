@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._path.path import EventKind
+from jaxwhisker._path.path import STOP, EventKind
 from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
 from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, UNKNOWNS, Base, angle_and_arc
 from jaxwhisker._space.history import Linked
@@ -138,7 +138,7 @@ def events(problem: SpaceProblem, path: SpacePath, links: Linked | None = None) 
 
     `links` are the nodes of a path with friction, with their derivatives.
     """
-    nodes = path.nodes
+    nodes = path.nodes if links is None else _with_turns(path)
     room, n = nodes.whiskers.shape
     index = jnp.arange(room)
     reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
@@ -171,6 +171,18 @@ def events(problem: SpaceProblem, path: SpacePath, links: Linked | None = None) 
         after=jax.tree.map(where_filled, after),
         count=jnp.sum(public),
     )
+
+
+def _with_turns(path: SpacePath) -> Node:
+    """Nodes of a path with friction, in which slipping contacts stick where the drive turns."""
+    nodes = path.nodes
+    assert nodes.mode is not None
+    onwards = jnp.concatenate([nodes.mode[1:], nodes.mode[-1:]])
+    onwards = jnp.where((jnp.arange(nodes.kind.size) < path.count - 1)[:, None], onwards, int(Mode.slips))
+    stick = (nodes.mode == Mode.slips) & (onwards == Mode.sticks) & (nodes.phase != Phase.free)
+    stick &= (nodes.kind == STOP)[:, None]
+    kind = jnp.where(jnp.any(stick, axis=1), int(EventKind.stick), nodes.kind)
+    return nodes._replace(kind=kind, whiskers=nodes.whiskers | stick)
 
 
 class _Side(NamedTuple):

@@ -69,6 +69,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     miss = miss if problem.friction is None else as_felt(problem.friction, march.point.z, miss)
     error, straight = jnp.sqrt(dot(miss, miss, scale)), dot(march.tangent, without_traction(tangent), scale)
     good = trial.solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5) & stance.sound
+    astray = jnp.asarray(False)
     factor = (PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3)
     if march.slip is not None:
         # Behind a corner, the tangent is that of the equations.
@@ -99,7 +100,10 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         wrong = begins & (~good | jnp.any(slip.begins & (stance.grip < 0)))
         # A contact sticks or slips for a while behind a corner. What seems to end at once is another solution.
         fresh = (march.stance.grip < LEAST_GRIP) | (slip.at_corner & (march.step > BRIEF_STEP))
-        good &= ~wrong & ~jnp.any(fresh & (stance.grip < 0))
+        ends = jnp.any(fresh & (stance.grip < 0))
+        good &= ~wrong & ~ends
+        # Where contacts can neither stick nor slip, no equilibrium is near.
+        astray = trial.solution.converged & ends & ~begins & (march.step < BRIEF_STEP)
         moved = moved._replace(slip=slip._replace(at_corner=jnp.asarray(False), begins=jnp.zeros_like(slip.begins)))
         guess, traction = next_guess(slip, march.point.z[:, TRACTION])
         again = march._replace(slip=guess, point=march.point._replace(z=march.point.z.at[:, TRACTION].set(traction)))
@@ -108,6 +112,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     full = march.count >= capacity_of(problem, trial.stops.size) - 1
     new = first_case(
         (full, march.stopped(Status.too_long)),
+        (astray, sliding(problem, march)),
         (~good & (shorter.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, shorter),
         (violated, march._replace(task=jnp.asarray(int(Task.event)), target=target)),
