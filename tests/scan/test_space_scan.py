@@ -186,6 +186,18 @@ def test_states_of_random_scenes_obey_the_laws_and_are_stable(kind):
     assert touching > 6
 
 
+def test_two_changes_of_phase_within_one_step_of_the_path_are_both_found():
+    scene, plain, text = drawn("straight clamped linear", np.random.default_rng([0, 24]))
+    found = jw.scan(scene)
+    kinds = [event.kind for event in found.events]
+    assert kinds[1:3] == [jw.EventKind.tip_to_tangential, jw.EventKind.tangential_to_tip], text
+    between = np.flatnonzero(np.asarray(found.phase[:, 0]) == jw.Phase.tangential)
+    assert between.size > 1
+    for step in between:
+        state = state_of(Step(found, step), float(found.control[step]))
+        assert max(violations(plain, state).values()) < LAWS
+
+
 class Step:
     """One step of a result."""
 

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
@@ -63,13 +64,16 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     miss = Point(point.z - trial.guess.z, point.u - trial.guess.u)
     error, straight = jnp.sqrt(dot(miss, miss, scale)), dot(march.tangent, tangent, scale)
     good = trial.solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5) & stance.sound
+    # A margin may vanish twice within a step: to its least value, the step finds the first event.
+    dip = _dip(march, trial, straight)
+    shorter = march._replace(step=jnp.where(good, dip, 0.4) * march.step)
+    good &= dip == 1
     violated, target = _first_violated(march, trial, march.step)
     stable, node = stance.stable, node_at(march, point, tangent)
     located = good & ~violated & ~stable & (march.step < LOSS_BRACKET)
     # At a fold, contacts slide on in the direction of the path. A bifurcation is symmetric: they may go either way.
     branches = located & (jnp.abs(march.tangent.u) >= FOLD)
     lost = select(branches, march.stopped(Status.undetermined), sliding(march))
-    shorter = march._replace(step=0.4 * march.step)
     moved = march._replace(
         point=point,
         tangent=tangent,
@@ -117,6 +121,23 @@ def _first_violated(
     margin, whisker = jnp.unravel_index(k, share.shape)
     whiskers = (jnp.arange(march.phase.size) == whisker) & (margin != AT_STOP)
     return jnp.any(crossed), Target(margin, whiskers, jnp.ravel(share)[k] * length, trial.stance.nearest)
+
+
+def _dip(march: March, trial: Trial, straight: Scalar) -> Scalar:
+    """Share of the step at which a force or a slack is least, if it vanishes on the way, although not at the end.
+
+    It is 1 if none does. Between the ends, values and tangents give a cubic.
+    """
+    tip = (march.phase == Phase.tip)[:, None]
+    columns, signs = np.array([FORCE, SLACK]), jnp.where(tip, np.array([1.0, -1.0]), 1.0)
+    ends = march.point.z, march.tangent.z * march.step, trial.point.z, trial.tangent.z * march.step / straight
+    here, falls, there, rises = (signs * values[:, columns] for values in ends)
+    turns = (march.phase != Phase.free)[:, None] & (falls < 0) & (rises > 0) & (there > 0)
+    second, third = 3 * (there - here) - 2 * falls - rises, falls + rises - 2 * (there - here)
+    root = jnp.sqrt(jnp.where(turns, second**2 - 3 * third * falls, 1.0))
+    share = jnp.where(turns, -falls / jnp.where(turns, second + root, 1.0), 1.0)
+    least = here + share * (falls + share * (second + share * third))
+    return jnp.min(jnp.where(turns & (least < -MARGIN_NOISE), share, 1.0))
 
 
 def _bifurcation(march: March, trial: Trial) -> Node:
