@@ -198,6 +198,13 @@ def test_two_changes_of_phase_within_one_step_of_the_path_are_both_found():
         assert max(violations(plain, state).values()) < LAWS
 
 
+@pytest.mark.parametrize("seed", [7, 39])
+def test_a_slide_to_where_the_whisker_curves_more_than_the_object_ends_as_not_convex(seed):
+    scene, *_ = drawn("curved clamped whisk", np.random.default_rng([13, seed]))
+    status = np.asarray(jw.scan(scene).status)
+    assert {jw.Status(int(s)).name for s in status} == {"ok", "not_convex"}
+
+
 class Step:
     """One step of a result."""
 

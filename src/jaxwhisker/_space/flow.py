@@ -63,8 +63,10 @@ def after_flow(march: March, trial: Trial) -> Outcome:
         ),
         target=march.target._replace(margin=jnp.asarray(SNAP)),
     )
+    # Where the shaft curves more than the object, a contact can be neither tangential nor at the tip: there are two.
+    stalled = jnp.where(trial.stance.opens, int(Status.unsettled), int(Status.not_convex))
     new = first_case(
-        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), march.stopped(Status.unsettled)),
+        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), march.stopped(stalled)),
         (~good, march._replace(flow=flow)),
         otherwise=rested,
     )

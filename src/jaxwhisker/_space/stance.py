@@ -28,7 +28,7 @@ class Stance(NamedTuple):
     stable: Bool[Array, ""]
     stiffness: Scalar  # determinant of the sliding stiffness, which vanishes where stability is lost
     sound: Bool[Array, ""]  # whether bases point the way of their mounts
-    opens: Bool[Array, ""]  # whether object and shaft part on both sides of every tangential contact
+    opens: Bool[Array, ""]  # whether object and shaft part on both sides of every contact
 
 
 def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear) -> Stance:
@@ -59,7 +59,7 @@ def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear) ->
         stable=positive_definite(stiffness),
         stiffness=determinant(stiffness),
         sound=jnp.all(free | jnp.isfinite(at.own)),
-        opens=jnp.all((opens > 0) | (phase != Phase.tangential)),
+        opens=jnp.all(free | (opens > 0)),
     )
 
 
