@@ -277,10 +277,11 @@ def after_arrive(march: March, trial: Trial) -> Outcome:
     new = first_case(
         (~trial.solution.converged | (inside & ~snapped), march.stopped(Status.lost)),
         (inside, march.stopped(Status.unsettled)),
+        (~stance.opens, march.stopped(Status.not_convex)),
         (over, march.stopped(Status.ok)),
         (snapped & ~stance.stable, march.stopped(Status.unsettled)),
         # A loss at a corner: the path would have to go back.
         (falls | ~stance.stable, sliding(onwards)),
         otherwise=onwards,
     )
-    return new, trial.solution.converged, node
+    return new, trial.solution.converged & stance.opens, node
