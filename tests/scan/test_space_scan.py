@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxwhisker as jw
-from random_space import Cone, drawn
+from random_space import KINDS, Cone, drawn
 from space_laws import power, shaft, stability, state_of, violations
 
 REFERENCE = 1e-7  # relative to the largest; the reference gives ten digits and is accurate to 1e-9
@@ -198,11 +198,31 @@ def test_two_changes_of_phase_within_one_step_of_the_path_are_both_found():
         assert max(violations(plain, state).values()) < LAWS
 
 
-@pytest.mark.parametrize("seed", [7, 39])
-def test_a_slide_to_where_the_whisker_curves_more_than_the_object_ends_as_not_convex(seed):
-    scene, *_ = drawn("curved clamped whisk", np.random.default_rng([13, seed]))
-    status = np.asarray(jw.scan(scene).status)
-    assert {jw.Status(int(s)).name for s in status} == {"ok", "not_convex"}
+def ends(scene):
+    """Names of all statuses in a random scene, given by its kind and number."""
+    *kind, number = scene.split()
+    kind = " ".join(kind)
+    scene, *_ = drawn(kind, np.random.default_rng([KINDS.index(kind), int(number)]))
+    return {jw.Status(int(status)).name for status in np.asarray(jw.scan(scene).status)}
+
+
+@pytest.mark.parametrize("scene", ["curved clamped whisk 7", "curved clamped whisk 39", "curved cone tilting whisk 30"])
+def test_a_scan_ends_as_not_convex_where_a_contact_splits_in_a_slide_or_at_an_event(scene):
+    assert ends(scene) == {"ok", "not_convex"}
+
+
+def test_a_whisker_that_comes_free_while_its_unloaded_shape_is_inside_the_object_lands_on_it_again():
+    scene, plain, text = drawn("straight tilting whisk", np.random.default_rng([5, 1221]))
+    found = jw.scan(scene)
+    assert np.all(np.asarray(found.status) == jw.Status.ok), text
+    (snap,) = [event for event in found.events if event.kind == jw.EventKind.snap_through]
+    landed = state_of(snap.after, snap.control)
+    position, _, rotation = plain.placement(snap.control)
+    unloaded = landed._replace(phase=0, force=np.zeros(3), moment=np.zeros(3), base=position, rotation=rotation)
+    assert violations(plain, unloaded)["depth"] > 1e-3
+    assert max(violations(plain, landed).values()) < LAWS
+    assert landed.contact_force > 1e-3
+    assert stability(plain, landed, 30) > 0
 
 
 class Step:

@@ -134,7 +134,7 @@ def base_of(
 def _frame_of_force(frame, force, chi, roll, traction):
     """Frame, force, angle and roll of the same contact with a surface that is normal to the force."""
     ahead, across, out = frame.T
-    light = (force < LIGHT) & (jnp.sum(traction**2) < LIGHT**2)
+    light = (jnp.abs(force) < LIGHT) & (jnp.sum(traction**2) < LIGHT**2)
     leaning = jnp.where(light, LIGHT, force) * out + traction[0] * ahead + traction[1] * across
     size = jnp.sqrt(jnp.sum(leaning**2))
     outwards, tangent = leaning / size, jnp.cos(chi) * ahead - jnp.sin(chi) * out

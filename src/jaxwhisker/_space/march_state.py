@@ -65,6 +65,7 @@ class Flow(NamedTuple):
     time: Scalar  # length of the next time step
     steps: Int[Array, ""]
     start: Contacts  # at the loss
+    clings: Bool[Array, " whiskers"]  # not to come free: the unloaded shape is inside the object
 
 
 class March(NamedTuple):

@@ -10,7 +10,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._path.path import STOP, EventKind, Status, first_case, select
 from jaxwhisker._space.contact import FORCE, SLACK
-from jaxwhisker._space.flow import sliding
+from jaxwhisker._space.flow import clinging, sliding
 from jaxwhisker._space.march_state import (
     AT_STOP,
     PHASE,
@@ -273,10 +273,11 @@ def after_arrive(march: March, trial: Trial) -> Outcome:
         unstable_size=jnp.asarray(-1.0),
     )
     over = stop_kind & (march.goal > last)
-    inside = jnp.any(stance.free & (stance.nearest.distance < -INSIDE))
+    deep = stance.free & (stance.nearest.distance < -INSIDE)
+    inside = jnp.any(deep)
     new = first_case(
         (~trial.solution.converged | (inside & ~snapped), march.stopped(Status.lost)),
-        (inside, march.stopped(Status.unsettled)),
+        (inside, clinging(march, deep)),
         (~stance.opens, march.stopped(Status.not_convex)),
         (over, march.stopped(Status.ok)),
         (snapped & ~stance.stable, march.stopped(Status.unsettled)),
@@ -284,4 +285,4 @@ def after_arrive(march: March, trial: Trial) -> Outcome:
         (falls | ~stance.stable, sliding(onwards)),
         otherwise=onwards,
     )
-    return new, trial.solution.converged & stance.opens, node
+    return new, trial.solution.converged & ~inside & stance.opens, node
