@@ -211,6 +211,11 @@ def test_a_scan_ends_as_not_convex_where_a_contact_splits_in_a_slide_or_at_an_ev
     assert ends(scene) == {"ok", "not_convex"}
 
 
+@pytest.mark.parametrize("scene", ["straight clamped linear 1049", "straight sprung linear 1546"])
+def test_a_scan_is_lost_where_a_contact_reaches_the_base_on_the_path_or_in_a_slide(scene):
+    assert ends(scene) == {"ok", "lost"}
+
+
 def test_a_whisker_that_comes_free_while_its_unloaded_shape_is_inside_the_object_lands_on_it_again():
     scene, plain, text = drawn("straight tilting whisk", np.random.default_rng([5, 1221]))
     found = jw.scan(scene)

@@ -82,6 +82,7 @@ def after_flow(march: March, trial: Trial) -> Outcome:
     new = first_case(
         ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), march.stopped(stalled)),
         (~good, march._replace(flow=flow)),
+        (~trial.stance.sound, march.stopped(Status.lost)),
         (pulls, march.stopped(Status.unsettled)),
         otherwise=rested,
     )

@@ -40,6 +40,7 @@ INSIDE = 1e-6  # depth of free whiskers that must not be inside the object
 TOUCHING = 1e-9  # depth of a free whisker that counts as a touch: one that has just been released is at 0
 PASSED = 0.25  # lengths from the object at which a scan right across it ends
 MARGIN_NOISE = 1e-11
+AT_BASE = 0.02  # lengths from the base: forces grow without bound where a contact gets there
 FOLD = 1e-3  # rate of the control at a loss, per arc length, below which it is a fold
 
 
@@ -84,6 +85,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         unstable_at=jnp.where(march.unstable_at > march.step, march.unstable_at - march.step, jnp.inf),
         unstable_size=march.unstable_size / 2,
     )
+    at_base = jnp.any((march.phase == Phase.tangential) & (point.z[:, SLACK] > (1 - AT_BASE) * problem.length))
     full = march.count >= capacity_of(problem, trial.stops.size) - 1
     new = first_case(
         (full, march.stopped(Status.too_long)),
@@ -94,6 +96,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         (~stable, _before_loss(march, stance.stiffness)),
         (_is_over(problem, march, trial), march.stopped(Status.ok)),
         (~stance.opens, march.stopped(Status.not_convex)),
+        (at_base, march.stopped(Status.lost)),
         otherwise=moved._replace(step=_next_step(moved, error, march.step)),
     )
     # While all whiskers are free, nothing happens between events.
