@@ -82,7 +82,9 @@ def broken_laws(plain: Plain, stable: list[State], others: list[State], rng) -> 
     for state, whole in zip(states, shafts(plain, states) if states else [], strict=True):
         for law, value in violations(plain, state, whole).items():
             worst[law] = max(worst.get(law, 0.0), float(value))
-    tried = [state for state in stable if state.contact_force > LIGHT and rng.random() < 0.1 * len(states) / len(stable)]
+    tried = [
+        state for state in stable if state.contact_force > LIGHT and rng.random() < 0.1 * len(states) / len(stable)
+    ]
     return worst, min((stability(plain, state, ELEMENTS) for state in tried), default=np.inf)
 
 
@@ -90,7 +92,11 @@ def reason(plain: Plain, result: jw.SpaceResult, status: str) -> tuple[str, str]
     """Why a scan ends, as far as the laws tell from the last state that is ok, and numbers of that state."""
     fine = np.flatnonzero((np.asarray(result.status) == 0) & (np.asarray(result.phase)[:, 0] > 0))
     if not fine.size:
-        return "", ""
+        control, nothing = float(result.control[0]), np.zeros(3)
+        base, _, rotation = plain.placement(control)
+        unloaded = State(control, 0, nothing, nothing, base, rotation, 0.0, 0.0, nothing)
+        depth = violations(plain, unloaded)["depth"]
+        return ("inside the object at the start" if depth > 0 else ""), f"depth {depth:.3f} u {control:.3f}"
     (state,) = rows_of(result, np.asarray(result.control), fine[-1:])
     (whole,) = shafts(plain, [state])
     flat, elsewhere = spread(plain, state, whole), np.abs(whole.arc - state.contact_arc) > BESIDE
@@ -123,7 +129,11 @@ class Table:
         if not least > STABLE:
             broken["stability"] = f"{least:.1e}"
         self.worst |= {law: max(self.worst.get(law, 0.0), value) for law, value in found.items()}
-        self.scenes, self.states, self.wrong = self.scenes + 1, self.states + len(stable + others), self.wrong + bool(broken)
+        self.scenes, self.states, self.wrong = (
+            self.scenes + 1,
+            self.states + len(stable + others),
+            self.wrong + bool(broken),
+        )
         status = np.asarray(result.status)
         bad = np.flatnonzero(status)
         if bad.size:
@@ -161,8 +171,8 @@ def show(kind: int, number: int) -> None:
     for state in stable + others:
         broken = {law: f"{value:.1e}" for law, value in violations(plain, state).items() if not value < TOLERANCE}
         least = stability(plain, state, ELEMENTS) if state.contact_force > LIGHT else np.nan
-        numbers = f"u = {state.control:+.6f}, phase {state.phase}, force {state.contact_force:.5f}, arc {state.contact_arc:.5f}"
-        print(f"{numbers}, least eigenvalue {least:.3g} {broken or ''}")
+        contact = f"phase {state.phase}, force {state.contact_force:.5f}, arc {state.contact_arc:.5f}"
+        print(f"u = {state.control:+.6f}, {contact}, least eigenvalue {least:.3g} {broken or ''}")
 
 
 def main(scenes: int, first: int = 0) -> None:

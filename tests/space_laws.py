@@ -182,7 +182,11 @@ def violations(plain: Plain, state: State, whole: Shaft | None = None) -> dict[s
     if state.phase == 1:
         return found | {"arc": abs(state.contact_arc - plain.length), "tip": max(tangent @ normal, 0.0)}
     beyond = max(state.contact_arc - plain.length, 0.0)
-    return found | {"arc": beyond, "tangential": abs(tangent @ normal), "spread": max(-spread(plain, state, whole), 0.0)}
+    return found | {
+        "arc": beyond,
+        "tangential": abs(tangent @ normal),
+        "spread": max(-spread(plain, state, whole), 0.0),
+    }
 
 
 def spread(plain: Plain, state: State, whole: Shaft) -> float:

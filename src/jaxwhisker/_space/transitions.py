@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
@@ -52,6 +51,12 @@ def margins_of(phase: Phases, z: Contacts, stance: Stance, remaining: Scalar) ->
     slack = jnp.where(free, jnp.inf, jnp.where(tip, -z[:, SLACK], z[:, SLACK]))
     stop = jnp.full_like(touch, jnp.inf).at[0].set(remaining)
     return jnp.stack([touch, release, slack, stop])
+
+
+def _rates(phase: Phases, tangent: Point) -> Float[Array, "kinds whiskers"]:
+    """Rates of the margins along the path, those of touches and stops left out."""
+    still, slack = jnp.zeros_like(tangent.z[:, SLACK]), tangent.z[:, SLACK]
+    return jnp.stack([still, tangent.z[:, FORCE], jnp.where(phase == Phase.tip, -slack, slack), still])
 
 
 def capacity_of(problem: SpaceProblem, stops: int) -> int:
@@ -131,11 +136,11 @@ def _dip(march: March, trial: Trial, straight: Scalar) -> Scalar:
 
     It is 1 if none does. Between the ends, values and tangents give a cubic.
     """
-    tip = (march.phase == Phase.tip)[:, None]
-    columns, signs = np.array([FORCE, SLACK]), jnp.where(tip, np.array([1.0, -1.0]), 1.0)
-    ends = march.point.z, march.tangent.z * march.step, trial.point.z, trial.tangent.z * march.step / straight
-    here, falls, there, rises = (signs * values[:, columns] for values in ends)
-    turns = (march.phase != Phase.free)[:, None] & (falls < 0) & (rises > 0) & (there > 0)
+    zero = jnp.zeros(())
+    here, there = (margins_of(march.phase, at.point.z, at.stance, zero)[1:3] for at in (march, trial))
+    falls, rises = (length * _rates(march.phase, tangent)[1:3] for tangent, length in
+                    ((march.tangent, march.step), (trial.tangent, march.step / straight)))  # fmt: skip
+    turns = (march.phase != Phase.free) & (falls < 0) & (rises > 0) & (there > 0)
     second, third = 3 * (there - here) - 2 * falls - rises, falls + rises - 2 * (there - here)
     root = jnp.sqrt(jnp.where(turns, second**2 - 3 * third * falls, 1.0))
     share = jnp.where(turns, -falls / jnp.where(turns, second + root, 1.0), 1.0)
@@ -199,7 +204,11 @@ def after_event(march: March, trial: Trial) -> Outcome:
     z_before = jnp.where(touches[:, None], march.point.z, point.z)
     chord = Point(z_before - march.point.z, point.u - march.point.u)
     distance, reach = dot(march.tangent, chord, scale), jnp.sqrt(dot(chord, chord, scale))
-    good = converged & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-6)
+    forwards = jnp.where(dot(tangent, march.tangent, scale) > 0, 1.0, -1.0)
+    arriving = select(jnp.any(touches), march.tangent, Point(forwards * tangent.z, forwards * tangent.u))
+    # A margin that grows again has vanished before.
+    grows = jnp.any(target.whiskers & (_rates(phase, arriving)[target.margin] > 0))
+    good = converged & ~grows & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-6)
     # The whisker may touch with its tip where its shaft was expected to, or the reverse.
     slack = jnp.where(touches, jnp.where(phase == Phase.tip, point.z[:, SLACK], -point.z[:, SLACK]), -1.0)
     other = converged & (slack > MARGIN_NOISE)
@@ -222,9 +231,6 @@ def after_event(march: March, trial: Trial) -> Outcome:
     swaps = target.whiskers & (target.margin == PHASE)
     after = jnp.where(swaps, jnp.where(phase == Phase.tip, Phase.tangential, Phase.tip), phase)
     after = jnp.where(target.whiskers & (target.margin == RELEASE), Phase.free, after)
-    forwards = dot(tangent, march.tangent, scale) > 0
-    arriving = select(forwards, tangent, Point(-tangent.z, -tangent.u))
-    arriving = select(jnp.any(touches), march.tangent, arriving)
     node = node_at(march, point, arriving)
     node = node._replace(z_before=z_before, phase=after, kind=kinds[target.margin], whiskers=target.whiskers)
     node = node._replace(travel=jnp.where((target.margin == AT_STOP) & (march.goal == 0), 0.0, node.travel))
