@@ -88,15 +88,32 @@ def broken_laws(plain: Plain, stable: list[State], others: list[State], rng) -> 
     return worst, min((stability(plain, state, ELEMENTS) for state in tried), default=np.inf)
 
 
+def first_touch(plain: Plain, first: float, last: float) -> tuple[float, float]:
+    """Arc length and control at which an unloaded whisker first touches the object on a way of the drive."""
+    zero, arc = np.zeros(3), np.nan
+    for _ in range(4):
+        controls = np.linspace(first, last, 41)
+        frames = [plain.placement(control) for control in controls]
+        states = [
+            State(control, 0, zero, zero, base, rotation, 0.0, 0.0, zero)
+            for control, (base, _, rotation) in zip(controls, frames, strict=True)
+        ]
+        found = shafts(plain, states)
+        distances = np.array([plain.surface.off(whole.points) for whole in found])
+        inside = np.flatnonzero(np.min(distances, axis=1) < 0)
+        if not inside.size:
+            break
+        k = inside[0]
+        arc, first, last = found[k].arc[np.argmin(distances[k])], controls[max(k - 1, 0)], controls[k]
+    return float(arc), last
+
+
 def reason(plain: Plain, result: jw.SpaceResult, status: str) -> tuple[str, str]:
     """Why a scan ends, as far as the laws tell from the last state that is ok, and numbers of that state."""
     fine = np.flatnonzero((np.asarray(result.status) == 0) & (np.asarray(result.phase)[:, 0] > 0))
     if not fine.size:
-        control, nothing = float(result.control[0]), np.zeros(3)
-        base, _, rotation = plain.placement(control)
-        unloaded = State(control, 0, nothing, nothing, base, rotation, 0.0, 0.0, nothing)
-        depth = violations(plain, unloaded)["depth"]
-        return ("inside the object at the start" if depth > 0 else ""), f"depth {depth:.3f} u {control:.3f}"
+        arc, control = first_touch(plain, float(result.control[0]), float(result.control[-1]))
+        return ("contact at the base" if arc < AT_BASE else ""), f"touches at arc {arc:.3f} u {control:.3f}"
     (state,) = rows_of(result, np.asarray(result.control), fine[-1:])
     (whole,) = shafts(plain, [state])
     flat, elsewhere = spread(plain, state, whole), np.abs(whole.arc - state.contact_arc) > BESIDE
