@@ -391,7 +391,7 @@ def sliders() -> str:
 
 WHOLE = (
     *("roofline", "ladder", "cold_start", "extremes", "soak", "soak_supports", "soak_friction"),
-    "soak_shafts",
+    *("soak_shafts", "soak_space"),
     *("identify_guesses", "identify_noise", "reconstruct"),
 )
 SELECTED = (in_short, work_precision, speed_up, motion, motion_best, models, settings, claims)
