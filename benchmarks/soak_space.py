@@ -27,7 +27,7 @@ from common import write
 from random_space import KINDS, Drawn, drawn
 from space_laws import Plain, State, shafts, spread, stability, state_of, violations
 
-ROUND = 50  # scenes of a kind in a round; results are stored after every round
+ROUND = 40  # scenes of a kind in a round; results are stored after every round
 TOLERANCE = 1e-7  # largest violation of a correct state
 STATES = 5  # steps of each scene that are checked
 STABLE = -1e-3  # least eigenvalue of a stable state, computed with ELEMENTS; at a fold it is zero
@@ -36,6 +36,7 @@ LIGHT = 1e-3  # force below which the second variation is not resolved
 # Ends of scans for which there is no equilibrium of the model: the laws must show why.
 AT_BASE = 0.02  # lengths from the base
 FLAT = 0.3  # g_ss of a contact that is about to become two
+FOLD = 0.1  # least eigenvalue of a state a step before a fold, from where contacts slide
 NEAR, BESIDE = 0.01, 0.1  # lengths from the object, of a shaft elsewhere than so near the contact
 
 SCALARS = [*(f"{f}{a}" for f in "fm" for a in "xyz"), *(f"{r}_{a}" for r in ("base", "contact") for a in "xyz")]
@@ -123,6 +124,8 @@ def reason(plain: Plain, result: jw.SpaceResult, status: str) -> tuple[str, str]
         return "contact at the base", numbers
     if status in ("not_convex", "second_contact") and (flat < FLAT or gap < NEAR):
         return "second contact", numbers
+    if status == "not_convex" and stability(plain, state, ELEMENTS) < FOLD:
+        return "second contact in a slide", numbers
     return "", numbers
 
 

@@ -188,7 +188,7 @@ def spread(body: Body, surface: AbstractSurface, z: Contact, phase: Int[Array, "
         first, second, _ = (0.0 if part is None else part for part in body.section.intrinsic(arc))
         own = -second * jnp.cos(z[ROLL]) - first * jnp.sin(z[ROLL])  # n.d1 = -cos, n.d2 = sin: see rod/space_end.py
     curved = jnp.sum(ahead * _turned(surface.curvature(z[POINT]), ahead))
-    return jnp.where((phase == Phase.tangential) | (z[SLACK] > -GRAZING), own + curved, jnp.inf)
+    return jnp.where(z[SLACK] > -GRAZING, own + curved, jnp.inf)
 
 
 def _turned(matrix: Float[Array, "3 3"], vector: Vector) -> Vector:

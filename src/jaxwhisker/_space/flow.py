@@ -44,7 +44,7 @@ def clinging(march: March, whiskers: Bool[Array, " whiskers"]) -> March:
     return march._replace(
         task=jnp.asarray(int(Task.flow)),
         phase=phase_by_slack(march.point.z, jnp.where(whiskers, int(Phase.tip), march.phase)),
-        flow=march.flow._replace(time=jnp.asarray(FIRST_TIME), clings=march.flow.clings | whiskers),
+        flow=march.flow._replace(clings=march.flow.clings | whiskers),
     )
 
 
@@ -67,7 +67,8 @@ def after_flow(march: March, trial: Trial) -> Outcome:
     rested = march._replace(
         task=jnp.where(rests, int(Task.arrive), int(Task.flow)),
         phase=phase,
-        point=Point(z.at[:, TRACTION].multiply(~rests), march.point.u),
+        # Whiskers that have come free may have to slide on.
+        point=Point(z.at[:, TRACTION].multiply((~rests | (phase == Phase.free))[:, None]), march.point.u),
         stance=trial.stance,
         flow=flow,
         pending=march.pending._replace(
@@ -77,12 +78,12 @@ def after_flow(march: March, trial: Trial) -> Outcome:
         ),
         target=march.target._replace(margin=jnp.asarray(SNAP)),
     )
-    # Where the shaft curves more than the object, a contact can be neither tangential nor at the tip: there are two.
-    stalled = jnp.where(trial.stance.opens, int(Status.unsettled), int(Status.not_convex))
     new = first_case(
-        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), march.stopped(stalled)),
+        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), march.stopped(Status.unsettled)),
         (~good, march._replace(flow=flow)),
         (~trial.stance.sound, march.stopped(Status.lost)),
+        # One contact becomes two, which slide on in another way.
+        (~trial.stance.opens, march.stopped(Status.not_convex)),
         (pulls, march.stopped(Status.unsettled)),
         otherwise=rested,
     )
