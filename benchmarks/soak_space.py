@@ -105,7 +105,8 @@ def first_touch(plain: Plain, first: float, last: float) -> tuple[float, float]:
         if not inside.size:
             break
         k = inside[0]
-        arc, first, last = found[k].arc[np.argmin(distances[k])], controls[max(k - 1, 0)], controls[k]
+        arc = found[k].arc[np.argmin(distances[k])]
+        first, last = float(controls[max(k - 1, 0)]), float(controls[k])
     return float(arc), last
 
 
