@@ -30,7 +30,7 @@ def sliding(march: March) -> March:
     """The state in which contacts begin to slide."""
     kicked = along(march.point, march.tangent, KICK)
     nobody = jnp.zeros_like(march.flow.clings)
-    flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z, nobody)
+    flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z, nobody, jnp.asarray(True))
     return march._replace(
         task=jnp.asarray(int(Task.flow)),
         point=Point(kicked.z, march.point.u),
@@ -60,7 +60,8 @@ def after_flow(march: March, trial: Trial) -> Outcome:
     rests = good & (((moved < REST) & (time >= LONGEST_TIME / 4)) | jnp.all(phase == Phase.free))
     longer = jnp.minimum(time * jnp.where(moved < STRIDE / 3, 3.0, 1.0), LONGEST_TIME)
     time = jnp.where(good, longer, time / 4)
-    flow = march.flow._replace(time=time, steps=march.flow.steps + 1)
+    opens = march.flow.opens & (trial.stance.opens | ~good)
+    flow = march.flow._replace(time=time, steps=march.flow.steps + 1, opens=opens)
     pulls = rests & jnp.any(pulled & ~released)
     freed = (phase == Phase.free) & (march.pending.phase_before != Phase.free)
     moved = jnp.max(jnp.abs(z - flow.start)[:, POINT], axis=1) > SLID
@@ -78,13 +79,13 @@ def after_flow(march: March, trial: Trial) -> Outcome:
         ),
         target=march.target._replace(margin=jnp.asarray(SNAP)),
     )
+    # A contact that splits in two slides on as two; as one, it may never come to rest.
+    failed = march.stopped(jnp.where(opens, int(Status.unsettled), int(Status.not_convex)))
     new = first_case(
-        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), march.stopped(Status.unsettled)),
+        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), failed),
         (~good, march._replace(flow=flow)),
         (~trial.stance.sound, march.stopped(Status.lost)),
-        # One contact becomes two, which slide on in another way.
-        (~trial.stance.opens, march.stopped(Status.not_convex)),
-        (pulls, march.stopped(Status.unsettled)),
+        (pulls, failed),
         otherwise=rested,
     )
     return new, jnp.asarray(False), march.pending

@@ -128,7 +128,7 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
         direction=direction,
         travel=node.travel,
         touched=jnp.asarray(False),
-        flow=Flow(jnp.asarray(FIRST_TIME), zero, z, nobody),
+        flow=Flow(jnp.asarray(FIRST_TIME), zero, z, nobody, stance.opens),
         count=zero,
         status=jnp.asarray(int(Status.ok)),
     )

@@ -66,6 +66,7 @@ class Flow(NamedTuple):
     steps: Int[Array, ""]
     start: Contacts  # at the loss
     clings: Bool[Array, " whiskers"]  # not to come free: the unloaded shape is inside the object
+    opens: Bool[Array, ""]  # whether no contact has split on the way
 
 
 class March(NamedTuple):
