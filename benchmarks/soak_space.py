@@ -37,7 +37,7 @@ LIGHT = 1e-3  # force below which the second variation is not resolved
 AT_BASE = 0.02  # lengths from the base
 FLAT = 0.3  # g_ss of a contact that is about to become two
 FOLD = 0.1  # least eigenvalue of a state a step before a fold, from where contacts slide
-NEAR, BESIDE = 0.01, 0.1  # lengths from the object, of a shaft elsewhere than so near the contact
+BESIDE, NEAR = 0.1, 0.8  # lengths from the contact; share of the gap that g_ss alone gives there
 
 SCALARS = [*(f"{f}{a}" for f in "fm" for a in "xyz"), *(f"{r}_{a}" for r in ("base", "contact") for a in "xyz")]
 FIELDS = [*SCALARS, "base_rotation", "contact_force", "contact_arc", "phase"]
@@ -123,7 +123,7 @@ def reason(plain: Plain, result: jw.SpaceResult, status: str) -> tuple[str, str]
     numbers = f"arc {state.contact_arc:.3f} g_ss {flat:.3f} gap {gap:.4f} u {state.control:.3f}"
     if status == "lost" and state.contact_arc < AT_BASE:
         return "contact at the base", numbers
-    if status in ("not_convex", "second_contact") and (flat < FLAT or gap < NEAR):
+    if status in ("not_convex", "second_contact") and (flat < FLAT or gap < NEAR * flat * BESIDE**2 / 2):
         return "second contact", numbers
     if status == "not_convex" and stability(plain, state, ELEMENTS) < FOLD:
         return "second contact in a slide", numbers
