@@ -63,8 +63,8 @@ bench-inverse: $(VENV)/installed-dev ## measure fits, contours and required prio
 extremes: $(VENV)/installed-dev ## scan scenes at the limits of every parameter's range
 	@$(call run,extremes space_extremes report) && $(draw)
 
-soak: $(VENV)/installed-dev ## check 120,000 random scenes (an hour on two cores)
-	@$(call run,soak soak_supports soak_friction soak_shafts report)
+soak: $(VENV)/installed-dev ## check 140,000 random scenes (two hours on two cores)
+	@$(call run,soak soak_supports soak_friction soak_shafts soak_space report)
 
 # Everything that a scan rests on, without the tests that need further programs.
 CORE_TESTS := tests/equilibrium tests/path tests/physics/test_reference_scans.py \

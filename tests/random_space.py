@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import jaxwhisker as jw
-from space_laws import UPRIGHT, Plain, Surface, _hat
+from space_laws import UPRIGHT, Plain, Surface, _left_jacobian
 
 
 class Cone(eqx.Module):
@@ -62,17 +61,8 @@ def surface_drawn(rng, kind: str, size: float):
 
 
 def unloaded(curvature):
-    """Positions and body frames of an unloaded whisker on an upright mount."""
-    arcs = np.linspace(0.0, 1.0, 101)
-
-    def slope(s, y):
-        d = y[3:].reshape(3, 3)
-        return np.concatenate([d[:, 2], (d @ _hat(curvature)).ravel()])
-
-    y = solve_ivp(
-        slope, (0.0, 1.0), np.concatenate([np.zeros(3), UPRIGHT.ravel()]), rtol=1e-10, atol=1e-12, t_eval=arcs
-    ).y
-    return y[:3].T, y[3:].T.reshape(-1, 3, 3)
+    """Positions of an unloaded whisker of constant curvature on an upright mount: a helix."""
+    return np.array([UPRIGHT @ (s * _left_jacobian(s * curvature)[:, 2]) for s in np.linspace(0.0, 1.0, 101)])
 
 
 def drawn(kind: str, rng: np.random.Generator) -> Drawn:
@@ -97,7 +87,7 @@ def _tried(rod, base, drive, rng):
         taper = float(rng.uniform(0.3, 0.8))
         whisker["bending_stiffness"] = Cone(taper)
     turned = UPRIGHT @ Rotation.from_rotvec([0, 0, roll]).as_matrix()
-    points, _ = unloaded(curvature)
+    points = unloaded(curvature)
     points = points @ (turned @ UPRIGHT.T).T
     name = SURFACES[rng.integers(4)]
     size = float(np.exp(rng.uniform(np.log(0.2), np.log(1.5 if drive == "linear" else 0.8))))
@@ -152,7 +142,7 @@ def _tried(rod, base, drive, rng):
             r = Rotation.from_euler("Z", u).as_matrix() @ Rotation.from_euler("X", elevation).as_matrix() @ r
             return np.zeros(3), r, r @ UPRIGHT
 
-        own, _ = unloaded(curvature)
+        own = unloaded(curvature)
         u = rng.uniform(-0.4, 0.5)
         part = int(100 * rng.uniform(0.4, 0.95))
         where = placement(u)[1] @ own[part]

@@ -14,7 +14,7 @@ from scipy.linalg import eigh, null_space
 from scipy.spatial.transform import Rotation
 
 TOLERANCE = 1e-12  # of the integration
-POINTS = 400  # of a shaft at which its distance from the object is measured
+POINTS = 400  # of a shaft, half of them beyond the contact, at which its distance from the object is measured
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # columns d1, d2, d3
 
 
@@ -92,33 +92,51 @@ def _hat(v):
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-def _rod(plain: Plain, state: State, stop: float, start: float, y, loaded: bool, at):
-    def slope(s, y):
-        r, d = y[:3], y[3:12].reshape(3, 3)
-        stiffness = plain.stiffness(s) * np.array([1.0, 1.0, plain.torsion_ratio])
-        moment = -state.moment + np.cross(r - state.base, state.force) if loaded else np.zeros(3)
-        bend = d.T @ moment / stiffness
-        k = plain.curvature(s) + bend
-        return np.concatenate([d[:, 2], (d @ _hat(k)).ravel(), [np.sum(stiffness * bend**2) / 2]])
+def _cross(a, b):
+    # numpy.cross takes as long as all the rest.
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
-    return solve_ivp(slope, (start, stop), y, method="DOP853", rtol=TOLERANCE, atol=TOLERANCE, t_eval=at).y
+
+def _rods(plain: Plain, states: list[State], start: np.ndarray, stop: np.ndarray, y, loaded: bool, at):
+    """Rods of several states between two arc lengths each, at these shares of the way: (states, 13, shares)."""
+    force, moment, base = (np.array([getattr(s, name) for s in states]) for name in ("force", "moment", "base"))
+    span = stop - start
+
+    def slope(t, y):
+        y = y.reshape(-1, 13)
+        r, d, s = y[:, :3], y[:, 3:12].reshape(-1, 3, 3), start + t * span
+        stiffness = np.multiply.outer(np.broadcast_to(plain.stiffness(s), s.shape), [1.0, 1.0, plain.torsion_ratio])
+        m = _cross(r - base, force) - moment if loaded else np.zeros_like(r)
+        bend = np.einsum("nij,ni->nj", d, m) / stiffness
+        k = plain.curvature(s) + bend
+        turned = _cross(d, k[:, None])  # rows of d times the matrix of k
+        rates = [d[:, :, 2], turned.reshape(-1, 9), np.sum(stiffness * bend**2, axis=1, keepdims=True) / 2]
+        return (span[:, None] * np.concatenate(rates, axis=1)).ravel()
+
+    found = solve_ivp(slope, (0.0, 1.0), y.ravel(), method="DOP853", rtol=TOLERANCE, atol=TOLERANCE, t_eval=at).y
+    return found.reshape(len(states), 13, -1)
+
+
+def shafts(plain: Plain, states: list[State]) -> list[Shaft]:
+    """The whiskers of some states, from their bases and the reactions there."""
+    start = np.array([np.concatenate([s.base, s.rotation.ravel(), [0.0]]) for s in states])
+    contact, share = np.array([s.contact_arc if s.phase else 0.0 for s in states]), np.linspace(0.0, 1.0, POINTS // 2)
+    below = _rods(plain, states, 0 * contact, contact, start, True, share)
+    beyond = _rods(plain, states, contact, 0 * contact + plain.length, below[:, :, -1], False, share)
+    found = []
+    for k, state in enumerate(states):
+        at, points = below[k, :, -1], np.concatenate([below[k, :3].T, beyond[k, :3].T[1:]])
+        arc = np.concatenate([contact[k] * share, contact[k] + (plain.length - contact[k]) * share[1:]])
+        displacement, turn = _yield_of(plain, state)
+        springs = sum(np.sum(k[np.isfinite(k)] * v[np.isfinite(k)] ** 2) / 2 for k, v in
+                      ((plain.springs, displacement), (plain.tilting, turn)))  # fmt: skip
+        found.append(Shaft(arc, points, at[:3], at[3:12].reshape(3, 3), at[12] + springs))
+    return found
 
 
 def shaft(plain: Plain, state: State) -> Shaft:
-    """The whisker of a state, from its base and the reaction there."""
-    start = np.concatenate([state.base, state.rotation.ravel(), [0.0]])
-    arc = np.linspace(0.0, plain.length, POINTS)
-    contact = state.contact_arc if state.phase else 0.0
-    below, above = np.append(arc[arc < contact], contact), np.append(contact, arc[arc > contact])
-    y = _rod(plain, state, contact, 0.0, start, True, below) if state.phase else start[:, None]
-    at = y[:, -1]
-    points = y[:3].T
-    if contact < plain.length:
-        points = np.concatenate([points, _rod(plain, state, plain.length, contact, at, False, above)[:3].T[1:]])
-    displacement, turn = _yield_of(plain, state)
-    springs = sum(np.sum(k[np.isfinite(k)] * v[np.isfinite(k)] ** 2) / 2 for k, v in
-                  ((plain.springs, displacement), (plain.tilting, turn)))  # fmt: skip
-    return Shaft(np.append(below, above[1:]), points, at[:3], at[3:12].reshape(3, 3), at[12] + springs)
+    """The whisker of one state."""
+    return shafts(plain, [state])[0]
 
 
 def _yield_of(plain: Plain, state: State):
@@ -137,11 +155,11 @@ def _left_jacobian(turn):
     return np.eye(3) + a * _hat(turn) + b * _hat(turn) @ _hat(turn)
 
 
-def violations(plain: Plain, state: State) -> dict[str, float]:
-    """How far a state is from each law."""
+def violations(plain: Plain, state: State, whole: Shaft | None = None) -> dict[str, float]:
+    """How far a state is from each law; `whole` is its shaft if that is known."""
     displacement, turn = _yield_of(plain, state)
     _, drive, _ = plain.placement(state.control)
-    whole = shaft(plain, state)
+    whole = shaft(plain, state) if whole is None else whole
     load, moment = drive.T @ -state.force, drive.T @ -state.moment
     found = {
         "springs": np.max(np.abs(displacement - load / plain.springs)),
@@ -150,12 +168,8 @@ def violations(plain: Plain, state: State) -> dict[str, float]:
     }
     if not state.phase:
         return found | {"free": np.max(np.abs([*state.force, *state.moment]))}
-    normal, curvature = plain.surface.normal_and_curvature(state.contact)
+    normal, _ = plain.surface.normal_and_curvature(state.contact)
     tangent = whole.directors[:, 2]
-    bent = plain.curvature(state.contact_arc)
-    spread = (
-        normal @ (bent[1] * whole.directors[:, 0] - bent[0] * whole.directors[:, 1]) + tangent @ curvature @ tangent
-    )
     size = 1 + np.linalg.norm(state.force)
     found |= {
         "contact": np.max(np.abs(whole.at_contact - state.contact)),
@@ -168,7 +182,19 @@ def violations(plain: Plain, state: State) -> dict[str, float]:
     if state.phase == 1:
         return found | {"arc": abs(state.contact_arc - plain.length), "tip": max(tangent @ normal, 0.0)}
     beyond = max(state.contact_arc - plain.length, 0.0)
-    return found | {"arc": beyond, "tangential": abs(tangent @ normal), "spread": max(-spread, 0.0)}
+    return found | {
+        "arc": beyond,
+        "tangential": abs(tangent @ normal),
+        "spread": max(-spread(plain, state, whole), 0.0),
+    }
+
+
+def spread(plain: Plain, state: State, whole: Shaft) -> float:
+    """How fast shaft and surface part on both sides of a tangential contact: g_ss, a curvature."""
+    normal, curvature = plain.surface.normal_and_curvature(state.contact)
+    first, second, tangent = whole.directors.T
+    bent = plain.curvature(state.contact_arc)
+    return float(normal @ (bent[1] * first - bent[0] * second) + tangent @ curvature @ tangent)
 
 
 def stability(plain: Plain, state: State, elements: int = 60) -> float:
@@ -177,7 +203,8 @@ def stability(plain: Plain, state: State, elements: int = 60) -> float:
     start = np.concatenate([state.base, state.rotation.ravel(), [0.0]])
     h = state.contact_arc / elements
     middle = arc[:-1] + h / 2
-    y = _rod(plain, state, state.contact_arc, 0.0, start, True, np.append(middle, state.contact_arc))
+    shares = np.append(middle / state.contact_arc, 1.0)
+    (y,) = _rods(plain, [state], np.zeros(1), np.array([state.contact_arc]), start, True, shares)
     force = -state.force
     n = 3 * (elements + 1) + 3
     q, mass, slide = np.zeros((n, n)), np.zeros((n, n)), np.zeros((3, n))

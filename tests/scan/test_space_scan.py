@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxwhisker as jw
-from random_space import Cone, drawn
+from random_space import KINDS, Cone, drawn
 from space_laws import power, shaft, stability, state_of, violations
 
 REFERENCE = 1e-7  # relative to the largest; the reference gives ten digits and is accurate to 1e-9
@@ -184,6 +184,58 @@ def test_states_of_random_scenes_obey_the_laws_and_are_stable(kind):
             touching += state.phase > 0
             assert state.contact_force < 1e-3 or stability(plain, state, 30) > 0, (text, state.control)
     assert touching > 6
+
+
+def random_scene(name):
+    """A scene of the soak test, by its kind and number."""
+    kind, number = name.rsplit(" ", 1)
+    return drawn(kind, np.random.default_rng([KINDS.index(kind), int(number)]))
+
+
+@pytest.mark.parametrize("scene", ["straight clamped linear 24", "cone clamped linear 42"])
+def test_two_changes_of_phase_within_one_step_of_the_path_are_both_found(scene):
+    scene, plain, text = random_scene(scene)
+    found = jw.scan(scene)
+    assert np.all(np.asarray(found.status) == jw.Status.ok), text
+    kinds = [event.kind for event in found.events]
+    assert kinds[1:3] == [jw.EventKind.tip_to_tangential, jw.EventKind.tangential_to_tip], text
+    between = np.flatnonzero(np.asarray(found.phase[:, 0]) == jw.Phase.tangential)
+    assert between.size > 1
+    for step in between:
+        state = state_of(Step(found, step), float(found.control[step]))
+        assert max(violations(plain, state).values()) < LAWS
+
+
+def ends(scene):
+    """Names of all statuses in a random scene."""
+    return {jw.Status(int(status)).name for status in np.asarray(jw.scan(random_scene(scene).scene).status)}
+
+
+@pytest.mark.parametrize(
+    "scene", ["curved clamped whisk 39", "curved clamped whisk 1181", "curved cone tilting whisk 30"]
+)
+def test_a_scan_ends_as_not_convex_where_a_contact_splits_in_a_slide_or_at_an_event(scene):
+    assert ends(scene) == {"ok", "not_convex"}
+
+
+@pytest.mark.parametrize("scene", ["straight clamped linear 1049", "straight sprung linear 1546"])
+def test_a_scan_is_lost_where_a_contact_reaches_the_base_on_the_path_or_in_a_slide(scene):
+    assert ends(scene) == {"ok", "lost"}
+
+
+@pytest.mark.parametrize("scene", ["straight tilting whisk 1221", "curved tilting whisk 1006"])
+def test_a_whisker_that_comes_free_while_its_unloaded_shape_is_inside_the_object_lands_on_it_again(scene):
+    scene, plain, text = random_scene(scene)
+    found = jw.scan(scene)
+    assert np.all(np.asarray(found.status) == jw.Status.ok), text
+    (snap,) = [event for event in found.events if event.kind == jw.EventKind.snap_through]
+    landed = state_of(snap.after, snap.control)
+    position, _, rotation = plain.placement(snap.control)
+    unloaded = landed._replace(phase=0, force=np.zeros(3), moment=np.zeros(3), base=position, rotation=rotation)
+    assert violations(plain, unloaded)["depth"] > 1e-3
+    assert max(violations(plain, landed).values()) < LAWS
+    assert landed.contact_force > 1e-3
+    assert stability(plain, landed, 30) > 0
 
 
 class Step:

@@ -36,6 +36,7 @@ FORCE, ROLL, SLACK = 0, 1, 2
 POINT, AHEAD, TRACTION = slice(3, 6), slice(6, 9), slice(9, 11)
 UNKNOWNS = 11
 LIGHT = 1e-4  # EI/L^2: the direction of smaller forces is not resolved
+GRAZING = 1e-3  # angle between a tip and the surface below which it is nearly tangential
 
 Vector = Float[Array, "3"]
 Contact = Float[Array, "11"]
@@ -140,7 +141,7 @@ def base_of(
 def _frame_of_force(frame, force, chi, roll, along, traction: Traction):
     """Frame, force, angle and roll of the same contact with a surface that is normal to the force."""
     ahead, across, out = frame.T
-    light = (force < LIGHT) & (jnp.sum(along**2) < LIGHT**2)
+    light = (jnp.abs(force) < LIGHT) & (jnp.sum(along**2) < LIGHT**2)
     normal, unit = jnp.where(light, LIGHT, force), jnp.where(light, force / LIGHT, 1.0)
     if traction.friction is not None:
         along = jnp.where(traction.flows, along, traction.friction * along)
@@ -186,8 +187,9 @@ def on_surface(surface: AbstractSurface, z: Contact) -> Vector:
 def spread(body: Body, surface: AbstractSurface, z: Contact, phase: Int[Array, ""]) -> Scalar:
     """How fast whisker and surface part on both sides of a tangential contact: g_ss, a curvature.
 
-    Where it is not positive, the shaft curves more than the object, and one contact point becomes two. It is infinite
-    for a tip.
+    Where it is not positive, the shaft curves more than the object, and one contact point becomes two. A tip that
+    hardly points into the object is nearly a tangential contact: its shaft would enter the object beside the tip. For
+    other tips it is infinite.
     """
     ahead = frame_of(surface, z)[:, 0]
     own: Scalar = 0.0
@@ -196,7 +198,7 @@ def spread(body: Body, surface: AbstractSurface, z: Contact, phase: Int[Array, "
         first, second, _ = (0.0 if part is None else part for part in body.section.intrinsic(arc))
         own = -second * jnp.cos(z[ROLL]) - first * jnp.sin(z[ROLL])  # n.d1 = -cos, n.d2 = sin: see rod/space_end.py
     curved = jnp.sum(ahead * _turned(surface.curvature(z[POINT]), ahead))
-    return jnp.where(phase == Phase.tangential, own + curved, jnp.inf)
+    return jnp.where(z[SLACK] > -GRAZING, own + curved, jnp.inf)
 
 
 def _turned(matrix: Float[Array, "3 3"], vector: Vector) -> Vector:

@@ -3,10 +3,12 @@
 The sliding is overdamped: a traction, proportional to the speed of the material point that touches, holds each contact
 back. The energy falls all the way, and the equilibria do not depend on the factor. Time steps are implicit and grow
 until the contacts are at rest. A whisker whose contact force vanishes on the way comes free, and stays free if its
-unloaded shape clears the object.
+unloaded shape clears the object. If not, it lands on the object again: its contact slides on from where it came free,
+held to the surface until it comes to rest there.
 """
 
 import jax.numpy as jnp
+from jaxtyping import Array, Bool
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, along
@@ -33,12 +35,22 @@ def sliding(problem: SpaceProblem, march: March) -> March:
         # In a flow, tractions are forces.
         held = problem.friction * jnp.maximum(kicked.z[:, FORCE, None], 0.0)
         kicked = kicked._replace(z=kicked.z.at[:, TRACTION].multiply(held))
-    flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z)
+    nobody = jnp.zeros_like(march.flow.clings)
+    flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z, nobody, jnp.asarray(True))
     return march._replace(
         task=jnp.asarray(int(Task.flow)),
         point=Point(kicked.z, march.point.u),
         flow=flow,
         pending=node_at(march, march.point, march.tangent),
+    )
+
+
+def clinging(march: March, whiskers: Bool[Array, " whiskers"]) -> March:
+    """The state in which these whiskers, which have come free inside the object, slide on."""
+    return march._replace(
+        task=jnp.asarray(int(Task.flow)),
+        phase=phase_by_slack(march.point.z, jnp.where(whiskers, int(Phase.tip), march.phase)),
+        flow=march.flow._replace(clings=march.flow.clings | whiskers),
     )
 
 
@@ -48,12 +60,15 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     moved = jnp.max(jnp.abs(z[:, POINT] - before[:, POINT]))
     good = trial.solution.converged & (moved < STRIDE)
     touching = march.phase != Phase.free
-    released = touching & (z[:, FORCE] < 0)
+    pulled = touching & (z[:, FORCE] < 0)
+    released = pulled & ~march.flow.clings
     phase = jnp.where(released, int(Phase.free), phase_by_slack(z, march.phase))
     rests = good & (((moved < REST) & (time >= LONGEST_TIME / 4)) | jnp.all(phase == Phase.free))
     longer = jnp.minimum(time * jnp.where(moved < STRIDE / 3, 3.0, 1.0), LONGEST_TIME)
     time = jnp.where(good, longer, time / 4)
-    flow = march.flow._replace(time=time, steps=march.flow.steps + 1)
+    opens = march.flow.opens & (trial.stance.opens | ~good)
+    flow = march.flow._replace(time=time, steps=march.flow.steps + 1, opens=opens)
+    pulls = rests & jnp.any(pulled & ~released)
     freed = (phase == Phase.free) & (march.pending.phase_before != Phase.free)
     moved = jnp.max(jnp.abs(z - flow.start)[:, POINT], axis=1) > SLID
     resting, slip = jnp.zeros_like(z[:, TRACTION]), march.slip
@@ -64,7 +79,8 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     rested = march._replace(
         task=jnp.where(rests, int(Task.arrive), int(Task.flow)),
         phase=phase,
-        point=Point(z.at[:, TRACTION].set(jnp.where(rests, resting, z[:, TRACTION])), march.point.u),
+        # Whiskers that have come free may have to slide on.
+        point=Point(z.at[:, TRACTION].set(jnp.where(rests & (phase != Phase.free)[:, None], resting, z[:, TRACTION])), march.point.u),
         slip=select(rests, slip, march.slip),
         stance=trial.stance,
         flow=flow,
@@ -75,9 +91,13 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         ),
         target=march.target._replace(margin=jnp.asarray(SNAP)),
     )
+    # A contact that splits in two slides on as two; as one, it may never come to rest.
+    failed = march.stopped(jnp.where(opens, int(Status.unsettled), int(Status.not_convex)))
     new = first_case(
-        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), march.stopped(Status.unsettled)),
+        ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), failed),
         (~good, march._replace(flow=flow)),
+        (~trial.stance.sound, march.stopped(Status.lost)),
+        (pulls, failed),
         otherwise=rested,
     )
     return new, jnp.asarray(False), march.pending

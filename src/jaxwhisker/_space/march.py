@@ -177,7 +177,7 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
         direction=direction,
         travel=node.travel,
         touched=jnp.asarray(False),
-        flow=Flow(jnp.asarray(FIRST_TIME), zero, z),
+        flow=Flow(jnp.asarray(FIRST_TIME), zero, z, nobody, stance.opens),
         slip=slip,
         count=zero,
         status=jnp.asarray(int(Status.ok)),

@@ -70,6 +70,8 @@ class Flow(NamedTuple):
     time: Scalar  # length of the next time step
     steps: Int[Array, ""]
     start: Contacts  # at the loss
+    clings: Bool[Array, " whiskers"]  # not to come free: the unloaded shape is inside the object
+    opens: Bool[Array, ""]  # whether no contact has split on the way
 
 
 class March(NamedTuple):

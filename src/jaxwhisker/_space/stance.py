@@ -32,7 +32,7 @@ class Stance(NamedTuple):
     stiffness: Scalar
     sound: Bool[Array, ""]  # whether bases point the way of their mounts
     grip: Float[Array, " whiskers"] | None  # margin to sticking or slipping, positive before; None without friction
-    opens: Bool[Array, ""]  # whether object and shaft part on both sides of every tangential contact
+    opens: Bool[Array, ""]  # whether object and shaft part on both sides of every contact
 
 
 def stance_of(
@@ -73,7 +73,7 @@ def stance_of(
         stiffness=stiffness,
         sound=jnp.all(free | jnp.isfinite(at.own)),
         grip=grip,
-        opens=jnp.all((opens > 0) | (phase != Phase.tangential)),
+        opens=jnp.all(free | (opens > 0)),
     )
 
 

@@ -9,7 +9,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._path.path import STOP, EventKind, Status, first_case, select
 from jaxwhisker._space.contact import FORCE, SLACK, TRACTION
-from jaxwhisker._space.flow import sliding
+from jaxwhisker._space.flow import clinging, sliding
 from jaxwhisker._space.march_state import (
     AT_STOP,
     GRIP,
@@ -44,6 +44,7 @@ PASSED = 0.25  # lengths from the object at which a scan right across it ends
 MARGIN_NOISE = 1e-11
 BRIEF_STEP = 1e-6  # behind a corner, within which contacts may begin or cease to slip
 LEAST_GRIP = 1e-9  # smaller margins of contacts that stick or slip have just been left
+AT_BASE = 0.02  # lengths from the base: forces grow without bound where a contact gets there
 FOLD = 1e-3  # rate of the control at a loss, per arc length, below which it is a fold
 
 
@@ -55,6 +56,12 @@ def margins_of(phase: Phases, z: Contacts, stance: Stance, remaining: Scalar) ->
     slack = jnp.where(free, jnp.inf, jnp.where(tip, -z[:, SLACK], z[:, SLACK]))
     stop = jnp.full_like(touch, jnp.inf).at[0].set(remaining)
     return jnp.stack([touch, release, slack, stop, *([] if stance.grip is None else [stance.grip])])
+
+
+def _rates(phase: Phases, tangent: Point) -> Float[Array, "kinds whiskers"]:
+    """Rates of the margins along the path, those of touches and stops left out."""
+    still, slack = jnp.zeros_like(tangent.z[:, SLACK]), tangent.z[:, SLACK]
+    return jnp.stack([still, tangent.z[:, FORCE], jnp.where(phase == Phase.tip, -slack, slack), still])
 
 
 def capacity_of(problem: SpaceProblem, stops: int) -> int:
@@ -77,13 +84,16 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         defect = jnp.where(march.slip.at_corner, 0.0, defect)
         good &= defect < 10 * SLIP_DEFECT
         factor = jnp.minimum(factor, (SLIP_DEFECT / jnp.maximum(defect, 1e-14)) ** (1 / 4))
+    # A margin may vanish twice within a step: to its least value, the step finds the first event.
+    dip = _dip(march, trial, straight)
+    shorter = march._replace(step=jnp.where(good, dip, 0.4) * march.step)
+    good &= dip == 1
     violated, target = _first_violated(march, trial, march.step)
     stable, node = stance.stable, node_at(march, point, tangent, trial.solution.points)
     located = good & ~violated & ~stable & (march.step < LOSS_BRACKET)
     # At a fold, contacts slide on in the direction of the path. A bifurcation is symmetric: they may go either way.
     branches = located & (jnp.abs(march.tangent.u) >= FOLD)
     lost = select(branches, march.stopped(Status.undetermined), sliding(problem, march))
-    shorter = march._replace(step=0.4 * march.step)
     moved = march._replace(
         point=point,
         tangent=tangent,
@@ -105,10 +115,12 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         # Where contacts can neither stick nor slip, no equilibrium is near.
         astray = trial.solution.converged & ends & ~begins & (march.step < BRIEF_STEP)
         moved = moved._replace(slip=slip._replace(at_corner=jnp.asarray(False), begins=jnp.zeros_like(slip.begins)))
+        shorter = shorter._replace(step=jnp.where(wrong | ends, 0.4 * march.step, shorter.step))
         guess, traction = next_guess(slip, march.point.z[:, TRACTION])
         again = march._replace(slip=guess, point=march.point._replace(z=march.point.z.at[:, TRACTION].set(traction)))
         guessed = jnp.where(begins & (guess.guess != 0), march.step, shorter.step)
         shorter = select(begins, again, shorter)._replace(step=guessed)
+    at_base = jnp.any((march.phase == Phase.tangential) & (point.z[:, SLACK] > (1 - AT_BASE) * problem.length))
     full = march.count >= capacity_of(problem, trial.stops.size) - 1
     new = first_case(
         (full, march.stopped(Status.too_long)),
@@ -120,6 +132,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         (~stable, _before_loss(march, stance.stiffness)),
         (_is_over(problem, march, trial), march.stopped(Status.ok)),
         (~stance.opens, march.stopped(Status.not_convex)),
+        (at_base, march.stopped(Status.lost)),
         otherwise=moved._replace(step=_next_step(moved, factor, march.step)),
     )
     # While all whiskers are free, nothing happens between events.
@@ -147,6 +160,23 @@ def _first_violated(
     margin, whisker = jnp.unravel_index(k, share.shape)
     whiskers = (jnp.arange(march.phase.size) == whisker) & (margin != AT_STOP)
     return jnp.any(crossed), Target(margin, whiskers, jnp.ravel(share)[k] * length, trial.stance.nearest)
+
+
+def _dip(march: March, trial: Trial, straight: Scalar) -> Scalar:
+    """Share of the step at which a force or a slack is least, if it vanishes on the way, although not at the end.
+
+    It is 1 if none does. Between the ends, values and tangents give a cubic.
+    """
+    zero = jnp.zeros(())
+    here, there = (margins_of(march.phase, at.point.z, at.stance, zero)[1:3] for at in (march, trial))
+    falls, rises = (length * _rates(march.phase, tangent)[1:3] for tangent, length in
+                    ((march.tangent, march.step), (trial.tangent, march.step / straight)))  # fmt: skip
+    turns = (march.phase != Phase.free) & (falls < 0) & (rises > 0) & (there > 0)
+    second, third = 3 * (there - here) - 2 * falls - rises, falls + rises - 2 * (there - here)
+    root = jnp.sqrt(jnp.where(turns, second**2 - 3 * third * falls, 1.0))
+    share = jnp.where(turns, -falls / jnp.where(turns, second + root, 1.0), 1.0)
+    least = here + share * (falls + share * (second + share * third))
+    return jnp.min(jnp.where(turns & (least < -MARGIN_NOISE), share, 1.0))
 
 
 def _bifurcation(march: March, trial: Trial) -> Node:
@@ -205,7 +235,11 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     z_before = jnp.where(touches[:, None], march.point.z, point.z)
     chord = without_traction(Point(z_before - march.point.z, point.u - march.point.u))
     distance, reach = dot(march.tangent, chord, scale), jnp.sqrt(dot(chord, chord, scale))
-    good = converged & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-6)
+    forwards = jnp.where(dot(tangent, without_traction(march.tangent), scale) > 0, 1.0, -1.0)
+    arriving = select(jnp.any(touches), march.tangent, Point(forwards * tangent.z, forwards * tangent.u))
+    # A margin that grows again has vanished before.
+    grows = jnp.any(target.whiskers & (_rates(phase, arriving)[target.margin] > 0))
+    good = converged & ~grows & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-6)
     # The whisker may touch with its tip where its shaft was expected to, or the reverse.
     slack = jnp.where(touches, jnp.where(phase == Phase.tip, point.z[:, SLACK], -point.z[:, SLACK]), -1.0)
     other = converged & (slack > MARGIN_NOISE)
@@ -241,9 +275,6 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     swaps = target.whiskers & (target.margin == PHASE)
     after = jnp.where(swaps, jnp.where(phase == Phase.tip, Phase.tangential, Phase.tip), phase)
     after = jnp.where(target.whiskers & (target.margin == RELEASE), Phase.free, after)
-    forwards = dot(tangent, without_traction(march.tangent), scale) > 0
-    arriving = select(forwards, tangent, Point(-tangent.z, -tangent.u))
-    arriving = select(jnp.any(touches), march.tangent, arriving)
     node = node_at(march, point, arriving, trial.solution.points)
     node = node._replace(z_before=z_before, phase=after, kind=kinds[target.margin], whiskers=target.whiskers)
     node = node._replace(travel=jnp.where((target.margin == AT_STOP) & (march.goal == 0), 0.0, node.travel))
@@ -308,18 +339,20 @@ def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         slip=leaving,
     )
     over = stop_kind & (march.goal > last)
-    inside = jnp.any(stance.free & (stance.nearest.distance < -INSIDE))
+    deep = stance.free & (stance.nearest.distance < -INSIDE)
+    inside = jnp.any(deep)
     cases = [
         (~trial.solution.converged | (inside & ~snapped), march.stopped(Status.lost)),
-        (inside, march.stopped(Status.unsettled)),
+        (inside, clinging(march, deep)),
+        (~stance.opens, march.stopped(Status.not_convex)),
         (over, march.stopped(Status.ok)),
         (snapped & ~stable, march.stopped(Status.unsettled)),
         # A loss at a corner: the path would have to go back.
         (falls | ~stable, sliding(problem, onwards)),
     ]
-    write = trial.solution.converged
+    write = trial.solution.converged & ~inside & stance.opens
     if changed is not None:
         again, often = march._replace(slip=slip), slip.changes > 2 * march.phase.size
-        cases[3:3] = [(changed & often, march.stopped(Status.undetermined)), (changed, again)]
+        cases[4:4] = [(changed & often, march.stopped(Status.undetermined)), (changed, again)]
         write &= ~changed | over
     return first_case(*cases, otherwise=onwards), write, node
