@@ -289,6 +289,16 @@ def without_traction(change: Point) -> Point:
     return change._replace(z=change.z.at[..., TRACTION].set(0.0))
 
 
+def first_traction(velocity: Float[Array, "whiskers 2"]) -> Float[Array, "whiskers 2"]:
+    """Guess of tractions of contacts that begin with these velocities, as they have without friction.
+
+    A tip that does not move along the surface at first slips down along its axis.
+    """
+    speed = jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True))
+    moves = speed > LEAST_SPEED
+    return jnp.where(moves, -velocity / jnp.where(moves, speed, 1.0), np.array([1.0, 0.0]))
+
+
 def next_guess(slip: Slip, traction: Float[Array, "whiskers 2"]) -> tuple[Slip, Float[Array, "whiskers 2"]]:
     """The next guess of what contacts that begin do, and their tractions.
 

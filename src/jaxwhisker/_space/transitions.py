@@ -27,7 +27,17 @@ from jaxwhisker._space.march_state import (
 )
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
-from jaxwhisker._space.slip import Mode, as_felt, defect_of, next_guess, slip_after, slip_at_corner, speeds, without_traction
+from jaxwhisker._space.slip import (
+    Mode,
+    as_felt,
+    defect_of,
+    first_traction,
+    next_guess,
+    slip_after,
+    slip_at_corner,
+    speeds,
+    without_traction,
+)
 from jaxwhisker._space.stance import Stance
 
 NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
@@ -260,11 +270,9 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         heading = jnp.sign(trial.stops[jnp.minimum(march.goal + 1, trial.last)] - point.u)
         turns = (target.margin == AT_STOP) & (march.goal < trial.last) & (heading == -march.direction)
         slip = slip_after(slip, target.whiskers & (target.margin == GRIP), turns, touches)
-        # A contact begins to slip the way that it moves without friction.
-        velocity = speeds(problem.surface, point.z, phase, tangent.z)
-        fast = jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True))
-        against = -velocity / jnp.where(fast > 0, fast, 1.0)
-        point = point._replace(z=point.z.at[:, TRACTION].set(jnp.where(touches[:, None], against, point.z[:, TRACTION])))
+        traction = first_traction(speeds(problem.surface, point.z, phase, tangent.z))
+        traction = jnp.where(touches[:, None], traction, point.z[:, TRACTION])
+        point = point._replace(z=point.z.at[:, TRACTION].set(traction))
     kinds = jnp.array([
         EventKind.touch,
         EventKind.release,
