@@ -10,16 +10,18 @@ held to the surface until it comes to rest there.
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, along
 from jaxwhisker._path.path import EventKind, Status, first_case, select
 from jaxwhisker._space.contact import FORCE, POINT, TRACTION
-from jaxwhisker._space.march_state import SNAP, Flow, March, Outcome, Task, Trial, node_at
+from jaxwhisker._space.march_state import SETTLED, SNAP, Flow, March, Outcome, Task, Trial, node_at
 from jaxwhisker._space.newton import phase_by_slack
-from jaxwhisker._space.problem import SpaceProblem
+from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.slip import FAINT, Mode
 
 KICK = 0.02  # along the path, from a fold
+SETTLING = 1e-5  # of the control, dimensionless
 FIRST_TIME = 1e-3  # dimensionless: a contact with the stiffness 1 moves by a thousandth of its way
 LONGEST_TIME, SHORTEST_TIME = 1e8, 1e-12
 STRIDE = 0.08  # lengths that a contact may slide in a step
@@ -30,18 +32,25 @@ SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a sna
 
 def sliding(problem: SpaceProblem, march: March) -> March:
     """The state in which contacts begin to slide."""
-    kicked = along(march.point, march.tangent, KICK)
+    return _flowing(problem, march, along(march.point, march.tangent, KICK).z, march.point.u)
+
+
+def settling(problem: SpaceProblem, march: March) -> March:
+    """The state in which contacts that can neither stick nor slip settle, as the drive moves on a little."""
+    return _flowing(problem, march, march.point.z, march.point.u + SETTLING * march.direction)
+
+
+def _flowing(problem: SpaceProblem, march: March, z: Contacts, u: Scalar) -> March:
     if problem.friction is not None:
         # In a flow, tractions are forces.
-        held = problem.friction * jnp.maximum(kicked.z[:, FORCE, None], 0.0)
-        kicked = kicked._replace(z=kicked.z.at[:, TRACTION].multiply(held))
+        z = z.at[:, TRACTION].multiply(problem.friction * jnp.maximum(z[:, FORCE, None], 0.0))
     nobody = jnp.zeros_like(march.flow.clings)
     flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z, nobody, jnp.asarray(True))
     return march._replace(
         task=jnp.asarray(int(Task.flow)),
-        point=Point(kicked.z, march.point.u),
+        point=Point(z, u),
         flow=flow,
-        pending=node_at(march, march.point, march.tangent),
+        pending=node_at(march, march.point._replace(u=u), march.tangent),
     )
 
 
@@ -71,8 +80,9 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     pulls = rests & jnp.any(pulled & ~released)
     freed = (phase == Phase.free) & (march.pending.phase_before != Phase.free)
     moved = jnp.max(jnp.abs(z - flow.start)[:, POINT], axis=1) > SLID
-    resting, slip = jnp.zeros_like(z[:, TRACTION]), march.slip
+    resting, slip, kind = jnp.zeros_like(z[:, TRACTION]), march.slip, jnp.asarray(int(EventKind.snap_through))
     if slip is not None:
+        kind = jnp.where(jnp.any(moved & touching), kind, SETTLED)
         largest = problem.friction * jnp.maximum(z[:, FORCE], FAINT)
         resting = z[:, TRACTION] / jnp.maximum(largest, jnp.sqrt(jnp.sum(z[:, TRACTION] ** 2, axis=1)))[:, None]
         slip = slip._replace(mode=jnp.full_like(slip.mode, int(Mode.sticks)), changes=jnp.asarray(0))
@@ -86,7 +96,7 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         flow=flow,
         pending=march.pending._replace(
             phase=phase,
-            kind=jnp.where(jnp.any(freed), EventKind.snap_off, EventKind.snap_through),
+            kind=jnp.where(jnp.any(freed), EventKind.snap_off, kind),
             whiskers=freed | (moved & touching),
         ),
         target=march.target._replace(margin=jnp.asarray(SNAP)),

@@ -17,7 +17,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, at_arc_length
 from jaxwhisker._path.path import STOP, EventKind
 from jaxwhisker._space.contact import FORCE, SLACK, TRACTION, UNKNOWNS
-from jaxwhisker._space.march_state import Node, SpacePath
+from jaxwhisker._space.march_state import SETTLED, Node, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.residuals import residuals
@@ -166,7 +166,7 @@ def _node_after(problem: SpaceProblem, start: Point, before: Node, node: Node, s
     """A node, with derivatives, from those of the node before."""
     kind, concerned = node.kind, node.whiskers.astype(float)
     touches = kind == EventKind.touch
-    snaps = (kind == EventKind.snap_through) | (kind == EventKind.snap_off)
+    snaps = (kind == EventKind.snap_through) | (kind == EventKind.snap_off) | (kind == SETTLED)
     begins = touches & node.whiskers
     z_end = jnp.where(begins[:, None], node.point.z.at[:, TRACTION].set(0.0), node.z_before)
     known = Point(jnp.concatenate([node.inner.z, z_end[None]]), jnp.append(node.inner.u, node.point.u))
@@ -191,7 +191,7 @@ def _node_after(problem: SpaceProblem, start: Point, before: Node, node: Node, s
     step = Step(problem, start, phase, node.mode, measure, condition, cone, power, known, follows & ~snaps)
     stages = stages_after(step)
     z, u = stages.z[-1], stages.u[-1]
-    z, u = jnp.where(snaps, start.z, z), jnp.where(snaps, start.u, u)
+    z, u = jnp.where(snaps, start.z, z), jnp.where(snaps, jnp.where(kind == SETTLED, node.point.u, start.u), u)
     traction = jnp.where(begins[:, None], node.point.z[:, TRACTION], z[:, TRACTION])
     after = jnp.where(snaps, node.point.z, z).at[:, TRACTION].set(traction)
     after = jnp.where((node.phase == Phase.free)[:, None], node.point.z, after)

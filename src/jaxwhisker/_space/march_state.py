@@ -28,6 +28,7 @@ class Task(IntEnum):
 
 
 TOUCH, RELEASE, PHASE, AT_STOP, GRIP, SNAP = range(6)  # kinds of margins, and what follows from a loss
+SETTLED = -3  # kind of a node at which contacts have settled, besides NO_EVENT and STOP
 
 
 class Node(NamedTuple):
@@ -40,7 +41,7 @@ class Node(NamedTuple):
     phase: Phases  # from here on
     phase_before: Phases
     travel: Float[Array, "*nodes"]  # distance that the drive has travelled since the first stop; negative before it
-    kind: Int[Array, ""]  # EventKind, NO_EVENT or STOP
+    kind: Int[Array, ""]  # EventKind, NO_EVENT, STOP or SETTLED
     whiskers: Bool[Array, " whiskers"]
     # Of the step that ends here; None without friction:
     mode: Int[Array, " whiskers"] | None

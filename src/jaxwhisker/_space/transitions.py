@@ -9,7 +9,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._path.path import STOP, EventKind, Status, first_case, select
 from jaxwhisker._space.contact import FORCE, SLACK, TRACTION
-from jaxwhisker._space.flow import clinging, sliding
+from jaxwhisker._space.flow import clinging, settling, sliding
 from jaxwhisker._space.march_state import (
     AT_STOP,
     GRIP,
@@ -134,7 +134,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     full = march.count >= capacity_of(problem, trial.stops.size) - 1
     new = first_case(
         (full, march.stopped(Status.too_long)),
-        (astray, sliding(problem, march)),
+        (astray, settling(problem, march)),
         (~good & (shorter.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, shorter),
         (violated, march._replace(task=jnp.asarray(int(Task.event)), target=target)),
@@ -361,6 +361,6 @@ def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     write = trial.solution.converged & ~inside & stance.opens
     if changed is not None:
         again, often = march._replace(slip=slip), slip.changes > 2 * march.phase.size
-        cases[4:4] = [(changed & often, march.stopped(Status.undetermined)), (changed, again)]
+        cases[4:4] = [(changed & often, settling(problem, onwards)), (changed, again)]
         write &= ~changed | over
     return first_case(*cases, otherwise=onwards), write, node
