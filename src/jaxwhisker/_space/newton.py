@@ -19,7 +19,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, scale_of
 from jaxwhisker._space.contact import SLACK, UNKNOWNS
 from jaxwhisker._space.linear import Linear, linearise
-from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
+from jaxwhisker._space.problem import SpaceProblem, of_each
 from jaxwhisker._space.slip import Motion, laws_of, radau
 
 Phases = Int[Array, " whiskers"]

@@ -27,7 +27,16 @@ from jaxwhisker._space.march_state import (
 )
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
-from jaxwhisker._space.slip import Mode, as_felt, defect_of, next_guess, slip_after, slip_at_corner, speeds, without_traction
+from jaxwhisker._space.slip import (
+    Mode,
+    as_felt,
+    defect_of,
+    next_guess,
+    slip_after,
+    slip_at_corner,
+    speeds,
+    without_traction,
+)
 from jaxwhisker._space.stance import Stance
 
 NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
