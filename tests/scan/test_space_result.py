@@ -199,7 +199,6 @@ REFUSED = {
     "stored_energy": (lambda: jw.stored_energy(SCENE, RESULT), "scene"),
     "stored_energy of a state": (lambda: jw.stored_energy(HEAVY, RESULT), "state"),
     "Sensor.of": (lambda: jw.Sensor.of(SCENE), "scene"),
-    "Scene with friction": (lambda: jw.Scene(jw.Whisker(), SCENE.surface, friction=0.3), "friction"),
     "Scene that detects": (lambda: jw.Scene(jw.Whisker(), SCENE.surface, detect=()), "detect"),
     "plot.axis_label": (lambda: jw.plot.axis_label("fx", SCENE), "scene"),
     "plot.compare": (lambda: jw.plot.compare({"one": RESULT}, "fx"), "result"),

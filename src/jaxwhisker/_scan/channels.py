@@ -80,9 +80,10 @@ def example_of(scene: AbstractScene) -> AbstractResult:
 
 
 def _example_in_space(scene: Any, zero: Float[Array, "steps whiskers"]) -> AbstractResult:
-    from jaxwhisker._scan.space_result import SpaceResult, SpaceState
+    from jaxwhisker._scan.space_result import FRICTION_IN_SPACE, SpaceResult, SpaceState
 
     fields: dict[str, Any] = dict.fromkeys(SpaceState.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
+    fields |= dict.fromkeys(FRICTION_IN_SPACE) if scene.friction is None else {"slip": zero.astype(int)}
     fields["base_rotation"] = jnp.zeros((*zero.shape, 3, 3))
     lengths, status = jnp.zeros((EXAMPLE_STEPS, len(scene.support.springs))), jnp.zeros(EXAMPLE_STEPS, int)
     return SpaceResult(
