@@ -8,8 +8,6 @@ from jaxwhisker._base.leaves import Deferred, deferred
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._scan.result import AbstractResult, Events
 
-FRICTION_IN_SPACE = ("slip", "normal_force", "friction_x", "friction_y", "friction_z")  # None without friction
-
 
 class SpaceState(eqx.Module):
     """Whiskers in equilibrium in space, in the scene's frame and units; in a result with a leading axis of steps.
