@@ -21,7 +21,7 @@ FORCES = Traction(None, jnp.asarray(True))  # tractions are forces
 def stiffness_of(problem, z, phase):
     """Stiffness against sliding at the control 0."""
     drives = jax.jvp(problem.drive, (jnp.zeros(()),), (jnp.ones(()),))
-    at = of_each(problem, lambda body, *own: linearise(problem, body, drives, *own, FORCES), z, phase)
+    at = of_each(problem, lambda body, z, phase: linearise(problem, body, drives, z, phase, FORCES), z, phase)
     return np.asarray(sliding_stiffness(problem, z, phase, at))
 
 

@@ -28,7 +28,7 @@ def free_stance(motion, u, length=1.0):
 
 def linear(problem, drives, z, phase):
     """All whiskers, linearised with tractions."""
-    return of_each(problem, lambda body, *own: linearise(problem, body, drives, *own, FORCES), z, phase)
+    return of_each(problem, lambda body, z, phase: linearise(problem, body, drives, z, phase, FORCES), z, phase)
 
 
 def test_the_speed_is_that_of_the_fastest_point():
