@@ -15,6 +15,19 @@ def test_a_scene_with_a_surface_is_one_in_space(given):
     assert isinstance(jw.Scene(jw.Whisker(), jw.Circle(0.3, 1.0)), jw.Scene)
 
 
+def test_friction_in_space_is_a_positive_number():
+    scene = jw.Scene(jw.Whisker(), BALL, friction=0.3)
+    assert scene.friction == 0.3 and "friction 0.3" in str(scene)
+    assert jw.Scene(jw.Whisker(), BALL).friction is None
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize("value", [0.0, -0.1, float("nan"), float("inf"), "rough"])
+def test_other_friction_is_rejected(value):
+    with pytest.raises(ValueError, match="`friction` must be"):
+        jw.Scene(jw.Whisker(), BALL, friction=value)
+
+
 def test_a_scene_moves_as_in_the_plane_by_default():
     scene = jw.Scene(jw.Whisker(), BALL)
     assert isinstance(scene.motion, jw.Translation) and scene.motion.onwards == -1

@@ -196,7 +196,6 @@ def test_coupled_whiskers_agree_in_eager_and_staged_scans():
     eager = jw.scan(scene, control)
     assert np.all(eager.status == 0)
 
-
     @jax.jit
     def forces(friction):
         return jw.scan(eqx.tree_at(lambda scene: scene.friction, scene, friction), control).force

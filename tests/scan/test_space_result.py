@@ -14,7 +14,7 @@ import jaxwhisker as jw
 from jaxwhisker._scan.channels import example_of
 from jaxwhisker._scan.quantities import QUANTITIES, STATE
 from jaxwhisker._scan.space_result import SpaceState
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.state import FRICTION_IN_SPACE, State
 from jaxwhisker._study.layout import field_of
 
 ROUNDING = 1e-12  # of a few operations on numbers of the order of 1
@@ -41,6 +41,11 @@ def sprung(z=0.2, length=1.0, bending_stiffness=1.0):
 @pytest.fixture(scope="module")
 def result():
     return jw.scan(clamped(), CONTROL)
+
+
+@pytest.fixture(scope="module")
+def rough():
+    return jw.scan(jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), friction=0.3), CONTROL)
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +114,8 @@ def test_the_header_of_a_file_names_the_units(on_springs, tmp_path):
 def test_a_dataset_is_that_of_a_study(on_springs):
     data = on_springs.to_xarray()
     studied = jw.study(sprung, control=CONTROL, outputs="all", z=[0.2]).isel(z=0, drop=True).drop_vars("point_status")
-    absent = {name for name in QUANTITIES if field_of(name) in State.__dataclass_fields__.keys() - SPACE_FIELDS}
+    absent = {*(State.__dataclass_fields__.keys() - SPACE_FIELDS), *FRICTION_IN_SPACE}
+    absent = {name for name in QUANTITIES if field_of(name) in absent}
     energies = {"event_energy_before", "event_energy_after"}
     assert set(data.data_vars) == set(studied.data_vars) == QUANTITIES.keys() - absent - energies - {"control"}
     assert data.sizes == studied.sizes
@@ -127,6 +133,27 @@ def test_a_dataset_is_that_of_a_study(on_springs):
 
 
 SPACE_FIELDS = SpaceState.__dataclass_fields__.keys()
+
+
+def test_tables_and_datasets_have_the_fields_of_friction(rough):
+    table, data = jw.to_dataframe(rough), rough.to_xarray()
+    for name in FRICTION_IN_SPACE:
+        np.testing.assert_array_equal(table[f"{name}_1"], getattr(rough, name)[:, 0])
+        np.testing.assert_array_equal(data[name][:, 0], getattr(rough, name)[:, 0])
+        assert f"before_{name}" in data and f"after_{name}" in data
+    assert "friction_force" not in data
+    assert data.slip.attrs["long_name"] == "whether the contact slips along the object"
+    assert data.slip.attrs["flag_meanings"] == "sticks slips" and list(data.slip.attrs["flag_values"]) == [0, 1]
+
+
+@pytest.mark.parametrize("kind", ["result", "rough"])
+def test_examples_have_the_fields_of_results(kind, request):
+    scanned = request.getfixturevalue(kind)
+    example = example_of(scanned.scene)
+    for name in SPACE_FIELDS:
+        one, other = getattr(scanned, name), getattr(example, name)
+        assert (one is None) == (other is None), name
+        assert one is None or (one.dtype, one.shape[1:]) == (other.dtype, other.shape[1:]), name
 
 
 def test_a_dataset_says_about_which_axis_moments_are(result):
@@ -199,7 +226,6 @@ REFUSED = {
     "stored_energy": (lambda: jw.stored_energy(SCENE, RESULT), "scene"),
     "stored_energy of a state": (lambda: jw.stored_energy(HEAVY, RESULT), "state"),
     "Sensor.of": (lambda: jw.Sensor.of(SCENE), "scene"),
-    "Scene with friction": (lambda: jw.Scene(jw.Whisker(), SCENE.surface, friction=0.3), "friction"),
     "Scene that detects": (lambda: jw.Scene(jw.Whisker(), SCENE.surface, detect=()), "detect"),
     "plot.axis_label": (lambda: jw.plot.axis_label("fx", SCENE), "scene"),
     "plot.compare": (lambda: jw.plot.compare({"one": RESULT}, "fx"), "result"),

@@ -10,12 +10,13 @@ import rod_in_space
 
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._space.contact import LIGHT, Body, base_of, frame_of, on_surface, spread
+from jaxwhisker._space.contact import GRAZING, LIGHT, Body, Traction, base_of, frame_of, on_surface, spread
 from jaxwhisker._space.problem import problem_in_space
 
 EXACT = 1e-10  # of the rod, which is integrated to 1e-12
 CENTRE, RADIUS = np.array([0.0, 1.3, 0.2]), 1.0
 TIP, TANGENTIAL = jnp.asarray(int(Phase.tip)), jnp.asarray(int(Phase.tangential))
+FORCES = Traction(None, jnp.asarray(True))  # tractions are forces
 
 
 def problem(**whisker):
@@ -50,7 +51,7 @@ def directors(z, chi, roll):
 @pytest.mark.parametrize(("of", "roll", "traction"), [(CURVED, 0.8, (0.0, 0.0)), (CURVED, 0.8, (0.3, -0.5))])
 def test_the_base_is_that_of_an_independent_rod(of, roll, slack, phase, traction):
     z = contact(slack, roll=roll, traction=traction)
-    base = base_of(body(of), of.surface, of.rod, z, phase, slides=True)
+    base = base_of(body(of), of.surface, of.rod, z, phase, FORCES)
     ahead, across, out = np.asarray(frame_of(of.surface, z)).T
     force = 1.4 * out + traction[0] * ahead + traction[1] * across
     arc = 1.0 - max(slack, 0.0)
@@ -64,7 +65,7 @@ def test_the_base_is_that_of_an_independent_rod(of, roll, slack, phase, traction
 
 def test_straight_whiskers_are_computed_in_their_plane():
     z = contact(-0.2)
-    base = base_of(body(STRAIGHT), STRAIGHT.surface, STRAIGHT.rod, z, TIP, slides=False)
+    base = base_of(body(STRAIGHT), STRAIGHT.surface, STRAIGHT.rod, z, TIP, None)
     force = 1.4 * np.asarray(frame_of(STRAIGHT.surface, z))[:, 2]
     r, rotation = rod_in_space.end(force, 1.0, directors(z, 0.2, 0.0), lambda s: 1.0, 0.7, lambda s: np.zeros(3))
     assert base.rotation is None
@@ -75,7 +76,7 @@ def test_straight_whiskers_are_computed_in_their_plane():
 def test_a_contact_whose_normal_force_vanishes_keeps_its_traction():
     """Whiskers that slide come free where their normal force vanishes, however large the traction is."""
     sides = [
-        base_of(body(STRAIGHT), STRAIGHT.surface, STRAIGHT.rod, contact(-0.3, f, traction=(0.2, 1.5)), TIP, slides=True)
+        base_of(body(STRAIGHT), STRAIGHT.surface, STRAIGHT.rod, contact(-0.3, f, traction=(0.2, 1.5)), TIP, FORCES)
         for f in (0.99 * LIGHT, 1.01 * LIGHT, -LIGHT)
     ]
     for base in sides[1:]:
@@ -91,9 +92,10 @@ def test_points_of_the_surface_and_directions_across_its_normal_have_no_residual
 
 
 def test_a_straight_shaft_parts_from_a_sphere_as_its_curvature_says_and_a_tip_at_once():
-    z = contact(0.2)
-    np.testing.assert_allclose(spread(body(STRAIGHT), STRAIGHT.surface, z, TANGENTIAL), 1 / RADIUS)
-    assert spread(body(STRAIGHT), STRAIGHT.surface, z, TIP) == np.inf
+    # A tip that hardly points into the object counts as the end of a tangential shaft.
+    for slack, phase in ((0.2, TANGENTIAL), (-0.5 * GRAZING, TIP)):
+        np.testing.assert_allclose(spread(body(STRAIGHT), STRAIGHT.surface, contact(slack), phase), 1 / RADIUS)
+    assert spread(body(STRAIGHT), STRAIGHT.surface, contact(-0.2), TIP) == np.inf
 
 
 def test_a_shaft_that_curves_towards_the_object_more_than_it_touches_it_twice():

@@ -8,7 +8,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, at_arc_length, at_control, unit
-from jaxwhisker._space.newton import newton_step, phase_by_slack, solve_points
+from jaxwhisker._space.newton import newton_step, phase_by_slack, plain, solve_points
 from jaxwhisker._space.problem import problem_in_space
 
 REFERENCE = 1e-8  # the reference gives ten digits
@@ -34,34 +34,40 @@ def reference():
     return jnp.array([[f, 0.0, -np.arcsin(sine), *point, *ahead, 0.0, 0.0]])
 
 
+def solve(problem, condition, guess):
+    """Solve for one point without traction."""
+    return solve_points(problem, plain(PHASE, condition), jax.tree.map(lambda leaf: leaf[None], guess))
+
+
 def test_a_guess_nearby_leads_to_the_reference_at_the_same_control(problem):
     z = reference()
     guess = Point(z.at[0, 0].add(0.02).at[0, 3:6].add(0.01).at[0, 2].add(0.03), U)
-    found = solve_points(problem, PHASE, at_control(U, guess.z), guess)
+    found = solve(problem, at_control(U, guess.z), guess)
     assert bool(found.converged)
-    np.testing.assert_allclose(found.point.z, z, atol=10 * REFERENCE)
-    assert float(newton_step(problem, PHASE, at_control(U, z), found.point).residual) < 1e-12
+    np.testing.assert_allclose(found.end.z, z, atol=10 * REFERENCE)
+    assert float(newton_step(problem, plain(PHASE, at_control(U, z)), found.points).residual) < 1e-12
 
 
 def test_a_step_along_the_path_has_its_length(problem):
-    start = solve_points(problem, PHASE, at_control(U, reference()), Point(reference(), U))
-    tangent, _ = unit(start.newton.tangent, start.point.z)
+    start = solve(problem, at_control(U, reference()), Point(reference(), U))
+    tangent, _ = unit(start.newton.tangent, start.end.z)
     length = 0.01
-    ahead = Point(start.point.z + length * tangent.z, start.point.u + length * tangent.u)
-    found = solve_points(problem, PHASE, at_arc_length(start.point, tangent, jnp.asarray(length)), ahead)
+    ahead = Point(start.end.z + length * tangent.z, start.end.u + length * tangent.u)
+    found = solve(problem, at_arc_length(start.end, tangent, jnp.asarray(length)), ahead)
     assert bool(found.converged)
     # Errors of the prediction are of second order.
-    assert 0 < float(jnp.max(jnp.abs(found.point.z - ahead.z))) < 10 * length**2
-    back = solve_points(problem, PHASE, at_control(found.point.u, ahead.z), ahead)
-    np.testing.assert_allclose(back.point.z, found.point.z, atol=1e-9)
+    assert 0 < float(jnp.max(jnp.abs(found.end.z - ahead.z))) < 10 * length**2
+    back = solve(problem, at_control(found.end.u, ahead.z), ahead)
+    np.testing.assert_allclose(back.end.z, found.end.z, atol=1e-9)
 
 
 def test_several_points_are_solved_at_once_and_a_hopeless_one_is_flagged(problem):
     """At the hopeless control, the base is two lengths away from the object."""
     z, u = jnp.stack([reference()] * 3), jnp.array([U, -4.0, U + 0.001])
-    found = solve_points(problem, jnp.stack([PHASE] * 3), jax.vmap(at_control)(u, z), Point(z, u))
+    equations = jax.vmap(plain)(jnp.stack([PHASE] * 3), jax.vmap(at_control)(u, z))
+    found = solve_points(problem, equations, Point(z[:, None], u[:, None]))
     assert found.converged.tolist() == [True, False, True]
-    np.testing.assert_allclose(found.point.z[0], reference(), atol=10 * REFERENCE)
+    np.testing.assert_allclose(found.end.z[0], reference(), atol=10 * REFERENCE)
 
 
 def test_slacks_tell_the_phase_of_touching_whiskers():

@@ -9,18 +9,19 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._space.contact import LIGHT
-from jaxwhisker._space.newton import linearise
+from jaxwhisker._space.contact import LIGHT, Traction
+from jaxwhisker._space.linear import linearise
 from jaxwhisker._space.problem import of_each, problem_in_space
 from jaxwhisker._space.sliding import sliding_stiffness
 
 TIP = jnp.array([int(Phase.tip)])
+FORCES = Traction(None, jnp.asarray(True))  # tractions are forces
 
 
 def stiffness_of(problem, z, phase):
     """Stiffness against sliding at the control 0."""
     drives = jax.jvp(problem.drive, (jnp.zeros(()),), (jnp.ones(()),))
-    at = of_each(problem, lambda body, *own: linearise(problem, body, drives, *own, slides=True), z, phase)
+    at = of_each(problem, lambda body, z, phase: linearise(problem, body, drives, z, phase, FORCES), z, phase)
     return np.asarray(sliding_stiffness(problem, z, phase, at))
 
 

@@ -8,12 +8,13 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
-from jaxwhisker._space.contact import SLACK, UNKNOWNS
-from jaxwhisker._space.newton import linearise
+from jaxwhisker._space.contact import SLACK, UNKNOWNS, Traction
+from jaxwhisker._space.linear import linearise
 from jaxwhisker._space.problem import of_each, problem_in_space
 from jaxwhisker._space.stance import stance_of
 
 FREE = jnp.array([int(Phase.free)])
+FORCES = Traction(None, jnp.asarray(True))  # tractions are forces
 
 
 def free_stance(motion, u, length=1.0):
@@ -22,12 +23,12 @@ def free_stance(motion, u, length=1.0):
     point = Point(jnp.zeros((1, UNKNOWNS)).at[:, 6].set(1.0), jnp.asarray(u))
     drives = jax.jvp(problem.drive, (point.u,), (jnp.ones_like(point.u),))
     at = linear(problem, drives, point.z, FREE)
-    return stance_of(problem, point, FREE, at), problem
+    return stance_of(problem, point, FREE, at, jnp.asarray(1.0), None), problem
 
 
 def linear(problem, drives, z, phase):
     """All whiskers, linearised with tractions."""
-    return of_each(problem, lambda body, *own: linearise(problem, body, drives, *own, slides=True), z, phase)
+    return of_each(problem, lambda body, z, phase: linearise(problem, body, drives, z, phase, FORCES), z, phase)
 
 
 def test_the_speed_is_that_of_the_fastest_point():

@@ -9,15 +9,26 @@ from jaxwhisker._space.contact import FORCE, SLACK, UNKNOWNS
 from jaxwhisker._space.free import Nearest
 from jaxwhisker._space.problem import problem_in_space
 from jaxwhisker._space.stance import Stance
-from jaxwhisker._space.transitions import AT_STOP, PASSED, PHASE, RELEASE, TOUCH, TOUCHING, capacity_of, margins_of
+from jaxwhisker._space.transitions import (
+    AT_STOP,
+    GRIP,
+    PASSED,
+    PHASE,
+    RELEASE,
+    TOUCH,
+    TOUCHING,
+    capacity_of,
+    margins_of,
+)
 
 FREE, TIP, TANGENTIAL = (int(phase) for phase in (Phase.free, Phase.tip, Phase.tangential))
 
 
-def margins(phase, force=0.0, slack=0.0, distance=1.0):
+def margins(phase, force=0.0, slack=0.0, distance=1.0, grip=None):
     z = jnp.zeros((1, UNKNOWNS)).at[0, FORCE].set(force).at[0, SLACK].set(slack)
     nearest, good = Nearest(jnp.array([distance]), z, jnp.array([TIP])), jnp.asarray(True)
-    stance = Stance(jnp.array([phase == FREE]), nearest, jnp.asarray(1.0), good, jnp.asarray(1.0), good, good)
+    one, grip = jnp.asarray(1.0), None if grip is None else jnp.array([grip])
+    stance = Stance(jnp.array([phase == FREE]), nearest, one, good, one, good, grip, good)
     return np.asarray(margins_of(jnp.array([phase]), z, stance, jnp.asarray(0.25)))[:, 0]
 
 
@@ -31,6 +42,11 @@ def test_contacts_end_without_force_and_change_their_phase_without_slack():
     assert tip[RELEASE] == shaft[RELEASE] == 2.0
     assert tip[PHASE] == 0.1 and shaft[PHASE] == 0.3
     assert np.isinf(tip[TOUCH]) and np.isinf(shaft[TOUCH])
+
+
+def test_only_contacts_with_friction_may_stick_or_slip():
+    assert margins(TIP).size == 4
+    assert margins(TIP, grip=0.2)[GRIP] == 0.2
 
 
 def test_a_default_scan_ends_shortly_after_the_release():

@@ -5,7 +5,7 @@ import pytest
 
 from jaxwhisker._scan.dataset import SceneLayout
 from jaxwhisker._scan.quantities import ABSENT_IN_SPACE
-from jaxwhisker._scan.state import OPTIONAL
+from jaxwhisker._scan.state import FRICTION_IN_SPACE, OPTIONAL
 from jaxwhisker._study.layout import Layout, chosen, kind_of_axis, variables_of
 from jaxwhisker._study.parameters import Parameters
 from jaxwhisker._study.summary import SUMMARY, summary_without
@@ -47,7 +47,11 @@ WAYS = ("max", "min", "control_of_max", "control_of_min")
     [
         ("fz", OPTIONAL, "object in space"),
         ("before_base_rotation", OPTIONAL, "object in space"),
-        ("slip", ABSENT_IN_SPACE, "friction"),
+        ("friction_x", OPTIONAL, "object in space"),
+        ("friction_force", OPTIONAL, "friction"),
+        ("slip", (*ABSENT_IN_SPACE, *FRICTION_IN_SPACE), "friction"),
+        ("after_friction_x", (*ABSENT_IN_SPACE, *FRICTION_IN_SPACE), "friction"),
+        ("friction_force", ABSENT_IN_SPACE, "friction_force in space"),
         ("base_angle", ABSENT_IN_SPACE, "base_angle in space"),
         ("event_energy_before", ABSENT_IN_SPACE, "event_energy_before in space"),
     ],

@@ -32,7 +32,7 @@ class PathCondition(NamedTuple):
     u0: Scalar
     vertex: PerWhisker
 
-    def residual(self, point: Point, slope_sin: PerWhisker) -> Scalar:
+    def residual(self, point: Point, slope_sin: PerWhisker) -> Float[Array, ""]:
         """Residual of the equation."""
         along = jnp.sum(self.weight_z * (point.z - self.z0)) + self.weight_u * (point.u - self.u0)
         return along + jnp.sum(self.vertex * slope_sin)

@@ -7,6 +7,7 @@ import equinox as eqx
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, name_of, text_unless
+from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -28,6 +29,11 @@ class AbstractScene(eqx.Module):
     @abc.abstractmethod
     def motion(self) -> Any:
         """The motion of the drive."""
+
+    @property
+    @abc.abstractmethod
+    def friction(self) -> Scalar | None:
+        """The coefficient of friction between whiskers and object; None without friction."""
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:

@@ -5,8 +5,9 @@ of the drive's frame and points along +y; the axes of its body are d1 = x, d2 = 
 along the axes of the drive's frame.
 
 Without friction, the contact force is f n, with f >= 0 and the outward normal n of the object. With the friction
-coefficient mu, a contact slips with the force f (n - mu v/|v|), v the velocity of the whisker's material point there. The support exerts the reaction
-(fx, fy, fz) on the whisker, and the moment (mx, my, mz) about its displaced base; all in the frame of the scene.
+coefficient mu, a contact slips with the force f (n - mu v/|v|), v the velocity of the whisker's material point there.
+The support exerts the reaction (fx, fy, fz) on the whisker, and the moment (mx, my, mz) about its displaced base; all
+in the frame of the scene.
 """
 
 import jax.numpy as jnp

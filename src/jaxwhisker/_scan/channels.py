@@ -14,7 +14,7 @@ from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.result import AbstractResult, Result
 from jaxwhisker._scan.springs import bases_of, spring_lengths
-from jaxwhisker._scan.state import FRICTION, OBJECTS, State
+from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, OBJECTS, State
 
 EXAMPLE_STEPS = 2  # with which a function is tried before it is compiled
 
@@ -83,6 +83,7 @@ def _example_in_space(scene: Any, zero: Float[Array, "steps whiskers"]) -> Abstr
     from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 
     fields: dict[str, Any] = dict.fromkeys(SpaceState.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
+    fields |= dict.fromkeys(FRICTION_IN_SPACE) if scene.friction is None else {"slip": zero.astype(int)}
     fields["base_rotation"] = jnp.zeros((*zero.shape, 3, 3))
     lengths, status = jnp.zeros((EXAMPLE_STEPS, len(scene.support.springs))), jnp.zeros(EXAMPLE_STEPS, int)
     return SpaceResult(

@@ -28,7 +28,7 @@ from jaxwhisker._scan.quantities import (
     is_dimensionless,
     unit_in_words,
 )
-from jaxwhisker._scan.state import FRICTION, IN_SPACE, OBJECTS
+from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, IN_SPACE, OBJECTS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,6 +40,13 @@ class Slip(NamedInt):
     backwards = -1  # towards -x
     sticks = 0
     forwards = 1
+
+
+class SlipInSpace(NamedInt):
+    """Whether a contact slips along the object."""
+
+    sticks = 0
+    slips = 1
 
 
 VARIABLES = {name: quantity for name, quantity in QUANTITIES.items() if name != "control"}
@@ -89,7 +96,7 @@ class SceneLayout(NamedTuple):
             found["comment"] = f"torsion springs (`between` ends in {ends}) have an angle instead, in rad"
         plain = name.removeprefix("before_").removeprefix("after_").removeprefix("point_")
         if plain in FLAGS:
-            words, missing = FLAGS[plain]
+            words, missing = (SlipInSpace, None) if self.in_space and plain == "slip" else FLAGS[plain]
             flags = ({-1: missing} if missing else {}) | {int(w): w.name for w in words}
             found |= {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
         return found
@@ -128,7 +135,7 @@ def layout_of(scene: AbstractScene) -> SceneLayout:
     """The layout of a scene, traced or not."""
     springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in scene.support.springs)
     control = control_name(scene), control_kind(scene), scene.motion.onwards
-    absent = ABSENT_IN_SPACE
+    absent = ABSENT_IN_SPACE + FRICTION_IN_SPACE * (scene.friction is None)
     if isinstance(scene, Scene):
         absent = FRICTION * (scene.friction is None) + OBJECTS * (len(scene.profile.objects) == 1) + IN_SPACE
     dimensionless, sizes = is_dimensionless(scene), {}

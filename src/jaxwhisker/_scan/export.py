@@ -122,7 +122,8 @@ def to_dataframe(result: Any) -> "pd.DataFrame":
     tip_x_1 and tip_y_1. Failed steps are NaN. `identify` and `reconstruct` read such tables.
 
     A scan in space has no angles base_angle_1 and contact_slope_1, but also fz_1, mx_1, my_1, base_z_1, contact_z_1,
-    and the directors of the base: base_rotation_1_x_d1, the component of d1 along x, to base_rotation_1_z_d3.
+    and the directors of the base: base_rotation_1_x_d1, the component of d1 along x, to base_rotation_1_z_d3. With
+    friction, it has friction_x_1, friction_y_1 and friction_z_1 in place of friction_force_1.
 
     A study has one row for each scene, and for each drive position if it contains signals: the parameters, then all
     variables with the number of the whisker, such as max_mz_1. Variables of events are left out; `summary` has the

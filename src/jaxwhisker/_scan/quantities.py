@@ -13,7 +13,7 @@ import numpy as np
 from jaxwhisker._base.checks import is_traced
 from jaxwhisker._model.scene import AbstractScene, Sensor, Units, time_unit
 from jaxwhisker._model.scene import units as natural_units
-from jaxwhisker._scan.state import FRICTION, IN_SPACE, OBJECTS
+from jaxwhisker._scan.state import IN_SPACE, OBJECTS
 
 # Kinds of quantities, as powers of force and length.
 KINDS = {
@@ -77,6 +77,9 @@ STATE = {
     "slip": Quantity("direction of slip along the object", "", "number", _STEP, dtype="int8", missing=-128),
     "normal_force": Quantity("contact force along the normal", "f_n", "force", _STEP, "never negative"),
     "friction_force": Quantity("contact force along the object", "f_t", "force", _STEP, "towards +x on the whisker"),
+    "friction_x": Quantity("contact force along the object, along x", "f_{t,x}", "force", _STEP, "towards +x"),
+    "friction_y": Quantity("contact force along the object, along y", "f_{t,y}", "force", _STEP, "towards +y"),
+    "friction_z": Quantity("contact force along the object, along z", "f_{t,z}", "force", _STEP, "towards +z"),
     # With several objects only:
     "contact_object": Quantity("number of the object, 0 without contact", "", "number", _STEP, dtype="int8"),
 }
@@ -113,7 +116,7 @@ REACTIONS = ("fx", "fy", "mz")
 REACTIONS_IN_SPACE = ("fx", "fy", "fz", "mx", "my", "mz")
 ENERGIES = ("event_energy_before", "event_energy_after")
 # Quantities, also before and after events, that scenes in space do not have.
-ABSENT_IN_SPACE = ("base_angle", "contact_slope", *FRICTION, *OBJECTS, *ENERGIES)
+ABSENT_IN_SPACE = ("base_angle", "contact_slope", "friction_force", *OBJECTS, *ENERGIES)
 # What figures compute from a run.
 DERIVED = {"spring_extension": Quantity("extension of the spring", r"\Delta\ell", "length", ("control", "spring"))}
 OF_SPRINGS = ("spring_length", "spring_extension")
@@ -127,8 +130,9 @@ def quantity(name: str) -> Quantity:
 
 
 def in_space(quantity: Quantity) -> Quantity:
-    """The quantity in the words of a scene in space, where mz is one of three moments."""
+    """The quantity in the words of a scene in space, where mz is one of three moments, and slip has no sign."""
     words = quantity.description.replace(STATE["mz"].description, f"{_MOMENT} about z")
+    words = words.replace(STATE["slip"].description, "whether the contact slips along the object")
     sign = quantity.sign.replace(STATE["mz"].sign, "right-handed about +z")
     return quantity._replace(description=words, sign=sign)
 

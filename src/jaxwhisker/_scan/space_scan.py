@@ -77,11 +77,12 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None) -> SpaceRes
     elif route is None:
         route = route_of(default_positions(float(start), float(stop), problem.unit))
 
-    links = () if problem.friction is None else (path, linked_now(problem, path, stops))
+    links = None if problem.friction is None else linked_now(problem, path, stops)
+    linked_path = None if links is None else path
 
     def block(control, travel):
         solutions = solve_steps_now(problem, path, control, travel)
-        state, status, displacement = states_now(problem, control, solutions, *links)
+        state, status, displacement = states_now(problem, control, solutions, linked_path, links)
         return state, status, None if displacement is None else spring_lengths_now(scene.support, displacement)
 
     states = in_blocks(block, (route.control, route.travel), BLOCK)
@@ -100,8 +101,8 @@ def _staged(scene: SpaceScene, control: Control | None) -> SpaceResult:
     route = evenly(start, stop, TRACED_STEPS) if control is None else route
     path, positions = _if_ok(path, status), jnp.asarray(route.control)
     solutions = solve_steps(problem, path, positions, jnp.asarray(route.travel))
-    links = () if problem.friction is None else (path, linked(problem, path, jnp.asarray(stops)))
-    state, status, displacement = states(problem, positions, solutions, *links)
+    links = None if problem.friction is None else linked(problem, path, jnp.asarray(stops))
+    state, status, displacement = states(problem, positions, solutions, path, links)
     lengths = None if displacement is None else scene.support.spring_length(displacement)
     return _result(scene, problem, path, links, positions, state, status, lengths)
 
@@ -121,7 +122,7 @@ def _result(scene, problem, path, links, control, state, status, lengths) -> Spa
         control=control,
         spring_length=jnp.zeros((control.size, 0)) if lengths is None else lengths,
         status=status,
-        deferred_events=lambda: events_now(problem, path, *links[1:]),
+        deferred_events=lambda: events_now(problem, path, links),
         scene=scene,
     )
 
@@ -219,8 +220,8 @@ def _solve_with_friction(
     problem: SpaceProblem, path: SpacePath, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
 ) -> SpaceSolutions:
     """The same with friction: the contacts are those within the steps of the path."""
-    nodes = path.nodes
-    assert nodes.mode is not None
+    nodes, modes, friction = path.nodes, path.nodes.mode, problem.friction
+    assert modes is not None and friction is not None
     # The last node ends a step.
     index = index - ((index == path.count - 1) & (nodes.kind[index] == STOP) & (index > 0))
 
@@ -228,7 +229,7 @@ def _solve_with_friction(
         end = jnp.minimum(index + 1, path.count - 1)
         start, phase = jax.tree.map(lambda leaf: leaf[index], (nodes.point, nodes.phase))
         guess = interpolated(start, stages_before(nodes, end), phase, u)
-        motion = following(guess, problem.friction, nodes.mode[end])
+        motion = following(guess, friction, modes[end])
         return Point(guess, u), Equations(phase[None], at_control(u, guess), None, motion)
 
     guess, equations = jax.vmap(at)(index, u)
@@ -274,7 +275,8 @@ def states(
 ) -> tuple[SpaceState, Int[Array, " steps"], Float[Array, "steps whiskers 6"] | None]:
     """States and status of solved steps, and displacements of the bases, in the scene's units, with derivatives.
 
-    With friction, states follow from the nodes of the path, and `links` are these with their derivatives. Steps that failed hold NaN. Clamped bases have no displacements.
+    With friction, states follow from the nodes of the path, and `links` are these with their derivatives. Steps that
+    failed hold NaN. Clamped bases have no displacements.
     """
     u = control / problem.unit.control
 
@@ -327,7 +329,7 @@ def prepare(problem: SpaceProblem, stops: int, events: bool = False) -> None:
     with Compilers() as pool:
         path = follow_path_now.prepare(pool, problem, *ends).path
         solutions = solve_steps_now.prepare(pool, problem, path, block, block)
-        links = () if problem.friction is None else (path, linked_now.prepare(pool, problem, path, ends[0]))
-        states_now.prepare(pool, problem, block, solutions, *links)
+        links = None if problem.friction is None else linked_now.prepare(pool, problem, path, ends[0])
+        states_now.prepare(pool, problem, block, solutions, None if links is None else path, links)
         if events:
-            events_now.prepare(pool, problem, path, *links[1:])
+            events_now.prepare(pool, problem, path, links)

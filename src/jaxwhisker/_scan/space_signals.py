@@ -199,8 +199,11 @@ def _linked_event(nodes: Node, links: Linked, k: Scalar, filled: Array) -> tuple
     assert nodes.mode is not None
     before, after = (jnp.where(filled, phase[k], int(Phase.free)) for phase in (nodes.phase_before, nodes.phase))
     modes = (nodes.mode[j] == Mode.slips for j in (k, jnp.minimum(k + 1, nodes.kind.size - 1)))
-    u, contacts = links.point.u[k], (links.stages.z[k, -1], links.point.z[k])
-    return u, *(_Side(z, u, phase, slips) for z, phase, slips in zip(contacts, (before, after), modes, strict=True))
+    u, contacts = jnp.asarray(links.point.u)[k], (links.stages.z[k, -1], links.point.z[k])
+    of_before, of_after = (
+        _Side(z, u, phase, slips) for z, phase, slips in zip(contacts, (before, after), modes, strict=True)
+    )
+    return u, of_before, of_after
 
 
 def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, _Side, _Side]:

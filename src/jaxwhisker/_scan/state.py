@@ -42,8 +42,10 @@ class State(eqx.Module):
 
 
 FRICTION = ("slip", "normal_force", "friction_force")  # fields that are None without friction
+FRICTION_IN_SPACE = ("slip", "normal_force", "friction_x", "friction_y", "friction_z")  # the same in space
 OBJECTS = ("contact_object",)  # fields that are None with a single object
-IN_SPACE = ("fz", "mx", "my", "base_z", "base_rotation", "contact_z")  # fields of states in space only
+# Fields of states in space only.
+IN_SPACE = ("fz", "mx", "my", "base_z", "base_rotation", "contact_z", "friction_x", "friction_y", "friction_z")
 OPTIONAL = (*FRICTION, *OBJECTS, "shaft_loads", *IN_SPACE)  # fields that not every state has
 
 

@@ -18,7 +18,7 @@ from jaxwhisker._space.contact import FORCE, POINT, TRACTION
 from jaxwhisker._space.march_state import SETTLED, SNAP, Flow, March, Outcome, Task, Trial, node_at
 from jaxwhisker._space.newton import phase_by_slack
 from jaxwhisker._space.problem import Contacts, SpaceProblem
-from jaxwhisker._space.slip import FAINT, Mode
+from jaxwhisker._space.slip import FAINT, Mode, with_traction
 
 KICK = 0.02  # along the path, from a fold
 SETTLING = 1e-5  # of the control, dimensionless
@@ -77,20 +77,23 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     time = jnp.where(good, longer, time / 4)
     opens = march.flow.opens & (trial.stance.opens | ~good)
     flow = march.flow._replace(time=time, steps=march.flow.steps + 1, opens=opens)
+    settles = rests & (phase != Phase.free)
     pulls = rests & jnp.any(pulled & ~released)
     freed = (phase == Phase.free) & (march.pending.phase_before != Phase.free)
     moved = jnp.max(jnp.abs(z - flow.start)[:, POINT], axis=1) > SLID
-    resting, slip, kind = jnp.zeros_like(z[:, TRACTION]), march.slip, jnp.asarray(int(EventKind.snap_through))
+    traction, kind = z[:, TRACTION], jnp.asarray(int(EventKind.snap_through))
+    resting, slip = jnp.zeros_like(traction), march.slip
     if slip is not None:
+        assert problem.friction is not None
         kind = jnp.where(jnp.any(moved & touching), kind, SETTLED)
         largest = problem.friction * jnp.maximum(z[:, FORCE], FAINT)
-        resting = z[:, TRACTION] / jnp.maximum(largest, jnp.sqrt(jnp.sum(z[:, TRACTION] ** 2, axis=1)))[:, None]
+        resting = traction / jnp.maximum(largest, jnp.sqrt(jnp.sum(traction**2, axis=1)))[:, None]
         slip = slip._replace(mode=jnp.full_like(slip.mode, int(Mode.sticks)), changes=jnp.asarray(0))
     rested = march._replace(
         task=jnp.where(rests, int(Task.arrive), int(Task.flow)),
         phase=phase,
         # Whiskers that have come free may have to slide on.
-        point=Point(z.at[:, TRACTION].set(jnp.where(rests & (phase != Phase.free)[:, None], resting, z[:, TRACTION])), march.point.u),
+        point=with_traction(Point(z, march.point.u), jnp.where(settles[:, None], resting, traction)),
         slip=select(rests, slip, march.slip),
         stance=trial.stance,
         flow=flow,

@@ -100,12 +100,12 @@ def measure_of(start: Point, tangent: Point) -> PathCondition:
 
 def interpolated(start: Point, stages: Point, phase: Phases, u: Scalar) -> Contacts:
     """Contacts at a control within a step, on the polynomial through its stages."""
-    places, _ = radau(stages.u.size)
-    powers = np.arange(places.size)
+    places, _ = radau(stages.z.shape[0])
+    powers, stages_u = np.arange(places.size), jnp.asarray(stages.u)
     # Through all stages, and through the start. Its traction may be a guess.
     whole, part = (np.linalg.inv(places[:, None] ** exponents) for exponents in (powers + 1, powers))
     z_by = jnp.tensordot(whole, stages.z - start.z, axes=1)
-    u_by = jnp.sum(whole * (stages.u - start.u), axis=1)
+    u_by = jnp.sum(whole * (stages_u - start.u), axis=1)
     traction_by = jnp.tensordot(part, stages.z[:, :, TRACTION], axes=1)
 
     def towards(t):
@@ -113,7 +113,7 @@ def interpolated(start: Point, stages: Point, phase: Phases, u: Scalar) -> Conta
         missed = start.u + jnp.sum(u_by * t ** (powers + 1)) - u
         return jnp.clip(t - missed / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
 
-    span = stages.u[-1] - start.u
+    span = stages_u[-1] - start.u
     t = jnp.clip((u - start.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
     t = jax.lax.fori_loop(0, 6, lambda _, t: towards(t), jax.lax.stop_gradient(t))
     t = towards(jax.lax.stop_gradient(t))  # with derivatives
@@ -125,8 +125,8 @@ def interpolated(start: Point, stages: Point, phase: Phases, u: Scalar) -> Conta
 def stages_before(nodes: Node, end: Int[Array, ""]) -> Point:
     """The stages of the step that ends at a node."""
     assert nodes.inner is not None
-    inner = jax.tree.map(lambda leaf: leaf[end], nodes.inner)
-    return Point(jnp.concatenate([inner.z, nodes.z_before[end][None]]), jnp.append(inner.u, nodes.point.u[end]))
+    inner, z, u = jax.tree.map(lambda leaf: leaf[end], (nodes.inner, nodes.z_before, nodes.point.u))
+    return Point(jnp.concatenate([inner.z, z[None]]), jnp.append(inner.u, u))
 
 
 class Linked(NamedTuple):
@@ -164,13 +164,14 @@ def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]
 
 def _node_after(problem: SpaceProblem, start: Point, before: Node, node: Node, stop: Scalar, follows: Array) -> Linked:
     """A node, with derivatives, from those of the node before."""
+    assert node.mode is not None and node.inner is not None
     kind, concerned = node.kind, node.whiskers.astype(float)
     touches = kind == EventKind.touch
     snaps = (kind == EventKind.snap_through) | (kind == EventKind.snap_off) | (kind == SETTLED)
     begins = touches & node.whiskers
     z_end = jnp.where(begins[:, None], node.point.z.at[:, TRACTION].set(0.0), node.z_before)
     known = Point(jnp.concatenate([node.inner.z, z_end[None]]), jnp.append(node.inner.u, node.point.u))
-    phase = jnp.broadcast_to(node.phase_before, (known.u.size, concerned.size))
+    phase = jnp.broadcast_to(node.phase_before, (known.z.shape[0], concerned.size))
     phase = phase.at[-1].set(jnp.where(begins, node.phase, node.phase_before))
     measure = measure_of(before.point, before.leaving)
     of_force = touches | (kind == EventKind.release)
@@ -187,10 +188,9 @@ def _node_after(problem: SpaceProblem, start: Point, before: Node, node: Node, s
         jnp.zeros_like(concerned),
     )
     cone, power = (jnp.where(kind == of, concerned, 0.0) for of in (EventKind.slip, EventKind.stick))
-    assert node.mode is not None
     step = Step(problem, start, phase, node.mode, measure, condition, cone, power, known, follows & ~snaps)
     stages = stages_after(step)
-    z, u = stages.z[-1], stages.u[-1]
+    z, u = jax.tree.map(lambda leaf: leaf[-1], stages)
     z, u = jnp.where(snaps, start.z, z), jnp.where(snaps, jnp.where(kind == SETTLED, node.point.u, start.u), u)
     traction = jnp.where(begins[:, None], node.point.z[:, TRACTION], z[:, TRACTION])
     after = jnp.where(snaps, node.point.z, z).at[:, TRACTION].set(traction)

@@ -110,7 +110,8 @@ def _trial(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array
     point = solution.end
     rate = solution.newton.tangent
     if march.slip is not None:
-        rate = select((advancing | locating) & ~jnp.any(begins), ends_of_step(march.slip, march.point, solution.points)[1], rate)
+        _, arriving = ends_of_step(march.slip, march.point, solution.points)
+        rate = select((advancing | locating) & ~jnp.any(begins), arriving, rate)
     _, length = unit(without_traction(rate), point.z)
     tangent = jax.tree.map(lambda leaf: leaf / length, rate)
     grip = None if march.slip is None else grip_of(problem, march.slip.mode, phase, point, tangent)

@@ -19,7 +19,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, scale_of
 from jaxwhisker._space.contact import SLACK, UNKNOWNS
 from jaxwhisker._space.linear import Linear, linearise
-from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
+from jaxwhisker._space.problem import SpaceProblem, of_each
 from jaxwhisker._space.slip import Motion, laws_of, radau
 
 Phases = Int[Array, " whiskers"]
@@ -61,12 +61,16 @@ def newton_step(problem: SpaceProblem, equations: Equations, points: Point) -> N
 
     def at_stage(point, phase):
         drives = jax.jvp(problem.drive, (point.u,), (jnp.ones_like(point.u),))
-        return of_each(problem, lambda body, *own: linearise(problem, body, drives, *own, traction), point.z, phase)
+
+        def one(body, z, phase):
+            return linearise(problem, body, drives, z, phase, traction)
+
+        return of_each(problem, one, point.z, phase)
 
     at = jax.vmap(at_stage)(points, phase)
     touching = (phase != Phase.free)[:, :, None]
     block = touching[:, :, :, None]
-    z = points.z + jnp.where(touching, at.correction, 0.0)
+    z, u = points.z + jnp.where(touching, at.correction, 0.0), jnp.asarray(points.u)
     residual, system, by_u = at.pose, jax.vmap(block_diagonal)(at.pose_by), at.pose_by_u
     if problem.springs is not None:
         load, load_by, load_by_u = (
@@ -79,7 +83,7 @@ def newton_step(problem: SpaceProblem, equations: Equations, points: Point) -> N
     system = np.eye(stages)[:, None, None, :, None, None] * jnp.reshape(system, (stages, n, rows, 1, n, steps))
     directions = jnp.where(block, at.directions, np.eye(UNKNOWNS)[:, :steps])
     weight = condition.weight_z
-    missed = condition.residual(Point(z[-1], points.u[-1]), jnp.zeros(n))
+    missed = condition.residual(Point(z[-1], u[-1]), jnp.zeros(n))
     last_by = jnp.zeros((stages, n, steps)).at[-1].set(jnp.sum(weight[:, :, None] * directions[-1], axis=1))
     rate_rows = None
     if motion is not None:
@@ -103,7 +107,7 @@ def newton_step(problem: SpaceProblem, equations: Equations, points: Point) -> N
         measured = jnp.sum(between.weight_z[:, :, None] * directions, axis=2)
         conditions = conditions.at[:-1].set(apart[:, :, None, None] * measured)
         conditions_u = conditions_u.at[:-1].set(apart * between.weight_u)
-        reach = jax.vmap(lambda z, u: between.residual(Point(z, u), jnp.zeros(n)))(z, points.u)
+        reach = jax.vmap(lambda z, u: between.residual(Point(z, u), jnp.zeros(n)))(z, u)
         residuals = residuals.at[:-1].set(reach[:-1] - share * reach[-1])
     bordered = jnp.block([
         [jnp.reshape(system, (stages * size,) * 2), _by_stage(jnp.reshape(by_u, (stages, size)))],
@@ -118,7 +122,7 @@ def newton_step(problem: SpaceProblem, equations: Equations, points: Point) -> N
         return Point(jnp.sum(directions * coordinates, axis=-1), column[-stages:])
 
     step, tangent = (points_of(column) for column in solution.T)
-    tangent = Point(tangent.z[-1], tangent.u[-1])
+    tangent = jax.tree.map(lambda leaf: leaf[-1], tangent)
     if rate_rows is not None and between is not None:
         own = np.eye(n)[:, None, :, None] * rate_rows[:, :, None]
         own = jnp.concatenate([system[-1, :, :rows, -1], own], axis=1)
@@ -207,7 +211,7 @@ class Solution(NamedTuple):
     @property
     def end(self) -> Point:
         """The last stage."""
-        return Point(self.points.z[..., -1, :, :], self.points.u[..., -1])
+        return Point(self.points.z[..., -1, :, :], jnp.asarray(self.points.u)[..., -1])
 
 
 def solve_points(problem: SpaceProblem, equations: Equations, guesses: Point) -> Solution:
@@ -215,10 +219,11 @@ def solve_points(problem: SpaceProblem, equations: Equations, guesses: Point) ->
 
     Failure is a flag.
     """
-    several = jnp.ndim(guesses.u) > 1
+    steps = jax.vmap(newton_step, (None, 0, 0)) if jnp.ndim(guesses.u) > 1 else newton_step
 
     def residuals(points, args):
-        at = (jax.vmap(newton_step, (None, 0, 0)) if several else newton_step)(*args, points)
+        problem, equations = args
+        at = steps(problem, equations, points)
         return at.residual, at
 
     tolerance = problem.rod.newton_tolerance

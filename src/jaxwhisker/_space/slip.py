@@ -5,8 +5,8 @@ t. Slipping contacts move against their traction, which is mu f. Sticking ones d
 
 The direction of slip has a history, and its equation is stiff: it is integrated implicitly, with Radau's method. A step
 along the path has several stages, points of the path between its start and its end. A polynomial runs through all of
-them, and at each stage its rate satisfies the law of the contact. This needs nothing before the start of a step: corners
-of the path are no special case.
+them, and at each stage its rate satisfies the law of the contact. This needs nothing before the start of a step:
+corners of the path are no special case.
 """
 
 from enum import IntEnum
@@ -126,21 +126,19 @@ def laws_of(motion: Motion, z: Array, phase: Array, at: Linear, rates: np.ndarra
 
         own_by = jnp.concatenate([at.directions[:, TRACTION], at.directions[:, FORCE, None]], axis=1)
         by_moves, by_own = jax.vmap(slopes, (None, 0, 0, 0))(mode, moves, traction, force)
-        through_moves, through_own = jax.vmap(times)(
-            by_moves, by_own, jnp.reshape(moves_by, (stages, 2, -1)), own_by
-        )
+        through_moves, through_own = jax.vmap(times)(by_moves, by_own, jnp.reshape(moves_by, (stages, 2, -1)), own_by)
         by = jnp.reshape(through_moves, moves_by.shape) + np.eye(stages)[:, None, :, None] * through_own[:, :, None]
-        # The law of a path's tangent is that of a contact that moves little. How fast a direction of slip relaxes is not
-        # resolved.
+        # The law of a path's tangent is that of a contact that moves little. How fast a direction of slip relaxes is
+        # not resolved.
         still = slopes(last, -RELAXATION * traction[-1], traction[-1], force[-1])
-        along_tangent = times(*still, unit_by, own_by[-1])
+        along_tangent = jnp.add(*times(*still, unit_by, own_by[-1]))
         value = jax.vmap(residual, (None, 0, 0, 0))(mode, moves, traction, force)
         if cone is None or power is None:
-            return value, by, sum(along_tangent), jnp.zeros(()), jnp.zeros_like(own_by[:, 0])
+            return value, by, along_tangent, jnp.zeros(()), jnp.zeros_like(own_by[:, 0])
         missed = cone * (jnp.sum(traction[-1] ** 2) - 1) / 2 + power * jnp.sum(traction[-1] * moves[-1])
         missed_by = power * jnp.sum(traction[-1][:, None, None] * moves_by[-1], axis=0)
         by_own = jnp.sum((cone * traction[-1] + power * moves[-1])[:, None] * own_by[-1, :2], axis=0)
-        return value, by, sum(along_tangent), missed, missed_by.at[-1].add(by_own)
+        return value, by, along_tangent, missed, missed_by.at[-1].add(by_own)
 
     value, by, along, missed, missed_by = jax.vmap(one, (1, 1, 1, 0, *[axis] * 5), (1, 1, 0, 0, 1))(
         z, phase, at, motion.start, motion.mode, motion.waits, motion.given, motion.cone, motion.power
@@ -208,7 +206,7 @@ def _movement(
 def _law(motion: Motion, mode: Int[Array, ""] | None, given: Pair | None, moves: Pair, traction: Pair, force: Scalar):
     """Residuals of the law of one contact, which moves over the length of a step."""
     flows, friction = motion.traction.flows, motion.traction.friction
-    if friction is None or mode is None:
+    if friction is None or mode is None or given is None:
         return jnp.where(flows, moves + motion.time * traction, traction)
     # What exceeds friction drives the flow: the return mapping of plasticity, with sticking as its other case.
     square = jnp.sum(traction**2)
@@ -252,13 +250,12 @@ def ends_of_step(slip: Slip, start: Point, points: Point) -> tuple[Point, Point]
 
     The equations themselves give the rate of a direction of slip that hardly matters only very roughly.
     """
-    places, rates = radau(points.u.size)
+    places, rates = radau(points.z.shape[0])
     # The first traction of a contact that begins is that of the polynomial through the stages alone.
     powers = np.arange(places.size)
     before = np.linalg.inv(places[:, None] ** powers)[0]
     first = jnp.sum(before[:, None, None] * points.z[:, :, TRACTION], axis=0)
-    traction = jnp.where(slip.begins[:, None], first, start.z[:, TRACTION])
-    start = start._replace(z=start.z.at[:, TRACTION].set(traction))
+    start = with_traction(start, jnp.where(slip.begins[:, None], first, start.z[:, TRACTION]))
 
     def at(row):
         z = jnp.sum(row[:, None, None] * (points.z - start.z), axis=0)
@@ -276,12 +273,17 @@ def defect_of(friction: Scalar, slip: Slip, start: Point, tangent: Point, points
 
 
 def as_felt(friction: Scalar, z: Contacts, change: Point) -> Point:
-    """A change of a point, with those of tractions as whiskers feel them: the direction of a small force hardly matters.
+    """A change of a point, with those of tractions as whiskers feel them.
 
-    Towards a release it may have no rate.
+    The direction of a small force hardly matters, and towards a release it may have no rate.
     """
     weight = jnp.clip(friction * z[:, FORCE] / FELT, 0.0, 1.0)
     return change._replace(z=change.z.at[:, TRACTION].multiply(weight[:, None]))
+
+
+def with_traction(point: Point, traction: Float[Array, "whiskers 2"]) -> Point:
+    """The point with these tractions."""
+    return point._replace(z=point.z.at[:, TRACTION].set(traction))
 
 
 def without_traction(change: Point) -> Point:
@@ -302,8 +304,8 @@ def first_traction(velocity: Float[Array, "whiskers 2"]) -> Float[Array, "whiske
 def next_guess(slip: Slip, traction: Float[Array, "whiskers 2"]) -> tuple[Slip, Float[Array, "whiskers 2"]]:
     """The next guess of what contacts that begin do, and their tractions.
 
-    They slip against their first velocity, or on either side of that, or stick. A straight whisker whose tip would stick
-    slips down along its axis, because it cannot stretch.
+    They slip against their first velocity, or on either side of that, or stick. A straight whisker whose tip would
+    stick slips down along its axis, because it cannot stretch.
     """
     angle = jnp.array([1.0, -2.0, 1.0, 0.0])[slip.guess] * np.pi / 3
     cos, sin, (ahead, across) = jnp.cos(angle), jnp.sin(angle), traction.T
@@ -319,7 +321,8 @@ def slip_after(slip: Slip, grips: Bool[Array, " whiskers"], turns: Bool[Array, "
     mode = jnp.where(grips, other, slip.mode)
     mode = jnp.where(turns, int(Mode.sticks), mode)
     mode = jnp.where(touches, int(Mode.slips), mode)
-    return slip._replace(mode=mode, changes=jnp.zeros_like(slip.changes), begins=touches, guess=jnp.zeros_like(slip.guess))
+    none = jnp.zeros_like(slip.changes)
+    return slip._replace(mode=mode, changes=none, begins=touches, guess=none)
 
 
 LEAST_SPEED = 1e-9  # per arc length of the path: contacts must not slip with their traction
@@ -336,9 +339,8 @@ def slip_at_corner(
     traction, slips = point.z[:, TRACTION], slip.mode == Mode.slips
     margin = grip_of(problem, slip.mode, phase, point, tangent)
     growth = jnp.sum(traction * tangent.z[:, TRACTION], axis=1)
-    wrong = (phase != Phase.free) & ~slip.begins & jnp.where(
-        slips, margin < -LEAST_SPEED, (margin < LEAST_SPEED) & (growth > LEAST_SPEED)
-    )
+    changes = jnp.where(slips, margin < -LEAST_SPEED, (margin < LEAST_SPEED) & (growth > LEAST_SPEED))
+    wrong = (phase != Phase.free) & ~slip.begins & changes
     first = jnp.arange(wrong.size) == jnp.argmax(wrong)
     other = jnp.where(slips, int(Mode.sticks), int(Mode.slips))
     return slip._replace(mode=jnp.where(wrong & first, other, slip.mode), changes=slip.changes + 1), margin

@@ -27,8 +27,8 @@ class Stance(NamedTuple):
     nearest: Nearest  # of free whiskers
     speed: Scalar  # largest speed of any point of a whisker whose base does not yield, per control
     stable: Bool[Array, ""]
-    # Vanishes where stability is lost: the determinant of the sliding stiffness, or with friction the rate of the control
-    # along the path.
+    # Vanishes where stability is lost: the determinant of the sliding stiffness, or with friction the rate of the
+    # control along the path.
     stiffness: Scalar
     sound: Bool[Array, ""]  # whether bases point the way of their mounts
     grip: Float[Array, " whiskers"] | None  # margin to sticking or slipping, positive before; None without friction

@@ -36,6 +36,7 @@ from jaxwhisker._space.slip import (
     slip_after,
     slip_at_corner,
     speeds,
+    with_traction,
     without_traction,
 )
 from jaxwhisker._space.stance import Stance
@@ -82,16 +83,17 @@ def capacity_of(problem: SpaceProblem, stops: int) -> int:
 def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
     point, tangent, stance, scale = trial.point, trial.tangent, trial.stance, scale_of(march.point.z)
+    slip, friction = march.slip, problem.friction
     miss = Point(point.z - trial.guess.z, point.u - trial.guess.u)
-    miss = miss if problem.friction is None else as_felt(problem.friction, march.point.z, miss)
+    miss = miss if friction is None else as_felt(friction, march.point.z, miss)
     error, straight = jnp.sqrt(dot(miss, miss, scale)), dot(march.tangent, without_traction(tangent), scale)
     good = trial.solution.converged & (error < 10 * PREDICTION_ERROR) & (straight > 0.5) & stance.sound
     astray = jnp.asarray(False)
     factor = (PREDICTION_ERROR / jnp.maximum(error, 1e-14)) ** (1 / 3)
-    if march.slip is not None:
+    if slip is not None and friction is not None:
         # Behind a corner, the tangent is that of the equations.
-        defect = defect_of(problem.friction, march.slip, march.point, march.tangent, trial.solution.points)
-        defect = jnp.where(march.slip.at_corner, 0.0, defect)
+        defect = defect_of(friction, slip, march.point, march.tangent, trial.solution.points)
+        defect = jnp.where(slip.at_corner, 0.0, defect)
         good &= defect < 10 * SLIP_DEFECT
         factor = jnp.minimum(factor, (SLIP_DEFECT / jnp.maximum(defect, 1e-14)) ** (1 / 4))
     # A margin may vanish twice within a step: to its least value, the step finds the first event.
@@ -114,8 +116,8 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         unstable_at=jnp.where(march.unstable_at > march.step, march.unstable_at - march.step, jnp.inf),
         unstable_size=march.unstable_size / 2,
     )
-    if march.slip is not None:
-        slip = march.slip
+    if slip is not None:
+        assert stance.grip is not None and march.stance.grip is not None
         begins = jnp.any(slip.begins)
         wrong = begins & (~good | jnp.any(slip.begins & (stance.grip < 0)))
         # A contact sticks or slips for a while behind a corner. What seems to end at once is another solution.
@@ -127,7 +129,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         moved = moved._replace(slip=slip._replace(at_corner=jnp.asarray(False), begins=jnp.zeros_like(slip.begins)))
         shorter = shorter._replace(step=jnp.where(wrong | ends, 0.4 * march.step, shorter.step))
         guess, traction = next_guess(slip, march.point.z[:, TRACTION])
-        again = march._replace(slip=guess, point=march.point._replace(z=march.point.z.at[:, TRACTION].set(traction)))
+        again = march._replace(slip=guess, point=with_traction(march.point, traction))
         guessed = jnp.where(begins & (guess.guess != 0), march.step, shorter.step)
         shorter = select(begins, again, shorter)._replace(step=guessed)
     at_base = jnp.any((march.phase == Phase.tangential) & (point.z[:, SLACK] > (1 - AT_BASE) * problem.length))
@@ -271,8 +273,7 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         turns = (target.margin == AT_STOP) & (march.goal < trial.last) & (heading == -march.direction)
         slip = slip_after(slip, target.whiskers & (target.margin == GRIP), turns, touches)
         traction = first_traction(speeds(problem.surface, point.z, phase, tangent.z))
-        traction = jnp.where(touches[:, None], traction, point.z[:, TRACTION])
-        point = point._replace(z=point.z.at[:, TRACTION].set(traction))
+        point = with_traction(point, jnp.where(touches[:, None], traction, point.z[:, TRACTION]))
     kinds = jnp.array([
         EventKind.touch,
         EventKind.release,
@@ -318,6 +319,7 @@ def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     back = (margin == PHASE) & jnp.any(march.target.whiskers & (march.phase == Phase.tip))
     by_control = (margin == RELEASE) | (margin == AT_STOP) | (margin == SNAP)
     if march.slip is not None:
+        assert stance.grip is not None
         slips = jnp.any(march.target.whiskers & (march.slip.mode == Mode.slips))
         back |= (margin == GRIP) & slips & jnp.any(march.target.whiskers & (stance.grip < 0))
         by_control |= (margin == GRIP) & ~slips

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxwhisker._scan.dataset import VARIABLES, SceneLayout
 from jaxwhisker._scan.quantities import DIRECTORS, REACTIONS_IN_SPACE, STATE, Quantity, unit_in_words
-from jaxwhisker._scan.state import FRICTION, IN_SPACE, OBJECTS, OPTIONAL
+from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, IN_SPACE, OBJECTS, OPTIONAL
 from jaxwhisker._study.parameters import Parameters
 from jaxwhisker._study.summary import comment_on, derivative_in_words, derivative_name, summary_without
 
@@ -19,12 +19,19 @@ GROUPS = {  # scenes have those of these variables that are not absent
     "reactions": REACTIONS_IN_SPACE,
     "status": ("status",),
     "events": tuple(name for name in VARIABLES if name.startswith("event_")),
-    "contact": ("phase", *(name for name in STATE if name.startswith("contact_")), *FRICTION),
+    "contact": ("phase", *(name for name in STATE if name.startswith("contact_")), *FRICTION, *FRICTION_IN_SPACE),
     "springs": ("base_x", "base_y", "base_z", "base_rotation", "base_angle", "spring_length"),
     "event_states": tuple(name for name in VARIABLES if name.startswith(("before_", "after_"))),
     "all": tuple(VARIABLES),
 }
 DEFAULT = ("reactions", "status", "events")
+# What scenes lack without all of these fields.
+LACKS = (
+    ("object in space", set(IN_SPACE)),
+    ("friction", set(FRICTION)),
+    ("friction", set(FRICTION_IN_SPACE)),
+    ("several objects", set(OBJECTS)),
+)
 POINT_STATUS = "point_status"
 NOT_COMPUTED = -1  # status of a point that has not been computed yet
 DEFAULT_CONTROL = "default: from the earliest start to the latest end of the default controls of all points"
@@ -64,8 +71,7 @@ def variables_of(
     kept = {name: VARIABLES[name] for name in chosen(outputs, absent)}
     for name in (outputs,) if isinstance(outputs, str) else outputs:
         if name in VARIABLES and name not in kept:
-            lacks = {"friction": FRICTION, "several objects": OBJECTS, "object in space": IN_SPACE}
-            lack = next((one for one, fields in lacks.items() if field_of(name) in fields), f"{name} in space")
+            lack = next((one for one, fields in LACKS if field_of(name) in fields <= set(absent)), f"{name} in space")
             raise ValueError(f"`outputs` must be names of what the scenes have, but they have no {lack}: got {name!r}.")
     if summarised:
         kept = {name: quantity for name, quantity in kept.items() if "control" not in quantity.axes}
