@@ -1,6 +1,6 @@
 """Friction in space: the reference, scans in the plane, laws of single states, symmetries, batches, derivatives."""
 
-# pyright: reportArgumentType=false
+# pyright: reportArgumentType=false, reportOptionalSubscript=false
 
 import json
 from pathlib import Path

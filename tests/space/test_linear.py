@@ -25,7 +25,7 @@ def test_steps_change_the_base_as_differences_do(whisker, traction):
     z = jnp.array([[0.8, 0.2 * problem.rolls, -0.2, *out, *ahead / np.linalg.norm(ahead), 0.3, -0.2]])
     phase, u = jnp.array([int(Phase.tip)]), jnp.asarray(0.2)
     drives = jax.jvp(problem.drive, (u,), (jnp.ones(()),))
-    at = of_each(problem, lambda body, *own: linearise(problem, body, drives, *own, traction), z, phase)
+    at = of_each(problem, lambda body, z, phase: linearise(problem, body, drives, z, phase, traction), z, phase)
 
     def pose(z, u):
         def one(body, z, phase):
