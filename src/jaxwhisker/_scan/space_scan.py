@@ -144,7 +144,7 @@ def follow_path(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[
 
 def _until_second_contact(problem: SpaceProblem, path: SpacePath) -> SpacePath:
     """The path to the last node before a whisker meets the object in a second place."""
-    if not problem.curved:
+    if not problem.may_touch_twice:
         return path
     nodes = path.nodes
     twice = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))(nodes.point.z, nodes.phase)
@@ -300,7 +300,7 @@ def states(
         values, residual, displacement = jax.vmap(one_with_friction)(u, solutions)
     ok = solutions.status == Status.ok
     status = jnp.where(ok & ~(residual < RESIDUAL), Status.inexact, solutions.status)
-    if problem.curved:
+    if problem.may_touch_twice:
         twice = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))(solutions.z, solutions.phase)
         status = jnp.where((status == Status.ok) & twice, Status.second_contact, status)
     ok = status == Status.ok

@@ -115,10 +115,7 @@ def base_of(
         rates: computes derivatives of the rod. Default: as `method`.
     """
     rates = method if rates is None else rates
-    chi, arc = angle_and_arc(body, z, phase)
-    frame, force, roll = frame_of(surface, z), z[FORCE], z[ROLL]
-    if traction is not None:
-        frame, force, chi, roll = _frame_of_force(frame, force, chi, roll, z[TRACTION], traction)
+    frame, force, chi, roll, arc = loaded(body, surface, z, phase, traction)
     ahead, _, out = frame.T
     rotation = None
     if isinstance(body.section, SpaceSection):
@@ -136,6 +133,25 @@ def base_of(
         from_contact, tangent = x * ahead - y * out, cos * ahead - sin * out
     push = force * out
     return Base(z[POINT] + from_contact, tangent, rotation, push, jnp.cross(-from_contact, push))
+
+
+class Loaded(NamedTuple):
+    """A whisker in contact, as its rod sees it: the force acts along the last axis of the frame."""
+
+    frame: Float[Array, "3 3"]
+    force: Scalar
+    chi: Scalar  # angle between the rod and the first axis, positive against the last one
+    roll: Scalar
+    arc: Scalar  # from the base to the contact
+
+
+def loaded(
+    body: Body, surface: AbstractSurface, z: Contact, phase: Int[Array, ""], traction: Traction | None
+) -> Loaded:
+    """How a contact loads its rod."""
+    chi, arc = angle_and_arc(body, z, phase)
+    at = frame_of(surface, z), z[FORCE], chi, z[ROLL]
+    return Loaded(*(at if traction is None else _frame_of_force(*at, z[TRACTION], traction)), arc)
 
 
 def _frame_of_force(frame, force, chi, roll, along, traction: Traction):

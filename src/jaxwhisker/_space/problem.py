@@ -73,10 +73,12 @@ class SpaceProblem(eqx.Module):
         return isinstance(one, SpaceSection)
 
     @property
-    def curved(self) -> bool:
-        """Whether any unloaded whisker is curved."""
+    def may_touch_twice(self) -> bool:
+        """Whether a whisker may meet the object in a second place: one that is curved, or held by friction."""
         every = self.section if isinstance(self.section, tuple) else (self.section,)
-        return any(isinstance(one, SpaceSection) and one.curvature[:2] != (None, None) for one in every)
+        return self.friction is not None or any(
+            isinstance(one, SpaceSection) and one.curvature[:2] != (None, None) for one in every
+        )
 
     @property
     def rows(self) -> int:
