@@ -104,9 +104,9 @@ def interpolated(start: Point, stages: Point, phase: Phases, u: Scalar) -> Conta
     powers, stages_u = np.arange(places.size), jnp.asarray(stages.u)
     # Through all stages, and through the start. Its traction may be a guess.
     whole, part = (np.linalg.inv(places[:, None] ** exponents) for exponents in (powers + 1, powers))
-    z_by = jnp.tensordot(whole, stages.z - start.z, axes=1)
+    z_by = jnp.sum(whole[:, :, None, None] * (stages.z - start.z), axis=1)
     u_by = jnp.sum(whole * (stages_u - start.u), axis=1)
-    traction_by = jnp.tensordot(part, stages.z[:, :, TRACTION], axes=1)
+    traction_by = jnp.sum(part[:, :, None, None] * stages.z[:, :, TRACTION], axis=1)
 
     def towards(t):
         slope = jnp.sum(u_by * (powers + 1) * t**powers)
@@ -117,8 +117,8 @@ def interpolated(start: Point, stages: Point, phase: Phases, u: Scalar) -> Conta
     t = jnp.clip((u - start.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
     t = jax.lax.fori_loop(0, 6, lambda _, t: towards(t), jax.lax.stop_gradient(t))
     t = towards(jax.lax.stop_gradient(t))  # with derivatives
-    z = start.z + jnp.tensordot(t ** (powers + 1), z_by, axes=1)
-    z = z.at[:, TRACTION].set(jnp.tensordot(t**powers, traction_by, axes=1))
+    z = start.z + jnp.sum((t ** (powers + 1))[:, None, None] * z_by, axis=0)
+    z = z.at[:, TRACTION].set(jnp.sum((t**powers)[:, None, None] * traction_by, axis=0))
     return jnp.where((phase != Phase.free)[:, None], z, start.z)
 
 

@@ -25,11 +25,11 @@ from jaxwhisker._space.contact import AHEAD, FORCE, POINT, SLACK, TRACTION, Trac
 from jaxwhisker._space.linear import Linear
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 
-STAGES = 5
+STAGES = 5  # of a step; with three, paths of the same accuracy need four times as many nodes
 FAINT = 1e-6  # EI/L^2: less friction does not bend a whisker, and its direction has no rate
 FELT = 0.1  # EI/L^2: the direction of smaller friction matters less
-RELAXATION = 1e-6  # arc length of the path
-FOLLOWING = 0.01  # lengths
+RELAXATION = 1e-6  # arc length of the path: directions of slip that relax faster have no rate of their own
+FOLLOWING = 0.01  # lengths, for which a traction of mu f counts as much as the place of a contact
 Pair = Float[Array, "2"]  # along the whisker, and across
 
 
