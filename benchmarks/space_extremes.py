@@ -139,7 +139,8 @@ def measured(case: Case) -> dict:
     ok = np.flatnonzero((status == jw.Status.ok) & (phase > 0))
     worst, least, unstable = {"": 0.0}, INF, 0
     for k in ok[np.unique(np.linspace(0, ok.size - 1, CHECKED).astype(int))] if ok.size else ():
-        fields = {name: np.asarray(getattr(result, name))[k] for name in jw.SpaceState.__dataclass_fields__}
+        fields = {name: getattr(result, name) for name in jw.SpaceState.__dataclass_fields__}
+        fields = {name: np.asarray(value)[k] for name, value in fields.items() if value is not None}
         state = state_of(SimpleNamespace(**fields), float(control[k]))
         found = relative(plain, state)
         law = max(found, key=found.__getitem__)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxwhisker as jw
 from random_space import KINDS, Cone, drawn
-from space_laws import power, shaft, stability, state_of, violations
+from space_laws import UPRIGHT, Plain, Surface, power, shaft, stability, state_of, violations
 
 REFERENCE = 1e-7  # relative to the largest; the reference gives ten digits and is accurate to 1e-9
 EXACT = 1e-9  # both sides are integrated to 1e-12
@@ -246,6 +246,37 @@ class Step:
 
     def __getattr__(self, name):
         return np.asarray(getattr(self.result, name))[self.step]
+
+
+WOUND_UP = 2e-4  # rods magnify the errors of their integration, 1e-9, by 300 in either direction at most
+
+
+def test_a_whisker_that_winds_up_is_inexact_where_errors_grow_too_much_along_it():
+    ratio, curvature, roll = 0.003, 0.8, np.pi / 3
+    past, mount = jw.Sphere(1.0, (0.0, 1.3, 0.0)), UPRIGHT @ Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix()
+    whisker = jw.Whisker(torsion_ratio=ratio, intrinsic_curvature=curvature)
+    drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, 0.1))
+    found = jw.scan(jw.SpaceScene(whisker, past, jw.Support((), jw.Mount(roll=roll)), motion=drive), CONTROL)
+    plain = Plain(
+        Surface(np.array([0.0, 1.3, 0.0]), np.eye(3), np.zeros(3), 0.5),
+        lambda u: (np.array([-u, 0.0, 0.1]), np.eye(3), mount),
+        stiffness=lambda s: 1.0,
+        torsion_ratio=ratio,
+        curvature=lambda s: np.array([0.0, -curvature, 0.0]),
+    )
+    status = np.asarray(found.status)
+    assert set(status) == {jw.Status.ok, jw.Status.inexact}
+    for step in np.flatnonzero((status == jw.Status.ok) & (np.asarray(found.phase)[:, 0] > 0)):
+        wrong = violations(plain, state_of(Step(found, step), float(found.control[step])))
+        assert max(wrong.values()) < WOUND_UP
+
+
+def test_a_contact_over_a_hundred_lengths_fits_into_a_path():
+    drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, 0.2))
+    scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1e4, (0.0, 1e4 + 0.3, 0.0)), motion=drive)
+    found = jw.scan(scene, np.linspace(-90.0, 120.0, 43))
+    assert np.all(np.asarray(found.status) == jw.Status.ok)
+    assert [event.kind for event in found.events][-1] == jw.EventKind.release
 
 
 def test_the_drive_does_the_work_that_the_whisker_stores():

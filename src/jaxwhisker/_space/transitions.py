@@ -43,7 +43,7 @@ from jaxwhisker._space.stance import Stance
 
 NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
 FIRST_STEP = 0.02  # after a corner
-LONGEST_STEP = 0.25
+LONGEST_STEP = 4.0  # lengths; the prediction error keeps nearly all steps far below it
 SHORTEST_STEP = 1e-10
 PREDICTION_ERROR = 2e-3  # at which steps keep their length
 SLIP_DEFECT = 1e-6  # the same for the rate at the start of a step with friction, times its length
