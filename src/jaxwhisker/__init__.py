@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
     from jaxwhisker._model.solids import Extruded, Revolved, Surface
     from jaxwhisker._model.space_scene import SpaceScene
+    from jaxwhisker._scan.array import Array
     from jaxwhisker._scan.space_result import SpaceResult, SpaceState
     from jaxwhisker._space.deflect import SpaceDeflection
 
@@ -61,6 +62,7 @@ __all__ = [
     "AbstractMotion",
     "AbstractProfile",
     "AbstractRod",
+    "Array",
     "BendingFit",
     "Box",
     "Circle",
@@ -164,6 +166,7 @@ _LATER = {
     "_model.solids": ("Extruded", "Revolved", "Surface"),
     "_model.space_scene": ("SpaceScene",),
     "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
+    "_scan.array": ("Array",),
     "_scan.space_result": ("SpaceResult", "SpaceState"),
     "_space.deflect": ("SpaceDeflection",),
 }

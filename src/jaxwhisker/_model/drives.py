@@ -180,19 +180,23 @@ class RotaryDrive(_Between):
 class WhiskDrive(_Between):
     """Whisking: protraction with an elevation and a roll that change with it.
 
-    The control u is the angle of protraction, rad, about z (towards -x for an upright whisker). The rotation of the
-    drive is Rz(u) Rx(elevation + elevation_rate u) Ry(roll + roll_rate u): the roll turns an upright whisker about its
-    root, the elevation tilts it towards +z, and the protraction turns it about z.
+    The control u, an angle in rad, changes the angle of protraction about z (towards -x for an upright whisker). The
+    rotation of the drive is Rz(protraction + protraction_rate u) Rx(elevation + elevation_rate u) Ry(roll + roll_rate
+    u): the roll turns an upright whisker about its root, the elevation tilts it towards +z, and the protraction turns
+    it about z.
 
     Args:
         elevation: angle of elevation at u = 0, rad.
         roll: angle of roll at u = 0, rad.
-        elevation_rate: change of the elevation per protraction.
-        roll_rate: change of the roll per protraction.
+        elevation_rate: change of the elevation per change of the control.
+        roll_rate: the same for the roll.
         pivot: (x, y, z) of the point about which the drive turns, lengths. Default: the base of a whisker without
             mount.
         start: a control at which all whiskers are free, rad. Default: a right angle before 0.
         stop: the last control of the default scan, rad. Default: a right angle after 0.
+        protraction: angle of protraction at u = 0, rad.
+        protraction_rate: change of the protraction per change of the control: 1, or -1 for whiskers on the other side
+            of a head.
 
     Raises:
         ValueError: if a value is not a finite number, `pivot` is not a tuple of three, or `start` and `stop` are equal.
@@ -212,17 +216,20 @@ class WhiskDrive(_Between):
     pivot: Triple = NOWHERE
     start: Scalar = -np.pi / 2
     stop: Scalar = np.pi / 2
+    protraction: Scalar = eqx.field(default=0.0, kw_only=True)
+    protraction_rate: Scalar = eqx.field(default=1.0, kw_only=True)
     direction: int = eqx.field(static=True, init=False)
     control_kind = "angle"
 
     def __check_init__(self):
-        for name in ("elevation", "roll", "elevation_rate", "roll_rate"):
+        for name in ("elevation", "roll", "elevation_rate", "roll_rate", "protraction", "protraction_rate"):
             checks.number(name, getattr(self, name))
         checks.triple("pivot", self.pivot)
 
     def placement(self, control):
         elevation, roll = self.elevation + self.elevation_rate * control, self.roll + self.roll_rate * control
-        return _about_pivot(self.pivot, _angles(control, elevation, roll))
+        protraction = self.protraction + self.protraction_rate * control
+        return _about_pivot(self.pivot, _angles(protraction, elevation, roll))
 
     def unit(self, length):
         del length
