@@ -98,6 +98,12 @@ def label_coordinates(ax: Axes, unit: Unit) -> None:
     ax.set(xlabel=x, ylabel=y)
 
 
+def rounded(size: float) -> float:
+    """Nearest of ..., 1, 2, 2.5, 5, 10, ..."""
+    power = 10.0 ** np.floor(np.log10(size))
+    return float(min((1.0, 2.0, 2.5, 5.0, 10.0), key=lambda one: abs(one * power - size)) * power)
+
+
 def unit_systems(results: Sequence[Run], units: str) -> list[UnitSystem]:
     """Units for results that share axes: the SI units of the first one, or L and EI of each one."""
     own = [UnitSystem(result.scene, units) for result in results]

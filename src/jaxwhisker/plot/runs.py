@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._dynamics.simulation import Simulation
 from jaxwhisker._scan.quantities import DRAWN, MOTION
-from jaxwhisker._scan.result import Event, Result, check_not_batched, check_one_scan
+from jaxwhisker._scan.result import AbstractResult, Event, Result, check_not_batched
 from jaxwhisker._scan.shapes import Shapes
 from jaxwhisker._scan.state import State, state_of
 
@@ -24,9 +24,9 @@ def check_one_run(result: Any) -> Run:
     Raises:
         ValueError: if it is not, or if it is a batch.
     """
-    if not isinstance(result, Simulation):
-        return check_one_scan(result)
-    check_not_batched(result, "a single simulation")
+    checks.instance("result", result, (AbstractResult, Simulation), "the Result of a scan")
+    single = "a single simulation" if isinstance(result, Simulation) else "the result of a single scan"
+    check_not_batched(result, single)
     return result
 
 
@@ -63,7 +63,7 @@ def check_quantity(quantity: Any, *runs: Run) -> None:
 
 def events_of(run: Run) -> list[Event]:
     """The events of a run; those of a simulation with the samples before and after them."""
-    if isinstance(run, Result):
+    if not isinstance(run, Simulation):
         return list(run.events)
     states, last = jax.tree.map(np.asarray, state_of(run)), np.size(run.time) - 1
     events = []
