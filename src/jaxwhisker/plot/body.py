@@ -19,7 +19,7 @@ SPREADS = 4  # rounds in which its extent is found
 PADDING = 800  # rays are padded to a multiple of this, because pictures then share a compiled program
 BISECTIONS = 45
 WHOLE = 2.5  # an object is whole if it ends within this distance of the whiskers ...
-NEAR = 0.6  # ... and otherwise is cut off at this one
+NEAR = 0.9  # ... and otherwise is cut off at this one
 ON = 1e-6  # of a box: points this close to a face lie on it
 SHARP = 0.98  # cosine of the angle between two faces below which a cut has an edge between them
 SUNK = 2e-3  # points this deep below the surface, which whiskers touch, are not hidden by it
@@ -158,15 +158,13 @@ def _polyhedron(surface: AbstractSurface, box: Float[np.ndarray, "2 3"], spread:
 
     centre = spread.mean(axis=0)
     points = [_crossings(surface, centre, _exits(centre, _directions(RAYS) * np.ptp(spread, axis=0), box))]
-    corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
-    met = _crossings(surface, centre, corners)
-    points.append(met[(met == corners).all(axis=1)])
     on = ON * np.ptp(box, axis=0)
     for side, plane in enumerate(box):
         for axis in range(3):
             there = points[0][np.abs(points[0][:, axis] - plane[axis]) < on[axis]]
             if len(there):
                 points.append(_around(surface, there.mean(axis=0), axis, box))
+    points += _on_edges(surface, box)
     cloud = np.concatenate(points)
     hull = ConvexHull(cloud)
     corners = cloud[hull.simplices]
@@ -191,3 +189,22 @@ def _around(surface: AbstractSurface, middle: Point, axis: int, box: Float[np.nd
     directions = np.zeros((AROUND, 3))
     directions[:, (axis + 1) % 3], directions[:, (axis + 2) % 3] = np.cos(turn), np.sin(turn)
     return _crossings(surface, middle, _exits(middle, directions * np.ptp(box, axis=0), box))
+
+
+def _on_edges(surface: AbstractSurface, box: Float[np.ndarray, "2 3"]) -> list[Points]:
+    """Ends of the parts of the edges of a box that are inside the object."""
+    ends = []
+    for axis in range(3):
+        for corner in (k for k in range(8) if not k >> axis & 1):
+            first = box[[corner >> one & 1 for one in range(3)], range(3)]
+            last = np.where(np.arange(3) == axis, box[1], first)
+            along = first + np.linspace(0.0, 1.0, AROUND)[:, None] * (last - first)
+            inside = along[np.asarray(_levels(surface, along)) < 0]
+            if len(inside):
+                ends.append(_crossings(surface, inside.mean(axis=0), np.stack([first, last])))
+    return ends
+
+
+@Program
+def _levels(surface: AbstractSurface, points: Float[Array, "points 3"]) -> Float[Array, " points"]:
+    return jax.vmap(surface.level)(points)

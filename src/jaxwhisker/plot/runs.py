@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._dynamics.simulation import Simulation
-from jaxwhisker._scan.quantities import DRAWN, MOTION
+from jaxwhisker._model.assembly import AbstractScene
+from jaxwhisker._scan.quantities import DRAWN, DRAWN_IN_SPACE, MOTION, REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.result import AbstractResult, Event, Result, check_not_batched
 from jaxwhisker._scan.shapes import Shapes
 from jaxwhisker._scan.state import State, state_of
@@ -52,9 +53,16 @@ def values_of(run: Run, quantity: str) -> np.ndarray:
     return np.asarray(run.spring_length) - np.asarray(rest, dtype=float)
 
 
-def check_quantity(quantity: Any, *runs: Run) -> None:
-    """Check that a quantity of these runs can be drawn over the control or time."""
-    allowed = DRAWN
+def reactions_of(run: Run) -> tuple[str, ...]:
+    """Names of the support reactions of a run: three in the plane, six in space."""
+    return REACTIONS_IN_SPACE if run.scene.in_space else REACTIONS
+
+
+def check_quantity(quantity: Any, *runs: Run, scene: AbstractScene | None = None) -> None:
+    """Check that a quantity of these runs, or of a scene, can be drawn over the control or time."""
+    scenes = [run.scene for run in runs] if scene is None else [scene]
+    kinds = [DRAWN_IN_SPACE if one.in_space else DRAWN for one in scenes] or [DRAWN]
+    allowed = tuple(name for name in kinds[0] if all(name in kind for kind in kinds))
     if runs and abscissa(*runs) == "time":
         allowed = (*DRAWN, *(name for name in MOTION if name != "time"))
     if quantity not in allowed:

@@ -33,7 +33,8 @@ from jaxwhisker.plot.view import Flat, Turned, View, check_view, picture
 
 DIRECTOR = 0.17  # length of the arrows of d1, d2 and d3
 NAMED = 0.35  # a director whose arrow appears shorter than this share has no name
-NAME_PLACE = 1.3  # of a name along its director
+NAME_PLACES = np.array([(1.35, 0.0, 0.0), (0.0, 1.35, 0.0), (-0.4, 0.0, 0.9)])  # that of d3 is beside the whisker
+DIRECTOR_ROOM = 1.5  # of a director and its name
 MARGIN = 0.1  # of the window, around what is drawn
 PALEST = 0.25  # opacity of the earliest of several states
 COIL_TURNS = 2.25
@@ -55,7 +56,8 @@ class SpaceDrawing(NamedTuple):
 
     def extent(self) -> Points:
         """All points that a window should hold."""
-        parts = [self.drive, self.whiskers, *self.springs, self.contacts, self.forces]
+        named = self.whiskers[:, 0, :, None] + DIRECTOR_ROOM * DIRECTOR * self.directors
+        parts = [self.drive, named.swapaxes(1, 2), self.whiskers, *self.springs, self.contacts, self.forces]
         points = np.concatenate([part.reshape(-1, 3) for part in parts])
         return points[np.isfinite(points).all(axis=1)]
 
@@ -280,7 +282,8 @@ def _draw(drawn: Sequence[SpaceDrawing], system: UnitSystem, view: Flat | Turned
     for base, frame in zip(last.whiskers[:, 0], last.directors, strict=True):
         for k, along in enumerate(frame.T):
             if np.isfinite(along).all() and _across(along, view.towards) > NAMED:
-                view.words(base + NAME_PLACE * scale * DIRECTOR * along, f"$d_{k + 1}$", color=SUPPORT, fontsize=8)
+                place = NAME_PLACES[k] @ frame.T
+                view.words(base + scale * DIRECTOR * place, f"$d_{k + 1}$", color=SUPPORT, fontsize=9)
     view.window(scale * low, scale * high, [system.label_of(name, "length") for name in "xyz"])
     named = [line for line in view.ax.get_lines() if str(line.get_label()).startswith("whisker")]
     legend_above(view.ax, named)

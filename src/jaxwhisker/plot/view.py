@@ -28,6 +28,8 @@ DARKEST, LIGHTEST = 0.68, 0.97  # grey of faces
 CUT_GREY = 0.93
 LIGHT = np.array([-0.35, 0.8, 0.5]) / np.linalg.norm([-0.35, 0.8, 0.5])
 TICKS = 4  # about so many along the longest side
+FILLED = 0.84  # of the Axes by the box of a camera
+SIZE = (5.8, 5.2)  # inches, of a figure by a camera
 ARROW = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0}
 
 View = str | tuple[float, float]
@@ -83,7 +85,7 @@ def picture(view: View, ax: Axes | None = None, *, figure: Any = None, place: An
     elif ax is None:
         from matplotlib import pyplot
 
-        ax = pyplot.figure(layout="constrained").add_subplot(**options)
+        ax = pyplot.figure(figsize=None if flat else SIZE, layout="constrained").add_subplot(**options)
     assert ax is not None
     return Flat(ax, view) if isinstance(view, str) else Turned(ax, view)
 
@@ -141,6 +143,7 @@ class Flat:
         (left, bottom), (right, top) = low[self.shown], high[self.shown]
         across, up = (labels[axis] for axis in self.shown)
         self.ax.set(xlim=(left, right), ylim=(bottom, top), xlabel=across, ylabel=up)
+        _set_ticks((high - low)[self.shown], self.ax.xaxis, self.ax.yaxis)
 
 
 class Turned:
@@ -194,11 +197,19 @@ class Turned:
     def window(self, low: Point, high: Point, labels: Sequence[str]) -> None:
         """Limits and labels of the axes, which have the same scale."""
         self.ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+        # The box fills the Axes up to the room for the labels, whatever its shape.
         self.ax.set_box_aspect(high - low)
+        corners = np.stack(np.meshgrid(*np.stack([low, high]).T)).reshape(3, -1)
+        seen = np.ptp(proj3d.proj_transform(*corners, self.ax.get_proj())[:2], axis=1)
+        self.ax.set_box_aspect(high - low, zoom=FILLED * self.ax.viewLim.width / float(np.max(seen)))
         self.ax.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
-        step = rounded(np.max(high - low) / TICKS)
-        for axis in (self.ax.xaxis, self.ax.yaxis, self.ax.zaxis):
-            axis.set_major_locator(MultipleLocator(step))
+        _set_ticks(high - low, self.ax.xaxis, self.ax.yaxis, self.ax.zaxis)
+
+
+def _set_ticks(spans: np.ndarray, *axes: Any) -> None:
+    step = rounded(float(np.max(spans)) / TICKS)
+    for axis in axes:
+        axis.set_major_locator(MultipleLocator(step))
 
 
 def _paler(style: dict[str, Any], body: Body | None) -> dict[str, float]:
