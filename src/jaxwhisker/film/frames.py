@@ -102,7 +102,7 @@ def frames(result: Run, count: int) -> tuple[Frames, list[Mark]]:
         lines = lines_of(result.scene, groups, [control[shown], *at_snaps])
     no_snap = np.zeros(shown.size, bool)
     steps = Frames(shown, control[shown], places(result, over)[shown], status, states, lines[0], no_snap)
-    begin = _first_steps(result)
+    begin = first_steps(result)
     of_snap = {
         k: _snap_frames(result, int(begin[k]) - 1, events[k], states, own)
         for k, states, own in zip(snaps, groups[1:], lines[1:], strict=True)
@@ -147,7 +147,7 @@ def silhouettes_of_scan(result: Run) -> list[Silhouette]:
     return [Silhouette(*silhouette_of(one, length)) for one in objects_of(result.scene)]
 
 
-def _first_steps(result: Run) -> Int[np.ndarray, " events"]:
+def first_steps(result: Run) -> Int[np.ndarray, " events"]:
     """First step at or after each event."""
     passed, happens = progress(result)
     return np.searchsorted(passed, happens - EVENT_ROUNDING * passed[-1])

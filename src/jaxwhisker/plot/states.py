@@ -29,6 +29,7 @@ from jaxwhisker.plot.axes import (
 )
 from jaxwhisker.plot.drawing import Drawing, drawing, drawing_at, rest_state, start_of
 from jaxwhisker.plot.runs import Run, abscissa, check_one_run, places
+from jaxwhisker.plot.view import check_no_view
 
 MINUS = "\N{MINUS SIGN}"
 STATES = 5  # drawn by default
@@ -72,7 +73,7 @@ def scene(setup: Scene, *, view: Any = None, units: str = "auto", ax: Axes | Non
         from jaxwhisker.plot.space import draw_scene
 
         return draw_scene(setup, system, view, ax)
-    _check_no_view(view)
+    check_no_view(view)
     ax = one_axes(ax)
     control = start_of(setup)
     _draw_states([drawing(setup, control, rest_state(setup, control))], system, True, ax)
@@ -119,7 +120,7 @@ def shapes(
 
         ax = draw_shapes(result, steps, system, view, ax)
     else:
-        _check_no_view(view)
+        check_no_view(view)
         ax = one_axes(ax)
         _draw_states([drawing_at(result, step) for step in steps], system, whole, ax)
     if len(steps) <= MOST_LISTED:
@@ -220,11 +221,6 @@ def in_words(result: Run, at: float) -> str:
     """
     (step,) = _steps_at(check_one_run(result), at)
     return ", ".join(f"{k + 1}: {Phase(int(p)).name}" for k, p in enumerate(np.asarray(result.phase)[step]))
-
-
-def _check_no_view(view: Any) -> None:
-    if view is not None:
-        checks.fail("view", "None in the plane", repr(view))
 
 
 def _steps_at(result: Run, at: Any) -> list[int]:

@@ -28,8 +28,9 @@ DARKEST, LIGHTEST = 0.68, 0.97  # grey of faces
 CUT_GREY = 0.93
 LIGHT = np.array([-0.35, 0.8, 0.5]) / np.linalg.norm([-0.35, 0.8, 0.5])
 TICKS = 4  # about so many along the longest side
-FILLED = 0.84  # of the Axes by the box of a camera
+FILLED = 0.8  # of the Axes by the box of a camera
 SIZE = (5.8, 5.2)  # inches, of a figure by a camera
+RING = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "markeredgewidth": 2}
 ARROW = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0}
 
 View = str | tuple[float, float]
@@ -42,7 +43,17 @@ class Drawn(NamedTuple):
     move: Callable[[Points], None]
 
 
-def check_view(view: Any, ax: Any) -> View:
+def check_no_view(view: Any) -> None:
+    """Check that a picture in the plane has no view.
+
+    Raises:
+        ValueError: if it has one.
+    """
+    if view is not None:
+        checks.fail("view", "None in the plane", repr(view))
+
+
+def check_view(view: Any, ax: Any = None) -> View:
     """The view of a picture: that of the argument, or one that suits the Axes.
 
     Raises:
