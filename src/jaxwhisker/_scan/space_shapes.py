@@ -20,6 +20,9 @@ from jaxwhisker._scan.space_result import SpaceState
 from jaxwhisker._space.section import space_section
 
 
+PADDING = 64  # states are padded to a multiple of this, because figures and films then share a compiled program
+
+
 class SpaceShapes(eqx.Module):
     """Centre lines of whiskers in space: along the last axis, points from base to contact, then to the tip.
 
@@ -40,20 +43,22 @@ def space_state_of(state: SpaceState) -> SpaceState:
 
 def shapes_in_space(scene: SpaceScene, state: SpaceState, *, count: int) -> SpaceShapes:
     """Centre lines of whiskers in a state, or in several states of this scene, with `count` points each."""
-    whiskers = jax.tree.map(checks.as_float, scene.whiskers)
-    return _shapes(space_state_of(state), whiskers, count=count)
+    whiskers, one = jax.tree.map(checks.as_float, scene.whiskers), np.ndim(state.phase) == 1
+    states = jax.tree.map(lambda leaf: np.asarray(leaf)[None] if one else np.asarray(leaf), space_state_of(state))
+    steps = states.phase.shape[0]
+    room = (0, -steps % PADDING)
+    padded = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, [room, *[(0, 0)] * (leaf.ndim - 1)])), states)
+    lines = _shapes(padded, whiskers, count=count)
+    return jax.tree.map(lambda line: np.asarray(line)[0 if one else slice(steps)], lines)
 
 
 @Program
-def _shapes(state: SpaceState, whiskers: tuple[Whisker, ...], *, count: int) -> SpaceShapes:
-    def lines(state: SpaceState) -> list[Float[Array, "points 3"]]:
+def _shapes(states: SpaceState, whiskers: tuple[Whisker, ...], *, count: int) -> SpaceShapes:
+    def lines(state: SpaceState) -> Float[Array, "whiskers points 3"]:
         each = [jax.tree.map(lambda field, k=k: field[k], state) for k in range(len(whiskers))]
-        return [_line(whisker, at, count) for whisker, at in zip(whiskers, each, strict=True)]
+        return jnp.stack([_line(whisker, at, count) for whisker, at in zip(whiskers, each, strict=True)])
 
-    for _ in range(state.base_x.ndim - 1):
-        lines = jax.vmap(lines)
-    r = jnp.stack(lines(state), axis=-3)
-    return SpaceShapes(*jnp.moveaxis(r, -1, 0))
+    return SpaceShapes(*jnp.moveaxis(jax.vmap(lines)(states), -1, 0))
 
 
 def _line(whisker: Whisker, at: Any, count: int) -> Float[Array, "points 3"]:

@@ -22,6 +22,7 @@ WHOLE = 2.5  # an object is whole if it ends within this distance of the whisker
 NEAR = 0.9  # ... and otherwise is cut off at this one
 ON = 1e-6  # of a box: points this close to a face lie on it
 SHARP = 0.98  # cosine of the angle between two faces below which a cut has an edge between them
+PARALLEL = 1e-12  # sine of the angle between a face and a line of sight below which they are parallel
 SUNK = 2e-3  # points this deep below the surface, which whiskers touch, are not hidden by it
 
 Points = Float[np.ndarray, "points 3"]
@@ -43,14 +44,14 @@ class Body(NamedTuple):
 
     def hides(self, points: Points, towards: Point) -> Bool[np.ndarray, " points"]:
         """Whether the object lies between points and a distant eye in the direction `towards`."""
-        height = points @ self.normals.T + self.offsets
         rate = self.normals @ towards
-        parallel = np.abs(rate) < 1e-12
-        meets = -height / np.where(parallel, 1.0, rate)
-        enters = np.where(~parallel & (rate < 0), meets, -np.inf).max(axis=1)
-        leaves = np.where(~parallel & (rate > 0), meets, np.inf).min(axis=1)
-        beside = (parallel & (height > 0)).any(axis=1)
-        return ~beside & (np.maximum(enters, 0.0) < leaves)
+        front, back, beside = rate > PARALLEL, rate < -PARALLEL, np.abs(rate) <= PARALLEL
+
+        def meets(faces: np.ndarray) -> np.ndarray:  # distance of each face along the line of sight
+            return -(points @ (self.normals[faces] / rate[faces, None]).T + self.offsets[faces] / rate[faces])
+
+        passes = (points @ self.normals[beside].T + self.offsets[beside] > 0).any(axis=1)
+        return ~passes & (np.maximum(meets(back).max(axis=1), 0.0) < meets(front).min(axis=1))
 
     def scaled(self, factor: float) -> "Body":
         """The body in another unit of length."""

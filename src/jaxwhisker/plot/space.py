@@ -16,7 +16,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.drives import mount_in_space, placement_of
+from jaxwhisker._model.drives import Placement, mount_in_space, placement_of
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.spring import AXES_IN_SPACE
 from jaxwhisker._scan.quantities import UnitSystem
@@ -145,9 +145,12 @@ def rest_state(scene: SpaceScene, control: float) -> SpaceState:
     return SpaceState(**fields | dict(zip(("base_x", "base_y", "base_z"), position.T, strict=True)))
 
 
-def _placed(scene: SpaceScene, control: float) -> Any:
+def _placed(scene: SpaceScene, control: float) -> Placement:
     """The frame of the drive at a control, in the scene's units."""
-    return jax.tree.map(np.asarray, placement_of(scene.motion, jnp.asarray(control, dtype=float)))
+    return jax.tree.map(np.asarray, _placement(*jax.tree.map(checks.as_float, (scene.motion, control))))
+
+
+_placement = Program(placement_of)
 
 
 def _start_of(problem: SpaceProblem) -> float:
@@ -174,7 +177,7 @@ def _clear(problem: SpaceProblem, controls: Float[Array, " controls"]) -> Bool[A
     return jax.vmap(lambda u: clearance(problem, u))(controls) > 0
 
 
-def _springs(scene: SpaceScene, drive: Any, bases: Points) -> tuple[Points, ...]:
+def _springs(scene: SpaceScene, drive: Placement, bases: Points) -> tuple[Points, ...]:
     """Springs of the support: zigzags between bases, or from a wall that moves with the drive; coils about axes."""
     frame = np.asarray(drive.rotation)
     lines = []
