@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from jaxwhisker._model.solids import Extruded, Revolved, Surface
     from jaxwhisker._model.space_scene import SpaceScene
     from jaxwhisker._scan.space_result import SpaceResult, SpaceState
+    from jaxwhisker._scan.space_shapes import SpaceShapes
     from jaxwhisker._space.deflect import SpaceDeflection
 
 __all__ = [
@@ -113,6 +114,7 @@ __all__ = [
     "SpaceForce",
     "SpaceResult",
     "SpaceScene",
+    "SpaceShapes",
     "SpaceState",
     "Sphere",
     "Splitting",
@@ -165,6 +167,7 @@ _LATER = {
     "_model.space_scene": ("SpaceScene",),
     "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
     "_scan.space_result": ("SpaceResult", "SpaceState"),
+    "_scan.space_shapes": ("SpaceShapes",),
     "_space.deflect": ("SpaceDeflection",),
 }
 _MODULE_OF = {name: module for module, names in _LATER.items() for name in names}

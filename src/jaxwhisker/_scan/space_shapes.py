@@ -42,8 +42,14 @@ def space_state_of(state: SpaceState) -> SpaceState:
 
 
 def shapes_in_space(scene: SpaceScene, state: SpaceState, *, count: int) -> SpaceShapes:
-    """Centre lines of whiskers in a state, or in several states of this scene, with `count` points each."""
-    whiskers, one = jax.tree.map(checks.as_float, scene.whiskers), np.ndim(state.phase) == 1
+    """Centre lines of whiskers in a state, or in several states of this scene, with `count` points each.
+
+    They have derivatives with respect to the states and the whiskers.
+    """
+    whiskers, one = jax.tree.map(checks.as_float, scene.whiskers), jnp.ndim(state.phase) == 1
+    if checks.is_traced((state, whiskers)):
+        states = jax.tree.map(lambda leaf: leaf[None], space_state_of(state)) if one else space_state_of(state)
+        return jax.tree.map(lambda line: line[0] if one else line, _shapes(states, whiskers, count=count))
     states = jax.tree.map(lambda leaf: np.asarray(leaf)[None] if one else np.asarray(leaf), space_state_of(state))
     steps = states.phase.shape[0]
     room = (0, -steps % PADDING)

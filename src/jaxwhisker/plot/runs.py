@@ -14,9 +14,10 @@ from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._scan.quantities import DRAWN, DRAWN_IN_SPACE, MOTION, REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.result import AbstractResult, Event, Result, check_not_batched
 from jaxwhisker._scan.shapes import Shapes
+from jaxwhisker._scan.space_result import SpaceResult
 from jaxwhisker._scan.state import State, state_of
 
-Run = Result | Simulation
+Run = Result | SpaceResult | Simulation
 
 
 def check_one_run(result: Any) -> Run:
@@ -65,6 +66,7 @@ def check_quantity(quantity: Any, *runs: Run, scene: AbstractScene | None = None
     allowed = tuple(name for name in kinds[0] if all(name in kind for kind in kinds))
     if runs and abscissa(*runs) == "time":
         allowed = (*DRAWN, *(name for name in MOTION if name != "time"))
+    allowed = [name for name in allowed if all(getattr(run, name, ...) is not None for run in runs)]
     if quantity not in allowed:
         checks.fail("quantity", f"one of {', '.join(allowed)}", repr(quantity))
 

@@ -42,7 +42,7 @@ WINDOW_MARGIN = 0.1  # around what is drawn
 BESIDE = 0.5  # distance from the vertex of an object to both sides up to which it is shown
 
 
-def scene(setup: Scene, *, view: Any = None, units: str = "auto", ax: Axes | None = None) -> Axes:
+def scene(setup: AbstractScene, *, view: Any = None, units: str = "auto", ax: Axes | None = None) -> Axes:
     """Draw a scene before its scan: object, drive, springs and unloaded whiskers.
 
     The drive stands where the first whisker is about to touch, or at the start of a motion that has ends. Nothing is

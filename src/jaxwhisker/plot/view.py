@@ -28,7 +28,7 @@ DARKEST, LIGHTEST = 0.68, 0.97  # grey of faces
 CUT_GREY = 0.93
 LIGHT = np.array([-0.35, 0.8, 0.5]) / np.linalg.norm([-0.35, 0.8, 0.5])
 TICKS = 4  # about so many along the longest side
-FILLED = 0.8  # of the Axes by the box of a camera
+FILLED = np.array([0.7, 0.84])  # of the Axes, across and up, by the box of a camera
 SIZE = (5.8, 5.2)  # inches, of a figure by a camera
 RING = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "markeredgewidth": 2}
 ARROW = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0}
@@ -212,7 +212,7 @@ class Turned:
         self.ax.set_box_aspect(high - low)
         corners = np.stack(np.meshgrid(*np.stack([low, high]).T)).reshape(3, -1)
         seen = np.ptp(proj3d.proj_transform(*corners, self.ax.get_proj())[:2], axis=1)
-        self.ax.set_box_aspect(high - low, zoom=FILLED * self.ax.viewLim.width / float(np.max(seen)))
+        self.ax.set_box_aspect(high - low, zoom=float(np.min(FILLED / seen)) * self.ax.viewLim.width)
         self.ax.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
         _set_ticks(high - low, self.ax.xaxis, self.ax.yaxis, self.ax.zaxis)
 
