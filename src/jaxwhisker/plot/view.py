@@ -106,7 +106,7 @@ class Flat:
 
     def __init__(self, ax: Axes, view: str):
         self.ax, self.shown = ax, list(VIEWS[view])
-        self.towards = -np.cross(*np.eye(3)[self.shown]) if view == "xz" else np.cross(*np.eye(3)[self.shown])
+        self.towards = np.cross(*np.eye(3)[self.shown])
         ax.set_aspect("equal")
 
     def line(self, points: Points, body: Body | None = None, **style: Any) -> Drawn:
