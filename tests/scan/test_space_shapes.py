@@ -77,7 +77,9 @@ def test_states_are_as_many_as_asked_for_and_failed_ones_are_nan():
 def test_shapes_have_derivatives():
     def tip(force):
         bent = state(contact_force=1.0, contact_arc=1.0, phase=1, contact_y=1.0)
-        return shapes_in_space(jw.Scene(jw.Whisker(), SPHERE), dataclasses.replace(bent, fz=force[None]), count=64).z[0, -1]
+        return shapes_in_space(jw.Scene(jw.Whisker(), SPHERE), dataclasses.replace(bent, fz=force[None]), count=64).z[
+            0, -1
+        ]
 
     # A small force across the tip bends a cantilever by 1/3.
     assert float(jax.grad(tip)(jnp.asarray(0.0))) == pytest.approx(-1 / 3, abs=1e-8)

@@ -25,7 +25,7 @@ SHARP = 0.98  # cosine of the angle between two faces below which a cut has an e
 PARALLEL = 1e-12  # sine of the angle between a face and a line of sight below which they are parallel
 SUNK = 2e-3  # points this deep below the surface, which whiskers touch, are not hidden by it
 
-Points = Float[np.ndarray, "points 3"]
+Points = Float[np.ndarray, "_ 3"]  # rows x, y, z
 Point = Float[np.ndarray, "3"]
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from matplotlib.axes import Axes
 
 from jaxwhisker._base import checks
@@ -142,7 +142,8 @@ def rest_state(scene: SpaceScene, control: float) -> SpaceState:
     none = np.zeros(len(bases))
     names = (name for name, field in SpaceState.__dataclass_fields__.items() if not field.kw_only)
     fields: dict[str, Any] = dict.fromkeys(names, none) | {"phase": none.astype(int), "base_rotation": rotation}
-    return SpaceState(**fields | dict(zip(("base_x", "base_y", "base_z"), position.T, strict=True)))
+    fields |= dict(zip(("base_x", "base_y", "base_z"), position.T, strict=True))
+    return SpaceState(**{name: jnp.asarray(value) for name, value in fields.items()})
 
 
 def _placed(scene: SpaceScene, control: float) -> Placement:
@@ -154,15 +155,19 @@ _placement = Program(placement_of)
 
 
 def _start_of(problem: SpaceProblem) -> float:
-    """Control just before the first unloaded whisker touches the object, or the first one; dimensionless."""
-    first, last = _limits(problem)
+    """Control just before the first unloaded whisker touches the object; dimensionless.
+
+    If no whisker touches, it is the first one of a motion that has ends, or else that nearest to the object.
+    """
+    first, last = map(float, _limits(problem))
     for _ in range(2):  # the second time more finely
-        controls = np.linspace(float(first), float(last), CONTROLS)
-        meets = np.flatnonzero(~np.asarray(_clear(problem, controls)))
+        controls = np.linspace(first, last, CONTROLS)
+        distances = np.asarray(_distances(problem, controls))
+        meets = np.flatnonzero(distances <= 0)
         if not meets.size:
-            return float(controls[0] if problem.ends is not None else controls[CONTROLS // 2])
+            return float(controls[0 if problem.ends is not None else int(np.argmin(distances))])
         first, last = controls[max(meets[0] - 1, 0)], controls[meets[0]]
-    return float(controls[max(meets[0] - 1, 0)])
+    return float(first)
 
 
 @Program
@@ -172,9 +177,9 @@ def _limits(problem: SpaceProblem) -> tuple[Scalar, Scalar]:
 
 
 @Program
-def _clear(problem: SpaceProblem, controls: Float[Array, " controls"]) -> Bool[Array, " controls"]:
-    """Whether all unloaded whiskers are clear of the object, at each control."""
-    return jax.vmap(lambda u: clearance(problem, u))(controls) > 0
+def _distances(problem: SpaceProblem, controls: Float[Array, " controls"]) -> Float[Array, " controls"]:
+    """Distance of the unloaded whiskers from the object at each control."""
+    return jax.vmap(lambda u: clearance(problem, u))(controls)
 
 
 def _springs(scene: SpaceScene, drive: Placement, bases: Points) -> tuple[Points, ...]:
@@ -258,7 +263,7 @@ class Stage:
         for part, own in zip(moving, [*points, *drawn.forces], strict=True):
             part.move(own)
 
-    def _ends(self, drawn: SpaceDrawing) -> Points:
+    def _ends(self, drawn: SpaceDrawing) -> Float[np.ndarray, "arrows 2 3"]:
         """Tails and heads of the arrows of all directors."""
         bases = np.repeat(drawn.whiskers[:, 0], 3, axis=0)
         along = np.moveaxis(drawn.directors, -1, 1).reshape(-1, 3)
