@@ -90,6 +90,6 @@ def test_animate_writes_a_film(in_space, tmp_path):
     path = jw.animate(in_space, tmp_path / "film.gif", seconds=0.2, fps=10, width=160, view="xz")
     with Image.open(path) as film:
         assert film.n_frames >= 2 and film.width == 160
-    with pytest.raises(ValueError, match="`view` must be one of xy, xz, yz, or .* got 'zx'"):
+    with pytest.raises(ValueError, match=r"`view` must be one of xy, xz, yz, or .* got 'zx'"):
         jw.animate(in_space, tmp_path / "other.gif", view="zx")
     assert not (tmp_path / "other.gif").exists()

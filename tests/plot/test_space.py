@@ -83,7 +83,7 @@ def test_figures_use_given_axes_and_units(in_space):
     assert plot.scene(in_space.scene, ax=solid) is solid
     with pytest.raises(ValueError, match="`ax` must be plain Axes for a projection"):
         plot.shapes(in_space, view="xz", ax=solid)
-    with pytest.raises(ValueError, match="`view` must be one of xy, xz, yz, or .* got 'above'"):
+    with pytest.raises(ValueError, match=r"`view` must be one of xy, xz, yz, or .* got 'above'"):
         plot.scene(in_space.scene, view="above")
     with pytest.raises(ValueError, match="`view` must be None in the plane, got 'xy'"):
         plot.scene(jw.Scene(jw.Whisker(), jw.Parabola(0.2)), view="xy")
@@ -168,7 +168,7 @@ def test_quantities_of_space_are_drawn_and_those_of_the_plane_are_not(in_space):
 def test_scans_in_space_and_in_the_plane_are_compared(in_space, result_in_si):
     ax = plot.compare({"plane": result_in_si, "space": in_space}, "fy")
     assert len(ax.get_lines()) == 2
-    with pytest.raises(ValueError, match="`quantity` must be one of .*, got 'fz'"):
+    with pytest.raises(ValueError, match=r"`quantity` must be one of .*, got 'fz'"):
         plot.compare({"plane": result_in_si, "space": in_space}, "fz")
 
 

@@ -19,7 +19,6 @@ from jaxwhisker._rod.space import SpaceLoad, points
 from jaxwhisker._scan.space_result import SpaceState
 from jaxwhisker._space.section import space_section
 
-
 PADDING = 64  # states are padded to a multiple of this, because figures and films then share a compiled program
 
 

@@ -160,7 +160,7 @@ def _polyhedron(surface: AbstractSurface, box: Float[np.ndarray, "2 3"], spread:
     centre = spread.mean(axis=0)
     points = [_crossings(surface, centre, _exits(centre, _directions(RAYS) * np.ptp(spread, axis=0), box))]
     on = ON * np.ptp(box, axis=0)
-    for side, plane in enumerate(box):
+    for plane in box:
         for axis in range(3):
             there = points[0][np.abs(points[0][:, axis] - plane[axis]) < on[axis]]
             if len(there):

@@ -312,11 +312,11 @@ def _between(start: Place, end: Place) -> Line:
     first, way = np.array(start), np.subtract(end, start)
     length = np.hypot(*way)
     across = np.array([-way[1], way[0]]) / max(length, 1e-12)
-    turns, swing = zigzag(rigid=False)
+    turns, swing = zigzag_shape(rigid=False)
     return Line(*(first[:, None] + way[:, None] * turns + across[:, None] * swing), width=THIN)
 
 
-def zigzag(rigid: bool) -> tuple[np.ndarray, np.ndarray]:
+def zigzag_shape(rigid: bool) -> tuple[np.ndarray, np.ndarray]:
     """Shares of the length, and deflections, of the points of a spring."""
     # The number of turns is fixed, so a stretched spring looks stretched.
     turns = np.r_[0.0, 0.2, 0.2 + 0.6 * (np.arange(12) + 0.5) / 12, 0.8, 1.0]
@@ -328,7 +328,7 @@ def _straight(
 ) -> np.ndarray:
     """Zigzag along one axis of the drive's frame, at a level of the other axis; x and y in rows."""
     start, end = here[along] + offset - STAND * short, there[along]
-    turns, swing = zigzag(rigid)
+    turns, swing = zigzag_shape(rigid)
     if short:  # a wall
         head = np.stack([np.full(3, start), level + 2 * AMPLITUDE * np.array([-1.0, 1.0, 0.0])])
     else:

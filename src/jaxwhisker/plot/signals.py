@@ -49,8 +49,8 @@ LEAST_EXTENSION = 1e-9  # the same for extensions, which are small if springs ar
 def overview(result: Run, *, view: Any = None, units: str = "auto") -> Figure:
     """Draw a scan or a simulation on one page: a state, the reactions and the extensions of the springs.
 
-    A scan is drawn where any whisker is in contact; a simulation from start to end, because whiskers ring down. In space,
-    there are six reactions and, with friction, the parts of the contact force.
+    A scan is drawn where any whisker is in contact; a simulation from start to end, because whiskers ring down. In
+    space, there are six reactions and, with friction, the parts of the contact force.
 
     Args:
         result: of `scan` or `simulate`.

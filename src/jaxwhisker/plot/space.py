@@ -28,8 +28,18 @@ from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import clearance
 from jaxwhisker.plot.axes import OBJECT, SUPPORT, colour, legend_above
 from jaxwhisker.plot.body import Body, Points, body_of
-from jaxwhisker.plot.drawing import AMPLITUDE, COIL, CONTROLS, LINE_POINTS, STAND, THICK, THIN, arrow_length, zigzag
-from jaxwhisker.plot.view import Flat, Turned, View, check_view, picture
+from jaxwhisker.plot.drawing import (
+    AMPLITUDE,
+    COIL,
+    CONTROLS,
+    LINE_POINTS,
+    STAND,
+    THICK,
+    THIN,
+    arrow_length,
+    zigzag_shape,
+)
+from jaxwhisker.plot.view import Flat, Turned, check_view, picture
 
 DIRECTOR = 0.17  # length of the arrows of d1, d2 and d3
 NAMED = 0.35  # a director whose arrow appears shorter than this share has no name
@@ -198,7 +208,7 @@ def _springs(scene: SpaceScene, drive: Placement, bases: Points) -> tuple[Points
 
 
 def _zigzag(start: np.ndarray, end: np.ndarray, frame: np.ndarray, rigid: bool) -> Points:
-    turns, swing = zigzag(rigid)
+    turns, swing = zigzag_shape(rigid)
     way = end - start
     # Across the spring, along the axis of the drive's frame that is most nearly normal to it.
     across = np.cross(way, frame[:, np.argmin(np.abs(way @ frame))])
