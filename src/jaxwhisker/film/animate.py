@@ -94,13 +94,14 @@ def animate(
     """
     from tqdm import tqdm
 
+    from jaxwhisker._scan.space_result import SpaceResult
     from jaxwhisker.film import canvas, frames, pace, writers
     from jaxwhisker.plot.view import check_no_view, check_view
 
     seconds = pace.duration_of_film(result, seconds, speed, default=SECONDS, longest=LONGEST)
     path = check(path, seconds, fps, width, units)
     pace.check_begun(result)
-    (check_view if result.scene.in_space else check_no_view)(view)
+    (check_view if isinstance(result, SpaceResult) else check_no_view)(view)
     if path is None:
         kind = "video/mp4" if writers.has_ffmpeg() else "image/gif"
         with tempfile.TemporaryDirectory() as folder:
@@ -108,7 +109,7 @@ def animate(
             animate(result, made, seconds=seconds, fps=fps, width=width, view=view, units=units, progress=progress)
             return Film(kind, made.read_bytes())
     count = max(2, round(seconds * fps))
-    if result.scene.in_space:
+    if isinstance(result, SpaceResult):
         from jaxwhisker.film.space import frames_in_space
 
         shown, marks = frames_in_space(result, count)

@@ -56,13 +56,13 @@ def values_of(run: Run, quantity: str) -> np.ndarray:
 
 def reactions_of(run: Run) -> tuple[str, ...]:
     """Names of the support reactions of a run: three in the plane, six in space."""
-    return REACTIONS_IN_SPACE if run.scene.in_space else REACTIONS
+    return REACTIONS_IN_SPACE if isinstance(run, SpaceResult) else REACTIONS
 
 
 def check_quantity(quantity: Any, *runs: Run, scene: AbstractScene | None = None) -> None:
     """Check that a quantity of these runs, or of a scene, can be drawn over the control or time."""
-    scenes = [run.scene for run in runs] if scene is None else [scene]
-    kinds = [DRAWN_IN_SPACE if one.in_space else DRAWN for one in scenes] or [DRAWN]
+    spaces = [isinstance(run, SpaceResult) for run in runs] if scene is None else [scene.in_space]
+    kinds = [DRAWN_IN_SPACE if in_space else DRAWN for in_space in spaces] or [DRAWN]
     allowed = tuple(name for name in kinds[0] if all(name in kind for kind in kinds))
     if runs and abscissa(*runs) == "time":
         allowed = (*DRAWN, *(name for name in MOTION if name != "time"))

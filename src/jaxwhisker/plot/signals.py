@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from jaxwhisker._base import checks
 from jaxwhisker._scan.quantities import OF_SPRINGS, UnitSystem, check_units, kind_of
 from jaxwhisker._scan.result import check_one_scan
+from jaxwhisker._scan.space_result import SpaceResult
 from jaxwhisker.plot.axes import (
     COLOURS,
     DASHES,
@@ -68,12 +69,12 @@ def overview(result: Run, *, view: Any = None, units: str = "auto") -> Figure:
     low, high = contact_range([result], units=units)
     over, system = abscissa(result), UnitSystem(result.scene, units)
     names, columns = reactions_of(result), len(reactions_of(result)) // ROWS
-    friction = FRICTION_FORCES if result.scene.in_space and result.scene.friction is not None else ()
+    friction = FRICTION_FORCES if isinstance(result, SpaceResult) and result.scene.friction is not None else ()
     rows = ROWS + len(friction) // 2 + springs
     figure = Figure(figsize=(11, 6.5) if columns == 1 else (14, 1.9 * rows + 0.8), layout="constrained")
     figure.suptitle(str(result.scene), fontsize=11)
     grid = figure.add_gridspec(rows, 1 + columns, width_ratios=(1, 1.2) if columns == 1 else (1.3, 1, 1))
-    camera = result.scene.in_space and not isinstance(view, str)
+    camera = isinstance(result, SpaceResult) and not isinstance(view, str)
     left = figure.add_subplot(grid[:, 0], projection="3d" if camera else None)
     middle = (low + high) / 2 * system.unit(over).size
     shapes(result, middle, view=view, units=units, ax=left)

@@ -15,6 +15,7 @@ from jaxwhisker._model.scene import Scene, moves_along_x, objects_of
 from jaxwhisker._model.silhouette import silhouette_of
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.quantities import Unit, UnitSystem, kind_of
+from jaxwhisker._scan.space_result import SpaceResult
 from jaxwhisker.plot.axes import (
     OBJECT,
     SUPPORT,
@@ -115,7 +116,7 @@ def shapes(
     """
     system = UnitSystem(check_one_run(result).scene, units)
     steps = _steps_across(result) if at is None else _steps_at(result, at)
-    if result.scene.in_space:
+    if isinstance(result, SpaceResult):
         from jaxwhisker.plot.space import draw_shapes
 
         ax = draw_shapes(result, steps, system, view, ax)
