@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.rotation import quaternion_of
+from jaxwhisker._base.rotations import Vector
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.space_scene import SpaceScene
@@ -76,7 +77,7 @@ def _line(whisker: Whisker, at: Any, count: int) -> Float[Array, "points 3"]:
     loaded = count - count // 3
     arc = jnp.where(free, whisker.length * (loaded - 1) / (count - 1), at.contact_arc)
 
-    def onwards(start: Any, length: Scalar, force: tuple[Scalar, ...], intervals: int, from_base: Scalar) -> Any:
+    def onwards(start: Any, length: Scalar, force: Vector, intervals: int, from_base: Scalar) -> Any:
         places = np.linspace(0.0, 1.0, intervals + 1)
         return points(start, -length, SpaceLoad(force), section, at=jnp.asarray(places), from_base=from_base)
 

@@ -25,7 +25,7 @@ from jaxwhisker._scan.state import State
 from jaxwhisker.film.frames import SNAP_FRAMES, Frames, Mark
 from jaxwhisker.plot.axes import GREY, SUPPORT, colour
 from jaxwhisker.plot.drawing import Drawing, drawing, largest_force
-from jaxwhisker.plot.runs import Run, abscissa, places, reactions_of
+from jaxwhisker.plot.runs import PlaneRun, Run, abscissa, places, reactions_of
 from jaxwhisker.plot.signals import LEAST_HEIGHT
 from jaxwhisker.plot.states import decimals, draw_object
 from jaxwhisker.plot.view import RING, Drawn
@@ -161,7 +161,7 @@ def _window(system: UnitSystem, drawn: list[Drawing]) -> tuple[float, float, flo
 class Stage:
     """Left half of a film in the plane: object, drive, springs, whiskers and contact forces."""
 
-    def __init__(self, result: Run, shown: Frames, system: UnitSystem):
+    def __init__(self, result: PlaneRun, shown: Frames, system: UnitSystem):
         largest = largest_force(result)
         self._drawings = [_drawing(shown, k, largest, system) for k in range(shown.step.size)]
         self._system, self._window = system, _window(system, self._drawings)

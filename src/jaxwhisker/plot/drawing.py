@@ -29,7 +29,7 @@ from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.springs import holds, loads_of, on_shafts
 from jaxwhisker._scan.state import OPTIONAL, State, base_of, state_of
-from jaxwhisker.plot.runs import Run, lines_of_motion, states_at
+from jaxwhisker.plot.runs import PlaneRun, Run, lines_of_motion, states_at
 
 # Lengths are in L of the first whisker.
 LINE_POINTS = 64  # per centre line
@@ -142,7 +142,7 @@ def drawing(
     )
 
 
-def drawing_at(result: Run, step: int) -> Drawing:
+def drawing_at(result: PlaneRun, step: int) -> Drawing:
     """Geometry of a step of a scan or a sample of a simulation; its largest contact force has the longest arrow."""
     lines = None
     if isinstance(result, Simulation):

@@ -17,7 +17,8 @@ from jaxwhisker._scan.shapes import Shapes
 from jaxwhisker._scan.space_result import SpaceResult
 from jaxwhisker._scan.state import State, state_of
 
-Run = Result | SpaceResult | Simulation
+PlaneRun = Result | Simulation
+Run = PlaneRun | SpaceResult
 
 
 def check_one_run(result: Any) -> Run:
@@ -97,7 +98,7 @@ def progress(run: Run) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, "
     return travel, places_of_events(run, "travel")
 
 
-def states_at(run: Run, steps: int | Int[np.ndarray, " steps"]) -> State:
+def states_at(run: PlaneRun, steps: int | Int[np.ndarray, " steps"]) -> State:
     """States at steps of a scan or samples of a simulation."""
     return jax.tree.map(lambda leaf: np.asarray(leaf)[steps], state_of(run))
 

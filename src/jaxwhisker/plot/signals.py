@@ -92,7 +92,8 @@ def overview(result: Run, *, view: Any = None, units: str = "auto") -> Figure:
         low, high = np.nanmin(times), np.nanmax(times)
     for ax in axes:
         ax.set_xlim(low, high)
-        if ax.get_subplotspec().rowspan.stop < rows:
+        place: Any = ax.get_subplotspec()
+        if place.rowspan.stop < rows:
             ax.tick_params(labelbottom=False)
             ax.set_xlabel("")
     return figure

@@ -129,7 +129,7 @@ def drawing(
     along = push / np.where(force > 0, force, np.nan)[:, None]
     drive = _placed(scene, control)
     return SpaceDrawing(
-        drive.position[None] / size,
+        np.asarray(drive.position)[None] / size,
         whiskers,
         np.asarray(state.base_rotation),
         _springs(scene, drive, whiskers[:, 0]),
@@ -292,7 +292,10 @@ def _draw(drawn: Sequence[SpaceDrawing], system: UnitSystem, view: Flat | Turned
             view.line(scale * way[:, k], body, color=colour(k), linewidth=1, linestyle=":", zorder=2.5)
     *before, last = [one.scaled(scale) for one in drawn]
     for age, one in enumerate(before):
-        style = {"alpha": PALEST + (0.7 - PALEST) * age / max(len(before), 1), "zorder": 2.6 + 0.01 * age}
+        style: dict[str, Any] = {
+            "alpha": PALEST + (0.7 - PALEST) * age / max(len(before), 1),
+            "zorder": 2.6 + 0.01 * age,
+        }
         for k, line in enumerate(one.whiskers):
             view.line(line, body, color=colour(k), linewidth=1.4, **style)
             view.line(line[:1], color=colour(k), linestyle="none", marker="o", markersize=3, **style)

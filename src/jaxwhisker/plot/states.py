@@ -73,7 +73,7 @@ def scene(setup: AbstractScene, *, view: Any = None, units: str = "auto", ax: Ax
     if not isinstance(setup, Scene):
         from jaxwhisker.plot.space import draw_scene
 
-        return draw_scene(setup, system, view, ax)
+        return draw_scene(system.scene, system, view, ax)
     check_no_view(view)
     ax = one_axes(ax)
     control = start_of(setup)

@@ -33,6 +33,8 @@ SIZE = (5.8, 5.2)  # inches, of a figure by a camera
 RING = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "markeredgewidth": 2}
 ARROW = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0}
 
+project: Any = proj3d.proj_transform
+
 View = str | tuple[float, float]
 
 
@@ -138,7 +140,8 @@ class Flat:
 
     def words(self, point: Point, text: str, **style: Any) -> None:
         """Words centred at a point."""
-        self.ax.text(*point[self.shown], text, ha="center", va="center", **style)
+        x, y = point[self.shown]
+        self.ax.text(float(x), float(y), text, ha="center", va="center", **style)
 
     def body(self, body: Body) -> None:
         """The object."""
@@ -211,7 +214,7 @@ class Turned:
         # The box fills the Axes up to the room for the labels, whatever its shape.
         self.ax.set_box_aspect(high - low)
         corners = np.stack(np.meshgrid(*np.stack([low, high]).T)).reshape(3, -1)
-        seen = np.ptp(proj3d.proj_transform(*corners, self.ax.get_proj())[:2], axis=1)
+        seen = np.ptp(project(*corners, self.ax.get_proj())[:2], axis=1)
         self.ax.set_box_aspect(high - low, zoom=float(np.min(FILLED / seen)) * self.ax.viewLim.width)
         self.ax.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
         _set_ticks(high - low, self.ax.xaxis, self.ax.yaxis, self.ax.zaxis)
@@ -223,7 +226,7 @@ def _set_ticks(spans: np.ndarray, *axes: Any) -> None:
         axis.set_major_locator(MultipleLocator(step))
 
 
-def _paler(style: dict[str, Any], body: Body | None) -> dict[str, float]:
+def _paler(style: dict[str, Any], body: Body | None) -> dict[str, Any]:
     opacity = style.get("alpha", 1.0)
     return {"alpha": opacity if body is None else BEHIND * opacity}
 
@@ -249,7 +252,7 @@ class _Seen(Line3D):
         points = np.stack(np.broadcast_arrays(*self.get_data_3d()), axis=1)
         seen = _without_hidden(points, self.body, _towards(self))
         axes: Any = self.axes
-        self.set_data(*proj3d.proj_transform(*seen.T, axes.M)[:2])
+        self.set_data(*project(*seen.T, axes.M)[:2])
         Line2D.draw(self, renderer)
         self.stale = False
 
@@ -259,7 +262,7 @@ class _Arrow(FancyArrowPatch):
 
     def do_3d_projection(self) -> float:
         axes: Any = self.axes
-        x, y, depth = proj3d.proj_transform(*self.ends.T, axes.M)
+        x, y, depth = project(*self.ends.T, axes.M)
         self.set_positions((x[0], y[0]), (x[1], y[1]))
         return float(np.min(depth))
 
@@ -282,7 +285,7 @@ class _Faces(Poly3DCollection):
 
     def do_3d_projection(self) -> float:
         seen = self.whole.normals @ _towards(self) > 0
-        self.set_verts(self.corners[seen])
+        self.set_verts(list(self.corners[seen]))
         self.set_facecolor(self.shades[seen])
         return super().do_3d_projection()
 
@@ -296,5 +299,5 @@ class _Outline(Line3DCollection):
         super().__init__(self.corners[body.edges], **style)
 
     def do_3d_projection(self) -> float:
-        self.set_segments(self.corners[self.whole.outline(_towards(self))])
+        self.set_segments(list(self.corners[self.whole.outline(_towards(self))]))
         return super().do_3d_projection()
