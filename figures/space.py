@@ -1,6 +1,6 @@
 """Draw the figures of docs/space.md.
 
-python figures/space.py writes docs/space_signals.png and docs/space_instability.png.
+python figures/space.py writes docs/space_signals.png, space_instability.png, space_pictures.png and space_overview.png.
 """
 
 from pathlib import Path
@@ -70,6 +70,26 @@ def mark(axis: Axes) -> None:
     axis.plot(0.0, 0.0, "k+", markersize=8)
 
 
+def draw_pictures() -> None:
+    """A whisker past an oblique ellipsoid, by a camera and in two projections."""
+    ellipsoid = jw.Ellipsoid((1.1, 0.8, 0.6), (0.0, 1.1, 0.0)).rotated((0.3, 0.2, -0.4))
+    result = jw.scan(jw.Scene(jw.Whisker(), ellipsoid, motion=jw.LinearDrive(direction=(-2.0, 0.0, -0.7))))
+    figure = pyplot.figure(figsize=(13, 4.8), layout="constrained")
+    for place, view in enumerate((None, "xy", "xz")):
+        axes = figure.add_subplot(1, 3, place + 1, projection="3d" if view is None else None)
+        jw.plot.shapes(result, [-0.6, -0.2, 0.2, 0.3, 0.6], view=view, ax=axes)
+    figure.savefig(DOCS / "space_pictures.png", dpi=110)
+
+
+def draw_overview() -> None:
+    """The scan with friction of the page, with turns of the drive."""
+    scene = jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, -0.5)), friction=0.3)
+    turns = [np.linspace(*ends, 121)[:-1] for ends in ((0.85, 0.3), (0.3, 0.5), (0.5, -0.85))]
+    jw.plot.overview(jw.scan(scene, np.concatenate(turns))).savefig(DOCS / "space_overview.png", dpi=100)
+
+
 if __name__ == "__main__":
     draw_signals()
     draw_instability()
+    draw_pictures()
+    draw_overview()

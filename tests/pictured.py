@@ -160,3 +160,10 @@ def row(tree, k):
 def ends_moved(lines):
     """Largest motion of a base or tip between consecutive lines."""
     return np.hypot(np.diff(lines.x, axis=0), np.diff(lines.y, axis=0))[..., [0, -1]].max(axis=(1, 2))
+
+
+def past_ball(steps=61):
+    """A scan in space: a wire on springs along x and z slides around a ball beside its path; SI units."""
+    wire = jw.Whisker.from_material(length=LENGTH, youngs_modulus=2.1e11, diameter=2e-4)
+    scene = jw.Scene(wire, jw.Sphere(0.04, (0.0, 0.06, 0.01)), jw.Support.follicle(x=40.0, z=20.0))
+    return jw.scan(scene, np.linspace(0.039, -0.039, steps))

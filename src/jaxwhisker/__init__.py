@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from jaxwhisker._model.space_scene import SpaceScene
     from jaxwhisker._scan.array import Array
     from jaxwhisker._scan.space_result import SpaceResult, SpaceState
+    from jaxwhisker._scan.space_shapes import SpaceShapes
     from jaxwhisker._space.deflect import SpaceDeflection
 
 __all__ = [
@@ -115,6 +116,7 @@ __all__ = [
     "SpaceForce",
     "SpaceResult",
     "SpaceScene",
+    "SpaceShapes",
     "SpaceState",
     "Sphere",
     "Splitting",
@@ -168,6 +170,7 @@ _LATER = {
     "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
     "_scan.array": ("Array",),
     "_scan.space_result": ("SpaceResult", "SpaceState"),
+    "_scan.space_shapes": ("SpaceShapes",),
     "_space.deflect": ("SpaceDeflection",),
 }
 _MODULE_OF = {name: module for module, names in _LATER.items() for name in names}

@@ -4,7 +4,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker.film.frames import frames
-from pictured import FILM_STEPS, swept
+from pictured import FILM_STEPS, past_ball, swept
 
 
 def scanned(stiffness, length=1.0, bending_stiffness=1.0):
@@ -17,6 +17,12 @@ def scanned(stiffness, length=1.0, bending_stiffness=1.0):
             rod=jw.ClosedForm(),
         )
     )
+
+
+@pytest.fixture(scope="session")
+def in_space():
+    """A scan in space, in SI units."""
+    return past_ball()
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,13 @@ import pytest
 from matplotlib import pyplot, rcParams
 
 import jaxwhisker as jw
-from pictured import ANGLES, CONTROL, LENGTH, STIFFNESS, coupled, swept, turning
+from pictured import ANGLES, CONTROL, LENGTH, STIFFNESS, coupled, past_ball, swept, turning
+
+
+@pytest.fixture(scope="session")
+def in_space():
+    """A scan in space, in SI units."""
+    return past_ball()
 
 
 @pytest.fixture(scope="session")

@@ -122,6 +122,8 @@ DERIVED = {"spring_extension": Quantity("extension of the spring", r"\Delta\ell"
 OF_SPRINGS = ("spring_length", "spring_extension")
 # Quantities that can be plotted against the control.
 DRAWN = (*(name for name in STATE if name not in ("phase", "slip", *OBJECTS, *IN_SPACE)), *OF_SPRINGS)
+_NOT_DRAWN_IN_SPACE = ("phase", "slip", "base_rotation", *ABSENT_IN_SPACE)
+DRAWN_IN_SPACE = (*(name for name in STATE if name not in _NOT_DRAWN_IN_SPACE), *OF_SPRINGS)
 
 
 def quantity(name: str) -> Quantity:

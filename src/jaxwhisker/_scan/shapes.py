@@ -1,6 +1,6 @@
 """Shapes: the whiskers' centre lines at steps of a scan."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, overload
 
 import equinox as eqx
 import jax
@@ -17,9 +17,13 @@ from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.result import Result, check_one_scan
+from jaxwhisker._scan.result import AbstractResult, Result, check_not_batched
 from jaxwhisker._scan.springs import Held, Holds, held, holds, outwards
 from jaxwhisker._scan.state import State, base_of, material, state_of
+
+if TYPE_CHECKING:
+    from jaxwhisker._scan.space_result import SpaceResult
+    from jaxwhisker._scan.space_shapes import SpaceShapes
 
 
 class Shapes(eqx.Module):
@@ -32,8 +36,12 @@ class Shapes(eqx.Module):
     y: Float[Array, "*at whiskers points"]
 
 
+@overload
+def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Shapes: ...
+@overload
+def shapes(result: "SpaceResult", at: Control | None = None, *, points: int = 64) -> "SpaceShapes": ...
 @in_double
-def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Shapes:
+def shapes(result: Any, at: Control | None = None, *, points: int = 64) -> Any:
     """Centre lines of all whiskers at the scan steps nearest to given drive positions.
 
     They are integrated from the bases to the tips under the scan's reactions.
@@ -45,24 +53,30 @@ def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Sh
         points: number of points per whisker, at least 3.
 
     Returns:
-        Shapes, with arrays of shape (positions, whiskers, points).
+        Shapes, with arrays of shape (positions, whiskers, points); SpaceShapes of a scan in space.
 
     Raises:
         ValueError: if `result` is not the result of a single scan, `at` is not a non-empty one-dimensional array of
             finite numbers within the scan, or `points` is less than 3.
     """
-    check_one_scan(result)
+    checks.instance("result", result, AbstractResult, "the Result of a scan")
+    check_not_batched(result, "the result of a single scan")
     checks.count("points", points, least=3)
     index = np.arange(result.control.shape[0])
     if at is not None:
         checks.vector("at", at)
         checks.within("at", at, result.control, "drive positions of the scan")
         index = np.argmin(np.abs(np.asarray(result.control)[:, None] - np.asarray(at)), axis=0)
-    state = state_of(result)
+    in_space = result.scene.in_space
+    if in_space:
+        from jaxwhisker._scan.space_shapes import shapes_in_space, space_state_of
+    state = space_state_of(result) if in_space else state_of(result)
     if checks.is_traced(state):
         state = jax.tree.map(lambda values: values[index], state)
     else:  # NumPy compiles nothing for a new shape
         state = jax.tree.map(lambda values: jax.device_put(np.asarray(values)[index]), state)
+    if in_space:
+        return shapes_in_space(result.scene, state, count=points)
     control = result.control[index] if checks.is_traced(result.control) else np.asarray(result.control)[index]
     return shapes_of(result.scene, state, control, points=points)
 

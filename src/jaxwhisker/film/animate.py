@@ -48,6 +48,7 @@ def animate(
     speed: float | None = None,
     fps: int = FPS,
     width: int = 960,
+    view: Any = None,
     units: str = "auto",
     progress: bool | None = None,
 ) -> Path | Film:
@@ -58,6 +59,8 @@ def animate(
     the result of the snap in a scan. Where a whisker swings free or to the far side while its base stands still, no
     equilibrium lies between the two states. Its centre line is then turned from one to the other, past the object and
     without changing its length.
+
+    In space, a snap adds no frames: the state after it follows that before. What the object hides is paler.
 
     Whiskers are missing at failed steps, where the film shows the status.
 
@@ -75,6 +78,8 @@ def animate(
         fps: frames per second, 1 to 60. Frames of a GIF last a whole number of hundredths of a second.
         width: width of the film in pixels, 64 to 4096, rounded down to an even number. The height follows from the
             scene: 0.4 to 0.7 times the width.
+        view: of a scan in space: a camera at (elevation, azimuth) in degrees, or the projection "xy", "xz" or "yz", see
+            `jw.plot.scene`. Default: (15, 35).
         units: "auto", "SI" (with prefixes: mm, mN) or "dimensionless" (in L and EI of the first whisker). "auto" is
             "dimensionless" for a first whisker with L = EI = 1, else "SI".
         progress: whether to show a progress bar; by default, on a terminal.
@@ -89,20 +94,29 @@ def animate(
     """
     from tqdm import tqdm
 
+    from jaxwhisker._scan.space_result import SpaceResult
     from jaxwhisker.film import canvas, frames, pace, writers
+    from jaxwhisker.plot.view import check_no_view, check_view
 
     seconds = pace.duration_of_film(result, seconds, speed, default=SECONDS, longest=LONGEST)
     path = check(path, seconds, fps, width, units)
     pace.check_begun(result)
+    (check_view if isinstance(result, SpaceResult) else check_no_view)(view)
     if path is None:
         kind = "video/mp4" if writers.has_ffmpeg() else "image/gif"
         with tempfile.TemporaryDirectory() as folder:
             made = Path(folder) / f"film.{kind[-3:]}"
-            animate(result, made, seconds=seconds, fps=fps, width=width, units=units, progress=progress)
+            animate(result, made, seconds=seconds, fps=fps, width=width, view=view, units=units, progress=progress)
             return Film(kind, made.read_bytes())
-    shown, marks = frames.frames(result, max(2, round(seconds * fps)))
+    count = max(2, round(seconds * fps))
+    if isinstance(result, SpaceResult):
+        from jaxwhisker.film.space import frames_in_space
+
+        shown, marks = frames_in_space(result, count)
+    else:
+        shown, marks = frames.frames(result, count)
     words = pace.in_words(result, seconds, units)
-    drawn = canvas.Canvas(result, shown, marks, fps=fps, width=width, units=units, pace=words)
+    drawn = canvas.Canvas(result, shown, marks, fps=fps, width=width, units=units, pace=words, view=view)
     hidden = None if progress is None else not progress
     with tqdm(range(drawn.count), desc="film", unit=" frames", leave=False, disable=hidden) as counted:
         writers.write(path, drawn, counted, fps=fps)

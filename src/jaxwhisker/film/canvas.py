@@ -1,6 +1,7 @@
 """Draw the frames of a film: the background once, and the moving artists again for every frame."""
 
 import itertools
+from collections.abc import Iterable
 from typing import Any
 
 import jax
@@ -17,17 +18,21 @@ from matplotlib.patheffects import withStroke
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import objects_of
 from jaxwhisker._path.path import SNAPS, EventKind, Status
-from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, control_kind, kind_of
+from jaxwhisker._scan.quantities import UnitSystem, control_kind, kind_of
 from jaxwhisker._scan.result import Event
+from jaxwhisker._scan.space_result import SpaceResult
+from jaxwhisker._scan.state import State
 from jaxwhisker.film.frames import SNAP_FRAMES, Frames, Mark
 from jaxwhisker.plot.axes import GREY, SUPPORT, colour
 from jaxwhisker.plot.drawing import Drawing, drawing, largest_force
-from jaxwhisker.plot.runs import Run, abscissa, places
+from jaxwhisker.plot.runs import PlaneRun, Run, abscissa, places, reactions_of
 from jaxwhisker.plot.signals import LEAST_HEIGHT
 from jaxwhisker.plot.states import decimals, draw_object
+from jaxwhisker.plot.view import RING, Drawn
 
 # Inches; the pixels follow from the width of the film.
 WIDTH, LOWEST, TALLEST = 9.6, 3.9, 6.4  # the height follows from the scene
+LEAST_CURVE = 0.9  # height of a row of curves
 BELOW, ABOVE, GAP = 0.55, 0.4, 0.1  # around axes
 STAGE, CURVES = (0.67, 4.7), (6.35, 3.1)  # position from the left, and width
 
@@ -37,6 +42,7 @@ CURVE_ROOM = 0.08  # above and below curves, as a share of their height
 FLASH = 0.5  # seconds for which an event flashes; a snap flashes for so long after it is over
 MOST_LABELS = 3  # largest number of events that flash at once; only the latest are shown
 WARNING = "#B00000"
+CONTACT = "contact_x", "contact_y"
 # Other events are described by their names.
 _EVENT_WORDS = {
     EventKind.tip_to_tangential: "tangential contact of {}",
@@ -45,9 +51,10 @@ _EVENT_WORDS = {
     EventKind.stick: "{} sticks",
     EventKind.slip: "{} slips",
     EventKind.edge: "{} passes a corner",
+    EventKind.bifurcation: "{} may go either way",
 }
 
-_Place = tuple[float, float, float, float]  # left, bottom, width and height of axes, as shares of the figure
+Place = tuple[float, float, float, float]  # left, bottom, width and height of axes, as shares of the figure
 
 
 class Canvas:
@@ -63,32 +70,32 @@ class Canvas:
         width: int,
         units: str = "auto",
         pace: str = "",
+        view: Any = None,
     ):
-        self.count, largest = shown.step.size, largest_force(result)
+        self.count, names = shown.step.size, reactions_of(result)
         system = UnitSystem(result.scene, units)
-        self._drawings = [_drawing(shown, k, largest, system) for k in range(self.count)]
-        left, right, bottom, top = _window(system, self._drawings)
-        shape = (top - bottom) / (right - left)
-        height = float(np.clip(shape * STAGE[1] + BELOW + ABOVE, LOWEST, TALLEST))
+        if isinstance(result, SpaceResult):
+            from jaxwhisker.film.space import SpaceStage
+
+            self.stage = SpaceStage(result, shown, system, view)
+        else:
+            self.stage = Stage(result, shown, system)
+        lowest = max(LOWEST, LEAST_CURVE * len(names) + BELOW + ABOVE)
+        height = float(np.clip(self.stage.shape * STAGE[1] + BELOW + ABOVE, lowest, TALLEST))
         inner = height - BELOW - ABOVE
-        # Enlarge the window to the shape of the stage: upwards, where the object is, or to both sides.
-        taller = inner / STAGE[1] / shape
-        beside = max(1 / taller - 1, 0.0) * (right - left) / 2
         self.figure = _figure(width, height)
 
-        def place(column: tuple[float, float], bottom: float, tall: float) -> _Place:
+        def place(column: tuple[float, float], bottom: float, tall: float) -> Place:
             return column[0] / WIDTH, bottom / height, column[1] / WIDTH, tall / height
 
-        self.stage = Stage(self.figure, place(STAGE, BELOW, inner), system, self._drawings[0])
-        limits = (left - beside, right + beside), (bottom, bottom + max(taller, 1.0) * (top - bottom))
-        self.stage.axes.set(xlim=limits[0], ylim=limits[1])
-        each = (inner + GAP) / len(REACTIONS)
-        bottoms = [BELOW + row * each for row in reversed(range(len(REACTIONS)))]
+        self.stage.draw(self.figure, place(STAGE, BELOW, inner), inner / STAGE[1])
+        each = (inner + GAP) / len(names)
+        bottoms = [BELOW + row * each for row in reversed(range(len(names)))]
         boxes = [place(CURVES, bottom, each - GAP) for bottom in bottoms]
         self.curves = Curves(self.figure, boxes, result, shown, system)
         over = abscissa(result)
-        self.captions = Captions(self.stage.axes, self.curves.axes, shown, marks, fps, system, over, pace)
-        _name_whiskers(self.figure, len(self._drawings[0].whiskers), 1 - ABOVE / height)
+        self.captions = Captions(self.stage, self.curves.axes, shown, marks, fps, system, over, pace)
+        _name_whiskers(self.figure, shown.state.phase.shape[1], 1 - ABOVE / height)
         self._moving = [*self.stage.moving, *self.captions.behind, *self.curves.moving, *self.captions.in_front]
         for artist in self._moving:
             artist.set_animated(True)
@@ -100,7 +107,7 @@ class Canvas:
             self._canvas.draw()
             self._background = self._canvas.copy_from_bbox(self.figure.bbox)
         self._canvas.restore_region(self._background)
-        self.stage.move(self._drawings[frame])
+        self.stage.move(frame)
         self.curves.move(frame)
         self.captions.move(frame)
         for artist in self._moving:
@@ -152,11 +159,26 @@ def _window(system: UnitSystem, drawn: list[Drawing]) -> tuple[float, float, flo
 
 
 class Stage:
-    """Left half of a film: object, drive, springs, whiskers and contact forces."""
+    """Left half of a film in the plane: object, drive, springs, whiskers and contact forces."""
 
-    def __init__(self, figure: Figure, place: _Place, system: UnitSystem, first: Drawing):
+    def __init__(self, result: PlaneRun, shown: Frames, system: UnitSystem):
+        largest = largest_force(result)
+        self._drawings = [_drawing(shown, k, largest, system) for k in range(shown.step.size)]
+        self._system, self._window = system, _window(system, self._drawings)
+        left, right, bottom, top = self._window
+        self.shape = (top - bottom) / (right - left)  # height over width
+
+    def draw(self, figure: Figure, place: Place, shape: float) -> None:
+        """Draw what does not move, and all artists that do, into axes of this shape at a place in a figure."""
+        first = self._drawings[0]
         ax = self.axes = figure.add_axes(place)
-        draw_object(system, ax)
+        draw_object(self._system, ax)
+        left, right, bottom, top = self._window
+        # Enlarge the window to the shape of the stage: upwards, where the object is, or to both sides.
+        taller = shape / self.shape
+        beside = max(1 / taller - 1, 0.0) * (right - left) / 2
+        upwards = max(taller, 1.0) * (top - bottom)
+        ax.set(xlim=(left - beside, right + beside), ylim=(bottom, bottom + upwards))
         own = [colour(k) for k in range(len(first.whiskers))]
         (self._arm,) = ax.plot([], [], color=SUPPORT, linewidth=0.8, linestyle=":", marker="+", markevery=[0])
         (self._drive,) = ax.plot([], [], color=SUPPORT, markersize=10, linestyle="none")
@@ -170,8 +192,18 @@ class Stage:
         lines = [self._arm, self._drive, *self._springs, *self._whiskers, *self._bases]
         self.moving: list[Artist] = [*lines, *self._arrows]  # from back to front
 
-    def move(self, drawn: Drawing) -> None:
-        """Move all artists to a state."""
+    def ring(self, own: str) -> Drawn:
+        """A ring in a colour, which moves to the points of a contact."""
+        (ring,) = self.axes.plot([], [], color=own, **RING)
+        return Drawn([ring], lambda point: ring.set_data(*point.T))
+
+    def contact(self, state: State, whisker: int) -> np.ndarray:
+        """The contact point of a whisker, as a row."""
+        return np.array([[self._system.shown(name, getattr(state, name)[whisker]) for name in CONTACT]])
+
+    def move(self, frame: int) -> None:
+        """Move all artists to a frame."""
+        drawn = self._drawings[frame]
         x, y, angle = (float(value) for value in drawn.drive)
         square: Any = (4, 0, 45 + float(np.degrees(angle)))
         self._drive.set_data([x], [y])
@@ -190,13 +222,13 @@ class Stage:
 class Curves:
     """Right half of a film: fx, fy and mz of all whiskers up to the frame, in axes with fixed limits."""
 
-    def __init__(self, figure: Figure, boxes: list[_Place], result: Run, shown: Frames, system: UnitSystem):
+    def __init__(self, figure: Figure, boxes: list[Place], result: Run, shown: Frames, system: UnitSystem):
         self.axes, over = [figure.add_axes(box) for box in boxes], abscissa(result)
         self._steps, self._places = shown.step, system.shown(over, shown.place)
         self._over = system.shown(over, places(result, over))
         self._curves, self._heads, self._values = [], [], []
         least = LEAST_HEIGHT * system.scale(kind_of(over, system.scene))
-        for ax, name in zip(self.axes, REACTIONS, strict=True):
+        for ax, name in zip(self.axes, reactions_of(result), strict=True):
             values, now = (system.shown(name, getattr(fields, name)) for fields in (result, shown.state))
             self._values.append((values, now))
             ax.set_xlim(*_limits(self._over, 0.02, least))
@@ -242,7 +274,7 @@ class Captions:
 
     def __init__(
         self,
-        stage: Axes,
+        stage: Any,
         curves: list[Axes],
         shown: Frames,
         marks: list[Mark],
@@ -253,17 +285,16 @@ class Captions:
     ):
         self._frames, self._system, self._over, self._pace = shown, system, over, pace
         self._marks = [(mark.first, mark.first + _duration(mark.event, fps), mark) for mark in marks]
-        ring = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "markeredgewidth": 2}
-        whiskers = range(shown.state.fx.shape[1])
-        self._rings = [[stage.plot([], [], color=colour(k), **ring)[0] for k in whiskers] for _ in range(MOST_LABELS)]
+        self._stage, axes, whiskers = stage, stage.axes, range(shown.state.fx.shape[1])
+        self._rings = [[stage.ring(colour(k)) for k in whiskers] for _ in range(MOST_LABELS)]
         halo = [withStroke(linewidth=3, foreground="white")]
         text = {"textcoords": "offset points", "fontsize": 11}
-        corner = {"xy": (0.0, 1.0), "xycoords": stage.transAxes}
+        corner = {"xy": (0.0, 1.0), "xycoords": axes.transAxes}
         bold = text | corner | {"va": "top", "fontweight": "bold", "path_effects": halo}
-        self._labels = [stage.annotate("", xytext=(8, -8 - 17 * k), **bold) for k in range(MOST_LABELS)]
+        self._labels = [axes.annotate("", xytext=(8, -8 - 17 * k), **bold) for k in range(MOST_LABELS)]
         above = text | corner | {"xytext": (0, 5), "va": "bottom"}
-        self._control = stage.annotate("", **above)
-        self._note = stage.annotate("", **above | {"xy": (1.0, 1.0), "ha": "right", "color": WARNING})
+        self._control = axes.annotate("", **above)
+        self._note = axes.annotate("", **above | {"xy": (1.0, 1.0), "ha": "right", "color": WARNING})
 
         def across(width: float) -> list[Line2D]:
             return [ax.plot([], [], linewidth=width, transform=ax.get_xaxis_transform())[0] for ax in curves]
@@ -272,7 +303,7 @@ class Captions:
         for line in self._past:
             line.set_color(GREY)
         self.behind = [*self._past, *itertools.chain(*self._present)]  # artists behind the curves
-        self.in_front = [*itertools.chain(*self._rings), *self._labels, self._control, self._note]  # of the stage
+        self.in_front = [*self._circles(range(MOST_LABELS)), *self._labels, self._control, self._note]  # of the stage
 
     @property
     def words(self) -> list[str]:
@@ -292,7 +323,7 @@ class Captions:
             line.set_data(np.repeat(past, 3), np.tile([0.0, 1.0, np.nan], past.size))
         now = [flash for flash in self._marks if flash[0] <= frame < flash[1]][-MOST_LABELS:]
         for slot in range(MOST_LABELS):
-            for artist in (self._labels[slot], *self._present[slot], *self._rings[slot]):
+            for artist in (self._labels[slot], *self._present[slot], *self._circles([slot])):
                 artist.set_visible(slot < len(now))
             if slot < len(now):
                 first, last, mark = now[slot]
@@ -316,9 +347,13 @@ class Captions:
             line.set(color=own, alpha=1 - 0.7 * share)
         for k, ring in enumerate(self._rings[slot]):
             state = event.before if event.before.phase[k] != Phase.free else event.after
-            ring.set_visible(k + 1 in event.whiskers and bool(state.phase[k] != Phase.free))
-            ring.set_data(*([self._system.shown(name, getattr(state, name)[k])] for name in ("contact_x", "contact_y")))
-            ring.set(markersize=8 + 16 * share, alpha=1 - 0.8 * share)
+            ring.move(self._stage.contact(state, k))
+            for circle in ring.artists:
+                circle.set_visible(k + 1 in event.whiskers and bool(state.phase[k] != Phase.free))
+                circle.set(markersize=8 + 16 * share, alpha=1 - 0.8 * share)
+
+    def _circles(self, slots: Iterable[int]) -> list[Artist]:
+        return [circle for slot in slots for ring in self._rings[slot] for circle in ring.artists]
 
 
 def _control_in_words(system: UnitSystem, control: float) -> str:

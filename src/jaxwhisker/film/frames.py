@@ -18,6 +18,7 @@ from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.state import State
 from jaxwhisker.film.flow import flows
 from jaxwhisker.plot.runs import (
+    PlaneRun,
     Run,
     abscissa,
     events_of,
@@ -73,7 +74,7 @@ class Silhouette(NamedTuple):
         return float(-np.min(np.max(out, axis=0)))
 
 
-def frames(result: Run, count: int) -> tuple[Frames, list[Mark]]:
+def frames(result: PlaneRun, count: int) -> tuple[Frames, list[Mark]]:
     """Frames for evenly spaced steps of a scan and for its snaps, or for samples of a simulation; and the events.
 
     A snap takes no time in a scan. Its frames show the overdamped flow of the bases from the state before to the state
@@ -102,7 +103,7 @@ def frames(result: Run, count: int) -> tuple[Frames, list[Mark]]:
         lines = lines_of(result.scene, groups, [control[shown], *at_snaps])
     no_snap = np.zeros(shown.size, bool)
     steps = Frames(shown, control[shown], places(result, over)[shown], status, states, lines[0], no_snap)
-    begin = _first_steps(result)
+    begin = first_steps(result)
     of_snap = {
         k: _snap_frames(result, int(begin[k]) - 1, events[k], states, own)
         for k, states, own in zip(snaps, groups[1:], lines[1:], strict=True)
@@ -128,12 +129,12 @@ def _until_failure(shown: Int[np.ndarray, " all"], status: Int[np.ndarray, " all
     return shown[:last], np.append(status[: last - 1], status[last])
 
 
-def _flows(result: Run, snaps: Sequence[int]) -> list[State]:
+def _flows(result: PlaneRun, snaps: Sequence[int]) -> list[State]:
     """The flows of the snaps of a scan; a simulation has no snaps, because everything in it takes time."""
     return flows(result, snaps) if isinstance(result, Result) else []
 
 
-def _snap_frames(result: Run, before: int, event: Event, states: State, lines: Shapes) -> Frames:
+def _snap_frames(result: PlaneRun, before: int, event: Event, states: State, lines: Shapes) -> Frames:
     lengths = np.array([float(whisker.length) for whisker in result.scene.whiskers])
     even = _even(states, lines, lengths, silhouettes_of_scan(result))
     step, control = np.full(SNAP_FRAMES, before), np.full(SNAP_FRAMES, event.control)
@@ -141,13 +142,13 @@ def _snap_frames(result: Run, before: int, event: Event, states: State, lines: S
     return Frames(step, control, control, status, *even, np.ones(SNAP_FRAMES, bool))
 
 
-def silhouettes_of_scan(result: Run) -> list[Silhouette]:
+def silhouettes_of_scan(result: PlaneRun) -> list[Silhouette]:
     """Contours of the objects of a scan, in the scene's units."""
     length = float(result.scene.whiskers[0].length)
     return [Silhouette(*silhouette_of(one, length)) for one in objects_of(result.scene)]
 
 
-def _first_steps(result: Run) -> Int[np.ndarray, " events"]:
+def first_steps(result: Run) -> Int[np.ndarray, " events"]:
     """First step at or after each event."""
     passed, happens = progress(result)
     return np.searchsorted(passed, happens - EVENT_ROUNDING * passed[-1])

@@ -11,7 +11,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 
 from jaxwhisker._base import checks
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.quantities import (
     QUANTITIES,
@@ -41,6 +41,7 @@ MARKERS = {
     EventKind.release: ("s", "white"),
     EventKind.snap_through: ("D", "black"),
     EventKind.snap_off: ("X", "black"),
+    EventKind.bifurcation: ("*", "white"),
 }
 EVENT_HEIGHT = 0.95  # of markers of events, as a share of the Axes
 
@@ -52,25 +53,26 @@ def colour(index: int) -> str:
     return COLOURS[index % len(COLOURS)]
 
 
-def axis_label(quantity: str, scene: Scene | None = None, *, units: str = "auto") -> str:
+def axis_label(quantity: str, scene: AbstractScene | None = None, *, units: str = "auto") -> str:
     """Symbol and unit of a quantity, for an axis.
 
     Args:
-        quantity: one of `QUANTITIES`.
+        quantity: one of `QUANTITIES`; of a scene in space, one that `signal` draws.
         scene: scene whose units are shown; by default the label is dimensionless.
         units: "auto", "SI" or "dimensionless".
 
     Raises:
         ValueError: if there is no such quantity, `scene` is not a Scene or `units` is invalid.
     """
-    check_quantity(quantity)
     if scene is None:
+        check_quantity(quantity)
         return dimensionless_label(named(quantity).symbol, named(quantity).kind)
-    checks.instance("scene", scene, Scene, "a Scene")
+    checks.instance("scene", scene, AbstractScene, "a Scene")
+    check_quantity(quantity, scene=scene)
     return UnitSystem(scene, units).label(quantity)
 
 
-def control_axis(scene: Scene, *, units: str = "auto") -> str:
+def control_axis(scene: AbstractScene, *, units: str = "auto") -> str:
     """Symbol and unit of the control of a scene, for an axis.
 
     Args:
@@ -80,7 +82,7 @@ def control_axis(scene: Scene, *, units: str = "auto") -> str:
     Raises:
         ValueError: if `scene` is not a Scene or `units` is invalid.
     """
-    checks.instance("scene", scene, Scene, "a Scene")
+    checks.instance("scene", scene, AbstractScene, "a Scene")
     return UnitSystem(scene, units).label("control")
 
 
@@ -96,6 +98,12 @@ def label_coordinates(ax: Axes, unit: Unit) -> None:
     ax.set_aspect("equal")
     x, y = (f"${s}$ ({unit.name})" if unit.name else dimensionless_label(s, "length") for s in "xy")
     ax.set(xlabel=x, ylabel=y)
+
+
+def rounded(size: float) -> float:
+    """Nearest of ..., 1, 2, 2.5, 5, 10, ..."""
+    power = 10.0 ** np.floor(np.log10(size))
+    return float(min((1.0, 2.0, 2.5, 5.0, 10.0), key=lambda one: abs(one * power - size)) * power)
 
 
 def unit_systems(results: Sequence[Run], units: str) -> list[UnitSystem]:

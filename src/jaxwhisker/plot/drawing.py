@@ -29,7 +29,7 @@ from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.springs import holds, loads_of, on_shafts
 from jaxwhisker._scan.state import OPTIONAL, State, base_of, state_of
-from jaxwhisker.plot.runs import Run, lines_of_motion, states_at
+from jaxwhisker.plot.runs import PlaneRun, Run, lines_of_motion, states_at
 
 # Lengths are in L of the first whisker.
 LINE_POINTS = 64  # per centre line
@@ -142,7 +142,7 @@ def drawing(
     )
 
 
-def drawing_at(result: Run, step: int) -> Drawing:
+def drawing_at(result: PlaneRun, step: int) -> Drawing:
     """Geometry of a step of a scan or a sample of a simulation; its largest contact force has the longest arrow."""
     lines = None
     if isinstance(result, Simulation):
@@ -218,8 +218,13 @@ def force_arrow(state: State, whisker: int, largest: float, size: float = 1.0) -
     if int(state.phase[whisker]) == Phase.free or not force > 0:
         return None
     x, y = float(state.contact_x[whisker]) / size, float(state.contact_y[whisker]) / size
-    length = _LEAST_ARROW + (_LONGEST_ARROW - _LEAST_ARROW) * force / max(largest, force)
+    length = arrow_length(force, largest)
     return Arrow((x - length * np.sin(slope), y + length * np.cos(slope)), (x, y))
+
+
+def arrow_length(force: float, largest: float) -> float:
+    """Length of the arrow of a force."""
+    return _LEAST_ARROW + (_LONGEST_ARROW - _LEAST_ARROW) * force / max(largest, force, 1e-300)
 
 
 Place = tuple[float, float]
@@ -307,11 +312,11 @@ def _between(start: Place, end: Place) -> Line:
     first, way = np.array(start), np.subtract(end, start)
     length = np.hypot(*way)
     across = np.array([-way[1], way[0]]) / max(length, 1e-12)
-    turns, swing = _zigzag(rigid=False)
+    turns, swing = zigzag_shape(rigid=False)
     return Line(*(first[:, None] + way[:, None] * turns + across[:, None] * swing), width=THIN)
 
 
-def _zigzag(rigid: bool) -> tuple[np.ndarray, np.ndarray]:
+def zigzag_shape(rigid: bool) -> tuple[np.ndarray, np.ndarray]:
     """Shares of the length, and deflections, of the points of a spring."""
     # The number of turns is fixed, so a stretched spring looks stretched.
     turns = np.r_[0.0, 0.2, 0.2 + 0.6 * (np.arange(12) + 0.5) / 12, 0.8, 1.0]
@@ -323,7 +328,7 @@ def _straight(
 ) -> np.ndarray:
     """Zigzag along one axis of the drive's frame, at a level of the other axis; x and y in rows."""
     start, end = here[along] + offset - STAND * short, there[along]
-    turns, swing = _zigzag(rigid)
+    turns, swing = zigzag_shape(rigid)
     if short:  # a wall
         head = np.stack([np.full(3, start), level + 2 * AMPLITUDE * np.array([-1.0, 1.0, 0.0])])
     else:

@@ -10,12 +10,15 @@ from jaxtyping import Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._dynamics.simulation import Simulation
-from jaxwhisker._scan.quantities import DRAWN, MOTION
-from jaxwhisker._scan.result import Event, Result, check_not_batched, check_one_scan
+from jaxwhisker._model.assembly import AbstractScene
+from jaxwhisker._scan.quantities import DRAWN, DRAWN_IN_SPACE, MOTION, REACTIONS, REACTIONS_IN_SPACE
+from jaxwhisker._scan.result import AbstractResult, Event, Result, check_not_batched
 from jaxwhisker._scan.shapes import Shapes
+from jaxwhisker._scan.space_result import SpaceResult
 from jaxwhisker._scan.state import State, state_of
 
-Run = Result | Simulation
+PlaneRun = Result | Simulation
+Run = PlaneRun | SpaceResult
 
 
 def check_one_run(result: Any) -> Run:
@@ -24,9 +27,9 @@ def check_one_run(result: Any) -> Run:
     Raises:
         ValueError: if it is not, or if it is a batch.
     """
-    if not isinstance(result, Simulation):
-        return check_one_scan(result)
-    check_not_batched(result, "a single simulation")
+    checks.instance("result", result, (AbstractResult, Simulation), "the Result of a scan")
+    single = "a single simulation" if isinstance(result, Simulation) else "the result of a single scan"
+    check_not_batched(result, single)
     return result
 
 
@@ -52,18 +55,26 @@ def values_of(run: Run, quantity: str) -> np.ndarray:
     return np.asarray(run.spring_length) - np.asarray(rest, dtype=float)
 
 
-def check_quantity(quantity: Any, *runs: Run) -> None:
-    """Check that a quantity of these runs can be drawn over the control or time."""
-    allowed = DRAWN
+def reactions_of(run: Run) -> tuple[str, ...]:
+    """Names of the support reactions of a run: three in the plane, six in space."""
+    return REACTIONS_IN_SPACE if isinstance(run, SpaceResult) else REACTIONS
+
+
+def check_quantity(quantity: Any, *runs: Run, scene: AbstractScene | None = None) -> None:
+    """Check that a quantity of these runs, or of a scene, can be drawn over the control or time."""
+    spaces = [isinstance(run, SpaceResult) for run in runs] if scene is None else [scene.in_space]
+    kinds = [DRAWN_IN_SPACE if in_space else DRAWN for in_space in spaces] or [DRAWN]
+    allowed = tuple(name for name in kinds[0] if all(name in kind for kind in kinds))
     if runs and abscissa(*runs) == "time":
         allowed = (*DRAWN, *(name for name in MOTION if name != "time"))
+    allowed = [name for name in allowed if all(getattr(run, name, ...) is not None for run in runs)]
     if quantity not in allowed:
         checks.fail("quantity", f"one of {', '.join(allowed)}", repr(quantity))
 
 
 def events_of(run: Run) -> list[Event]:
     """The events of a run; those of a simulation with the samples before and after them."""
-    if isinstance(run, Result):
+    if not isinstance(run, Simulation):
         return list(run.events)
     states, last = jax.tree.map(np.asarray, state_of(run)), np.size(run.time) - 1
     events = []
@@ -87,7 +98,7 @@ def progress(run: Run) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, "
     return travel, places_of_events(run, "travel")
 
 
-def states_at(run: Run, steps: int | Int[np.ndarray, " steps"]) -> State:
+def states_at(run: PlaneRun, steps: int | Int[np.ndarray, " steps"]) -> State:
     """States at steps of a scan or samples of a simulation."""
     return jax.tree.map(lambda leaf: np.asarray(leaf)[steps], state_of(run))
 

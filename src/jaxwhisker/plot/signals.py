@@ -11,7 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxwhisker._base import checks
-from jaxwhisker._scan.quantities import OF_SPRINGS, REACTIONS, UnitSystem, check_units, kind_of
+from jaxwhisker._scan.quantities import OF_SPRINGS, UnitSystem, check_units, kind_of
+from jaxwhisker._scan.result import check_one_scan
+from jaxwhisker._scan.space_result import SpaceResult
 from jaxwhisker.plot.axes import (
     COLOURS,
     DASHES,
@@ -31,22 +33,29 @@ from jaxwhisker.plot.runs import (
     events_of,
     places,
     places_of_events,
+    reactions_of,
     values_of,
 )
 from jaxwhisker.plot.states import shapes
 
 _ANGLES = r"$\varphi$ (rad)", r"$\Delta\varphi$ (rad)"  # of torsion springs: lengths and extensions
+ROWS, WIDE = 3, (9.0, 5.6)  # rows of reactions; inches, of a figure with two columns
+NAMES_OF_AXES = {"y": ", $y$", "z": ", $z$"}
+NAMES_OF_AXES |= {axis: rf", $\varphi{axis[3:]}$" for axis in ("phi", "phi_x", "phi_y")}
+FRICTION_FORCES = "normal_force", "friction_x", "friction_y", "friction_z"
 LEAST_HEIGHT = 1e-3  # of an axis, dimensionless: rounding errors of a constant quantity stay invisible
 LEAST_EXTENSION = 1e-9  # the same for extensions, which are small if springs are stiff
 
 
-def overview(result: Run, *, units: str = "auto") -> Figure:
+def overview(result: Run, *, view: Any = None, units: str = "auto") -> Figure:
     """Draw a scan or a simulation on one page: a state, the reactions and the extensions of the springs.
 
-    A scan is drawn where any whisker is in contact; a simulation from start to end, because whiskers ring down.
+    A scan is drawn where any whisker is in contact; a simulation from start to end, because whiskers ring down. In
+    space, there are six reactions and, with friction, the parts of the contact force.
 
     Args:
         result: of `scan` or `simulate`.
+        view: of a scan in space: (elevation, azimuth), "xy", "xz" or "yz", see `scene`.
         units: "auto", "SI" (with prefixes: mm, mN) or "dimensionless" (in L and EI of the first whisker). "auto" is
             "dimensionless" for a first whisker with L = EI = 1, else "SI".
 
@@ -59,46 +68,64 @@ def overview(result: Run, *, units: str = "auto") -> Figure:
     springs = bool(check_one_run(result).scene.support.springs)
     low, high = contact_range([result], units=units)
     over, system = abscissa(result), UnitSystem(result.scene, units)
-    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    names, columns = reactions_of(result), len(reactions_of(result)) // ROWS
+    friction = FRICTION_FORCES if isinstance(result, SpaceResult) and result.scene.friction is not None else ()
+    rows = ROWS + len(friction) // 2 + springs
+    figure = Figure(figsize=(11, 6.5) if columns == 1 else (14, 1.9 * rows + 0.8), layout="constrained")
     figure.suptitle(str(result.scene), fontsize=11)
-    grid = figure.add_gridspec(len(REACTIONS) + springs, 2, width_ratios=(1, 1.2))
-    shapes(result, (low + high) / 2 * system.unit(over).size, units=units, ax=figure.add_subplot(grid[:, 0]))
-    axes = [figure.add_subplot(grid[row, 1]) for row in range(grid.nrows)]
-    reactions(result, units=units, axs=axes[:3])
+    grid = figure.add_gridspec(rows, 1 + columns, width_ratios=(1, 1.2) if columns == 1 else (1.3, 1, 1))
+    camera = isinstance(result, SpaceResult) and not isinstance(view, str)
+    left = figure.add_subplot(grid[:, 0], projection="3d" if camera else None)
+    middle = (low + high) / 2 * system.unit(over).size
+    shapes(result, middle, view=view, units=units, ax=left)
+    axes = [figure.add_subplot(grid[k % ROWS, 1 + k // ROWS]) for k in range(len(names))]
+    reactions(result, units=units, axs=axes)
+    for k, quantity in enumerate(friction):
+        axes.append(figure.add_subplot(grid[ROWS + k // 2, 1 + k % 2]))
+        _with_events(result, quantity, units, axes[-1])
     if springs:
-        _with_events(result, "spring_extension", units, axes[3])
-        legend_above(axes[3])
+        axes.append(figure.add_subplot(grid[rows - 1, 1:]))
+        _with_events(result, "spring_extension", units, axes[-1])
+        legend_above(axes[-1])
     times = system.shown("time", places(result, "time")) if over == "time" else np.empty(0)
     if np.isfinite(times).any():
         low, high = np.nanmin(times), np.nanmax(times)
     for ax in axes:
         ax.set_xlim(low, high)
-    for ax in axes[:-1]:
-        ax.tick_params(labelbottom=False)
-        ax.set_xlabel("")
+        place: Any = ax.get_subplotspec()
+        if place.rowspan.stop < rows:
+            ax.tick_params(labelbottom=False)
+            ax.set_xlabel("")
     return figure
 
 
 def reactions(result: Run, *, units: str = "auto", axs: Iterable[Axes] | None = None) -> np.ndarray:
-    """Draw fx, fy and mz of all whiskers over the control or time, with thin lines and markers at events.
+    """Draw the reactions of all whiskers over the control or time, with thin lines and markers at events.
+
+    They are fx, fy and mz in the plane, and fx, fy, fz, mx, my and mz in space.
 
     Args:
         result: of `scan` or `simulate`.
         units: "auto", "SI" or "dimensionless", see `overview`.
-        axs: where to draw, three Axes; a new figure by default.
+        axs: where to draw, three Axes, in space six; a new figure by default.
 
     Returns:
-        The three Axes.
+        The Axes, in the order of the reactions.
 
     Raises:
-        ValueError: if `result` is not that of one scan or simulation, there are not three Axes, or `units` is invalid.
+        ValueError: if `result` is not that of one scan or simulation, there are not three (six) Axes, or `units` is
+            invalid.
     """
-    check_one_run(result)
+    names = reactions_of(check_one_run(result))
     check_units(units)
-    axes = grid_of_axes(axs, rows=len(REACTIONS), sharex=True)
-    entries, *_ = [_with_events(result, quantity, units, ax) for ax, quantity in zip(axes, REACTIONS, strict=True)]
-    for ax in axes[:-1]:
-        ax.set_xlabel("")
+    columns = len(names) // ROWS
+    axes = grid_of_axes(axs, rows=ROWS, columns=columns, sharex=True, **({"figsize": WIDE} if columns > 1 else {}))
+    if axs is None:  # forces on the left, moments on the right
+        axes = axes.reshape(ROWS, columns).T.ravel()
+    entries, *_ = [_with_events(result, quantity, units, ax) for ax, quantity in zip(axes, names, strict=True)]
+    for k, ax in enumerate(axes):
+        if (k + 1) % ROWS:
+            ax.set_xlabel("")
     _name_curves_and_events(axes[0], entries)
     return axes
 
@@ -166,7 +193,8 @@ def signal(result: Run, quantity: str, *, units: str = "auto", ax: Axes | None =
 
     Args:
         result: of `scan` or `simulate`.
-        quantity: one of `QUANTITIES`; of a simulation also "gap", "tip_x" or "tip_y".
+        quantity: one of `QUANTITIES`; of a simulation also "gap", "tip_x" or "tip_y"; of a scan in space also "fz",
+            "mx", "my", "base_z", "contact_z", "friction_x", "friction_y" or "friction_z".
         units: "auto", "SI" or "dimensionless", see `overview`.
         ax: where to draw; a new figure by default.
 
@@ -262,7 +290,7 @@ def lateral_losses(
     Raises:
         ValueError: if `result` is not that of one scan, or `units` is invalid.
     """
-    system, control = UnitSystem(check_one_run(result).scene, units), np.asarray(result.control)
+    system, control = UnitSystem(check_one_scan(result).scene, units), np.asarray(result.control)
     places, (first, last) = (system.shown("control", values) for values in (np.asarray(losses), control[[0, -1]]))
     axes = np.array(list(axs))
     for ax in axes:
@@ -328,7 +356,7 @@ def _styles(result: Run, quantity: str, count: int) -> list[dict[str, Any]]:
         base = max(spring.between[1], 1)
         dashes = DASHES[bases.count(base) % len(DASHES)]
         bases.append(base)
-        along = {"y": ", $y$", "phi": r", $\varphi$"}.get(spring.axis, "")
+        along = NAMES_OF_AXES.get(spring.axis, "")
         styles.append({"color": colour(base - 1), "linestyle": dashes, "label": f"spring {k + 1}{along}"})
     return styles
 
@@ -336,9 +364,9 @@ def _styles(result: Run, quantity: str, count: int) -> list[dict[str, Any]]:
 def _finish(ax: Axes, systems: Sequence[UnitSystem], over: str, quantity: str) -> None:
     ax.set_xlabel(systems[-1].label(over))
     # Torsion springs have angles.
-    axes = {s.axis for system in systems for s in system.scene.support.springs} if quantity in OF_SPRINGS else ""
+    turning = {s.turns for system in systems for s in system.scene.support.springs} if quantity in OF_SPRINGS else set()
     label, angles = systems[0].label(quantity), _ANGLES[quantity == "spring_extension"]
-    ax.set_ylabel(label if "phi" not in axes else angles if axes == {"phi"} else f"{label}, {angles}")
+    ax.set_ylabel(label if True not in turning else angles if turning == {True} else f"{label}, {angles}")
     ax.grid(alpha=0.3)
     low, high = ax.get_ylim()
     least = LEAST_EXTENSION if quantity == "spring_extension" else LEAST_HEIGHT

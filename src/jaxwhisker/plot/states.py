@@ -9,11 +9,13 @@ from matplotlib.ticker import MultipleLocator
 
 from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, moves_along_x, objects_of
 from jaxwhisker._model.silhouette import silhouette_of
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.quantities import Unit, UnitSystem, kind_of
+from jaxwhisker._scan.space_result import SpaceResult
 from jaxwhisker.plot.axes import (
     OBJECT,
     SUPPORT,
@@ -22,11 +24,13 @@ from jaxwhisker.plot.axes import (
     legend_above,
     length_unit,
     one_axes,
+    rounded,
     several_axes,
     title,
 )
 from jaxwhisker.plot.drawing import Drawing, drawing, drawing_at, rest_state, start_of
 from jaxwhisker.plot.runs import Run, abscissa, check_one_run, places
+from jaxwhisker.plot.view import check_no_view
 
 MINUS = "\N{MINUS SIGN}"
 STATES = 5  # drawn by default
@@ -39,58 +43,87 @@ WINDOW_MARGIN = 0.1  # around what is drawn
 BESIDE = 0.5  # distance from the vertex of an object to both sides up to which it is shown
 
 
-def scene(setup: Scene, *, units: str = "auto", ax: Axes | None = None) -> Axes:
+def scene(setup: AbstractScene, *, view: Any = None, units: str = "auto", ax: Axes | None = None) -> Axes:
     """Draw a scene before its scan: object, drive, springs and unloaded whiskers.
 
     The drive stands where the first whisker is about to touch, or at the start of a motion that has ends. Nothing is
     solved.
 
+    In space, the picture also shows the directors d1, d2 and d3 at the bases. What the object hides is paler. An object
+    that goes on far beyond the whiskers is cut off.
+
     Args:
         setup: a Scene.
+        view: of a scene in space: a camera at (elevation, azimuth) in degrees, or the projection "xy", "xz" or "yz". At
+            (0, 0) the camera looks along -z, with x to the right; the elevation raises it, and the azimuth moves it
+            towards +x. "xy" looks along -z, "xz" from below, where the whiskers are, and "yz" along x, with z to the
+            right. Default: (15, 35), or "xy" in plain Axes.
         units: "auto", "SI" (with prefixes: mm, mN) or "dimensionless" (in L and EI of the first whisker). "auto" is
             "dimensionless" for a first whisker with L = EI = 1, else "SI".
-        ax: where to draw; a new figure by default.
+        ax: where to draw, for a camera 3D Axes; a new figure by default.
 
     Returns:
         The Axes.
 
     Raises:
-        ValueError: if `setup` is not a Scene or `units` is invalid.
+        ValueError: if `setup` is not a Scene or `view` or `units` is invalid, or `ax` does not suit `view`.
     """
-    checks.instance("setup", setup, Scene, "a Scene")
+    checks.instance("setup", setup, AbstractScene, "a Scene")
     system = UnitSystem(setup, units)
+    if not isinstance(setup, Scene):
+        from jaxwhisker.plot.space import draw_scene
+
+        return draw_scene(system.scene, system, view, ax)
+    check_no_view(view)
     ax = one_axes(ax)
     control = start_of(setup)
     _draw_states([drawing(setup, control, rest_state(setup, control))], system, True, ax)
     return ax
 
 
-def shapes(result: Run, at: Any = None, *, whole: bool = True, units: str = "auto", ax: Axes | None = None) -> Axes:
+def shapes(
+    result: Run,
+    at: Any = None,
+    *,
+    whole: bool = True,
+    view: Any = None,
+    units: str = "auto",
+    ax: Axes | None = None,
+) -> Axes:
     """Draw whiskers, springs, drive, object and contact forces at one or several positions of the drive, or times.
 
     If there are several, earlier whiskers are paler; springs, drive and forces belong to the last one. Arrows point in
     the direction in which the object pushes the whisker; their length grows with the force, relative to the largest
     contact force (of a simulation, without short impacts). Failed steps are left out.
 
+    In space, a dotted line is the way of the contact during the whole scan.
+
     Args:
         result: result of `scan` or `simulate`.
         at: drive position or positions of a scan, or time or times of a simulation, in the scene's unit; the nearest
             steps are drawn. Default: five across the contact.
         whole: draw the upper half of a circle or ellipse too, which no whisker touches.
+        view: of a scan in space: (elevation, azimuth), "xy", "xz" or "yz", see `scene`.
         units: "auto", "SI" or "dimensionless", see `scene`.
-        ax: where to draw; a new figure by default.
+        ax: where to draw, for a camera 3D Axes; a new figure by default.
 
     Returns:
         The Axes.
 
     Raises:
-        ValueError: if `result` is not that of one scan or simulation, `at` is not finite numbers within it, or `units`
-            is invalid.
+        ValueError: if `result` is not that of one scan or simulation, `at` is not finite numbers within it, `view` or
+            `units` is invalid, or `ax` does not suit `view`.
     """
     system = UnitSystem(check_one_run(result).scene, units)
     steps = _steps_across(result) if at is None else _steps_at(result, at)
-    ax = one_axes(ax)
-    _draw_states([drawing_at(result, step) for step in steps], system, whole, ax)
+    if isinstance(result, SpaceResult):
+        from jaxwhisker.plot.space import draw_shapes
+
+        ax = draw_shapes(result, steps, system, view, ax)
+    else:
+        check_no_view(view)
+        ax = one_axes(ax)
+        _draw_states([drawing_at(result, step) for step in steps], system, whole, ax)
     if len(steps) <= MOST_LISTED:
         # To a thousandth of L or T for one step, to a hundredth for several.
         over = abscissa(result)
@@ -277,10 +310,4 @@ def _set_window(drawn: Sequence[Drawing], system: UnitSystem, ax: Axes) -> None:
     ax.set_ylim(scale * (y.min(initial=0.0) - WINDOW_MARGIN), scale * (max(y.max(initial=1.0), vertex) + WINDOW_MARGIN))
     if x.size and np.ptp(x) < WIDE:  # by default the ticks of a narrow window overlap
         for axis in (ax.xaxis, ax.yaxis):
-            axis.set_major_locator(MultipleLocator(_round(0.5 * scale)))
-
-
-def _round(size: float) -> float:
-    """Nearest of ..., 1, 2, 2.5, 5, 10, ..."""
-    power = 10.0 ** np.floor(np.log10(size))
-    return float(min((1.0, 2.0, 2.5, 5.0, 10.0), key=lambda one: abs(one * power - size)) * power)
+            axis.set_major_locator(MultipleLocator(rounded(0.5 * scale)))

@@ -1,0 +1,211 @@
+"""The object of a scene in space as figures draw it: a convex polyhedron with its vertices on the surface.
+
+Vertices are where rays from inside meet the surface. An object that goes on beyond a box around the whiskers is cut off
+there. Lengths are in L of the first whisker.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.program import Program
+from jaxwhisker._model.surface import AbstractSurface
+
+RAYS, COARSE, AROUND = 2400, 400, 160  # all over the object, for its extent, and in the plane of a cut
+SPREADS = 4  # rounds in which its extent is found
+PADDING = 800  # rays are padded to a multiple of this, because pictures then share a compiled program
+BISECTIONS = 45
+WHOLE = 2.5  # an object is whole if it ends within this distance of the whiskers ...
+NEAR = 0.9  # ... and otherwise is cut off at this one
+ON = 1e-6  # of a box: points this close to a face lie on it
+SHARP = 0.98  # cosine of the angle between two faces below which a cut has an edge between them
+PARALLEL = 1e-12  # sine of the angle between a face and a line of sight below which they are parallel
+SUNK = 2e-3  # points this deep below the surface, which whiskers touch, are not hidden by it
+
+Points = Float[np.ndarray, "_ 3"]  # rows x, y, z
+Point = Float[np.ndarray, "3"]
+
+
+class Body(NamedTuple):
+    """A convex polyhedron."""
+
+    points: Points
+    faces: Int[np.ndarray, "faces 3"]  # indices of points
+    normals: Float[np.ndarray, "faces 3"]  # outward, of the flat faces
+    offsets: Float[np.ndarray, " faces"]  # x.normal + offset is positive outside the body without a thin layer
+    smooth: Float[np.ndarray, "faces 3"]  # outward normals of the surface itself
+    cut: Bool[np.ndarray, " faces"]  # where the object goes on
+    edges: Int[np.ndarray, "edges 2"]  # indices of points
+    beside: Int[np.ndarray, "edges 2"]  # indices of the faces on both sides of an edge
+    sharp: Bool[np.ndarray, " edges"]  # edges of cuts
+
+    def hides(self, points: Points, towards: Point) -> Bool[np.ndarray, " points"]:
+        """Whether the object lies between points and a distant eye in the direction `towards`."""
+        rate = self.normals @ towards
+        front, back, beside = rate > PARALLEL, rate < -PARALLEL, np.abs(rate) <= PARALLEL
+
+        def meets(faces: np.ndarray) -> np.ndarray:  # distance of each face along the line of sight
+            return -(points @ (self.normals[faces] / rate[faces, None]).T + self.offsets[faces] / rate[faces])
+
+        passes = (points @ self.normals[beside].T + self.offsets[beside] > 0).any(axis=1)
+        return ~passes & (np.maximum(meets(back).max(axis=1), 0.0) < meets(front).min(axis=1))
+
+    def scaled(self, factor: float) -> "Body":
+        """The body in another unit of length."""
+        return self._replace(points=factor * self.points, offsets=factor * self.offsets)
+
+    def outline(self, towards: Point) -> Int[np.ndarray, "edges 2"]:
+        """Edges of the silhouette for a distant eye, and those of cuts that it sees."""
+        seen = (self.normals @ towards > 0)[self.beside]
+        return self.edges[(seen[:, 0] != seen[:, 1]) | (self.sharp & seen.any(axis=1))]
+
+
+def body_of(surface: AbstractSurface, low: Point, high: Point) -> Body | None:
+    """The part of an object near a box that holds the whiskers; None if the object is too far away.
+
+    Args:
+        surface: the object.
+        low: least x, y and z of the box.
+        high: largest x, y and z.
+    """
+    box = np.stack([low - WHOLE, high + WHOLE])
+    points = _spread(surface, box)
+    if points is None:
+        return None
+    extent = np.stack([points.min(axis=0), points.max(axis=0)])
+    goes_on = np.abs(extent - box) < ON * np.ptp(box, axis=0)
+    box = np.where(goes_on, np.stack([low - NEAR, high + NEAR]), box)
+    points = _spread(surface, box)
+    return None if points is None else _polyhedron(surface, box, points)
+
+
+def _spread(surface: AbstractSurface, box: Float[np.ndarray, "2 3"]) -> Points | None:
+    """Some points all over the part of an object in a box."""
+    centre, size = _inside(surface, box), np.ptp(box, axis=0)
+    if centre is None:
+        return None
+    points = centre[None]
+    for _ in range(SPREADS):  # each time from the middle of the points, and as far in each direction as they are
+        points = _crossings(surface, centre, _exits(centre, _directions(COARSE) * size, box))
+        centre, size = points.mean(axis=0), np.ptp(points, axis=0)
+    return points
+
+
+def _inside(surface: AbstractSurface, box: Float[np.ndarray, "2 3"]) -> Point | None:
+    """A point of the object in a box."""
+    from scipy.optimize import minimize
+
+    middle = box.mean(axis=0)
+    low, high = middle + 0.95 * (box - middle)
+    near = np.clip(np.asarray(surface.interior_point()), low, high)
+    if not _level(surface, near)[0] < 0:
+        bounds = list(zip(low, high, strict=True))
+        near = minimize(lambda x: tuple(map(np.asarray, _level(surface, x))), near, jac=True, bounds=bounds).x
+    return near if _level(surface, near)[0] < 0 else None
+
+
+@Program
+def _level(surface: AbstractSurface, x: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+    return surface.level(x), surface.gradient(x)
+
+
+def _directions(count: int) -> Points:
+    """Directions that are spread evenly over a sphere, on a spiral."""
+    index = np.arange(count) + 0.5
+    height, turn = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5.0)) * index
+    across = np.sqrt(1 - height**2)
+    return np.stack([across * np.cos(turn), height, across * np.sin(turn)], axis=1)
+
+
+def _exits(start: Point, directions: Points, box: Float[np.ndarray, "2 3"]) -> Points:
+    """Where rays from a point in a box leave it."""
+    ahead = np.where(directions > 0, box[1], box[0]) - start
+    parallel = directions == 0
+    length = np.where(parallel, np.inf, ahead / np.where(parallel, 1.0, directions)).min(axis=1)
+    return start + length[:, None] * directions
+
+
+def _crossings(surface: AbstractSurface, inside: Point, ends: Points) -> Points:
+    """Where lines from a point inside meet the surface; their ends, if these are inside, too."""
+    padded = np.pad(ends, [(0, -len(ends) % PADDING), (0, 0)], mode="edge")
+    return np.asarray(_meet(surface, inside, padded))[: len(ends)]
+
+
+@Program
+def _meet(surface: AbstractSurface, inside: Float[Array, "3"], ends: Float[Array, "rays 3"]) -> Float[Array, "rays 3"]:
+    level = jax.vmap(surface.level)
+
+    def halve(_, shares):
+        low, high = shares
+        middle = (low + high) / 2
+        within = level(inside + middle[:, None] * (ends - inside)) < 0  # outside its domain, a level is NaN
+        return jnp.where(within, middle, low), jnp.where(within, high, middle)
+
+    none = jnp.zeros(ends.shape[0])
+    low, _ = jax.lax.fori_loop(0, BISECTIONS, halve, (none, none + 1))
+    return inside + jnp.where(level(ends) < 0, 1.0, low)[:, None] * (ends - inside)
+
+
+@Program
+def _normals(surface: AbstractSurface, points: Float[Array, "points 3"]) -> Float[Array, "points 3"]:
+    return jax.vmap(surface.normal)(points)
+
+
+def _polyhedron(surface: AbstractSurface, box: Float[np.ndarray, "2 3"], spread: Points) -> Body:
+    from scipy.spatial import ConvexHull
+
+    centre = spread.mean(axis=0)
+    points = [_crossings(surface, centre, _exits(centre, _directions(RAYS) * np.ptp(spread, axis=0), box))]
+    on = ON * np.ptp(box, axis=0)
+    for plane in box:
+        for axis in range(3):
+            there = points[0][np.abs(points[0][:, axis] - plane[axis]) < on[axis]]
+            if len(there):
+                points.append(_around(surface, there.mean(axis=0), axis, box))
+    points += _on_edges(surface, box)
+    cloud = np.concatenate(points)
+    hull = ConvexHull(cloud)
+    corners = cloud[hull.simplices]
+    flat = [np.abs(corners - plane).max(axis=1) < on for plane in box]
+    cut = np.any(flat, axis=(0, 2))
+    middles = corners.mean(axis=1)
+    room = -len(middles) % PADDING
+    smooth = np.asarray(_normals(surface, np.pad(middles, [(0, room), (0, 0)], mode="edge")))[: len(middles)]
+    normals = hull.equations[:, :3]
+    smooth = np.where(cut[:, None] | ~np.isfinite(smooth), normals, smooth)
+    # Neighbour k of a face is opposite to its vertex k.
+    face, opposite = np.nonzero(hull.neighbors > np.arange(len(corners))[:, None])
+    edges = np.stack([hull.simplices[face, (opposite + 1) % 3], hull.simplices[face, (opposite + 2) % 3]], axis=1)
+    beside = np.stack([face, hull.neighbors[face, opposite]], axis=1)
+    sharp = cut[beside].any(axis=1) & (np.sum(normals[beside[:, 0]] * normals[beside[:, 1]], axis=1) < SHARP)
+    return Body(cloud, hull.simplices, normals, hull.equations[:, 3] + SUNK, smooth, cut, edges, beside, sharp)
+
+
+def _around(surface: AbstractSurface, middle: Point, axis: int, box: Float[np.ndarray, "2 3"]) -> Points:
+    """Points around the part of the object in a plane normal to an axis, from a point in it."""
+    turn = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
+    directions = np.zeros((AROUND, 3))
+    directions[:, (axis + 1) % 3], directions[:, (axis + 2) % 3] = np.cos(turn), np.sin(turn)
+    return _crossings(surface, middle, _exits(middle, directions * np.ptp(box, axis=0), box))
+
+
+def _on_edges(surface: AbstractSurface, box: Float[np.ndarray, "2 3"]) -> list[Points]:
+    """Ends of the parts of the edges of a box that are inside the object."""
+    ends = []
+    for axis in range(3):
+        for corner in (k for k in range(8) if not k >> axis & 1):
+            first = box[[corner >> one & 1 for one in range(3)], range(3)]
+            last = np.where(np.arange(3) == axis, box[1], first)
+            along = first + np.linspace(0.0, 1.0, AROUND)[:, None] * (last - first)
+            inside = along[np.asarray(_levels(surface, along)) < 0]
+            if len(inside):
+                ends.append(_crossings(surface, inside.mean(axis=0), np.stack([first, last])))
+    return ends
+
+
+@Program
+def _levels(surface: AbstractSurface, points: Float[Array, "points 3"]) -> Float[Array, " points"]:
+    return jax.vmap(surface.level)(points)
