@@ -96,6 +96,8 @@ def reconstruct(
     if covariance is not None and np.shape(covariance) != (values.size,) * 2:
         allowed = f"of the {values.size} parameters, ({values.size}, {values.size})"
         checks.fail("covariance", allowed, f"shape {np.shape(covariance)}")
+    if getattr(made, "in_space", False):
+        return _in_space(measured, made, sigma, base, slip, (sensor, names, values, covariance))
     known = sensor_of(made)
     if known.support.on_shafts:
         _check_held(known, base)
@@ -116,6 +118,20 @@ def reconstruct(
         points = _contacts_of_parameters(sensor, names, values, jnp.asarray(covariance, dtype=float), readings)
     points = jax.tree.map(lambda leaf: leaf[: control.size], points)
     return Reconstruction(**vars(points), control=control, length=jnp.asarray(known.whiskers[0].length, dtype=float))
+
+
+def _in_space(measured: Any, made: Any, sigma: Any, base: Any, slip: Any, parameters: tuple) -> Any:
+    from jaxwhisker._inverse.reconstruct_in_space import reconstruct_in_space
+
+    if base is not None:
+        checks.fail("base", "None in space", "poses")
+    if slip is not None:
+        checks.fail("slip", "None in space, where the direction of the force is measured", "one")
+    build, names, values, covariance = parameters
+    widened = None if covariance is None else (build, names, values, jnp.asarray(covariance, dtype=float))
+    if widened and not checks.is_traced(values):
+        check_traceable(build, dict(zip(names, values, strict=True)), called="sensor")
+    return reconstruct_in_space(measured, made, sigma, widened)
 
 
 def sensor_of(sensor: Any) -> Sensor:
