@@ -203,7 +203,7 @@ class SpaceObservation(eqx.Module):
 
 
 def nearest_zero(moment: Float[Array, "points 3"]) -> tuple[Scalar, Any]:
-    """Where a moment along a rod first vanishes, or where it is least, in intervals; and the last finite point there."""
+    """Where a moment along a rod first vanishes, or where it is least, in intervals, and the point before it."""
     here, change = moment[:-1], moment[1:] - moment[:-1]
     square = jnp.sum(change**2, axis=1)
     share = jnp.clip(-jnp.sum(here * change, axis=1) / jnp.where(square > 0, square, 1.0), 0.0, 1.0)
@@ -212,7 +212,9 @@ def nearest_zero(moment: Float[Array, "points 3"]) -> tuple[Scalar, Any]:
     zeros = least < (NEAR_ZERO**2) * jnp.max(jnp.where(jnp.isfinite(moment), moment**2, 0.0))
     first = jnp.where(jnp.any(zeros), jnp.argmax(zeros), jnp.argmin(least))
     # A zero may extend into the next interval.
-    first = first + ((share[first] == 1) & (first + 1 < least.size) & (least[jnp.minimum(first + 1, least.size - 1)] < least[first]))
+    first = first + (
+        (share[first] == 1) & (first + 1 < least.size) & (least[jnp.minimum(first + 1, least.size - 1)] < least[first])
+    )
     return first + share[first], first
 
 

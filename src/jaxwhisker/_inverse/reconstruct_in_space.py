@@ -11,7 +11,7 @@ they determine the contact:
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,8 +34,6 @@ from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE
 from jaxwhisker._scan.scan import BLOCK
 
-import os
-QUICK = bool(os.environ.get("QUICK"))
 UNTWISTED = ("f1", "f2", "f3", "m1", "m2")
 TRIPLET = ("f3", "m1", "m2")
 LEVERS = (0.9, 0.6, 0.3)  # lengths: contacts from which the search for that of a triplet starts
@@ -80,7 +78,7 @@ def reconstruct_in_space(
         lambda array: jnp.pad(array, [(0, padding)] + [(0, 0)] * (array.ndim - 1), mode="edge"), (control, *signals)
     )
     if widened is None:
-        points = _contacts_now(jax.tree.map(checks.as_float, sensor), kinds, readings)
+        points = _contacts(jax.tree.map(checks.as_float, sensor), kinds, readings)
     else:
         build, names, values, covariance = widened
         points = _contacts_of_parameters(build, names, values, covariance, kinds, readings)
@@ -95,7 +93,9 @@ def _signals(measured: Any, sigma: Any, sensor: SpaceSensor):
     traced = checks.is_traced((measured, sigma))
     if traced and (not isinstance(measured, Mapping) or "control" not in measured):
         raise ValueError("`measured` must be a mapping with control and channels within jit, vmap and derivatives.")
-    names = {str(name).partition("_")[0] for name in (measured if traced else named_values(measured, REACTIONS_IN_SPACE))}
+    names = {
+        str(name).partition("_")[0] for name in (measured if traced else named_values(measured, REACTIONS_IN_SPACE))
+    }
     kinds = OWN_REACTIONS if names & set(OWN_REACTIONS) else REACTIONS_IN_SPACE
     if kinds == OWN_REACTIONS and names & set(REACTIONS_IN_SPACE):
         checks.fail("measured", "channels in one frame: fx to mz, or f1 to m3", ", ".join(sorted(names)))
@@ -168,14 +168,24 @@ def _root_of(covariance: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
     checks.fail("sigma", allowed, f"shape {covariance.shape}")
 
 
-def _contacts(sensor: SpaceSensor, kinds: tuple[str, ...], readings: Readings) -> SpaceStep:
-    unit = jax.tree.map(checks.as_float, units_of(sensor.whiskers[0], sensor.motion))
-    known = space_instrument(sensor, unit, kinds != REACTIONS_IN_SPACE)
+class _Prepared(NamedTuple):
+    """What the contacts at all steps follow from."""
+
+    known: SpaceInstrument
+    unit: Units
+    drive: Placement  # fields (steps, ...), dimensionless
+    reaction: Float[Array, "steps whiskers channels"]  # dimensionless
+    root: Float[Array, "steps whiskers channels channels"]  # of the covariance of their noise
+
+
+def _prepared(sensor: SpaceSensor, kinds: tuple[str, ...], readings: Readings) -> _Prepared:
+    """The sensor and its signals without dimensions: many sensors share the program that follows."""
     control, signals, root = readings
-    sizes = jnp.stack([unit.force if kind[0] == "f" else unit.moment for kind in kinds])
-    reaction, noisy = signals / sizes, root is not None
+    unit = jax.tree.map(checks.as_float, units_of(sensor.whiskers[0], sensor.motion))
+    forces = np.array([kind[0] == "f" for kind in kinds])
+    sizes = jnp.where(forces, unit.force, unit.moment)
+    reaction = signals / sizes
     if root is None:
-        forces = np.array([kind[0] == "f" for kind in kinds])
         largest = jnp.max(jnp.nan_to_num(jnp.abs(jax.lax.stop_gradient(reaction))), axis=0)
         peaks = jnp.stack([jnp.max(largest[:, forces == kind], axis=1) for kind in forces], axis=1)
         peaks = jnp.broadcast_to(jnp.where(peaks > 0, peaks, 1.0), reaction.shape)
@@ -184,18 +194,23 @@ def _contacts(sensor: SpaceSensor, kinds: tuple[str, ...], readings: Readings) -
         root = root / sizes[:, None]
     drive = jax.vmap(lambda u: placement_of(sensor.motion, u))(control)
     drive = drive._replace(position=drive.position / unit.length)
-    return jax.vmap(lambda *at: _step(known, unit, kinds, noisy, *at))(drive, reaction, root)
+    return _Prepared(space_instrument(sensor, unit, kinds != REACTIONS_IN_SPACE), unit, drive, reaction, root)
 
 
-_contacts_now = Program(_contacts, quick=QUICK)
+def _located(prepared: _Prepared, kinds: tuple[str, ...], noisy: bool) -> SpaceStep:
+    known, unit, *each = prepared
+    return jax.vmap(lambda *at: _step(known, unit, kinds, noisy, *at))(*each)
 
 
-@Program
+_prepared_now, _located_now = Program(_prepared), Program(_located)
+
+
 def _contacts_of_parameters(build, names, values, covariance, kinds, readings) -> SpaceStep:
     """The points, with the uncertainty of the parameters added to their covariance."""
 
     def at(values):
-        points = _contacts(space_sensor(build(**dict(zip(names, values, strict=True)))), kinds, readings)
+        sensor = space_sensor(build(**dict(zip(names, values, strict=True))))
+        points = _contacts(jax.tree.map(checks.as_float, sensor), kinds, readings)
         parts = points.x, points.y, points.z, points.arc, points.force_x, points.force_y, points.force_z
         return jnp.stack(parts, axis=-1), points
 
@@ -203,6 +218,10 @@ def _contacts_of_parameters(build, names, values, covariance, kinds, readings) -
     of_values = jnp.einsum("...ip,pq,...jq->...ij", by_values, covariance, by_values)
     of_noise = jnp.zeros(()) if readings[2] is None else points.covariance
     return dataclasses.replace(points, covariance=of_values + of_noise)
+
+
+def _contacts(sensor: SpaceSensor, kinds: tuple[str, ...], readings: Readings) -> SpaceStep:
+    return _located_now(_prepared_now(sensor, kinds, readings), kinds, readings[2] is not None)
 
 
 def _step(
@@ -246,7 +265,9 @@ def _step(
     contact = jnp.where(ok[:, None], contact, jnp.nan).T
     at_base = jnp.where(missing[:, None], jnp.nan, base * unit.length).T
     covariance = known.covariance(drive, found, ok) * sizes[:, None] * sizes
-    cosine, score = _perpendicular(measured, root, missing) if len(kinds) == 6 else [jnp.full(missing.size, jnp.nan)] * 2
+    cosine, score = (
+        _perpendicular(measured, root, missing) if len(kinds) == 6 else [jnp.full(missing.size, jnp.nan)] * 2
+    )
     if_noisy = 1.0 if noisy else jnp.nan
     codes = [PointStatus.missing, PointStatus.free, PointStatus.failed]
     return SpaceStep(
@@ -281,9 +302,7 @@ def _perpendicular(reaction: Array, root: Array, missing: Array) -> tuple[Array,
     return ratio(sizes), ratio(variance)
 
 
-def _complete(
-    kinds: tuple[str, ...], values: Float[Array, " channels"], length: Scalar
-) -> Float[Array, "starts 6"]:
+def _complete(kinds: tuple[str, ...], values: Float[Array, " channels"], length: Scalar) -> Float[Array, "starts 6"]:
     """All six reactions, from which the search for a contact starts."""
     if len(kinds) == 6:
         return values[None]
