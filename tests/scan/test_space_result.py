@@ -217,8 +217,6 @@ REFUSED = {
     "lateral_stability": (lambda: jw.lateral_stability(RESULT), "result"),
     "modes": (lambda: jw.modes(SCENE), "at"),
     "modes of a result": (lambda: jw.modes(RESULT), "at"),
-    "reconstruct": (lambda: jw.reconstruct(MEASURED, SCENE), "sensor"),
-    "reconstruct by a function": (lambda: jw.reconstruct(MEASURED, build, parameters=ONE), "sensor"),
     "reconstruct of a result": (lambda: jw.reconstruct(RESULT, jw.Sensor(jw.Whisker())), "measured"),
     "shapes": (lambda: jw.shapes(RESULT), "result"),
     "simulate": (lambda: jw.simulate(SCENE, np.zeros(2), 1.0), "scene"),
