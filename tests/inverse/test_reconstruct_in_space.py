@@ -125,8 +125,11 @@ def test_points_from_correlated_noise_are_within_their_errors(straight):
     points = reconstruct(data, straight.scene, sigma=root @ root.T)
     assert_covered(points, truth)
     assert np.mean(points.chi2) == pytest.approx(3.0, abs=SCATTER * np.sqrt(2 * 3 / TRIALS))
+    scatter = SCATTER * np.sqrt(2 / TRIALS)
+    assert np.mean(np.asarray(points.force_moment_score) ** 2) == pytest.approx(1.0, abs=scatter)
     # Taken for uncorrelated, the same noise is implausible.
-    assert np.mean(reconstruct(data, straight.scene, sigma=sigma).chi2) != pytest.approx(3.0, abs=0.5)
+    points = reconstruct(data, straight.scene, sigma=sigma)
+    assert np.mean(np.asarray(points.force_moment_score) ** 2) > 1.5
 
 
 def test_points_with_friction_are_within_their_errors():
