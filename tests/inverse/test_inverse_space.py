@@ -46,7 +46,7 @@ def solved(y, phase):
 def test_states_satisfy_the_laws_of_rods_and_springs(tip, y):
     state, turn = solved(jnp.array(y), Phase(jnp.asarray(tip), jnp.zeros(())))
     assert np.max(np.abs(state.conditions)) < EXACT and np.linalg.norm(turn) > 0.01
-    values = np.asarray(state.values)
+    values, turn = np.array(state.values), np.array(turn)
     contact, arc, force, tangent, base = values[:3], values[3], values[4:7], values[7:10], values[10:].reshape(3, 3)
     np.testing.assert_allclose(arc, 1.0 - y[3], atol=EXACT)
     np.testing.assert_allclose(np.linalg.norm(force), y[0], rtol=EXACT)

@@ -48,6 +48,7 @@ def test_the_summary():
     assert "\n" not in str(exact) and repr(exact) == str(exact)
 
 
+@pytest.mark.unchecked
 def test_planar_functions_refuse_points_in_space():
     with pytest.raises(ValueError, match=r"`points` must .* in the plane"):
         jw.fit_profile(made(), jw.Circle)
