@@ -1,5 +1,7 @@
 """States of whiskers on bases in space against scipy, and the search for the zero of the moment."""
 
+# pyright: reportArgumentType=false
+
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -51,4 +51,4 @@ def test_the_summary():
 @pytest.mark.unchecked
 def test_planar_functions_refuse_points_in_space():
     with pytest.raises(ValueError, match=r"`points` must .* in the plane"):
-        jw.fit_profile(made(), jw.Circle)
+        jw.fit_profile(made(), jw.Circle)  # pyright: ignore[reportArgumentType]

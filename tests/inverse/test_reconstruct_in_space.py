@@ -1,6 +1,6 @@
 """From signals back to points in space: the reference, noise, fewer channels, derivatives and wrong input."""
 
-# pyright: reportArgumentType=false
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
 
 import json
 from pathlib import Path

@@ -261,7 +261,8 @@ class SpaceInstrument(NamedTuple):
 
         def one(section, length, mount, turning, *signals):
             base = Base(drive.rotation, mount, turning, self.own)
-            return locate(SpaceObservation(section, length, base, *signals, self.friction))
+            observed = SpaceObservation(section, length, base, *signals, self.friction)  # pyright: ignore[reportCallIssue]
+            return locate(observed)
 
         return each_whisker(self.section, one, self.length, self.mount.rotation, self.turning, *signals)
 

@@ -168,7 +168,7 @@ def named_values(data: Any, kinds: tuple[str, ...]) -> dict[str, Any]:
         return {"control": data.control} | {name: data.values[:, :, c] for c, name in enumerate(data.kinds)}
     if isinstance(data, (str, Path)):
         return _read_csv(Path(data), kinds)
-    if isinstance(data, Result) or (isinstance(data, AbstractResult) and kinds == REACTIONS_IN_SPACE):
+    if isinstance(data, AbstractResult if kinds == REACTIONS_IN_SPACE else Result):
         reactions = REACTIONS if isinstance(data, Result) else REACTIONS_IN_SPACE
         return {name: getattr(data, name) for name in ("control", *reactions)}
     if hasattr(data, "data_vars"):  # an xarray.Dataset
