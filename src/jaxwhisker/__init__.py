@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
+    from jaxwhisker._inverse.points_in_space import SpaceReconstruction
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
     from jaxwhisker._model.solids import Extruded, Revolved, Surface
@@ -114,6 +115,7 @@ __all__ = [
     "Simulation",
     "SpaceDeflection",
     "SpaceForce",
+    "SpaceReconstruction",
     "SpaceResult",
     "SpaceScene",
     "SpaceShapes",
@@ -164,6 +166,7 @@ _LATER = {
     "_dynamics.modes": ("Modes", "modes"),
     "_dynamics.simulate": ("simulate",),
     "_dynamics.simulation": ("Simulation",),
+    "_inverse.points_in_space": ("SpaceReconstruction",),
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),
     "_model.space_scene": ("SpaceScene",),

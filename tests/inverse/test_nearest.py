@@ -27,6 +27,7 @@ class Linear(NamedTuple):
     phases = Phase(np.array([True, False]), np.zeros(2))
     conditions = 0
     steps = 7
+    handicaps = np.zeros(2)
     failed = START
 
     def state(self, y, phase):

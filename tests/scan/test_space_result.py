@@ -216,8 +216,6 @@ REFUSED = {
     "lateral_stability": (lambda: jw.lateral_stability(RESULT), "result"),
     "modes": (lambda: jw.modes(SCENE), "at"),
     "modes of a result": (lambda: jw.modes(RESULT), "at"),
-    "reconstruct": (lambda: jw.reconstruct(MEASURED, SCENE), "sensor"),
-    "reconstruct by a function": (lambda: jw.reconstruct(MEASURED, build, parameters=ONE), "sensor"),
     "reconstruct of a result": (lambda: jw.reconstruct(RESULT, jw.Sensor(jw.Whisker())), "measured"),
     "simulate": (lambda: jw.simulate(SCENE, np.zeros(2), 1.0), "scene"),
     "simulate from a result": (lambda: jw.simulate(HEAVY, np.ones(2), 1.0, start=RESULT), "start"),

@@ -45,6 +45,7 @@ class HeldObservation(NamedTuple):
     phases = Phase(np.array([True, False, False]), np.array([0.0, 0.0, np.pi]))
     conditions = 2
     steps = 8
+    handicaps = np.zeros(3)
     failed = np.array([0.8795, -0.4758, -0.9755, 0.1, 0.0, 0.0])
 
     def state(self, y: Float[Array, "4"], phase: Phase) -> State:

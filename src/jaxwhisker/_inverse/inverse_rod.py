@@ -54,6 +54,7 @@ class Observation(NamedTuple):
     phases = Phase(np.array([True, False]), np.zeros(2))
     conditions = 0
     steps = 7  # 3 without noise
+    handicaps = np.zeros(2)
     failed = np.array([1.0, 0.1])
 
     def state(self, y: Float[Array, "2"], phase: Phase) -> State:
@@ -165,7 +166,7 @@ class Instrument(NamedTuple):
     def contacts(self, drive: Float[Array, "3"], signals: Signals) -> Contacts:
         """The contacts of all whiskers at one step."""
         known = self if signals.pose is None else self._replace(flexibility=jnp.zeros_like(self.flexibility))
-        located = _each_whisker(self.section, locate, signals.lean, *known._observations(drive, signals))
+        located = each_whisker(self.section, locate, signals.lean, *known._observations(drive, signals))
         ok = signals.touching & located.near.ok
         reactions = jnp.where(ok[:, None], located.state.reaction, signals.measured)
         bases = known._base_poses(drive, reactions) if signals.pose is None else signals.pose
@@ -228,7 +229,7 @@ def instrument(sensor: Sensor, unit: Units) -> Instrument:
     )
 
 
-def _each_whisker(section: Any, function: Callable, *args):
+def each_whisker(section: Any, function: Callable, *args):
     """Apply a function of section and arguments to every whisker."""
     if not isinstance(section, tuple):
         return jax.vmap(function, in_axes=(None if section is None else 0, *[0] * len(args)))(section, *args)

@@ -2,8 +2,8 @@
 
 The states of a whisker in one phase are a family with a few parameters y. The last of them, `beyond`, is the angle
 between whisker and object in tip contact, or the arc beyond the contact in tangential contact; it is >= 0 in both.
-Gauss-Newton finds the state nearest to the three measured reactions, weighted with their noise. States may have to
-satisfy conditions as well, with Lagrange multipliers. The nearest state of all phases decides the phase.
+Gauss-Newton finds the state nearest to the measured reactions, weighted with their noise. States may have to satisfy
+conditions as well, with Lagrange multipliers. The nearest state of all phases decides the phase.
 """
 
 from collections.abc import Callable
@@ -58,7 +58,7 @@ class Phase(NamedTuple):
 class State(NamedTuple):
     """A whisker with certain parameters."""
 
-    reaction: Float[Array, "3"]
+    reaction: Float[Array, " reactions"]
     conditions: Float[Array, " conditions"]  # which vanish for the states of a phase
     values: Float[Array, " values"]  # contact x, y, slope, arc, and others
 
@@ -70,15 +70,16 @@ class Observation(Protocol):
     phases: Phase
     conditions: int  # number of conditions
     steps: int  # of Gauss-Newton
+    handicaps: Any  # of the phases: added to chi-squared for the decision, because some have more parameters
     failed: Any  # y and multipliers that replace those of failed fits, because every derivative must be finite
 
     @property
-    def reaction(self) -> Float[Array, "3"]:
+    def reaction(self) -> Float[Array, " reactions"]:
         """The measured reaction."""
         ...
 
     @property
-    def weight(self) -> Float[Array, "3"]:
+    def weight(self) -> Float[Array, " reactions"]:
         """1 / standard deviation of the reaction."""
         ...
 
@@ -113,15 +114,16 @@ class Estimate(NamedTuple):
     other_phase: Phase
     doubt: Scalar  # probability of the other phase
 
-    def follows(self, residuals: Float[Array, "3 k"]) -> Float[Array, "n k"]:
+    def follows(self, residuals: Float[Array, "reactions k"]) -> Float[Array, "n k"]:
         """Changes of y with changes of the whitened residuals; Gauss-Newton is exact to first order in the noise."""
-        right = jnp.sum(self.gradient[:3, :, None] * residuals[:, None, :], axis=0)
-        right = jnp.pad(right, ((0, len(self.gradient) - 3), (0, 0)))
-        return -solve(_kkt(self.gradient), right)[: self.y.size]
+        count = len(residuals)
+        right = jnp.sum(self.gradient[:count, :, None] * residuals[:, None, :], axis=0)
+        right = jnp.pad(right, ((0, len(self.gradient) - count), (0, 0)))
+        return -solve(_kkt(self.gradient, count), right)[: self.y.size]
 
-    def ambiguity(self, observed: Observation, contact: Float[Array, "4"]) -> Float[Array, "4 4"]:
+    def ambiguity(self, observed: Observation, contact: Float[Array, " n"]) -> Float[Array, "n n"]:
         """Covariance that the other phase adds: its distance, with its probability."""
-        there = observed.state(self.other, self.other_phase).values[:4]
+        there = observed.state(self.other, self.other_phase).values[: contact.size]
         apart = jnp.where(self.doubt > 0, there - contact, 0.0)
         return self.doubt * apart[:, None] * apart
 
@@ -130,7 +132,7 @@ def nearest_state(observed: Observation) -> Estimate:
     """The state nearest to the observation, in the likeliest phase."""
     constant, phases = jax.lax.stop_gradient(observed), jax.tree.map(jnp.asarray, observed.phases)
     found, chi2, ok = jax.vmap(partial(_fit, constant))(constant.guesses(), phases)
-    chi2 = jnp.where(ok, chi2, jnp.inf)
+    chi2 = jnp.where(ok, chi2, jnp.inf) + observed.handicaps
     best = jnp.argmin(chi2)
     second = jnp.argmin(jnp.where(phases.tip == phases.tip[best], jnp.inf, chi2))
     found = jax.lax.stop_gradient(jnp.where(ok[:, None], found, observed.failed))
@@ -145,7 +147,7 @@ def nearest_state(observed: Observation) -> Estimate:
     residual, gradient = _whitened(state, by_y, observed)
     both = (more < jnp.inf) & (other.tip != phase.tip)
     doubt = jnp.where(both, jax.nn.sigmoid((least - more) / 2), 0.0)
-    chi2 = jnp.sum(residual[:3] ** 2)
+    chi2 = jnp.sum(residual[: observed.reaction.size] ** 2)
     return Estimate(y, state, by_y, phase, jnp.any(ok), chi2, gradient, second[:n], other, doubt)
 
 
@@ -168,7 +170,7 @@ def value_and_jacobian(function: Callable, y: Float[Array, " n"]) -> tuple[Any, 
 
 
 def _whitened(state: State, by_y: State, observed: Observation):
-    """Whitened residuals of the three reactions and the conditions, and their gradients."""
+    """Whitened residuals of the reactions and the conditions, and their gradients."""
     residuals = jnp.concatenate([(state.reaction - observed.reaction) * observed.weight, state.conditions])
     return residuals, jnp.concatenate([by_y.reaction * observed.weight[:, None], by_y.conditions])
 
@@ -177,26 +179,26 @@ def _linearised(y: Float[Array, " n"], phase: Phase, observed: Observation):
     return _whitened(*value_and_jacobian(lambda y: observed.state(y, phase), y), observed)
 
 
-def _kkt(gradient: Float[Array, "rows n"]) -> Float[Array, "size size"]:
+def _kkt(gradient: Float[Array, "rows n"], reactions: int) -> Float[Array, "size size"]:
     """The matrix of the least-squares problem with conditions (Karush, Kuhn and Tucker)."""
-    gradient, conditions = gradient[:3], gradient[3:]
+    gradient, conditions = gradient[:reactions], gradient[reactions:]
     normal = jnp.sum(gradient[:, :, None] * gradient[:, None, :], axis=0)
     return jnp.block([[normal, conditions.T], [conditions, jnp.zeros((len(conditions),) * 2)]])
 
 
 def _fit(observed: Observation, start: Float[Array, " n"], phase: Phase):
     """y of least chi-squared in one phase with its multipliers, chi-squared, and whether the iteration converged."""
-    (least, largest), last = observed.limits(phase), start.size - 1
+    (least, largest), last, count = observed.limits(phase), start.size - 1, observed.reaction.size
 
     def step(_, carry):
         y = carry[0]
         value, gradient = _linearised(y, phase, observed)
-        kkt, downhill = _kkt(gradient), jnp.sum(gradient[:3] * value[:3, None], axis=0)
-        right = -jnp.concatenate([downhill, value[3:]])
+        kkt, downhill = _kkt(gradient, count), jnp.sum(gradient[:count] * value[:count, None], axis=0)
+        right = -jnp.concatenate([downhill, value[count:]])
         increment = solve(kkt, right[:, None])[last, 0]
         bounded = jnp.clip(y[last] + jnp.clip(increment, -LARGEST_STEP, LARGEST_STEP), least, largest)
         right = jnp.delete(right - kkt[:, last] * (bounded - y[last]), last)
-        solution, scale = solve(_kkt(gradient[:, :last]), right[:, None])[:, 0], observed.scale(y)
+        solution, scale = solve(_kkt(gradient[:, :last], count), right[:, None])[:, 0], observed.scale(y)
         change = jnp.clip(solution[:last], LEAST_CHANGE * scale, LARGEST_CHANGE * scale)
         size = jnp.max(jnp.abs(jnp.append(change / scale, bounded - y[last])))
         return jnp.append(y[:last] + change, bounded), solution[last:], size
@@ -212,9 +214,10 @@ def _fit(observed: Observation, start: Float[Array, " n"], phase: Phase):
 def _stationarity(found: Float[Array, " size"], known: tuple[Phase, Observation]) -> Float[Array, " size"]:
     """Derivatives of half chi-squared plus multipliers times conditions, which vanish at the nearest state."""
     phase, observed = known
+    count = observed.reaction.size
     n = found.size - observed.conditions
     value, gradient = _linearised(found[:n], phase, observed)
-    downhill = jnp.sum(gradient * jnp.concatenate([value[:3], found[n:]])[:, None], axis=0)
+    downhill = jnp.sum(gradient * jnp.concatenate([value[:count], found[n:]])[:, None], axis=0)
     # At the border between the phases, the last parameter is fixed.
     fixed = (jnp.arange(found.size) == n - 1) & ~(found[n - 1] > 0)
-    return jnp.where(fixed, found, jnp.concatenate([downhill, value[3:]]))
+    return jnp.where(fixed, found, jnp.concatenate([downhill, value[count:]]))

@@ -13,12 +13,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._scan.quantities import MOTION, QUANTITIES, REACTIONS
-from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.quantities import MOTION, QUANTITIES, REACTIONS, REACTIONS_IN_SPACE
+from jaxwhisker._scan.result import AbstractResult, Result
 
 # Other columns of scans, studies and simulations, and the unnamed index of a table, which are ignored silently.
-_IGNORED = re.compile(rf"(?:{'|'.join((*QUANTITIES, *MOTION))}|spring|event_.*|n_events)(?:_\d+)?|(?:Unnamed: \d+)?")
+_IGNORED = re.compile(
+    rf"(?:{'|'.join((*QUANTITIES, *MOTION))}|spring|event_.*|n_events)(?:_\d+)?(?:_[xyz]_d[123])?|(?:Unnamed: \d+)?"
+)
 MISSING = "", "-", "NA", "N/A", "#N/A", "null", "None"  # cells without a value; NaN is a number
+OWN_REACTIONS = ("f1", "f2", "f3", "m1", "m2", "m3")  # along the directors of the displaced base
+OF_WHISKERS = (REACTIONS, REACTIONS_IN_SPACE, OWN_REACTIONS)  # channels of which every whisker has its own
 GZIP, UTF_16 = b"\x1f\x8b", (b"\xff\xfe", b"\xfe\xff")  # first bytes of such files
 
 
@@ -129,7 +133,7 @@ def read_observations(
 def channel_pattern(kinds: tuple[str, ...]) -> re.Pattern:
     """What names of channels look like: those of reactions may end with the number of a whisker."""
     names = "|".join(map(re.escape, kinds))
-    return re.compile(rf"({names})(?:_(\d+))?" if kinds == REACTIONS else rf"({names})()")
+    return re.compile(rf"({names})(?:_(\d+))?" if kinds in OF_WHISKERS else rf"({names})()")
 
 
 def _columns_of(table: Mapping[str, Any], steps: int, kinds: tuple[str, ...]) -> dict[tuple[int, int], np.ndarray]:
@@ -146,13 +150,13 @@ def _columns_of(table: Mapping[str, Any], steps: int, kinds: tuple[str, ...]) ->
             raise ValueError(
                 f"`measured` must hold a value of {name} for each of the {steps} controls, got shape {values.shape}."
             )
-        if (matched[2] or kinds != REACTIONS) and values.ndim > 1:
+        if (matched[2] or kinds not in OF_WHISKERS) and values.ndim > 1:
             raise ValueError(f"`measured` must hold one column for {name}, got shape {values.shape}.")
         first = int(matched[2] or 1) - 1
         for k, column in enumerate(values.reshape(steps, -1).T):
             columns[first + k, kinds.index(matched[1])] = column
     if ignored and columns:
-        hint = " (or fx_1, fx_2, ... of several whiskers)" if kinds == REACTIONS else ""
+        hint = f" (or {kinds[0]}_1, {kinds[0]}_2, ... of several whiskers)" if kinds in OF_WHISKERS else ""
         text = f"Columns of `measured` other than {', '.join(kinds)}{hint} are ignored: {', '.join(ignored)}."
         warnings.warn(text, stacklevel=4)
     return columns
@@ -164,8 +168,9 @@ def named_values(data: Any, kinds: tuple[str, ...]) -> dict[str, Any]:
         return {"control": data.control} | {name: data.values[:, :, c] for c, name in enumerate(data.kinds)}
     if isinstance(data, (str, Path)):
         return _read_csv(Path(data), kinds)
-    if isinstance(data, Result):
-        return {name: getattr(data, name) for name in ("control", *REACTIONS)}
+    if isinstance(data, AbstractResult if kinds == REACTIONS_IN_SPACE else Result):
+        reactions = REACTIONS if isinstance(data, Result) else REACTIONS_IN_SPACE
+        return {name: getattr(data, name) for name in ("control", *reactions)}
     if hasattr(data, "data_vars"):  # an xarray.Dataset
         return _table_of_dataset(data)
     if hasattr(data, "columns"):  # a DataFrame
@@ -178,7 +183,7 @@ def named_values(data: Any, kinds: tuple[str, ...]) -> dict[str, Any]:
 
 def _table_of_dataset(data: Any) -> dict[str, Any]:
     table = {}
-    for name in (name for name in (*REACTIONS, "control") if name in data.variables):
+    for name in (name for name in (*REACTIONS_IN_SPACE, "control") if name in data.variables):
         others = [dim for dim in data[name].dims if dim not in ("control", "whisker")]
         several = [dim for dim in others if data.sizes[dim] > 1]
         if several:

@@ -10,7 +10,7 @@ vibrissae" (for exact signals).
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +34,12 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.scan import BLOCK
 
+if TYPE_CHECKING:
+    from jaxwhisker._inverse.points_in_space import SpaceReconstruction
+    from jaxwhisker._model.space_scene import SpaceScene
+
+InPlane: TypeAlias = Sensor | Scene | Callable[..., Sensor | Scene]
+Names: TypeAlias = Mapping[str, Any] | None
 FREE = 16.266  # 99.9 % quantile of chi-squared of three reactions: below it they may be only noise
 # The same with the peaks in place of the noise, if the noise is unknown. Without contact, reactions vanish, or differ
 # from those that springs on shafts cause by rounding: by 2e-12 of the peak for a pointed cone, and less for others.
@@ -43,28 +49,52 @@ EXACTLY_FREE = 1e-18
 PLACEHOLDER = np.array([-0.8795, 0.4758, 0.9755])
 
 
-@with_own_settings
+@overload
 def reconstruct(
     measured: Any,
-    sensor: Sensor | Scene | Callable[..., Sensor | Scene],
+    sensor: InPlane,
     *,
     sigma: Any = None,
-    parameters: Mapping[str, Any] | None = None,
+    parameters: Names = None,
     covariance: Any = None,
     base: tuple[Any, Any, Any] | None = None,
     slip: Any = None,
-) -> Reconstruction:
+) -> Reconstruction: ...
+@overload
+def reconstruct(
+    measured: Any,
+    sensor: "SpaceScene | Callable[..., SpaceScene]",
+    *,
+    sigma: Any = None,
+    parameters: Names = None,
+    covariance: Any = None,
+) -> "SpaceReconstruction": ...
+@with_own_settings
+def reconstruct(
+    measured: Any,
+    sensor: Any,
+    *,
+    sigma: Any = None,
+    parameters: Names = None,
+    covariance: Any = None,
+    base: tuple[Any, Any, Any] | None = None,
+    slip: Any = None,
+) -> Any:
     """Locate the contact of every whisker at every step, with its uncertainty.
 
     Args:
         measured: control and support reactions fx, fy, mz of every whisker: a Result, a Dataset, a DataFrame, a CSV
             file (see `identify`) or a mapping of arrays, (steps,) or (steps, whiskers). A whisker is `missing` where
-            one of its three reactions is NaN. Within jit and vmap: a mapping of arrays.
+            one of its three reactions is NaN. Within jit and vmap: a mapping of arrays. In space: fx, fy, fz, mx, my,
+            mz, or the components along the directors d1, d2, d3 of the displaced base, f1, f2, f3, m1, m2 and m3; of
+            these, f1 to m2 suffice, and without friction f3, m1 and m2 of whiskers whose stiffness varies.
         sensor: the sensor; or a Scene, whose object is ignored; or a function of named parameters that returns either.
+            In space: a scene with any surface.
         sigma: standard deviation of the noise: a number for all channels, or a mapping from channels to numbers or
-            arrays. Default: one number per kind of signal, estimated from the scatter between neighbouring samples.
-            Signals that hardly scatter, such as those of a scan, and all signals within jit and vmap count as exact:
-            their phases are decided up to rounding, and errors follow from `covariance` only.
+            arrays; in space also the covariance of the channels in the order above, such as (6, 6). Default: one number
+            per kind of signal, estimated from the scatter between neighbouring samples. Signals that hardly scatter,
+            such as those of a scan, and all signals within jit and vmap count as exact: their phases are decided up to
+            rounding, and errors follow from `covariance` only.
         parameters: arguments of the function, by name.
         covariance: covariance of the parameters in their order, (p, p); it widens the bands.
         base: measured poses of the bases, which replace those that follow from drive, mounts and springs: x, y
@@ -75,12 +105,14 @@ def reconstruct(
             whiskers). Default: contacts slip with the drive, which is wrong while they stick after a reversal.
 
     Returns:
-        A Reconstruction; NaN where a whisker is `free`, where signals are `missing`, or where no state fits (`failed`).
+        A Reconstruction, in space a SpaceReconstruction; NaN where a whisker is `free`, where signals are `missing`, or
+        where no state fits (`failed`).
 
     Raises:
         ValueError: if an argument is wrong, JAX cannot trace the function, or signals are missing or negated; if
             springs hold shafts, also if springs connect whiskers, or if only springs above a base hold it and `base` is
-            not given.
+            not given. In space: if the channels do not determine a contact, torsion springs connect whiskers, or
+            `base` or `slip` is given.
     """
     checks.float64_mode()
     is_function = callable(sensor) and not isinstance(sensor, (Sensor, Scene))
@@ -96,6 +128,8 @@ def reconstruct(
     if covariance is not None and np.shape(covariance) != (values.size,) * 2:
         allowed = f"of the {values.size} parameters, ({values.size}, {values.size})"
         checks.fail("covariance", allowed, f"shape {np.shape(covariance)}")
+    if getattr(made, "in_space", False):
+        return _in_space(measured, made, sigma, base, slip, (sensor, names, values, covariance))
     known = sensor_of(made)
     if known.support.on_shafts:
         _check_held(known, base)
@@ -116,6 +150,20 @@ def reconstruct(
         points = _contacts_of_parameters(sensor, names, values, jnp.asarray(covariance, dtype=float), readings)
     points = jax.tree.map(lambda leaf: leaf[: control.size], points)
     return Reconstruction(**vars(points), control=control, length=jnp.asarray(known.whiskers[0].length, dtype=float))
+
+
+def _in_space(measured: Any, made: Any, sigma: Any, base: Any, slip: Any, parameters: tuple) -> Any:
+    from jaxwhisker._inverse.reconstruct_in_space import reconstruct_in_space
+
+    if base is not None:
+        checks.fail("base", "None in space", "poses")
+    if slip is not None:
+        checks.fail("slip", "None in space, where the direction of the force is measured", "one")
+    build, names, values, covariance = parameters
+    widened = None if covariance is None else (build, names, values, jnp.asarray(covariance, dtype=float))
+    if widened and not checks.is_traced(values):
+        check_traceable(build, dict(zip(names, map(float, values), strict=True)), called="sensor")
+    return reconstruct_in_space(measured, made, sigma, widened)
 
 
 def sensor_of(sensor: Any) -> Sensor:

@@ -1,0 +1,327 @@
+"""Contacts of whiskers in space, from the reactions at their bases.
+
+The states of a whisker on a base are a family: the rod in the frame of its contact has a force, a roll, an angle chi to
+the object and an arc length, and the rotation of its base turns the frame of the contact in space. In tip contact, the
+arc is the whisker's length; on the shaft, chi vanishes. Both leave three parameters. With friction, the force has any
+direction, and a contact on the shaft has four. A base that may turn adds three, which must satisfy its springs.
+
+Residuals are whitened, so that correlated noise, missing channels and channels in the frame of the base need nothing
+else: see nearest.py.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._base.rotation import left_jacobian, matrix_of, rotation_matrix
+from jaxwhisker._base.rotations import matrix
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.dimensionless import stacked_or_each
+from jaxwhisker._inverse.inverse_rod import POINTED, START, each_whisker
+from jaxwhisker._inverse.nearest import Phase, State, nearest_state, value_and_jacobian
+from jaxwhisker._model.drives import Placement, SpaceMotion, mount_in_space
+from jaxwhisker._model.motion import AbstractMotion
+from jaxwhisker._model.scene import Units
+from jaxwhisker._model.support import Support
+from jaxwhisker._model.whisker import Whisker, with_equal_breaks
+from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
+from jaxwhisker._rod.space_end import space_rod_end
+from jaxwhisker._space.section import space_section
+
+STEPS = 12  # of a uniform rod, others take twice as many: an error of 1e-9 for a cone
+INTERVALS = 32  # of the rod that are searched for the zero of the moment
+NEAR_ZERO = 0.05  # of the largest moment: a smaller one counts as zero
+LARGEST_ANGLE = 3.0  # rad, between whisker and object at the tip
+TURNS = 8  # Newton steps for the rotation of a base under the measured load
+CONTACT = 7  # numbers that describe a contact: point, arc and force
+
+Vector = Float[Array, "3"]
+
+
+class SpaceSensor(eqx.Module):
+    """A scene in space without its surface."""
+
+    whiskers: tuple[Whisker, ...]
+    support: Support
+    motion: SpaceMotion | AbstractMotion
+    friction: bool = eqx.field(static=True)  # whether contact forces may lean
+
+
+class Turning(NamedTuple):
+    """How a base turns, in the frame of the drive."""
+
+    rest: Vector  # its rotation vector without a load
+    flexibility: Float[Array, "3 3"]  # rotation per moment
+
+    def excess(self, turn: Vector, moment: Vector) -> Vector:
+        """Rotation vector of the base minus that under this moment."""
+        return turn - self.rest - _turned(self.flexibility, _turned(left_jacobian(turn).T, moment))
+
+
+class Base(eqx.Module):
+    """The base of a whisker."""
+
+    drive: Float[Array, "3 3"]  # rotation of the drive in the scene
+    mount: Float[Array, "3 3"]  # directors of the base in the frame of the drive, where it is not turned
+    turning: Turning | None  # None if it cannot turn
+    own: bool = eqx.field(static=True)  # whether reactions are in its own frame
+
+    def directors(self, turn: Vector | None) -> Float[Array, "3 3"]:
+        """Directors of the base in the scene."""
+        turned = self.drive if turn is None else _product(self.drive, rotation_matrix(turn))
+        return _product(turned, self.mount)
+
+    def excess(self, turn: Vector, moment: Vector) -> Vector:
+        """Rotation vector of the base minus that under this moment in the scene."""
+        assert self.turning is not None
+        return self.turning.excess(turn, _turned(self.drive.T, moment))
+
+    def turn(self, reaction: Float[Array, "6"]) -> Vector | None:
+        """Rotation vector of the base under a reaction, by Newton's method."""
+        if self.turning is None:
+            return None
+
+        def excess(turn):
+            moment = -reaction[3:]
+            return self.excess(turn, _turned(self.directors(turn), moment) if self.own else moment)
+
+        def newton(_, turn):
+            value, slope = value_and_jacobian(excess, turn)
+            return turn - solve(slope, value[:, None])[:, 0]
+
+        return jax.lax.fori_loop(0, TURNS, newton, self.turning.rest)
+
+
+class SpaceObservation(eqx.Module):
+    """What the state of a whisker is estimated from; dimensionless."""
+
+    section: SpaceSection
+    length: Scalar
+    base: Base
+    reaction: Float[Array, " channels"]  # whitened
+    whiten: Float[Array, "channels 6"]  # from a reaction to whitened channels
+    complete: Float[Array, "starts 6"]  # reactions to start from
+    handicap: Scalar  # of the shaft, where friction gives it a parameter more
+    friction: bool = eqx.field(static=True)
+
+    steps = 12  # 4 without noise
+
+    @property
+    def weight(self) -> Float[Array, " channels"]:
+        """1 / standard deviation of the whitened channels."""
+        return jnp.ones_like(self.reaction)
+
+    @property
+    def phases(self) -> Phase:
+        """Tip and shaft, from every start."""
+        tip = np.repeat([True, False], len(self.complete))
+        return Phase(tip, np.zeros(tip.size))
+
+    @property
+    def handicaps(self) -> Float[Array, " phases"]:
+        """Handicaps of the phases."""
+        return jnp.where(self.phases.tip, 0.0, self.handicap)
+
+    @property
+    def conditions(self) -> int:
+        """The rotation of the base has three."""
+        return 0 if self.base.turning is None else 3
+
+    @property
+    def failed(self) -> Float[Array, " size"]:
+        """A state that replaces those of failed fits."""
+        turn = jnp.zeros(0) if self.base.turning is None else self.base.turning.rest
+        return jnp.concatenate([jnp.array([1.0, *[0.1] * (1 + self.friction)]), turn, jnp.array([0.1]), 0 * turn])
+
+    def state(self, y: Float[Array, " n"], phase: Phase) -> State:
+        """The state with this force, roll, angle (with friction), rotation of the base, and angle or arc beyond.
+
+        Its values are the contact point relative to the base, the arc length from base to contact, the force, the
+        tangent there and the directors of the base; all in the scene.
+        """
+        beyond = y[-1]
+        chi = y[2] if self.friction else jnp.where(phase.tip, beyond, 0.0)
+        arc = self.length - (beyond if self.friction else jnp.where(phase.tip, 0.0, beyond))
+        steps = STEPS if self.section.uniform else 2 * STEPS
+        end = space_rod_end(y[0], arc, chi, y[1], self.section, steps, steps)
+        turn = None if self.base.turning is None else y[-4:-1]
+        directors = self.base.directors(turn)
+        frame = _product(directors, matrix_of(end[3:]).T)
+        force, contact = y[0] * frame[:, 2], -_turned(frame, end[:3])
+        moment = jnp.cross(contact, force)
+        tangent = jnp.cos(chi) * frame[:, 0] - jnp.sin(chi) * frame[:, 2]
+        excess = jnp.zeros(0) if turn is None else self.base.excess(turn, moment)
+        reaction = jnp.concatenate([-force, -moment])
+        reaction = in_frame(directors, reaction) if self.base.own else reaction
+        values = jnp.concatenate([contact, arc[None], force, tangent, jnp.ravel(directors)])
+        return State(_turned(self.whiten, reaction), excess, values)
+
+    def limits(self, phase: Phase) -> tuple[Scalar, Scalar]:
+        """Least and largest angle or arc beyond the contact."""
+        pointed = ~(self.section.compliance(self.length) > 0)
+        at_tip = 0.0 if self.friction else LARGEST_ANGLE
+        least = jnp.where(pointed & ~phase.tip, POINTED * self.length, 0.0)
+        return least, jnp.where(phase.tip, at_tip, 0.98 * self.length)
+
+    def scale(self, y: Float[Array, " n"]) -> Float[Array, " others"]:
+        """Size of the force and of angles."""
+        return jnp.ones(y.size - 1).at[0].set(y[0])
+
+    def guesses(self) -> Float[Array, "phases n"]:
+        """Integrate from the base to where the moment is least."""
+        tip, shaft = jax.vmap(self._guess)(self.complete)
+        return jnp.concatenate([tip, shaft])
+
+    def _guess(self, reaction: Float[Array, "6"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+        """Guesses for tip and shaft from a reaction."""
+        turn, zero = self.base.turn(reaction), jnp.zeros(())
+        reaction = reaction if self.base.own else in_frame(self.base.directors(turn), reaction)
+        force, about = -reaction[:3], -reaction[3:]
+        load = SpaceLoad(tuple(force), tuple(about))
+        start = (zero, zero, zero), (zero + 1, zero, zero, zero)
+        at = jnp.linspace(0.0, 1.0, INTERVALS + 1)
+        r, q = points(start, -self.length, load, self.section, at=at, from_base=zero)
+        place, end = nearest_zero(about + jnp.cross(force, jnp.stack(r, axis=-1)))
+        first, _, tangent = jax.tree.map(lambda leaf: leaf[end], matrix(q)).T
+        size = jnp.sqrt(jnp.sum(force**2))
+        out = force / size
+        chi = jnp.arcsin(jnp.clip(-jnp.sum(tangent * out), -1.0, 1.0))
+        ahead = tangent + jnp.sin(chi) * out
+        across = jnp.cross(out, ahead)
+        roll = jnp.arctan2(jnp.sum(first * across), jnp.sum(first * jnp.cross(across, tangent)))
+        chi = jnp.where(jnp.isfinite(chi), chi, 0.1)
+        kept = jnp.stack([size, jnp.where(jnp.isfinite(roll), roll, 0.0), *[chi] * self.friction])
+        kept = kept if turn is None else jnp.concatenate([kept, turn])
+        arc = self.length * place / INTERVALS
+        beyond = jnp.clip(self.length - arc, START * self.length, 0.9 * self.length)
+        return jnp.append(kept, 0.0 if self.friction else jnp.maximum(chi, 0.0)), jnp.append(kept, beyond)
+
+
+def nearest_zero(moment: Float[Array, "points 3"]) -> tuple[Scalar, Any]:
+    """Where a moment along a rod first vanishes, or where it is least, in intervals, and the point before it."""
+    here, change = moment[:-1], moment[1:] - moment[:-1]
+    square = jnp.sum(change**2, axis=1)
+    share = jnp.clip(-jnp.sum(here * change, axis=1) / jnp.where(square > 0, square, 1.0), 0.0, 1.0)
+    least = jnp.sum((here + share[:, None] * change) ** 2, axis=1)
+    least = jnp.where(jnp.isfinite(least), least, jnp.inf)  # thin tips overflow where the moment does not vanish
+    zeros = least < (NEAR_ZERO**2) * jnp.max(jnp.where(jnp.isfinite(moment), moment**2, 0.0))
+    first = jnp.where(jnp.any(zeros), jnp.argmax(zeros), jnp.argmin(least))
+    # A zero may extend into the next interval.
+    first = first + (
+        (share[first] == 1) & (first + 1 < least.size) & (least[jnp.minimum(first + 1, least.size - 1)] < least[first])
+    )
+    return first + share[first], first
+
+
+class Located(NamedTuple):
+    """The contact of a whisker relative to its base."""
+
+    values: Float[Array, "*whiskers 19"]  # see SpaceObservation.state
+    by_channels: Float[Array, "*whiskers 7 channels"]  # of point, arc and force with respect to whitened channels
+    ambiguous: Float[Array, "*whiskers 7 7"]  # covariance that the other phase adds
+    tip: Bool[Array, "*whiskers"]
+    ok: Bool[Array, "*whiskers"]
+    chi2: Float[Array, "*whiskers"]
+
+
+def locate(observed: SpaceObservation) -> Located:
+    """Locate the contact of one whisker."""
+    near = nearest_state(observed)  # pyright: ignore[reportArgumentType]
+    values, by_y = near.state.values, near.by_y.values[:CONTACT]
+    follows = near.follows(-jnp.eye(observed.reaction.size))
+    by_channels = jnp.sum(by_y[:, :, None] * follows, axis=1)
+    ambiguous = near.ambiguity(observed, values[:CONTACT])  # pyright: ignore[reportArgumentType]
+    return Located(values, by_channels, ambiguous, jnp.asarray(near.phase.tip), near.ok, near.chi2)
+
+
+class SpaceInstrument(NamedTuple):
+    """A dimensionless sensor."""
+
+    length: Float[Array, " whiskers"]
+    section: SpaceSection | tuple[SpaceSection, ...]
+    mount: Placement  # in the frame of the drive; fields (whiskers, ...)
+    offset: Float[Array, "whiskers 3"]  # displacement of the unloaded bases
+    flexibility: Float[Array, "whiskers 3 whiskers 3"]  # displacement of bases per force on them
+    turning: Turning | None  # fields (whiskers, ...)
+    own: bool  # whether reactions are in the frames of the bases
+    friction: bool
+
+    @property
+    def coupled(self) -> Bool[Array, "whiskers whiskers"]:
+        """Whether the load on one whisker moves the base of another one."""
+        return jnp.any(self.flexibility != 0, axis=(1, 3))
+
+    def locate(self, drive: Placement, signals: tuple) -> Located:
+        """Contacts of all whiskers relative to their bases, from the other fields of their SpaceObservation."""
+
+        def one(section, length, mount, turning, *signals):
+            base = Base(drive.rotation, mount, turning, self.own)
+            observed = SpaceObservation(section, length, base, *signals, self.friction)  # pyright: ignore[reportCallIssue]
+            return locate(observed)
+
+        return each_whisker(self.section, one, self.length, self.mount.rotation, self.turning, *signals)
+
+    def directors(self, drive: Placement, reaction: Float[Array, "whiskers 6"]) -> Float[Array, "whiskers 3 3"]:
+        """Directors of the bases under these reactions, in the scene."""
+
+        def one(mount, turning, reaction):
+            base = Base(drive.rotation, mount, turning, self.own)
+            return base.directors(base.turn(reaction))
+
+        return jax.vmap(one)(self.mount.rotation, self.turning, reaction)
+
+    def bases(self, drive: Placement, force: Float[Array, "whiskers 3"]) -> Float[Array, "whiskers 3"]:
+        """Positions of the bases under these contact forces, in the scene."""
+        load = jnp.sum(drive.rotation * force[:, :, None], axis=1)  # in the frame of the drive
+        place = self.mount.position + self.offset + jnp.sum(self.flexibility * load, axis=(2, 3))
+        return drive.position + jnp.sum(drive.rotation * place[:, None, :], axis=2)
+
+    def covariance(self, drive: Placement, located: Located, known: Bool[Array, " whiskers"]) -> Array:
+        """Covariance of point, arc and force, (whiskers, 7, 7), from the noise of all known whiskers."""
+        own = jnp.where(known[:, None, None], located.by_channels, 0.0)
+        out = jnp.eye(known.size)[:, None, :, None] * jnp.swapaxes(own, 0, 1)[None]  # (whisker, 7, whisker, channels)
+        turn = drive.rotation
+        moved = jnp.einsum("ia,kalb,jb->kilj", turn, self.flexibility, turn)
+        out = out.at[:, :3].add(jnp.sum(moved[..., None] * own[None, None, :, 4:], axis=3))
+        return jnp.einsum("kilc,kjlc->kij", out, out) + located.ambiguous
+
+
+def space_instrument(sensor: SpaceSensor, unit: Units, own: bool) -> SpaceInstrument:
+    """The sensor, dimensionless."""
+    whiskers, n = sensor.whiskers, len(sensor.whiskers)
+    stiffness_unit = unit.moment * unit.length
+    section = stacked_or_each([space_section(w, unit.length, stiffness_unit) for w in with_equal_breaks(whiskers)])
+    mounts = [mount_in_space(mount) for mount in sensor.support.mounts]
+    position, rotation = (jnp.stack(parts) for parts in zip(*mounts, strict=True))
+    whole = sensor.support.flexibility_in_space().in_space(unit.length, unit.force)
+    matrix, offset, turning = whole.matrix.reshape(n, 6, n, 6), whole.offset.reshape(n, 6), None
+    if any(axis.startswith("phi") for axis in sensor.support.axes):
+        turning = Turning(offset[:, 3:], jnp.stack([matrix[k, 3:, k, 3:] for k in range(n)]))
+    return SpaceInstrument(
+        jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length,
+        section,
+        Placement(position / unit.length, rotation),
+        offset[:, :3],
+        matrix[:, :3, :, :3],
+        turning,
+        own,
+        sensor.friction,
+    )
+
+
+def in_frame(directors: Float[Array, "3 3"], reaction: Float[Array, "6"]) -> Float[Array, "6"]:
+    """A reaction in the frame of these directors."""
+    return jnp.concatenate([_turned(directors.T, reaction[:3]), _turned(directors.T, reaction[3:])])
+
+
+def _turned(matrix: Float[Array, "rows n"], vector: Float[Array, " n"]) -> Float[Array, " rows"]:
+    return jnp.sum(matrix * vector, axis=1)  # sums: XLA compiles small products of matrices in batches to slow loops
+
+
+def _product(a: Float[Array, "3 3"], b: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    return jnp.sum(a[:, :, None] * b, axis=1)
