@@ -176,6 +176,20 @@ def test_two_changes_of_phase_within_one_step_of_the_path_are_both_found(scene):
         state = state_of(Step(found, step), float(found.control[step]))
         assert max(violations(plain, state).values()) < LAWS
 
+FOLD = 1e-3  # of the control, which changes with the square of the least eigenvalue of the second variation: 0.03
+
+
+@pytest.mark.parametrize("scene", ["straight sprung whisk 115", "curved tilting linear 115"])
+def test_a_loss_of_stability_just_before_a_change_of_phase_is_found(scene):
+    scene, plain, text = random_scene(scene)
+    found = jw.scan(scene)
+    assert np.all(np.asarray(found.status) == jw.Status.ok), text
+    (snap,) = [event for event in found.events if event.kind in (jw.EventKind.snap_through, jw.EventKind.snap_off)]
+    before = state_of(snap.before, snap.control)
+    assert max(violations(plain, before).values()) < LAWS
+    assert abs(stability(plain, before, 30)) < FOLD**0.5
+    assert not [event for event in found.events if event.kind == jw.EventKind.tangential_to_tip]
+
 
 def ends(scene):
     """Names of all statuses in a random scene."""

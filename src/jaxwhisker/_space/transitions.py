@@ -252,6 +252,9 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     # A margin that grows again has vanished before.
     grows = jnp.any(target.whiskers & (_rates(phase, arriving)[target.margin] > 0))
     good = converged & ~grows & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-6)
+    # Where stability is lost before a margin vanishes, the path never gets there.
+    beyond = ~trial.stance.stable & ~jnp.any(touches) & (distance > LOSS_BRACKET)
+    closer = march._replace(task=jnp.asarray(int(Task.advance)), step=distance)
     # The whisker may touch with its tip where its shaft was expected to, or the reverse.
     slack = jnp.where(touches, jnp.where(phase == Phase.tip, point.z[:, SLACK], -point.z[:, SLACK]), -1.0)
     other = converged & (slack > MARGIN_NOISE)
@@ -302,6 +305,7 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         (jnp.any(other), march._replace(target=target._replace(first=first))),
         (~good & (again.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, again),
+        (beyond, _before_loss(closer, trial.stance.stiffness)),
         (missed, march._replace(target=earlier)),
         otherwise=arrived,
     )
