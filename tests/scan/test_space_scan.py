@@ -176,6 +176,7 @@ def test_two_changes_of_phase_within_one_step_of_the_path_are_both_found(scene):
         state = state_of(Step(found, step), float(found.control[step]))
         assert max(violations(plain, state).values()) < LAWS
 
+
 FOLD = 1e-3  # of the control, which changes with the square of the least eigenvalue of the second variation: 0.03
 
 
