@@ -12,6 +12,7 @@ jax.config.update("jax_enable_x64", True)
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm
+from matplotlib.patches import Circle
 
 import jaxwhisker as jw
 
@@ -29,7 +30,7 @@ def main() -> None:
     force = UN * np.array([np.asarray(result.contact_force[:, 0]) for result in results])
     norm = LogNorm(0.1, np.nanmax(force))
     figure, (above, over) = plt.subplots(1, 2, figsize=(11, 5.2), layout="constrained", width_ratios=(1, 1.25))
-    above.add_patch(plt.Circle((MM * X, MM * Y), MM * RADIUS, color="0.8"))
+    above.add_patch(Circle((MM * X, MM * Y), MM * RADIUS, color="0.8"))
     step = int(np.argmin(np.abs(control - SHOWN)))
     for result, sizes in zip(results, force, strict=True):
         line = jw.shapes(result, [SHOWN], points=80)

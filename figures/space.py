@@ -73,7 +73,7 @@ def mark(axis: Axes) -> None:
 def draw_pictures() -> None:
     """A whisker past an oblique ellipsoid, by a camera and in two projections."""
     ellipsoid = jw.Ellipsoid((1.1, 0.8, 0.6), (0.0, 1.1, 0.0)).rotated((0.3, 0.2, -0.4))
-    result = jw.scan(jw.Scene(jw.Whisker(), ellipsoid, motion=jw.LinearDrive(direction=(-2.0, 0.0, -0.7))))
+    result = jw.scan(jw.SpaceScene(jw.Whisker(), ellipsoid, motion=jw.LinearDrive(direction=(-2.0, 0.0, -0.7))))
     figure = pyplot.figure(figsize=(13, 4.8), layout="constrained")
     for place, view in enumerate((None, "xy", "xz")):
         axes = figure.add_subplot(1, 3, place + 1, projection="3d" if view is None else None)

@@ -35,8 +35,7 @@ lengths = 1e3 * np.array([whisker.length for whisker in rat.whiskers])
 figure, ax = pyplot.subplots(figsize=(8, 2.5), layout="constrained")
 ax.bar(rat.names, lengths)
 ax.tick_params(axis="x", rotation=90)
-ax.set_ylabel("length (mm)");
-
+ax.set_ylabel("length (mm)")
 # %% [markdown]
 # ## Whisking against a peg
 #
@@ -71,8 +70,7 @@ for name in data.whisker[touching].values:
     axes[1].plot(np.degrees(control), 1e9 * moment)
 axes[0].set_ylabel("force (µN)")
 axes[0].legend(ncols=4, fontsize=8)
-axes[1].set(xlabel="protraction from rest (degrees)", ylabel="moment (nN m)");
-
+axes[1].set(xlabel="protraction from rest (degrees)", ylabel="moment (nN m)")
 # %% [markdown]
 # ## Which whiskers tell where the peg is?
 #
@@ -82,7 +80,10 @@ axes[1].set(xlabel="protraction from rest (degrees)", ylabel="moment (nN m)");
 # %%
 chosen = ["RC2", "RD2", "RE2"]
 scenes = [rat.scene(name, peg(-0.025, 0.025)) for name in chosen]
-row = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, dtype=float) for leaf in leaves]), *scenes)
+row = jax.tree.map(
+    lambda *leaves: jnp.stack([jnp.asarray(leaf, dtype=float) for leaf in leaves]),
+    *scenes,
+)
 
 
 def moments(place, scene):
@@ -93,15 +94,16 @@ def moments(place, scene):
 
 
 slopes = jax.vmap(lambda scene: jax.jacfwd(moments)(jnp.zeros(2), scene))(row)
-figure, axes = pyplot.subplots(1, 2, figsize=(8, 2.8), sharey=True, layout="constrained")
-for axis, k, name in zip(axes, (0, 1), "xy"):
-    for whisker, slope in zip(chosen, slopes):
+figure, axes = pyplot.subplots(
+    1, 2, figsize=(8, 2.8), sharey=True, layout="constrained"
+)
+for axis, k, name in zip(axes, (0, 1), "xy", strict=True):
+    for whisker, slope in zip(chosen, slopes, strict=True):
         size = np.linalg.norm(slope[:, :, k], axis=1)
         axis.plot(np.degrees(control[::2]), 1e6 * size, label=whisker)
     axis.set(xlabel="protraction (degrees)", title=f"by the peg's {name}")
 axes[0].set_ylabel("change of the moment (nN m / mm)")
-axes[0].legend();
-
+axes[0].legend()
 # %% [markdown]
 # With noise of 1 nN m in every moment, the places that the three whiskers together tell
 # have these standard errors:
@@ -110,4 +112,6 @@ axes[0].legend();
 NOISE = 1e-9
 every = np.nan_to_num(np.asarray(slopes)).reshape(-1, 2)
 covariance = NOISE**2 * np.linalg.inv(every.T @ every)
-print("standard errors of x and y:", np.round(1e6 * np.sqrt(np.diag(covariance)), 2), "µm")
+print(
+    "standard errors of x and y:", np.round(1e6 * np.sqrt(np.diag(covariance)), 2), "µm"
+)

@@ -1,5 +1,7 @@
 """What the frames of a film show."""
 
+# pyright: reportAttributeAccessIssue=false
+
 import dataclasses
 from typing import Any
 

@@ -227,7 +227,7 @@ def test_negated_moments_are_named():
 def test_wrong_arguments():
     measured, known = signals("FB")[1], sensor("FB")
     with pytest.raises(ValueError, match="`sensor`"):
-        reconstruct(measured, jw.Whisker())  # pyright: ignore[reportArgumentType]
+        reconstruct(measured, jw.Whisker())  # pyright: ignore[reportArgumentType, reportCallIssue]
     with pytest.raises(ValueError, match="`parameters`"):
         reconstruct(measured, known, parameters={"a": 1.0})
     with pytest.raises(ValueError, match="`covariance`"):

@@ -1,5 +1,7 @@
 """The object of a scene in space as a polyhedron."""
 
+# pyright: reportOptionalMemberAccess=false
+
 import jax.numpy as jnp
 import numpy as np
 import pytest

@@ -1,5 +1,7 @@
 """Figures of scenes and scans in space."""
 
+# pyright: reportIndexIssue=false, reportCallIssue=false, reportArgumentType=false
+
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
 import dataclasses

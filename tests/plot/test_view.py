@@ -1,5 +1,7 @@
 """Projections and cameras."""
 
+# pyright: reportIndexIssue=false, reportCallIssue=false, reportArgumentType=false
+
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false
 
 import numpy as np

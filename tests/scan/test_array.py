@@ -1,5 +1,7 @@
 """Arrays of whiskers: tables, batches on rigid pads, networks on compliant ones, and a rat's."""
 
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+
 import jax
 import numpy as np
 import pandas as pd

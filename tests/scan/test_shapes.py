@@ -51,9 +51,9 @@ def test_positions_select_the_nearest_step():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda r: jw.shapes(3), "`result` must be the Result of a scan, got 3"),  # pyright: ignore[reportArgumentType]
+        (lambda r: jw.shapes(3), "`result` must be the Result of a scan, got 3"),  # pyright: ignore[reportArgumentType, reportCallIssue]
         (lambda r: jw.shapes(r, points=2), "`points` must be an int of at least 3, got 2"),
-        (lambda r: jw.shapes(r, 0.5), r"`at` must be a non-empty one-dimensional array .*, got an array of shape \(\)"),  # pyright: ignore[reportArgumentType]
+        (lambda r: jw.shapes(r, 0.5), r"`at` must be a non-empty one-dimensional array .*, got an array of shape \(\)"),  # pyright: ignore[reportArgumentType, reportCallIssue]
         (
             lambda r: jw.shapes(r, [0.0, 0.9]),
             "`at` must be within the drive positions of the scan, from -1.6 to 0.8, got",

@@ -1,5 +1,7 @@
 """Centre lines in space: exact curves of free whiskers, and a published bend under a force."""
 
+# pyright: reportArgumentType=false
+
 import dataclasses
 
 import jax

@@ -201,7 +201,7 @@ def _march(
     first, load_change = (None, None) if changes is None else changes
 
     def step(carry, ends):
-        state, change = _step(*carry, ends, rod, load_change)
+        state, change = _step(carry[0], carry[1], ends, rod, load_change)
         return (state, change), state if keep else None
 
     start = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), start)

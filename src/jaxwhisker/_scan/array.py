@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MM, DEGREE = 1e-3, np.pi / 180
-SHOOTING = Shooting()
+SHOOTING: AbstractRod = Shooting()
 PLACES = ("x", "y", "z")
 ANGLES = ("protraction", "elevation", "roll")
 RATES = ("protraction_rate", "elevation_rate", "roll_rate")
@@ -276,11 +276,13 @@ class Array(eqx.Module, metaclass=Suggesting):
 
         alone = [name for name, variable in each[0].items() if "whisker" not in variable.dims]
         each = [data.assign({name: data[name].expand_dims("whisker") for name in alone}) for data in each]
-        both = xr.concat(each, "whisker", combine_attrs="override")
+        both: Any = xr.concat(each, "whisker", combine_attrs="override")
         both.attrs["points"] = points_in_words(first_failure(arrays["status"]))
         return both
 
-    def _one(self, k: int, surface: AbstractSurface, *, motion=None, friction=None, rod=SHOOTING) -> SpaceScene:
+    def _one(
+        self, k: int, surface: AbstractSurface, *, motion=None, friction=None, rod: AbstractRod = SHOOTING
+    ) -> SpaceScene:
         support = Support(self.springs[k], self._mount(k, motion))
         return SpaceScene(self.whiskers[k], surface, support, rod, motion or self.drives[k], friction)
 
@@ -331,11 +333,11 @@ def _columns(table: Any) -> dict[str, Any]:
 def _made(name: str, row: dict[str, float]) -> tuple[Whisker, Mount, WhiskDrive, tuple[Spring, ...]]:
     """A whisker of a table."""
     try:
-        base = tuple(row.get(axis, 0.0) for axis in PLACES)
+        x, y, z = (row.get(axis, 0.0) for axis in PLACES)
         angles = {key: row.get(key, 1.0 if key == "protraction_rate" else 0.0) for key in (*ANGLES, *RATES)}
-        drive = WhiskDrive(**angles, pivot=base)
+        drive = WhiskDrive(**angles, pivot=(x, y, z))
         springs = tuple(Spring((0, 1), row[key], axis=axis) for key, axis in SPRINGS.items() if key in row)
-        return _whisker(row), Mount(*base[:2], z=base[2]), drive, springs
+        return _whisker(row), Mount(x, y, z=z), drive, springs
     except ValueError as error:
         raise ValueError(f"`table`, whisker {name}: {error}") from error
 

@@ -12,7 +12,6 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._scan.dataset import counted
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, kind_of, unit_in_words
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.state import State
 
 ROUNDED = 1e-9  # relative to the unit; smaller numbers are printed as zero
 LEAST_DECIMALS, MOST_DECIMALS = -1, 9  # decimals of six significant digits; outside, numbers get powers of ten
@@ -146,7 +145,7 @@ def peak_table(result: Any, units: str = "auto") -> str:
     return table(["whisker", "reaction", "minimum", place, "maximum", place], rows)
 
 
-def touches_object(result: State) -> bool:
+def touches_object(result: Any) -> bool:
     """Whether any whisker touches the object at any step."""
     return bool(np.any(np.asarray(result.phase) != Phase.free))
 
