@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from jaxwhisker._scan.space_result import SpaceResult, SpaceState
     from jaxwhisker._scan.space_shapes import SpaceShapes
     from jaxwhisker._space.deflect import SpaceDeflection
+    from jaxwhisker._study.tactile_image import tactile_image
 
 __all__ = [
     "AbstractMotion",
@@ -154,6 +155,7 @@ __all__ = [
     "stored_energy",
     "study",
     "summary",
+    "tactile_image",
     "to_csv",
     "to_dataframe",
 ]
@@ -175,6 +177,7 @@ _LATER = {
     "_scan.space_result": ("SpaceResult", "SpaceState"),
     "_scan.space_shapes": ("SpaceShapes",),
     "_space.deflect": ("SpaceDeflection",),
+    "_study.tactile_image": ("tactile_image",),
 }
 _MODULE_OF = {name: module for module, names in _LATER.items() for name in names}
 
