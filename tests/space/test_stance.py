@@ -48,7 +48,7 @@ def test_bases_at_rest_are_on_their_mounts_and_at_the_rest_lengths():
     drive = jw.LinearDrive((3.0, 0.0, 4.0), origin=(0.0, 0.1, 0.0))
     ball = jw.Sphere(0.3, (0.0, 0.7, 0.0))
     problem = problem_in_space(jw.SpaceScene(jw.Whisker(), ball, jw.Support.fbfb(9.0, 0.2), motion=drive))
-    expected = np.array([[0.2, 0.0, 0.0], [0.4, 0.0, 0.0]]) + [0.3, 0.1, 0.4]
+    expected = [[0.3 + 0.2, 0.1, 0.4], [0.3 + 0.4, 0.1, 0.4]]
     np.testing.assert_allclose(bases_at_rest(problem, jnp.asarray(0.5)).position, expected, atol=1e-12)
 
 

@@ -112,10 +112,11 @@ def tactile_image(
     names = (names,) if isinstance(names, str) else tuple(names)
     if HEIGHT not in getattr(data, "data_vars", ()):
         checks.fail("data", "a Dataset of jw.tactile_image", repr(data))
-    known = [str(name) for name in data.data_vars if {"control", *data[name].dims} <= {*data[HEIGHT].dims}]
+    signals = (str(name) for name in data.data_vars if name not in (HEIGHT, "status"))
+    known = [name for name in signals if "control" in data[name].dims and {*data[name].dims} <= {*data[HEIGHT].dims}]
     for name in names or ("",):
-        if name not in known or name == HEIGHT:
-            checks.fail("names", f"among {', '.join(one for one in known if one != HEIGHT)}", repr(name))
+        if name not in known:
+            checks.fail("names", f"among {', '.join(known)}", repr(name))
     if whisker not in data.whisker:
         checks.fail("whisker", f"a number from 1 to {data.sizes['whisker']}", repr(whisker))
     _check_units(units)
