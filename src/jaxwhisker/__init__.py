@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
+    from jaxwhisker._inverse.fit_surface import SurfaceFit
     from jaxwhisker._inverse.points_in_space import SpaceReconstruction
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
@@ -128,6 +129,7 @@ __all__ = [
     "Status",
     "Support",
     "Surface",
+    "SurfaceFit",
     "Sweep",
     "Table",
     "Tilted",
@@ -168,6 +170,7 @@ _LATER = {
     "_dynamics.modes": ("Modes", "modes"),
     "_dynamics.simulate": ("simulate",),
     "_dynamics.simulation": ("Simulation",),
+    "_inverse.fit_surface": ("SurfaceFit",),
     "_inverse.points_in_space": ("SpaceReconstruction",),
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),
