@@ -16,7 +16,7 @@ ROUNDING = 1e-12
 TRIALS, DEVIATIONS, INSIDE = 200, 2.0, 0.9545  # of a normal distribution, within two standard deviations
 CHANCE = 1e-4  # that a correct count of trials is outside its bounds
 SCATTER = 4.0  # standard errors
-STEP, SLOPE = 1e-6, 1e-8  # of central differences, and their error
+NOISE = 1e-4  # so small that errors are of first order, also of combinations of residuals that vary least
 TRUTH = {
     jw.Sphere: [0.9, 0.05, 1.2, 0.02],
     jw.Ellipsoid: [1.1, 0.7, 0.8, 0.05, 1.1, -0.02, 0.1, 0.3, -0.2],
@@ -71,17 +71,30 @@ def turned(vector):
 @pytest.mark.parametrize("family", TRUTH)
 def test_points_of_scans_give_the_surface_back(family):
     surface = _surface(family, TRUTH[family])
-    scans = [jw.scan(along_x(offset, surface), CONTROL) for offset in (-0.4, -0.15, 0.1, 0.35)]
+    scans = [jw.scan(along_x(offset, surface), CONTROL) for offset in (-0.4, -0.1, 0.3)]
     points = [jw.reconstruct(scan, scan.scene) for scan in scans]
     for normals in (True, False):
         fit = jw.fit_contour(points, family=family, normals=normals)
         assert fit.status == jw.FitStatus.ok and fit.chi2 < EXACT**2
         np.testing.assert_allclose(list(fit.estimates.values()), TRUTH[family], rtol=0, atol=EXACT)
-        assert fit.degrees_of_freedom == sum(int(one.clear.sum()) for one in points) * (3 if normals else 1) - len(
-            TRUTH[family]
-        )
+        count = sum(int(one.clear.sum()) for one in points)
+        assert fit.degrees_of_freedom == count * (3 if normals else 1) - len(TRUTH[family])
         assert tuple(fit.estimates) == FAMILIES[family]
     assert str(fit.surface) in str(fit)
+
+
+def test_the_curvature_of_the_object_does_not_bias_the_fit():
+    """Errors along a sphere lead out of it, by half their square over the radius."""
+    rng, sigma, count = np.random.default_rng(8), 0.03, 4000
+    position, normals = contacts(jw.Sphere, count, rng)
+    along = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+    noise = sigma * along + 1e-3 * np.eye(3)  # square root of the covariance
+    covariance = np.zeros((count, 6, 6))
+    covariance[:, :3, :3] = noise @ noise
+    noisy = position + np.einsum("pij,pj->pi", noise, rng.standard_normal((count, 3)))
+    fit = fit_surface(points_of(noisy, normals, covariance), jw.Sphere, False)
+    outwards = sigma**2 / TRUTH[jw.Sphere][0]
+    assert abs(fit.estimates["radius"] - TRUTH[jw.Sphere][0]) < 0.2 * outwards
 
 
 @pytest.mark.parametrize("family", TRUTH)
@@ -89,7 +102,7 @@ def test_surfaces_are_within_their_errors(family):
     rng = np.random.default_rng(0)
     position, normals = contacts(family, 40, rng)
     force = rng.uniform(0.5, 3.0, (40, 1)) * normals
-    root = 1e-3 * rng.standard_normal((40, 6, 6))
+    root = NOISE * rng.standard_normal((40, 6, 6))
     names, inside, chi2 = FAMILIES[family], np.zeros(len(TRUTH[family])), []
     directions = -np.eye(3)[1] + 0.3 * rng.standard_normal((3, 3))
     exactly = points_and_normals_at(family, directions)

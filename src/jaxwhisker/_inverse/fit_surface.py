@@ -8,21 +8,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.rotation import rotation_matrix
 from jaxwhisker._base.settings import with_own_settings
-from jaxwhisker._inverse.fit_profile import (
-    LEAST,
-    LEAST_SQUARES_STEPS,
-    OUTLIER,
-    PADDED,
-    RTOL,
-    SIGNIFICANCE,
-)
+from jaxwhisker._inverse.fit_profile import LEAST, OUTLIER, PADDED, SIGNIFICANCE
 from jaxwhisker._inverse.points import PointStatus
 from jaxwhisker._inverse.points_in_space import SpaceReconstruction
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible, judged
@@ -33,7 +25,8 @@ FAMILIES: dict[type, tuple[str, ...]] = {
     Sphere: ("radius", "x", "y", "z"),
     Ellipsoid: ("a", "b", "c", "x", "y", "z", "rotation_x", "rotation_y", "rotation_z"),
 }
-REWEIGHTINGS = 12  # fits in a row; weights depend on the surface, so each fit uses those of the previous one
+GAUSS_NEWTON_STEPS = 50
+SMALLEST, LONGEST = 1e-10, 0.5  # of a step: the last one, and the largest change of a log, a length or an angle
 FLATTEST = 0.02  # of the mean: least eigenvalue of the matrix of a first ellipsoid
 POSITION_AND_FORCE = np.array([0, 1, 2, 4, 5, 6])  # in the covariance of a point
 
@@ -105,8 +98,7 @@ def fit_surface(points: Any, family: type[AbstractSurface], normals: bool) -> Su
     degrees = count * (3 if normals else 1) - len(names)
     if degrees < 0:
         raise ValueError(f"`measured` must hold enough points for {len(names)} parameters, got {count}.")
-    values, residual, gradient = map(np.asarray, _fitted_values(family, _start(observed, family), observed.padded()))
-    residual, gradient = residual.ravel(), gradient.reshape(-1, values.size)
+    values, residual, gradient = _fitted(family, _start(observed, family), observed.padded())
     chi2 = chi_squared(residual)
     status, covariance = judged(residual, gradient)
     if observed.covariance is None:
@@ -128,6 +120,20 @@ def fit_surface(points: Any, family: type[AbstractSurface], normals: bool) -> Su
         degrees_of_freedom=degrees,
         status=status,
     )
+
+
+def _fitted(family: type, values: np.ndarray, observed: "_Points") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values at the minimum, residuals and their derivatives: Gauss-Newton steps, with new weights at each of them."""
+    for _ in range(GAUSS_NEWTON_STEPS):
+        residual, gradient = map(np.asarray, _linearised(family, jnp.asarray(values), observed))
+        residual, gradient = residual.ravel(), gradient.reshape(-1, values.size)
+        if not (np.isfinite(residual).all() and np.isfinite(gradient).all()):
+            break
+        step, *_ = np.linalg.lstsq(gradient, -residual, rcond=None)
+        if np.max(np.abs(step)) < SMALLEST:
+            break
+        values = values + step * min(1.0, LONGEST / np.max(np.abs(step)))
+    return values, residual, gradient
 
 
 class _Points(eqx.Module):
@@ -257,14 +263,19 @@ def _residuals(family: type, values, observed: _Points, weights) -> Float[Array,
     """Residuals of every point, whitened: its distance from the surface, and the direction of its force."""
     surface = _of_values(family, values)
 
-    def one(x, direction, weights):
+    def one(x, direction, noise, weights):
         foot = jax.lax.stop_gradient(_foot(surface, x))
         normal = surface.normal(foot)
         off = surface.off(foot) + jnp.sum((x - foot) * normal)
+        if noise is not None:
+            # Errors along a convex surface lead out of it: their mean is subtracted.
+            tangents = _tangents(normal)
+            bend = tangents @ surface.curvature(foot) @ tangents.T
+            off = off - jax.lax.stop_gradient(jnp.sum(bend * (tangents @ noise[:3, :3] @ tangents.T)) / 2)
         along = _tangents(jax.lax.stop_gradient(normal)) @ (direction - normal)
         return weights @ jnp.concatenate([off[None], along])
 
-    residuals = jax.vmap(one)(observed.position, observed.direction, weights)
+    residuals = jax.vmap(one)(observed.position, observed.direction, observed.covariance, weights)
     return residuals * observed.weight[:, None]
 
 
@@ -294,7 +305,7 @@ def _weights(family: type, values, observed: _Points) -> Float[Array, "points 3 
 
 def _whitening(covariance: Matrix) -> Matrix:
     """The inverse of the Cholesky factor, row by row; parts that others determine keep a small variance."""
-    rows: list[Float[Array, "3"]] = []
+    rows: list[Float[Array, 3]] = []
     for k in range(3):
         row = jnp.eye(3)[k]
         for other in rows:  # which have unit variance and are uncorrelated
@@ -305,27 +316,14 @@ def _whitening(covariance: Matrix) -> Matrix:
 
 
 @Program
-def _fitted_values(family: type, values, observed: _Points):
-    solver = optx.LevenbergMarquardt(rtol=RTOL, atol=1e-2 * RTOL)
-
-    def fit(_, values):
-        solution = optx.least_squares(
-            lambda values, weights: _residuals(family, values, observed, weights),
-            solver,
-            values,
-            args=_weights(family, values, observed),
-            max_steps=LEAST_SQUARES_STEPS,
-            throw=False,
-        )
-        return solution.value
-
-    values = jax.lax.fori_loop(0, REWEIGHTINGS, fit, values)
+def _linearised(family: type, values, observed: _Points):
+    """Whitened residuals, and their derivatives with respect to the values at constant weights."""
     weights = _weights(family, values, observed)
 
     def residuals(values):
         return _residuals(family, values, observed, weights)
 
-    return values, residuals(values), jax.jacfwd(residuals)(values)
+    return residuals(values), jax.jacfwd(residuals)(values)
 
 
 @Program
