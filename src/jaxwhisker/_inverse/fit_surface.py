@@ -264,7 +264,7 @@ def _residuals(family: type, values, observed: _Points, weights) -> Float[Array,
     surface = _of_values(family, values)
 
     def one(x, direction, noise, weights):
-        foot = jax.lax.stop_gradient(_foot(surface, x))
+        foot = _foot(surface, x)
         normal = surface.normal(foot)
         off = surface.off(foot) + jnp.sum((x - foot) * normal)
         if noise is not None:
@@ -292,7 +292,8 @@ def _weights(family: type, values, observed: _Points) -> Float[Array, "points 3 
             radius = 2 / jnp.sum(tangents * (tangents @ bend))
             return jnp.diag(jnp.stack([jnp.ones(()), radius, radius]))
         off = jnp.concatenate([normal, jnp.zeros(3)])[None]
-        by = jnp.concatenate([off, jnp.concatenate([-tangents @ bend, tangents], axis=1)])
+        turn = -tangents @ bend @ tangents.T @ tangents  # the foot does not move with a point along the normal
+        by = jnp.concatenate([off, jnp.concatenate([turn, tangents], axis=1)])
         return _whitening(by @ noise @ by.T)
 
     weights = jax.vmap(one)(observed.position, observed.covariance) * used[:, None]
