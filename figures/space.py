@@ -1,6 +1,7 @@
 """Draw the figures of docs/space.md.
 
-python figures/space.py writes docs/space_signals.png, space_instability.png, space_pictures.png and space_overview.png.
+python figures/space.py writes docs/space_signals.png, space_instability.png, space_pictures.png, space_image.png and
+space_overview.png.
 """
 
 from pathlib import Path
@@ -88,8 +89,21 @@ def draw_overview() -> None:
     jw.plot.overview(jw.scan(scene, np.concatenate(turns))).savefig(DOCS / "space_overview.png", dpi=100)
 
 
+def draw_image() -> None:
+    """Images of the ellipsoid of the page."""
+    stone = jw.Ellipsoid((1.0, 0.5, 0.6), (0.0, 0.9, 0.0)).rotated((0.0, 0.5, 0.0))
+
+    def build(offset):
+        drive = jw.LinearDrive(direction=(1.0, 0.0, 0.0), origin=(0.0, 0.0, offset))
+        return jw.SpaceScene(jw.Whisker(), stone, motion=drive)
+
+    data = jw.tactile_image(build, offset=np.linspace(-0.9, 0.9, 61), control=np.linspace(-1.2, 1.2, 121))
+    jw.plot.save(jw.plot.tactile_image(data), DOCS / "space_image.png", dpi=100)
+
+
 if __name__ == "__main__":
     draw_signals()
     draw_instability()
     draw_pictures()
+    draw_image()
     draw_overview()

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
+    from jaxwhisker._inverse.fit_surface import SurfaceFit
     from jaxwhisker._inverse.points_in_space import SpaceReconstruction
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from jaxwhisker._scan.space_result import SpaceResult, SpaceState
     from jaxwhisker._scan.space_shapes import SpaceShapes
     from jaxwhisker._space.deflect import SpaceDeflection
+    from jaxwhisker._study.tactile_image import tactile_image
 
 __all__ = [
     "AbstractMotion",
@@ -127,6 +129,7 @@ __all__ = [
     "Status",
     "Support",
     "Surface",
+    "SurfaceFit",
     "Sweep",
     "Table",
     "Tilted",
@@ -154,6 +157,7 @@ __all__ = [
     "stored_energy",
     "study",
     "summary",
+    "tactile_image",
     "to_csv",
     "to_dataframe",
 ]
@@ -166,6 +170,7 @@ _LATER = {
     "_dynamics.modes": ("Modes", "modes"),
     "_dynamics.simulate": ("simulate",),
     "_dynamics.simulation": ("Simulation",),
+    "_inverse.fit_surface": ("SurfaceFit",),
     "_inverse.points_in_space": ("SpaceReconstruction",),
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),
@@ -175,6 +180,7 @@ _LATER = {
     "_scan.space_result": ("SpaceResult", "SpaceState"),
     "_scan.space_shapes": ("SpaceShapes",),
     "_space.deflect": ("SpaceDeflection",),
+    "_study.tactile_image": ("tactile_image",),
 }
 _MODULE_OF = {name: module for module, names in _LATER.items() for name in names}
 

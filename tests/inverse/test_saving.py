@@ -42,13 +42,14 @@ def results():
     made += [jw.identify(lambda force, c: (jw.Whisker(bending_stiffness=c), jw.PointForce(force)), {"c": 1.0}, BENT)]
     in_space = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)))
     made += [scanned := jw.scan(in_space, np.linspace(0.75, -1.35, STEPS)), jw.reconstruct(scanned, in_space)]
+    made += [jw.fit_contour(made[-1], family=jw.Sphere)]
     made += [jw.deflect(jw.Whisker(), jw.SpaceForce(0.3, 0.0, 0.2))]
     made += [jw.study(fb, control=control, c=[50.0, 60.0], q=[0.27]), result.events[0], fit.profile("c", points=3)]
     return {type(one).__name__: one for one in made}
 
 
 TREES = {"Result", "Events", "Shapes", "EnergyBalance", "Reconstruction", "ProfileFit", "Deflection", "Modes"}
-TREES |= {"Simulation", "LateralStability", "SpaceResult", "SpaceDeflection", "SpaceReconstruction"}
+TREES |= {"Simulation", "LateralStability", "SpaceResult", "SpaceDeflection", "SpaceReconstruction", "SurfaceFit"}
 CLASSES = TREES | {"Fit", "BendingFit", "ContourFit", "Information", "Dataset", "Event", "LikelihoodProfile"}
 
 

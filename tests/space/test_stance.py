@@ -11,7 +11,7 @@ from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._space.contact import SLACK, UNKNOWNS, Traction
 from jaxwhisker._space.linear import linearise
 from jaxwhisker._space.problem import of_each, problem_in_space
-from jaxwhisker._space.stance import stance_of
+from jaxwhisker._space.stance import bases_at_rest, stance_of
 
 FREE = jnp.array([int(Phase.free)])
 FORCES = Traction(None, jnp.asarray(True))  # tractions are forces
@@ -42,6 +42,14 @@ def test_a_free_whisker_is_stable_and_as_far_from_the_object_as_it_is():
     stance, _ = free_stance(jw.LinearDrive((-1.0, 0.0, 0.0)), -0.5)
     assert bool(stance.stable) and bool(stance.opens) and bool(stance.sound)
     np.testing.assert_allclose(stance.nearest.distance, [(0.5**2 - 0.3**2) / (2 * 0.5)], atol=1e-9)
+
+
+def test_bases_at_rest_are_on_their_mounts_and_at_the_rest_lengths():
+    drive = jw.LinearDrive((3.0, 0.0, 4.0), origin=(0.0, 0.1, 0.0))
+    ball = jw.Sphere(0.3, (0.0, 0.7, 0.0))
+    problem = problem_in_space(jw.SpaceScene(jw.Whisker(), ball, jw.Support.fbfb(9.0, 0.2), motion=drive))
+    expected = [[0.3 + 0.2, 0.1, 0.4], [0.3 + 0.4, 0.1, 0.4]]
+    np.testing.assert_allclose(bases_at_rest(problem, jnp.asarray(0.5)).position, expected, atol=1e-12)
 
 
 def test_a_contact_beyond_the_base_is_not_sound():

@@ -7,7 +7,7 @@ contour's radii of curvature as parameters, and it starts from reconstructed poi
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,12 @@ from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour, check_slopes
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import AbstractScene, Scene, Sensor
+from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._scan.quantities import REACTIONS
+
+if TYPE_CHECKING:
+    from jaxwhisker._inverse.fit_surface import SurfaceFit
+    from jaxwhisker._inverse.points_in_space import SpaceReconstruction
 
 GRID = 0.05  # rad, to which outermost knots are rounded: similar contours share compiled code
 SURE_SLOPE = 0.05  # rad: largest standard error of slopes over which the first knots are spread
@@ -105,7 +110,16 @@ class _ContourScene(NamedTuple):
         return sensor_of(self.sensor(**dict(self.known), **{name: values[name] for name in self.unknown}))
 
 
-@with_own_settings
+@overload
+def fit_contour(
+    measured: "SpaceReconstruction | Sequence[SpaceReconstruction]",
+    *,
+    family: type[AbstractSurface],
+    normals: bool = True,
+) -> "SurfaceFit": ...
+
+
+@overload
 def fit_contour(
     measured: Any,
     sensor: Sensor | Scene | Callable[..., Sensor | Scene],
@@ -115,25 +129,56 @@ def fit_contour(
     unknown: Sequence[str] = (),
     knots: int | Sequence[float] = 11,
     guess: AbstractProfile | None = None,
-) -> ContourFit:
+) -> ContourFit: ...
+
+
+@with_own_settings
+def fit_contour(
+    measured: Any,
+    sensor: Any = None,
+    *,
+    sigma: Any = None,
+    parameters: Mapping[str, float] | None = None,
+    unknown: Sequence[str] = (),
+    knots: int | Sequence[float] = 11,
+    guess: AbstractProfile | None = None,
+    family: type[AbstractSurface] | None = None,
+    normals: bool = True,
+) -> "ContourFit | SurfaceFit":
     """Fit a convex contour to all signals of a scan, together with unknown parameters of the sensor.
 
+    In space, fit a sphere or an ellipsoid to the points of one or several scans. The residuals of a point are its
+    distance from the surface and, with `normals`, the difference between the direction of its force and the normal.
+
     Args:
-        measured: signals of one scan, as in `identify`.
+        measured: signals of one scan, as in `identify`. In space: the result of `reconstruct`, or a list of results of
+            scans past the same object. Points with signals below 40 standard deviations of their noise are left out:
+            their weights depend on the noise of the same signals, which biases a fit.
         sensor: as in `reconstruct`: a Sensor, a Scene, whose object is ignored, or a function of named parameters.
+            This and the following arguments up to `guess` are for contours in the plane.
         sigma: standard deviation of the noise, as in `identify`.
         parameters: arguments of the function by name; initial guesses of the unknown ones.
         unknown: names of the parameters that are fitted.
         knots: number of knots, the slope angles at which a radius of curvature is fitted, or the angles themselves,
             rad. More knots follow finer shapes, but also more of the noise. Fits with equally many share compiled code.
         guess: a profile to start from. Default: one fitted to the reconstructed points.
+        family: in space: Sphere or Ellipsoid.
+        normals: in space: whether forces are normal to the object. With friction, they are not.
 
     Returns:
-        A ContourFit; `fit.status` says how the fit ended, as in `identify`.
+        A ContourFit; `fit.status` says how the fit ended, as in `identify`. In space, a SurfaceFit.
 
     Raises:
         ValueError: if an argument is wrong, or `measured` shows too few contacts.
     """
+    if _in_space(measured):
+        _check_left_out(
+            "in space", sensor=sensor, sigma=sigma, parameters=parameters, unknown=unknown or None, guess=guess
+        )
+        from jaxwhisker._inverse.fit_surface import fit_surface
+
+        return fit_surface(measured, family, normals)
+    _check_left_out("in the plane", family=family)
     values = read_parameters("parameters", parameters) if parameters else {}
     for name in unknown:
         if name not in values:
@@ -164,6 +209,18 @@ def fit_contour(
             break
     fit = min(fits, key=lambda fit: (fit.status != FitStatus.ok, np.nan_to_num(fit.chi2, nan=np.inf)))
     return ContourFit(_contour(slopes, fit.estimates), fit, build.sensor_with(fit.estimates))
+
+
+def _in_space(measured: Any) -> bool:
+    """Whether these are results in space, or a list of them."""
+    first = measured[0] if isinstance(measured, list | tuple) and measured else measured
+    return getattr(first, "in_space", False)
+
+
+def _check_left_out(where: str, **arguments: Any) -> None:
+    for name, value in arguments.items():
+        if value is not None:
+            checks.fail(name, f"left out {where}", repr(value))
 
 
 def _contour(slopes: tuple[float, ...], values: Mapping[str, Any]) -> Contour:

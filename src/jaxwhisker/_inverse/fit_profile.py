@@ -15,7 +15,7 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.points import Reconstruction
-from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible
+from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible, judged
 from jaxwhisker._model.conic import Circle, Ellipse, Parabola
 from jaxwhisker._model.contour import Contour, Spline, spline, tabulate
 from jaxwhisker._model.profile import STEEPEST, AbstractProfile, bisect
@@ -24,14 +24,11 @@ KNOTS = 8  # of a Contour
 REWEIGHTINGS = 5  # fits in a row; weights depend on the profile, so each fit uses those of the previous one
 LEAST_SQUARES_STEPS = 128
 RTOL = 1e-7
-SETTLED = 0.1  # of the standard errors: largest remaining Gauss-Newton step of a converged fit
-EXACTLY = 1e-8  # the same in absolute terms, for logs of lengths
 HALVINGS, NEWTON_STEPS = 14, 3  # to a point's foot, the point of the profile nearest to it
 LEAST = 1e-12  # least share of a slope's variance that is independent of the position
 SURE = 0.1  # rad: knots of a Contour are spread over slopes known better than this
 SIGNIFICANCE = 40.0  # standard deviations: points with weaker signals are left out
 OUTLIER = 3.0  # standard deviations from which a point is weighted less (Huber): a few contacts have the wrong phase
-WORST_CONDITION = 1e13  # of the scaled normal matrix: beyond, the points do not determine all parameters
 PADDED = 256  # points are padded to a multiple of it, so similar numbers of points share a compilation
 
 FAMILIES: dict[type, tuple[str, ...]] = {
@@ -122,7 +119,7 @@ def fit_profile(
     values, residual, gradient, feet = _fitted_values(like, values, observed.padded())
     residual, gradient = np.asarray(residual).ravel(), np.asarray(gradient).reshape(-1, values.size)
     chi2 = chi_squared(residual)
-    status, covariance = _judge(residual, gradient)
+    status, covariance = judged(residual, gradient)
     if observed.covariance is not None and np.isfinite(chi2) and not is_plausible(chi2, degrees):
         status, covariance = FitStatus.implausible, np.full_like(covariance, np.nan)
     if observed.covariance is None:
@@ -156,22 +153,6 @@ def points_and_rates(profile: AbstractProfile, slopes: Any) -> tuple[np.ndarray,
     slopes = np.atleast_1d(np.asarray(slopes, dtype=float))
     by, x, y = map(np.asarray, _along(like, like.values(profile), jnp.asarray(slopes)))
     return x, y, by
-
-
-def _judge(residual: np.ndarray, gradient: np.ndarray) -> tuple[FitStatus, np.ndarray]:
-    """Status from residuals and their derivatives, and covariance of the fitted values, which is NaN if not ok."""
-    unknown = np.full((gradient.shape[1],) * 2, np.nan)
-    size = np.linalg.norm(gradient, axis=0)
-    if not (np.isfinite(residual).all() and np.isfinite(size).all()):
-        return FitStatus.not_converged, unknown
-    scaled = gradient / np.where(size > 0, size, 1.0)
-    if not ((size > 0).all() and np.linalg.cond(scaled.T @ scaled) < WORST_CONDITION):
-        return FitStatus.undetermined, unknown
-    covariance = np.linalg.inv(scaled.T @ scaled) / np.outer(size, size)
-    step = np.abs(covariance @ (gradient.T @ residual))
-    if not ((step < SETTLED * np.sqrt(np.diag(covariance))) | (step < EXACTLY)).all():
-        return FitStatus.not_converged, unknown
-    return FitStatus.ok, covariance
 
 
 class _Points(eqx.Module):

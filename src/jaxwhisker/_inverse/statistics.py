@@ -19,6 +19,10 @@ LARGEST_LOG_ERROR = 1.0  # standard error of a logarithm above which a parameter
 NAMED = 0.05  # of a direction's largest component: parameters with smaller components are not named
 INVOLVED = 1e-4  # a parameter with a larger component in a direction that changes no signal is not identified
 
+SETTLED = 0.1  # of the standard errors: largest remaining Gauss-Newton step of a converged fit to points
+EXACTLY = 1e-8  # the same in absolute terms, for logs of lengths
+WORST_CONDITION = 1e13  # of the scaled normal matrix: beyond, the points do not determine all parameters
+
 
 class FitStatus(NamedInt):
     """How a fit ended; only a fit with status `ok` has standard errors."""
@@ -28,7 +32,7 @@ class FitStatus(NamedInt):
     not_converged = 2  # the least-squares solver did not reach a minimum
     at_bound = 3  # a parameter ended at its bound
     failed = 4  # the scene cannot be scanned at the estimates
-    undetermined = 5  # the points do not determine all parameters of a profile
+    undetermined = 5  # the points do not determine all parameters of a profile or a surface
 
 
 def chi_squared(whitened: np.ndarray) -> float:
@@ -39,6 +43,25 @@ def chi_squared(whitened: np.ndarray) -> float:
 def is_plausible(chi2: float, degrees: int) -> bool:
     """Whether noise explains a sum of squares with this number of degrees of freedom."""
     return bool(chi2 < degrees + DEVIATIONS * math.sqrt(2 * max(degrees, 1)))
+
+
+def judged(residual: np.ndarray, gradient: np.ndarray) -> tuple[FitStatus, np.ndarray]:
+    """Status of a fit to points from whitened residuals and their derivatives, and the covariance of its values.
+
+    The covariance is NaN where the status is not ok.
+    """
+    unknown = np.full((gradient.shape[1],) * 2, np.nan)
+    size = np.linalg.norm(gradient, axis=0)
+    if not (np.isfinite(residual).all() and np.isfinite(size).all()):
+        return FitStatus.not_converged, unknown
+    scaled = gradient / np.where(size > 0, size, 1.0)
+    if not ((size > 0).all() and np.linalg.cond(scaled.T @ scaled) < WORST_CONDITION):
+        return FitStatus.undetermined, unknown
+    covariance = np.linalg.inv(scaled.T @ scaled) / np.outer(size, size)
+    step = np.abs(covariance @ (gradient.T @ residual))
+    if not ((step < SETTLED * np.sqrt(np.diag(covariance))) | (step < EXACTLY)).all():
+        return FitStatus.not_converged, unknown
+    return FitStatus.ok, covariance
 
 
 def noise_of_residuals(

@@ -77,18 +77,22 @@ def stance_of(
     )
 
 
-def clearance(problem: SpaceProblem, u: Scalar) -> Float[Array, ""]:
-    """Least distance of the unloaded whiskers from the object at a control."""
+def bases_at_rest(problem: SpaceProblem, u: Scalar) -> Placement:
+    """The placements of all bases at a control while no whisker is loaded; fields (whiskers, ...)."""
     rest = jnp.zeros((problem.length.size, 6))
     if problem.springs is not None:
         rest = rest.at[:, : problem.rows].set(problem.springs.offset)
     drive = problem.drive(u)
+    return of_each(problem, lambda body, pose: base_placement(problem, drive, body.mount, pose), rest)
 
-    def distance(body, pose, outline):
-        placed = in_scene(outline, base_placement(problem, drive, body.mount, pose))
-        return nearest(problem.surface, placed, body.length, rolls=problem.rolls).distance
 
-    return jnp.min(of_each(problem, distance, rest, problem.outline))
+def clearance(problem: SpaceProblem, u: Scalar) -> Float[Array, ""]:
+    """Least distance of the unloaded whiskers from the object at a control."""
+
+    def distance(body, placement, outline):
+        return nearest(problem.surface, in_scene(outline, placement), body.length, rolls=problem.rolls).distance
+
+    return jnp.min(of_each(problem, distance, bases_at_rest(problem, u), problem.outline))
 
 
 def base_placement(problem: SpaceProblem, drive: Placement, mount: Placement, pose: Float[Array, "6"]) -> Placement:

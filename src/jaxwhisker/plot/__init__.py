@@ -22,7 +22,7 @@ from jaxwhisker.plot.signals import (
     spring_lengths,
 )
 from jaxwhisker.plot.states import deflection, in_words, profile, same_window, scene, shapes
-from jaxwhisker.plot.studies import study
+from jaxwhisker.plot.studies import study, tactile_image
 
 __all__ = [
     "COLOURS",
@@ -50,6 +50,7 @@ __all__ = [
     "spring_extensions",
     "spring_lengths",
     "study",
+    "tactile_image",
 ]
 
 

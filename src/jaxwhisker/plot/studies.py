@@ -1,23 +1,28 @@
-"""Figures of studies: a summary over one or two parameters, with the critical stiffness."""
+"""Figures of studies: a summary over one or two parameters, with the critical stiffness; tactile images."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from jaxwhisker._base import checks
+from jaxwhisker._path.path import Status
 from jaxwhisker._scan.dataset import in_shown_units
 from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE, STATE
-from jaxwhisker.plot.axes import COLOURS, colour, grid_of_axes, legend_above, title
+from jaxwhisker.plot.axes import COLOURS, colour, grid_of_axes, legend_above, several_axes, title
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _CRITICAL = COLOURS[1]
 STORED_UNITS = ("auto", "stored")
+HEIGHT = "object_height"
+SIGNED, UNSIGNED, NOT_OK = "RdBu_r", "viridis", "#AAAAAA"  # colours of images
+ZERO = 1e-9  # of the largest signal of its unit: a smaller one is zero but for rounding
 
 
 def study(
@@ -49,8 +54,7 @@ def study(
             wrong, or `units` is invalid.
     """
     _check_dataset(data, name)
-    if units not in STORED_UNITS:
-        checks.fail("units", f"one of {', '.join(STORED_UNITS)}", repr(units))
+    _check_units(units)
     if not (critical is None or hasattr(critical, "dims")):
         checks.fail("critical", "a DataArray", repr(critical))
     dims = [str(dim) for dim in data[name].dims if dim != "whisker"]
@@ -77,6 +81,104 @@ def study(
     return axes
 
 
+def tactile_image(
+    data: "xr.Dataset",
+    names: Sequence[str] | str = REACTIONS_IN_SPACE,
+    *,
+    whisker: int = 1,
+    units: str = "auto",
+    axs: Iterable[Axes] | None = None,
+) -> np.ndarray:
+    """Draw the height of the object and signals as images over drive position (to the right) and lateral offset (up).
+
+    Images are grey where a status is not ok. The colours of reactions, and of other signals with negative values, are
+    symmetric about zero: red is positive. Thin lines are contours of the height, whose colours end a whisker's length
+    above the lowest point.
+
+    Args:
+        data: result of `tactile_image`.
+        names: a signal or several of them: variables of the Dataset along the control.
+        whisker: number of the whisker, from 1.
+        units: "auto" or "stored", as in `study`.
+        axs: where to draw: one Axes for the height and one for each signal; a new figure by default.
+
+    Returns:
+        The Axes: first that of the height, then those of the signals.
+
+    Raises:
+        ValueError: if `data` is not such a Dataset or does not have these signals or this whisker, the number of `axs`
+            is wrong, or `units` is invalid.
+    """
+    names = (names,) if isinstance(names, str) else tuple(names)
+    if HEIGHT not in getattr(data, "data_vars", ()):
+        checks.fail("data", "a Dataset of jw.tactile_image", repr(data))
+    signals = (str(name) for name in data.data_vars if name not in (HEIGHT, "status"))
+    known = [name for name in signals if "control" in data[name].dims and {*data[name].dims} <= {*data[HEIGHT].dims}]
+    for name in names or ("",):
+        if name not in known:
+            checks.fail("names", f"among {', '.join(known)}", repr(name))
+    if whisker not in data.whisker:
+        checks.fail("whisker", f"a number from 1 to {data.sizes['whisker']}", repr(whisker))
+    _check_units(units)
+    highest = float(data[HEIGHT].min()) + data.attrs.get("typical_length", 1.0)
+    data = data.assign({HEIGHT: data[HEIGHT].clip(max=highest, keep_attrs=True)}).sel(whisker=whisker)
+    data = in_shown_units(data, data.attrs) if units == "auto" else data
+    failed = data["status"] != Status.ok if "status" in data else None
+    axes = _places_of_images(len(names)) if axs is None else several_axes(axs, 1 + len(names))
+    _image(data, HEIGHT, UNSIGNED, (None, None), axes[0])
+    shown = {name: data[name] if failed is None else data[name].where(~failed) for name in names}
+    largest = {name: float(np.abs(values).max().fillna(0.0)) for name, values in shown.items()}
+    for ax, (name, values) in zip(axes[1:], shown.items(), strict=True):
+        scale = max(largest[one] for one in names if data[one].attrs.get("units") == data[name].attrs.get("units"))
+        top = largest[name] if largest[name] > ZERO * scale else scale
+        signed = name in REACTIONS_IN_SPACE or bool((values < 0).any())
+        look = (SIGNED, (-top, top)) if signed else (UNSIGNED, (None, None))
+        _image(data.assign({name: values.assign_attrs(data[name].attrs)}), name, *look, ax)
+        if failed is not None:
+            ax.set_facecolor(NOT_OK)
+    if axs is None:
+        for ax in axes:
+            ax.label_outer()
+    if failed is not None and bool(failed.any()):
+        legend_above(axes[1], [Patch(color=NOT_OK, label="status not ok")], least=1)
+    return axes
+
+
+def _places_of_images(count: int) -> np.ndarray:
+    """Axes of a new figure: one on the left, and up to three in each row beside it."""
+    from matplotlib import pyplot
+
+    rows, columns = -(-count // 3), min(count, 3)
+    places = [[0, *(1 + columns * row + k if columns * row + k < count else -1 for k in range(columns))]
+              for row in range(rows)]  # fmt: skip
+    size = 0.6 + 3.3 * (1 + columns), 0.6 + 2.3 * rows
+    options: dict[str, Any] = {"sharex": True, "sharey": True, "figsize": size, "layout": "constrained"}
+    _, axes = pyplot.subplot_mosaic(places, empty_sentinel=-1, **options)
+    return np.array([axes[k] for k in range(count + 1)])
+
+
+def _image(data: "xr.Dataset", name: str, colours: str, limits: tuple[float | None, float | None], ax: Axes) -> None:
+    """Draw a variable over control and offset, with contours of the height."""
+    (offset,) = (dim for dim in data[HEIGHT].dims if dim != "control")
+    values, height = (data[one].transpose(offset, "control") for one in (name, HEIGHT))
+    x, y = data["control"].values, data[offset].values
+    mesh = ax.pcolormesh(x, y, values.values, shading="nearest", cmap=colours, vmin=limits[0], vmax=limits[1])
+    known = np.ma.masked_invalid(height.values)
+    if known.count() and known.max() > known.min():
+        levels = np.linspace(known.min(), known.max(), 8)[1:4]  # higher ones break off at the outline
+        ax.contour(x, y, known, levels=levels, colors="black", linewidths=0.5, alpha=0.5)
+    words = f"${STATE[name].symbol}$" + _unit(values) if name in STATE else _name_and_unit(values)
+    ax.figure.colorbar(mesh, cax=ax.inset_axes((1.03, 0.0, 0.05, 1.0)), label=words)
+    lengths = data["control"].attrs.get("units") == data[offset].attrs.get("units")
+    ax.set(xlabel=_name_and_unit(data["control"]), ylabel=_name_and_unit(data[offset]))
+    ax.set_aspect("equal" if lengths else "auto")
+
+
+def _check_units(units: str) -> None:
+    if units not in STORED_UNITS:
+        checks.fail("units", f"one of {', '.join(STORED_UNITS)}", repr(units))
+
+
 def _with_units(critical: "xr.DataArray", data: "xr.Dataset", dims: list[str]) -> "xr.DataArray":
     """The array with units of its axes: its own if they are known, else those of the Dataset."""
     axes = {dim: (dim, critical[dim].values, data[dim].attrs | critical[dim].attrs) for dim in dims}
@@ -96,11 +198,17 @@ def _check_dataset(data: Any, name: str) -> None:
 
 
 def _name_and_unit(variable: "xr.DataArray") -> str:
-    name, unit = variable.attrs.get("long_name", str(variable.name)), variable.attrs.get("units", "1")
+    name = variable.attrs.get("long_name", str(variable.name))
     for reaction in REACTIONS_IN_SPACE:
         name = re.sub(rf"\b{reaction}\b", f"${STATE[reaction].symbol}$", name)
+    return name + _unit(variable)
+
+
+def _unit(variable: "xr.DataArray") -> str:
+    """The unit of a variable in parentheses; nothing for a number."""
+    unit = variable.attrs.get("units", "1")
     raised = re.sub(r"\^(\d+)", r"$^{\1}$", unit)
-    return name if unit == "1" else f"{name} ({raised})"
+    return "" if unit == "1" else f" ({raised})"
 
 
 def _lines(values: "xr.DataArray", critical: "xr.DataArray | None", axis: str, word: str, ax: Axes) -> None:
