@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
+    from jaxwhisker._inverse.measurement import Measurement, MeasurementModel
     from jaxwhisker._inverse.points_in_space import SpaceReconstruction
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
@@ -89,6 +90,8 @@ __all__ = [
     "LateralStability",
     "LineLoad",
     "LinearDrive",
+    "Measurement",
+    "MeasurementModel",
     "Modes",
     "Motion",
     "Mount",
@@ -166,6 +169,7 @@ _LATER = {
     "_dynamics.modes": ("Modes", "modes"),
     "_dynamics.simulate": ("simulate",),
     "_dynamics.simulation": ("Simulation",),
+    "_inverse.measurement": ("Measurement", "MeasurementModel"),
     "_inverse.points_in_space": ("SpaceReconstruction",),
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.linear_algebra import sign_of_determinant, solve
@@ -32,6 +32,7 @@ from jaxwhisker._space.newton import Phases, phase_by_slack
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each, problem_in_space
 
 STEPS = 12  # of Newton's method at most; 2 or 3 suffice if the contact has moved by a hundredth of the length
+LAST = 1e-8  # size of the last step, dimensionless; derivatives are those before it, and err as much
 FAR = 0.5  # lengths: a solution that is further from the contact it started from may be another one
 
 
@@ -64,9 +65,10 @@ class MeasurementModel:
         contact = expected.contact
         batch = jax.jit(jax.vmap(model, in_axes=(0, None, 0)))  # of particles
 
-    Whether a contact is at the tip or on the shaft follows by itself. A whisker that would have to be pulled to touch is
-    free: its signals and derivatives are zero, and it touches again in a later call. Whiskers that are free in a
-    `contact` remain so. No call looks for second contacts of curved whiskers.
+    Contacts change from the tip to the shaft and back by themselves. A whisker that would have to be pulled to touch is
+    free: its signals and derivatives are zero, and it may touch again in a later call. Where it would have to be pulled
+    too far, the status is `lost`, as for every state without an equilibrium near the contact. Whiskers that are free in a
+    `contact` from a scan remain so. No call looks for second contacts of curved whiskers.
 
     Args:
         build: makes a SpaceScene without friction from named numbers. JAX must be able to trace it.
@@ -154,11 +156,11 @@ class _Iteration(NamedTuple):
 
 
 def _solved(problem: SpaceProblem, by_parameter: SpaceProblem, u: Scalar, contact: ContactState) -> Measurement:
-    tolerance, n = problem.rod.newton_tolerance, contact.z.shape[0]
+    n = contact.z.shape[0]
     parameters = jax.tree.leaves(by_parameter)[0].shape[-1]
 
     def goes_on(at: _Iteration):
-        return (at.size >= tolerance) & (at.steps < STEPS)
+        return (at.size >= LAST) & (at.steps < STEPS)
 
     def iterate(at: _Iteration):
         return _newton(problem, by_parameter, u, at, phase_by_slack(at.z, contact.phase))
@@ -168,7 +170,7 @@ def _solved(problem: SpaceProblem, by_parameter: SpaceProblem, u: Scalar, contac
     end = jax.lax.while_loop(goes_on, iterate, start)
     pulled = (contact.phase != Phase.free) & (end.z[:, FORCE] < 0)
     near = jnp.max(jnp.abs(end.z - contact.z) / scale_of(contact.z)) < FAR
-    found = (end.size < tolerance) & near
+    found = (end.size < LAST) & near
     if problem.springs is not None and n > 1:
         found &= ~jnp.any(pulled)  # a whisker that pulls moves the others
     stable = (end.sign > 0) | jnp.any(pulled)

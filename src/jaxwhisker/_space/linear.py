@@ -59,7 +59,7 @@ def step_along(z: Array, out: Array, curvature: Array, point: Array, turn: Array
 def directions_of(z: Array, frame: Array, curvature: Array, *, rolls: bool) -> list[Array]:
     """Steps of a contact on the surface: force, (roll,) slack, the point along and across, and the direction."""
     ahead, across, out = frame.T
-    still, unit = jnp.zeros(3), np.eye(UNKNOWNS)
+    still, unit = jnp.zeros(3), jnp.eye(UNKNOWNS)
     scalars = [unit[k] for k in range(3) if rolls or k != ROLL]
     ways = ((ahead, still), (across, still), (still, across))
     return [*scalars, *(step_along(z, out, curvature, point, turn) for point, turn in ways)]
