@@ -20,7 +20,7 @@ import jaxwhisker as jw
 
 RADIUS, NOISE, STEPS = 0.2, 0.01, 150
 MEASURED = [0, 1, 5]  # fx, fy and mz
-START = np.array([-0.25, 0.95])  # of the centre; the base is at the origin
+START = np.array([-0.1, 0.85])  # of the centre; the base is at the origin
 
 Model = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # signals (3,) and derivatives (3, 2) at a place
 
@@ -50,7 +50,7 @@ def chain_model(links: int) -> Model:
 
     It rests against the peg with one of its links, or with its tip.
     """
-    size, stiffness, last = 1.0 / links, float(links), np.append(np.full(links, 0.05), 0.5)
+    size, stiffness, last = 1.0 / links, float(links), np.append(np.full(links, -0.02), 0.5)
 
     def equations(unknowns, place):
         """Moments at the joints, and the gap between chain and peg."""
@@ -82,7 +82,7 @@ def chain_model(links: int) -> Model:
 def places() -> np.ndarray:
     """The places of the peg, (steps, 2)."""
     angle = np.linspace(0.0, 2 * np.pi, STEPS)
-    return START + 0.05 * np.stack([np.cos(angle) - 1, np.sin(angle)], axis=1)
+    return START + 0.05 * np.stack([1 - np.cos(angle), np.sin(angle)], axis=1)
 
 
 def track(model: Model, measured: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -2,6 +2,9 @@
 
 # pyright: reportArgumentType=false
 
+import importlib.util
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -123,3 +126,13 @@ def test_wrong_arguments_raise_errors(model, contact):
     plane = jw.MeasurementModel(lambda q: jw.Scene(jw.Whisker(), jw.Parabola(q)), ("q",))
     with pytest.raises(ValueError, match="`build` must return a SpaceScene"):
         plane.contact([0.2], CONTROL)
+
+
+def test_the_example_tracks_a_peg_better_than_a_chain_of_links():
+    path = Path(__file__).parents[2] / "examples" / "track_peg.py"
+    spec = importlib.util.spec_from_file_location("track_peg", path)
+    assert spec is not None and spec.loader is not None
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    errors = example.errors(chains=(5,))
+    assert errors["exact"] < 0.01 and errors["exact"] < 0.2 * errors["chain of 5 links"]
