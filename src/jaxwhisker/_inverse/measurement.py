@@ -67,8 +67,8 @@ class MeasurementModel:
 
     Contacts change from the tip to the shaft and back by themselves. A whisker that would have to be pulled to touch is
     free: its signals and derivatives are zero, and it may touch again in a later call. Where it would have to be pulled
-    too far, the status is `lost`, as for every state without an equilibrium near the contact. Whiskers that are free in a
-    `contact` from a scan remain so. No call looks for second contacts of curved whiskers.
+    too far, the status is `lost`, as for every state without an equilibrium near the contact. Whiskers that are free at
+    the end of the scan remain so. No call looks for second contacts of curved whiskers.
 
     Args:
         build: makes a SpaceScene without friction from named numbers. JAX must be able to trace it.
