@@ -235,8 +235,13 @@ class Fit(Estimates):
         Args:
             y: the fit's variables, (parameters,), see `variables`. With a prior that is flat in them, this is the log
                 density of the posterior; add the logarithm of any other prior.
+
+        Raises:
+            ValueError: if the fit is one of scenes in space.
         """
         build, unknowns, transforms, _ = self._problem.solve
+        if unknowns.channels.in_space:
+            raise ValueError("`log_density` must be asked of a fit in the plane, got one in space.")
         return log_density(build, unknowns, transforms, jnp.asarray(y), self._problem.samples(), self._solution.y)
 
     @property

@@ -110,10 +110,11 @@ def identify(
     than 5 % of the peak. Of the other options, `bounds` and `transform` apply. The result is a BendingFit.
 
     Args:
-        build: makes a Scene from named numbers: parameters of springs, object and whiskers; or a whisker and loads.
-            JAX must be able to trace it.
+        build: makes a Scene, in space without friction, from named numbers: parameters of springs, object and
+            whiskers; or a whisker and loads. JAX must be able to trace it.
         guess: an initial value of each unknown parameter.
-        measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers), or of the names in `channels`:
+        measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers; in space also fz, mx, my), or of
+            the names in `channels`, which are for scenes in the plane:
             a mapping of arrays, a Result, a Dataset with one scan, a DataFrame or the path of a CSV file. Arrays are
             (steps,) or (steps, whiskers), in the units of the scene, with the signs of `scene.py` (forces and moments
             of the support on the whisker), and in the order in which the drive moved. NaN is skipped. A list of these:
@@ -201,7 +202,7 @@ def _read(measured: Any, sigma: Any, channels: Channels, whiskers: int) -> list[
     if not recordings:
         raise ValueError("`measured` must hold at least one recording, got an empty list.")
     if channels.function is None:
-        return [read_observations(one, sigma, whiskers=whiskers) for one in recordings]
+        return [read_observations(one, sigma, whiskers=whiskers, kinds=channels.names) for one in recordings]
     tables = [table_of_result(channels, one) if isinstance(one, Result) else one for one in recordings]
     return [read_observations(table, sigma, whiskers=1, kinds=channels.names) for table in tables]
 

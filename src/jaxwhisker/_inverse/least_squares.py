@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here
-from jaxwhisker._inverse.linearised import LinearisedScan
+from jaxwhisker._inverse.linearised import linearised_scan
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
 from jaxwhisker._inverse.statistics import chi_squared
@@ -125,9 +125,8 @@ class LeastSquares(NamedTuple):
         shift = parts.shift[0] if unknowns.shift else np.asarray(0.0)
         stops, last = (np.full_like(data.stops, np.nan), 1) if data.overlaid else (data.stops + shift, data.last)
         parameters = dict(zip(unknowns.build, parts.build, strict=True))
-        scan = LinearisedScan(
-            self.build, parameters, stops, last, channels=unknowns.channels, values=parts.channels, shift=unknowns.shift
-        )
+        known = {"channels": unknowns.channels, "values": parts.channels, "shift": unknowns.shift}
+        scan = linearised_scan(unknowns.channels.in_space, self.build, parameters, stops, last, **known)
         placed, by = placed_and_slopes_now(shift, scan.start, scan.events, data, scan.shift_slopes, scan.event_slopes)
         placed, by = jax.tree.map(np.asarray, (placed, by))
         signals = scan.signals(placed.control, placed.travel, by.control)

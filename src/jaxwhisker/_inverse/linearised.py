@@ -209,7 +209,7 @@ class LinearisedScan:
     ):
         self._channels, self._values = channels, np.asarray(values, dtype=float)
         self._first = len(x)
-        scene, slopes = _scene_with_slopes(build, x, known or {}, len(values) + shift)
+        scene, slopes = scene_with_slopes(build, x, known or {}, len(values) + shift)
         self._scene = scene, slopes
         _prepare(scene, slopes, stops.shape[0], channels.fields)
         self.problem, self._directions = problem_and_slopes_now(scene, slopes)
@@ -263,13 +263,33 @@ def _padded(control: np.ndarray, travel: np.ndarray) -> int:
     return min(BLOCK, max(LEAST_STEPS, 2 ** math.ceil(math.log2(other[-1] + 2 if other.size else 1))))
 
 
+def linearised_scan(
+    in_space: bool,
+    build: Callable[..., Any],
+    x: Mapping[str, Any],
+    stops: np.ndarray,
+    last: Any,
+    known: Mapping[str, float] | None = None,
+    *,
+    channels: Channels = REACTION_CHANNELS,
+    values: Any = (),
+    shift: bool = False,
+) -> Any:
+    """The LinearisedScan of a scene in the plane, or what has its methods in space."""
+    if not in_space:
+        return LinearisedScan(build, x, stops, last, known, channels, values, shift)
+    from jaxwhisker._inverse.linearised_in_space import LinearisedSpaceScan
+
+    return LinearisedSpaceScan(build, x, stops, last, known, shift)
+
+
 def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
     """Check that the scene depends on every parameter.
 
     Raises:
         ValueError: if not; the message names the parameter.
     """
-    _, slopes = _scene_with_slopes(build, guess, {}, 0)
+    _, slopes = scene_with_slopes(build, guess, {}, 0)
     for k, name in enumerate(guess):
         if not any(np.any(np.asarray(leaf)[..., k] != 0) for leaf in jax.tree.leaves(slopes)):
             raise ValueError(
@@ -277,7 +297,8 @@ def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
             )
 
 
-def _scene_with_slopes(build: Callable[..., Scene], x: Mapping[str, Any], known: Mapping[str, Any], further: int):
+def scene_with_slopes(build: Callable[..., Any], x: Mapping[str, Any], known: Mapping[str, Any], further: int):
+    """The scene that `build` makes, and derivatives of its numbers along a last axis with room for further ones."""
     values = np.array(list(x.values()), dtype=float)
     width = WIDTH * math.ceil((values.size + further) / WIDTH)
     return scene_and_slopes_now(hashable(build), tuple(x), width, values, jax.tree.map(np.asarray, dict(known)))

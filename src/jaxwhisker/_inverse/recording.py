@@ -42,8 +42,8 @@ def check_recording(
             "`measured` must show a contact, got signals of which none changes by more than five standard deviations "
             "of its noise."
         )
-    _check_units(observations, sensor, REACTIONS if in_units else ())
-    if in_units:
+    _check_units(observations, sensor, observations.kinds if in_units else ())
+    if in_units and observations.kinds == REACTIONS:  # no sign is known in space, where objects may be anywhere
         check_signs(observations, sensor)
 
 
@@ -71,7 +71,8 @@ def _changes(observations: Observations, channel: Channel) -> bool:
 def _check_units(observations: Observations, sensor: Scene | Sensor, reactions: tuple[str, ...]) -> None:
     unit = units_of(sensor.whiskers[0], sensor.motion)
     sizes = {"the range of control": (float(np.ptp(observations.control)), float(unit.control), CONTROL_RATIO)}
-    for r, (name, size) in enumerate(zip(reactions, (unit.force, unit.force, unit.moment), strict=False)):
+    for r, name in enumerate(reactions):
+        size = unit.force if name[0] == "f" else unit.moment
         peak = float(np.nanmax(np.abs(observations.values[:, :, r]), initial=0.0))
         sizes[f"the peak of {name}"] = peak, float(size), REACTION_RATIO
     for name, (value, size, (low, high)) in sizes.items():
