@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from space_cases import ALONG
 
 REFERENCE = 1e-6  # the reference gives ten digits
 NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -25,19 +24,21 @@ def reference(name):
 
 
 def clamped(offset, distance):
-    return jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, distance + 1.0, offset)), motion=ALONG)
+    drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, offset))
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, distance + 1.0, 0.0)), motion=drive)
 
 
 def sprung(offset, stiffness):
     springs = [jw.Spring((0, 1), c, axis=axis) for axis, c in zip("xyz", (stiffness, 300.0, 8.0), strict=True)]
-    sphere = jw.Sphere(1.0, (0.0, 1.3, offset))
-    return jw.SpaceScene(jw.Whisker(), sphere, jw.Support(tuple(springs)), motion=ALONG)
+    drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, offset))
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), jw.Support(tuple(springs)), motion=drive)
 
 
 def bent(curvature, roll):
     mount = jw.Mount(roll=roll)
     hair = jw.Whisker(intrinsic_curvature=curvature, torsion_ratio=2 / 3)
-    return jw.SpaceScene(hair, jw.Sphere(1.0, (0.0, 1.2, 0.1)), jw.Support(mount=mount), motion=ALONG)
+    drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, 0.1))
+    return jw.SpaceScene(hair, jw.Sphere(1.0, (0.0, 1.3, 0.0)), jw.Support(mount=mount), motion=drive)
 
 
 @pytest.mark.parametrize(
@@ -49,6 +50,12 @@ def bent(curvature, roll):
             sprung,
             {"offset": 0.2, "stiffness": 30.0},
             {"offset": 0.25, "stiffness": 40.0},
+        ),
+        (
+            "S4 arc kappa 0.8 roll 60 C/B 0.667 offset 0.1",
+            bent,
+            {"curvature": 0.8, "roll": np.pi / 3},
+            {"curvature": 0.6, "roll": 0.9},
         ),
     ],
 )

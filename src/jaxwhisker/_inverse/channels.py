@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._inverse.parameters import hashable
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._scan.channels import arguments_of, columns_of, example_of, result_of, traced_channels
 from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.result import Result
@@ -43,7 +43,7 @@ class Channels(NamedTuple):
         return jnp.stack([columns[name] for name in self.names], axis=-1)[:, None]
 
 
-def channels_from(function: Any, scene: Scene, guess: Mapping[str, float]) -> tuple[Channels, dict[str, float]]:
+def channels_from(function: Any, scene: AbstractScene, guess: Mapping[str, float]) -> tuple[Channels, dict[str, float]]:
     """The channels that a function of the result computes, and the rest of the guess, which is not an argument of it.
 
     None stands for the reactions. In space there are no others.
@@ -81,7 +81,7 @@ def table_of_result(channels: Channels, result: Result) -> dict[str, Any]:
 
 def _signals_and_slopes(
     channels: Channels,
-    scene: Scene,
+    scene: AbstractScene,
     scene_slopes: Any,
     state: State,
     state_slopes: Any,

@@ -24,7 +24,8 @@ from jaxwhisker._inverse.recording import check_recording
 from jaxwhisker._inverse.residuals import Samples
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, noise_of_residuals
 from jaxwhisker._inverse.unknowns import unknowns_of
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._model.assembly import AbstractScene
+from jaxwhisker._model.scene import units
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.channels import arguments_of
 from jaxwhisker._scan.result import Result
@@ -46,7 +47,7 @@ Options: TypeAlias = Mapping[str, Any] | None
 
 @overload
 def identify(
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     guess: Mapping[str, Any],
     measured: Any,
     *,
@@ -207,7 +208,7 @@ def _read(measured: Any, sigma: Any, channels: Channels, whiskers: int) -> list[
     return [read_observations(table, sigma, whiskers=1, kinds=channels.names) for table in tables]
 
 
-def _recording(observations: Observations, centred: Observations, scene: Scene, snaps: bool) -> Recording:
+def _recording(observations: Observations, centred: Observations, scene: AbstractScene, snaps: bool) -> Recording:
     first_leg = slice(0, min([*turns_of(observations.control), observations.control.size - 1]) + 1)
     landmarks = (features(one, snaps=snaps) for one in (centred, centred.at(first_leg)))
     return Recording(observations, next(landmarks), first_leg, next(landmarks), scene)

@@ -17,7 +17,7 @@ from jaxwhisker._inverse.observations import Observations, channel_pattern, read
 from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
 from jaxwhisker._inverse.residuals import UNIFORM
 from jaxwhisker._inverse.statistics import Identifiability, correlation, identifiability
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.channels import arguments_of
 from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
@@ -57,7 +57,7 @@ class Information:
     rates: np.ndarray  # (steps, channels, parameters) whitened derivatives; 0 where a step failed
     events: tuple[EventInformation, ...]
     log: np.ndarray  # (parameters,) whether `combinations` describes changes of a parameter as relative ones
-    scene: Scene  # of these parameters
+    scene: AbstractScene  # of these parameters
 
     def of(self, *channels: str) -> "Information":
         """The information in some of the channels: `of("mz_1", "mz_2")`, or `of("mz")` for all whiskers.
@@ -184,7 +184,7 @@ class Information:
 
 @with_own_settings
 def information(
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     at: Mapping[str, float],
     *,
     sigma: Any,
@@ -220,7 +220,7 @@ def information(
 
 @with_own_settings
 def design(
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     at: Mapping[str, float],
     *,
     sigma: Any,
@@ -287,7 +287,7 @@ def _grids(axes: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, np
     return {name: np.asarray(choices, dtype=float) for name, choices in axes.items()}
 
 
-def _common_control(scenes: Sequence[Scene]) -> np.ndarray:
+def _common_control(scenes: Sequence[AbstractScene]) -> np.ndarray:
     """Drive positions over the contact of all scenes."""
     ends = np.array([default_control(scene)[[0, -1]] for scene in scenes])
     onwards = np.sign(ends[0, 1] - ends[0, 0])
@@ -318,7 +318,7 @@ def _dataset(values: Mapping[str, float], grids: Mapping[str, np.ndarray], point
 
 
 def _measured(
-    control: Control, scene: Scene, sigma: Any, channels: Any, values: Mapping[str, float]
+    control: Control, scene: AbstractScene, sigma: Any, channels: Any, values: Mapping[str, float]
 ) -> tuple[Channels, Observations]:
     """The channels, and observations of zero in the measured ones, with their noise."""
     checks.vector("control", control)

@@ -19,7 +19,7 @@ from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
 from jaxwhisker._inverse.statistics import chi_squared
 from jaxwhisker._inverse.unknowns import Unknowns, split
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 
 FIT_STEPS = 60  # of Levenberg-Marquardt
 FINAL = 1e-6  # decrease of the sum of squares below which a fit ends: within 1e-3 standard errors of the minimum
@@ -72,7 +72,7 @@ class Minimum(NamedTuple):
 class LeastSquares(NamedTuple):
     """Least-squares fits of one `build`."""
 
-    build: Callable[..., Scene]
+    build: Callable[..., AbstractScene]
     unknowns: Unknowns
     transforms: Transforms
     report: Callable[[float], None] | None = None  # is called with the misfit of every trial

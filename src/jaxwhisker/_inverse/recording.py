@@ -4,8 +4,9 @@ import numpy as np
 
 from jaxwhisker._inverse.features import ABOVE_NOISE, in_contact, neighbour_scatter
 from jaxwhisker._inverse.observations import Channel, Observations
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.motion import Translation
-from jaxwhisker._model.scene import Scene, Sensor, units_of
+from jaxwhisker._model.scene import Sensor, units_of
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.route import turns_of
 
@@ -19,7 +20,7 @@ CONSTANT = 1e-12  # relative change of a constant signal
 
 
 def check_recording(
-    observations: Observations, sensor: Scene | Sensor, unknowns: int, *, in_units: bool = True
+    observations: Observations, sensor: AbstractScene | Sensor, unknowns: int, *, in_units: bool = True
 ) -> None:
     """Check that observations can be a scan with this sensor, and that they suffice for this number of unknowns.
 
@@ -68,7 +69,7 @@ def _changes(observations: Observations, channel: Channel) -> bool:
     return bool(np.nanmax(away) > CONSTANT * np.nanmax(np.abs(signal)))
 
 
-def _check_units(observations: Observations, sensor: Scene | Sensor, reactions: tuple[str, ...]) -> None:
+def _check_units(observations: Observations, sensor: AbstractScene | Sensor, reactions: tuple[str, ...]) -> None:
     unit = units_of(sensor.whiskers[0], sensor.motion)
     sizes = {"the range of control": (float(np.ptp(observations.control)), float(unit.control), CONTROL_RATIO)}
     for r, name in enumerate(reactions):
@@ -83,7 +84,7 @@ def _check_units(observations: Observations, sensor: Scene | Sensor, reactions: 
             )
 
 
-def check_signs(observations: Observations, sensor: Scene | Sensor) -> None:
+def check_signs(observations: Observations, sensor: AbstractScene | Sensor) -> None:
     """Check that signals are reactions on the whiskers, in the order in which the drive moved.
 
     Args:
@@ -122,7 +123,7 @@ def _starts_free(observations: Observations) -> bool:
     return bool(complete.sum() >= LEAST_POSITIONS and complete[0] and not in_contact(observations)[0].any())
 
 
-def _is_upright(sensor: Scene | Sensor) -> bool:
+def _is_upright(sensor: AbstractScene | Sensor) -> bool:
     """Whether the unloaded whiskers are straight and upright, and only springs at their bases hold them."""
     straight = all(whisker.intrinsic_curvature is None for whisker in sensor.whiskers)
     angles = [mount.angle for mount in sensor.support.mounts]
