@@ -12,7 +12,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control
 from jaxwhisker._inverse.channels import Channels, channels_from
-from jaxwhisker._inverse.linearised import linearised_scan
+from jaxwhisker._inverse.least_squares import linearised_scan
 from jaxwhisker._inverse.observations import Observations, channel_pattern, read_observations
 from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
 from jaxwhisker._inverse.residuals import UNIFORM

@@ -4,9 +4,9 @@ The loop runs in NumPy. Residuals and derivatives come from programs that do not
 share, so that a fit of another `build` compiles nothing but `build` itself.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -14,7 +14,8 @@ from jaxtyping import Bool, Float
 
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here
-from jaxwhisker._inverse.linearised import linearised_scan
+from jaxwhisker._inverse.channels import Channels
+from jaxwhisker._inverse.linearised import REACTION_CHANNELS, LinearisedScan
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
 from jaxwhisker._inverse.statistics import chi_squared
@@ -67,6 +68,26 @@ class Minimum(NamedTuple):
         """Residuals and their derivatives, without those of the prior."""
         rows = self.residual.size - self.y.size
         return self.residual[:rows], self.jacobian[:rows]
+
+
+def linearised_scan(
+    in_space: bool,
+    build: Callable[..., Any],
+    x: Mapping[str, Any],
+    stops: np.ndarray,
+    last: Any,
+    known: Mapping[str, float] | None = None,
+    *,
+    channels: Channels = REACTION_CHANNELS,
+    values: Any = (),
+    shift: bool = False,
+) -> Any:
+    """The LinearisedScan of a scene in the plane, or what has its methods in space."""
+    if not in_space:
+        return LinearisedScan(build, x, stops, last, known, channels, values, shift)
+    from jaxwhisker._inverse.linearised_in_space import LinearisedSpaceScan
+
+    return LinearisedSpaceScan(build, x, stops, last, known, shift)
 
 
 class LeastSquares(NamedTuple):

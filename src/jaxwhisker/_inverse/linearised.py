@@ -263,26 +263,6 @@ def _padded(control: np.ndarray, travel: np.ndarray) -> int:
     return min(BLOCK, max(LEAST_STEPS, 2 ** math.ceil(math.log2(other[-1] + 2 if other.size else 1))))
 
 
-def linearised_scan(
-    in_space: bool,
-    build: Callable[..., Any],
-    x: Mapping[str, Any],
-    stops: np.ndarray,
-    last: Any,
-    known: Mapping[str, float] | None = None,
-    *,
-    channels: Channels = REACTION_CHANNELS,
-    values: Any = (),
-    shift: bool = False,
-) -> Any:
-    """The LinearisedScan of a scene in the plane, or what has its methods in space."""
-    if not in_space:
-        return LinearisedScan(build, x, stops, last, known, channels, values, shift)
-    from jaxwhisker._inverse.linearised_in_space import LinearisedSpaceScan
-
-    return LinearisedSpaceScan(build, x, stops, last, known, shift)
-
-
 def check_used(build: Callable[..., AbstractScene], guess: Mapping[str, float]) -> None:
     """Check that the scene depends on every parameter.
 

@@ -7,7 +7,7 @@ from jaxwhisker._inverse.observations import Channel, Observations
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.scene import Sensor, units_of
-from jaxwhisker._scan.quantities import REACTIONS
+from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.route import turns_of
 
 LEAST_POSITIONS = 5  # drive positions from which a scan is recognised
@@ -72,9 +72,11 @@ def _changes(observations: Observations, channel: Channel) -> bool:
 def _check_units(observations: Observations, sensor: AbstractScene | Sensor, reactions: tuple[str, ...]) -> None:
     unit = units_of(sensor.whiskers[0], sensor.motion)
     sizes = {"the range of control": (float(np.ptp(observations.control)), float(unit.control), CONTROL_RATIO)}
-    for r, name in enumerate(reactions):
-        size = unit.force if name[0] == "f" else unit.moment
-        peak = float(np.nanmax(np.abs(observations.values[:, :, r]), initial=0.0))
+    peaks = {name: np.nanmax(np.abs(observations.values[:, :, r]), initial=0.0) for r, name in enumerate(reactions)}
+    if reactions == REACTIONS_IN_SPACE:  # of which some may vanish
+        peaks = {", ".join(part): max(peaks[name] for name in part) for part in (reactions[:3], reactions[3:])}
+    for name, peak in peaks.items():
+        size, peak = unit.force if name[0] == "f" else unit.moment, float(peak)
         sizes[f"the peak of {name}"] = peak, float(size), REACTION_RATIO
     for name, (value, size, (low, high)) in sizes.items():
         if value > 0 and not low < value / size < high:
