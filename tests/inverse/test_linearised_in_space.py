@@ -116,6 +116,14 @@ def test_information_holds_the_derivatives_of_scans(scanned):
     np.testing.assert_allclose(alone.standard_error["offset"], 1 / np.linalg.norm(rates), rtol=1e-12)
 
 
+def test_designs_in_space_are_compared_by_the_information():
+    options = {"sigma": 0.01, "control": CONTROL}
+    data = jw.design(clamped, {"offset": 0.2}, **options, distance=[0.3, 0.35])
+    for k, distance in enumerate((0.3, 0.35)):
+        alone = jw.information(clamped, {"offset": 0.2, "distance": distance}, **options).known("distance")
+        np.testing.assert_allclose(data.standard_error[k, 0], alone.standard_error["offset"], rtol=1e-9)
+
+
 def test_what_is_not_supported_in_space_raises_errors(scanned):
     with pytest.raises(ValueError, match="without friction in space"):
         jw.identify(
