@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
     from jaxwhisker._inverse.fit_surface import SurfaceFit
+    from jaxwhisker._inverse.measurement import Measurement, MeasurementModel
     from jaxwhisker._inverse.points_in_space import SpaceReconstruction
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
@@ -91,6 +92,8 @@ __all__ = [
     "LateralStability",
     "LineLoad",
     "LinearDrive",
+    "Measurement",
+    "MeasurementModel",
     "Modes",
     "Motion",
     "Mount",
@@ -171,6 +174,7 @@ _LATER = {
     "_dynamics.simulate": ("simulate",),
     "_dynamics.simulation": ("Simulation",),
     "_inverse.fit_surface": ("SurfaceFit",),
+    "_inverse.measurement": ("Measurement", "MeasurementModel"),
     "_inverse.points_in_space": ("SpaceReconstruction",),
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),

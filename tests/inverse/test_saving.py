@@ -43,6 +43,8 @@ def results():
     in_space = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)))
     made += [scanned := jw.scan(in_space, np.linspace(0.75, -1.35, STEPS)), jw.reconstruct(scanned, in_space)]
     made += [jw.fit_contour(made[-1], family=jw.Sphere)]
+    model = jw.MeasurementModel(lambda x: jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (x, 1.3, 0.2))), ("x",))
+    made += [model([0.0], 0.4, model.contact([0.0], np.array([0.75, 0.4])))]
     made += [jw.deflect(jw.Whisker(), jw.SpaceForce(0.3, 0.0, 0.2))]
     made += [jw.study(fb, control=control, c=[50.0, 60.0], q=[0.27]), result.events[0], fit.profile("c", points=3)]
     return {type(one).__name__: one for one in made}
@@ -50,12 +52,13 @@ def results():
 
 TREES = {"Result", "Events", "Shapes", "EnergyBalance", "Reconstruction", "ProfileFit", "Deflection", "Modes"}
 TREES |= {"Simulation", "LateralStability", "SpaceResult", "SpaceDeflection", "SpaceReconstruction", "SurfaceFit"}
+TREES |= {"Simulation", "LateralStability", "SpaceResult", "SpaceDeflection", "SpaceReconstruction", "Measurement"}
 CLASSES = TREES | {"Fit", "BendingFit", "ContourFit", "Information", "Dataset", "Event", "LikelihoodProfile"}
 
 
 def test_every_public_class_of_results_is_here(results):
     inputs = {"Whisking", "Sweep", "Scene", "Sensor", "Support", "Spring", "Mount", "Foundation", "Splitting", "State"}
-    inputs |= {"SpaceState"}
+    inputs |= {"SpaceState", "MeasurementModel"}
     inputs |= {name for name in jw.__all__ if inspect.isclass(getattr(jw, name)) and is_input(getattr(jw, name))}
     public = {name for name in jw.__all__ if inspect.isclass(getattr(jw, name))} - inputs
     assert public <= CLASSES == set(results)

@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._inverse.parameters import hashable
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._scan.channels import arguments_of, columns_of, example_of, result_of, traced_channels
-from jaxwhisker._scan.quantities import REACTIONS
+from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.state import State
 
@@ -23,6 +24,11 @@ class Channels(NamedTuple):
     names: tuple[str, ...] = REACTIONS
     function: Callable[..., Mapping[str, Any]] | None = None
     parameters: tuple[str, ...] = ()  # further arguments of the function
+
+    @property
+    def in_space(self) -> bool:
+        """Whether these are the reactions in space."""
+        return self.names == REACTIONS_IN_SPACE and self.function is None
 
     @property
     def fields(self) -> tuple[str, ...] | None:
@@ -37,16 +43,18 @@ class Channels(NamedTuple):
         return jnp.stack([columns[name] for name in self.names], axis=-1)[:, None]
 
 
-def channels_from(function: Any, scene: Scene, guess: Mapping[str, float]) -> tuple[Channels, dict[str, float]]:
+def channels_from(function: Any, scene: AbstractScene, guess: Mapping[str, float]) -> tuple[Channels, dict[str, float]]:
     """The channels that a function of the result computes, and the rest of the guess, which is not an argument of it.
 
-    None stands for the reactions.
+    None stands for the reactions. In space there are no others.
 
     Raises:
         ValueError: if it is not such a function, or JAX cannot trace it.
     """
     if function is None:
-        return Channels(), dict(guess)
+        return Channels(REACTIONS_IN_SPACE if scene.in_space else REACTIONS), dict(guess)
+    if scene.in_space:
+        checks.fail("channels", "a function in the plane only; in space the channels are reactions", "one in space")
     for name in arguments_of(function):
         if name not in guess:
             raise ValueError(f"`guess` must hold a value of every argument of `channels`, got none of {name}.")
@@ -73,7 +81,7 @@ def table_of_result(channels: Channels, result: Result) -> dict[str, Any]:
 
 def _signals_and_slopes(
     channels: Channels,
-    scene: Scene,
+    scene: AbstractScene,
     scene_slopes: Any,
     state: State,
     state_slopes: Any,

@@ -18,7 +18,8 @@ from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, log_density, samples_of
 from jaxwhisker._inverse.statistics import CHI2_95, chi_squared, is_plausible
 from jaxwhisker._inverse.unknowns import Unknowns
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._model.assembly import AbstractScene
+from jaxwhisker._model.scene import units
 from jaxwhisker._scan.route import route_of
 from jaxwhisker._scan.scan import BLOCK
 
@@ -33,7 +34,7 @@ class Recording(NamedTuple):
     landmarks: Features
     first_leg: slice  # the samples before the drive first turns, which can be overlaid with a scan
     landmarks_of_leg: Features
-    scene: Scene  # at the guess
+    scene: AbstractScene  # at the guess
 
     def samples(self, *, overlaid: bool = False, thin: bool = False) -> Samples:
         """The observations for one stage: all of them, or as many as one block holds."""
@@ -67,7 +68,7 @@ class Recording(NamedTuple):
 class FitProblem(NamedTuple):
     """Recordings, and the program that fits them."""
 
-    build: Callable[..., Scene]
+    build: Callable[..., AbstractScene]
     solve: LeastSquares
     recordings: tuple[Recording, ...]
     scatter: Scatter | None  # of neighbouring samples, to judge a fit whose noise was estimated from its residuals
@@ -137,7 +138,7 @@ class FittedRecording(NamedTuple):
     signals: np.ndarray  # (steps, whiskers, 3) of the model, or (steps, 1, channels) with `channels`
     residuals: np.ndarray  # measured - model; NaN where nothing was compared
     parameters: dict[str, float]  # arguments of `build`
-    scene: Scene  # at the estimates
+    scene: AbstractScene  # at the estimates
 
 
 class LikelihoodProfile(NamedTuple):
@@ -175,7 +176,7 @@ class Fit(Estimates):
         return self._only_recording.residuals
 
     @property
-    def scene(self) -> Scene:
+    def scene(self) -> AbstractScene:
         """The scene of the only recording at the estimates."""
         return self._only_recording.scene
 
@@ -235,8 +236,13 @@ class Fit(Estimates):
         Args:
             y: the fit's variables, (parameters,), see `variables`. With a prior that is flat in them, this is the log
                 density of the posterior; add the logarithm of any other prior.
+
+        Raises:
+            ValueError: if the fit is one of scenes in space.
         """
         build, unknowns, transforms, _ = self._problem.solve
+        if unknowns.channels.in_space:
+            raise ValueError("`log_density` must be asked of a fit in the plane, got one in space.")
         return log_density(build, unknowns, transforms, jnp.asarray(y), self._problem.samples(), self._solution.y)
 
     @property

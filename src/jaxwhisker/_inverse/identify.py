@@ -24,7 +24,8 @@ from jaxwhisker._inverse.recording import check_recording
 from jaxwhisker._inverse.residuals import Samples
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, noise_of_residuals
 from jaxwhisker._inverse.unknowns import unknowns_of
-from jaxwhisker._model.scene import Scene, units
+from jaxwhisker._model.assembly import AbstractScene
+from jaxwhisker._model.scene import units
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.channels import arguments_of
 from jaxwhisker._scan.result import Result
@@ -46,7 +47,7 @@ Options: TypeAlias = Mapping[str, Any] | None
 
 @overload
 def identify(
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     guess: Mapping[str, Any],
     measured: Any,
     *,
@@ -110,10 +111,11 @@ def identify(
     than 5 % of the peak. Of the other options, `bounds` and `transform` apply. The result is a BendingFit.
 
     Args:
-        build: makes a Scene from named numbers: parameters of springs, object and whiskers; or a whisker and loads.
-            JAX must be able to trace it.
+        build: makes a Scene, in space without friction, from named numbers: parameters of springs, object and
+            whiskers; or a whisker and loads. JAX must be able to trace it.
         guess: an initial value of each unknown parameter.
-        measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers), or of the names in `channels`:
+        measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers; in space also fz, mx, my), or of
+            the names in `channels`, which are for scenes in the plane:
             a mapping of arrays, a Result, a Dataset with one scan, a DataFrame or the path of a CSV file. Arrays are
             (steps,) or (steps, whiskers), in the units of the scene, with the signs of `scene.py` (forces and moments
             of the support on the whisker), and in the order in which the drive moved. NaN is skipped. A list of these:
@@ -201,12 +203,12 @@ def _read(measured: Any, sigma: Any, channels: Channels, whiskers: int) -> list[
     if not recordings:
         raise ValueError("`measured` must hold at least one recording, got an empty list.")
     if channels.function is None:
-        return [read_observations(one, sigma, whiskers=whiskers) for one in recordings]
+        return [read_observations(one, sigma, whiskers=whiskers, kinds=channels.names) for one in recordings]
     tables = [table_of_result(channels, one) if isinstance(one, Result) else one for one in recordings]
     return [read_observations(table, sigma, whiskers=1, kinds=channels.names) for table in tables]
 
 
-def _recording(observations: Observations, centred: Observations, scene: Scene, snaps: bool) -> Recording:
+def _recording(observations: Observations, centred: Observations, scene: AbstractScene, snaps: bool) -> Recording:
     first_leg = slice(0, min([*turns_of(observations.control), observations.control.size - 1]) + 1)
     landmarks = (features(one, snaps=snaps) for one in (centred, centred.at(first_leg)))
     return Recording(observations, next(landmarks), first_leg, next(landmarks), scene)

@@ -12,15 +12,15 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control
 from jaxwhisker._inverse.channels import Channels, channels_from
-from jaxwhisker._inverse.linearised import LinearisedScan
+from jaxwhisker._inverse.least_squares import linearised_scan
 from jaxwhisker._inverse.observations import Observations, channel_pattern, read_observations
 from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
 from jaxwhisker._inverse.residuals import UNIFORM
 from jaxwhisker._inverse.statistics import Identifiability, correlation, identifiability
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.channels import arguments_of
-from jaxwhisker._scan.quantities import REACTIONS
+from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.report import table
 from jaxwhisker._scan.route import route_of
 from jaxwhisker._scan.scan import default_control
@@ -57,7 +57,7 @@ class Information:
     rates: np.ndarray  # (steps, channels, parameters) whitened derivatives; 0 where a step failed
     events: tuple[EventInformation, ...]
     log: np.ndarray  # (parameters,) whether `combinations` describes changes of a parameter as relative ones
-    scene: Scene  # of these parameters
+    scene: AbstractScene  # of these parameters
 
     def of(self, *channels: str) -> "Information":
         """The information in some of the channels: `of("mz_1", "mz_2")`, or `of("mz")` for all whiskers.
@@ -66,7 +66,7 @@ class Information:
             ValueError: if there is no such channel.
         """
         for name in channels:
-            if name not in self.channels and name not in REACTIONS:
+            if name not in self.channels and name not in REACTIONS_IN_SPACE:
                 raise ValueError(f"`channels` must be among {', '.join(self.channels)}, got {name!r}.")
         keep = [k for k, c in enumerate(self.channels) if c in channels or c.split("_")[0] in channels]
         return replace(self, channels=tuple(self.channels[k] for k in keep), rates=self.rates[:, keep])
@@ -184,24 +184,24 @@ class Information:
 
 @with_own_settings
 def information(
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     at: Mapping[str, float],
     *,
     sigma: Any,
     control: Control | None = None,
-    channels: Sequence[str] | Callable[..., Mapping[str, Any]] = REACTIONS,
+    channels: Sequence[str] | Callable[..., Mapping[str, Any]] | None = None,
 ) -> Information:
     """Compute the Fisher information of a scene's signals about its parameters, by exact derivatives.
 
     Args:
-        build: makes a Scene from named numbers. JAX must be able to trace it.
+        build: makes a Scene, in space without friction, from named numbers. JAX must be able to trace it.
         at: the unknown parameters with their values.
         sigma: standard deviation of the signals' noise, independent from step to step: a number, or a mapping from
             channels to numbers.
         control: drive positions, (steps,). Default: those of `scan`. Information is proportional to the density of
             steps.
-        channels: measured channels, such as "mz" (of all whiskers) or "mz_1"; or a function of the result, as in
-            `identify`, with its own unknown parameters in `at`.
+        channels: measured channels, such as "mz" (of all whiskers) or "mz_1"; or, in the plane, a function of the
+            result, as in `identify`, with its own unknown parameters in `at`. Default: all reactions.
 
     Returns:
         An Information.
@@ -220,12 +220,12 @@ def information(
 
 @with_own_settings
 def design(
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     at: Mapping[str, float],
     *,
     sigma: Any,
     control: Control | None = None,
-    channels: Sequence[str] | Callable[..., Mapping[str, Any]] = REACTIONS,
+    channels: Sequence[str] | Callable[..., Mapping[str, Any]] | None = None,
     **axes: Any,
 ) -> "xr.Dataset":
     """Compare sensors: how well parameters can be estimated, for all combinations of design choices.
@@ -287,7 +287,7 @@ def _grids(axes: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, np
     return {name: np.asarray(choices, dtype=float) for name, choices in axes.items()}
 
 
-def _common_control(scenes: Sequence[Scene]) -> np.ndarray:
+def _common_control(scenes: Sequence[AbstractScene]) -> np.ndarray:
     """Drive positions over the contact of all scenes."""
     ends = np.array([default_control(scene)[[0, -1]] for scene in scenes])
     onwards = np.sign(ends[0, 1] - ends[0, 0])
@@ -318,7 +318,7 @@ def _dataset(values: Mapping[str, float], grids: Mapping[str, np.ndarray], point
 
 
 def _measured(
-    control: Control, scene: Scene, sigma: Any, channels: Any, values: Mapping[str, float]
+    control: Control, scene: AbstractScene, sigma: Any, channels: Any, values: Mapping[str, float]
 ) -> tuple[Channels, Observations]:
     """The channels, and observations of zero in the measured ones, with their noise."""
     checks.vector("control", control)
@@ -327,17 +327,19 @@ def _measured(
         control = np.asarray(control, dtype=float)
         table = {"control": control} | dict.fromkeys(measured.names, np.zeros_like(control))
         return measured, read_observations(table, sigma, whiskers=1, kinds=measured.names)
-    whiskers = len(scene.whiskers)
+    whiskers, reactions = len(scene.whiskers), REACTIONS_IN_SPACE if scene.in_space else REACTIONS
+    channels = reactions if channels is None else channels
     if not channels:
-        raise ValueError(f"`channels` must name at least one of {', '.join(REACTIONS)}, got an empty sequence.")
+        raise ValueError(f"`channels` must name at least one of {', '.join(reactions)}, got an empty sequence.")
     for name in channels:
-        matched = channel_pattern(REACTIONS).fullmatch(name)
+        matched = channel_pattern(reactions).fullmatch(name)
         if matched is None or not 1 <= int(matched[2] or 1) <= whiskers:
-            raise ValueError(f"`channels` must be among {', '.join(REACTIONS)}, got {name!r}.")
+            raise ValueError(f"`channels` must be among {', '.join(reactions)}, got {name!r}.")
     control = np.asarray(control, dtype=float)
     zero = np.zeros((control.size, whiskers))
-    table = {name: zero if name in REACTIONS else zero[:, 0] for name in channels}
-    return Channels(), read_observations({"control": control} | table, sigma, whiskers=whiskers)
+    table = {name: zero if name in reactions else zero[:, 0] for name in channels}
+    table = {"control": control} | table
+    return Channels(reactions), read_observations(table, sigma, whiskers=whiskers, kinds=reactions)
 
 
 def _information_at(
@@ -353,7 +355,8 @@ def _information_at(
     own = {name: value for name, value in at.items() if name not in channels.parameters}
     further = [at[name] for name in channels.parameters]
     stops = np.asarray(route.stops)
-    scan = LinearisedScan(build, own, stops, route.last, chosen, channels=channels, values=further)
+    known = {"channels": channels, "values": further}
+    scan = linearised_scan(channels.in_space, build, own, stops, route.last, chosen, **known)
     # Derivatives come in the order of the programs: by the scene's parameters first.
     order = [[*own, *channels.parameters].index(name) for name in at]
     table, by_events = jax.tree.map(np.asarray, (scan.events, scan.event_slopes[:, order]))

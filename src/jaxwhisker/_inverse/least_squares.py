@@ -4,9 +4,9 @@ The loop runs in NumPy. Residuals and derivatives come from programs that do not
 share, so that a fit of another `build` compiles nothing but `build` itself.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -14,12 +14,13 @@ from jaxtyping import Bool, Float
 
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here
-from jaxwhisker._inverse.linearised import LinearisedScan
+from jaxwhisker._inverse.channels import Channels
+from jaxwhisker._inverse.linearised import REACTION_CHANNELS, LinearisedScan
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
 from jaxwhisker._inverse.statistics import chi_squared
 from jaxwhisker._inverse.unknowns import Unknowns, split
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 
 FIT_STEPS = 60  # of Levenberg-Marquardt
 FINAL = 1e-6  # decrease of the sum of squares below which a fit ends: within 1e-3 standard errors of the minimum
@@ -69,10 +70,30 @@ class Minimum(NamedTuple):
         return self.residual[:rows], self.jacobian[:rows]
 
 
+def linearised_scan(
+    in_space: bool,
+    build: Callable[..., Any],
+    x: Mapping[str, Any],
+    stops: np.ndarray,
+    last: Any,
+    known: Mapping[str, float] | None = None,
+    *,
+    channels: Channels = REACTION_CHANNELS,
+    values: Any = (),
+    shift: bool = False,
+) -> Any:
+    """The LinearisedScan of a scene in the plane, or what has its methods in space."""
+    if not in_space:
+        return LinearisedScan(build, x, stops, last, known, channels, values, shift)
+    from jaxwhisker._inverse.linearised_in_space import LinearisedSpaceScan
+
+    return LinearisedSpaceScan(build, x, stops, last, known, shift)
+
+
 class LeastSquares(NamedTuple):
     """Least-squares fits of one `build`."""
 
-    build: Callable[..., Scene]
+    build: Callable[..., AbstractScene]
     unknowns: Unknowns
     transforms: Transforms
     report: Callable[[float], None] | None = None  # is called with the misfit of every trial
@@ -125,9 +146,8 @@ class LeastSquares(NamedTuple):
         shift = parts.shift[0] if unknowns.shift else np.asarray(0.0)
         stops, last = (np.full_like(data.stops, np.nan), 1) if data.overlaid else (data.stops + shift, data.last)
         parameters = dict(zip(unknowns.build, parts.build, strict=True))
-        scan = LinearisedScan(
-            self.build, parameters, stops, last, channels=unknowns.channels, values=parts.channels, shift=unknowns.shift
-        )
+        known = {"channels": unknowns.channels, "values": parts.channels, "shift": unknowns.shift}
+        scan = linearised_scan(unknowns.channels.in_space, self.build, parameters, stops, last, **known)
         placed, by = placed_and_slopes_now(shift, scan.start, scan.events, data, scan.shift_slopes, scan.event_slopes)
         placed, by = jax.tree.map(np.asarray, (placed, by))
         signals = scan.signals(placed.control, placed.travel, by.control)

@@ -25,7 +25,7 @@ from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._inverse.channels import Channels, channels_and_slopes_now
 from jaxwhisker._inverse.parameters import hashable
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._path.path import EventKind, Path
 from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.memory import Places, chained, with_places
@@ -63,12 +63,12 @@ def event_table(problem: Problem, path: Path) -> EventTable:
 
 
 def _scene_and_slopes(
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     names: tuple[str, ...],
     width: int,
     x: Float[Array, " parameters"],
     known: dict[str, Scalar],
-) -> tuple[Scene, Any]:
+) -> tuple[AbstractScene, Any]:
     """The scene, and derivatives of its numbers with respect to the parameters along a last axis of this width."""
 
     def scene(x):
@@ -78,7 +78,7 @@ def _scene_and_slopes(
     return eqx.combine(numbers, scene(x)), jax.vmap(push, out_axes=-1)(jnp.eye(width, x.size))
 
 
-def _problem_and_slopes(scene: Scene, slopes: Any) -> tuple[Problem, Float[Array, "numbers directions"]]:
+def _problem_and_slopes(scene: AbstractScene, slopes: Any) -> tuple[Problem, Float[Array, "numbers directions"]]:
     """The problem, and derivatives of its numbers."""
     arrays, static = eqx.partition(scene, eqx.is_array)
 
@@ -198,7 +198,7 @@ class LinearisedScan:
 
     def __init__(
         self,
-        build: Callable[..., Scene],
+        build: Callable[..., AbstractScene],
         x: Mapping[str, Any],
         stops: np.ndarray,
         last: Any,
@@ -209,7 +209,7 @@ class LinearisedScan:
     ):
         self._channels, self._values = channels, np.asarray(values, dtype=float)
         self._first = len(x)
-        scene, slopes = _scene_with_slopes(build, x, known or {}, len(values) + shift)
+        scene, slopes = scene_with_slopes(build, x, known or {}, len(values) + shift)
         self._scene = scene, slopes
         _prepare(scene, slopes, stops.shape[0], channels.fields)
         self.problem, self._directions = problem_and_slopes_now(scene, slopes)
@@ -263,13 +263,13 @@ def _padded(control: np.ndarray, travel: np.ndarray) -> int:
     return min(BLOCK, max(LEAST_STEPS, 2 ** math.ceil(math.log2(other[-1] + 2 if other.size else 1))))
 
 
-def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
+def check_used(build: Callable[..., AbstractScene], guess: Mapping[str, float]) -> None:
     """Check that the scene depends on every parameter.
 
     Raises:
         ValueError: if not; the message names the parameter.
     """
-    _, slopes = _scene_with_slopes(build, guess, {}, 0)
+    _, slopes = scene_with_slopes(build, guess, {}, 0)
     for k, name in enumerate(guess):
         if not any(np.any(np.asarray(leaf)[..., k] != 0) for leaf in jax.tree.leaves(slopes)):
             raise ValueError(
@@ -277,13 +277,14 @@ def check_used(build: Callable[..., Scene], guess: Mapping[str, float]) -> None:
             )
 
 
-def _scene_with_slopes(build: Callable[..., Scene], x: Mapping[str, Any], known: Mapping[str, Any], further: int):
+def scene_with_slopes(build: Callable[..., Any], x: Mapping[str, Any], known: Mapping[str, Any], further: int):
+    """The scene that `build` makes, and derivatives of its numbers along a last axis with room for further ones."""
     values = np.array(list(x.values()), dtype=float)
     width = WIDTH * math.ceil((values.size + further) / WIDTH)
     return scene_and_slopes_now(hashable(build), tuple(x), width, values, jax.tree.map(np.asarray, dict(known)))
 
 
-def _prepare(scene: Scene, slopes: Any, stops: int, fields: tuple[str, ...] | None) -> None:
+def _prepare(scene: AbstractScene, slopes: Any, stops: int, fields: tuple[str, ...] | None) -> None:
     """Compile the programs for scenes of a kind at the same time: while one is traced, another one is compiled."""
     if problem_and_slopes_now.is_ready(scene, slopes):
         return

@@ -20,6 +20,7 @@ from jaxwhisker._scan.result import AbstractResult, Result
 _IGNORED = re.compile(
     rf"(?:{'|'.join((*QUANTITIES, *MOTION))}|spring|event_.*|n_events)(?:_\d+)?(?:_[xyz]_d[123])?|(?:Unnamed: \d+)?"
 )
+VANISHING = 1e-9  # of the largest signal
 MISSING = "", "-", "NA", "N/A", "#N/A", "null", "None"  # cells without a value; NaN is a number
 OWN_REACTIONS = ("f1", "f2", "f3", "m1", "m2", "m3")  # along the directors of the displaced base
 OF_WHISKERS = (REACTIONS, REACTIONS_IN_SPACE, OWN_REACTIONS)  # channels of which every whisker has its own
@@ -55,8 +56,13 @@ class Observations(eqx.Module):
 
     @property
     def peaks(self) -> Float[np.ndarray, " kinds"]:
-        """Largest magnitude of each kind of signal over all whiskers; 1 for one that is zero or not measured."""
+        """Largest magnitude of each kind of signal over all whiskers; 1 for one that is zero or not measured.
+
+        In space, symmetry makes some vanish but for rounding; these have the largest magnitude of all.
+        """
         peak = np.max(np.abs(np.where(self.known, self.values, 0.0)), axis=(0, 1), initial=0.0)
+        if self.kinds == REACTIONS_IN_SPACE:
+            peak = np.where(peak > VANISHING * np.max(peak), peak, np.max(peak))
         return np.where(peak > 0, peak, 1.0)
 
     def at(self, steps: Any) -> "Observations":

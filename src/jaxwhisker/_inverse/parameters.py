@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import name_of
 from jaxwhisker._inverse.statistics import NORMAL_95
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 
 AT_BOUND = 1e-3  # dv/dy, relative to that in the middle if it is larger than 1, below which a parameter is at its bound
 
@@ -126,7 +126,7 @@ def transforms_of(
 ) -> Transforms:
     """Transforms of the parameters: in log by default for parameters that `build` rejects if they are negative.
 
-    `build` makes a Scene, or a whisker and loads on it. Parameters of the channels' function are `further` ones.
+    `build` makes a scene, or a whisker and loads on it. Parameters of the channels' function are `further` ones.
 
     Raises:
         ValueError: if a name is unknown, the guess is not within its bounds, or a kind does not exist or does not fit.
@@ -140,7 +140,7 @@ def transforms_of(
     pairs = [_bounds_of(name, bounds.get(name), value) for name, value in values.items()]
     logs = [_is_log(build, guess, name, value, kinds.get(name)) for name, value in values.items()]
     built = build(**guess)
-    whisker = built.whiskers[0] if isinstance(built, Scene) else built[0]
+    whisker = built.whiskers[0] if isinstance(built, AbstractScene) else built[0]
     sizes = [float(np.asarray(whisker.length))] * len(guess) + [1.0] * len(further)
     scales = [1.0 if log else max(abs(v), size) for log, v, size in zip(logs, values.values(), sizes, strict=True)]
     return Transforms.of(logs, scales, pairs)
@@ -189,15 +189,17 @@ def read_parameters(argument: str, given: Any) -> dict[str, Any]:
     return {str(name): value if checks.is_traced(value) else float(value) for name, value in given.items()}
 
 
-def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Scene:
-    """The scene that `build` makes of values.
+def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Any:
+    """The scene that `build` makes of values, in the plane or in space without friction.
 
     Raises:
-        ValueError: if `build` does not take these names, or does not return a Scene.
+        ValueError: if `build` does not take these names, or does not return such a scene.
     """
     checks.arguments(argument, build, list(values))
     scene = build(**values)
-    checks.instance("build", scene, Scene, "a Scene", verb="return")
+    checks.instance("build", scene, AbstractScene, "a Scene", verb="return")
+    if scene.in_space and scene.friction is not None:
+        checks.fail("build", "a function that returns a scene without friction in space", "one with friction")
     return scene
 
 

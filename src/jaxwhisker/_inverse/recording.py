@@ -4,9 +4,10 @@ import numpy as np
 
 from jaxwhisker._inverse.features import ABOVE_NOISE, in_contact, neighbour_scatter
 from jaxwhisker._inverse.observations import Channel, Observations
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.motion import Translation
-from jaxwhisker._model.scene import Scene, Sensor, units_of
-from jaxwhisker._scan.quantities import REACTIONS
+from jaxwhisker._model.scene import Sensor, units_of
+from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.route import turns_of
 
 LEAST_POSITIONS = 5  # drive positions from which a scan is recognised
@@ -19,7 +20,7 @@ CONSTANT = 1e-12  # relative change of a constant signal
 
 
 def check_recording(
-    observations: Observations, sensor: Scene | Sensor, unknowns: int, *, in_units: bool = True
+    observations: Observations, sensor: AbstractScene | Sensor, unknowns: int, *, in_units: bool = True
 ) -> None:
     """Check that observations can be a scan with this sensor, and that they suffice for this number of unknowns.
 
@@ -42,8 +43,8 @@ def check_recording(
             "`measured` must show a contact, got signals of which none changes by more than five standard deviations "
             "of its noise."
         )
-    _check_units(observations, sensor, REACTIONS if in_units else ())
-    if in_units:
+    _check_units(observations, sensor, observations.kinds if in_units else ())
+    if in_units and observations.kinds == REACTIONS:  # no sign is known in space, where objects may be anywhere
         check_signs(observations, sensor)
 
 
@@ -68,11 +69,14 @@ def _changes(observations: Observations, channel: Channel) -> bool:
     return bool(np.nanmax(away) > CONSTANT * np.nanmax(np.abs(signal)))
 
 
-def _check_units(observations: Observations, sensor: Scene | Sensor, reactions: tuple[str, ...]) -> None:
+def _check_units(observations: Observations, sensor: AbstractScene | Sensor, reactions: tuple[str, ...]) -> None:
     unit = units_of(sensor.whiskers[0], sensor.motion)
     sizes = {"the range of control": (float(np.ptp(observations.control)), float(unit.control), CONTROL_RATIO)}
-    for r, (name, size) in enumerate(zip(reactions, (unit.force, unit.force, unit.moment), strict=False)):
-        peak = float(np.nanmax(np.abs(observations.values[:, :, r]), initial=0.0))
+    peaks = {name: np.nanmax(np.abs(observations.values[:, :, r]), initial=0.0) for r, name in enumerate(reactions)}
+    if reactions == REACTIONS_IN_SPACE:  # of which some may vanish
+        peaks = {", ".join(part): max(peaks[name] for name in part) for part in (reactions[:3], reactions[3:])}
+    for name, peak in peaks.items():
+        size, peak = unit.force if name[0] == "f" else unit.moment, float(peak)
         sizes[f"the peak of {name}"] = peak, float(size), REACTION_RATIO
     for name, (value, size, (low, high)) in sizes.items():
         if value > 0 and not low < value / size < high:
@@ -82,7 +86,7 @@ def _check_units(observations: Observations, sensor: Scene | Sensor, reactions: 
             )
 
 
-def check_signs(observations: Observations, sensor: Scene | Sensor) -> None:
+def check_signs(observations: Observations, sensor: AbstractScene | Sensor) -> None:
     """Check that signals are reactions on the whiskers, in the order in which the drive moved.
 
     Args:
@@ -121,7 +125,7 @@ def _starts_free(observations: Observations) -> bool:
     return bool(complete.sum() >= LEAST_POSITIONS and complete[0] and not in_contact(observations)[0].any())
 
 
-def _is_upright(sensor: Scene | Sensor) -> bool:
+def _is_upright(sensor: AbstractScene | Sensor) -> bool:
     """Whether the unloaded whiskers are straight and upright, and only springs at their bases hold them."""
     straight = all(whisker.intrinsic_curvature is None for whisker in sensor.whiskers)
     angles = [mount.angle for mount in sensor.support.mounts]

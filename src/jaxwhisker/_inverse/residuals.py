@@ -28,7 +28,7 @@ from jaxwhisker._inverse.linearised import EventTable, event_table
 from jaxwhisker._inverse.observations import Observations
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.unknowns import Unknowns, split
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._path.path import EventKind, is_snap
 from jaxwhisker._scan.channels import result_of
 from jaxwhisker._scan.detect import kinds_of
@@ -192,7 +192,7 @@ def prior_weight(data: Samples) -> Any:
 
 
 def log_density(
-    build: Callable[..., Scene],
+    build: Callable[..., AbstractScene],
     unknowns: Unknowns,
     transforms: Transforms,
     y: Float[Array, " unknowns"],

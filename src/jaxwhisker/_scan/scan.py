@@ -164,7 +164,7 @@ def path_along(problem: Problem, kinds: Kinds, route: Route | None, status: Int[
     return ScanPath(path, start, stop)
 
 
-def default_control(scene: Scene) -> np.ndarray:
+def default_control(scene: AbstractScene) -> np.ndarray:
     """The drive positions of `scan(scene)`: from just before the first touch to just after the last whisker is free.
 
     Raises:
@@ -173,8 +173,15 @@ def default_control(scene: Scene) -> np.ndarray:
     checks.float64_mode()
     if checks.is_traced(scene):
         raise ValueError("`scene` must be concrete, got a traced one: the number of positions depends on its values.")
-    problem = problem_now(jax.tree.map(checks.as_float, scene.in_equilibrium()))
-    path = follow_path_now(problem, *map(np.asarray, across()))
+    ends = tuple(map(np.asarray, across()))
+    if isinstance(scene, Scene):
+        problem = problem_now(jax.tree.map(checks.as_float, scene.in_equilibrium()))
+        path = follow_path_now(problem, *ends)
+    else:
+        from jaxwhisker._scan import space_scan
+
+        problem = space_scan.problem_now(jax.tree.map(checks.as_float, scene))
+        path = space_scan.follow_path_now(problem, *ends)
     return default_positions(float(path.start), float(path.stop), problem.unit)
 
 

@@ -19,6 +19,7 @@ from jaxwhisker._space.contact import (
     POINT,
     ROLL,
     SLACK,
+    TRACTION,
     UNKNOWNS,
     Body,
     Traction,
@@ -49,6 +50,21 @@ class Linear(NamedTuple):
     out_by: Float[Array, "3 steps"]  # derivatives of the normal
 
 
+def step_along(z: Array, out: Array, curvature: Array, point: Array, turn: Array) -> Float[Array, "11"]:
+    """The step of a contact by a step of its point and one of its direction, which turns with the surface besides."""
+    turn = turn - jnp.sum(z[AHEAD] * jnp.sum(curvature * point, axis=1)) * out
+    return jnp.concatenate([jnp.zeros(3), point, turn, jnp.zeros(2)])
+
+
+def directions_of(z: Array, frame: Array, curvature: Array, *, rolls: bool) -> list[Array]:
+    """Steps of a contact on the surface: force, (roll,) slack, the point along and across, and the direction."""
+    ahead, across, out = frame.T
+    still, unit = jnp.zeros(3), jnp.eye(UNKNOWNS)
+    scalars = [unit[k] for k in range(3) if rolls or k != ROLL]
+    ways = ((ahead, still), (across, still), (still, across))
+    return [*scalars, *(step_along(z, out, curvature, point, turn) for point, turn in ways)]
+
+
 def linearise(
     problem: SpaceProblem,
     body: Body,
@@ -61,21 +77,15 @@ def linearise(
     surface, rows = problem.surface, problem.rows
     drive, rate = drives
     frame = frame_of(surface, z)
-    ahead, across, out = frame.T
+    out = frame[:, 2]
     off, lean, stretch = on_surface(surface, z)
     curvature = surface.curvature(z[POINT])
 
-    def step_of(point=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
-        # A step of the contact point turns the direction with the surface.
-        point = jnp.asarray(point)
-        turn = jnp.asarray(turn) - jnp.sum(z[AHEAD] * jnp.sum(curvature * point, axis=1)) * out
-        return jnp.concatenate([jnp.zeros(3), point, turn, jnp.zeros(2)])
+    def step_of(point, turn):
+        return step_along(z, out, curvature, point, turn)
 
-    unit = np.eye(UNKNOWNS)
-    scalars = [unit[k] for k in range(3) if problem.rolls or k != ROLL]
-    tractions = [] if traction is None else [unit[9], unit[10]]
-    own = [step_of(ahead), step_of(across), step_of(turn=across)]
-    directions = jnp.stack([*scalars, *own, *tractions], axis=1)
+    tractions = [] if traction is None else list(np.eye(UNKNOWNS)[TRACTION])
+    directions = jnp.stack([*directions_of(z, frame, curvature, rolls=problem.rolls), *tractions], axis=1)
     correction = step_of(-off * out, -lean * out - stretch * z[AHEAD])
 
     def in_rows(base, drive, roll):

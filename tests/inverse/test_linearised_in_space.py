@@ -1,0 +1,138 @@
+"""Identification and information in space: parameters from the signals of an independent reference."""
+
+# pyright: reportArgumentType=false
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+
+REFERENCE = 1e-6  # the reference gives ten digits
+SLOPES = 1e-6  # relative to the largest; central differences with a step of 1e-4
+NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
+CASES = json.loads((Path(__file__).parents[1] / "data" / "space_points.json").read_text("utf-8"))["cases"]
+
+
+def reference(name):
+    """The signals of a case of the reference, in the order of a scan."""
+    (row,) = [row for row in CASES if row["name"] == name]
+    states = row["states"]
+    reactions = np.concatenate([states["force"], states["moment"]], axis=1)
+    return {"control": np.array(states["u"])} | dict(zip(NAMES, reactions.T, strict=True))
+
+
+def clamped(offset, distance):
+    drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, offset))
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, distance + 1.0, 0.0)), motion=drive)
+
+
+def sprung(offset, stiffness):
+    springs = [jw.Spring((0, 1), c, axis=axis) for axis, c in zip("xyz", (stiffness, 300.0, 8.0), strict=True)]
+    drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, offset))
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), jw.Support(tuple(springs)), motion=drive)
+
+
+def bent(curvature, roll):
+    mount = jw.Mount(roll=roll)
+    hair = jw.Whisker(intrinsic_curvature=curvature, torsion_ratio=2 / 3)
+    drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, 0.1))
+    return jw.SpaceScene(hair, jw.Sphere(1.0, (0.0, 1.3, 0.0)), jw.Support(mount=mount), motion=drive)
+
+
+@pytest.mark.parametrize(
+    ("name", "build", "truth", "guess"),
+    [
+        ("S1 sphere offset 0.2", clamped, {"offset": 0.2, "distance": 0.3}, {"offset": 0.15, "distance": 0.35}),
+        (
+            "S2 sphere offset 0.2 springs (30, 300, 8)",
+            sprung,
+            {"offset": 0.2, "stiffness": 30.0},
+            {"offset": 0.25, "stiffness": 40.0},
+        ),
+        (
+            "S4 arc kappa 0.8 roll 60 C/B 0.667 offset 0.1",
+            bent,
+            {"curvature": 0.8, "roll": np.pi / 3},
+            {"curvature": 0.6, "roll": 0.9},
+        ),
+    ],
+)
+def test_parameters_follow_from_the_signals_of_the_reference(name, build, truth, guess):
+    fit = jw.identify(build, guess, reference(name), sigma=1e-6)
+    assert fit.status == jw.FitStatus.ok, str(fit)
+    for key, value in truth.items():
+        assert abs(fit.estimates[key] - value) < REFERENCE * max(1.0, value), str(fit)
+
+
+TRUTH = {"offset": 0.2, "distance": 0.3}
+CONTROL = np.linspace(-1.0, 1.0, 60)
+
+
+@pytest.fixture(scope="module")
+def scanned():
+    return jw.scan(clamped(**TRUTH), CONTROL)
+
+
+def test_results_tables_and_parts_of_the_channels_may_be_measured(scanned, tmp_path):
+    table = {"control": CONTROL} | {name: np.asarray(getattr(scanned, name))[:, 0] for name in ("fx", "fz", "mx")}
+    file = tmp_path / "measured.csv"
+    np.savetxt(file, np.column_stack(list(table.values())), "%.17g", ",", header=",".join(table), comments="")
+    for measured in (scanned, file):
+        fit = jw.identify(clamped, {"offset": 0.18, "distance": 0.32}, measured, near=True)
+        assert fit.status == jw.FitStatus.ok, str(fit)
+        np.testing.assert_allclose(list(fit.estimates.values()), list(TRUTH.values()), atol=REFERENCE)
+
+
+def test_gains_offsets_and_a_shift_of_the_control_are_found(scanned):
+    gains, shift = {"fx": 200.0, "fy": -3.0, "fz": 0.5}, 0.01
+    table = {name: 7.0 + gain * np.asarray(getattr(scanned, name))[:, 0] for name, gain in gains.items()}
+    measured = {"control": CONTROL - shift} | table
+    guess = {"offset": 0.18, "distance": 0.32}
+    fit = jw.identify(clamped, guess, measured, sigma=1e-4, gains=True, offsets=True, shift=True, near=True)
+    assert fit.status == jw.FitStatus.ok, str(fit)
+    truth = TRUTH | {"shift": shift} | {f"gain_{name}": gain for name, gain in gains.items()}
+    for name, value in truth.items():
+        assert abs(fit.estimates[name] - value) < REFERENCE * max(1.0, abs(value)), str(fit)
+
+
+def test_information_holds_the_derivatives_of_scans(scanned):
+    sigma = 0.01
+    found = jw.information(clamped, TRUTH, sigma=sigma, control=CONTROL)
+    assert found.channels == NAMES
+    for k, name in enumerate(TRUTH):
+        ends = [jw.scan(clamped(**TRUTH | {name: TRUTH[name] + step}), CONTROL) for step in (1e-4, -1e-4)]
+        one, other = (np.concatenate([end.force[:, 0], end.moment[:, 0]], axis=1) for end in ends)
+        expected = (one - other) / 2e-4
+        # Not where contact begins or ends between the two.
+        steady = np.all([np.asarray(end.phase)[:, 0] == np.asarray(scanned.phase)[:, 0] for end in ends], axis=0)
+        assert steady.sum() > 50
+        off = found.rates[steady, :, k] * sigma - expected[steady]
+        assert np.max(np.abs(off)) < SLOPES * np.max(np.abs(expected))
+    alone = found.of("fz").known("distance")
+    rates = found.rates[:, NAMES.index("fz"), 0]
+    np.testing.assert_allclose(alone.standard_error["offset"], 1 / np.linalg.norm(rates), rtol=1e-12)
+
+
+def test_designs_in_space_are_compared_by_the_information():
+    options = {"sigma": 0.01, "control": CONTROL}
+    data = jw.design(clamped, {"offset": 0.2}, **options, distance=[0.3, 0.35])
+    for k, distance in enumerate((0.3, 0.35)):
+        alone = jw.information(clamped, {"offset": 0.2, "distance": distance}, **options).known("distance")
+        np.testing.assert_allclose(data.standard_error[k, 0], alone.standard_error["offset"], rtol=1e-9)
+
+
+def test_what_is_not_supported_in_space_raises_errors(scanned):
+    with pytest.raises(ValueError, match="without friction in space"):
+        jw.identify(
+            lambda q: jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, q, 0.2)), friction=q), {"q": 0.3}, scanned
+        )
+    with pytest.raises(ValueError, match="`channels` must be a function in the plane only"):
+        jw.identify(clamped, TRUTH, scanned, channels=lambda result: {"bend": result.fx})
+    with pytest.raises(ValueError, match="`channels` must be among fx, fy, fz, mx, my, mz"):
+        jw.information(clamped, TRUTH, sigma=0.1, control=CONTROL, channels=("height",))
+    fit = jw.identify(clamped, TRUTH, scanned, near=True)
+    with pytest.raises(ValueError, match="`log_density` must be asked of a fit in the plane"):
+        fit.log_density(fit.variables)
