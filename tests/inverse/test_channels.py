@@ -62,7 +62,7 @@ def test_several_recordings_share_what_they_have_in_common():
         assert abs(fit.estimates[name] - value) < LIKELY * fit.standard_error[name], name
     near, far, _ = fit.recordings
     assert near.parameters["q"] == fit.estimates["q[near]"] and far.parameters["q"] == fit.estimates["q[far]"]
-    assert far.scene.profile.vertex()[1] == far.parameters["q"]
+    assert far.scene.profile.vertex()[1] == far.parameters["q"]  # pyright: ignore[reportAttributeAccessIssue]
     compared = np.isfinite(near.residuals)
     np.testing.assert_allclose((near.measured.values - near.signals)[compared], near.residuals[compared])
     assert np.nanstd(far.residuals) == pytest.approx(COUNTS, rel=0.2)

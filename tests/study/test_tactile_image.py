@@ -94,7 +94,7 @@ def test_each_whisker_has_its_own_path(heights):
         )
 
     free = jw.scan(build(0.01), CONTROL[:1])  # 0.9 m before the object
-    start = np.stack([free.base_x, free.base_y, free.base_z], axis=-1)[0]
+    start = np.stack([free.base_x, free.base_y, free.base_z], axis=-1)[0]  # pyright: ignore[reportAttributeAccessIssue]
     assert not np.any(free.phase) and np.linalg.norm(start[1] - start[0]) > 0.009
     at = start + (CONTROL / 20 - CONTROL[0])[:, None, None] * way
     square = radius**2 - np.sum((at - centre)[..., [0, 2]] ** 2, axis=-1)

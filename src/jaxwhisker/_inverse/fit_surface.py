@@ -83,14 +83,14 @@ class SurfaceFit(eqx.Module):
 
 
 @with_own_settings
-def fit_surface(points: Any, family: type[AbstractSurface], normals: bool) -> SurfaceFit:
+def fit_surface(points: Any, family: type[AbstractSurface] | None, normals: bool) -> SurfaceFit:
     """Fit a surface of one family to points in space; see `fit_contour`.
 
     The residuals of a point are its distance from the surface and, with normals, the two components along the surface
     of the direction of its force. The covariance of position and force whitens them.
     """
     checks.float64_mode()
-    if family not in FAMILIES:
+    if family is None or family not in FAMILIES:
         checks.fail("family", "Sphere or Ellipsoid", repr(family))
     checks.instance("normals", normals, bool, "True or False")
     observed, middle, size = _read_points(points, normals)

@@ -78,7 +78,7 @@ def _scene_and_slopes(
     return eqx.combine(numbers, scene(x)), jax.vmap(push, out_axes=-1)(jnp.eye(width, x.size))
 
 
-def _problem_and_slopes(scene: AbstractScene, slopes: Any) -> tuple[Problem, Float[Array, "numbers directions"]]:
+def _problem_and_slopes(scene: Any, slopes: Any) -> tuple[Problem, Float[Array, "numbers directions"]]:
     """The problem, and derivatives of its numbers."""
     arrays, static = eqx.partition(scene, eqx.is_array)
 
@@ -284,7 +284,7 @@ def scene_with_slopes(build: Callable[..., Any], x: Mapping[str, Any], known: Ma
     return scene_and_slopes_now(hashable(build), tuple(x), width, values, jax.tree.map(np.asarray, dict(known)))
 
 
-def _prepare(scene: AbstractScene, slopes: Any, stops: int, fields: tuple[str, ...] | None) -> None:
+def _prepare(scene: Any, slopes: Any, stops: int, fields: tuple[str, ...] | None) -> None:
     """Compile the programs for scenes of a kind at the same time: while one is traced, another one is compiled."""
     if problem_and_slopes_now.is_ready(scene, slopes):
         return

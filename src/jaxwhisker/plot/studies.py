@@ -149,7 +149,7 @@ def _places_of_images(count: int) -> np.ndarray:
     from matplotlib import pyplot
 
     rows, columns = -(-count // 3), min(count, 3)
-    places = [[0, *(1 + columns * row + k if columns * row + k < count else -1 for k in range(columns))]
+    places: Any = [[0, *(1 + columns * row + k if columns * row + k < count else -1 for k in range(columns))]
               for row in range(rows)]  # fmt: skip
     size = 0.6 + 3.3 * (1 + columns), 0.6 + 2.3 * rows
     options: dict[str, Any] = {"sharex": True, "sharey": True, "figsize": size, "layout": "constrained"}
