@@ -55,6 +55,7 @@ data = rat.scan(peg(-0.025, 0.025), control)
 touching = (data.phase > 0).any("control")
 print(data.attrs["points"])
 print("whiskers that touch:", *data.whisker[touching].values)
+assert {"RC3", "RD3", "RE3"} <= set(data.whisker[touching].values)
 
 # %% [markdown]
 # Where a tip is curved more than the peg, one contact point becomes two, and the scan of
@@ -115,3 +116,10 @@ covariance = NOISE**2 * np.linalg.inv(every.T @ every)
 print(
     "standard errors of x and y:", np.round(1e6 * np.sqrt(np.diag(covariance)), 2), "µm"
 )
+
+# %% [markdown]
+# ## Something to try
+#
+# - Move the peg backwards, or away from the snout. Which whiskers touch it first?
+# - Tilt the peg: `jw.Cylinder(RADIUS, (x, y, 0.0), (0.3, 0.0, 1.0))`.
+# - Let both sides whisk: `jw.Array.rat()`, with a peg at $-y$ for the left side.
