@@ -137,6 +137,8 @@ def test_the_left_side_of_a_rat_is_the_mirror_image_of_the_right_one():
         ({"length": [1.0, 2.0], "x": [1.0]}, r"columns of the same length \(2, as `length`\), got 1 in `x`"),
         ({"length": [1.0], "base_diameter": [1e-3]}, "all of base_diameter, tip_diameter, youngs_modulus, or none"),
         ({"length": [1.0], "parabola": [1.0], "curvature": [1.0]}, "either parabola or curvature"),
+        ({"length": ["a"]}, r"`table\['length'\]` must be numbers, got \['a'\]"),
+        ({"length": [1.0], "taper": [1.5]}, "`table`, whisker 1: `taper` must be a number from 0 to 1, got 1.5"),
         ({"length": [1.0, -1.0]}, "`table`, whisker 2: `length`"),
         ({"length": [1.0, 1.0], "name": ["a", "a"]}, "names that differ from each other, got a, a"),
         (3.0, "a mapping of columns, a DataFrame or the path of a CSV file, got float"),

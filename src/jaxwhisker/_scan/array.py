@@ -294,7 +294,7 @@ class Array(eqx.Module, metaclass=Suggesting):
 
     def __str__(self) -> str:
         shown = ", ".join(self.names[:6]) + (", ..." if len(self) > 6 else "")
-        return f"{len(self)} whiskers: {shown}"
+        return f"{len(self)} whisker{'s' * (len(self) > 1)}: {shown}"
 
     __repr__ = __str__
 
@@ -319,6 +319,8 @@ def _columns(table: Any) -> dict[str, Any]:
         if len(values) != count:
             checks.fail("table", f"columns of the same length ({count}, as `length`)", f"{len(values)} in `{name}`")
         if name != "name":
+            if not all(isinstance(value, int | float | np.number) for value in values):
+                checks.fail(f"table[{name!r}]", "numbers", repr(values))
             checks.vector(f"table[{name!r}]", np.asarray(values, dtype=float))
     for one, other in ((ROUND, STIFF), (("parabola",), ("curvature",))):
         both = [name for name in columns if name in one], [name for name in columns if name in other]
@@ -352,6 +354,8 @@ def _whisker(row: dict[str, float]) -> Whisker:
             length, row["youngs_modulus"], row["base_diameter"], row["tip_diameter"]
         ).bending_stiffness
     elif "taper" in row:
+        if not 0 <= row["taper"] <= 1:
+            checks.fail("taper", "a number from 0 to 1", row["taper"])
         stiffness = PowerTaper(stiffness, row["taper"], length)
     others = {key: row[key] for key in ("lateral_curvature", "twist", "torsion_ratio") if key in row}
     return Whisker(length, stiffness, curvature, **others)
