@@ -199,19 +199,24 @@ def build(stiffness, distance=0.0):
     return SCENE
 
 
+def build_rough(stiffness, distance=0.0):
+    return jw.Scene(jw.Whisker(1.0, stiffness), jw.Sphere(1.0, (0.0, 1.3 + distance, 0.2)), friction=0.3)
+
+
 ONE = {"stiffness": 1.0}
-# Calls of all functions that are only for the plane, and the argument that the error names.
+# Calls of all functions that are only for the plane, or only without friction in space, and the argument that the error
+# names.
 REFUSED = {
     "critical_stiffness": (lambda: jw.critical_stiffness(jw.Whisker(), SCENE.surface), "profile"),
-    "design": (lambda: jw.design(build, ONE, sigma=0.1, distance=[0.2]), "build"),
+    "design": (lambda: jw.design(build_rough, ONE, sigma=0.1, distance=[0.2]), "build"),
     "energy_balance": (lambda: jw.energy_balance(RESULT), "result"),
     "explore": (lambda: jw.explore(build, stiffness=(1.0, 2.0)), "build"),
     "fit_contour": (lambda: jw.fit_contour(MEASURED, SCENE), "sensor"),
-    "fit_contour of a result": (lambda: jw.fit_contour(RESULT, jw.Sensor(jw.Whisker())), "measured"),
+    "fit_contour of a result": (lambda: jw.fit_contour(RESULT, family=jw.Sphere), "measured"),
     "fit_profile": (lambda: jw.fit_profile(RESULT, jw.Circle), "points"),
-    "identify": (lambda: jw.identify(build, ONE, MEASURED), "build"),
+    "identify": (lambda: jw.identify(build_rough, ONE, MEASURED), "build"),
     "identify of a result": (lambda: jw.identify(in_plane, ONE, RESULT), "measured"),
-    "information": (lambda: jw.information(build, ONE, sigma=0.1), "build"),
+    "information": (lambda: jw.information(build_rough, ONE, sigma=0.1), "build"),
     "lateral_loss": (lambda: jw.lateral_loss(RESULT), "result"),
     "lateral_stability": (lambda: jw.lateral_stability(RESULT), "result"),
     "modes": (lambda: jw.modes(SCENE), "at"),
@@ -251,11 +256,13 @@ OTHERS = {
     "scan",
     "study",
     "summary",
+    "tactile_image",
     "to_csv",
     "to_dataframe",
     "plot.same_window",
     "plot.save",
     "plot.study",
+    "plot.tactile_image",
 }
 HEAVY = jw.Scene(jw.Whisker(mass_per_length=1.0), jw.Parabola(0.2))
 
@@ -269,10 +276,14 @@ def in_plane(stiffness):
 def test_functions_for_the_plane_refuse_scans_in_space(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     call, argument = REFUSED[name]
-    of_other_kind = name in ("critical_stiffness", "fit_profile", "plot.profile")
+    of_other_kind = name in ("critical_stiffness", "fit_contour of a result", "fit_profile", "plot.profile")
     with pytest.raises(ValueError, match=f"^`{argument}` must") as error:
         call()
-    wanted = "None in space" if name.startswith("Scene ") else "because scans in space are not supported here"
+    wanted = "because scans in space are not supported here"
+    if name.startswith("Scene "):
+        wanted = "None in space"
+    elif name in ("design", "identify", "information"):
+        wanted = "a scene without friction in space"
     assert of_other_kind or wanted in str(error.value)
     assert not list(tmp_path.iterdir())
 

@@ -29,12 +29,12 @@ from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour, check_slopes
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import AbstractScene, Scene, Sensor
-from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._scan.quantities import REACTIONS
 
 if TYPE_CHECKING:
     from jaxwhisker._inverse.fit_surface import SurfaceFit
     from jaxwhisker._inverse.points_in_space import SpaceReconstruction
+    from jaxwhisker._model.surface import AbstractSurface  # a fit in the plane does without it
 
 GRID = 0.05  # rad, to which outermost knots are rounded: similar contours share compiled code
 SURE_SLOPE = 0.05  # rad: largest standard error of slopes over which the first knots are spread
@@ -114,7 +114,7 @@ class _ContourScene(NamedTuple):
 def fit_contour(
     measured: "SpaceReconstruction | Sequence[SpaceReconstruction]",
     *,
-    family: type[AbstractSurface],
+    family: "type[AbstractSurface]",
     normals: bool = True,
 ) -> "SurfaceFit": ...
 
@@ -142,7 +142,7 @@ def fit_contour(
     unknown: Sequence[str] = (),
     knots: int | Sequence[float] = 11,
     guess: AbstractProfile | None = None,
-    family: type[AbstractSurface] | None = None,
+    family: type | None = None,
     normals: bool = True,
 ) -> "ContourFit | SurfaceFit":
     """Fit a convex contour to all signals of a scan, together with unknown parameters of the sensor.

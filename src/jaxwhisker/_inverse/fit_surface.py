@@ -154,8 +154,11 @@ class _Points(eqx.Module):
 def _read_points(points: Any, normals: bool) -> tuple[_Points, np.ndarray, float]:
     """Significant points, their middle and their size."""
     every = list(points) if isinstance(points, Sequence) else [points]
-    if not every or not all(isinstance(one, SpaceReconstruction) for one in every):
-        checks.fail("measured", "the result of jw.reconstruct in space, or a list of such results", repr(points))
+    if not every:
+        checks.fail("measured", _ALLOWED, "an empty list")
+    for one in every:
+        if not isinstance(one, SpaceReconstruction):
+            checks.fail("measured", _ALLOWED, f"a {type(one).__name__}")
     status, significance = (np.concatenate([np.ravel(getattr(one, n)) for one in every]) for n in _JUDGED)
     position, force = (np.concatenate([np.reshape(getattr(one, n), (-1, 3)) for one in every]) for n in _VECTORS)
     noise = np.concatenate([np.reshape(one.covariance, (-1, 7, 7)) for one in every])
@@ -177,6 +180,7 @@ def _read_points(points: Any, normals: bool) -> tuple[_Points, np.ndarray, float
     return _Points((position - middle) / size, direction, scaled, np.ones(len(force)), normals), middle, size
 
 
+_ALLOWED = "the result of jw.reconstruct in space, or a list of such results"
 _JUDGED, _VECTORS = ("status", "significance"), ("point", "force")
 
 
