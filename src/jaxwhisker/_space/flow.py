@@ -24,6 +24,7 @@ KICK = 0.02  # along the path, from a fold
 SETTLING = 1e-5  # of the control, dimensionless
 FIRST_TIME = 1e-3  # dimensionless: a contact with the stiffness 1 moves by a thousandth of its way
 LONGEST_TIME, SHORTEST_TIME = 1e8, 1e-12
+HELD = 1e3  # dimensionless: with friction, a contact that is at rest for so long is held
 STRIDE = 0.08  # lengths that a contact may slide in a step
 REST = 1e-9  # lengths that a contact at rest may slide in the longest time
 FLOW_STEPS = 400
@@ -72,7 +73,8 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     pulled = touching & (z[:, FORCE] < 0)
     released = pulled & ~march.flow.clings
     phase = jnp.where(released, int(Phase.free), phase_by_slack(z, march.phase))
-    rests = good & (((moved < REST) & (time >= LONGEST_TIME / 4)) | jnp.all(phase == Phase.free))
+    enough = LONGEST_TIME / 4 if march.slip is None else HELD
+    rests = good & (((moved < REST) & (time >= enough)) | jnp.all(phase == Phase.free))
     longer = jnp.minimum(time * jnp.where(moved < STRIDE / 3, 3.0, 1.0), LONGEST_TIME)
     time = jnp.where(good, longer, time / 4)
     opens = march.flow.opens & (trial.stance.opens | ~good)

@@ -28,6 +28,7 @@ from jaxwhisker._space.free import Nearest
 from jaxwhisker._space.march_state import (
     AT_STOP,
     GRIP,
+    LOSS,
     PHASE,
     RELEASE,
     TOUCH,
@@ -58,7 +59,8 @@ def _condition(march: March, stop: Scalar) -> PathCondition:
     of_grip = (target.margin == GRIP) & locating & (march.slip is not None)
     of_force = (target.margin == TOUCH) | ((target.margin == RELEASE) & locating)
     of_slack = target.margin == PHASE
-    of_stop = ~of_force & ~of_slack & ~of_grip
+    of_loss = (target.margin == LOSS) & locating & (march.slip is not None)
+    of_stop = ~of_force & ~of_slack & ~of_grip & ~of_loss
     weight = none.at[:, FORCE].set(concerned * of_force).at[:, SLACK].set(concerned * of_slack)
     of_stop |= march.task == Task.flow
     weight = jnp.where(march.task == Task.flow, 0.0, weight)
@@ -103,6 +105,7 @@ def _trial(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array
             given=jnp.where(begins[:, None], 0.0, march.point.z[:, TRACTION]),
             cone=grips * ~slipping,
             power=grips * slipping,
+            turn=(locating & (target.margin == LOSS)).astype(float),
         )
     phases = jnp.broadcast_to(march.phase, (places.size, phase.size)).at[-1].set(phase)
     equations = Equations(phases, condition, between, motion)
@@ -115,7 +118,7 @@ def _trial(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array
     _, length = unit(without_traction(rate), point.z)
     tangent = jax.tree.map(lambda leaf: leaf / length, rate)
     grip = None if march.slip is None else grip_of(problem, march.slip.mode, phase, point, tangent)
-    stance = stance_of(problem, point, phase, solution.newton.at, march.direction * tangent.u, grip)
+    stance = stance_of(problem, point, phase, solution.newton.at, grip)
     return Trial(solution, tangent, stance, guess, phase, stop, stops, last)
 
 

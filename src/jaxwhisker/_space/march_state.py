@@ -27,7 +27,7 @@ class Task(IntEnum):
     flow = 4
 
 
-TOUCH, RELEASE, PHASE, AT_STOP, GRIP, SNAP = range(6)  # kinds of margins, and what follows from a loss
+TOUCH, RELEASE, PHASE, AT_STOP, GRIP, LOSS, SNAP = range(7)  # kinds of margins, and what follows from a loss
 SETTLED = -3  # kind of a node at which contacts have settled, besides NO_EVENT and STOP
 
 

@@ -109,6 +109,9 @@ def newton_step(problem: SpaceProblem, equations: Equations, points: Point) -> N
         conditions_u = conditions_u.at[:-1].set(apart * between.weight_u)
         reach = jax.vmap(lambda z, u: between.residual(Point(z, u), jnp.zeros(n)))(z, u)
         residuals = residuals.at[:-1].set(reach[:-1] - share * reach[-1])
+        if motion is not None and motion.turn is not None:
+            conditions_u = conditions_u.at[-1].add(motion.turn * rates[-1])
+            residuals = residuals.at[-1].add(motion.turn * jnp.sum(rates[-1] * (u - between.u0)))
     bordered = jnp.block([
         [jnp.reshape(system, (stages * size,) * 2), _by_stage(jnp.reshape(by_u, (stages, size)))],
         [jnp.reshape(conditions, (stages, -1)), conditions_u],

@@ -63,6 +63,7 @@ class Motion(NamedTuple):
     # Weights, in the condition of a step, of how far a traction is beyond mu f, and of its power.
     cone: Float[Array, " whiskers"] | None = None
     power: Float[Array, " whiskers"] | None = None
+    turn: Scalar | None = None  # the same of the rate of the control at the end of the step
     # The start is where contacts are known to be nearly, and this length weighs their tractions; otherwise None.
     follows: Scalar | None = None
 
@@ -70,7 +71,7 @@ class Motion(NamedTuple):
 def following(z: Contacts, friction: Scalar, mode: Int[Array, " whiskers"]) -> Motion:
     """The motion of contacts that are known to be nearly there."""
     none, plain = jnp.zeros(mode.size), Traction(friction, jnp.asarray(False))
-    return Motion(z, plain, none[0], mode, mode < 0, z[:, TRACTION], none, none, jnp.asarray(FOLLOWING))
+    return Motion(z, plain, none[0], mode, mode < 0, z[:, TRACTION], none, none, None, jnp.asarray(FOLLOWING))
 
 
 def radau(stages: int) -> tuple[np.ndarray, np.ndarray]:

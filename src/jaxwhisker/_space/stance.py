@@ -26,28 +26,21 @@ class Stance(NamedTuple):
     free: Bool[Array, " whiskers"]
     nearest: Nearest  # of free whiskers
     speed: Scalar  # largest speed of any point of a whisker whose base does not yield, per control
-    stable: Bool[Array, ""]
-    # Vanishes where stability is lost: the determinant of the sliding stiffness, or with friction the rate of the
-    # control along the path.
-    stiffness: Scalar
+    stable: Bool[Array, ""]  # not known with friction, where stability is lost if the drive turns
+    stiffness: Scalar  # the determinant of the sliding stiffness: vanishes where stability is lost
     sound: Bool[Array, ""]  # whether bases point the way of their mounts
     grip: Float[Array, " whiskers"] | None  # margin to sticking or slipping, positive before; None without friction
     opens: Bool[Array, ""]  # whether object and shaft part on both sides of every contact
 
 
-def stance_of(
-    problem: SpaceProblem, point: Point, phase: Phases, at: Linear, onwards: Scalar, grip: Array | None
-) -> Stance:
-    """The stance at a point of the path, near which whiskers are linearised with tractions.
-
-    `onwards` is the rate at which the drive moves on along the path.
-    """
+def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear, grip: Array | None) -> Stance:
+    """The stance at a point of the path, near which whiskers are linearised with tractions."""
     free, z = phase == Phase.free, point.z
     if grip is None:
         sliding = sliding_stiffness(problem, z, phase, at)
         stiffness, stable = determinant(sliding), positive_definite(sliding)
     else:
-        stiffness, stable = onwards, (onwards > 0) | jnp.all(free)
+        stiffness, stable = jnp.asarray(1.0), jnp.asarray(True)
     pose = jnp.zeros((phase.size, 6))
     if problem.springs is not None:
         moved = problem.springs.offset + problem.displacement(jnp.where(free[:, None], 0.0, at.load))

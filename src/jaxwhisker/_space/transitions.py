@@ -13,6 +13,7 @@ from jaxwhisker._space.flow import clinging, settling, sliding
 from jaxwhisker._space.march_state import (
     AT_STOP,
     GRIP,
+    LOSS,
     PHASE,
     RELEASE,
     SNAP,
@@ -59,20 +60,23 @@ AT_BASE = 0.02  # lengths from the base: forces grow without bound where a conta
 FOLD = 1e-3  # rate of the control at a loss, per arc length, below which it is a fold
 
 
-def margins_of(phase: Phases, z: Contacts, stance: Stance, remaining: Scalar) -> Float[Array, "kinds whiskers"]:
-    """Margins of all kinds of events: positive before them."""
+def margins_of(
+    phase: Phases, z: Contacts, stance: Stance, remaining: Scalar, onwards: Scalar
+) -> Float[Array, "kinds whiskers"]:
+    """Margins of all kinds of events: positive before them. With friction, stability is lost where the drive turns."""
     free, tip = phase == Phase.free, phase == Phase.tip
     touch = jnp.where(free, stance.nearest.distance + TOUCHING, jnp.inf)
     release = jnp.where(free, jnp.inf, z[:, FORCE])
     slack = jnp.where(free, jnp.inf, jnp.where(tip, -z[:, SLACK], z[:, SLACK]))
-    stop = jnp.full_like(touch, jnp.inf).at[0].set(remaining)
-    return jnp.stack([touch, release, slack, stop, *([] if stance.grip is None else [stance.grip])])
+    stop, loss = (jnp.full_like(touch, jnp.inf).at[0].set(margin) for margin in (remaining, onwards))
+    loss = jnp.where(jnp.all(free), jnp.inf, loss)
+    return jnp.stack([touch, release, slack, stop, *([] if stance.grip is None else [stance.grip, loss])])
 
 
 def _rates(phase: Phases, tangent: Point) -> Float[Array, "kinds whiskers"]:
-    """Rates of the margins along the path, those of touches and stops left out."""
+    """Rates of the margins along the path, those of forces and slacks only."""
     still, slack = jnp.zeros_like(tangent.z[:, SLACK]), tangent.z[:, SLACK]
-    return jnp.stack([still, tangent.z[:, FORCE], jnp.where(phase == Phase.tip, -slack, slack), still])
+    return jnp.stack([still, tangent.z[:, FORCE], jnp.where(phase == Phase.tip, -slack, slack), *[still] * 3])
 
 
 def capacity_of(problem: SpaceProblem, stops: int) -> int:
@@ -160,8 +164,10 @@ def _first_violated(
     Margins that are `solved` for vanish at its end.
     """
     here, there = (
-        margins_of(march.phase, z, stance, march.direction * (trial.stop - u))
-        for (z, u), stance in ((march.point, march.stance), (trial.point, trial.stance))
+        margins_of(
+            march.phase, at.point.z, at.stance, march.direction * (trial.stop - at.point.u), march.direction * at.tangent.u
+        )
+        for at in (march, trial)
     )
     crossed = there < -MARGIN_NOISE
     if solved is not None:
@@ -170,7 +176,7 @@ def _first_violated(
     share = jnp.where(crossed, jnp.clip(here / jnp.where(drop > 0, drop, 1.0), 0.0, 1.0), jnp.inf)
     k = jnp.argmin(share)
     margin, whisker = jnp.unravel_index(k, share.shape)
-    whiskers = (jnp.arange(march.phase.size) == whisker) & (margin != AT_STOP)
+    whiskers = (jnp.arange(march.phase.size) == whisker) & (margin != AT_STOP) & (margin != LOSS)
     return jnp.any(crossed), Target(margin, whiskers, jnp.ravel(share)[k] * length, trial.stance.nearest)
 
 
@@ -180,7 +186,7 @@ def _dip(march: March, trial: Trial, straight: Scalar) -> Scalar:
     It is 1 if none does. Between the ends, values and tangents give a cubic.
     """
     zero = jnp.zeros(())
-    here, there = (margins_of(march.phase, at.point.z, at.stance, zero)[1:3] for at in (march, trial))
+    here, there = (margins_of(march.phase, at.point.z, at.stance, zero, zero)[1:3] for at in (march, trial))
     falls, rises = (length * _rates(march.phase, tangent)[1:3] for tangent, length in
                     ((march.tangent, march.step), (trial.tangent, march.step / straight)))  # fmt: skip
     turns = (march.phase != Phase.free) & (falls < 0) & (rises > 0) & (there > 0)
@@ -252,6 +258,9 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     # A margin that grows again has vanished before.
     grows = jnp.any(target.whiskers & (_rates(phase, arriving)[target.margin] > 0))
     good = converged & ~grows & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-6)
+    if march.slip is not None:
+        # A step without a length solves the equation of a loss, too.
+        good &= (target.margin != LOSS) | (distance > 0.1 * target.distance)
     # Where stability is lost before a margin vanishes, the path never gets there.
     beyond = ~trial.stance.stable & ~jnp.any(touches) & (distance > LOSS_BRACKET)
     closer = march._replace(task=jnp.asarray(int(Task.advance)), step=distance)
@@ -265,12 +274,17 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     )
     again = march._replace(task=jnp.asarray(int(Task.advance)), step=0.5 * jnp.minimum(march.step, target.distance))
     # Another margin may vanish before: events close to each other are told apart only here.
-    kinds_of_margins = 4 if march.slip is None else 5
-    own = (jnp.arange(kinds_of_margins) == target.margin)[:, None] & (target.whiskers | (target.margin == AT_STOP))
+    kinds_of_margins = 4 if march.slip is None else 6
+    of_drive = (target.margin == AT_STOP) | (target.margin == LOSS)
+    own = (jnp.arange(kinds_of_margins) == target.margin)[:, None] & (target.whiskers | of_drive)
+    if march.slip is not None:
+        # The path does not go on in this direction where a contact begins, and turns at corners as it leaves them.
+        own = own.at[LOSS].set(own[LOSS] | jnp.any(touches) | (distance < LOSS_BRACKET))
     missed, earlier = _first_violated(march, trial, reach, own | touches)
     tip = jnp.any(target.whiskers & (phase == Phase.tip))
-    slip, sticks = march.slip, False
+    slip, sticks, loss = march.slip, False, jnp.asarray(False)
     if slip is not None:
+        loss = target.margin == LOSS
         sticks = jnp.any(target.whiskers & (slip.mode == Mode.sticks))
         heading = jnp.sign(trial.stops[jnp.minimum(march.goal + 1, trial.last)] - point.u)
         turns = (target.margin == AT_STOP) & (march.goal < trial.last) & (heading == -march.direction)
@@ -301,15 +315,21 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         touched=march.touched | jnp.any(touches),
         slip=slip,
     )
-    new = first_case(
+    cases = [
         (jnp.any(other), march._replace(target=target._replace(first=first))),
         (~good & (again.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, again),
         (beyond, _before_loss(closer, trial.stance.stiffness)),
         (missed, march._replace(target=earlier)),
-        otherwise=arrived,
-    )
-    return new, jnp.asarray(False), node
+    ]
+    if slip is not None:
+        at_loss = march._replace(point=point, tangent=arriving, stance=trial.stance, travel=node.travel)
+        # The drive may turn at once.
+        cases[1:1] = [(loss & ~good & (march.step < LOSS_BRACKET), sliding(problem, march))]
+        cases.append((loss, sliding(problem, at_loss)))
+        plain = node_at(march, point, arriving, trial.solution.points)
+        node = select(loss, plain, node)
+    return first_case(*cases, otherwise=arrived), loss & good & ~missed, node
 
 
 def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
@@ -334,7 +354,6 @@ def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     falls, snapped, changed = tangent.u * direction <= 0, margin == SNAP, None
     stable, size, leaving = stance.stable, stance.stiffness, None
     if march.slip is not None:
-        stable, size = jnp.asarray(True), jnp.abs(tangent.u)
         slip, grip = slip_at_corner(problem, march.slip, march.phase, point, tangent)
         stance = stance._replace(grip=grip)
         changed = jnp.any(slip.mode != march.slip.mode)
