@@ -12,6 +12,7 @@ from jaxwhisker._space.stance import Stance
 from jaxwhisker._space.transitions import (
     AT_STOP,
     GRIP,
+    LOSS,
     PASSED,
     PHASE,
     RELEASE,
@@ -24,12 +25,12 @@ from jaxwhisker._space.transitions import (
 FREE, TIP, TANGENTIAL = (int(phase) for phase in (Phase.free, Phase.tip, Phase.tangential))
 
 
-def margins(phase, force=0.0, slack=0.0, distance=1.0, grip=None):
+def margins(phase, force=0.0, slack=0.0, distance=1.0, grip=None, onwards=0.5):
     z = jnp.zeros((1, UNKNOWNS)).at[0, FORCE].set(force).at[0, SLACK].set(slack)
     nearest, good = Nearest(jnp.array([distance]), z, jnp.array([TIP])), jnp.asarray(True)
     one, grip = jnp.asarray(1.0), None if grip is None else jnp.array([grip])
     stance = Stance(jnp.array([phase == FREE]), nearest, one, good, one, good, grip, good)
-    return np.asarray(margins_of(jnp.array([phase]), z, stance, jnp.asarray(0.25)))[:, 0]
+    return np.asarray(margins_of(jnp.array([phase]), z, stance, jnp.asarray(0.25), jnp.asarray(onwards)))[:, 0]
 
 
 def test_free_whiskers_may_only_touch():
@@ -47,6 +48,11 @@ def test_contacts_end_without_force_and_change_their_phase_without_slack():
 def test_only_contacts_with_friction_may_stick_or_slip():
     assert margins(TIP).size == 4
     assert margins(TIP, grip=0.2)[GRIP] == 0.2
+
+
+def test_with_friction_stability_is_lost_where_the_drive_turns():
+    assert margins(TIP, grip=0.2, onwards=0.1)[LOSS] == 0.1
+    assert np.isinf(margins(FREE, grip=0.2, onwards=-0.1)[LOSS])
 
 
 def test_a_default_scan_ends_shortly_after_the_release():

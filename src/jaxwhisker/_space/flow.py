@@ -21,6 +21,7 @@ from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.slip import FAINT, Mode, with_traction
 
 KICK = 0.02  # along the path, from a fold
+SHARE = 0.2  # of the least force, that the kick may be with friction: light contacts slide very little
 SETTLING = 1e-5  # of the control, dimensionless
 FIRST_TIME = 1e-3  # dimensionless: a contact with the stiffness 1 moves by a thousandth of its way
 LONGEST_TIME, SHORTEST_TIME = 1e8, 1e-12
@@ -33,12 +34,23 @@ SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a sna
 
 def sliding(problem: SpaceProblem, march: March) -> March:
     """The state in which contacts begin to slide."""
-    return _flowing(problem, march, along(march.point, march.tangent, KICK).z, march.point.u)
+    kick = KICK if problem.friction is None else _kick(march)
+    return _flowing(problem, march, along(march.point, march.tangent, kick).z, march.point.u)
 
 
 def settling(problem: SpaceProblem, march: March) -> March:
     """The state in which contacts that can neither stick nor slip settle, as the drive moves on a little."""
-    return _flowing(problem, march, march.point.z, march.point.u + SETTLING * march.direction)
+    onwards = march.tangent.u * march.direction
+    # Nearly straight whiskers hardly yield: the path to where the drive would move by as much may be very long.
+    distance = jnp.minimum(SETTLING / jnp.maximum(jnp.abs(onwards), SETTLING), _kick(march))
+    point = along(march.point, march.tangent, jnp.where(onwards < 0, -distance, distance))
+    return _flowing(problem, march, point.z, jnp.asarray(point.u))
+
+
+def _kick(march: March) -> Scalar:
+    """How far contacts with friction are kicked along the path."""
+    force = jnp.where(march.phase == Phase.free, jnp.inf, jnp.maximum(march.point.z[:, FORCE], FAINT))
+    return jnp.minimum(KICK, SHARE * jnp.min(force))
 
 
 def _flowing(problem: SpaceProblem, march: March, z: Contacts, u: Scalar) -> March:

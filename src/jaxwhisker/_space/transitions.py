@@ -81,7 +81,7 @@ def _rates(phase: Phases, tangent: Point) -> Float[Array, "kinds whiskers"]:
 
 def capacity_of(problem: SpaceProblem, stops: int) -> int:
     """Number of nodes that a path has room for."""
-    return NODES * (1 + problem.length.size) * (stops - 1) * (1 if problem.friction is None else 2)
+    return NODES * (1 + problem.length.size) * (stops - 1) * (1 if problem.friction is None else 4)
 
 
 def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
