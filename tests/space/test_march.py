@@ -1,13 +1,16 @@
 """The march: order of events and nodes, several whiskers, reversals."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._path.path import Status
+from jaxwhisker._scan.route import across
 from jaxwhisker._scan.space_scan import follow_path_now, problem_now
 from jaxwhisker._space.contact import FORCE
+from random_space import drawn
 
 ALONG = jw.LinearDrive((-1.0, 0.0, 0.0))
 EXACT = 1e-8  # events are solved for to 1e-10
@@ -58,3 +61,16 @@ def test_a_scan_may_begin_in_contact():
     whole, inside = jw.scan(scene(0.2), np.linspace(-1.2, 0.4, 9)), jw.scan(scene(0.2), np.array([0.0, 0.4]))
     np.testing.assert_allclose(inside.force, np.asarray(whole.force)[[6, 8]], atol=EXACT)
     assert jnp.all(inside.contact_force > 1)
+
+
+def test_with_friction_a_snap_begins_exactly_where_the_drive_would_turn():
+    """A curved whisker whose slip loses its stability; found by steps that approach the loss, it was not."""
+    rng = np.random.default_rng([11, 7])
+    smooth, friction = drawn("curved clamped linear", rng).scene, float(rng.uniform(0.05, 0.6))
+    rough = eqx.tree_at(lambda scene: scene.friction, smooth, friction, is_leaf=lambda x: x is None)
+    stops, last = across()
+    path = follow_path_now(problem_now(rough), stops, np.asarray(last)).path
+    assert int(path.status) == Status.ok
+    snaps = np.flatnonzero(np.asarray(path.nodes.kind)[: int(path.count)] == jw.EventKind.snap_through)
+    assert snaps.size > 0
+    assert np.all(np.abs(np.asarray(path.nodes.arriving.u)[snaps - 1]) < EXACT)

@@ -23,7 +23,7 @@ def free_stance(motion, u, length=1.0):
     point = Point(jnp.zeros((1, UNKNOWNS)).at[:, 6].set(1.0), jnp.asarray(u))
     drives = jax.jvp(problem.drive, (point.u,), (jnp.ones_like(point.u),))
     at = linear(problem, drives, point.z, FREE)
-    return stance_of(problem, point, FREE, at, jnp.asarray(1.0), None), problem
+    return stance_of(problem, point, FREE, at, None), problem
 
 
 def linear(problem, drives, z, phase):

@@ -165,7 +165,11 @@ def _first_violated(
     """
     here, there = (
         margins_of(
-            march.phase, at.point.z, at.stance, march.direction * (trial.stop - at.point.u), march.direction * at.tangent.u
+            march.phase,
+            at.point.z,
+            at.stance,
+            march.direction * (trial.stop - at.point.u),
+            march.direction * at.tangent.u,
         )
         for at in (march, trial)
     )
