@@ -112,7 +112,18 @@ class _Writer:
             return self._named_support(value)
         if isinstance(value, Whisker) and isinstance(value.bending_stiffness, RoundSection):
             return self._whisker_from_material(value, value.bending_stiffness)
-        return None
+        return self._placed(value) if getattr(value, "is_surface", False) else None
+
+    def _placed(self, surface: Any) -> str | None:
+        from jaxwhisker._model.surface import Placed
+
+        if not isinstance(surface, Placed):
+            return None
+        original = self.expression(surface.surface, "surface")
+        if surface.about is None and not np.any(surface.rotation):
+            return f"{original}.moved({self.expression(surface.by, 'by')})"
+        about = f", {self.expression(surface.about, 'about')}" if surface.about is not None else ""
+        return f"{original}.rotated({self.expression(surface.rotation, 'rotation')}{about})"
 
     def _named_support(self, support: Support) -> str | None:
         springs = support.springs

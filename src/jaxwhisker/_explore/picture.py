@@ -8,7 +8,7 @@ import json
 import struct
 import textwrap
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,7 @@ DTYPES = {"f8": np.float64, "f4": np.float32, "i4": np.int32, "i1": np.int8}  # 
 FURTHER_COLUMNS = {"base_x": "base x", "contact_arc": "contact arc"}  # of the table, beside the reactions
 
 
+@runtime_checkable
 class AnyPicture(Protocol):
     """A picture in the plane or in space."""
 

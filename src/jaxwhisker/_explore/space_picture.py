@@ -41,7 +41,12 @@ class SpacePicture(NamedTuple):
         integers = {}
         if body is not None:
             body = body.scaled(scale)
-            arrays |= {"corners": body.points, "normals": body.normals, "offsets": body.offsets, "shades": shades_of(body)}
+            arrays |= {
+                "corners": body.points,
+                "normals": body.normals,
+                "offsets": body.offsets,
+                "shades": shades_of(body),
+            }
             integers = {name: getattr(body, name).astype(np.int32) for name in ("faces", "edges", "beside")}
             integers["sharp"] = body.sharp.astype(np.int8)
         header = {
