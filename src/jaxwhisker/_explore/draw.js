@@ -1,7 +1,7 @@
 // Drawing on canvases: the scene in the plane at one step of a picture, and the signals over the control or the time.
 
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"]; // Okabe and Ito; then text colour
-const MARGINS = { left: 62, right: 14 }; // of the axes in a canvas
+const MARGINS = { left: 68, right: 14 }; // of the axes in a canvas
 
 function extremes(values, low = Infinity, high = -Infinity) {
   for (const value of values) {
@@ -121,7 +121,7 @@ function axes({ context, width, ink }, { left, right, top, bottom }, x, y, label
   }
   if (labels.x) write(labels.x, (left + right) / 2, bottom + 21, "center", "top");
   context.save();
-  context.translate(left - 48, (top + bottom) / 2);
+  context.translate(left - 54, (top + bottom) / 2);
   context.rotate(-Math.PI / 2);
   write(labels.y, 0, 0, "center", "middle");
   context.restore();

@@ -100,18 +100,23 @@ function drawBody({ context, ink }, picture, project, eye) {
   const seen = shades.map((_, face) => dot3(normals, eye, 3 * face) > 0);
   const bright = ink.match(/\d+/g).slice(0, 3).reduce((sum, part) => sum + Number(part), 0) > 384;
   const at = Array.from({ length: corners.length / 3 }, (_, k) => project(corners, k));
-  const path = (...numbers) => {
-    context.beginPath();
-    for (const corner of numbers) context.lineTo(...at[corner]);
-  };
-  context.lineWidth = 0.8;
+  const paths = new Map(); // by grey, because many small paths are slow
   for (let face = 0; face < shades.length; face++) {
     if (!seen[face]) continue;
-    path(...faces.subarray(3 * face, 3 * face + 3));
-    const grey = Math.round(255 * (bright ? shades[face] - 0.6 : shades[face]));
+    const grey = 2 * Math.round(127 * (bright ? shades[face] - 0.6 : shades[face]));
+    if (!paths.has(grey)) paths.set(grey, new Path2D());
+    const [first, second, third] = faces.subarray(3 * face, 3 * face + 3);
+    const path = paths.get(grey);
+    path.moveTo(...at[first]);
+    path.lineTo(...at[second]);
+    path.lineTo(...at[third]);
+    path.closePath();
+  }
+  context.lineWidth = 0.8;
+  for (const [grey, path] of paths) {
     context.fillStyle = context.strokeStyle = `rgb(${grey}, ${grey}, ${grey})`;
-    context.fill();
-    context.stroke(); // otherwise seams between faces would show
+    context.fill(path);
+    context.stroke(path); // otherwise seams between faces would show
   }
   context.beginPath();
   for (let edge = 0; edge < sharp.length; edge++) {
@@ -151,10 +156,6 @@ function drawSpace(canvas, picture, step, failure, angles) {
   const { whiskers, points, steps, line: lines, drive, directors, contacts, forces } = picture;
   const camera = cameraAt(angles);
   const project = projection(sheet, picture.window, camera);
-  context.fillStyle = ink;
-  drawWindow(sheet, picture, project, camera.eye);
-  if (picture.corners) drawBody(sheet, picture, project, camera.eye);
-
   const hidden = hiding(picture, camera.eye);
   /** A line through points of which one is k(0), the next k(1) and so on: pale where the object hides it. */
   const solid = (array, count, k, style, thick, dashes = []) => {
@@ -176,8 +177,20 @@ function drawSpace(canvas, picture, step, failure, angles) {
     return long;
   };
 
-  for (let whisker = 0; whisker < whiskers; whisker++) {
-    solid(contacts, steps, (k) => k * whiskers + whisker, colour(whisker, ink), 1, [1, 4]);
+  // What does not move is drawn once for each view.
+  const key = [canvas.width, canvas.height, ink, ...angles].join();
+  if (picture.layer?.key === key) {
+    context.drawImage(picture.layer.image, 0, 0, width, sheet.height);
+  } else {
+    context.fillStyle = ink;
+    drawWindow(sheet, picture, project, camera.eye);
+    if (picture.corners) drawBody(sheet, picture, project, camera.eye);
+    for (let whisker = 0; whisker < whiskers; whisker++) {
+      solid(contacts, steps, (k) => k * whiskers + whisker, colour(whisker, ink), 1, [1, 4]);
+    }
+    const image = make("canvas", { width: canvas.width, height: canvas.height });
+    image.getContext("2d").drawImage(canvas, 0, 0);
+    picture.layer = { key, image };
   }
   picture.rigid.forEach((rigid, spring) => {
     const array = picture[`spring_${spring}`];
