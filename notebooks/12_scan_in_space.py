@@ -9,7 +9,7 @@
 #
 # After this notebook you can scan an object in three dimensions: from a wire and a ball
 # to six signals, pictures, a tactile image, and back from the signals to the ball. The
-# notebook takes a minute or two, most of it for compilation.
+# notebook takes less than two minutes, most of it for compilation.
 
 # %%
 import jax
@@ -74,17 +74,17 @@ assert np.allclose(np.cross(force, outwards), 0.0, atol=1e-6 * largest)
 # line is the way of the contact. What the ball hides is paler.
 
 # %%
-figure = pyplot.figure(figsize=(9, 4.2), layout="constrained")
-solid = figure.add_subplot(1, 2, 1, projection="3d")
-jw.plot.shapes(result, [-0.02, 0.0, 0.02], view=(-15, 35), ax=solid)
-jw.plot.shapes(result, [-0.02, 0.0, 0.02], view="xz", ax=figure.add_subplot(1, 2, 2))
+PLACES = [-0.03, -0.015, 0.01]  # of the drive, m
+jw.plot.shapes(result, PLACES)
+jw.plot.shapes(result, PLACES, view="xz")
 # %% [markdown]
-# On the right, the same from below: the wire bends away from the ball. With sliders, and
-# turned by the mouse, the scene is `jw.explore(build, offset=(0.002, 0.03))`.
+# The second figure shows the same from below: the wire bends away from the middle of the
+# ball. `jw.explore(build, offset=(0.002, 0.03))` shows the scene with sliders, and the
+# mouse turns it.
 #
 # ## The offset changes the signals
 #
-# Closer to the middle of the ball, the wire bends more, and is pushed aside for longer.
+# Closer to the middle of the ball, the wire bends more, and swings aside later.
 
 # %%
 figure, axes = pyplot.subplots(1, 2, figsize=(8, 2.8), layout="constrained")
@@ -93,7 +93,8 @@ scans = {offset: jw.scan(build(offset)) for offset in offsets}
 for offset, one in scans.items():
     label = f"{1e3 * offset:.0f} mm"
     axes[0].plot(1e3 * one.control, 1e3 * one.fy[:, 0], label=label)
-    axes[1].plot(1e3 * one.control, 1e3 * one.contact_z[:, 0], label=label)
+    z = np.where(one.phase[:, 0] > 0, 1e3 * one.contact_z[:, 0], np.nan)
+    axes[1].plot(1e3 * one.control, z, label=label)
 axes[0].set(xlabel="drive $u$ (mm)", ylabel="$f_y$ (mN)")
 axes[1].set(xlabel="drive $u$ (mm)", ylabel="contact $z$ (mm)")
 axes[1].legend(title="offset")
@@ -115,7 +116,7 @@ assert last.kind == jw.EventKind.bifurcation
 assert abs(last.control) < 0.02
 
 # %%
-figure, ax = pyplot.subplots(figsize=(5, 3), layout="constrained")
+figure, ax = pyplot.subplots(figsize=(6.5, 3), layout="constrained")
 for offset in (1e-3, 1e-4, 1e-5, 0.0, -1e-5, -1e-4, -1e-3):
     one = jw.scan(build(offset))
     touches = one.phase[:, 0] > 0
@@ -123,7 +124,7 @@ for offset in (1e-3, 1e-4, 1e-5, 0.0, -1e-5, -1e-4, -1e-3):
     style = {"color": "black", "linewidth": 2.5} if offset == 0.0 else {}
     ax.plot(x, z, label=f"{1e6 * offset:.0f} µm", **style)
 ax.set(xlabel="contact $x$ (mm)", ylabel="contact $z$ (mm)")
-ax.legend(title="offset", fontsize=8)
+ax.legend(title="offset", loc="center left", bbox_to_anchor=(1.02, 0.5))
 # %% [markdown]
 # ## A tactile image
 #
@@ -184,7 +185,7 @@ figure, ax = pyplot.subplots(figsize=(5, 4), layout="constrained")
 for points in sweeps:
     x, y = 1e3 * points.x[points.clear], 1e3 * points.y[points.clear]
     z = 1e3 * points.z[points.clear]
-    seen = ax.scatter(x, z, c=y, s=8, vmin=20, vmax=50)
+    seen = ax.scatter(x, z, c=y, s=8, vmin=30, vmax=52)
 ax.set(xlabel="$x$ (mm)", ylabel="$z$ (mm)", aspect="equal")
 figure.colorbar(seen, label="height $y$ (mm)")
 # %% [markdown]
