@@ -26,10 +26,10 @@ wire = jw.Whisker.from_material(length=0.05, youngs_modulus=2.1e11, diameter=2e-
 ball = jw.Sphere(RADIUS, (0.0, HEIGHT, 0.0))
 
 
-def build(offset, surface=ball):
+def build(surface, offset):
     """The wire on a drive that passes below an object at a lateral offset."""
     drive = jw.LinearDrive(direction=(1.0, 0.0, 0.0), origin=(0.0, 0.0, offset))
-    return jw.Scene(wire, surface, motion=drive)
+    return jw.SpaceScene(wire, surface, motion=drive)
 
 
 # %% [markdown]
@@ -38,7 +38,7 @@ def build(offset, surface=ball):
 
 # %%
 OFFSET = 0.01
-result = jw.scan(build(OFFSET))
+result = jw.scan(build(ball, OFFSET))
 print(result)
 
 # %% [markdown]
@@ -79,8 +79,8 @@ jw.plot.shapes(result, PLACES)
 jw.plot.shapes(result, PLACES, view="xz")
 # %% [markdown]
 # The second figure shows the same from below: the wire bends away from the middle of the
-# ball. `jw.explore(build, offset=(0.002, 0.03))` shows the scene with sliders, and the
-# mouse turns it.
+# ball. With sliders, and turned by the mouse, the scene is
+# `jw.explore(lambda offset: build(ball, offset), offset=(0.002, 0.03))`.
 #
 # ## The offset changes the signals
 #
@@ -89,7 +89,7 @@ jw.plot.shapes(result, PLACES, view="xz")
 # %%
 figure, axes = pyplot.subplots(1, 2, figsize=(8, 2.8), layout="constrained")
 offsets = [0.02, 0.01, 0.005, 0.002]
-scans = {offset: jw.scan(build(offset)) for offset in offsets}
+scans = {offset: jw.scan(build(ball, offset)) for offset in offsets}
 for offset, one in scans.items():
     label = f"{1e3 * offset:.0f} mm"
     axes[0].plot(1e3 * one.control, 1e3 * one.fy[:, 0], label=label)
@@ -109,7 +109,7 @@ assert peaks == sorted(peaks)
 # nothing tells to which. Here the scan ends. The slightest offset decides.
 
 # %%
-symmetric = jw.scan(build(0.0))
+symmetric = jw.scan(build(ball, 0.0))
 print(symmetric)
 *_, last = symmetric.events
 assert last.kind == jw.EventKind.bifurcation
@@ -118,7 +118,7 @@ assert abs(last.control) < 0.02
 # %%
 figure, ax = pyplot.subplots(figsize=(6.5, 3), layout="constrained")
 for offset in (1e-3, 1e-4, 1e-5, 0.0, -1e-5, -1e-4, -1e-3):
-    one = jw.scan(build(offset))
+    one = jw.scan(build(ball, offset))
     touches = one.phase[:, 0] > 0
     x, z = 1e3 * one.contact_x[touches, 0], 1e3 * one.contact_z[touches, 0]
     style = {"color": "black", "linewidth": 2.5} if offset == 0.0 else {}
@@ -133,7 +133,7 @@ ax.legend(title="offset", loc="center left", bbox_to_anchor=(1.02, 0.5))
 # %%
 stone = jw.Ellipsoid((0.04, 0.02, 0.025), (0.0, 0.045, 0.0)).rotated((0.0, 0.5, 0.0))
 image = jw.tactile_image(
-    lambda offset: build(offset, stone),
+    lambda offset: build(stone, offset),
     offset=np.linspace(-0.024, 0.024, 9),
     control=np.linspace(-0.05, 0.05, 61),
 )
@@ -152,7 +152,7 @@ NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
 
 def reconstructed(offset):
     """Points from the noisy signals of one scan."""
-    scanned = jw.scan(build(offset), np.linspace(-0.036, 0.036, 121))
+    scanned = jw.scan(build(ball, offset), np.linspace(-0.036, 0.036, 121))
     sigma = {
         name: 0.01
         * float(abs(scanned.force if name[0] == "f" else scanned.moment).max())
@@ -163,7 +163,7 @@ def reconstructed(offset):
         for name in NAMES
     }
     signals = {"control": scanned.control} | noisy
-    return jw.reconstruct(signals, build(offset), sigma=sigma)
+    return jw.reconstruct(signals, build(ball, offset), sigma=sigma)
 
 
 sweeps = [reconstructed(offset) for offset in (-0.012, 0.006, 0.02)]
@@ -191,7 +191,7 @@ figure.colorbar(seen, label="height $y$ (mm)")
 # %% [markdown]
 # ## Something to try
 #
-# - Let the wire rub: `jw.Scene(wire, ball, motion=drive, friction=0.3)`. How far does it
+# - Let the wire rub: `jw.SpaceScene(wire, ball, motion=drive, friction=0.3)`. How far does it
 #   stay in the plane at an offset of 0?
 # - Put the wire on springs: `jw.Support.follicle(x=40.0, z=20.0)`. How does $f_z$ change?
 # - Scan a cylinder: `jw.Cylinder(0.04, (0.0, 0.06, 0.0), (0.3, 0.0, 1.0))`. Where does the

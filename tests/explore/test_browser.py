@@ -362,7 +362,7 @@ def test_a_scan_is_not_played(shown):
 
 def past_ball(radius, offset):
     wire = jw.Whisker.from_material(length=0.05, youngs_modulus=2.1e11, diameter=2e-4)
-    return jw.Scene(wire, jw.Sphere(radius, (0.0, 0.06, offset)), jw.Support.follicle(x=40.0, z=20.0))
+    return jw.SpaceScene(wire, jw.Sphere(radius, (0.0, 0.06, offset)), jw.Support.follicle(x=40.0, z=20.0))
 
 
 @pytest.fixture(scope="module")

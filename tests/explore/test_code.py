@@ -69,8 +69,8 @@ SCENES = [
     jw.Scene(jw.Whisker.rat("B", 2, intrinsic_curvature=2.0, poisson_ratio=0.4), jw.Parabola(0.02, 20.0)),
     jw.Scene(jw.Whisker(), jw.Graph(square, extent=3.0), rod=jw.Shooting(6, jw.Splitting(10))),
     jw.Scene(jw.Whisker(1.0, Taper(0.3)), jw.Parabola(0.2)),
-    jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), jw.Support.follicle(x=9.0, z=8.0, phi_x=7.0), friction=0.3),
-    jw.Scene(
+    jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), jw.Support.follicle(x=9.0, phi_x=7.0), friction=0.3),
+    jw.SpaceScene(
         jw.Whisker(
             0.05, jw.Whisker.from_material(0.05, 2e11, 1e-4).bending_stiffness, lateral_curvature=3.0, twist=0.5
         ),
@@ -78,12 +78,12 @@ SCENES = [
         jw.Support(mount=jw.Mount(z=0.01, roll=0.2)),
         motion=jw.LinearDrive((-2.0, 0.0, -0.7)),
     ),
-    jw.Scene(
+    jw.SpaceScene(
         jw.Whisker(lateral_curvature=0.4),
         jw.Extruded(jw.Circle(0.3, 0.9)).rotated((0.0, 0.4, 0.0), (0.1, 0.0, 0.0)),
         motion=jw.WhiskDrive(elevation=0.1, roll_rate=0.4),
     ),
-    jw.Scene(jw.Whisker(), jw.Surface(ball, (0.0, 1.2, 0.0)), motion=jw.RotaryDrive((1.0, 0.0, 0.0), start=-1.0)),
+    jw.SpaceScene(jw.Whisker(), jw.Surface(ball, (0.0, 1.2, 0.0)), motion=jw.RotaryDrive((1.0, 0.0, 0.0), start=-1.0)),
 ]
 
 

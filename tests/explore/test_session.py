@@ -144,7 +144,7 @@ def test_sliders_of_scenes_in_si_show_units_with_prefixes():
 
 
 def past_sphere(radius, offset=0.2):
-    return jw.Scene(jw.Whisker(), jw.Sphere(radius, (0.0, 1.3, offset)))
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(radius, (0.0, 1.3, offset)))
 
 
 def test_a_scene_in_space_has_views_and_its_own_pictures(unsolved, monkeypatch):

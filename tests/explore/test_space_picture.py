@@ -1,5 +1,7 @@
 """Pictures of scans in space: states, geometry and window, as the page draws them."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -118,14 +120,14 @@ def test_views_look_along_the_axes_of_the_projections():
 
 def test_failed_steps_leave_gaps():
     """A symmetric scene may go either way at the vertex, where its scan ends."""
-    symmetric = jw.Scene(jw.Whisker(), jw.Cylinder(0.9, (0.0, 1.2, 0.0)), jw.Support.follicle(x=80.0, z=70.0))
+    symmetric = jw.SpaceScene(jw.Whisker(), jw.Cylinder(0.9, (0.0, 1.2, 0.0)), jw.Support.follicle(x=80.0, z=70.0))
     header, arrays = sent(symmetric)
-    failed = arrays["status"] == jw.Status.undetermined
+    failed = np.equal(arrays["status"], int(jw.Status.undetermined))
     assert 0 < failed.sum() < SCAN_STEPS
     assert header["summary"] == f"{SCAN_STEPS} steps: {SCAN_STEPS - failed.sum()} ok, {failed.sum()} undetermined"
     assert header["events"][-1]["text"].endswith("bifurcation of whisker 1")
     for name in ("fz", "line", "directors", "forces", "spring_1"):
-        good = np.isfinite(arrays[name]).all(axis=tuple(range(1, arrays[name].ndim)))
+        good: Any = np.isfinite(arrays[name]).all(axis=tuple(range(1, arrays[name].ndim)))
         assert not good[failed].any()
         assert name == "forces" or good[~failed].all()
     assert np.isfinite(arrays["drive"]).all() and np.isfinite(header["window"]).all()
@@ -140,7 +142,7 @@ def test_a_scene_without_a_scan_is_an_error(scene):
 
 
 def test_a_contact_with_friction_has_pictures():
-    rough = jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, -0.5)), friction=0.3)
+    rough = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, -0.5)), friction=0.3)
     header, arrays = sent(rough)
     touching = arrays["phase"][:, 0] > 0
     assert header["failed"] == 0 and header["title"].endswith("friction 0.3")

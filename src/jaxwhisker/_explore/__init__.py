@@ -34,8 +34,8 @@ def explore(build: "Callable[..., Scene | SpaceScene | Simulation]", /, **ranges
 
         jw.explore(build, stiffness=(30, 500), speed=(0.15, 1.5, 0.3))
 
-    Scenes in space are seen by a camera: drag the picture to turn it, or choose a projection with a button. Sliders keep
-    the view:
+    Scenes in space are seen by a camera: drag the picture to turn it, or choose a projection with a button. Sliders
+    keep the view:
 
         def build(radius, offset):
             return jw.Scene(jw.Whisker(), jw.Sphere(radius, (0.0, 1.3, offset)))

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from jaxwhisker._base.leaves import PlainFunction
 from jaxwhisker._model.along import LinearTaper, RoundMass, RoundSection
-from jaxwhisker._model.scene import AbstractScene, Scene, Sensor
+from jaxwhisker._model.scene import AbstractScene, Sensor
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.quantities import reactions_of
@@ -49,14 +49,14 @@ def code_of_call(build: Callable, values: Mapping[str, float]) -> str:
     return writer.code([], f"result = {name}({', '.join(f'{key}={value!r}' for key, value in values.items())})\n")
 
 
-def code_of_scan(scene: AbstractScene, scene_code: str, control: Float[np.ndarray, " steps"]) -> list[str]:
+def code_of_scan(scene: AbstractScene | Sensor, scene_code: str, control: Float[np.ndarray, " steps"]) -> list[str]:
     """Code that constructs a scene, scans it and prints one step, as the texts before and after the step's number."""
     positions = f"np.linspace({float(control[0])!r}, {float(control[-1])!r}, {control.size})"
     scanned = f"{scene_code}\nresult = jw.scan(scene, {positions})\nprint(result)\n\nstep = "
     return [scanned, _print(scene, _CONTROL)]
 
 
-def code_of_motion(scene: Scene | Sensor, code: str) -> list[str]:
+def code_of_motion(scene: AbstractScene | Sensor, code: str) -> list[str]:
     """Code that makes a simulation and prints one sample, as the texts before and after the sample's number."""
     return [f"{code}print(result)\n\nstep = ", _print(scene, f"{_TIME}, {_CONTROL}")]
 
@@ -120,7 +120,7 @@ class _Writer:
         if not isinstance(surface, Placed):
             return None
         original = self.expression(surface.surface, "surface")
-        if surface.about is None and not np.any(surface.rotation):
+        if surface.about is None and not np.any(np.asarray(surface.rotation)):
             return f"{original}.moved({self.expression(surface.by, 'by')})"
         about = f", {self.expression(surface.about, 'about')}" if surface.about is not None else ""
         return f"{original}.rotated({self.expression(surface.rotation, 'rotation')}{about})"
@@ -153,7 +153,8 @@ class _Writer:
         else:
             diameter = self.expression(section.diameter, "diameter")
             text = f"jw.Whisker.from_material({material}, diameter={diameter}{density})"
-        for name in list(_signature(Whisker).parameters)[2:]:
+        names = ("intrinsic_curvature", "mass_per_length", "tip_mass", "base_mass", "base_inertia", "torsion_ratio")
+        for name in (*names, "lateral_curvature", "twist", "breaks"):
             value = getattr(whisker, name)
             if value is not None and not isinstance(value, RoundMass):
                 further.append(f"{name}={self.expression(value, name)}")

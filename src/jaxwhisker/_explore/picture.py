@@ -46,7 +46,7 @@ class AnyPicture(Protocol):
     def result(self) -> Any:
         """The scan or the motion."""
 
-    def geometry(self, units: UnitSystem) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def geometry(self, units: UnitSystem) -> tuple[dict[str, Any], dict[str, Any]]:
         """What a page draws, in the units in which it shows lengths: a part of the header, and arrays."""
         ...
 
@@ -59,7 +59,7 @@ class Picture(NamedTuple):
     drive: Pose  # fields (steps,)
     outline: Float[jax.Array, "points 2"]  # of the object; NaN where a graph ends
 
-    def geometry(self, units: UnitSystem) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def geometry(self, units: UnitSystem) -> tuple[dict[str, Any], dict[str, Any]]:
         length, scene, outline = units.of_kind("length").size, units.scene, self.outline
         header = {
             "springs": _springs(scene, length),

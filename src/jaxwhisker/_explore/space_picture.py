@@ -27,7 +27,7 @@ class SpacePicture(NamedTuple):
     body: Body | None  # the object; None if it is far away
     window: Float[np.ndarray, "2 3"]  # least and largest coordinates
 
-    def geometry(self, units: UnitSystem) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def geometry(self, units: UnitSystem) -> tuple[dict[str, Any], dict[str, Any]]:
         scale, springs = units.scale("length"), units.scene.support.springs
         drawn, body = self.drawing.scaled(scale), self.body
         arrays = {
