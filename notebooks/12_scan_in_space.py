@@ -105,8 +105,8 @@ assert peaks == sorted(peaks)
 # ## A plane scan is not stable
 #
 # At an offset of exactly 0, wire and ball are symmetric, and the wire stays in the plane
-# at first. Just as it reaches the middle of the ball, it may fall to either side, and
-# nothing tells to which. Here the scan ends. The slightest offset decides.
+# at first. When the drive is below the middle of the ball, the wire may swing to either
+# side, and nothing tells to which. Here the scan ends. The slightest offset decides.
 
 # %%
 symmetric = jw.scan(build(ball, 0.0))
@@ -131,7 +131,8 @@ ax.legend(title="offset", loc="center left", bbox_to_anchor=(1.02, 0.5))
 # Scans along parallel lines give an image for each signal, here of an oblique ellipsoid.
 
 # %%
-stone = jw.Ellipsoid((0.04, 0.02, 0.025), (0.0, 0.045, 0.0)).rotated((0.0, 0.5, 0.0))
+straight = jw.Ellipsoid((0.04, 0.02, 0.025), (0.0, 0.045, 0.0))
+stone = straight.rotated((0.0, 0.5, 0.0))
 image = jw.tactile_image(
     lambda offset: build(stone, offset),
     offset=np.linspace(-0.024, 0.024, 9),
