@@ -60,8 +60,8 @@ class SpaceScanPath(NamedTuple):
 
 
 @with_own_settings
-def scan_in_space(scene: SpaceScene, control: Control | None = None) -> SpaceResult:
-    """Scan past a surface in space; see `scan`."""
+def scan_in_space(scene: SpaceScene, control: Control | None = None, steps: int | None = None) -> SpaceResult:
+    """Scan past a surface in space; see `scan`. With `steps`, the default control has so many equidistant positions."""
     if control is not None:
         checks.vector("control", control)
     scene = jax.tree.map(checks.as_float, scene)
@@ -76,8 +76,10 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None) -> SpaceRes
         prepare(problem, stops.shape[0])
     path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
     path = _if_ok(path, status)
-    if route is None and checks.is_traced((problem, start)):
-        route = evenly_now(start, stop, TRACED_STEPS)
+    traced = checks.is_traced((problem, start))
+    if route is None and (traced or steps is not None):
+        route = evenly_now(start, stop, TRACED_STEPS if steps is None else steps)
+        route = route if traced else jax.tree.map(np.asarray, route)
     elif route is None:
         route = route_of(default_positions(float(start), float(stop), problem.unit))
 
