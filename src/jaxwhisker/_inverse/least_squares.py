@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here
 from jaxwhisker._inverse.channels import Channels
-from jaxwhisker._inverse.linearised import REACTION_CHANNELS, LinearisedScan
+from jaxwhisker._inverse.linearised import REACTION_CHANNELS, AbstractLinearisedScan, LinearisedScan
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
 from jaxwhisker._inverse.statistics import chi_squared
@@ -71,7 +71,6 @@ class Minimum(NamedTuple):
 
 
 def linearised_scan(
-    in_space: bool,
     build: Callable[..., Any],
     x: Mapping[str, Any],
     stops: np.ndarray,
@@ -81,13 +80,13 @@ def linearised_scan(
     channels: Channels = REACTION_CHANNELS,
     values: Any = (),
     shift: bool = False,
-) -> Any:
-    """The LinearisedScan of a scene in the plane, or what has its methods in space."""
-    if not in_space:
+) -> AbstractLinearisedScan:
+    """The linearised scan of a scene in the plane or in space."""
+    if not channels.in_space:
         return LinearisedScan(build, x, stops, last, known, channels, values, shift)
     from jaxwhisker._inverse.linearised_in_space import LinearisedSpaceScan
 
-    return LinearisedSpaceScan(build, x, stops, last, known, shift)
+    return LinearisedSpaceScan(build, x, stops, last, known, channels, values, shift)
 
 
 class LeastSquares(NamedTuple):
@@ -147,33 +146,16 @@ class LeastSquares(NamedTuple):
         stops, last = (np.full_like(data.stops, np.nan), 1) if data.overlaid else (data.stops + shift, data.last)
         parameters = dict(zip(unknowns.build, parts.build, strict=True))
         known = {"channels": unknowns.channels, "values": parts.channels, "shift": unknowns.shift}
-        scan = linearised_scan(unknowns.channels.in_space, self.build, parameters, stops, last, **known)
+        scan = linearised_scan(self.build, parameters, stops, last, **known)
         placed, by = placed_and_slopes_now(shift, scan.start, scan.events, data, scan.shift_slopes, scan.event_slopes)
         placed, by = jax.tree.map(np.asarray, (placed, by))
         signals = scan.signals(placed.control, placed.travel, by.control)
-        count = len(unknowns.names)
-
-        def by_unknowns(slopes: np.ndarray) -> np.ndarray:
-            """Derivatives with respect to x from those along the scan's directions."""
-            columns = np.zeros((*slopes.shape[:-1], x.size))
-            columns[..., :count] = slopes[..., :count]
-            if unknowns.shift:
-                columns[..., -1] = slopes[..., count]
-            return columns
-
-        values, by_signals = signals.values.copy(), by_unknowns(signals.slopes)
-        first_gain = count + len(unknowns.offsets)
-        for k, (whisker, kind) in enumerate(unknowns.gains, start=first_gain):
-            by_signals[:, whisker, kind] *= x[k]
-            by_signals[:, whisker, kind, k] = values[:, whisker, kind]
-            values[:, whisker, kind] *= x[k]
-        for k, (whisker, kind) in enumerate(unknowns.offsets, start=count):
-            by_signals[:, whisker, kind, k] = 1.0
-            values[:, whisker, kind] += x[k]
+        values, by_signals = unknowns.measured(x, signals.values, signals.slopes)
         by_signals *= placed.weight[..., None]
 
-        slopes = [part.reshape(-1, x.size) for part in (by_signals, by_unknowns(by.of_snaps), by_unknowns(by.of_ends))]
-        compared = Comparison(values, placed.left_out, int(scan.status))
+        by_parts = by_signals, unknowns.by_own(by.of_snaps), unknowns.by_own(by.of_ends)
+        slopes = [part.reshape(-1, x.size) for part in by_parts]
+        compared = Comparison(values, placed.left_out, int(scan.status), signals.values)
         residual, jacobian = np.concatenate(placed.residuals(values, data)), np.concatenate(slopes)
         return Evaluation(residual, jacobian, (compared,))
 
