@@ -209,6 +209,7 @@ class FittedRecording(NamedTuple):
     # channels do not determine six reactions. None in the plane.
     force_moment: np.ndarray | None = None
     force_moment_score: np.ndarray | None = None
+    in_units: bool = True  # whether the channels are reactions in the units of the scene
 
 
 class LikelihoodProfile(NamedTuple):

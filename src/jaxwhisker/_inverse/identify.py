@@ -22,7 +22,6 @@ from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum
 from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.observations import Observations, read_observations
 from jaxwhisker._inverse.recording import check_recording
-from jaxwhisker._inverse.residuals import Samples
 from jaxwhisker._inverse.statistics import noise_of_residuals
 from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.assembly import AbstractScene
@@ -262,25 +261,11 @@ def _fit_in_stages(problem: FitProblem, y: np.ndarray, near: bool) -> tuple[Mini
     steps = 0
     for first in [True] * (overlaid and not near) + [False] * thinned:
         data = problem.samples(overlaid=first, thin=True)
-        y = _with_linear(problem, y, data)
         solution = problem.solve(y, data, y, least=COARSE)
         y, steps = solution.y, steps + solution.steps
     data = problem.samples()
-    solution = problem.solve(_with_linear(problem, y, data), data, y)
+    solution = problem.solve(y, data, y)
     return solution, steps + solution.steps
-
-
-def _with_linear(problem: FitProblem, y: np.ndarray, data: list[Samples]) -> np.ndarray:
-    """The variables with the best gains and offsets for these values of the others."""
-    linear = problem.unknowns.linear
-    if not problem.unknowns.gains.unknown:
-        return y
-    at = problem.solve.evaluate(y, data, y)
-    if not (np.isfinite(at.residual).all() and np.isfinite(at.jacobian).all()):
-        return y
-    y = y.copy()
-    y[linear] -= np.linalg.lstsq(at.jacobian[:, linear], at.residual, rcond=None)[0]
-    return y
 
 
 class _Search(NamedTuple):
@@ -357,13 +342,16 @@ def _fit_of(problem: FitProblem, search: _Search) -> Fit:
 
 def _fitted(problem: FitProblem, solution: Minimum, x: np.ndarray, k: int) -> FittedRecording:
     recording, comparison = problem.recordings[k], solution.compared[k]
-    force_moment = problem.force_moment(x[problem.unknowns.columns[k]], recording.observations)
-    values = {name: float(value) for name, value in problem.unknowns.scene_values(x, k).items()}
+    unknowns = problem.unknowns
+    force_moment = problem.force_moment(x[unknowns.columns[k]], recording.observations)
+    values = {name: float(value) for name, value in unknowns.scene_values(x, k).items()}
     return FittedRecording(
         measured=recording.observations,
         signals=comparison.signals[: recording.observations.control.size],
         residuals=recording.off(comparison),
         parameters=values,
         scene=problem.build(**values) if np.isfinite(x).all() else recording.scene,
-        **dict(zip(("force_moment", "force_moment_score"), force_moment or (None, None), strict=True)),
+        force_moment=None if force_moment is None else force_moment[0],
+        force_moment_score=None if force_moment is None else force_moment[1],
+        in_units=unknowns.channels.function is None and unknowns.gains.matrix is None,
     )
