@@ -24,13 +24,13 @@ UNIT = {"x": 1e3, "y": 1e3, "z": 1e3, "angle": 180 / np.pi, "elevation": 180 / n
 ALONG_X = {"direction": (-1.0, 0.0, 0.0)}
 SWEEPS = {
     "x": (jw.LinearDrive(**ALONG_X), (-0.03, 0.02)),
-    "x, 6 mm lower": (jw.LinearDrive(**ALONG_X, origin=(0.0, -0.006, 0.0)), (-0.03, 0.02)),
+    "x 6 mm lower": (jw.LinearDrive(**ALONG_X, origin=(0.0, -0.006, 0.0)), (-0.03, 0.02)),
     "y": (jw.LinearDrive((0.0, 1.0, 0.0), (-0.01, -0.02, 0.0)), (0.0, 0.02)),
     "z": (jw.LinearDrive((0.0, 0.0, 1.0), (0.008, 0.0, 0.0)), (-0.03, 0.02)),
     "whisk": (jw.WhiskDrive(pivot=(0.0, -0.02, 0.0)), (-0.5, 0.4)),
 }
 EDGE = 5.0  # of the figure's scale, beyond which it marks what is not observable
-ROWS = (("x",), ("y",), ("z",), ("whisk",), ("x", "x, 6 mm lower"), ("x", "z"), ("x", "whisk"))
+ROWS = (("x",), ("y",), ("z",), ("whisk",), ("x", "x 6 mm lower"), ("x", "z"), ("x", "whisk"))
 
 
 def build_of(motion):
@@ -63,19 +63,21 @@ def draw_pose() -> None:
     each = informations()
     figure, panels = pyplot.subplots(1, 2, figsize=(9, 3.8), sharey=True, layout="constrained")
     for axis, names, unit in zip(panels, (("x", "y", "z"), ("angle", "elevation", "roll")), ("mm", "°"), strict=True):
-        axis.axvspan(EDGE, 5 * EDGE, color="0.93", linewidth=0)
+        axis.axvspan(EDGE, 8 * EDGE, color="0.93", linewidth=0)
         for place, (name, colour) in enumerate(zip(names, COLOURS, strict=False)):
             errors = [sum_of(each, row).standard_error[name] * UNIT[name] for row in ROWS]
             at = np.arange(len(ROWS)) + 0.22 * (place - 1)
             seen = np.isfinite(errors)
             axis.plot(np.where(seen, errors, np.nan), at, "o", color=colour, label=name)
-            axis.plot(np.where(seen, np.nan, 2.2 * EDGE), at, "x", color=colour)
-        axis.set(xscale="log", xlim=(0.02, 5 * EDGE), xlabel=f"standard error ({unit})")
-        axis.text(2.2 * EDGE, -0.75, "not observable", ha="center", fontsize="small")
+            axis.plot(np.where(seen, np.nan, 8**0.5 * EDGE), at, "x", color=colour)
+        axis.set(xscale="log", xlim=(0.02, 8 * EDGE), xlabel=f"standard error ({unit})")
+        axis.set_xticks([0.1, 1.0], ["0.1", "1"])
+        axis.text(8**0.5 * EDGE, -0.75, "not observable", ha="center", fontsize="small")
         for line in np.arange(len(ROWS) - 1) + 0.5:
             axis.axhline(line, color="0.85", linewidth=0.6, zorder=0)
         axis.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=3)
-    panels[0].set_yticks(np.arange(len(ROWS)), [" and ".join(row) for row in ROWS])
+    panels[0].set_yticks(np.arange(len(ROWS)), [" + ".join(row) for row in ROWS])
+    panels[0].set_ylabel("sweeps")
     panels[0].set_ylim(len(ROWS) - 0.5, -1.1)
     figure.savefig(DOCS / "pose.png", dpi=150)
 
