@@ -4,6 +4,7 @@ python figures/pose.py writes docs/pose.png: standard errors of the pose from se
 """
 
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -18,7 +19,7 @@ from jaxwhisker.plot import COLOURS
 DOCS = Path(__file__).parents[1] / "docs"
 WIRE = jw.Whisker.from_material(length=0.05, youngs_modulus=2.1e11, diameter=2e-4)
 BALL = jw.Sphere(0.02, (0.0, 0.055, 0.008))  # m
-NOISE = dict.fromkeys(("f1", "f2", "f3"), 1e-4) | dict.fromkeys(("m1", "m2", "m3"), 5e-6)  # N and N m
+NOISE: dict[str, float] = dict.fromkeys(("f1", "f2", "f3"), 1e-4) | dict.fromkeys(("m1", "m2", "m3"), 5e-6)  # N and N m
 STEPS = 200  # readings of each sweep
 UNIT = {"x": 1e3, "y": 1e3, "z": 1e3, "angle": 180 / np.pi, "elevation": 180 / np.pi, "roll": 180 / np.pi}
 ALONG_X = {"direction": (-1.0, 0.0, 0.0)}
@@ -43,7 +44,7 @@ def build_of(motion):
     return build
 
 
-def own(result):
+def own(result: jw.SpaceResult) -> dict[str, Any]:
     """Six components in the frame of the sensor, which turns with it."""
     parts = [*result.own_force[:, 0].T, *result.own_moment[:, 0].T]
     return dict(zip(NOISE, parts, strict=True))
@@ -53,7 +54,9 @@ def informations() -> dict[str, jw.Information]:
     """The information in each sweep."""
     at = dict.fromkeys(UNIT, 0.0)
     return {
-        name: jw.information(build_of(drive), at, sigma=NOISE, control=np.linspace(*ends, STEPS), channels=own)
+        name: jw.information(
+            build_of(drive), at, sigma=NOISE, control=np.linspace(ends[0], ends[1], STEPS), channels=own
+        )
         for name, (drive, ends) in SWEEPS.items()
     }
 

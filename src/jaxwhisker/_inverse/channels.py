@@ -103,7 +103,11 @@ def _signals_and_slopes(
 
     def signals(smooth, control, values):
         scene, state = eqx.combine(smooth, rest)
-        result = result_in_space(scene, *state, control) if channels.in_space else result_of(scene, state, control)
+        result = (
+            result_in_space(scene, state[0], state[1], control)
+            if channels.in_space
+            else result_of(scene, state, control)
+        )
         return channels.of_result(result, dict(zip(channels.parameters, values, strict=True)))
 
     def towards(*dots):

@@ -54,16 +54,16 @@ class Gains(NamedTuple):
             unknown: values of the unknown entries.
             xp: numpy or jax.numpy.
         """
-        if self.matrix is None:
+        if (matrix := self.matrix) is None:
             return signals
         values = dict(zip(self.unknown, unknown, strict=True))
 
         def channel(w: int, r: int) -> Any:
             # Without products by zero: a signal may be NaN.
-            used = [(c, values.get((w, r, c), gain)) for c, gain in enumerate(self.matrix[w, r]) if gain != 0]
+            used = [(c, values.get((w, r, c), gain)) for c, gain in enumerate(matrix[w, r]) if gain != 0]
             return sum((gain * signals[:, w, c] for c, gain in used), xp.zeros_like(signals[:, w, 0]))
 
-        whiskers, channels, _ = self.matrix.shape
+        whiskers, channels, _ = matrix.shape
         return xp.stack([xp.stack([channel(w, r) for r in range(channels)], axis=1) for w in range(whiskers)], axis=1)
 
     def sizes(self, peaks: np.ndarray, signals: np.ndarray) -> tuple[list[float], list[float]]:

@@ -151,7 +151,7 @@ class LeastSquares(NamedTuple):
         elif scans is None:
             with ThreadPoolExecutor(threads()) as pool:
                 scans = list(pool.map(as_here(self._scanned), [x[own] for own in columns], data))
-        each = [self._of_recording(x[own], *pair) for own, *pair in zip(columns, data, scans, strict=True)]
+        each = [self._of_recording(x[own], one, scan) for own, one, scan in zip(columns, data, scans, strict=True)]
         by_y = self.transforms.per_inner(x) * self.transforms.stretch(y)
         jacobians = []
         for at, own in zip(each, columns, strict=True):
