@@ -19,7 +19,7 @@ from jaxwhisker.plot import COLOURS
 DOCS = Path(__file__).parents[1] / "docs"
 WIRE = jw.Whisker.from_material(length=0.05, youngs_modulus=2.1e11, diameter=2e-4)
 BALL = jw.Sphere(0.02, (0.0, 0.055, 0.008))  # m
-NOISE: dict[str, float] = dict.fromkeys(("f1", "f2", "f3"), 1e-4) | dict.fromkeys(("m1", "m2", "m3"), 5e-6)  # N and N m
+NOISE = {"f1": 1e-4, "f2": 1e-4, "f3": 1e-4, "m1": 5e-6, "m2": 5e-6, "m3": 5e-6}  # N and N m
 STEPS = 200  # readings of each sweep
 UNIT = {"x": 1e3, "y": 1e3, "z": 1e3, "angle": 180 / np.pi, "elevation": 180 / np.pi, "roll": 180 / np.pi}
 ALONG_X = {"direction": (-1.0, 0.0, 0.0)}
