@@ -21,7 +21,7 @@ from jaxwhisker._space.march_state import SETTLED, Node, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.residuals import residuals
-from jaxwhisker._space.slip import FOLLOWING, Mode, laws, radau, without_traction
+from jaxwhisker._space.slip import FOLLOWING, Mode, laws, radau, stages_of, without_traction
 
 
 class Step(NamedTuple):
@@ -141,7 +141,7 @@ def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]
 
     The contacts that come to rest after a loss of stability have no derivatives.
     """
-    index = jnp.arange(path.nodes.kind.shape[0])
+    index, stages = jnp.arange(path.nodes.kind.shape[0]), radau(stages_of(problem))[0].size
     follows = index < path.count
     # Padding, which is the last node, has no derivatives, not even infinite ones.
     padded = jnp.minimum(index, jnp.maximum(path.count - 1, 0))
@@ -150,7 +150,9 @@ def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]
 
     def link(start: Point, at):
         node, before, stop, follows = at
-        end = _node_after(problem, start, before, node, stop, follows)
+        rest = Linked(node.point, Point(*(jnp.stack([leaf] * stages) for leaf in node.point)))
+        # Padding costs nothing.
+        end = jax.lax.cond(follows, lambda: _node_after(problem, start, before, node, stop, follows), lambda: rest)
         return end.point, end
 
     def first(leaf):
