@@ -101,7 +101,9 @@ def test_a_start_has_no_crosstalk_and_rounding_has_no_size():
     np.testing.assert_array_equal(np.reshape(start, (6, 6)), np.diag([4.0, 2.0, 8.0, 1.6, 1.0, 1.0]))
 
 
-@pytest.mark.parametrize("wrong", [np.eye(3), np.full((6, 6), np.inf), "all", {}, {"a": [1.0, 2.0]}, 2.0 * np.eye(7)])
+@pytest.mark.parametrize(
+    "wrong", [3.0, np.ones(6), np.eye(3), np.full((6, 6), np.inf), "all", {}, {"a": [1.0, 2.0]}, 2.0 * np.eye(7)]
+)
 def test_wrong_gains_are_named(wrong):
     with pytest.raises(ValueError, match="`gains` must be"):
         gains_from(wrong, SPACE, 1)

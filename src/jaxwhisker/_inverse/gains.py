@@ -96,15 +96,15 @@ def gains_from(gains: Any, channels: Channels, whiskers: int) -> Gains:
         names, rows = tuple(str(name) for name in gains), list(gains.values())
         if whiskers > 1:
             checks.fail("gains", "a matrix for scenes of several whiskers", f"rows by name for {whiskers}")
+    shape = len(names), len(signals)
     try:
-        matrix = as_numbers("gains", "the matrix", rows)
-        matrix = np.array(np.broadcast_to(matrix, (whiskers, len(names), len(signals))))
+        matrix = np.asarray(as_numbers("gains", "the matrix", rows))
     except ValueError:
-        matrix = None
-    if matrix is None or np.isinf(matrix).any() or not names:
+        matrix = np.zeros(0)
+    if matrix.shape not in (shape, (whiskers, *shape)) or np.isinf(matrix).any() or not names:
         allowed = (
             f"True, False, a {len(signals)} x {len(signals)} matrix, or a mapping from names of channels to its rows: "
             f"finite numbers, or NaN where unknown, for {', '.join(signals)}"
         )
         checks.fail("gains", allowed, repr(gains))
-    return Gains(names, signals, matrix)
+    return Gains(names, signals, np.array(np.broadcast_to(matrix, (whiskers, *shape))))
