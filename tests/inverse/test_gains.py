@@ -102,7 +102,18 @@ def test_a_start_has_no_crosstalk_and_rounding_has_no_size():
 
 
 @pytest.mark.parametrize(
-    "wrong", [3.0, np.ones(6), np.eye(3), np.full((6, 6), np.inf), "all", {}, {"a": [1.0, 2.0]}, 2.0 * np.eye(7)]
+    "wrong",
+    [
+        3.0,
+        1j * np.eye(6),
+        np.ones(6),
+        np.eye(3),
+        np.full((6, 6), np.inf),
+        "all",
+        {},
+        {"a": [1.0, 2.0]},
+        2.0 * np.eye(7),
+    ],
 )
 def test_wrong_gains_are_named(wrong):
     with pytest.raises(ValueError, match="`gains` must be"):

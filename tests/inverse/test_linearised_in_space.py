@@ -3,6 +3,7 @@
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOptionalSubscript=false
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,8 @@ def test_information_of_independent_scans_adds_up(scanned):
     both = first + second
     np.testing.assert_allclose(both.matrix, first.matrix + second.matrix, rtol=1e-12)
     assert both.control.size == 110 and both.density.shape == (110, 2)
+    with pytest.raises(ValueError, match="`other` must be information at"):
+        _ = first + replace(second, at=dict.fromkeys(second.at, 7.0))
     with pytest.raises(ValueError, match="`other` must have the channels"):
         _ = first + second.of("fx")
 

@@ -88,9 +88,11 @@ class Information:
         """The information in two independent scans of the same sensor, one after the other.
 
         Raises:
-            ValueError: if their parameters or channels differ.
+            ValueError: if their parameters, the values of these, or channels differ.
         """
         checks.instance("other", other, Information, "an Information")
+        if self.names == other.names and self.at != other.at:
+            checks.fail("other", f"information at {self.at}", f"one at {other.at}")
         for name in ("names", "channels"):
             if getattr(self, name) != getattr(other, name):
                 raise ValueError(
