@@ -6,11 +6,12 @@ from jaxwhisker._base.suggest import no_attribute
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._explore import explore
 from jaxwhisker._inverse.bending import BendingFit
+from jaxwhisker._inverse.design import design
 from jaxwhisker._inverse.fit import Fit
 from jaxwhisker._inverse.fit_contour import ContourFit, fit_contour
 from jaxwhisker._inverse.fit_profile import ProfileFit, fit_profile
 from jaxwhisker._inverse.identify import identify
-from jaxwhisker._inverse.information import Information, design, information
+from jaxwhisker._inverse.information import Information, information
 from jaxwhisker._inverse.points import PointStatus, Reconstruction
 from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.statistics import FitStatus

@@ -14,7 +14,7 @@ EXACT = 1e-14
 
 
 def test_large_batches_run_together_if_the_program_allows_it():
-    both = [Program(jnp.sin, batched=batched) for batched in (True, False)]
+    both = [Program(jnp.sin, together=together) for together in (LANES, 0)]
     counts = (0, 1, MOST_SINGLE, MOST_SINGLE + 1, 10 * LANES)
     assert [lanes_together(both[0], count) for count in counts] == [0, 0, 0, LANES, LANES]
     assert not any(lanes_together(both[1], count) for count in counts)
@@ -36,9 +36,9 @@ def product(a, b, c):
     return a * b + c, jnp.stack([a, b, c])
 
 
-@pytest.mark.parametrize("batched", [False, True])
-def test_axes_of_several_vmaps_stay_in_their_order(batched):
-    run = Program(product, batched=batched)
+@pytest.mark.parametrize("together", [0, LANES])
+def test_axes_of_several_vmaps_stay_in_their_order(together):
+    run = Program(product, together=together)
     # Axes 3 (of a and b), 5 (of b and c), 2 and 4 (of a), from the outermost one inwards.
     over = jax.vmap(run, (0, None, None))
     over = jax.vmap(jax.vmap(over, (0, None, None)), (None, 0, 0))
@@ -57,7 +57,7 @@ def test_the_last_block_of_a_batch_is_filled_with_its_last_lane():
         return 2 * x
 
     x = np.arange(float(LANES + 3))
-    found = jax.vmap(Program(noted, batched=True))(x)
+    found = jax.vmap(Program(noted, together=LANES))(x)
     jax.effects_barrier()
     np.testing.assert_array_equal(found, 2 * x)
     assert sorted(seen) == sorted([*x, *[x[-1]] * (LANES - 3)])

@@ -221,7 +221,7 @@ def test_integers_have_no_derivative():
 def test_large_batches_run_in_blocks(count, monkeypatch):
     monkeypatch.setattr("jaxwhisker._base.primitive.MOST_SINGLE", 4)
     x, y = np.linspace(0.0, 1.0, count), np.linspace(1.0, 2.0, count)
-    together, traces = traced(plain, batched=True)
+    together, traces = traced(plain, together=LANES)
     assert_same(jax.vmap(together)(x, y), jax.vmap(plain)(x, y))
     assert [lanes for _, lanes in together._executables] == [LANES]
     assert_same(jax.vmap(together, (0, None))(x[::-1], y[0]), jax.vmap(plain, (0, None))(x[::-1], y[0]))
@@ -230,15 +230,15 @@ def test_large_batches_run_in_blocks(count, monkeypatch):
 
 def test_other_batches_run_one_by_one(monkeypatch):
     monkeypatch.setattr("jaxwhisker._base.primitive.MOST_SINGLE", 4)
-    for count, batched in ((4, True), (5, False)):
-        run = Program(plain, batched=batched)
+    for count, together in ((4, LANES), (5, 0)):
+        run = Program(plain, together=together)
         jax.vmap(run, (0, None))(np.linspace(0.0, 1.0, count), Y[0])
         assert [lanes for _, lanes in run._executables] == [0]
 
 
-@pytest.mark.parametrize("batched", [False, True])
-def test_an_empty_batch_has_empty_results(batched):
-    run = Program(plain, batched=batched)
+@pytest.mark.parametrize("together", [0, LANES])
+def test_an_empty_batch_has_empty_results(together):
+    run = Program(plain, together=together)
     assert_same(jax.vmap(run)(X[:0], X[:0]), jax.vmap(plain)(X[:0], X[:0]))
     assert_same(nested(run)(X, Y[:0]), nested(plain)(X, Y[:0]))
 

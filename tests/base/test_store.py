@@ -190,7 +190,7 @@ def test_shapes_types_options_and_lanes_have_entries_of_their_own(folder, monkey
             for size in (2, 3):
                 Program(linear_algebra.positive_definite, quick=quick)(np.eye(size, dtype=kind))
     monkeypatch.setattr("jaxwhisker._base.primitive.MOST_SINGLE", 1)
-    jax.vmap(Program(linear_algebra.positive_definite, batched=True))(np.stack([np.eye(2)] * 2))
+    jax.vmap(Program(linear_algebra.positive_definite, together=64))(np.stack([np.eye(2)] * 2))
     assert len(set(saved)) == len(saved) == 9
 
 

@@ -18,8 +18,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._explore.hosts import served
+from jaxwhisker._explore.hosts import _asset, served
 from jaxwhisker._explore.session import Session
+from jaxwhisker._explore.space_picture import VIEWS, picture_in_space
+from jaxwhisker.plot.view import direction_of
 from pictured import swept
 
 SHOWN = 1e-6  # numbers are shown with six decimals
@@ -356,6 +358,105 @@ def test_a_motion_is_played_to_its_end_or_until_it_is_paused(moving):
 
 def test_a_scan_is_not_played(shown):
     assert not find(shown, ".jaxwhisker > button").is_displayed()
+
+
+def past_ball(radius, offset):
+    wire = jw.Whisker.from_material(length=0.05, youngs_modulus=2.1e11, diameter=2e-4)
+    return jw.SpaceScene(wire, jw.Sphere(radius, (0.0, 0.06, offset)), jw.Support.follicle(x=40.0, z=20.0))
+
+
+@pytest.fixture(scope="module")
+def balls():
+    """Scans in space."""
+    return Watched(past_ball, {"radius": (0.03, 0.05, 0.04), "offset": (0.005, 0.02, 0.01)})
+
+
+@pytest.fixture
+def solid(driver, balls):
+    """The page of scans in space with its first picture; its console must be empty in the end."""
+    driver.set_window_size(1200, 1000)
+    with served(balls) as url:
+        driver.get(url)
+        settle(driver)
+        yield driver
+    assert [entry["message"] for entry in driver.get_log("browser")] == []
+
+
+def turn(driver, right, down):
+    """Drag the scene by some pixels with the mouse."""
+    from selenium.webdriver import ActionChains
+
+    ActionChains(driver).click_and_hold(find(driver, "canvas")).move_by_offset(right, down).release().perform()
+    settle(driver)
+
+
+def test_the_mouse_turns_a_scene_in_space_and_the_sliders_keep_its_view(solid, balls, tmp_path):
+    asked, (first, signals) = len(balls.asked), pixels(solid)
+    turn(solid, 80, 30)
+    turned = pixels(solid)
+    assert turned[0] != first and turned[1] == signals and len(balls.asked) == asked
+    set_slider(solid, "radius", 0.8)
+    assert len(balls.asked) == asked + 1
+    assert all(one != other for one, other in zip(pixels(solid), turned, strict=True))
+    assert solid.save_screenshot(str(tmp_path / "space.png"))
+    set_slider(solid, "radius", 0.5)
+    assert pixels(solid) == turned
+    turn(solid, -80, -30)
+    assert pixels(solid)[0] == first
+    turn(solid, 0, 400)
+    above = pixels(solid)
+    turn(solid, 0, 50)  # no camera looks from behind
+    assert pixels(solid) == above
+
+
+def test_buttons_choose_the_projections_of_a_scene_in_space(solid):
+    seen = {}
+    for name in ("camera", "xy", "xz", "yz", "camera"):
+        solid.find_element("xpath", f"//button[text()='{name}']").click()
+        settle(solid)
+        assert seen.setdefault(name, pixels(solid)[0]) == pixels(solid)[0]
+    assert len(set(seen.values())) == 4
+
+
+def test_the_table_in_space_has_six_reactions(solid):
+    set_slider(solid, "drive", 0.3)
+    heads = [head.text for head in solid.find_elements("css selector", ".jaxwhisker thead th")][2:8]
+    assert heads == ["fx (mN)", "fy (mN)", "fz (mN)", "mx (mN mm)", "my (mN mm)", "mz (mN mm)"]
+    text = find(solid, "input[name=drive]").get_attribute("aria-valuetext")
+    result = jw.scan(past_ball(0.04, 0.01), np.array([0.039, float(text.split()[2]) / 1e3]))
+    expected = 1e3 * np.asarray(result.force[-1, 0]), 1e6 * np.asarray(result.moment[-1, 0])
+    found = numbers(solid)
+    assert found[0] == jw.Phase(int(result.phase[-1, 0])).name
+    np.testing.assert_allclose([*map(float, found[1:7])], np.concatenate(expected), rtol=1e-4, atol=SHOWN)
+    assert found[5] == "0.000000"  # a straight round wire has no torsion
+
+
+def test_a_plane_scene_has_no_views(shown):
+    assert not find(shown, "[role=group]").is_displayed()
+
+
+def test_the_page_sees_and_hides_what_figures_do(solid):
+    """Directions of cameras, and points beside, before and behind a ball, and on its back."""
+    source = "\n".join(map(_asset, ("draw.js", "space.js")))
+    body = picture_in_space(past_ball(0.04, 0.01)).body
+    assert body is not None
+    arrays = {name: getattr(body, name).ravel().tolist() for name in ("normals", "offsets")}
+    points = np.random.default_rng(0).uniform(-1.5, 2.5, (300, 3))
+    script = (
+        f"{source}; const [picture, points, angles] = arguments; const picture32 = {{}};"
+        "for (const name in picture) picture32[name] = Float32Array.from(picture[name]);"
+        "const camera = cameraAt(angles), hidden = hiding(picture32, camera.eye);"
+        "return [camera, Array.from({ length: points.length / 3 }, (_, k) => hidden(points, k))];"
+    )
+    for angles in ((15.0, 35.0), (-60.0, 200.0), *VIEWS.values()):
+        camera, hidden = solid.execute_script(script, arrays, points.ravel().tolist(), angles)
+        eye = direction_of(*angles)
+        np.testing.assert_allclose(camera["eye"], eye, atol=1e-11)  # rounded
+        np.testing.assert_allclose(np.cross(camera["right"], camera["up"]), eye, atol=1e-11)
+        np.testing.assert_allclose(camera["right"][1], 0.0)  # y is upright
+        expected = body.hides(points, eye)
+        np.testing.assert_array_equal(hidden, expected)
+        assert 10 < expected.sum() < 290
 
 
 NOTEBOOK = """\

@@ -1,5 +1,6 @@
 """Python code of scenes: it constructs the same scene in a new process."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import equinox as eqx
@@ -9,11 +10,15 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._explore.code import code_of
+from jaxwhisker._explore.code import code_of, code_of_scan
 
 
 def square(x):
     return 0.2 + x**2
+
+
+def ball(x):
+    return jnp.sum((x - jnp.array([0.0, 1.2, 0.0])) ** 2) - 1.0
 
 
 class Taper(eqx.Module):
@@ -33,6 +38,9 @@ class Offset(eqx.Module):
 
     def __call__(self, x):
         return self.doubled + x**2
+
+
+REACTIONS = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
 def constructed(code: str, **names: Any) -> jw.Scene:
@@ -61,12 +69,39 @@ SCENES = [
     jw.Scene(jw.Whisker.rat("B", 2, intrinsic_curvature=2.0, poisson_ratio=0.4), jw.Parabola(0.02, 20.0)),
     jw.Scene(jw.Whisker(), jw.Graph(square, extent=3.0), rod=jw.Shooting(6, jw.Splitting(10))),
     jw.Scene(jw.Whisker(1.0, Taper(0.3)), jw.Parabola(0.2)),
+    jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), jw.Support.follicle(x=9.0, phi_x=7.0), friction=0.3),
+    jw.SpaceScene(
+        jw.Whisker(
+            0.05, jw.Whisker.from_material(0.05, 2e11, 1e-4).bending_stiffness, lateral_curvature=3.0, twist=0.5
+        ),
+        jw.Ellipsoid((0.1, 0.08, 0.06), (0.0, 0.11, 0.0)).rotated((0.3, 0.2, -0.4)).moved((0.0, 0.01, 0.0)),
+        jw.Support(mount=jw.Mount(z=0.01, roll=0.2)),
+        motion=jw.LinearDrive((-2.0, 0.0, -0.7)),
+    ),
+    jw.SpaceScene(
+        jw.Whisker(lateral_curvature=0.4),
+        jw.Extruded(jw.Circle(0.3, 0.9)).rotated((0.0, 0.4, 0.0), (0.1, 0.0, 0.0)),
+        motion=jw.WhiskDrive(elevation=0.1, roll_rate=0.4),
+    ),
+    jw.SpaceScene(jw.Whisker(), jw.Surface(ball, (0.0, 1.2, 0.0)), motion=jw.RotaryDrive((1.0, 0.0, 0.0), start=-1.0)),
 ]
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=str)
 def test_the_code_of_a_scene_constructs_the_same_scene(scene):
     assert_same(constructed(code_of(scene), square=square, Taper=Taper), scene)
+
+
+@pytest.mark.parametrize(("scene", "names"), [(SCENES[0], "fx fy mz"), (SCENES[-1], "fx fy fz mx my mz")], ids=str)
+def test_the_code_of_a_scan_prints_all_reactions(scene, names):
+    printed = []
+    whole = code_of_scan(scene, "", np.array([0.5, 0.4]))
+    values = {name: np.full((2, 1), k) for k, name in enumerate(REACTIONS)}
+    made = {"result": SimpleNamespace(**values, control=np.array([0.5, 0.4]))}
+    exec("step = 1" + whole[1], made | {"print": printed.append})
+    assert printed == [
+        f"u = 0.4, whisker 1: {', '.join(f'{name} = {REACTIONS.index(name)}' for name in names.split())}"
+    ]
 
 
 def test_defaults_and_equal_springs_are_left_out():

@@ -1,6 +1,8 @@
 """A session: ranges of sliders, values that are checked, functions that are compiled once."""
 
 import re
+import subprocess
+import sys
 from typing import Any
 
 import jax
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._explore import session
+from jaxwhisker._explore import session, space_picture
 from jaxwhisker._explore.session import Session, _Functions, slider_of
 from pictured import unpacked
 
@@ -139,6 +141,41 @@ def test_sliders_of_scenes_in_si_show_units_with_prefixes():
     assert units == [("N/m", 1.0), ("mm", 1e-3), ("N/m", 1.0), ("", 1.0)]
     assert sliders[1]["start"] == 0.016  # the values themselves are those of the scene
     assert Session(fixed, {"x": (0.1, 0.9)}).description["sliders"][0]["unit"] == {"name": "", "size": 1.0}
+
+
+def past_sphere(radius, offset=0.2):
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(radius, (0.0, 1.3, offset)))
+
+
+def test_a_scene_in_space_has_views_and_its_own_pictures(unsolved, monkeypatch):
+    monkeypatch.setattr(space_picture, "picture_in_space", lambda scene: jnp.ones(()))
+    balls = Session(past_sphere, {"radius": (0.5, 1.5), "offset": (0.0, 0.5)})
+    assert (balls.description["views"]["camera"], balls.description["position"]) == ((15.0, 35.0), "drive")
+    assert Session(build, RANGES).description["views"] == {}
+    title, *code = balls.answer({"radius": 0.9, "offset": 0.3}).decode().splitlines()
+    assert title == str(past_sphere(0.9, 0.3))
+    assert "    surface=jw.Sphere(radius=0.9, centre=(0.0, 1.3, 0.3))," in code
+
+
+def test_a_scene_that_leaves_the_plane_is_an_error():
+    sliders = Session(lambda x: fixed(x) if x < 0.5 else past_sphere(x), {"x": (0.1, 0.9, 0.2)})
+    error = unpacked(sliders.answer({"x": 0.8}))[0]["error"]
+    assert error.startswith("`build` must be a function that always returns a Scene, got")
+
+
+def test_exploring_the_plane_loads_nothing_of_space():
+    code = (
+        "import sys, jax; jax.config.update('jax_enable_x64', True); import jaxwhisker as jw; "
+        "from jaxwhisker._explore.hosts import Explorer; from jaxwhisker._explore.session import Session; "
+        "build = lambda x: jw.Scene(jw.Whisker(), jw.Parabola(x), rod=jw.ClosedForm()); "
+        "answer = Explorer(Session(build, {'x': (0.1, 0.9)}))._session.answer({'x': 0.2}); "
+        "assert b'line_x' in answer, answer[:999]; "
+        "of_space = ('space', 'surface', 'quadrics', 'solids', 'drives', 'rotation', 'matplotlib'); "
+        "print([name for name in sys.modules if any(part in name for part in of_space) and 'packages' not in name "
+        "and name.startswith(('jaxwhisker', 'matplotlib'))])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300)
+    assert found.stdout.strip() == "[]"
 
 
 def tapered(taper, width=1.0):

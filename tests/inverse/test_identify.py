@@ -5,7 +5,6 @@ import pytest
 from matplotlib import pyplot
 
 import jaxwhisker as jw
-from jaxwhisker._inverse.identify import _status_of
 from recordings import CONTROL, NOISE, STEPS, TRUTH, exact, fb, noisy, reversed_order
 
 RECOVERED = 1e-6  # relative: least squares stop at 1e-7, signals by the closed form and by integration agree to 1e-9
@@ -147,9 +146,7 @@ def test_a_fit_that_leaves_most_samples_out_is_implausible():
     solution = fit._solution
     (compared,) = solution.compared
     few = compared._replace(left_out=np.arange(compared.left_out.size) > 9)
-    status, reason = _status_of(
-        fit._problem, solution._replace(compared=(few,)), np.array(list(fit.estimates.values()))
-    )
+    status, reason = fit._problem.status(solution._replace(compared=(few,)))
     assert status == jw.FitStatus.implausible and "only 20 of 512 values lie on the same side of a snap" in reason
 
 
@@ -199,8 +196,8 @@ TABLE = {"control": np.linspace(0.7, -1.3, 50), "fx": np.ones(50)}
         ({"bounds": {"c": 3.0}}, "`bounds`.*3.0"),
         ({"transform": {"c": "sqrt"}}, "`transform`.*'sqrt'"),
         ({"starts": -1}, "`starts`.*-1"),
-        ({"gains": 3}, "`gains` must be True or False, got 3"),
-        ({"gains": ["fx"]}, r"`gains` must be True or False, got \['fx'\]"),
+        ({"gains": 3}, "`gains` must be True, False, a 3 x 3 matrix, .*, got 3"),
+        ({"gains": ["fx"]}, r"`gains` must be True, False, a 3 x 3 matrix, .*, got \['fx'\]"),
         ({"offsets": 0.0}, "`offsets` must be True or False, got 0.0"),
         ({"offsets": None}, "`offsets` must be True or False, got None"),
         ({"shift": "no"}, "`shift` must be True or False, got 'no'"),

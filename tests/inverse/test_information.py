@@ -1,4 +1,4 @@
-"""Information and design: derivatives against differences, sums over channels, and the best sensor."""
+"""Information: derivatives against differences, and sums over channels and scans."""
 
 from typing import Any
 
@@ -73,15 +73,6 @@ def test_the_picture_shows_the_share_of_information(signals):
     pyplot.close("all")
 
 
-def test_design_finds_the_best_spring(signals):
-    data = jw.design(fb, {"q": 0.27}, sigma=NOISE, control=signals.control, c=[40.0, TRUTH["c"], 200.0])
-    assert data.standard_error.dims == ("c", "parameter")
-    alone = signals.known("c").standard_error["q"]
-    np.testing.assert_allclose(data.standard_error.sel(c=TRUTH["c"], parameter="q"), alone, rtol=1e-6)
-    best = float(data.c[int(np.argmin(data.relative_error.sel(parameter="q").values))])
-    assert data.attrs["best"] == f"c = {best:g}"
-
-
 NO_MAPPING: Any = 3.0
 
 
@@ -95,13 +86,8 @@ NO_MAPPING: Any = 3.0
         (lambda: jw.information(fb, TRUTH, sigma=1.0, channels=(), control=[0.7, 0.1]), "`channels`.*empty"),
         (lambda: jw.information(fb, {"c": 1.0}, sigma=1.0), "`at` must name the parameters of `build`"),
         (lambda: jw.information(fb, NO_MAPPING, sigma=1.0), "`at`.*3.0"),
-        (lambda: jw.design(fb, NO_MAPPING, sigma=1.0, c=[1.0, 2.0]), "`at`.*3.0"),
-        (lambda: jw.design(fb, {"q": 0.3}, sigma=1.0, k=[1.0], control=[0.7, 0.1]), "`axes` must name .*'k'"),
-        (lambda: jw.design(fb, TRUTH, sigma=1.0), "`axes`"),
-        (lambda: jw.design(fb, TRUTH, sigma=1.0, c=[1.0]), "`c`"),
-        (lambda: jw.design(fb, {"q": 0.3}, sigma=1.0, c=[50.0, -1.0], control=[0.7, 0.1]), "`stiffness`.*-1.0"),
     ],
 )
-def test_wrong_arguments_of_information_and_design(call, words):
+def test_wrong_arguments_are_named(call, words):
     with pytest.raises(ValueError, match=words):
         call()

@@ -9,7 +9,7 @@ from jaxwhisker._inverse.least_squares import FIT_STEPS, Evaluation, Minimum, mi
 from jaxwhisker._inverse.residuals import Comparison
 from recordings import CONTROL, TRUTH, exact, fb
 
-NOTHING = Comparison(np.zeros(0), np.zeros(0), 0)
+NOTHING = Comparison(np.zeros(0), np.zeros(0), 0, np.zeros(0))
 MINIMUM = 1e-6  # of variables of order one
 
 

@@ -1,8 +1,9 @@
 """Identification and information in space: parameters from the signals of an independent reference."""
 
-# pyright: reportArgumentType=false
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOptionalSubscript=false
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,80 @@ def test_information_holds_the_derivatives_of_scans(scanned):
     np.testing.assert_allclose(alone.standard_error["offset"], 1 / np.linalg.norm(rates), rtol=1e-12)
 
 
+def test_information_of_independent_scans_adds_up(scanned):
+    first = jw.information(clamped, TRUTH, sigma=0.01, control=CONTROL)
+    second = jw.information(clamped, TRUTH, sigma=0.02, control=CONTROL[:50])
+    both = first + second
+    np.testing.assert_allclose(both.matrix, first.matrix + second.matrix, rtol=1e-12)
+    assert both.control.size == 110 and both.density.shape == (110, 2)
+    with pytest.raises(ValueError, match="`other` must be information at"):
+        _ = first + replace(second, at=dict.fromkeys(second.at, 7.0))
+    with pytest.raises(ValueError, match="`other` must have the channels"):
+        _ = first + second.of("fx")
+
+
+def own(result, mix):
+    """Signals along the directors of the base, one of them mixed with the length of a spring."""
+    (first, *_), (*_, last) = result.own_force[:, 0].T, result.own_moment[:, 0].T
+    return {"f1": first + mix * result.spring_length[:, 0], "m3": last, "height": result.base_y}
+
+
+def test_channels_are_functions_of_results_in_space():
+    at = {"offset": 0.2, "stiffness": 30.0, "mix": 0.5}
+
+    def signals(offset, stiffness, mix):
+        found = own(jw.scan(sprung(offset, stiffness), CONTROL), mix)
+        return np.stack([np.ravel(found[name]) for name in ("f1", "m3", "height")], axis=1)
+
+    found = jw.information(sprung, at, sigma=1.0, control=CONTROL, channels=own)
+    assert found.channels == ("f1", "m3", "height") and found.names == tuple(at)
+    exact = signals(**at)
+    for k, (name, value) in enumerate(at.items()):
+        step = 1e-4 * value
+        expected = (signals(**at | {name: value + step}) - signals(**at | {name: value - step})) / (2 * step)
+        steady = np.any(found.rates != 0, axis=(1, 2)) & np.all(np.abs(expected) < 1e3, axis=1)
+        assert steady.sum() > 40
+        off = np.abs(found.rates[:, :, k] - expected)[steady]
+        assert np.max(off) < 10 * SLOPES * np.max(np.abs(expected[steady])), name
+    measured = {"control": CONTROL} | dict(zip(("f1", "m3", "height"), exact.T, strict=True))
+    guess = {"offset": 0.18, "stiffness": 35.0, "mix": 0.0}
+    fit = jw.identify(sprung, guess, measured, sigma=1e-4, channels=own, near=True, starts=0)
+    assert fit.status == jw.FitStatus.ok, str(fit)
+    for name, value in at.items():
+        assert abs(fit.estimates[name] - value) < REFERENCE * max(1.0, value), str(fit)
+
+
+def test_fits_report_force_and_moment_as_reconstructions_do(scanned):
+    scene, sigma = clamped(**TRUTH), 0.01
+    rng = np.random.default_rng(0)
+    six = np.concatenate([scanned.force[:, 0], scanned.moment[:, 0]], axis=1)
+    noisy = six + sigma * rng.standard_normal(six.shape)
+    crosstalk = np.eye(6) + 0.05 * rng.standard_normal((6, 6))
+    options = {"sigma": sigma, "near": True, "starts": 0}
+
+    def measured(values):
+        return {"control": CONTROL} | dict(zip(NAMES, values.T, strict=True))
+
+    plain = jw.identify(clamped, TRUTH, measured(noisy), **options)
+    points = jw.reconstruct(measured(noisy), scene, sigma=sigma)
+    np.testing.assert_allclose(plain.force_moment, points.force_moment, rtol=REFERENCE)
+    np.testing.assert_allclose(plain.force_moment_score, points.force_moment_score, rtol=REFERENCE)
+    touching = np.asarray(scanned.phase)[:, 0] > 0
+    # The score has mean 0 and variance 1: that of the mean square of n numbers is 2 / n.
+    assert abs(np.mean(plain.force_moment_score[touching] ** 2) - 1) < 4 * np.sqrt(2 / touching.sum())
+    assert "force . moment: " in str(plain)
+    # Crosstalk and a constant that the fit knows are removed; those that it does not know show.
+    mixed = noisy @ crosstalk.T + 0.3
+    fit = jw.identify(clamped, TRUTH, measured(mixed), gains=crosstalk, offsets=True, **options)
+    exact = jw.identify(clamped, TRUTH, measured(six @ crosstalk.T + 0.3), gains=crosstalk, offsets=True, **options)
+    assert np.nanmax(np.abs(exact.force_moment[touching])) < REFERENCE
+    assert np.mean(fit.force_moment_score[touching] ** 2) < 2
+    wrong = jw.identify(clamped, TRUTH, measured(mixed - 0.3), **options)
+    assert wrong.status == jw.FitStatus.implausible and np.mean(wrong.force_moment_score[touching] ** 2) > 9
+    partial = {name: values for name, values in measured(noisy).items() if name != "my"}
+    assert np.isnan(jw.identify(clamped, TRUTH, partial, **options).force_moment).all()
+
+
 def test_designs_in_space_are_compared_by_the_information():
     options = {"sigma": 0.01, "control": CONTROL}
     data = jw.design(clamped, {"offset": 0.2}, **options, distance=[0.3, 0.35])
@@ -129,8 +204,6 @@ def test_what_is_not_supported_in_space_raises_errors(scanned):
         jw.identify(
             lambda q: jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, q, 0.2)), friction=q), {"q": 0.3}, scanned
         )
-    with pytest.raises(ValueError, match="`channels` must be a function in the plane only"):
-        jw.identify(clamped, TRUTH, scanned, channels=lambda result: {"bend": result.fx})
     with pytest.raises(ValueError, match="`channels` must be among fx, fy, fz, mx, my, mz"):
         jw.information(clamped, TRUTH, sigma=0.1, control=CONTROL, channels=("height",))
     fit = jw.identify(clamped, TRUTH, scanned, near=True)

@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 
 from jaxwhisker._inverse.channels import Channels
+from jaxwhisker._inverse.gains import gains_from
 from jaxwhisker._inverse.unknowns import split, unknowns_of
 
 
 def unknowns(names, offsets=(), gains=(), shift=False, individual=(), recordings=1, channels=None):
-    return unknowns_of(names, channels or Channels(), offsets, gains, shift, individual, recordings)
+    """Unknowns with these offsets and factors, pairs (whisker, channel) of two whiskers."""
+    channels = channels or Channels()
+    scale = gains_from(bool(gains), channels, 2).of_measured(gains)
+    return unknowns_of(names, channels, offsets, scale, shift, individual, recordings)
 
 
 def test_names_of_one_recording():

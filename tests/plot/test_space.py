@@ -108,7 +108,7 @@ def test_a_whisker_that_meets_nothing_is_drawn_beside_the_object():
 def test_springs_are_zigzags_along_their_axes_and_coils_about_them():
     support = jw.Support.follicle(x=80.0, z=90.0, phi_x=5.0, phi=7.0)
     scene = jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), support)
-    drawn = space.drawing(scene, 0.4, space.rest_state(scene, 0.4))
+    drawn = space.drawing(scene, np.asarray(0.4), space.rest_state(scene, 0.4))
     assert [spring.axis for spring in support.springs] == ["x", "phi", "z", "phi_x"]
     for line, axis, turns in zip(drawn.springs, (0, 2, 2, 0), (False, True, False, True), strict=True):
         extent = np.ptp(line, axis=0)

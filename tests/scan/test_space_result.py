@@ -194,11 +194,6 @@ RESULT: Any = example_of(SCENE)
 MEASURED = {name: np.zeros(9) for name in ("control", "fx", "fy", "mz")}
 
 
-def build(stiffness, distance=0.0):
-    del stiffness, distance
-    return SCENE
-
-
 def build_rough(stiffness, distance=0.0):
     return jw.Scene(jw.Whisker(1.0, stiffness), jw.Sphere(1.0, (0.0, 1.3 + distance, 0.2)), friction=0.3)
 
@@ -210,7 +205,6 @@ REFUSED = {
     "critical_stiffness": (lambda: jw.critical_stiffness(jw.Whisker(), SCENE.surface), "profile"),
     "design": (lambda: jw.design(build_rough, ONE, sigma=0.1, distance=[0.2]), "build"),
     "energy_balance": (lambda: jw.energy_balance(RESULT), "result"),
-    "explore": (lambda: jw.explore(build, stiffness=(1.0, 2.0)), "build"),
     "fit_contour": (lambda: jw.fit_contour(MEASURED, SCENE), "sensor"),
     "fit_contour of a result": (lambda: jw.fit_contour(RESULT, family=jw.Sphere), "measured"),
     "fit_profile": (lambda: jw.fit_profile(RESULT, jw.Circle), "points"),
@@ -253,6 +247,7 @@ OTHERS = {
     "shapes",
     "animate",
     "deflect",
+    "explore",
     "scan",
     "study",
     "summary",

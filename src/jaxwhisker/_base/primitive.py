@@ -18,7 +18,7 @@ from jax.interpreters import ad, batching, mlir
 
 from jaxwhisker._base.settings import as_here
 
-LANES = 64  # large batches of a `batched` program run in blocks of this size
+LANES = 64  # of a batch in the plane that run together
 MOST_SINGLE = 32  # smaller batches run one by one, which needs no further executable
 
 
@@ -29,7 +29,7 @@ def threads() -> int:
 
 def lanes_together(program: Any, count: int) -> int:
     """Lanes of the executable for this many; 0 if each of them runs alone."""
-    return LANES if program.batched and count > MOST_SINGLE else 0
+    return program.together if count > MOST_SINGLE else 0
 
 
 PRIMITIVE = Primitive("jaxwhisker_program")
@@ -54,14 +54,14 @@ def _run(*arrays, program: Any, shape: Any, levels: tuple[tuple[bool, ...], ...]
         return [np.asarray(leaf) for leaf in run(*lane(index))]
 
     def block(first: int) -> list:
-        some = indices[first : first + LANES]
-        lanes = [lane(index) for index in [*some, *[some[-1]] * (LANES - len(some))]]
+        some = indices[first : first + together]
+        lanes = [lane(index) for index in [*some, *[some[-1]] * (together - len(some))]]
         results = run(*(np.stack(each) for each in zip(*lanes, strict=True)))
         return [np.asarray(leaf)[: len(some)] for leaf in results]
 
     with ThreadPoolExecutor(threads()) as pool:  # XLA alone keeps one processor busy
         if together:
-            parts = list(pool.map(as_here(block), range(0, len(indices), LANES)))
+            parts = list(pool.map(as_here(block), range(0, len(indices), together)))
             joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
         else:
             parts = list(pool.map(as_here(single), indices))

@@ -75,7 +75,7 @@ class Program:
         tangent: a function of the arguments and their tangents (None where they are zero) that returns the tangents of
             the results (None where they are zero or do not exist), or NotImplemented to leave them to JAX.
         quick: whether to compile in half the time; programs of many small kernels run no slower.
-        batched: whether the lanes of a large batch run together rather than one by one.
+        together: number of lanes of a large batch that run together; 0 if lanes run one by one.
     """
 
     def __init__(
@@ -85,12 +85,12 @@ class Program:
         frozen: bool = False,
         tangent: Callable | None = None,
         quick: bool = False,
-        batched: bool = False,
+        together: int = 0,
     ):
         functools.update_wrapper(self, function)
         self.function, self._frozen, self._tangent = function, frozen, tangent
         self._options: dict[str, Any] = COMPILER_OPTIONS | ({"xla_backend_optimization_level": 0} if quick else {})
-        self.batched = batched
+        self.together = together
         self._lock = threading.RLock()  # a program may need another shape of itself while it is traced
         self._results: dict[Shape, Results] = {}
         self._executables: dict[tuple[Shape, int], Future] = {}

@@ -13,9 +13,10 @@ from jaxtyping import Float
 
 from jaxwhisker._base.leaves import PlainFunction
 from jaxwhisker._model.along import LinearTaper, RoundMass, RoundSection
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import AbstractScene, Sensor
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._scan.quantities import reactions_of
 
 _HEAD = ["import jax", "import numpy as np", "", "import jaxwhisker as jw"]
 _FLOAT64 = 'jax.config.update("jax_enable_x64", True)'
@@ -24,13 +25,13 @@ _signature = lru_cache(inspect.signature)  # cached for twenty pictures a second
 
 _PRINT = """
 for k in range(result.fx.shape[1]):
-    fx, fy, mz = (f"{name} = {getattr(result, name)[step, k]:.7g}" for name in ("fx", "fy", "mz"))
-    print(f"PLACE, whisker {k + 1}: {fx}, {fy}, {mz}")
+    values = ", ".join(f"{name} = {getattr(result, name)[step, k]:.7g}" for name in REACTIONS)
+    print(f"PLACE, whisker {k + 1}: {values}")
 """
 _CONTROL, _TIME = "u = {result.control[step]:.7g}", "t = {result.time[step]:.7g}"
 
 
-def code_of(scene: Scene, comment: str = "") -> str:
+def code_of(scene: AbstractScene, comment: str = "") -> str:
     """Code that constructs a scene.
 
     User-defined functions and classes appear by their names: imported if they come from a module, else listed in a
@@ -48,16 +49,20 @@ def code_of_call(build: Callable, values: Mapping[str, float]) -> str:
     return writer.code([], f"result = {name}({', '.join(f'{key}={value!r}' for key, value in values.items())})\n")
 
 
-def code_of_scan(scene_code: str, control: Float[np.ndarray, " steps"]) -> list[str]:
+def code_of_scan(scene: AbstractScene | Sensor, scene_code: str, control: Float[np.ndarray, " steps"]) -> list[str]:
     """Code that constructs a scene, scans it and prints one step, as the texts before and after the step's number."""
     positions = f"np.linspace({float(control[0])!r}, {float(control[-1])!r}, {control.size})"
     scanned = f"{scene_code}\nresult = jw.scan(scene, {positions})\nprint(result)\n\nstep = "
-    return [scanned, _PRINT.replace("PLACE", _CONTROL)]
+    return [scanned, _print(scene, _CONTROL)]
 
 
-def code_of_motion(code: str) -> list[str]:
+def code_of_motion(scene: AbstractScene | Sensor, code: str) -> list[str]:
     """Code that makes a simulation and prints one sample, as the texts before and after the sample's number."""
-    return [f"{code}print(result)\n\nstep = ", _PRINT.replace("PLACE", f"{_TIME}, {_CONTROL}")]
+    return [f"{code}print(result)\n\nstep = ", _print(scene, f"{_TIME}, {_CONTROL}")]
+
+
+def _print(scene: AbstractScene | Sensor, place: str) -> str:
+    return _PRINT.replace("PLACE", place).replace("REACTIONS", repr(reactions_of(scene)))
 
 
 class _Writer:
@@ -107,7 +112,18 @@ class _Writer:
             return self._named_support(value)
         if isinstance(value, Whisker) and isinstance(value.bending_stiffness, RoundSection):
             return self._whisker_from_material(value, value.bending_stiffness)
-        return None
+        return self._placed(value) if getattr(value, "is_surface", False) else None
+
+    def _placed(self, surface: Any) -> str | None:
+        from jaxwhisker._model.surface import Placed
+
+        if not isinstance(surface, Placed):
+            return None
+        original = self.expression(surface.surface, "surface")
+        if surface.about is None and not np.any(np.asarray(surface.rotation)):
+            return f"{original}.moved({self.expression(surface.by, 'by')})"
+        about = f", {self.expression(surface.about, 'about')}" if surface.about is not None else ""
+        return f"{original}.rotated({self.expression(surface.rotation, 'rotation')}{about})"
 
     def _named_support(self, support: Support) -> str | None:
         springs = support.springs
@@ -138,7 +154,7 @@ class _Writer:
             diameter = self.expression(section.diameter, "diameter")
             text = f"jw.Whisker.from_material({material}, diameter={diameter}{density})"
         names = ("intrinsic_curvature", "mass_per_length", "tip_mass", "base_mass", "base_inertia", "torsion_ratio")
-        for name in (*names, "breaks"):
+        for name in (*names, "lateral_curvature", "twist", "breaks"):
             value = getattr(whisker, name)
             if value is not None and not isinstance(value, RoundMass):
                 further.append(f"{name}={self.expression(value, name)}")

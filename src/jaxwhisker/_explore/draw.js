@@ -1,8 +1,7 @@
-// Drawing on canvases: the scene at one step of a picture, and the signals over the control or the time.
+// Drawing on canvases: the scene in the plane at one step of a picture, and the signals over the control or the time.
 
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"]; // Okabe and Ito; then text colour
-const SIGNALS = ["fx", "fy", "mz"];
-const MARGINS = { left: 62, right: 14 }; // of the axes in a canvas
+const MARGINS = { left: 68, right: 14 }; // of the axes in a canvas
 
 function extremes(values, low = Infinity, high = -Infinity) {
   for (const value of values) {
@@ -79,12 +78,12 @@ function dot(context, x, y, radius, style) {
   context.fill();
 }
 
-function arrow(context, [x0, y0], [x1, y1], style) {
+function arrow(context, [x0, y0], [x1, y1], style, { size = 10, width = 1.8 } = {}) {
   const angle = Math.atan2(y1 - y0, x1 - x0);
   const back = (distance, turn) => [x1 - distance * Math.cos(angle + turn), y1 - distance * Math.sin(angle + turn)];
-  segment(context, [x0, y0, ...back(8, 0)], style, { width: 1.8 });
+  segment(context, [x0, y0, ...back(0.8 * size, 0)], style, { width });
   context.beginPath();
-  for (const corner of [[x1, y1], back(10, 0.4), back(10, -0.4)]) context.lineTo(...corner);
+  for (const corner of [[x1, y1], back(size, 0.4), back(size, -0.4)]) context.lineTo(...corner);
   context.fillStyle = style;
   context.fill();
 }
@@ -112,7 +111,7 @@ function axes({ context, width, ink }, { left, right, top, bottom }, x, y, label
     const half = align === "center" ? context.measureText(text).width / 2 : 0;
     context.fillText(text, Math.min(x, width - half), y);
   };
-  for (const [value, text] of ticks(y, (bottom - top) / 40)) {
+  for (const [value, text] of ticks(y, Math.max((bottom - top) / 40, 2.5))) {
     segment(context, [left, Y(value), right, Y(value)], ink, { alpha: 0.12 });
     write(text, left - 6, Y(value), "right", "middle");
   }
@@ -122,7 +121,7 @@ function axes({ context, width, ink }, { left, right, top, bottom }, x, y, label
   }
   if (labels.x) write(labels.x, (left + right) / 2, bottom + 21, "center", "top");
   context.save();
-  context.translate(left - 48, (top + bottom) / 2);
+  context.translate(left - 54, (top + bottom) / 2);
   context.rotate(-Math.PI / 2);
   write(labels.y, 0, 0, "center", "middle");
   context.restore();
@@ -235,13 +234,14 @@ function spiral(here, there, { offset, rigid }, unit) {
 function drawSignals(canvas, picture, step) {
   const sheet = cleared(canvas);
   const { context, width, height, ink } = sheet;
-  const row = (height - 40) / SIGNALS.length;
-  SIGNALS.forEach((name, number) => {
+  const { signals } = picture;
+  const row = (height - 40) / signals.length;
+  signals.forEach((name, number) => {
     const [top, bottom] = [8 + number * row, (number + 1) * row - 6];
     const box = { left: MARGINS.left, right: width - MARGINS.right, top, bottom };
-    const last = number === SIGNALS.length - 1;
+    const last = number === signals.length - 1;
     const labels = { x: last && picture.labels[picture.symbol], y: picture.labels[name] };
-    const { X, Y } = axes(sheet, box, picture.range, rounded(extremes(picture[name])), labels);
+    const { X, Y } = axes(sheet, box, picture.range, rounded(extremes(picture[name]), picture.least?.[name]), labels);
     for (const { place, whiskers, snap } of picture.events) {
       const style = whiskers.length === 1 ? colour(whiskers[0], ink) : ink;
       const look = snap ? { alpha: 0.8, dashes: [4, 4] } : { width: 2 };
@@ -258,8 +258,9 @@ function drawSignals(canvas, picture, step) {
   });
 }
 
-/** A slightly larger range with round ends, which small changes of the values do not move. */
-function rounded([low, high]) {
+/** A slightly larger range with round ends, which small changes of the values do not move; at least so large. */
+function rounded([low, high], least = 0) {
+  if (high - low < least) [low, high] = [(low + high - least) / 2, (low + high + least) / 2];
   if (!(high - low > 1e-9 * Math.abs(high))) return Number.isFinite(low) ? [low - 0.5, low + 0.5] : [-0.5, 0.5];
   const unit = 10 ** Math.floor(Math.log10(high - low)) / 2;
   const room = 0.08 * (high - low);

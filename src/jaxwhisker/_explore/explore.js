@@ -1,4 +1,4 @@
-// Sliders for a scene. Together with draw.js, this is a single module for Jupyter (anywidget) and for the local page.
+// Sliders for a scene. Together with draw.js and space.js, this is a single module for Jupyter (anywidget) and for the local page.
 //
 // A host provides `ask(values)`, which returns a promise of a picture (see picture.py). A picture is a whole scan or
 // motion, so moving the drive, or the time, needs no request.
@@ -7,8 +7,9 @@ const POSITIONS = 1000; // of a slider
 const MOST_REQUESTS = 2; // at a time: one is on its way while the other is computed
 const PLAYED = 8000; // milliseconds in which a whole motion is played
 const IMPACTS = 0.02; // share of the states in contact of a motion that may be impacts, whose arrows are not longer
-const COMPILING = "Compiling. The first picture of such a scene takes some seconds.";
-const ARRAYS = { f8: Float64Array, f4: Float32Array, i1: Int8Array };
+const NOISE = 1e-6; // of the least height of the axis of a signal in space: smaller numbers are shown as zero
+const COMPILING = "Compiling. The first picture of such a scene takes some seconds, in space up to a minute.";
+const ARRAYS = { f8: Float64Array, f4: Float32Array, i4: Int32Array, i1: Int8Array };
 
 /** Header and arrays of a picture, and values for drawing that are the same at all steps. */
 function unpacked(packed) {
@@ -22,7 +23,7 @@ function unpacked(packed) {
     const size = shape.reduce((product, factor) => product * factor, 1);
     picture[name] = new ARRAYS[type](bytes, at, size);
     at += picture[name].byteLength;
-    if (name === "line_x") [picture.steps, picture.whiskers, picture.points] = shape;
+    if (name === "line_x" || name === "line") [picture.steps, picture.whiskers, picture.points] = shape;
   }
   const [[symbol, along]] = picture.places;
   picture.symbol = symbol;
@@ -30,7 +31,7 @@ function unpacked(packed) {
   picture.range = extremes(picture.along);
   const forces = picture.contact_force.filter((force) => force > 0).sort();
   picture.largestForce = forces[Math.floor((forces.length - 1) * (symbol === "t" ? 1 - IMPACTS : 1))];
-  picture.viewAt = viewOf(picture);
+  if (!picture.window) picture.viewAt = viewOf(picture); // in the plane
   return picture;
 }
 
@@ -76,8 +77,9 @@ function format(value, dimensionless) {
 }
 
 /** Show the sliders in an element; returns a function that removes them. */
-export function explore(el, { sliders, position, phases, statuses }, ask) {
+export function explore(el, { sliders, position, views, phases, statuses }, ask) {
   const values = Object.fromEntries(sliders.map(({ name, start }) => [name, start]));
+  let angles = views.camera; // of the camera in space
   let picture, step, wished, outdated, nextFrame, playing;
   let [sent, latest, waiting, drawn] = [0, 0, 0, 0]; // numbers of requests; the answer to `latest` is shown
 
@@ -101,8 +103,15 @@ export function explore(el, { sliders, position, phases, statuses }, ask) {
   const show = make("button", { type: "button", ariaExpanded: "false" }, "Python code");
   const copy = make("button", { type: "button", hidden: true }, "copy");
   const code = make("pre", { hidden: true, tabIndex: 0, ariaLabel: "Python code of the scene" });
-  const parts = [title, summary, message, canvases, play, controls, numbers, show, copy, code];
-  const root = make("div", { className: "jaxwhisker", ariaBusy: "true" }, ...parts);
+  const looks = Object.entries(views).map(([name, from]) => {
+    const button = make("button", { type: "button" }, name);
+    button.addEventListener("click", () => look(from));
+    return button;
+  });
+  const camera = make("div", { role: "group", ariaLabel: "view", hidden: !looks.length }, ...looks);
+  const parts = [title, summary, message, canvases, camera, play, controls, numbers, show, copy, code];
+  const className = looks.length ? "jaxwhisker space" : "jaxwhisker";
+  const root = make("div", { className, ariaBusy: "true" }, ...parts);
   el.replaceChildren(root);
 
   for (const range of sliders) {
@@ -189,7 +198,7 @@ export function explore(el, { sliders, position, phases, statuses }, ask) {
     step = nearestStep(wished);
     place.input.max = picture.steps - 1;
     title.textContent = scene.ariaLabel = picture.title;
-    signals.ariaLabel = `${SIGNALS.join(", ")} of all whiskers over the ${position === "time" ? "time" : "drive's position"}`;
+    signals.ariaLabel = `${picture.signals.join(", ")} of all whiskers over the ${position === "time" ? "time" : "drive's position"}`;
     summary.textContent = picture.summary;
     summary.classList.toggle("wrong", picture.failed > 0);
     const texts = picture.events.length ? picture.events.map(({ text }) => text) : ["no events"];
@@ -210,12 +219,18 @@ export function explore(el, { sliders, position, phases, statuses }, ask) {
     root.classList.toggle("refused", wrong);
   }
 
+  /** Look at a scene in space from a camera. */
+  function look(from) {
+    angles = from;
+    draw();
+  }
+
   function draw() {
     nextFrame ??= requestAnimationFrame(() => {
       nextFrame = undefined;
       if (picture) {
         const failure = picture.status[step] ? `no state here: ${statuses[picture.status[step]]}` : "";
-        drawScene(scene, picture, step, failure);
+        (angles ? drawSpace : drawScene)(scene, picture, step, failure, angles);
         drawSignals(signals, picture, step);
         write(failure);
         root.dataset.drawn = ++drawn;
@@ -232,7 +247,8 @@ export function explore(el, { sliders, position, phases, statuses }, ask) {
     place.setText(picture.places.map(read).join(", "));
     [...rows.children].forEach(({ children }, whisker) => {
       const at = step * picture.whiskers + whisker;
-      const known = picture.columns.map(([name]) => (failure ? "" : text(picture[name][at])));
+      const exact = (name) => (Math.abs(picture[name][at]) < NOISE * picture.least?.[name] ? 0 : picture[name][at]);
+      const known = picture.columns.map(([name]) => (failure ? "" : text(exact(name))));
       const cells = [failure ? "unknown" : phases[picture.phase[at]], ...known];
       cells.forEach((cell, k) => (children[k + 1].textContent = cell));
     });
@@ -250,6 +266,10 @@ export function explore(el, { sliders, position, phases, statuses }, ask) {
     follow(event);
   });
   signals.addEventListener("pointermove", (event) => event.buttons && follow(event));
+  scene.addEventListener("pointerdown", ({ pointerId }) => angles && scene.setPointerCapture(pointerId));
+  scene.addEventListener("pointermove", ({ buttons, movementX, movementY }) => {
+    if (angles && buttons) look(turned(angles, movementX, movementY));
+  });
   play.addEventListener("click", () => picture && (playing ? pause() : run()));
   show.addEventListener("click", () => {
     code.hidden = copy.hidden = !code.hidden;

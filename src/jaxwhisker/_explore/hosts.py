@@ -27,7 +27,7 @@ def _asset(name: str) -> str:
 
 
 PAGE, STYLE = _asset("explore.html"), _asset("explore.css")
-SCRIPT = _asset("draw.js") + "\n" + _asset("explore.js")  # anywidget needs a single module
+SCRIPT = "\n".join(map(_asset, ("draw.js", "space.js", "explore.js")))  # anywidget needs a single module
 
 # The widget
 

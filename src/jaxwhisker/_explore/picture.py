@@ -8,7 +8,7 @@ import json
 import struct
 import textwrap
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +20,11 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._dynamics.simulation import Simulation, TimedEvent
 from jaxwhisker._explore.code import code_of_motion, code_of_scan
 from jaxwhisker._model.motion import Pose
-from jaxwhisker._model.scene import Scene, Sensor, objects_of
+from jaxwhisker._model.scene import AbstractScene, Scene, Sensor, objects_of
 from jaxwhisker._model.silhouette import silhouette
-from jaxwhisker._scan.quantities import REACTIONS, STATE, Unit, UnitSystem, control_kind, quantity
+from jaxwhisker._scan.quantities import STATE, Unit, UnitSystem, control_kind, quantity, reactions_of
 from jaxwhisker._scan.report import status_line
-from jaxwhisker._scan.result import Event, Result, check_not_batched
+from jaxwhisker._scan.result import AbstractResult, Event, Result, check_not_batched
 from jaxwhisker._scan.scan import scan_across
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.state import state_of
@@ -34,8 +34,21 @@ PAGE_LINE_POINTS = 32  # of a whisker's centre line
 OUTLINE_POINTS = 241  # of the object
 SHORTEST_DRAWN = 0.1  # lengths: springs with a shorter rest length begin at a wall that moves with the drive
 LONGEST_MESSAGE = 500  # characters
-DTYPES = {"f8": np.float64, "f4": np.float32, "i1": np.int8}  # by their names in a header
-TABLE_COLUMNS = {"fx": "fx", "fy": "fy", "mz": "mz", "base_x": "base x", "contact_arc": "contact arc"}
+DTYPES = {"f8": np.float64, "f4": np.float32, "i4": np.int32, "i1": np.int8}  # by their names in a header
+FURTHER_COLUMNS = {"base_x": "base x", "contact_arc": "contact arc"}  # of the table, beside the reactions
+
+
+@runtime_checkable
+class AnyPicture(Protocol):
+    """A picture in the plane or in space."""
+
+    @property
+    def result(self) -> Any:
+        """The scan or the motion."""
+
+    def geometry(self, units: UnitSystem) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What a page draws, in the units in which it shows lengths: a part of the header, and arrays."""
+        ...
 
 
 class Picture(NamedTuple):
@@ -45,6 +58,23 @@ class Picture(NamedTuple):
     lines: Shapes  # fields (steps, whiskers, points)
     drive: Pose  # fields (steps,)
     outline: Float[jax.Array, "points 2"]  # of the object; NaN where a graph ends
+
+    def geometry(self, units: UnitSystem) -> tuple[dict[str, Any], dict[str, Any]]:
+        length, scene, outline = units.of_kind("length").size, units.scene, self.outline
+        header = {
+            "springs": _springs(scene, length),
+            "lowest": min(0.0, *(float(mount.y) / length for mount in scene.support.mounts)),
+        }
+        if len(objects_of(self.result.scene)) == 1:
+            outline = outline[np.isfinite(outline).all(axis=1)]
+        arrays = {"drive_x": self.drive.x / length, "drive_y": self.drive.y / length, "drive_angle": self.drive.angle}
+        coarse = {
+            "line_x": self.lines.x,
+            "line_y": self.lines.y,
+            "outline_x": outline[:, 0],
+            "outline_y": outline[:, 1],
+        }
+        return header, arrays | {name: (values / length).astype(np.float32) for name, values in coarse.items()}
 
 
 def picture_of(scene: Scene) -> Picture:
@@ -78,7 +108,7 @@ def _around(scene: Scene | Sensor, control: Float[jax.Array, " steps"]) -> tuple
     return jax.vmap(scene.motion.pose)(control), jnp.concatenate(outlines)[:-1]
 
 
-def packed_picture(picture: Picture, scene: Scene | Sensor, code: str, note: str = "") -> bytes:
+def packed_picture(picture: AnyPicture, scene: AbstractScene | Sensor, code: str, note: str = "") -> bytes:
     """Pack a picture, its labels and its code, with all numbers in the units in which the scene is shown.
 
     Args:
@@ -98,40 +128,33 @@ def packed_picture(picture: Picture, scene: Scene | Sensor, code: str, note: str
     failed, summary = status_line(result)
     if not np.isfinite(places).all():
         raise ValueError(f"The scene has no {'motion' if 't' in shown else 'scan'}: {summary}.")
-    units = UnitSystem(scene)
-    length = units.of_kind("length").size
+    units, signals = UnitSystem(scene), reactions_of(scene)
+    drawn, arrays = picture.geometry(units)
+    columns = {name: name for name in signals} | FURTHER_COLUMNS
     header = {
         "title": str(scene),
         "note": note,
         "dimensionless": units.dimensionless,
         "places": [[symbol, name, _after_number(units.unit(name))] for symbol, name in shown.items()],
+        "signals": signals,
         "labels": _labels(units, shown),
-        "columns": [[name, heading + _in_brackets(units.unit(name))] for name, heading in TABLE_COLUMNS.items()],
+        "columns": [[name, heading + _in_brackets(units.unit(name))] for name, heading in columns.items()],
         "failed": failed,
         "summary": summary,
         "events": [_event(event, units) for event in result.events],
-        "springs": _springs(scene, length),
-        "lowest": min(0.0, *(float(mount.y) / length for mount in scene.support.mounts)),
-        "length": float(scene.whiskers[0].length) / length,
-        "code": code_of_motion(code) if isinstance(result, Simulation) else code_of_scan(code, places),
+        "length": float(scene.whiskers[0].length) / units.of_kind("length").size,
+        "code": code_of_motion(scene, code) if "t" in shown else code_of_scan(scene, code, places),
     }
     first = next(iter(shown.values()))
-    return _packed(header, _arrays(picture, units) | {first: units.shown(first, places)})
+    return _packed(header | drawn, _states(result, units) | arrays | {first: units.shown(first, places)})
 
 
-def _arrays(picture: Picture, units: UnitSystem) -> dict[str, Any]:
-    result, lines, drive, outline = picture
-    length = units.of_kind("length").size
-    arrays: dict[str, Any] = {
+def _states(result: AbstractResult | Simulation, units: UnitSystem) -> dict[str, np.ndarray]:
+    return {
         name: units.shown(name, getattr(result, name)).astype(quantity(name).dtype)
         for name in ("control", *STATE, "status")
         if getattr(result, name, None) is not None
     }
-    arrays |= {"drive_x": drive.x / length, "drive_y": drive.y / length, "drive_angle": drive.angle}
-    if len(objects_of(result.scene)) == 1:
-        outline = outline[np.isfinite(outline).all(axis=1)]
-    coarse = {"line_x": lines.x, "line_y": lines.y, "outline_x": outline[:, 0], "outline_y": outline[:, 1]}
-    return arrays | {name: (values / length).astype(np.float32) for name, values in coarse.items()}
 
 
 def packed_error(error: Exception) -> bytes:
@@ -168,8 +191,9 @@ def _labels(units: UnitSystem, shown: Mapping[str, str]) -> dict[str, str]:
         return symbol + (_DIMENSIONLESS[kind] if units.dimensionless else _in_brackets(units.of_kind(kind)))
 
     along_x = control_kind(units.scene) == "length"
-    labels = {"x": label("x", "length"), "y": label("y", "length")}
-    labels |= {name: label(name, quantity(name).kind) for name in REACTIONS}
+    signals = reactions_of(units.scene)
+    labels = {name: label(name, "length") for name in ("xyz" if "fz" in signals else "xy")}
+    labels |= {name: label(name, quantity(name).kind) for name in signals}
     labels |= {symbol: label(symbol, "time") for symbol in shown if symbol == "t"}
     return labels | {"u": label("u", "length") if along_x else units.label("control")}
 

@@ -19,7 +19,7 @@ from jaxwhisker._dynamics.simulation import Simulation
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._explore.code import code_of, code_of_call
 from jaxwhisker._explore.picture import packed_error, packed_picture, picture_of, picture_of_motion
-from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.quantities import Unit, UnitSystem
 from jaxwhisker._study.layout import kind_of_axis
@@ -64,7 +64,7 @@ class Session:
 
     def __init__(
         self,
-        build: Callable[..., Scene | Simulation],
+        build: Callable[..., AbstractScene | Simulation],
         ranges: Mapping[str, Any],
         kinds: Mapping[str, str] | None = None,
     ):
@@ -74,7 +74,11 @@ class Session:
         first = self._built({slider.name: slider.start for slider in sliders})
         kind_of = {name: kind_of_axis(name) for name in ranges} | dict(kinds or {})
         self.sliders = tuple(s._replace(unit=_unit(first, kind_of[s.name])) for s in sliders)
-        self._kind = type(first)
+        self._kind, self._picture_of, self._views = type(first), picture_of, {}
+        if not isinstance(first, Scene | Simulation):
+            from jaxwhisker._explore.space_picture import VIEWS, picture_in_space
+
+            self._picture_of, self._views = picture_in_space, VIEWS
 
     @property
     def description(self) -> dict[str, Any]:
@@ -82,6 +86,7 @@ class Session:
         return {
             "sliders": [slider._asdict() | {"unit": slider.unit._asdict()} for slider in self.sliders],
             "position": "time" if issubclass(self._kind, Simulation) else "drive",
+            "views": self._views,
             "phases": [phase.name for phase in Phase],
             "statuses": [status.name for status in Status],
         }
@@ -100,21 +105,21 @@ class Session:
         except Exception as error:  # the sliders must stay usable, whatever `build` raises
             return packed_error(error)
 
-    def _of_scan(self, scene: Scene, numbers: Mapping[str, float]) -> bytes:
+    def _of_scan(self, scene: AbstractScene, numbers: Mapping[str, float]) -> bytes:
         comment = ", ".join(f"{name} = {value!r}" for name, value in numbers.items())
         reused, new = self._functions.reused(scene)
-        picture = jax.tree.map(np.asarray, picture_of(jax.tree.map(checks.as_float, reused)))
+        picture = jax.tree.map(np.asarray, self._picture_of(jax.tree.map(checks.as_float, reused)))
         return packed_picture(picture, scene, code_of(scene, comment), RECOMPILED if new else "")
 
     def _of_motion(self, motion: Simulation, numbers: Mapping[str, float], note: str) -> bytes:
         picture = jax.tree.map(np.asarray, picture_of_motion(motion))
         return packed_picture(picture, motion.scene, code_of_call(self._build, numbers), note)
 
-    def _built(self, values: Mapping[str, float]) -> Scene | Simulation:
+    def _built(self, values: Mapping[str, float]) -> AbstractScene | Simulation:
         """What `build` makes of values."""
         checks.arguments("ranges", self._build, list(values))
         built = self._build(**values)
-        checks.instance("build", built, (Scene, Simulation), "a Scene or a Simulation", verb="return")
+        checks.instance("build", built, (AbstractScene, Simulation), "a Scene or a Simulation", verb="return")
         return built
 
     def _checked(self, values: Any) -> dict[str, float]:
@@ -128,7 +133,7 @@ class Session:
         return {name: float(values[name]) for name in names}
 
 
-def _unit(built: Scene | Simulation, kind: str) -> Unit:
+def _unit(built: AbstractScene | Simulation, kind: str) -> Unit:
     """The unit in which a slider shows quantities of a kind."""
     if isinstance(built, Simulation) and np.ndim(built.control) != 1:
         return Unit("", 1.0)  # the answer says that a batch is not allowed
@@ -145,7 +150,7 @@ class _Functions:
     def __init__(self):
         self._known: dict[Any, PlainFunction] = {}  # by code and by the values that it uses
 
-    def reused(self, scene: Scene) -> tuple[Scene, bool]:
+    def reused(self, scene: AbstractScene) -> tuple[Any, bool]:
         """The scene with known functions in place of equal new ones, and whether it adds another function to them."""
         known = len(self._known)
         scene = jax.tree.map(self._first, scene, is_leaf=lambda leaf: isinstance(leaf, PlainFunction))

@@ -8,14 +8,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._inverse.parameters import hashable
 from jaxwhisker._model.assembly import AbstractScene
-from jaxwhisker._scan.channels import arguments_of, columns_of, example_of, result_of, traced_channels
+from jaxwhisker._scan.channels import (
+    arguments_of,
+    columns_of,
+    example_of,
+    result_in_space,
+    result_of,
+    traced_channels,
+)
 from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
-from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.result import AbstractResult
 
 
 class Channels(NamedTuple):
@@ -24,18 +29,14 @@ class Channels(NamedTuple):
     names: tuple[str, ...] = REACTIONS
     function: Callable[..., Mapping[str, Any]] | None = None
     parameters: tuple[str, ...] = ()  # further arguments of the function
-
-    @property
-    def in_space(self) -> bool:
-        """Whether these are the reactions in space."""
-        return self.names == REACTIONS_IN_SPACE and self.function is None
+    in_space: bool = False  # whether the scene is in space
 
     @property
     def fields(self) -> tuple[str, ...] | None:
         """The fields of a state that are the signals; None for a function, which may ask for any field."""
         return self.names if self.function is None else None
 
-    def of_result(self, result: Result, values: Mapping[str, Any]) -> Float[Array, "steps whiskers names"]:
+    def of_result(self, result: AbstractResult, values: Mapping[str, Any]) -> Float[Array, "steps whiskers names"]:
         """The signals of a scan, with values of the function's further arguments."""
         if self.function is None:
             return jnp.stack([getattr(result, name) for name in self.names], axis=-1)
@@ -43,28 +44,31 @@ class Channels(NamedTuple):
         return jnp.stack([columns[name] for name in self.names], axis=-1)[:, None]
 
 
+def reactions_of(scene: AbstractScene) -> Channels:
+    """The reactions of every whisker of a scene."""
+    return Channels(REACTIONS_IN_SPACE if scene.in_space else REACTIONS, in_space=scene.in_space)
+
+
 def channels_from(function: Any, scene: AbstractScene, guess: Mapping[str, float]) -> tuple[Channels, dict[str, float]]:
     """The channels that a function of the result computes, and the rest of the guess, which is not an argument of it.
 
-    None stands for the reactions. In space there are no others.
+    None stands for the reactions.
 
     Raises:
         ValueError: if it is not such a function, or JAX cannot trace it.
     """
     if function is None:
-        return Channels(REACTIONS_IN_SPACE if scene.in_space else REACTIONS), dict(guess)
-    if scene.in_space:
-        checks.fail("channels", "a function in the plane only; in space the channels are reactions", "one in space")
+        return reactions_of(scene), dict(guess)
     for name in arguments_of(function):
         if name not in guess:
             raise ValueError(f"`guess` must hold a value of every argument of `channels`, got none of {name}.")
     own = {name: guess[name] for name in arguments_of(function)}
     traced = traced_channels(function, lambda values: function(example_of(scene), **values), own)
     rest = {name: value for name, value in guess.items() if name not in own}
-    return Channels(traced.names, hashable(function), tuple(own)), rest
+    return Channels(traced.names, hashable(function), tuple(own), scene.in_space), rest
 
 
-def table_of_result(channels: Channels, result: Result) -> dict[str, Any]:
+def table_of_result(channels: Channels, result: AbstractResult) -> dict[str, Any]:
     """Control and signals of a scan by name.
 
     Raises:
@@ -81,9 +85,9 @@ def table_of_result(channels: Channels, result: Result) -> dict[str, Any]:
 
 def _signals_and_slopes(
     channels: Channels,
-    scene: AbstractScene,
+    scene: Any,
     scene_slopes: Any,
-    state: State,
+    state: Any,
     state_slopes: Any,
     control: Float[Array, " steps"],
     control_slopes: Float[Array, "steps directions"],
@@ -91,14 +95,20 @@ def _signals_and_slopes(
 ) -> tuple[Array, Array]:
     """Signals from a function, (steps, 1, names), and their derivatives along a last axis of directions.
 
-    Values of the function's further arguments come with their own derivatives.
+    In space, the state is a pair of states and displacements of the bases. Values of the function's further arguments
+    come with their own derivatives.
     """
     values, value_slopes = arguments
     smooth, rest = eqx.partition((scene, state), eqx.is_inexact_array)
 
     def signals(smooth, control, values):
         scene, state = eqx.combine(smooth, rest)
-        return channels.of_result(result_of(scene, state, control), dict(zip(channels.parameters, values, strict=True)))
+        result = (
+            result_in_space(scene, state[0], state[1], control)
+            if channels.in_space
+            else result_of(scene, state, control)
+        )
+        return channels.of_result(result, dict(zip(channels.parameters, values, strict=True)))
 
     def towards(*dots):
         return jax.jvp(signals, (smooth, control, values), dots)

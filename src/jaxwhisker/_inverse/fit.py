@@ -13,16 +13,19 @@ from jaxwhisker._base.settings import in_double
 from jaxwhisker._inverse.estimates import Estimates
 from jaxwhisker._inverse.features import Features, Scatter
 from jaxwhisker._inverse.least_squares import LeastSquares, Minimum
-from jaxwhisker._inverse.observations import Observations
+from jaxwhisker._inverse.observations import OWN_REACTIONS, Observations
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, log_density, samples_of
-from jaxwhisker._inverse.statistics import CHI2_95, chi_squared, is_plausible
-from jaxwhisker._inverse.unknowns import Unknowns
+from jaxwhisker._inverse.statistics import CHI2_95, FitStatus, chi_squared, is_plausible
+from jaxwhisker._inverse.unknowns import Unknowns, split
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.scene import units
+from jaxwhisker._path.path import Status
+from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE
 from jaxwhisker._scan.route import route_of
 from jaxwhisker._scan.scan import BLOCK
 
+SINGULAR = 1e-9  # least singular value of whitened gains, with columns of length 1, that determine six reactions
 NUMERICAL = 1e-6  # of the peak: residuals below it are numerical
 SCATTER_ERROR = 6.0  # relative error that the scatter between n neighbours may have, times sqrt(n): 3.4 standard errors
 
@@ -130,6 +133,68 @@ class FitProblem(NamedTuple):
         largest_noise = uncertainty * np.maximum(self.scatter.sigma, NUMERICAL * self.peaks)
         return is_plausible(chi_squared(np.nan_to_num(off / largest_noise)), degrees)
 
+    def status(self, solution: Minimum) -> tuple[FitStatus, str]:
+        """How the fit ended, and the reason for failure."""
+        path = max(Status(comparison.status) for comparison in solution.compared)
+        if not np.isfinite(solution.y).all() or path != Status.ok:
+            return FitStatus.failed, f"the scene cannot be scanned there ({path.name})"
+        if reason := self.transforms.at_bound(solution.y, self.unknowns.all_names):
+            return FitStatus.at_bound, reason
+        if not self.is_plausible(solution):
+            return FitStatus.implausible, self._why_implausible(solution)
+        if not solution.reached:
+            return FitStatus.not_converged, f"no minimum was reached in {solution.steps} steps"
+        return FitStatus.ok, ""
+
+    def _why_implausible(self, solution: Minimum) -> str:
+        off, given = self.off(solution), self.scatter is None
+        each = [recording.observations for recording in self.recordings]
+        noise = np.concatenate([one.sigma for one in each]) if self.scatter is None else self.scatter.sigma
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share, size = (_rms(off / unit) for unit in (self.peaks, noise))
+        unit = "standard deviations of the noise" if given else "times the scatter between neighbouring samples"
+        degrees, compared = self.degrees(solution), int(self.compared(solution).sum())
+        reason = f"the residuals are {share:.2g} of the peaks, {size:.3g} {unit} (root mean square)"
+        known = sum(int(one.known.sum()) for one in each)
+        if compared < known / 2:
+            reason += f", and only {compared} of {known} values lie on the same side of a snap"
+        reason += f"; chi^2 = {chi_squared(solution.observed[0]):.3g} with {degrees} degrees of freedom"
+        return reason if given else f"{reason}. If the noise is correlated between samples, give `sigma`"
+
+    def force_moment(self, own: np.ndarray, observations: Observations) -> tuple[np.ndarray, np.ndarray] | None:
+        """Cosine of the angle between measured force and moment, and their product in standard deviations of its noise.
+
+        Both have shape (steps, whiskers), with NaN where the measured channels do not determine six reactions. The
+        result is None if the signals are not the six reactions in space.
+
+        Args:
+            own: the unknowns of the recording, whose gains and offsets are removed from the signals.
+            observations: its signals, with their noise.
+        """
+        if self.unknowns.channels.names not in (REACTIONS_IN_SPACE, OWN_REACTIONS):
+            return None
+        from jaxwhisker._inverse.points_in_space import perpendicular
+
+        parts, values = split(self.unknowns, own), observations.values.copy()
+        for (whisker, channel), offset in zip(self.unknowns.offsets, parts.offsets, strict=True):
+            values[:, whisker, channel] -= offset
+        known = np.isfinite(values)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weight = np.where(known, 1 / observations.sigma, 0.0)
+        whitened = weight[..., None] * self.unknowns.gains.filled(parts.gains)
+        size = np.linalg.norm(whitened, axis=-2, keepdims=True)
+        missing = np.linalg.matrix_rank(whitened / np.where(size > 0, size, 1.0), tol=SINGULAR) < whitened.shape[-1]
+        # Measured channels may be more than six, and of any unit: columns of equal length make the inverse accurate.
+        root = np.linalg.pinv(np.where(missing[..., None, None], 0.0, whitened / np.where(size > 0, size, 1.0)))
+        root = root / np.where(size > 0, size, 1.0).swapaxes(-1, -2)
+        reactions = np.einsum("...ij,...j->...i", root, weight * np.where(known, values, 0.0))
+        return perpendicular(reactions, root, missing, np)
+
+
+def _rms(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else np.nan
+
 
 class FittedRecording(NamedTuple):
     """One recording, and what the fit says of it."""
@@ -139,6 +204,12 @@ class FittedRecording(NamedTuple):
     residuals: np.ndarray  # measured - model; NaN where nothing was compared
     parameters: dict[str, float]  # arguments of `build`
     scene: AbstractScene  # at the estimates
+    # Cosine of the angle between measured force and moment, which are perpendicular for every contact at a point, and
+    # their product in standard deviations of its noise, (steps, whiskers): without gains and offsets, and NaN where the
+    # channels do not determine six reactions. None in the plane.
+    force_moment: np.ndarray | None = None
+    force_moment_score: np.ndarray | None = None
+    in_units: bool = True  # whether the channels are reactions in the units of the scene
 
 
 class LikelihoodProfile(NamedTuple):
@@ -179,6 +250,16 @@ class Fit(Estimates):
     def scene(self) -> AbstractScene:
         """The scene of the only recording at the estimates."""
         return self._only_recording.scene
+
+    @property
+    def force_moment(self) -> np.ndarray | None:
+        """Cosine of the angle between measured force and moment in space; see FittedRecording."""
+        return self._only_recording.force_moment
+
+    @property
+    def force_moment_score(self) -> np.ndarray | None:
+        """Product of measured force and moment in standard deviations of its noise; see FittedRecording."""
+        return self._only_recording.force_moment_score
 
     @property
     def _only_recording(self) -> FittedRecording:
@@ -257,7 +338,14 @@ class Fit(Estimates):
         return dict(zip(self.names, transforms.natural(jnp.asarray(y)), strict=True))
 
     def _search(self) -> str:
-        return f", {self.agreeing} of {self.starts} starts ended here"
+        scores = [
+            recording.force_moment_score[np.any(np.nan_to_num(at.unscaled[: len(recording.signals)]) != 0, axis=-1)]
+            for recording, at in zip(self.recordings, self._solution.compared, strict=True)
+            if recording.force_moment_score is not None
+        ]
+        score = _rms(np.concatenate([*scores, np.zeros(0)]))
+        words = f"\nforce . moment: {score:.3g} standard deviations of its noise (rms)" if np.isfinite(score) else ""
+        return f", {self.agreeing} of {self.starts} starts ended here{words}"
 
 
 def _crossing(values: np.ndarray, rise: np.ndarray, side: int) -> float:

@@ -17,18 +17,17 @@ from jaxwhisker._inverse.channels import Channels, channels_from, table_of_resul
 from jaxwhisker._inverse.estimates import estimates_of
 from jaxwhisker._inverse.features import features, neighbour_scatter
 from jaxwhisker._inverse.fit import Fit, FitProblem, FittedRecording, Recording
+from jaxwhisker._inverse.gains import gains_from
 from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum
 from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.observations import Observations, read_observations
 from jaxwhisker._inverse.recording import check_recording
-from jaxwhisker._inverse.residuals import Samples
-from jaxwhisker._inverse.statistics import FitStatus, chi_squared, noise_of_residuals
+from jaxwhisker._inverse.statistics import noise_of_residuals
 from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.scene import units
-from jaxwhisker._path.path import Status
 from jaxwhisker._scan.channels import arguments_of
-from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.result import AbstractResult
 from jaxwhisker._scan.route import turns_of
 from jaxwhisker._scan.scan import BLOCK
 
@@ -54,7 +53,7 @@ def identify(
     sigma: Any = None,
     channels: Any = None,
     offsets: bool = False,
-    gains: bool = False,
+    gains: Any = False,
     shift: bool = False,
     individual: Any = (),
     bounds: Options = None,
@@ -86,7 +85,7 @@ def identify(
     sigma: Any = None,
     channels: Any = None,
     offsets: bool = False,
-    gains: bool = False,
+    gains: Any = False,
     shift: bool = False,
     individual: Any = (),
     bounds: Options = None,
@@ -115,11 +114,10 @@ def identify(
             whiskers; or a whisker and loads. JAX must be able to trace it.
         guess: an initial value of each unknown parameter.
         measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers; in space also fz, mx, my), or of
-            the names in `channels`, which are for scenes in the plane:
-            a mapping of arrays, a Result, a Dataset with one scan, a DataFrame or the path of a CSV file. Arrays are
-            (steps,) or (steps, whiskers), in the units of the scene, with the signs of `scene.py` (forces and moments
-            of the support on the whisker), and in the order in which the drive moved. NaN is skipped. A list of these:
-            several recordings, which are fitted together.
+            the names in `channels` or `gains`: a mapping of arrays, a Result, a Dataset with one scan, a DataFrame or
+            the path of a CSV file. Arrays are (steps,) or (steps, whiskers), in the units of the scene, with the signs
+            of `scene.py` (forces and moments of the support on the whisker), and in the order in which the drive moved.
+            NaN is skipped. A list of these: several recordings, which are fitted together.
         sigma: standard deviation of the noise: a number, or a mapping from channels to numbers or arrays. Default: one
             number per channel, estimated from the residuals; the fit is then plausible if the residuals are not larger
             than the scatter between neighbouring samples. Noise that is correlated between samples needs `sigma`.
@@ -127,8 +125,12 @@ def identify(
             from names to arrays (steps,), such as `lambda result: {"bend": result.base_angle}`. Its further arguments
             are unknown parameters as well, which `guess` names. It must not ask for events.
         offsets: whether an unknown constant is added to every measured channel.
-        gains: whether every measured channel is multiplied by an unknown factor of either sign, before its offset is
-            added. The signals may then be in any unit.
+        gains: True if every measured channel is a signal times an unknown factor of either sign, before its offset is
+            added, so that it may be in any unit. Or a matrix G, (channels, signals): measured = G signals + offsets.
+            The signals are the reactions, or what `channels` computes, in their order. An entry that is NaN is an
+            unknown, such as `gain_fx_my`, the part of my in fx, or `gain_fx`, that of fx. The same matrix holds for
+            all whiskers, unless its shape is (whiskers, channels, signals); each has its own unknowns. A mapping from
+            the names of measured channels to rows of G also stands for other channels than the signals.
         shift: whether the control is off by an unknown constant: the scene's is the measured one plus `shift`.
         individual: names of unknowns that recordings do not share (parameters, "offsets", "gains", "shift"): each
             recording has its own. A mapping from names to one label per recording: recordings with the same label share
@@ -156,11 +158,11 @@ def identify(
     if (test := bending_test(build, guess, measured)) is not None:
         options = {"channels": channels, "offsets": offsets, "gains": gains, "shift": shift, "individual": individual}
         for name, value in options.items():
-            if value:
+            if value is not None and value is not False and value != ():
                 checks.fail(name, "omitted for bending tests", value)
         return identify_bending(test, guess, sigma, bounds, transform)
     checks.count("starts", starts, least=0)
-    for name, value in {"offsets": offsets, "gains": gains, "shift": shift, "near": near, "snaps": snaps}.items():
+    for name, value in {"offsets": offsets, "shift": shift, "near": near, "snaps": snaps}.items():
         checks.instance(name, value, bool, "True or False")
     own = arguments_of(channels)
     scene = parameters.build_scene("guess", build, {name: v for name, v in guess.items() if name not in own})
@@ -169,14 +171,15 @@ def identify(
     transforms = parameters.transforms_of(build, values, bounds, transform, further)
     parameters.check_traceable(build, values)
     check_used(build, values)
-    observations = _read(measured, sigma, measures, len(scene.whiskers))
+    scale = gains_from(gains, measures, len(scene.whiskers))
+    observations = _read(measured, sigma, measures, scale.names, len(scene.whiskers))
 
-    present = dict.fromkeys((c.whisker, c.kind) for one in observations for c in one.channels)
-    moved, scaled = (tuple(present) if wanted else () for wanted in (offsets, gains))
-    unknowns = unknowns_of(tuple(values), measures, moved, scaled, shift, individual, len(observations))
+    present = tuple(dict.fromkeys((c.whisker, c.kind) for one in observations for c in one.channels))
+    scale, moved = scale.of_measured(present), present if offsets else ()
+    unknowns = unknowns_of(tuple(values), measures, moved, scale, shift, individual, len(observations))
     baselines = [_baseline(one) if offsets else np.zeros(one.values.shape[1:]) for one in observations]
     centred = [dataclasses.replace(o, values=o.values - base) for o, base in zip(observations, baselines, strict=True)]
-    in_units = channels is None and not gains
+    in_units = channels is None and scale.matrix is None
     for one in centred:
         check_recording(one, scene, len(unknowns.all_names) if len(centred) == 1 else 0, in_units=in_units)
 
@@ -197,15 +200,15 @@ def identify(
     return _fit_of(problem._replace(solve=problem.solve._replace(report=None)), search)
 
 
-def _read(measured: Any, sigma: Any, channels: Channels, whiskers: int) -> list[Observations]:
-    """All recordings."""
+def _read(measured: Any, sigma: Any, channels: Channels, names: tuple[str, ...], whiskers: int) -> list[Observations]:
+    """All recordings, with these names of measured channels."""
     recordings = measured if isinstance(measured, (list, tuple)) else [measured]
     if not recordings:
         raise ValueError("`measured` must hold at least one recording, got an empty list.")
     if channels.function is None:
-        return [read_observations(one, sigma, whiskers=whiskers, kinds=channels.names) for one in recordings]
-    tables = [table_of_result(channels, one) if isinstance(one, Result) else one for one in recordings]
-    return [read_observations(table, sigma, whiskers=1, kinds=channels.names) for table in tables]
+        return [read_observations(one, sigma, whiskers=whiskers, kinds=names) for one in recordings]
+    tables = [table_of_result(channels, one) if isinstance(one, AbstractResult) else one for one in recordings]
+    return [read_observations(table, sigma, whiskers=1, kinds=names) for table in tables]
 
 
 def _recording(observations: Observations, centred: Observations, scene: AbstractScene, snaps: bool) -> Recording:
@@ -233,22 +236,22 @@ def _ready(
     offsets = [float(peaks[kind]) for _, kind in unknowns.offsets]
     shifts = [float(units(scene).control)] * unknowns.shift
 
-    def with_gains(gains: list[float], baselines: list[np.ndarray]) -> tuple[LeastSquares, np.ndarray]:
-        transforms = solve.transforms.with_sizes([*offsets, *map(abs, gains), *shifts]).at(unknowns.own_index)
+    def with_gains(sizes, gains, baselines: list[np.ndarray]) -> tuple[LeastSquares, np.ndarray]:
+        transforms = solve.transforms.with_sizes([*offsets, *sizes, *shifts]).at(unknowns.own_index)
         x = np.zeros(len(unknowns.all_names))
         for baseline, columns in zip(baselines, unknowns.columns, strict=True):
             own = [*values, *(baseline[channel] for channel in unknowns.offsets), *gains, *[0.0] * unknowns.shift]
             x[columns] = own
         return solve._replace(transforms=transforms), transforms.variables(x)
 
-    if not unknowns.gains:
-        return with_gains([], baselines)
+    count = len(unknowns.gains.unknown)
+    if not count:
+        return with_gains([], [], baselines)
     # The signals of the scene at the guess tell how large a gain is.
-    plain, y = with_gains([1.0] * len(unknowns.gains), nothing)
+    plain, y = with_gains([1.0] * count, [1.0] * count, nothing)
     at = plain.evaluate(y, [r.samples(overlaid=r.can_be_overlaid, thin=True) for r in recordings], y)
-    largest = np.max(np.abs(np.nan_to_num(np.concatenate([each.signals for each in at.compared]))), axis=0)
-    gains = [peaks[kind] / (largest[whisker, kind] or 1.0) for whisker, kind in unknowns.gains]
-    return with_gains(gains, baselines)
+    signals = np.concatenate([each.unscaled for each in at.compared])
+    return with_gains(*unknowns.gains.sizes(peaks, signals), baselines)
 
 
 def _fit_in_stages(problem: FitProblem, y: np.ndarray, near: bool) -> tuple[Minimum, int]:
@@ -258,25 +261,11 @@ def _fit_in_stages(problem: FitProblem, y: np.ndarray, near: bool) -> tuple[Mini
     steps = 0
     for first in [True] * (overlaid and not near) + [False] * thinned:
         data = problem.samples(overlaid=first, thin=True)
-        y = _with_linear(problem, y, data)
         solution = problem.solve(y, data, y, least=COARSE)
         y, steps = solution.y, steps + solution.steps
     data = problem.samples()
-    solution = problem.solve(_with_linear(problem, y, data), data, y)
+    solution = problem.solve(y, data, y)
     return solution, steps + solution.steps
-
-
-def _with_linear(problem: FitProblem, y: np.ndarray, data: list[Samples]) -> np.ndarray:
-    """The variables with the best gains and offsets for these values of the others."""
-    linear = problem.unknowns.linear
-    if not problem.unknowns.gains:
-        return y
-    at = problem.solve.evaluate(y, data, y)
-    if not (np.isfinite(at.residual).all() and np.isfinite(at.jacobian).all()):
-        return y
-    y = y.copy()
-    y[linear] -= np.linalg.lstsq(at.jacobian[:, linear], at.residual, rcond=None)[0]
-    return y
 
 
 class _Search(NamedTuple):
@@ -336,7 +325,7 @@ def _reweighted(problem: FitProblem, search: _Search) -> tuple[FitProblem, _Sear
 def _fit_of(problem: FitProblem, search: _Search) -> Fit:
     solution, transforms, names = search.solution, problem.transforms, problem.unknowns.all_names
     x = transforms.natural(solution.y, np)
-    status, reason = _status_of(problem, solution, x)
+    status, reason = problem.status(solution)
     residual, jacobian = solution.observed
     return Fit(
         **estimates_of(names, transforms, solution.y, residual, jacobian, status),
@@ -353,46 +342,16 @@ def _fit_of(problem: FitProblem, search: _Search) -> Fit:
 
 def _fitted(problem: FitProblem, solution: Minimum, x: np.ndarray, k: int) -> FittedRecording:
     recording, comparison = problem.recordings[k], solution.compared[k]
-    values = {name: float(value) for name, value in problem.unknowns.scene_values(x, k).items()}
+    unknowns = problem.unknowns
+    force_moment = problem.force_moment(x[unknowns.columns[k]], recording.observations)
+    values = {name: float(value) for name, value in unknowns.scene_values(x, k).items()}
     return FittedRecording(
         measured=recording.observations,
         signals=comparison.signals[: recording.observations.control.size],
         residuals=recording.off(comparison),
         parameters=values,
         scene=problem.build(**values) if np.isfinite(x).all() else recording.scene,
+        force_moment=None if force_moment is None else force_moment[0],
+        force_moment_score=None if force_moment is None else force_moment[1],
+        in_units=unknowns.channels.function is None and unknowns.gains.matrix is None,
     )
-
-
-def _status_of(problem: FitProblem, solution: Minimum, x: np.ndarray) -> tuple[FitStatus, str]:
-    """How the fit ended, and the reason for failure."""
-    path = max(Status(comparison.status) for comparison in solution.compared)
-    if not np.isfinite(solution.y).all() or path != Status.ok:
-        return FitStatus.failed, f"the scene cannot be scanned there ({path.name})"
-    if reason := problem.transforms.at_bound(solution.y, problem.unknowns.all_names):
-        return FitStatus.at_bound, reason
-    if not problem.is_plausible(solution):
-        return FitStatus.implausible, _why_implausible(problem, solution)
-    if not solution.reached:
-        return FitStatus.not_converged, f"no minimum was reached in {solution.steps} steps"
-    return FitStatus.ok, ""
-
-
-def _why_implausible(problem: FitProblem, solution: Minimum) -> str:
-    off, given = problem.off(solution), problem.scatter is None
-    each = [recording.observations for recording in problem.recordings]
-    noise = np.concatenate([one.sigma for one in each]) if problem.scatter is None else problem.scatter.sigma
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share, size = (_rms(off / unit) for unit in (problem.peaks, noise))
-    unit = "standard deviations of the noise" if given else "times the scatter between neighbouring samples"
-    degrees, compared = problem.degrees(solution), int(problem.compared(solution).sum())
-    reason = f"the residuals are {share:.2g} of the peaks, {size:.3g} {unit} (root mean square)"
-    known = sum(int(one.known.sum()) for one in each)
-    if compared < known / 2:
-        reason += f", and only {compared} of {known} values lie on the same side of a snap"
-    reason += f"; chi^2 = {chi_squared(solution.observed[0]):.3g} with {degrees} degrees of freedom"
-    return reason if given else f"{reason}. If the noise is correlated between samples, give `sigma`"
-
-
-def _rms(values: np.ndarray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else np.nan

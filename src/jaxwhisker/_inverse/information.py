@@ -1,9 +1,8 @@
-"""Fisher information: how well signals determine parameters, by channel, along the scan and by event; sensor design."""
+"""Fisher information: how well signals determine parameters, by channel, along the scan and by event."""
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -11,24 +10,21 @@ import numpy as np
 from jaxwhisker._base import checks
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control
-from jaxwhisker._inverse.channels import Channels, channels_from
+from jaxwhisker._inverse.channels import channels_from, reactions_of
+from jaxwhisker._inverse.gains import gains_from
 from jaxwhisker._inverse.least_squares import linearised_scan
 from jaxwhisker._inverse.observations import Observations, channel_pattern, read_observations
 from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
 from jaxwhisker._inverse.residuals import UNIFORM
 from jaxwhisker._inverse.statistics import Identifiability, correlation, identifiability
+from jaxwhisker._inverse.unknowns import Unknowns, split, unknowns_of
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.channels import arguments_of
-from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
+from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE
 from jaxwhisker._scan.report import table
 from jaxwhisker._scan.route import route_of
 from jaxwhisker._scan.scan import default_control
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-DESIGN_STEPS = 512  # of the default control of a design
 
 
 class EventInformation(NamedTuple):
@@ -87,6 +83,24 @@ class Information:
         left = tuple(self.names[k] for k in keep)
         at = {name: self.at[name] for name in left}
         return replace(self, names=left, at=at, rates=self.rates[:, :, keep], events=events, log=self.log[keep])
+
+    def __add__(self, other: "Information") -> "Information":
+        """The information in two independent scans of the same sensor, one after the other.
+
+        Raises:
+            ValueError: if their parameters, the values of these, or channels differ.
+        """
+        checks.instance("other", other, Information, "an Information")
+        if self.names == other.names and self.at != other.at:
+            checks.fail("other", f"information at {self.at}", f"one at {other.at}")
+        for name in ("names", "channels"):
+            if getattr(self, name) != getattr(other, name):
+                raise ValueError(
+                    f"`other` must have the {name} {', '.join(getattr(self, name))}, got "
+                    f"{', '.join(getattr(other, name))}."
+                )
+        control, rates = (np.concatenate([getattr(one, n) for one in (self, other)]) for n in ("control", "rates"))
+        return replace(self, control=control, rates=rates, events=self.events + other.events)
 
     @property
     def jacobian(self) -> np.ndarray:
@@ -190,6 +204,8 @@ def information(
     sigma: Any,
     control: Control | None = None,
     channels: Sequence[str] | Callable[..., Mapping[str, Any]] | None = None,
+    gains: Any = False,
+    offsets: bool = False,
 ) -> Information:
     """Compute the Fisher information of a scene's signals about its parameters, by exact derivatives.
 
@@ -200,8 +216,12 @@ def information(
             channels to numbers.
         control: drive positions, (steps,). Default: those of `scan`. Information is proportional to the density of
             steps.
-        channels: measured channels, such as "mz" (of all whiskers) or "mz_1"; or, in the plane, a function of the
-            result, as in `identify`, with its own unknown parameters in `at`. Default: all reactions.
+        channels: measured channels, such as "mz" (of all whiskers) or "mz_1"; or a function of the result, as in
+            `identify`, with its own unknown parameters in `at`. Default: all reactions.
+        gains: as in `identify`: True, or a matrix, whose entries are unknown where they are NaN. `at` may hold values
+            of unknown ones, such as `gain_fx_my`; the others are those of a sensor without crosstalk: 1 for a channel
+            and the signal of its name, else 0.
+        offsets: whether constant offsets of the channels are unknown, too.
 
     Returns:
         An Information.
@@ -211,162 +231,101 @@ def information(
     """
     checks.float64_mode()
     values = read_parameters("at", at)
-    scene = build_scene("at", build, _for_build(values, channels))
+    own = arguments_of_build(values, channels, gains)
+    scene = build_scene("at", build, own)
     control = default_control(scene) if control is None else control
-    measured, noise = _measured(control, scene, sigma, channels, values)
-    check_traceable(build, _for_build(values, channels))
-    return _information_at(build, values, {}, measured, noise, _logs(build, values, {}, measured))
+    measurement = measurement_of(control, scene, sigma, channels, values, gains, offsets)
+    check_traceable(build, own)
+    return information_at(build, {}, measurement, logs_of(build, {}, measurement))
 
 
-@with_own_settings
-def design(
-    build: Callable[..., AbstractScene],
-    at: Mapping[str, float],
-    *,
+def arguments_of_build(values: Mapping[str, float], channels: Any, gains: Any) -> dict[str, float]:
+    """The parameters of `build`: those that are neither arguments of the channels' function nor gains."""
+    further = arguments_of(channels) if callable(channels) else ()
+    of_gains = gains is not False
+    return {n: v for n, v in values.items() if n not in further and not (of_gains and n.startswith("gain_"))}
+
+
+def logs_of(build: Callable, point: Mapping[str, float], measurement: "Measurement") -> np.ndarray:
+    """Which parameters are described by relative changes, in the order of `measurement.at`."""
+    own = {name: measurement.at[name] for name in measurement.unknowns.build}
+    log = dict(zip(own, transforms_of(build, {**own, **point}).log, strict=False))
+    return np.array([log.get(name, False) for name in measurement.at])
+
+
+class Measurement(NamedTuple):
+    """What is measured, with its noise, and what is unknown."""
+
+    unknowns: Unknowns
+    at: dict[str, float]  # the unknowns, in the order of the result
+    noise: Observations  # of zero in the measured channels
+
+
+def measurement_of(
+    control: Control,
+    scene: AbstractScene,
     sigma: Any,
-    control: Control | None = None,
-    channels: Sequence[str] | Callable[..., Mapping[str, Any]] | None = None,
-    **axes: Any,
-) -> "xr.Dataset":
-    """Compare sensors: how well parameters can be estimated, for all combinations of design choices.
-
-        data = jw.design(build, at=dict(a=1.0), sigma=0.02, stiffness=[20.0, 70.0, 200.0], distance=[0.2, 0.3, 0.4])
-        data.relative_error.sel(parameter="a").idxmin("stiffness")
-
-    Args:
-        build: makes a Scene from named numbers: unknown parameters and design choices. JAX must be able to trace it.
-        at: the unknown parameters, estimated together, with their expected values.
-        sigma: standard deviation of the signals' noise, as in `information`.
-        control: drive positions, (steps,), the same for all choices. Default: 512 over the range of contact of all.
-        channels: measured channels, as in `information`.
-        **axes: values of each design choice, one-dimensional.
-
-    Returns:
-        A Dataset over the axes: `standard_error` and `relative_error` of each parameter (NaN if it is not
-        identifiable), `condition` and `rank` of the information matrix. `attrs["best"]` names the choice with the least
-        geometric mean of the relative errors.
+    channels: Any,
+    values: Mapping[str, float],
+    gains: Any,
+    offsets: bool,
+) -> Measurement:
+    """Read what is measured from the arguments of `information`.
 
     Raises:
-        ValueError: if an argument is wrong, or JAX cannot trace `build`.
-        ImportError: if xarray is missing: `pip install jaxwhisker[study]`.
+        ValueError: if an argument is wrong.
     """
-    checks.float64_mode()
-    values = read_parameters("at", at)
-    grids = _grids(axes, values)
-    points = [dict(zip(grids, chosen, strict=True)) for chosen in itertools.product(*grids.values())]
-    scenes = [build_scene("at` and `axes", build, {**_for_build(values, channels), **point}) for point in points]
-    control = _common_control(scenes) if control is None else control
-    measured, noise = _measured(control, scenes[0], sigma, channels, values)
-    check_traceable(build, {**_for_build(values, channels), **points[0]})
-    log = _logs(build, values, points[0], measured)
-    each = [_information_at(build, values, point, measured, noise, log) for point in points]
-    return _dataset(values, grids, points, each)
-
-
-def _for_build(values: Mapping[str, float], channels: Any) -> dict[str, float]:
-    """The parameters of `build`: those that are not arguments of the channels' function."""
-    own = arguments_of(channels) if callable(channels) else ()
-    return {name: value for name, value in values.items() if name not in own}
-
-
-def _logs(build: Callable, values: Mapping[str, float], point: Mapping[str, float], channels: Channels) -> np.ndarray:
-    """Which parameters are described by relative changes, in the order of the values."""
-    own = {name: value for name, value in values.items() if name not in channels.parameters}
-    log = dict(zip(own, transforms_of(build, {**own, **point}).log, strict=False))
-    return np.array([log.get(name, False) for name in values])
-
-
-def _grids(axes: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, np.ndarray]:
-    """Values of the design choices."""
-    if not axes:
-        raise ValueError("`axes` must be at least one parameter of `build` with its values, got none.")
-    for name, choices in axes.items():
-        checks.vector(name, choices)
-        if name in values:
-            raise ValueError(f"`{name}` must be in `at` or among the axes, got it in both.")
-    return {name: np.asarray(choices, dtype=float) for name, choices in axes.items()}
-
-
-def _common_control(scenes: Sequence[AbstractScene]) -> np.ndarray:
-    """Drive positions over the contact of all scenes."""
-    ends = np.array([default_control(scene)[[0, -1]] for scene in scenes])
-    onwards = np.sign(ends[0, 1] - ends[0, 0])
-    return onwards * np.linspace(np.min(onwards * ends[:, 0]), np.max(onwards * ends[:, 1]), DESIGN_STEPS)
-
-
-def _dataset(values: Mapping[str, float], grids: Mapping[str, np.ndarray], points, of_points) -> "xr.Dataset":
-    import xarray as xr
-
-    size = np.abs(np.array(list(values.values())))
-    error = np.array([list(one.standard_error.values()) for one in of_points])
-    relative = error / np.where(size > 0, size, 1.0)
-    shape, dims = tuple(grid.size for grid in grids.values()), tuple(grids)
-    data = xr.Dataset(
-        {
-            "standard_error": ((*dims, "parameter"), error.reshape(*shape, -1)),
-            "relative_error": ((*dims, "parameter"), relative.reshape(*shape, -1)),
-            "condition": (dims, np.reshape([one.condition for one in of_points], shape)),
-            "rank": (dims, np.reshape([one.rank for one in of_points], shape)),
-        },
-        {**grids, "parameter": list(values)},
-    )
-    mean = np.exp(np.mean(np.log(relative), axis=-1))
-    if np.isfinite(mean).any():
-        best = points[int(np.nanargmin(mean))]
-        data.attrs["best"] = ", ".join(f"{name} = {value:g}" for name, value in best.items())
-    return data
-
-
-def _measured(
-    control: Control, scene: AbstractScene, sigma: Any, channels: Any, values: Mapping[str, float]
-) -> tuple[Channels, Observations]:
-    """The channels, and observations of zero in the measured ones, with their noise."""
     checks.vector("control", control)
-    if callable(channels):
-        measured, _ = channels_from(channels, scene, values)
-        control = np.asarray(control, dtype=float)
-        table = {"control": control} | dict.fromkeys(measured.names, np.zeros_like(control))
-        return measured, read_observations(table, sigma, whiskers=1, kinds=measured.names)
-    whiskers, reactions = len(scene.whiskers), REACTIONS_IN_SPACE if scene.in_space else REACTIONS
-    channels = reactions if channels is None else channels
-    if not channels:
-        raise ValueError(f"`channels` must name at least one of {', '.join(reactions)}, got an empty sequence.")
-    for name in channels:
-        matched = channel_pattern(reactions).fullmatch(name)
+    checks.instance("offsets", offsets, bool, "True or False")
+    signals, _ = channels_from(channels, scene, values) if callable(channels) else (reactions_of(scene), {})
+    whiskers = 1 if callable(channels) else len(scene.whiskers)
+    scale = gains_from(gains, signals, whiskers)
+    names = scale.names if callable(channels) or channels is None else channels
+    if not names:
+        raise ValueError(f"`channels` must name at least one of {', '.join(scale.names)}, got an empty sequence.")
+    for name in names:
+        matched = channel_pattern(scale.names).fullmatch(name)
         if matched is None or not 1 <= int(matched[2] or 1) <= whiskers:
-            raise ValueError(f"`channels` must be among {', '.join(reactions)}, got {name!r}.")
+            raise ValueError(f"`channels` must be among {', '.join(scale.names)}, got {name!r}.")
     control = np.asarray(control, dtype=float)
     zero = np.zeros((control.size, whiskers))
-    table = {name: zero if name in reactions else zero[:, 0] for name in channels}
-    table = {"control": control} | table
-    return Channels(reactions), read_observations(table, sigma, whiskers=whiskers, kinds=reactions)
+    table = {name: zero if name in scale.names and whiskers > 1 else zero[:, 0] for name in names}
+    noise = read_observations({"control": control} | table, sigma, whiskers=whiskers, kinds=scale.names)
+    present = [(channel.whisker, channel.kind) for channel in noise.channels]
+    own = tuple(arguments_of_build(values, channels, gains))
+    scale, moved = scale.of_measured(present), present if offsets else ()
+    unknowns = unknowns_of(own, signals, moved, scale, False, (), 1)
+    diagonal = [float(scale.names[channel] == scale.signals[signal]) for _, channel, signal in scale.unknown]
+    further = [0.0] * len(moved) + diagonal
+    default = dict(zip(unknowns.all_names[len(unknowns.names) :], further, strict=True))
+    if unused := set(values) - set(unknowns.all_names):
+        allowed = f"unknowns ({', '.join(unknowns.all_names)})"
+        raise ValueError(f"`at` must name {allowed}, got {', '.join(sorted(unused))}.")
+    return Measurement(unknowns, {**values, **{n: v for n, v in default.items() if n not in values}}, noise)
 
 
-def _information_at(
-    build: Callable,
-    at: Mapping[str, float],
-    chosen: Mapping[str, float],
-    channels: Channels,
-    noise: Observations,
-    log: np.ndarray,
+def information_at(
+    build: Callable, chosen: Mapping[str, float], measurement: Measurement, log: np.ndarray
 ) -> Information:
     """The information about some parameters, for chosen values of the others."""
+    unknowns, at, noise = measurement
     route = route_of(noise.control)
-    own = {name: value for name, value in at.items() if name not in channels.parameters}
-    further = [at[name] for name in channels.parameters]
-    stops = np.asarray(route.stops)
-    known = {"channels": channels, "values": further}
-    scan = linearised_scan(channels.in_space, build, own, stops, route.last, chosen, **known)
-    # Derivatives come in the order of the programs: by the scene's parameters first.
-    order = [[*own, *channels.parameters].index(name) for name in at]
-    table, by_events = jax.tree.map(np.asarray, (scan.events, scan.event_slopes[:, order]))
+    x = np.array([at[name] for name in unknowns.all_names])
+    own, parts = unknowns.scene_values(x.tolist()), split(unknowns, x)
+    known = {"channels": unknowns.channels, "values": parts.channels}
+    scan = linearised_scan(build, own, np.asarray(route.stops), route.last, chosen, **known)
+    # Derivatives come in the order of the unknowns: by the scene's parameters first.
+    order = [unknowns.all_names.index(name) for name in at]
+    table, event_slopes = jax.tree.map(np.asarray, (scan.events, scan.event_slopes))
+    by_events = unknowns.by_own(event_slopes)[:, order]
     snaps = np.where(np.isin(table.kind, SNAPS), table.travel, np.nan)
     # The last step before a snap is left out, as in a fit: slopes grow without bound there.
     before = (route.travel[:-1, None] <= snaps) & (route.travel[1:, None] > snaps)
     gaps = np.sum(np.where(before, np.diff(route.travel)[:, None], 0.0), axis=0)
     signals = scan.signals(noise.control, np.asarray(route.travel))
-    lost = np.isnan(signals.values) | np.append(before.any(axis=1), False)[:, None, None]
-    rates = np.where(lost[..., None], 0.0, signals.slopes[..., order])
+    values, by_own = unknowns.measured(x, signals.values, signals.slopes)
+    lost = np.isnan(values) | np.append(before.any(axis=1), False)[:, None, None]
+    rates = np.where(lost[..., None], 0.0, by_own[..., order])
     whitened = np.nan_to_num(rates / noise.sigma[..., None])
     events = tuple(
         EventInformation(

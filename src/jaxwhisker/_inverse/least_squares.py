@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here
 from jaxwhisker._inverse.channels import Channels
-from jaxwhisker._inverse.linearised import REACTION_CHANNELS, LinearisedScan
+from jaxwhisker._inverse.linearised import REACTION_CHANNELS, AbstractLinearisedScan, LinearisedScan, Signals
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
 from jaxwhisker._inverse.statistics import chi_squared
@@ -41,6 +41,16 @@ class Evaluation(NamedTuple):
     residual: Residuals
     jacobian: Jacobian
     compared: tuple[Comparison, ...]  # one for each recording
+    scans: tuple["Scanned", ...] = ()  # one for each recording
+
+
+class Scanned(NamedTuple):
+    """What residuals and derivatives of a recording follow from, besides gains and offsets."""
+
+    placed: Any  # where signals are compared
+    by: Any  # its derivatives
+    signals: Signals
+    status: int  # of the path
 
 
 class Minimum(NamedTuple):
@@ -71,7 +81,6 @@ class Minimum(NamedTuple):
 
 
 def linearised_scan(
-    in_space: bool,
     build: Callable[..., Any],
     x: Mapping[str, Any],
     stops: np.ndarray,
@@ -81,13 +90,13 @@ def linearised_scan(
     channels: Channels = REACTION_CHANNELS,
     values: Any = (),
     shift: bool = False,
-) -> Any:
-    """The LinearisedScan of a scene in the plane, or what has its methods in space."""
-    if not in_space:
+) -> AbstractLinearisedScan:
+    """The linearised scan of a scene in the plane or in space."""
+    if not channels.in_space:
         return LinearisedScan(build, x, stops, last, known, channels, values, shift)
     from jaxwhisker._inverse.linearised_in_space import LinearisedSpaceScan
 
-    return LinearisedSpaceScan(build, x, stops, last, known, shift)
+    return LinearisedSpaceScan(build, x, stops, last, known, channels, values, shift)
 
 
 class LeastSquares(NamedTuple):
@@ -117,18 +126,32 @@ class LeastSquares(NamedTuple):
                 self.report(chi_squared(at.residual))
             return at
 
-        return minimise(evaluate, y, least)
+        def with_best_gains(y, at):
+            """Gains and offsets that fit best for these values of the others: residuals are linear in them."""
+            linear = self.unknowns.linear
+            if not self.unknowns.gains.unknown or not all(np.isfinite(part).all() for part in at[:2]):
+                return y, at
+            y = y.copy()
+            y[linear] -= np.linalg.lstsq(at.jacobian[:, linear], at.residual, rcond=None)[0]
+            at = self.evaluate(y, data, prior, at.scans)
+            at.jacobian[:, held] = 0.0
+            return y, at
 
-    def evaluate(self, y: np.ndarray, data: Sequence[Samples], prior: np.ndarray) -> Evaluation:
-        """Residuals of all recordings and of the prior, with their derivatives."""
+        return minimise(evaluate, y, least, with_best_gains)
+
+    def evaluate(
+        self, y: np.ndarray, data: Sequence[Samples], prior: np.ndarray, scans: Sequence[Scanned] | None = None
+    ) -> Evaluation:
+        """Residuals of all recordings and of the prior, with their derivatives; `scans` are known for equal scenes."""
         with np.errstate(over="ignore"):  # an infinite parameter is invalid
             x = self.transforms.natural(y, np)
         columns = self.unknowns.columns
-        if len(data) == 1:
-            each = [self._of_recording(x[columns[0]], data[0])]
-        else:
+        if scans is None and len(data) == 1:
+            scans = [self._scanned(x[columns[0]], data[0])]
+        elif scans is None:
             with ThreadPoolExecutor(threads()) as pool:
-                each = list(pool.map(as_here(self._of_recording), [x[own] for own in columns], data))
+                scans = list(pool.map(as_here(self._scanned), [x[own] for own in columns], data))
+        each = [self._of_recording(x[own], one, scan) for own, one, scan in zip(columns, data, scans, strict=True)]
         by_y = self.transforms.per_inner(x) * self.transforms.stretch(y)
         jacobians = []
         for at, own in zip(each, columns, strict=True):
@@ -138,48 +161,42 @@ class LeastSquares(NamedTuple):
         weight = prior_weight(data[0])
         residual = np.concatenate([*(at.residual for at in each), (y - prior) * weight])
         compared = tuple(comparison for at in each for comparison in at.compared)
-        return Evaluation(residual, np.concatenate([*jacobians, weight * np.eye(x.size)]), compared)
+        return Evaluation(residual, np.concatenate([*jacobians, weight * np.eye(x.size)]), compared, tuple(scans))
 
-    def _of_recording(self, x: Float[np.ndarray, " own"], data: Samples) -> Evaluation:
-        """Residuals of one recording's signals, snaps, touches and releases, and their derivatives by its unknowns."""
+    def _scanned(self, x: Float[np.ndarray, " own"], data: Samples) -> Scanned:
         unknowns, parts = self.unknowns, split(self.unknowns, x)
         shift = parts.shift[0] if unknowns.shift else np.asarray(0.0)
         stops, last = (np.full_like(data.stops, np.nan), 1) if data.overlaid else (data.stops + shift, data.last)
         parameters = dict(zip(unknowns.build, parts.build, strict=True))
         known = {"channels": unknowns.channels, "values": parts.channels, "shift": unknowns.shift}
-        scan = linearised_scan(unknowns.channels.in_space, self.build, parameters, stops, last, **known)
+        scan = linearised_scan(self.build, parameters, stops, last, **known)
         placed, by = placed_and_slopes_now(shift, scan.start, scan.events, data, scan.shift_slopes, scan.event_slopes)
         placed, by = jax.tree.map(np.asarray, (placed, by))
         signals = scan.signals(placed.control, placed.travel, by.control)
-        count = len(unknowns.names)
+        return Scanned(placed, by, signals, int(scan.status))
 
-        def by_unknowns(slopes: np.ndarray) -> np.ndarray:
-            """Derivatives with respect to x from those along the scan's directions."""
-            columns = np.zeros((*slopes.shape[:-1], x.size))
-            columns[..., :count] = slopes[..., :count]
-            if unknowns.shift:
-                columns[..., -1] = slopes[..., count]
-            return columns
-
-        values, by_signals = signals.values.copy(), by_unknowns(signals.slopes)
-        first_gain = count + len(unknowns.offsets)
-        for k, (whisker, kind) in enumerate(unknowns.gains, start=first_gain):
-            by_signals[:, whisker, kind] *= x[k]
-            by_signals[:, whisker, kind, k] = values[:, whisker, kind]
-            values[:, whisker, kind] *= x[k]
-        for k, (whisker, kind) in enumerate(unknowns.offsets, start=count):
-            by_signals[:, whisker, kind, k] = 1.0
-            values[:, whisker, kind] += x[k]
+    def _of_recording(self, x: Float[np.ndarray, " own"], data: Samples, scanned: Scanned) -> Evaluation:
+        """Residuals of one recording's signals, snaps, touches and releases, and their derivatives by its unknowns."""
+        unknowns, (placed, by, signals, status) = self.unknowns, scanned
+        values, by_signals = unknowns.measured(x, signals.values, signals.slopes)
         by_signals *= placed.weight[..., None]
 
-        slopes = [part.reshape(-1, x.size) for part in (by_signals, by_unknowns(by.of_snaps), by_unknowns(by.of_ends))]
-        compared = Comparison(values, placed.left_out, int(scan.status))
+        by_parts = by_signals, unknowns.by_own(by.of_snaps), unknowns.by_own(by.of_ends)
+        slopes = [part.reshape(-1, x.size) for part in by_parts]
+        compared = Comparison(values, placed.left_out, status, signals.values)
         residual, jacobian = np.concatenate(placed.residuals(values, data)), np.concatenate(slopes)
         return Evaluation(residual, jacobian, (compared,))
 
 
-def minimise(evaluate: Callable[[np.ndarray], Evaluation], y: np.ndarray, least: float) -> Minimum:
+def minimise(
+    evaluate: Callable[[np.ndarray], Evaluation],
+    y: np.ndarray,
+    least: float,
+    improve: Callable[[np.ndarray, Evaluation], tuple[np.ndarray, Evaluation]] = lambda y, at: (y, at),
+) -> Minimum:
     """Levenberg-Marquardt: end when another step would not lower the sum of squares by more than `least`.
+
+    `improve` may move each trial to a better one nearby.
 
     Otherwise unknowns that are hardly determined would keep moving for many steps, and near the minimum rounding would
     decide which steps are accepted.
@@ -187,21 +204,22 @@ def minimise(evaluate: Callable[[np.ndarray], Evaluation], y: np.ndarray, least:
     Source: Gould, Orban, Sartenaer, Toint (2005), 4OR 3, "Sensitivity of trust-region algorithms to their parameters"
     (for the rule that changes the damping).
     """
-    at, steps, damping, small = evaluate(y), 1, 1.0, False
+    y, at = improve(y, evaluate(y))
+    steps, damping, small = 1, 1.0, False
     while steps < FIT_STEPS and np.isfinite(at.residual).all() and np.isfinite(at.jacobian).all():
         if small or possible_decrease(at.residual, at.jacobian) < least:
-            return Minimum(y, *at, steps, True)
+            return Minimum(y, *at[:3], steps, True)
         step = _damped_step(at, damping)
-        trial, steps = evaluate(y + step), steps + 1
+        (moved, trial), steps = improve(y + step, evaluate(y + step)), steps + 1
         decrease = chi_squared(at.residual) - chi_squared(trial.residual)
         predicted = chi_squared(at.residual) - chi_squared(at.residual + at.jacobian @ step)
         if not decrease >= LEAST_SHARE * predicted:
             damping *= MORE
             continue
         damping *= LESS if decrease > GOOD_SHARE * predicted > 0 else 1.0
-        small = _is_small(step, y + step) and _is_small(trial.residual - at.residual, trial.residual)
-        y, at = y + step, trial
-    return Minimum(y, *at, steps, False)
+        small = _is_small(moved - y, moved) and _is_small(trial.residual - at.residual, trial.residual)
+        y, at = moved, trial
+    return Minimum(y, *at[:3], steps, False)
 
 
 def _damped_step(at: Evaluation, damping: float) -> np.ndarray:

@@ -5,6 +5,7 @@ programs compute values together with derivatives in a few directions, those of 
 than all derivatives of a scan.
 """
 
+import abc
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -179,52 +180,39 @@ events_and_slopes_now = Program(_events_and_slopes, quick=True)
 states_and_slopes_now = Program(_states_and_slopes)
 
 
-class LinearisedScan:
-    """The events and signals of a scene from `build`, with derivatives with respect to the parameters.
+class AbstractLinearisedScan:
+    """The events and signals of a scene, with derivatives with respect to parameters.
 
     Derivatives have a last axis of directions: one for each parameter, then any further ones that the control depends
     on. They are padded with zeros to a multiple of `WIDTH`.
 
     Args:
-        build: makes a Scene from named numbers.
-        x: values of the parameters by which derivatives are taken, by name.
-        stops: of the drive, as in a Route.
-        last: index of the last stop.
-        known: values of further arguments of `build`.
+        scene: the scene, and derivatives of its numbers.
+        first: number of parameters of the scene.
         channels: what is measured.
         values: of further arguments of its function, (values,); derivatives by them follow those by the parameters.
         shift: whether the last direction is a shift of all stops.
     """
 
-    def __init__(
-        self,
-        build: Callable[..., AbstractScene],
-        x: Mapping[str, Any],
-        stops: np.ndarray,
-        last: Any,
-        known: Mapping[str, float] | None = None,
-        channels: Channels = REACTION_CHANNELS,
-        values: Any = (),
-        shift: bool = False,
-    ):
-        self._channels, self._values = channels, np.asarray(values, dtype=float)
-        self._first = len(x)
-        scene, slopes = scene_with_slopes(build, x, known or {}, len(values) + shift)
-        self._scene = scene, slopes
-        _prepare(scene, slopes, stops.shape[0], channels.fields)
-        self.problem, self._directions = problem_and_slopes_now(scene, slopes)
-        self._path, self.start, _ = path_through(self.problem, kinds_of(scene), stops, np.asarray(last))
-        self.status = self._path.status
-        self.shift_slopes = (np.arange(self.width) == len(x) + len(values)) * float(shift)
-        at_stops = np.nan_to_num(stops), self._directions, np.tile(self.shift_slopes, (stops.size, 1))
-        self._memory = memory_now(self.problem, self._path, *at_stops)
-        found = events_and_slopes_now(self.problem, self._path, self._memory, self._directions)
-        self.events, self.event_slopes = found
+    _directions: Any  # (numbers, directions) derivatives of the numbers of the problem
+    start: Any  # position where the scan begins
+    status: Any  # of the path
+    events: EventTable
+    event_slopes: Any  # (events, directions)
+
+    def __init__(self, scene: tuple[Any, Any], first: int, channels: Channels, values: Any, shift: bool):
+        self._scene, self._first, self._channels = scene, first, channels
+        self._values, self._shift = np.asarray(values, dtype=float), shift
 
     @property
     def width(self) -> int:
         """Number of directions."""
         return self._directions.shape[1]
+
+    @property
+    def shift_slopes(self) -> Float[np.ndarray, " directions"]:
+        """Derivatives of a shift of all stops."""
+        return (np.arange(self.width) == self._first + self._values.size) * float(self._shift)
 
     def signals(self, control: np.ndarray, travel: np.ndarray, control_slopes: np.ndarray | None = None) -> Signals:
         """Signals at controls that the drive passes after travelling `travel`; arrays of NumPy.
@@ -244,10 +232,8 @@ class LinearisedScan:
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *each)
 
     def _block(self, control: np.ndarray, travel: np.ndarray, slopes: np.ndarray) -> Signals:
-        solutions = solve_steps_now(self.problem, self._path, control, travel)
-        fields, memory = self._channels.fields, self._memory
-        state = states_and_slopes_now(fields, self.problem, control, solutions, memory, self._directions, slopes)
-        if fields is not None:
+        state = self._states(control, travel, slopes)
+        if self._channels.fields is not None:
             return Signals(*state)
         values = self._values, np.eye(self._values.size, self.width, self._first)
         # The function may be slow, and most steps of a block may be padding: copies of the last one.
@@ -255,6 +241,52 @@ class LinearisedScan:
         *some, control, slopes = jax.tree.map(lambda leaf: np.asarray(leaf)[:size], (*state, control, slopes))
         found = channels_and_slopes_now(self._channels, *self._scene, *some, control, slopes, values)
         return Signals(*(np.pad(leaf, [(0, BLOCK - size), *[(0, 0)] * (leaf.ndim - 1)], mode="edge") for leaf in found))
+
+    @abc.abstractmethod
+    def _states(self, control: np.ndarray, travel: np.ndarray, slopes: np.ndarray) -> tuple[Any, Any]:
+        """The channels' fields of the states stacked, or whole states if there are none; and their derivatives."""
+
+
+class LinearisedScan(AbstractLinearisedScan):
+    """The events and signals of a scene from `build`, with derivatives with respect to the parameters.
+
+    Args:
+        build: makes a Scene from named numbers.
+        x: values of the parameters by which derivatives are taken, by name.
+        stops: of the drive, as in a Route.
+        last: index of the last stop.
+        known: values of further arguments of `build`.
+        channels: what is measured.
+        values: of further arguments of its function, (values,).
+        shift: whether the last direction is a shift of all stops.
+    """
+
+    def __init__(
+        self,
+        build: Callable[..., AbstractScene],
+        x: Mapping[str, Any],
+        stops: np.ndarray,
+        last: Any,
+        known: Mapping[str, float] | None = None,
+        channels: Channels = REACTION_CHANNELS,
+        values: Any = (),
+        shift: bool = False,
+    ):
+        scene, slopes = scene_with_slopes(build, x, known or {}, len(values) + shift)
+        super().__init__((scene, slopes), len(x), channels, values, shift)
+        _prepare(scene, slopes, stops.shape[0], channels.fields)
+        self.problem, self._directions = problem_and_slopes_now(scene, slopes)
+        self._path, self.start, _ = path_through(self.problem, kinds_of(scene), stops, np.asarray(last))
+        self.status = self._path.status
+        at_stops = np.nan_to_num(stops), self._directions, np.tile(self.shift_slopes, (stops.size, 1))
+        self._memory = memory_now(self.problem, self._path, *at_stops)
+        found = events_and_slopes_now(self.problem, self._path, self._memory, self._directions)
+        self.events, self.event_slopes = found
+
+    def _states(self, control, travel, slopes):
+        solutions = solve_steps_now(self.problem, self._path, control, travel)
+        fields, memory = self._channels.fields, self._memory
+        return states_and_slopes_now(fields, self.problem, control, solutions, memory, self._directions, slopes)
 
 
 def _padded(control: np.ndarray, travel: np.ndarray) -> int:

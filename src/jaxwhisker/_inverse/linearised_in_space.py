@@ -12,11 +12,10 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._inverse.linearised import EventTable, Signals, scene_with_slopes
+from jaxwhisker._inverse.channels import Channels
+from jaxwhisker._inverse.linearised import AbstractLinearisedScan, EventTable, scene_with_slopes
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE
-from jaxwhisker._scan.scan import BLOCK
 from jaxwhisker._scan.space_scan import SpaceSolutions, follow_path_now, solve_steps_now, states
 from jaxwhisker._scan.space_signals import events
 from jaxwhisker._space.march_state import SpacePath
@@ -57,31 +56,37 @@ def _events_and_slopes(
     return table, slopes
 
 
-def _signals_and_slopes(
+def _states_and_slopes(
+    fields: tuple[str, ...] | None,
     problem: SpaceProblem,
     control: Float[Array, " steps"],
     solutions: SpaceSolutions,
     directions: Float[Array, "numbers directions"],
     control_slopes: Float[Array, "steps directions"],
-) -> tuple[Array, Array]:
-    """The reactions (steps, whiskers, 6), and their derivatives."""
+) -> tuple[Any, Any]:
+    """Some fields of the states, stacked along a last axis, or states and displacements; and their derivatives."""
     numbers, rebuilt = ravel_pytree(_numbers(problem))
 
-    def signals(numbers, control):
-        state, *_ = states(eqx.combine(rebuilt(numbers), problem), control, solutions)
-        return jnp.stack([getattr(state, name) for name in REACTIONS_IN_SPACE], axis=-1)
+    def solved(numbers, control):
+        state, _, displacement = states(eqx.combine(rebuilt(numbers), problem), control, solutions)
+        if fields is not None:
+            return jnp.stack([getattr(state, name) for name in fields], axis=-1), None
+        return eqx.partition((state, displacement), eqx.is_inexact_array)
 
-    along = jax.vmap(lambda *dots: jax.jvp(signals, (numbers, control), dots), in_axes=-1, out_axes=(None, -1))
-    return along(directions, control_slopes)
+    def towards(*dots):
+        return jax.jvp(solved, (numbers, control), dots, has_aux=True)
+
+    smooth, slopes, rest = jax.vmap(towards, in_axes=-1, out_axes=(None, -1, None))(directions, control_slopes)
+    return eqx.combine(smooth, rest), slopes
 
 
 problem_and_slopes_now = Program(_problem_and_slopes, quick=True)
 events_and_slopes_now = Program(_events_and_slopes, quick=True)
-signals_and_slopes_now = Program(_signals_and_slopes)
+states_and_slopes_now = Program(_states_and_slopes)
 
 
-class LinearisedSpaceScan:
-    """The events and reactions of a scene in space without friction, with derivatives, as `LinearisedScan` has them."""
+class LinearisedSpaceScan(AbstractLinearisedScan):
+    """The events and signals of a scene in space without friction from `build`; arguments as for `LinearisedScan`."""
 
     def __init__(
         self,
@@ -89,31 +94,19 @@ class LinearisedSpaceScan:
         x: Mapping[str, Any],
         stops: np.ndarray,
         last: Any,
-        known: Mapping[str, float] | None = None,
+        known: Mapping[str, float] | None,
+        channels: Channels,
+        values: Any = (),
         shift: bool = False,
     ):
-        self.problem, self._directions = problem_and_slopes_now(*scene_with_slopes(build, x, known or {}, int(shift)))
+        scene = scene_with_slopes(build, x, known or {}, len(values) + shift)
+        super().__init__(scene, len(x), channels, values, shift)
+        self.problem, self._directions = problem_and_slopes_now(*scene)
         self._path, self.start, _ = follow_path_now(self.problem, stops, np.asarray(last))
         self.status = self._path.status
-        self.shift_slopes = (np.arange(self.width) == len(x)) * float(shift)
         self.events, self.event_slopes = events_and_slopes_now(self.problem, self._path, self._directions)
 
-    @property
-    def width(self) -> int:
-        """Number of directions."""
-        return self._directions.shape[1]
-
-    def signals(self, control: np.ndarray, travel: np.ndarray, control_slopes: np.ndarray | None = None) -> Signals:
-        """Reactions at controls that the drive passes after travelling `travel`; NaN where a step failed."""
-        slopes = np.zeros((control.size, self.width)) if control_slopes is None else control_slopes
-        count, blocks = control.size, range(0, control.size, BLOCK)
-        control, travel, slopes = (
-            np.pad(values, [(0, -count % BLOCK)] + [(0, 0)] * (values.ndim - 1), mode="edge")
-            for values in (control, travel, slopes)
-        )
-        each = [self._block(*(values[k : k + BLOCK] for values in (control, travel, slopes))) for k in blocks]
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *each)
-
-    def _block(self, control: np.ndarray, travel: np.ndarray, slopes: np.ndarray) -> Signals:
+    def _states(self, control, travel, slopes):
         solutions = solve_steps_now(self.problem, self._path, control, travel)
-        return Signals(*signals_and_slopes_now(self.problem, control, solutions, self._directions, slopes))
+        fields = self._channels.fields
+        return states_and_slopes_now(fields, self.problem, control, solutions, self._directions, slopes)

@@ -240,6 +240,8 @@ def _text_of(path: Path) -> str:
 def as_numbers(argument: str, name: str, values: Any) -> np.ndarray:
     """Values as floats; a ValueError names the argument and the column if they are not numbers."""
     try:
+        if np.iscomplexobj(values):  # NumPy would drop the imaginary part
+            raise TypeError
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"`{argument}` must hold numbers, got {values!r} for {name}.") from None

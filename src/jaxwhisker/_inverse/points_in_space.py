@@ -1,5 +1,7 @@
 """The result of a reconstruction in space: points of the object and their uncertainty."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -104,3 +106,30 @@ class SpaceReconstruction(SpaceStep):
         return "\n".join(lines)
 
     __repr__ = __str__
+
+
+def perpendicular(
+    reaction: Float[Any, "*steps whiskers 6"],
+    root: Float[Any, "*steps whiskers 6 roots"],
+    missing: Bool[Any, "*steps whiskers"],
+    xp: Any = jnp,
+) -> tuple[Any, Any]:
+    """Cosine of the angle between force and moment, and their product in standard deviations of its noise.
+
+    Args:
+        reaction: force and moment of each whisker.
+        root: of the covariance of their noise: root @ root.T.
+        missing: whiskers without a value, whose results are NaN.
+        xp: numpy or jax.numpy.
+    """
+    force, moment = reaction[..., :3], reaction[..., 3:]
+    product = xp.sum(force * moment, axis=-1)
+    sizes = xp.sum(force**2, axis=-1) * xp.sum(moment**2, axis=-1)
+    by_noise = xp.sum(xp.concatenate([moment, force], axis=-1)[..., None] * root, axis=-2)
+    variance = xp.sum(by_noise**2, axis=-1)
+
+    def ratio(square):
+        known = ~missing & (square > 0)
+        return xp.where(known, product / xp.sqrt(xp.where(known, square, 1.0)), xp.nan)
+
+    return ratio(sizes), ratio(variance)

@@ -27,7 +27,7 @@ from jaxwhisker._inverse.features import TINY_NOISE, noise_of
 from jaxwhisker._inverse.inverse_space import SpaceInstrument, SpaceSensor, in_frame, space_instrument
 from jaxwhisker._inverse.observations import OWN_REACTIONS, Observations, channels_of, named_values, read_observations
 from jaxwhisker._inverse.points import PointStatus
-from jaxwhisker._inverse.points_in_space import SpaceReconstruction, SpaceStep
+from jaxwhisker._inverse.points_in_space import SpaceReconstruction, SpaceStep, perpendicular
 from jaxwhisker._model.drives import Placement, placement_of
 from jaxwhisker._model.scene import Units, units_of
 from jaxwhisker._model.space_scene import SpaceScene
@@ -265,9 +265,7 @@ def _step(
     contact = jnp.where(ok[:, None], contact, jnp.nan).T
     at_base = jnp.where(missing[:, None], jnp.nan, base * unit.length).T
     covariance = known.covariance(drive, found, ok) * sizes[:, None] * sizes
-    cosine, score = (
-        _perpendicular(measured, root, missing) if len(kinds) == 6 else [jnp.full(missing.size, jnp.nan)] * 2
-    )
+    cosine, score = perpendicular(measured, root, missing) if len(kinds) == 6 else [jnp.full(missing.size, jnp.nan)] * 2
     if_noisy = 1.0 if noisy else jnp.nan
     codes = [PointStatus.missing, PointStatus.free, PointStatus.failed]
     return SpaceStep(
@@ -285,21 +283,6 @@ def _step(
         status=jnp.select([missing, ~touching, ~ok], codes, PointStatus.ok),
         covariance=jnp.where(ok[:, None, None], covariance, jnp.nan) * if_noisy,
     )
-
-
-def _perpendicular(reaction: Array, root: Array, missing: Array) -> tuple[Array, Array]:
-    """Cosine of the angle between force and moment, and their product in standard deviations of its noise."""
-    force, moment = reaction[:, :3], reaction[:, 3:]
-    product = jnp.sum(force * moment, axis=1)
-    sizes = jnp.sum(force**2, axis=1) * jnp.sum(moment**2, axis=1)
-    by_noise = jnp.sum(jnp.concatenate([moment, force], axis=1)[:, :, None] * root, axis=1)
-    variance = jnp.sum(by_noise**2, axis=1)
-
-    def ratio(square):
-        known = ~missing & (square > 0)
-        return jnp.where(known, product / jnp.sqrt(jnp.where(known, square, 1.0)), jnp.nan)
-
-    return ratio(sizes), ratio(variance)
 
 
 def _complete(kinds: tuple[str, ...], values: Float[Array, " channels"], length: Scalar) -> Float[Array, "starts 6"]:

@@ -67,9 +67,10 @@ class Samples(NamedTuple):
 class Comparison(NamedTuple):
     """What the residuals compare with the observations."""
 
-    signals: Any  # (samples, whiskers, 3) of the model, offsets included; NaN where a step failed
+    signals: Any  # (samples, whiskers, 3) of the model, gains and offsets included; NaN where a step failed
     left_out: Any  # (samples,) whether a sample is left out at a snap
     status: Any  # of the path
+    unscaled: Any  # (samples, whiskers, 3) signals without gains and offsets
 
 
 def samples_of(
@@ -221,8 +222,7 @@ def _misfit(build, unknowns: Unknowns, x: Float[Array, " own"], data: Samples) -
     state, _ = states(problem, placed.control, solutions)
     values = dict(zip(unknowns.channels.parameters, parts.channels, strict=True))
     signals = unknowns.channels.of_result(result_of(scene, state, placed.control), values)
-    for (whisker, kind), gain in zip(unknowns.gains, parts.gains, strict=True):
-        signals = signals.at[:, whisker, kind].multiply(gain)
+    signals = unknowns.gains.applied(signals, parts.gains, jnp)
     for (whisker, kind), offset in zip(unknowns.offsets, parts.offsets, strict=True):
         signals = signals.at[:, whisker, kind].add(offset)
     return sum((jnp.sum(part**2) for part in placed.residuals(signals, data, jnp)), jnp.zeros(()))

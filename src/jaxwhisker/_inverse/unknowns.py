@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from jaxwhisker._inverse.channels import Channels
+from jaxwhisker._inverse.gains import Gains
 
 GROUPS = {"offset_": "offsets", "gain_": "gains"}  # names of the unknowns of channels, by the prefix of each
 
@@ -15,13 +16,13 @@ class Unknowns(NamedTuple):
     """The unknowns of one recording, and their places among those of all recordings.
 
     Those of a recording are, in this order: parameters of `build`, parameters of the channels' function, constant
-    offsets of channels, gains of channels, a shift of the control.
+    offsets of channels, unknown entries of the gain matrix, a shift of the control.
     """
 
     build: tuple[str, ...]
     channels: Channels
     offsets: tuple[tuple[int, int], ...]  # (whisker, channel)
-    gains: tuple[tuple[int, int], ...]
+    gains: Gains
     shift: bool
     all_names: tuple[str, ...]  # of all recordings, in the order of the fit's variables
     columns: tuple[Int[np.ndarray, " own"], ...]  # places of each recording's unknowns among all
@@ -34,7 +35,7 @@ class Unknowns(NamedTuple):
     @property
     def own_names(self) -> tuple[str, ...]:
         """Names of the unknowns of one recording."""
-        return _own_names(self.names, self.channels, self.offsets, self.gains, self.shift)
+        return _own_names(self.names, self.offsets, self.gains, self.shift)
 
     @property
     def own_index(self) -> Int[np.ndarray, " unknowns"]:
@@ -47,11 +48,38 @@ class Unknowns(NamedTuple):
     @property
     def linear(self) -> Bool[np.ndarray, " unknowns"]:
         """Which unknowns of all recordings the signals depend on linearly: gains and offsets."""
-        first, count = len(self.names), len(self.offsets) + len(self.gains)
+        first, count = len(self.names), len(self.offsets) + len(self.gains.unknown)
         linear = np.zeros(len(self.all_names), bool)
         for columns in self.columns:
             linear[columns[first : first + count]] = True
         return linear
+
+    def by_own(self, slopes: np.ndarray) -> np.ndarray:
+        """Derivatives by the unknowns of one recording, from those along the directions of a linearised scan."""
+        count = len(self.names)
+        columns = np.zeros((*slopes.shape[:-1], len(self.own_names)))
+        columns[..., :count] = slopes[..., :count]
+        if self.shift:
+            columns[..., -1] = slopes[..., count]
+        return columns
+
+    def measured(self, own: np.ndarray, signals: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The measured channels of one recording, and their derivatives by its unknowns.
+
+        Args:
+            own: the unknowns, (own,).
+            signals: of the model, (steps, whiskers, signals).
+            slopes: their derivatives along the directions of a linearised scan.
+        """
+        count, gains = len(self.names), split(self, own).gains
+        by_own = self.gains.applied(self.by_own(slopes), gains)
+        for k, (whisker, channel, signal) in enumerate(self.gains.unknown, start=count + len(self.offsets)):
+            by_own[:, whisker, channel, k] = signals[:, whisker, signal]
+        values = self.gains.applied(signals, gains).copy()
+        for k, (whisker, channel) in enumerate(self.offsets, start=count):
+            by_own[:, whisker, channel, k] = 1.0
+            values[:, whisker, channel] += own[k]
+        return values, by_own
 
     def scene_values(self, x: Any, recording: int = 0) -> dict[str, Any]:
         """The arguments of `build` for one recording, from all unknowns."""
@@ -70,25 +98,24 @@ class Parts(NamedTuple):
 
 def split(unknowns: Unknowns, own: Any) -> Parts:
     """The unknowns of one recording, an array or a list, by what they act on."""
-    sizes = [len(unknowns.build), len(unknowns.channels.parameters), len(unknowns.offsets), len(unknowns.gains)]
+    parts = unknowns.build, unknowns.channels.parameters, unknowns.offsets, unknowns.gains.unknown
+    sizes = [len(part) for part in parts]
     ends = np.cumsum(sizes)
     return Parts(*(own[a:b] for a, b in zip([0, *ends], [*ends, len(own)], strict=True)))
 
 
-def _own_names(names, channels: Channels, offsets, gains, shift: bool) -> tuple[str, ...]:
-    several = len({k for k, _ in (*offsets, *gains)}) > 1
-
-    def named(prefix: str, pairs) -> list[str]:
-        return [prefix + channels.names[c] + (f"_{k + 1}" if several else "") for k, c in pairs]
-
-    return (*names, *named("offset_", offsets), *named("gain_", gains), *["shift"] * shift)
+def _own_names(names, offsets, gains: Gains, shift: bool) -> tuple[str, ...]:
+    several = len({k for k, *_ in (*offsets, *gains.unknown)}) > 1
+    channels = [("offset_" + gains.names[c], k) for k, c in offsets]
+    channels += [("gain_" + gains.name(entry), entry[0]) for entry in gains.unknown]
+    return (*names, *(name + (f"_{k + 1}" if several else "") for name, k in channels), *["shift"] * shift)
 
 
 def unknowns_of(
     names: Sequence[str],
     channels: Channels,
     offsets: Sequence[tuple[int, int]],
-    gains: Sequence[tuple[int, int]],
+    gains: Gains,
     shift: bool,
     individual: Any,
     recordings: int,
@@ -99,7 +126,7 @@ def unknowns_of(
         names: parameters of `build`.
         channels: what is measured, with its own parameters.
         offsets: channels with an unknown constant.
-        gains: channels with an unknown factor.
+        gains: of the channels.
         shift: whether the control is off by an unknown constant.
         individual: names of unknowns that recordings do not share, or a mapping from such names to one label for each
             recording: recordings with the same label share the value.
@@ -108,8 +135,8 @@ def unknowns_of(
     Raises:
         ValueError: if `individual` names an unknown that does not exist, or has not one label for each recording.
     """
-    build, pairs = tuple(names), (tuple(offsets), tuple(gains))
-    own = _own_names(build + channels.parameters, channels, *pairs, shift)
+    build, moved = tuple(names), tuple(offsets)
+    own = _own_names(build + channels.parameters, moved, gains, shift)
     groups = [next((g for prefix, g in GROUPS.items() if name.startswith(prefix)), name) for name in own]
     groups[: len(names) + len(channels.parameters)] = build + channels.parameters
     labels = _labels_of(individual, list(dict.fromkeys(groups)), recordings)
@@ -119,7 +146,7 @@ def unknowns_of(
     ]
     all_names = list(dict.fromkeys(table[r][k] for k in range(len(own)) for r in range(recordings)))
     columns = tuple(np.array([all_names.index(name) for name in row], dtype=int) for row in table)
-    return Unknowns(build, channels, *pairs, shift, tuple(all_names), columns)
+    return Unknowns(build, channels, moved, gains, shift, tuple(all_names), columns)
 
 
 def _labels_of(individual: Any, groups: list[str], recordings: int) -> dict[str, list[str]]:

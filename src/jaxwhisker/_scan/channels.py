@@ -80,20 +80,13 @@ def example_of(scene: AbstractScene) -> AbstractResult:
 
 
 def _example_in_space(scene: Any, zero: Float[Array, "steps whiskers"]) -> AbstractResult:
-    from jaxwhisker._scan.space_result import SpaceResult, SpaceState
+    from jaxwhisker._scan.space_result import SpaceState
 
     fields: dict[str, Any] = dict.fromkeys(SpaceState.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
     fields |= dict.fromkeys(FRICTION_IN_SPACE) if scene.friction is None else {"slip": zero.astype(int)}
     fields["base_rotation"] = jnp.zeros((*zero.shape, 3, 3))
-    lengths, status = jnp.zeros((EXAMPLE_STEPS, len(scene.support.springs))), jnp.zeros(EXAMPLE_STEPS, int)
-    return SpaceResult(
-        **fields,
-        control=jnp.zeros(EXAMPLE_STEPS),
-        spring_length=lengths,
-        status=status,
-        deferred_events=_WithoutEvents(tuple),
-        scene=scene,
-    )
+    displacement = jnp.zeros((*zero.shape, 6)) if scene.support.springs else None
+    return result_in_space(scene, SpaceState(**fields), displacement, jnp.zeros(EXAMPLE_STEPS))
 
 
 def columns_of(signals: Any, steps: int) -> dict[str, Array]:
@@ -119,6 +112,23 @@ def result_of(scene: Scene, state: State, control: Float[Array, " steps"]) -> Re
         **{name: getattr(state, name) for name in State.__dataclass_fields__},
         control=control,
         spring_length=spring_lengths(scene, bases_of(scene, state), control),
+        status=jnp.where(jnp.isfinite(state.base_x[:, 0]), Status.ok, Status.lost),
+        deferred_events=_WithoutEvents(tuple),
+        scene=scene,
+    )
+
+
+def result_in_space(
+    scene: Any, state: Any, displacement: Float[Array, "steps whiskers 6"] | None, control: Float[Array, " steps"]
+) -> AbstractResult:
+    """The same in space, from the SpaceState and the displacements of the bases, which are None if they are clamped."""
+    from jaxwhisker._scan.space_result import SpaceResult, SpaceState
+
+    steps = control.shape[0]
+    return SpaceResult(
+        **{name: getattr(state, name) for name in SpaceState.__dataclass_fields__},
+        control=control,
+        spring_length=jnp.zeros((steps, 0)) if displacement is None else scene.support.spring_length(displacement),
         status=jnp.where(jnp.isfinite(state.base_x[:, 0]), Status.ok, Status.lost),
         deferred_events=_WithoutEvents(tuple),
         scene=scene,

@@ -150,6 +150,11 @@ def control_kind(scene: AbstractScene | Sensor) -> str:
     return scene.motion.control_kind
 
 
+def reactions_of(scene: AbstractScene | Sensor) -> tuple[str, ...]:
+    """Names of the reactions of the support: three in the plane, six in space."""
+    return REACTIONS_IN_SPACE if isinstance(scene, AbstractScene) and scene.in_space else REACTIONS
+
+
 def control_name(scene: AbstractScene | Sensor) -> str:
     """Name of the control of a scene."""
     return {"length": "drive position", "angle": "angle of the drive", "number": "control"}[control_kind(scene)]

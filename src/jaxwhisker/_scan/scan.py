@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.aside import Compilers
+from jaxwhisker._base.primitive import LANES
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.slopes import by_slopes
@@ -310,8 +311,8 @@ def _result(
 
 
 problem_now = Program(problem_of, tangent=by_slopes(problem_of))
-follow_path_now = Program(follow_path, frozen=True, batched=True)
-detect_now = Program(detect, frozen=True, batched=True)
+follow_path_now = Program(follow_path, frozen=True, together=LANES)
+detect_now = Program(detect, frozen=True, together=LANES)
 remembered_now = Program(remembered, tangent=remembered_tangents)
 solve_steps_now = Program(solve_steps, frozen=True)
 states_now = Program(states, tangent=state_tangents)

@@ -19,7 +19,7 @@ from jaxwhisker._equilibrium.point import Point, at_control, dot, scale_of
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.support import Support
 from jaxwhisker._path.path import STOP, Status
-from jaxwhisker._scan.blocks import BLOCK, in_blocks
+from jaxwhisker._scan.blocks import in_blocks
 from jaxwhisker._scan.route import (
     TRACED_STEPS,
     across,
@@ -42,7 +42,9 @@ from jaxwhisker._space.problem import Contacts, SpaceProblem, problem_in_space
 from jaxwhisker._space.shape import touches_twice
 from jaxwhisker._space.slip import Mode, following
 
-BATCH = 32  # steps solved for at once
+BLOCK = 256  # steps computed by one call; each takes longer than in the plane
+LANES = 16  # of a batch that run together: a block takes as long as its slowest lane
+BATCH = 32  # steps solved for at once, and nodes searched for second contacts at once
 RESIDUAL = 1e-8  # largest residual of a step marked ok
 JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
 WIND_UP = 300.0  # turn of a base by the roll at the contact: a rod that magnifies errors more is `inexact`
@@ -58,8 +60,8 @@ class SpaceScanPath(NamedTuple):
 
 
 @with_own_settings
-def scan_in_space(scene: SpaceScene, control: Control | None = None) -> SpaceResult:
-    """Scan past a surface in space; see `scan`."""
+def scan_in_space(scene: SpaceScene, control: Control | None = None, steps: int | None = None) -> SpaceResult:
+    """Scan past a surface in space; see `scan`. With `steps`, the default control has so many equidistant positions."""
     if control is not None:
         checks.vector("control", control)
     scene = jax.tree.map(checks.as_float, scene)
@@ -74,8 +76,10 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None) -> SpaceRes
         prepare(problem, stops.shape[0])
     path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
     path = _if_ok(path, status)
-    if route is None and checks.is_traced((problem, start)):
-        route = evenly_now(start, stop, TRACED_STEPS)
+    traced = checks.is_traced((problem, start))
+    if route is None and (traced or steps is not None):
+        route = evenly_now(start, stop, TRACED_STEPS if steps is None else steps)
+        route = route if traced else jax.tree.map(np.asarray, route)
     elif route is None:
         route = route_of(default_positions(float(start), float(stop), problem.unit))
 
@@ -149,8 +153,17 @@ def _until_second_contact(problem: SpaceProblem, path: SpacePath) -> SpacePath:
     if not problem.may_touch_twice:
         return path
     nodes = path.nodes
-    twice = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))(nodes.point.z, nodes.phase)
-    twice &= jnp.arange(twice.size) < path.count
+    exists = jnp.arange(nodes.kind.size) < path.count
+    phase = jnp.where(exists[:, None], nodes.phase, int(Phase.free))
+
+    def touch_twice(some):
+        z, phase = some
+        search = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))
+        found = jnp.zeros(BATCH, dtype=bool)
+        return jax.lax.cond(jnp.any(phase != Phase.free), lambda: search(z, phase), lambda: found)
+
+    batches = (leaf.reshape(-1, BATCH, *leaf.shape[1:]) for leaf in (nodes.point.z, phase))
+    twice = jnp.ravel(jax.lax.map(touch_twice, tuple(batches)))
     some, first = jnp.any(twice), jnp.argmax(twice)
     return path._replace(
         count=jnp.where(some, first, path.count),
@@ -269,7 +282,14 @@ def solve_steps(
     batch = min(BATCH, count)
     padded = [jnp.pad(values, (0, -count % batch), mode="edge").reshape(-1, batch) for values in (index, u, known)]
     solve = _solve if problem.friction is None else _solve_with_friction
-    solutions = jax.lax.map(lambda some: solve(problem, path, *some), padded)
+
+    def solve_touching(some):
+        index, _, known = some
+        z, phase = path.nodes.point.z[index], path.nodes.phase[index]
+        free = SpaceSolutions(z, phase, known, index)
+        return jax.lax.cond(jnp.any(phase != Phase.free), lambda: solve(problem, path, *some), lambda: free)
+
+    solutions = jax.lax.map(solve_touching, padded)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], solutions)
 
 
@@ -321,7 +341,7 @@ def states(
 
 
 problem_now = Program(problem_in_space)
-follow_path_now = Program(follow_path, frozen=True, batched=True)
+follow_path_now = Program(follow_path, frozen=True, together=LANES)
 solve_steps_now = Program(solve_steps, frozen=True)
 states_now, events_now, linked_now = Program(states), Program(events), Program(linked)
 spring_lengths_now = Program(Support.spring_length)

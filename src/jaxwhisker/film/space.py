@@ -39,11 +39,9 @@ class SpaceStage:
     def __init__(self, result: SpaceResult, shown: Frames, system: UnitSystem, view: Any = None):
         scene, self._view = result.scene, check_view(view)
         largest = float(np.nan_to_num(np.asarray(result.contact_force)).max())
-        self._drawings = []
-        for k in range(shown.step.size):
-            state, lines = jax.tree.map(lambda leaf, k=k: leaf[k], (shown.state, shown.lines))
-            drawn = space.drawing(scene, float(shown.control[k]), state, lines=lines, largest=largest)
-            self._drawings.append(drawn)
+        state: Any = shown.state
+        lines: Any = shown.lines
+        self._drawings = space.drawing(scene, shown.control, state, lines=lines, largest=largest)
         self._system, self._scale = system, system.scale("length")
         self._body, self._low, self._high = space.surroundings(scene, self._drawings)
         self.shape = 1.0  # height over width
@@ -65,7 +63,7 @@ class SpaceStage:
         body = None if self._body is None else self._body.scaled(scale)
         if body is not None:
             self._picture.body(body)
-        first = self._drawings[0].scaled(scale)
+        first = self._drawings.at(0).scaled(scale)
         self._parts = space.Stage(self._picture, first, body, scale, system.scene.support.springs)
         self.moving: list[Any] = self._parts.parts
         self._picture.window(scale * low, scale * high, [system.label_of(name, "length") for name in "xyz"])
@@ -80,4 +78,4 @@ class SpaceStage:
 
     def move(self, frame: int) -> None:
         """Move all artists to a frame."""
-        self._parts.move(self._drawings[frame].scaled(self._scale))
+        self._parts.move(self._drawings.at(frame).scaled(self._scale))

@@ -222,9 +222,9 @@ def force_arrow(state: State, whisker: int, largest: float, size: float = 1.0) -
     return Arrow((x - length * np.sin(slope), y + length * np.cos(slope)), (x, y))
 
 
-def arrow_length(force: float, largest: float) -> float:
-    """Length of the arrow of a force."""
-    return _LEAST_ARROW + (_LONGEST_ARROW - _LEAST_ARROW) * force / max(largest, force, 1e-300)
+def arrow_length(force: Any, largest: float) -> Any:
+    """Length of the arrow of a force, or of several ones."""
+    return _LEAST_ARROW + (_LONGEST_ARROW - _LEAST_ARROW) * force / np.maximum(np.maximum(largest, force), 1e-300)
 
 
 Place = tuple[float, float]

@@ -62,8 +62,7 @@ def fit(result: Fit, *, recording: int = 0, units: str = "auto", axs: Iterable[A
     measured, system = fitted.measured, UnitSystem(fitted.scene, units)
     kinds = measured.kinds
     channels = [c for c in range(len(kinds)) if measured.known[:, :, c].any()]
-    # Signals with an unknown gain, or from a function, have no unit that is known.
-    in_units = kinds == REACTIONS and not any(name.startswith("gain_") for name in result.names)
+    in_units = kinds == REACTIONS and fitted.in_units
 
     def shown(kind: str, values: np.ndarray) -> np.ndarray:
         return system.shown(kind, values) if in_units else values

@@ -16,13 +16,14 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.drives import Placement, mount_in_space, placement_of
+from jaxwhisker._model.drives import Placement, SpaceMotion, mount_in_space, placement_of
+from jaxwhisker._model.motion import AbstractMotion
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.spring import AXES_IN_SPACE
 from jaxwhisker._scan.quantities import UnitSystem
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_scan import problem_now
-from jaxwhisker._scan.space_shapes import SpaceShapes, shapes_in_space, space_state_of
+from jaxwhisker._scan.space_shapes import PADDING, SpaceShapes, shapes_in_space, space_state_of
 from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import clearance
@@ -51,14 +52,18 @@ COIL_TURNS = 2.25
 
 
 class SpaceDrawing(NamedTuple):
-    """A state without the object."""
+    """A state without the object, or several ones."""
 
-    drive: Float[np.ndarray, "1 3"]
-    whiskers: Float[np.ndarray, "whiskers points 3"]  # centre lines from base to tip
-    directors: Float[np.ndarray, "whiskers 3 3"]  # columns: d1, d2 and the tangent d3 at the base
-    springs: tuple[Points, ...]  # in the order of the support
-    contacts: Float[np.ndarray, "whiskers 3"]  # NaN where a whisker is free or unknown
-    forces: Float[np.ndarray, "whiskers 2 3"]  # tail and head of arrows, NaN likewise
+    drive: Float[np.ndarray, "*steps 1 3"]
+    whiskers: Float[np.ndarray, "*steps whiskers points 3"]  # centre lines from base to tip
+    directors: Float[np.ndarray, "*steps whiskers 3 3"]  # columns: d1, d2 and the tangent d3 at the base
+    springs: tuple[Float[np.ndarray, "*steps _ 3"], ...]  # in the order of the support
+    contacts: Float[np.ndarray, "*steps whiskers 3"]  # NaN where a whisker is free or unknown
+    forces: Float[np.ndarray, "*steps whiskers 2 3"]  # tail and head of arrows, NaN likewise
+
+    def at(self, step: int) -> "SpaceDrawing":
+        """One of several states."""
+        return jax.tree.map(lambda part: part[step], self)
 
     def scaled(self, factor: float) -> "SpaceDrawing":
         """The drawing in another unit of length."""
@@ -66,8 +71,8 @@ class SpaceDrawing(NamedTuple):
 
     def extent(self) -> Points:
         """All points that a window should hold."""
-        named = self.whiskers[:, 0, :, None] + DIRECTOR_ROOM * DIRECTOR * self.directors
-        parts = [self.drive, named.swapaxes(1, 2), self.whiskers, *self.springs, self.contacts, self.forces]
+        named = self.whiskers[..., 0, :, None] + DIRECTOR_ROOM * DIRECTOR * self.directors
+        parts = [self.drive, named.swapaxes(-1, -2), self.whiskers, *self.springs, self.contacts, self.forces]
         points = np.concatenate([part.reshape(-1, 3) for part in parts])
         return points[np.isfinite(points).all(axis=1)]
 
@@ -77,7 +82,8 @@ def draw_scene(setup: SpaceScene, system: UnitSystem, view: Any, ax: Axes | None
     view, problem = check_view(view, ax), problem_now(jax.tree.map(checks.as_float, setup))
     control = _start_of(problem) * float(problem.unit.control)
     state = rest_state(setup, control)
-    return _draw([drawing(setup, control, state)], system, picture(view, ax), None)
+    drawn = jax.tree.map(lambda part: part[None], drawing(setup, np.asarray(control), state))
+    return _draw(drawn, system, picture(view, ax), None)
 
 
 def draw_shapes(result: SpaceResult, steps: Sequence[int], system: UnitSystem, view: Any, ax: Axes | None) -> Axes:
@@ -87,35 +93,30 @@ def draw_shapes(result: SpaceResult, steps: Sequence[int], system: UnitSystem, v
     return _draw(drawings(result, np.asarray(steps)), system, picture(view, ax), way)
 
 
-def drawings(result: SpaceResult, steps: np.ndarray) -> list[SpaceDrawing]:
+def drawings(result: SpaceResult, steps: np.ndarray, points: int = LINE_POINTS) -> SpaceDrawing:
     """Geometry of steps of a scan; its largest contact force has the longest arrow."""
-    every = space_state_of(result)
-    states = jax.tree.map(lambda leaf: np.asarray(leaf)[steps], every)
-    lines = shapes_in_space(result.scene, states, count=LINE_POINTS)
-    largest, controls = float(np.nan_to_num(np.asarray(result.contact_force)).max()), np.asarray(result.control)[steps]
-    rows = [jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], (states, lines)) for k in range(steps.size)]
-    return [
-        drawing(result.scene, float(control), state, lines=own, largest=largest)
-        for control, (state, own) in zip(controls, rows, strict=True)
-    ]
+    states = jax.tree.map(lambda leaf: np.asarray(leaf)[steps], space_state_of(result))
+    lines = shapes_in_space(result.scene, states, count=points)
+    largest = float(np.nan_to_num(np.asarray(result.contact_force)).max())
+    return drawing(result.scene, np.asarray(result.control)[steps], states, lines=lines, largest=largest)
 
 
 def drawing(
     scene: SpaceScene,
-    control: float,
+    control: Float[np.ndarray, "*steps"],
     state: SpaceState,
     *,
     lines: SpaceShapes | None = None,
     largest: float | None = None,
 ) -> SpaceDrawing:
-    """Geometry of a state of a scene; NaN where the state is NaN.
+    """Geometry of a state of a scene, or of several ones; NaN where a state is NaN.
 
     Args:
-        scene: scene of the state.
+        scene: scene of the states.
         control: control of the drive, in the scene's units.
-        state: a state with fields (whiskers,) in the scene's units.
-        lines: centre lines (whiskers, points) in the scene's units; by default those of the state.
-        largest: contact force with the longest arrow; by default the largest one of the state.
+        state: a state with fields (*steps, whiskers) in the scene's units.
+        lines: centre lines (*steps, whiskers, points) in the scene's units; by default those of the states.
+        largest: contact force with the longest arrow; by default the largest one of the states.
     """
     size = float(scene.whiskers[0].length)
     if lines is None:
@@ -125,16 +126,15 @@ def drawing(
     push = -np.stack([state.fx, state.fy, state.fz], axis=-1)
     force = np.linalg.norm(push, axis=-1)
     most = float(np.nan_to_num(force).max()) if largest is None else largest
-    length = np.array([arrow_length(float(one), most) for one in np.nan_to_num(force)])
-    along = push / np.where(force > 0, force, np.nan)[:, None]
+    arrows = arrow_length(np.nan_to_num(force), most)[..., None] * push / np.where(force > 0, force, np.nan)[..., None]
     drive = _placed(scene, control)
     return SpaceDrawing(
-        np.asarray(drive.position)[None] / size,
+        np.asarray(drive.position)[..., None, :] / size,
         whiskers,
         np.asarray(state.base_rotation),
-        _springs(scene, drive, whiskers[:, 0]),
+        _springs(scene, np.asarray(drive.rotation), whiskers[..., 0, :]),
         contacts,
-        np.stack([contacts - length[:, None] * along, contacts], axis=1),
+        np.stack([contacts - arrows, contacts], axis=-2),
     )
 
 
@@ -146,7 +146,7 @@ def contacts_of(state: SpaceState, size: float) -> Float[np.ndarray, "*steps whi
 
 def rest_state(scene: SpaceScene, control: float) -> SpaceState:
     """State of the unloaded whiskers on their mounts at a control, as if there were no object."""
-    drive = _placed(scene, control)
+    drive = _placed(scene, np.asarray(control))
     bases = [drive.containing(jax.tree.map(np.asarray, mount_in_space(mount))) for mount in scene.support.mounts]
     position, rotation = (np.stack(parts) for parts in zip(*bases, strict=True))
     none = np.zeros(len(bases))
@@ -156,12 +156,16 @@ def rest_state(scene: SpaceScene, control: float) -> SpaceState:
     return SpaceState(**{name: jnp.asarray(value) for name, value in fields.items()})
 
 
-def _placed(scene: SpaceScene, control: float) -> Placement:
-    """The frame of the drive at a control, in the scene's units."""
-    return jax.tree.map(np.asarray, _placement(*jax.tree.map(checks.as_float, (scene.motion, control))))
+def _placed(scene: SpaceScene, control: Float[np.ndarray, "*steps"]) -> Placement:
+    """The frames of the drive at one or several controls, in the scene's units."""
+    padded = np.pad(control.ravel(), (0, -control.size % PADDING), mode="edge")
+    placed = _placements(jax.tree.map(checks.as_float, scene.motion), padded)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[: control.size].reshape(*control.shape, *leaf.shape[1:]), placed)
 
 
-_placement = Program(placement_of)
+@Program
+def _placements(motion: SpaceMotion | AbstractMotion, controls: Float[Array, " controls"]) -> Placement:
+    return jax.vmap(lambda control: placement_of(motion, control))(controls)
 
 
 def _start_of(problem: SpaceProblem) -> float:
@@ -192,37 +196,38 @@ def _distances(problem: SpaceProblem, controls: Float[Array, " controls"]) -> Fl
     return jax.vmap(lambda u: clearance(problem, u))(controls)
 
 
-def _springs(scene: SpaceScene, drive: Placement, bases: Points) -> tuple[Points, ...]:
+def _springs(scene: SpaceScene, frame: np.ndarray, bases: np.ndarray) -> tuple[np.ndarray, ...]:
     """Springs of the support: zigzags between bases, or from a wall that moves with the drive; coils about axes."""
-    frame = np.asarray(drive.rotation)
     lines = []
     for spring in scene.support.springs:
         first, second = spring.between
-        axis, end, rigid = AXES_IN_SPACE.index(spring.axis) % 3, bases[max(second, 1) - 1], spring.is_rigid()
+        axis, rigid = AXES_IN_SPACE.index(spring.axis) % 3, spring.is_rigid()
+        end = bases[..., max(second, 1) - 1, :]
         if spring.turns:
             lines.append(_coil(end, frame, axis, rigid))
         else:
-            start = bases[first - 1] if first else end - STAND * frame[:, axis]
+            start = bases[..., first - 1, :] if first else end - STAND * frame[..., axis]
             lines.append(_zigzag(start, end, frame, rigid))
     return tuple(lines)
 
 
-def _zigzag(start: np.ndarray, end: np.ndarray, frame: np.ndarray, rigid: bool) -> Points:
+def _zigzag(start: np.ndarray, end: np.ndarray, frame: np.ndarray, rigid: bool) -> np.ndarray:
     turns, swing = zigzag_shape(rigid)
     way = end - start
     # Across the spring, along the axis of the drive's frame that is most nearly normal to it.
-    across = np.cross(way, frame[:, np.argmin(np.abs(way @ frame))])
-    across /= max(float(np.linalg.norm(across)), 1e-12)
-    line = start + turns[:, None] * way + swing[:, None] * across
+    normal = np.argmin(np.abs(way[..., None, :] @ frame), axis=-1)[..., None]
+    across = np.cross(way, np.take_along_axis(frame, normal, axis=-1)[..., 0])
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
+    start, way, across = start[..., None, :], way[..., None, :], across[..., None, :]
     wall = start + 2 * AMPLITUDE * np.array([-1.0, 1.0, 0.0])[:, None] * across
-    return np.concatenate([wall, line])
+    return np.concatenate([wall, start + turns[:, None] * way + swing[:, None] * across], axis=-2)
 
 
-def _coil(centre: np.ndarray, frame: np.ndarray, axis: int, rigid: bool) -> Points:
+def _coil(centre: np.ndarray, frame: np.ndarray, axis: int, rigid: bool) -> np.ndarray:
     share = np.linspace(0.0, 1.0, 97)
     angle = -np.pi / 4 - (1 - share) * (0.0 if rigid else 2 * np.pi * COIL_TURNS)
     spiral = COIL * share[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return centre + spiral @ frame[:, [(axis + 1) % 3, (axis + 2) % 3]].T
+    return centre[..., None, :] + spiral @ frame[..., [(axis + 1) % 3, (axis + 2) % 3]].swapaxes(-1, -2)
 
 
 class Stage:
@@ -280,7 +285,7 @@ class Stage:
         return np.stack([bases, bases + self._scale * DIRECTOR * along], axis=1)
 
 
-def _draw(drawn: Sequence[SpaceDrawing], system: UnitSystem, view: Flat | Turned, way: np.ndarray | None) -> Axes:
+def _draw(drawn: SpaceDrawing, system: UnitSystem, view: Flat | Turned, way: np.ndarray | None) -> Axes:
     """Draw the object, the last state, and, paler, the whiskers of the states before."""
     scale, scene = system.scale("length"), system.scene
     body, low, high = surroundings(scene, drawn)
@@ -290,7 +295,7 @@ def _draw(drawn: Sequence[SpaceDrawing], system: UnitSystem, view: Flat | Turned
     if way is not None:
         for k in range(way.shape[1]):
             view.line(scale * way[:, k], body, color=colour(k), linewidth=1, linestyle=":", zorder=2.5)
-    *before, last = [one.scaled(scale) for one in drawn]
+    *before, last = (drawn.at(step).scaled(scale) for step in range(len(drawn.drive)))
     for age, one in enumerate(before):
         style: dict[str, Any] = {
             "alpha": PALEST + (0.7 - PALEST) * age / max(len(before), 1),
@@ -316,9 +321,9 @@ def _across(along: np.ndarray, towards: np.ndarray) -> float:
     return float(np.linalg.norm(along - (along @ towards) * towards))
 
 
-def surroundings(scene: SpaceScene, drawn: Sequence[SpaceDrawing]) -> tuple[Body | None, np.ndarray, np.ndarray]:
+def surroundings(scene: SpaceScene, drawn: SpaceDrawing) -> tuple[Body | None, np.ndarray, np.ndarray]:
     """The object near some states, and the least and largest coordinates of a window that holds all of it."""
-    points = np.concatenate([one.extent() for one in drawn])
+    points = drawn.extent()
     low, high = points.min(axis=0), points.max(axis=0)
     body = body_of(scene.surface.in_unit(jnp.asarray(scene.whiskers[0].length, dtype=float)), low, high)
     low, high = low - MARGIN, high + MARGIN

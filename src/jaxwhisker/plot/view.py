@@ -220,6 +220,12 @@ class Turned:
         _set_ticks(high - low, self.ax.xaxis, self.ax.yaxis, self.ax.zaxis)
 
 
+def shades_of(body: Body) -> Float[np.ndarray, " faces"]:
+    """Grey of the faces of a body, from 0 (black) to 1 (white)."""
+    light = DARKEST + (LIGHTEST - DARKEST) * (1 + body.smooth @ LIGHT) / 2
+    return np.where(body.cut, CUT_GREY, light)
+
+
 def _set_ticks(spans: np.ndarray, *axes: Any) -> None:
     step = rounded(float(np.max(spans)) / TICKS)
     for axis in axes:
@@ -276,8 +282,7 @@ class _Faces(Poly3DCollection):
 
     def __init__(self, body: Body):
         self.whole, self.corners = body, body.points[body.faces]
-        light = DARKEST + (LIGHTEST - DARKEST) * (1 + body.smooth @ LIGHT) / 2
-        grey = np.where(body.cut, CUT_GREY, light)
+        grey = shades_of(body)
         self.shades = np.stack([grey, grey, grey, np.ones_like(grey)], axis=1)
         # Seams between faces would show if their edges were smoothed.
         style = {"edgecolors": "none", "linewidths": 0, "antialiaseds": False, "zorder": 0, "rasterized": True}
