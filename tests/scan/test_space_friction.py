@@ -139,6 +139,19 @@ def test_where_the_drive_turns_contacts_stick_and_slip_later():
     assert list(result.slip[:, 0]) == [0, 1, 0, 1, 0, 1, 1, 0]
 
 
+def test_a_nearly_straight_whisker_sticks_and_snaps_on_its_way_back():
+    """It hardly yields along its axis: a contact that is pushed far along the path, before it slides, is out of reach."""
+    rng = np.random.default_rng([11, 3])
+    of, friction = drawn("straight clamped linear", rng), float(rng.uniform(0.05, 0.6))
+    scene = eqx.tree_at(lambda scene: scene.friction, of.scene, friction, is_leaf=lambda x: x is None)
+    start, turn = -0.13984642254866913, -0.08085188382519405
+    result = jw.scan(scene, np.concatenate([np.linspace(start, turn, 80), np.linspace(turn, start, 80)[1:]]))
+    assert np.all(result.status == 0)
+    assert KINDS.stick in [event.kind for event in result.events]
+    size = np.sqrt(sum(np.asarray(getattr(result, f"friction_{axis}")) ** 2 for axis in "xyz"))
+    assert np.all(size < friction * np.asarray(result.normal_force) + LAWS)
+
+
 def test_a_loop_of_the_drive_costs_work():
     """The contact slips on the way; heat is the work of the drive around a closed loop."""
     loop = np.concatenate([[1.0], np.linspace(0.8, 0.3, 401), np.linspace(0.3, 0.8, 401)[1:]])

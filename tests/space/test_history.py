@@ -27,14 +27,24 @@ def test_within_a_step_contacts_are_on_its_polynomial():
     def u_at(t):
         return 0.3 - 0.5 * t - 0.2 * t**2
 
-    start = Point(z_at(0.0).at[0, 9:].set(7.0), jnp.asarray(u_at(0.0)))  # its traction is a guess, and does not count
+    start = Point(z_at(0.0), jnp.asarray(u_at(0.0)))
+    guessed = start._replace(z=start.z.at[0, 9:].set(7.0))  # of a contact that begins: its traction does not count
     stages = Point(jnp.stack([z_at(t) for t in places]), jnp.asarray(u_at(places)))
-    found = interpolated(start, stages, TIP, jnp.asarray(u_at(0.37)))
-    np.testing.assert_allclose(found, z_at(0.37), atol=ROUNDING)
-    np.testing.assert_allclose(interpolated(start, stages, FREE, jnp.asarray(u_at(0.37))), start.z)
+    at = jnp.asarray(u_at(0.37))
+    np.testing.assert_allclose(interpolated(guessed, stages, FREE, TIP, at), z_at(0.37), atol=ROUNDING)
+    np.testing.assert_allclose(interpolated(start, stages, TIP, TIP, at), z_at(0.37), atol=ROUNDING)
+    np.testing.assert_allclose(interpolated(start, stages, TIP, FREE, at), start.z)
     # By the control, as by the inverse of u.
-    slope = jax.jacfwd(lambda u: interpolated(start, stages, TIP, u))(jnp.asarray(u_at(0.37)))
+    slope = jax.jacfwd(lambda u: interpolated(start, stages, TIP, TIP, u))(at)
     np.testing.assert_allclose(slope, jax.jacfwd(z_at)(0.37) / (-0.5 - 0.4 * 0.37), atol=1e-10)
+
+
+def test_a_step_begins_with_the_traction_of_its_start():
+    places, _ = radau(4)
+    start = Point(jnp.zeros((1, 11)).at[0, 9].set(0.3), jnp.asarray(0.0))
+    rising = jnp.zeros((4, 1, 11)).at[:, 0, 9].set(0.3 + places**5)  # not a polynomial of the method
+    found = interpolated(start, Point(rising, jnp.asarray(places)), TIP, TIP, jnp.asarray(0.0))
+    np.testing.assert_allclose(found, start.z, atol=ROUNDING)
 
 
 def test_a_measure_is_the_way_along_the_tangent():

@@ -247,8 +247,8 @@ def _solve_with_friction(
 
     def at(index, u):
         end = jnp.minimum(index + 1, path.count - 1)
-        start, phase = jax.tree.map(lambda leaf: leaf[index], (nodes.point, nodes.phase))
-        guess = interpolated(start, stages_before(nodes, end), phase, u)
+        start, before, phase = jax.tree.map(lambda leaf: leaf[index], (nodes.point, nodes.phase_before, nodes.phase))
+        guess = interpolated(start, stages_before(nodes, end), before, phase, u)
         motion = following(guess, friction, modes[end])
         return Point(guess, u), Equations(phase[None], at_control(u, guess), None, motion)
 
@@ -315,7 +315,7 @@ def states(
         end = jnp.minimum(found.node + 1, path.count - 1)
         start = jax.tree.map(lambda leaf: leaf[found.node], links.point)
         stages, mode = jax.tree.map(lambda leaf: leaf[end], (links.stages, path.nodes.mode))
-        within = interpolated(start, stages, found.phase, u)
+        within = interpolated(start, stages, path.nodes.phase_before[found.node], found.phase, u)
         within = jnp.where((found.phase != Phase.free)[:, None], within, found.z)
         z = contacts_within(Followed(problem, u, found.phase, mode, within), found.z)
         return signals(problem, z, u, found.phase, mode == Mode.slips)

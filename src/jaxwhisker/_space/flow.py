@@ -23,9 +23,9 @@ from jaxwhisker._space.slip import FAINT, Mode, with_traction
 KICK = 0.02  # along the path, from a fold
 SHARE = 0.2  # of the least force, that the kick may be with friction: light contacts slide very little
 SETTLING = 1e-5  # of the control, dimensionless
-FIRST_TIME = 1e-3  # dimensionless: a contact with the stiffness 1 moves by a thousandth of its way
+FIRST_TIME = 1e-4  # dimensionless: a contact with the stiffness 1 moves by 1e-4 of its way
 LONGEST_TIME, SHORTEST_TIME = 1e8, 1e-12
-HELD = 1e3  # dimensionless: with friction, a contact that is at rest for so long is held
+HELD = 1e2  # dimensionless: with friction, a contact that is at rest for so long is held
 STRIDE = 0.08  # lengths that a contact may slide in a step
 REST = 1e-9  # lengths that a contact at rest may slide in the longest time
 FLOW_STEPS = 400
@@ -55,8 +55,9 @@ def _kick(march: March) -> Scalar:
 
 def _flowing(problem: SpaceProblem, march: March, z: Contacts, u: Scalar) -> March:
     if problem.friction is not None:
-        # In a flow, tractions are forces.
-        z = z.at[:, TRACTION].multiply(problem.friction * jnp.maximum(z[:, FORCE, None], 0.0))
+        # In a flow, tractions are forces. Tangents may point out of the cone of friction.
+        traction = z[:, TRACTION] / jnp.maximum(1.0, jnp.sqrt(jnp.sum(z[:, TRACTION] ** 2, axis=1, keepdims=True)))
+        z = z.at[:, TRACTION].set(problem.friction * jnp.maximum(z[:, FORCE, None], 0.0) * traction)
     nobody = jnp.zeros_like(march.flow.clings)
     flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z, nobody, jnp.asarray(True))
     return march._replace(
@@ -87,10 +88,15 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     phase = jnp.where(released, int(Phase.free), phase_by_slack(z, march.phase))
     enough = LONGEST_TIME / 4 if march.slip is None else HELD
     rests = good & (((moved < REST) & (time >= enough)) | jnp.all(phase == Phase.free))
-    longer = jnp.minimum(time * jnp.where(moved < STRIDE / 3, 3.0, 1.0), LONGEST_TIME)
+    growth = jnp.where(moved < STRIDE / 1000, 10.0, jnp.where(moved < STRIDE / 3, 3.0, 1.0))
+    longer = jnp.minimum(growth * time, LONGEST_TIME)
     time = jnp.where(good, longer, time / 4)
     opens = march.flow.opens & (trial.stance.opens | ~good)
     flow = march.flow._replace(time=time, steps=march.flow.steps + 1, opens=opens)
+    # Nearly straight whiskers may be unable to reach where the kick has put their contacts.
+    at_first = march.flow.time == FIRST_TIME * 0.25**march.flow.steps
+    nearer = with_traction(Point((before + march.flow.start) / 2, march.point.u), before[:, TRACTION])
+    again = march._replace(flow=flow, point=select(at_first, nearer, march.point))
     settles = rests & (phase != Phase.free)
     pulls = rests & jnp.any(pulled & ~released)
     freed = (phase == Phase.free) & (march.pending.phase_before != Phase.free)
@@ -122,7 +128,7 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     failed = march.stopped(jnp.where(opens, int(Status.unsettled), int(Status.not_convex)))
     new = first_case(
         ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), failed),
-        (~good, march._replace(flow=flow)),
+        (~good, again),
         (~trial.stance.sound, march.stopped(Status.lost)),
         (pulls, failed),
         otherwise=rested,

@@ -98,15 +98,18 @@ def measure_of(start: Point, tangent: Point) -> PathCondition:
     return along._replace(z0=jnp.zeros_like(start.z), u0=jnp.zeros_like(start.u))
 
 
-def interpolated(start: Point, stages: Point, phase: Phases, u: Scalar) -> Contacts:
-    """Contacts at a control within a step, on the polynomial through its stages."""
+def interpolated(start: Point, stages: Point, before: Phases, phase: Phases, u: Scalar) -> Contacts:
+    """Contacts at a control within a step, on the polynomial through its start and its stages.
+
+    `before` and `phase` are the phases on both sides of the start.
+    """
     places, _ = radau(stages.z.shape[0])
     powers, stages_u = np.arange(places.size), jnp.asarray(stages.u)
-    # Through all stages, and through the start. Its traction may be a guess.
+    # Through all stages, and through the start. The traction of a contact that begins there is a guess.
     whole, part = (np.linalg.inv(places[:, None] ** exponents) for exponents in (powers + 1, powers))
     z_by = jnp.sum(whole[:, :, None, None] * (stages.z - start.z), axis=1)
     u_by = jnp.sum(whole * (stages_u - start.u), axis=1)
-    traction_by = jnp.sum(part[:, :, None, None] * stages.z[:, :, TRACTION], axis=1)
+    guessed_by = jnp.sum(part[:, :, None, None] * stages.z[:, :, TRACTION], axis=1)
 
     def towards(t):
         slope = jnp.sum(u_by * (powers + 1) * t**powers)
@@ -118,7 +121,8 @@ def interpolated(start: Point, stages: Point, phase: Phases, u: Scalar) -> Conta
     t = jax.lax.fori_loop(0, 6, lambda _, t: towards(t), jax.lax.stop_gradient(t))
     t = towards(jax.lax.stop_gradient(t))  # with derivatives
     z = start.z + jnp.sum((t ** (powers + 1))[:, None, None] * z_by, axis=0)
-    z = z.at[:, TRACTION].set(jnp.sum((t**powers)[:, None, None] * traction_by, axis=0))
+    guessed = jnp.sum((t**powers)[:, None, None] * guessed_by, axis=0)
+    z = z.at[:, TRACTION].set(jnp.where((before == Phase.free)[:, None], guessed, z[:, TRACTION]))
     return jnp.where((phase != Phase.free)[:, None], z, start.z)
 
 

@@ -136,6 +136,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         again = march._replace(slip=guess, point=with_traction(march.point, traction))
         guessed = jnp.where(begins & (guess.guess != 0), march.step, shorter.step)
         shorter = select(begins, again, shorter)._replace(step=guessed)
+        astray |= ~good & (shorter.step < SHORTEST_STEP) & jnp.any(march.phase != Phase.free)
     at_base = jnp.any((march.phase == Phase.tangential) & (point.z[:, SLACK] > (1 - AT_BASE) * problem.length))
     full = march.count >= capacity_of(problem, trial.stops.size) - 1
     new = first_case(
@@ -328,8 +329,12 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     ]
     if slip is not None:
         at_loss = march._replace(point=point, tangent=arriving, stance=trial.stance, travel=node.travel)
-        # The drive may turn at once.
-        cases[1:1] = [(loss & ~good & (march.step < LOSS_BRACKET), sliding(problem, march))]
+        # The drive may turn at once, or contacts may neither stick nor slip.
+        lost = ~good & (again.step < SHORTEST_STEP) & jnp.any(march.phase != Phase.free)
+        cases[1:1] = [
+            (loss & ~good & (march.step < LOSS_BRACKET), sliding(problem, march)),
+            (lost, settling(problem, march)),
+        ]
         cases.append((loss, sliding(problem, at_loss)))
         plain = node_at(march, point, arriving, trial.solution.points)
         node = select(loss, plain, node)
@@ -391,5 +396,5 @@ def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     if changed is not None:
         again, often = march._replace(slip=slip), slip.changes > 2 * march.phase.size
         cases[4:4] = [(changed & often, settling(problem, onwards)), (changed, again)]
-        write &= ~changed | over
+        write &= ~changed | often | over
     return first_case(*cases, otherwise=onwards), write, node
