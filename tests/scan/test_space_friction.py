@@ -140,7 +140,7 @@ def test_where_the_drive_turns_contacts_stick_and_slip_later():
 
 
 def test_a_nearly_straight_whisker_sticks_and_snaps_on_its_way_back():
-    """It hardly yields along its axis: a contact that is pushed far along the path, before it slides, is out of reach."""
+    """It hardly yields along its axis: contacts that are pushed far before they slide would be out of its reach."""
     rng = np.random.default_rng([11, 3])
     of, friction = drawn("straight clamped linear", rng), float(rng.uniform(0.05, 0.6))
     scene = eqx.tree_at(lambda scene: scene.friction, of.scene, friction, is_leaf=lambda x: x is None)

@@ -75,7 +75,7 @@ def test_with_friction_a_snap_begins_exactly_where_the_drive_would_turn():
     snaps = np.flatnonzero(np.asarray(path.nodes.kind)[: int(path.count)] == jw.EventKind.snap_through)
     assert snaps.size > 0
     assert np.all(np.abs(np.asarray(path.nodes.arriving.u)[snaps - 1]) < EXACT)
-    # Contacts that settle do so at a node, which the path keeps: states before it are not between their rest and another.
+    # Contacts settle at a node of their own: states before it do not lie on the way to where they rest.
     rests = np.flatnonzero(np.asarray(path.nodes.kind)[: int(path.count)] == SETTLED)
     assert rests.size > 0
     np.testing.assert_array_equal(path.nodes.z_before[rests], path.nodes.point.z[rests - 1])

@@ -152,6 +152,7 @@ def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]
     nodes = jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf)[padded], path.nodes)
     turn = jnp.clip(jnp.cumsum((nodes.kind == STOP) & follows) - 1, 0, stops.size - 1)
 
+    @jax.checkpoint  # otherwise all that the derivatives of a node need is kept, and filled with zeros for padding
     def link(start: Point, at):
         node, before, stop, follows = at
         rest = Linked(node.point, Point(*(jnp.stack([leaf] * stages) for leaf in node.point)))

@@ -16,7 +16,7 @@ located. There the drive turns back (a fold), or a symmetric branch goes on, uns
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
@@ -188,6 +188,22 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
     )
 
 
+@jax.custom_batching.custom_vmap
+def _any_lane(goes_on: Bool[Array, ""]) -> Bool[Array, ""]:
+    """Whether a march goes on, or under `vmap` any of them.
+
+    All of them iterate as long as one does: with a condition of its own for each, all nodes would be copied again and
+    again. A march that is done writes nothing.
+    """
+    return goes_on
+
+
+@_any_lane.def_vmap
+def _(size, batched, goes_on):
+    del size, batched
+    return _any_lane(jnp.any(goes_on)), False
+
+
 def march(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], last: Int[Array, ""]) -> SpacePath:
     """March from a control at which all whiskers are free to all stops in turn."""
     first = _start(problem, start, stops)
@@ -207,7 +223,7 @@ def march(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], l
         return now, nodes, count + CHUNK
 
     def goes_on(carry):
-        return (carry[0].task != Task.done) & (carry[2] < ITERATIONS)
+        return _any_lane(carry[0].task != Task.done) & (carry[2] < ITERATIONS)
 
     now, nodes, _ = jax.lax.while_loop(goes_on, chunk, (first, nodes, jnp.asarray(0)))
     status = jnp.where(now.task == Task.done, now.status, int(Status.too_long))
