@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from jaxwhisker._scan.slopes import _along_each, spring_tangents
+from jaxwhisker._base.slopes import along_each
+from jaxwhisker._scan.slopes import spring_tangents
 from jaxwhisker._scan.springs import spring_lengths, suspension
 from scenes import follicle
 
@@ -30,11 +31,11 @@ def test_tangents_of_a_step_depend_on_shared_numbers_and_its_own():
     slopes = {"a": jnp.asarray(rng.normal(size=(STEPS, 2, 6))), "none": None}
     shared = [jnp.asarray(rng.normal(size=(1, 2))), jnp.asarray(0.7)]
     own = [jnp.asarray(rng.normal(size=(STEPS, 2))), jnp.asarray(rng.normal(size=STEPS))]
-    found = _along_each(slopes, shared, own)["a"]
+    found = along_each(slopes, shared, own)["a"]
     for k in range(STEPS):
         direction = np.concatenate([np.ravel(shared[0]), [0.7], own[0][k], [own[1][k]]])
         np.testing.assert_allclose(found[k], slopes["a"][k] @ direction, atol=EXACT)
-    np.testing.assert_allclose(_along_each({"a": slopes["a"][..., 3:]}, [], own)["a"].shape, (STEPS, 2))
+    np.testing.assert_allclose(along_each({"a": slopes["a"][..., 3:]}, [], own)["a"].shape, (STEPS, 2))
 
 
 def test_tangents_of_spring_lengths_are_those_of_jax():

@@ -28,9 +28,9 @@ def jacobian(function: Callable, numbers: Any) -> Any:
     return jax.vmap(towards, out_axes=-1)(jnp.eye(flat.size))
 
 
-def are_few(numbers: Any) -> bool:
+def are_few(numbers: Any, most: int = MOST_NUMBERS) -> bool:
     """Whether slopes with respect to these numbers are worth computing."""
-    return sum(leaf.size for leaf in jax.tree.leaves(numbers)) <= MOST_NUMBERS
+    return sum(leaf.size for leaf in jax.tree.leaves(numbers)) <= most
 
 
 def direction_of(numbers: Any, dots: Any) -> list:
@@ -45,6 +45,20 @@ def along(slopes: Any, direction: list[Float[Array, "..."]]) -> Any:
     """Tangents in a direction of the numbers."""
     flat = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in direction)])
     return jax.tree.map(lambda slope: slope @ flat, slopes)
+
+
+@jax.jit
+def along_each(slopes, direction: list, own: list):
+    """Tangents in a direction of the numbers that all steps share, then of those of each step."""
+    shared = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in direction)])
+    steps = own[0].shape[0]
+    each = jnp.concatenate([jnp.reshape(leaf, (steps, -1)) for leaf in own], axis=1)
+
+    def along(slope):
+        here = jnp.expand_dims(each, tuple(range(1, slope.ndim - 1)))
+        return slope[..., : shared.size] @ shared + jnp.sum(slope[..., shared.size :] * here, axis=-1)
+
+    return jax.tree.map(along, slopes)
 
 
 def by_slopes(function: Callable) -> Callable:

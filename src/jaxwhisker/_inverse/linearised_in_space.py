@@ -16,8 +16,9 @@ from jaxwhisker._inverse.channels import Channels
 from jaxwhisker._inverse.linearised import AbstractLinearisedScan, EventTable, scene_with_slopes
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.space_scan import SpaceSolutions, follow_path_now, solve_steps_now, states
+from jaxwhisker._scan.space_scan import follow_path_now, solve_steps_now
 from jaxwhisker._scan.space_signals import events
+from jaxwhisker._scan.space_steps import SpaceSolutions, states
 from jaxwhisker._space.march_state import SpacePath
 from jaxwhisker._space.problem import SpaceProblem, problem_in_space
 

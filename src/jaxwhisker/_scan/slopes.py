@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxwhisker._base.program import Program
-from jaxwhisker._base.slopes import along, are_few, direction_of, jacobian
+from jaxwhisker._base.slopes import along, along_each, are_few, direction_of, jacobian
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.path import Path
 from jaxwhisker._scan.memory import chained, with_memory
@@ -85,7 +85,7 @@ def state_tangents(args, args_dot):
     direction = direction_of(numbers, problem_dot.numbers())
     places, dots = solutions.state.places or (), None if solutions_dot is None else solutions_dot.state.places
     dots = [None] * len(places) if dots is None else dots
-    return _along_each(slopes, direction, direction_of([control, *places], [control_dot, *dots])), None
+    return along_each(slopes, direction, direction_of([control, *places], [control_dot, *dots])), None
 
 
 def remembered_tangents(args, args_dot):
@@ -108,7 +108,7 @@ def spring_tangents(args, args_dot):
     if not are_few(numbers):
         return NotImplemented
     own = direction_of([*bases, control], [*bases_dot, control_dot])
-    return _along_each(spring_slopes_now(scene, bases, control), direction_of(numbers, scene_dot), own)
+    return along_each(spring_slopes_now(scene, bases, control), direction_of(numbers, scene_dot), own)
 
 
 def event_tangents(args, args_dot):
@@ -118,16 +118,3 @@ def event_tangents(args, args_dot):
     if not are_few(numbers) or problem.friction_angle is not None:
         return NotImplemented
     return along(event_slopes_now(problem, path), direction_of(numbers, args_dot[0].numbers()))
-
-
-@jax.jit
-def _along_each(slopes, direction: list, own: list):
-    """Tangents in a direction of the numbers that all steps share, then of those of each step."""
-    shared = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in direction)])
-    steps = own[0].shape[0]
-    each = jnp.concatenate([jnp.reshape(leaf, (steps, -1)) for leaf in own], axis=1)
-
-    def along(slope):
-        return slope[..., : shared.size] @ shared + jnp.sum(slope[..., shared.size :] * each[:, None], axis=-1)
-
-    return jax.tree.map(along, slopes)

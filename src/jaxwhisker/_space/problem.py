@@ -61,6 +61,11 @@ class SpaceProblem(eqx.Module):
     valid: Bool[Array, ""]
     unit: Units
 
+    def numbers(self) -> "SpaceProblem":
+        """The numbers that equilibria depend on, and None for everything else."""
+        numbers = eqx.filter(self, eqx.is_inexact_array)
+        return eqx.tree_at(lambda tree: tree.outline, numbers, replace_fn=lambda _: None)  # of unloaded whiskers
+
     def drive(self, u: Scalar) -> Placement:
         """The frame of the drive at a control."""
         position, rotation = placement_of(self.motion, u * self.unit.control)

@@ -1,0 +1,78 @@
+"""Tangent rules of a scan in space: the tangents of JAX, and the scenes that are left to it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker._scan.route import route_through
+from jaxwhisker._scan.space_scan import follow_path_now, problem_now, solve_steps_now
+from jaxwhisker._scan.space_signals import events
+from jaxwhisker._scan.space_slopes import event_tangents, state_tangents
+from jaxwhisker._scan.space_steps import states
+
+EXACT = 1e-10  # of the largest tangent, which is 1e2 near the snap-off
+CONTROL = np.linspace(1.0, -0.9, 12)
+SURFACE = jw.Sphere(1.0, (0.0, 1.3, -0.2))
+SPRINGS = jw.Support.follicle(x=70.0, y=80.0, z=90.0, phi_x=3.0, phi_y=4.0, phi=5.0)
+KINDS = {
+    "straight": jw.Scene(jw.Whisker(), SURFACE),
+    "curved on springs": jw.Scene(jw.Whisker(intrinsic_curvature=0.3, lateral_curvature=0.1), SURFACE, SPRINGS),
+}
+
+
+def solved(scene):
+    problem, (route, _) = problem_now(scene), route_through(CONTROL)
+    path = follow_path_now(problem, route.stops, np.asarray(route.last)).path
+    return problem, path, solve_steps_now(problem, path, np.asarray(route.control), np.asarray(route.travel))
+
+
+def random_like(tree, rng):
+    return jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=jnp.shape(leaf))), tree)
+
+
+def by_jax(function, numbers, dots):
+    """Tangents of the real values of a function."""
+
+    def smooth(numbers):
+        return eqx.filter(function(numbers), eqx.is_inexact_array)
+
+    return jax.jit(lambda dots: jax.jvp(smooth, (numbers,), (dots,))[1])(dots)
+
+
+def agree(found, expected):
+    """Compare trees; what has no tangent is None."""
+    every = jax.tree.leaves(expected)
+    assert len(jax.tree.leaves(found)) == len(every) > 0
+    for own, other in zip(jax.tree.leaves(found), every, strict=True):
+        np.testing.assert_allclose(own, other, atol=EXACT * (1 + np.nanmax(np.abs(other), initial=0.0)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_tangents_are_those_of_jax(kind):
+    problem, path, solutions = solved(KINDS[kind])
+    rng = np.random.default_rng(0)
+    numbers, control = problem.numbers(), jnp.asarray(CONTROL)
+    dots, control_dot = random_like(numbers, rng), jnp.asarray(rng.normal(size=CONTROL.size))
+    rest = jax.tree.map(lambda leaf: None if eqx.is_inexact_array(leaf) else leaf, problem)
+    problem_dot = eqx.combine(dots, jax.tree.map(lambda _: None, rest))
+
+    def of_states(all_numbers):
+        numbers, control = all_numbers
+        return states(eqx.combine(numbers, problem), control, solutions)
+
+    found = state_tangents((problem, control, solutions, None, None), (problem_dot, control_dot, None, None, None))
+    agree(found, by_jax(of_states, (numbers, control), (dots, control_dot)))
+    found = event_tangents((problem, path, None), (problem_dot, None, None))
+    agree(found, by_jax(lambda numbers: events(eqx.combine(numbers, problem), path), numbers, dots))
+
+
+def test_friction_and_scenes_of_many_numbers_are_left_to_jax():
+    rough = problem_now(jw.Scene(jw.Whisker(), SURFACE, friction=0.3))
+    assert state_tangents((rough, None, None), (rough, None, None)) is NotImplemented
+    assert event_tangents((rough, None), (rough, None)) is NotImplemented
+    mounts = tuple(jw.Mount(x=0.2 * k) for k in range(8))
+    many = problem_now(jw.Scene(jw.Whisker(), SURFACE, jw.Support(mount=mounts)))
+    assert state_tangents((many, None, None), (many, None, None)) is NotImplemented
