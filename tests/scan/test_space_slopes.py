@@ -8,10 +8,11 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._scan.route import route_through
-from jaxwhisker._scan.space_scan import follow_path_now, problem_now, solve_steps_now
+from jaxwhisker._scan.space_scan import follow_path_now, linked_now, problem_now, solve_steps_now
 from jaxwhisker._scan.space_signals import events
-from jaxwhisker._scan.space_slopes import event_tangents, state_tangents
+from jaxwhisker._scan.space_slopes import event_tangents, linked_tangents, state_tangents
 from jaxwhisker._scan.space_steps import states
+from jaxwhisker._space.history import linked
 
 EXACT = 1e-10  # of the largest tangent, which is 1e2 near the snap-off
 CONTROL = np.linspace(1.0, -0.9, 12)
@@ -20,13 +21,17 @@ SPRINGS = jw.Support.follicle(x=70.0, y=80.0, z=90.0, phi_x=3.0, phi_y=4.0, phi=
 KINDS = {
     "straight": jw.Scene(jw.Whisker(), SURFACE),
     "curved on springs": jw.Scene(jw.Whisker(intrinsic_curvature=0.3, lateral_curvature=0.1), SURFACE, SPRINGS),
+    "with friction": jw.Scene(jw.Whisker(), SURFACE, friction=0.3),
 }
 
 
 def solved(scene):
+    """The problem, path, nodes with friction, and solutions of a scene, and the stops of its drive."""
     problem, (route, _) = problem_now(scene), route_through(CONTROL)
     path = follow_path_now(problem, route.stops, np.asarray(route.last)).path
-    return problem, path, solve_steps_now(problem, path, np.asarray(route.control), np.asarray(route.travel))
+    links = None if problem.friction is None else linked_now(problem, path, route.stops)
+    found = solve_steps_now(problem, path, np.asarray(route.control), np.asarray(route.travel))
+    return problem, path, links, found, jnp.asarray(route.stops)
 
 
 def random_like(tree, rng):
@@ -52,27 +57,38 @@ def agree(found, expected):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_tangents_are_those_of_jax(kind):
-    problem, path, solutions = solved(KINDS[kind])
-    rng = np.random.default_rng(0)
-    numbers, control = problem.numbers(), jnp.asarray(CONTROL)
-    dots, control_dot = random_like(numbers, rng), jnp.asarray(rng.normal(size=CONTROL.size))
-    rest = jax.tree.map(lambda leaf: None if eqx.is_inexact_array(leaf) else leaf, problem)
-    problem_dot = eqx.combine(dots, jax.tree.map(lambda _: None, rest))
+    problem, path, links, solutions, stops = solved(KINDS[kind])
+    numbers, control, rng = problem.numbers(), jnp.asarray(CONTROL), np.random.default_rng(0)
+    dots, links_dot, control_dot, stops_dot = random_like((numbers, links, control, stops), rng)
+    nothing = jax.tree.map(lambda leaf: None if eqx.is_inexact_array(leaf) else leaf, problem)
+    problem_dot = eqx.combine(dots, jax.tree.map(lambda _: None, nothing))
 
-    def of_states(all_numbers):
-        numbers, control = all_numbers
-        return states(eqx.combine(numbers, problem), control, solutions)
+    def of_states(everything):
+        numbers, control, links = everything
+        return states(eqx.combine(numbers, problem), control, solutions, path, links)
 
-    found = state_tangents((problem, control, solutions, None, None), (problem_dot, control_dot, None, None, None))
-    agree(found, by_jax(of_states, (numbers, control), (dots, control_dot)))
-    found = event_tangents((problem, path, None), (problem_dot, None, None))
-    agree(found, by_jax(lambda numbers: events(eqx.combine(numbers, problem), path), numbers, dots))
+    def of_events(everything):
+        numbers, links = everything
+        return events(eqx.combine(numbers, problem), path, links)
+
+    def of_nodes(everything):
+        numbers, stops = everything
+        return linked(eqx.combine(numbers, problem), path, stops)
+
+    found = state_tangents(
+        (problem, control, solutions, path, links), (problem_dot, control_dot, None, None, links_dot)
+    )
+    agree(found, by_jax(of_states, (numbers, control, links), (dots, control_dot, links_dot)))
+    found = event_tangents((problem, path, links), (problem_dot, None, links_dot))
+    agree(found, by_jax(of_events, (numbers, links), (dots, links_dot)))
+    if links is not None:
+        found = linked_tangents((problem, path, stops), (problem_dot, None, stops_dot))
+        agree(found, by_jax(of_nodes, (numbers, stops), (dots, stops_dot)))
 
 
-def test_friction_and_scenes_of_many_numbers_are_left_to_jax():
-    rough = problem_now(jw.Scene(jw.Whisker(), SURFACE, friction=0.3))
-    assert state_tangents((rough, None, None), (rough, None, None)) is NotImplemented
-    assert event_tangents((rough, None), (rough, None)) is NotImplemented
+def test_scenes_of_many_numbers_are_left_to_jax():
     mounts = tuple(jw.Mount(x=0.2 * k) for k in range(8))
     many = problem_now(jw.Scene(jw.Whisker(), SURFACE, jw.Support(mount=mounts)))
-    assert state_tangents((many, None, None), (many, None, None)) is NotImplemented
+    assert state_tangents((many, None, None, None, None), (many, None, None, None, None)) is NotImplemented
+    assert event_tangents((many, None, None), (many, None, None)) is NotImplemented
+    assert linked_tangents((many, None, None), (many, None, None)) is NotImplemented

@@ -30,7 +30,7 @@ from jaxwhisker._scan.route import (
 )
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_signals import events
-from jaxwhisker._scan.space_slopes import event_tangents, state_tangents
+from jaxwhisker._scan.space_slopes import event_tangents, linked_tangents, state_tangents
 from jaxwhisker._scan.space_steps import BATCH, solve_steps, states
 from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.history import linked
@@ -166,7 +166,8 @@ def _until_second_contact(problem: SpaceProblem, path: SpacePath) -> SpacePath:
 problem_now = Program(problem_in_space, tangent=by_slopes(problem_in_space))
 follow_path_now = Program(follow_path, frozen=True, together=LANES)
 solve_steps_now = Program(solve_steps, frozen=True)
-states_now, linked_now = Program(states, tangent=state_tangents), Program(linked)
+states_now = Program(states, tangent=state_tangents)
+linked_now = Program(linked, tangent=linked_tangents)
 events_now = Program(events, tangent=event_tangents)
 spring_lengths_now = Program(Support.spring_length)
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
@@ -133,18 +133,22 @@ def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, 
     return jnp.append(jnp.ravel(residual), condition)
 
 
+def public_nodes(path: SpacePath, friction: bool) -> tuple[Node, Bool[Array, " nodes"], Int[Array, " events"]]:
+    """Nodes of a path, which of them are events of a scan, and the indices of the first of these; 0 without one."""
+    nodes = _with_turns(path) if friction else path.nodes
+    index = jnp.arange(nodes.kind.size)
+    reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
+    public = (nodes.kind >= 0) & reached & (index < path.count)
+    return nodes, public, jnp.nonzero(public, size=event_room(nodes.whiskers.shape[1]), fill_value=0)[0]
+
+
 def events(problem: SpaceProblem, path: SpacePath, links: Linked | None = None) -> SpaceEvents:
     """The events of a path, from where the drive has reached the first position of the control.
 
     `links` are the nodes of a path with friction, with their derivatives.
     """
-    nodes = path.nodes if links is None else _with_turns(path)
-    room, n = nodes.whiskers.shape
-    index = jnp.arange(room)
-    reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
-    public = (nodes.kind >= 0) & reached & (index < path.count)
-    size = event_room(n)
-    at = jnp.nonzero(public, size=size, fill_value=0)[0]
+    nodes, public, at = public_nodes(path, links is not None)
+    size = at.size
     filled = jnp.arange(size) < jnp.sum(public)
 
     def one(k, filled):
