@@ -91,10 +91,11 @@ SPACE = """
 own = {"intrinsic_curvature": 0.8} if "curved" in MODEL else {}
 springs = jw.Support.follicle(x=40.0, z=20.0).springs if "springs" in MODEL else ()
 support = jw.Support(springs, jw.Mount(roll=1.0) if own else None)
+friction = 0.3 if "friction" in MODEL else None
 def in_space(offset):
     drive = jw.LinearDrive((-1.0, 0.0, 0.0), (0.0, 0.0, offset))
     ball = jw.Sphere(1.0, (0.0, 1.3, 0.0))
-    return jw.Scene(jw.Whisker(**own), ball, support, motion=drive)
+    return jw.Scene(jw.Whisker(**own), ball, support, motion=drive, friction=friction)
 result = jw.scan(in_space(0.1))
 result.force.block_until_ready()
 lap("first scan")
@@ -105,7 +106,7 @@ jax.block_until_ready(jax.vmap(lambda offset: jw.scan(in_space(offset), control)
 lap("then vmap over 32 scans")
 """
 TASKS = [("FB", SCAN), ("FBFBR", SCAN), ("FB", BATCH), ("FB", STUDY), ("FBFBR", FIT), ("FBFBR", SLIDERS)]
-IN_SPACE = [(whisker, SPACE) for whisker in ("straight", "straight on springs", "curved")]
+IN_SPACE = [(whisker, SPACE) for whisker in ("straight", "straight on springs", "curved", "straight with friction")]
 COMMAND = "scan --model FBFBR --plot"
 
 
@@ -145,13 +146,13 @@ def measure(name: str, tasks: list[tuple[str, str]]) -> None:
                     line = [sys.executable, "-c", PREPARED.replace("MODEL", repr(model)) + RECORDING]
                     subprocess.run(line, env=settings(folder) | prepared, check=True, stdout=subprocess.DEVNULL)
                 for kind in ("empty", "filled"):
-                    for name, seconds in laps(model, code, folder).items():
-                        if name.endswith("calibration"):
+                    for part, seconds in laps(model, code, folder).items():
+                        if part.endswith("calibration"):
                             calibration.append(seconds)
                         else:
-                            times.setdefault(name, {"empty": [], "filled": []})[kind].append(seconds)
+                            times.setdefault(part, {"empty": [], "filled": []})[kind].append(seconds)
         print(
-            {name: {k: [round(t, 2) for t in v] for k, v in each.items()} for name, each in times.items()}, flush=True
+            {part: {k: [round(t, 2) for t in v] for k, v in each.items()} for part, each in times.items()}, flush=True
         )
     for _ in range(RUNS if tasks is TASKS else 0):
         with tempfile.TemporaryDirectory() as folder:
