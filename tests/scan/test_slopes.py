@@ -38,6 +38,13 @@ def test_tangents_of_a_step_depend_on_shared_numbers_and_its_own():
     np.testing.assert_allclose(along_each({"a": slopes["a"][..., 3:]}, [], own)["a"].shape, (STEPS, 2))
 
 
+def test_a_step_does_not_see_tangents_that_it_does_not_depend_on():
+    """After a snap with friction, contacts at rest have none, but a whisker that has come free since has."""
+    slopes = {"a": jnp.array([[[2.0, 0.0]], [[2.0, 3.0]]])}
+    found = along_each(slopes, [jnp.asarray(0.5)], [jnp.full(2, jnp.nan)])["a"]
+    np.testing.assert_array_equal(found, [[1.0], [jnp.nan]])
+
+
 def test_tangents_of_spring_lengths_are_those_of_jax():
     some, rng = suspension(scene()), np.random.default_rng(1)
     bases = tuple(jnp.asarray(rng.normal(size=(STEPS, 1))) for _ in range(3))

@@ -55,8 +55,9 @@ def along_each(slopes, direction: list, own: list):
     each = jnp.concatenate([jnp.reshape(leaf, (steps, -1)) for leaf in own], axis=1)
 
     def along(slope):
-        here = jnp.expand_dims(each, tuple(range(1, slope.ndim - 1)))
-        return slope[..., : shared.size] @ shared + jnp.sum(slope[..., shared.size :] * here, axis=-1)
+        here, own = jnp.expand_dims(each, tuple(range(1, slope.ndim - 1))), slope[..., shared.size :]
+        # What a step does not depend on may have no tangent.
+        return slope[..., : shared.size] @ shared + jnp.sum(jnp.where(own == 0, 0.0, own * here), axis=-1)
 
     return jax.tree.map(along, slopes)
 
