@@ -215,15 +215,15 @@ class Program:
         return arguments and store.key_of(f"{arguments} {shape.arrays} {lanes} {self._options}")
 
     def _load(self, shape: Shape, lanes: int, key: str | None, pool: Executor | None) -> Future | None:
-        stored = store.load(key) if key is not None else None
-        if key is None or stored is None:
+        stored = None if key is None else store.with_key(key)
+        if stored is None:
             return None
         tree, arrays, code = stored
         leaves, structure = jax.tree.flatten(tree)
         self._results[shape] = Results(structure, tuple(leaves), arrays)
 
         def loaded():
-            return store.executable(key, code) or self._compile(shape, lanes, key, None).result()
+            return store.executable(code) or self._compile(shape, lanes, key, None).result()
 
         return aside(loaded, pool) if pool else _done(loaded())
 
@@ -235,10 +235,16 @@ class Program:
         results = self._results[shape]
 
         def compiled():
-            with announced(kept=_is_kept(key)), store.complete() as is_complete:
-                executable = lowered.compile(self._options)
-            if key is not None and is_complete() and (code := store.code(executable)):
-                store.save(key, (results.tree([...] * len(results.arrays)), results.arrays, code))
+            with announced(kept=_is_kept(key)):
+                if key is None:
+                    return lowered.compile(self._options)
+                name = store.name_of(key, lowered, self._options)
+                *_, code = store.with_same_code(name) or [None]
+                executable = code and store.executable(code)
+                if executable is None:
+                    executable, code = store.compiled(lowered, self._options)
+            if code is not None:
+                store.save(name, (results.tree([...] * len(results.arrays)), results.arrays, code))
             return executable
 
         return aside(compiled, pool)

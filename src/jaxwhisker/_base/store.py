@@ -1,8 +1,12 @@
 """Compiled programs on disk: a bounded store of executables that later processes load instead of compiling.
 
-An entry is valid for one version of this package, of jax and the libraries it compiles, and for one kind of processor.
-Entries of other versions are never looked up, and disappear when the store is full. A damaged entry is ignored with a
-warning and compiled again. Entries are written to a temporary file and renamed, so processes may share the store.
+The name of an entry has two parts. The key stands for what the program is traced from: a description of its function
+and arguments, the sources that these depend on (sources.py), versions, and the kind of processor. A process that finds
+an entry with its key loads it without tracing anything. The other part stands for the code that tracing leads to: after
+a change of the sources that leaves this as it was, the program is traced again but not compiled.
+
+Entries with other keys disappear when the store is full. A damaged entry is ignored with a warning and compiled again.
+Entries are written to a temporary file and renamed, so processes may share the store.
 
 `JAXWHISKER_CACHE` chooses the folder; the value `off` keeps nothing. An entry is code, and loading it runs it. A folder
 or an entry that another user owns or can write to is therefore ignored with a warning.
@@ -35,14 +39,18 @@ import optimistix
 from jax.experimental import serialize_executable
 from jaxlib.utils import absl_set_min_log_level
 
+from jaxwhisker._base import sources
+
 LARGEST = 512 * 2**20  # bytes; when the store is larger, the entries that were not used for longest are deleted
-MAGIC = b"jaxwhisker program 1\n"
+MAGIC = b"jaxwhisker program 2\n"
+DIGITS = 32  # of each part of a name
 DIGEST = hashlib.sha256().digest_size
 FATAL = 3  # the level of logs that XLA prints before it ends the process
 SUFFIX = ".program"
 UNFINISHED = SUFFIX + ".part"
 # Settings of jax that change the program of a function.
 SETTINGS = ("jax_enable_x64", "jax_numpy_dtype_promotion", "jax_default_matmul_precision", "jax_debug_nans")
+AGAIN = {"xla_llvm_disable_expensive_passes": False}  # the default, but jax's own cache tells programs apart by it
 
 
 def folder() -> Path | None:
@@ -98,13 +106,10 @@ def device() -> Any:
 
 @functools.cache
 def _platform(device: Any) -> str:
-    """Everything that compiled code depends on but its source: versions, this package's code, and the processor."""
-    sources = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        sources.update(path.read_bytes())
+    """Everything that compiled code depends on but its source: versions and the processor."""
     versions = [module.__version__ for module in (np, jax, jaxlib, equinox, diffrax, optimistix, lineax)]
     compiler = device.platform, device.device_kind, device.client.platform_version, device.id
-    return repr([sources.hexdigest(), platform.python_version(), versions, platform.machine(), _processor(), compiler])
+    return repr([platform.python_version(), versions, platform.machine(), _processor(), compiler])
 
 
 def _processor() -> str:
@@ -116,21 +121,46 @@ def _processor() -> str:
     return "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
 
 
-def key_of(text: str) -> str:
-    """The name of the entry for a program with this description, on this machine with these versions."""
+def key_of(description: str) -> str:
+    """The key of a program with this description, with the sources, versions and settings here."""
+    return _checksum(description, sources.digest(description))
+
+
+def name_of(key: str, lowered: jax.stages.Lowered, options: dict[str, Any]) -> str:
+    """The name of the entry of a program that was traced."""
+    return f"{key}-{_checksum(lowered.as_text(), repr(options))}"
+
+
+def _checksum(*parts: str) -> str:
     settings = [os.environ.get("XLA_FLAGS", ""), *(getattr(jax.config, name) for name in SETTINGS)]
-    return hashlib.sha256(repr((text, _platform(device()), settings)).encode()).hexdigest()
+    return hashlib.sha256(repr((parts, _platform(device()), settings)).encode()).hexdigest()[:DIGITS]
 
 
-def load(key: str) -> Any:
-    """The contents of an entry, or None if there is none or it cannot be used."""
-    where = folder()
-    if where is None:
-        return None
-    if reason := distrust(where):
+def with_key(key: str) -> Any:
+    """The contents of the entry with this key, or None if there is none or it cannot be used."""
+    if (where := folder()) and (reason := distrust(where)):
         warnings.warn(f"Compiled programs are not kept in {where}: {reason}.", stacklevel=2)
         return None
-    path = where / (key + SUFFIX)
+    return _first(f"{key}-*")
+
+
+def with_same_code(name: str) -> Any:
+    """The contents of an entry with the same code as that of this name, whatever it was traced from."""
+    return _first(f"*-{name.partition('-')[2]}")
+
+
+def _first(pattern: str) -> Any:
+    where = folder()
+    found = [] if where is None else sorted(path.stem for path in where.glob(pattern + SUFFIX))
+    return next((value for name in found if (value := load(name)) is not None), None)
+
+
+def load(name: str) -> Any:
+    """The contents of an entry, or None if there is none or it cannot be used."""
+    where = folder()
+    if where is None or distrust(where):
+        return None
+    path = where / (name + SUFFIX)
     try:
         with path.open("rb") as file:
             status, data = os.fstat(file.fileno()), file.read()
@@ -140,28 +170,28 @@ def load(key: str) -> Any:
     try:
         if reason := _others(status):
             raise ValueError(reason)
-        if data[: len(MAGIC) + DIGEST] != _head(key, content):
+        if data[: len(MAGIC) + DIGEST] != _head(name, content):
             raise ValueError("its checksum is wrong")
         value = pickle.loads(zlib.decompress(content))
     except Exception as error:  # whatever is wrong, the program can still be compiled
-        _ignored(key, error)
+        _ignored(name, error)
         return None
     with suppress(OSError):  # of a file system that is read only
         os.utime(path)  # it was used just now
     return value
 
 
-def _head(key: str, content: bytes) -> bytes:
+def _head(name: str, content: bytes) -> bytes:
     """The first bytes of an entry: its format, and a checksum of its name and content."""
-    return MAGIC + hashlib.sha256(key.encode() + content).digest()
+    return MAGIC + hashlib.sha256(name.encode() + content).digest()
 
 
-def _ignored(key: str, error: Exception) -> None:
-    text = f"A cached program is ignored and compiled again: {key}{SUFFIX} in {folder()} ({error})."
+def _ignored(name: str, error: Exception) -> None:
+    text = f"A cached program is ignored and compiled again: {name}{SUFFIX} in {folder()} ({error})."
     warnings.warn(text, stacklevel=3)
 
 
-def save(key: str, value: Any) -> None:
+def save(name: str, value: Any) -> None:
     """Keep the contents of an entry. A store that cannot be written to is left alone, with one warning."""
     where = folder()
     if where is None or distrust(where):
@@ -176,8 +206,8 @@ def save(key: str, value: Any) -> None:
         handle, temporary = tempfile.mkstemp(dir=where, suffix=UNFINISHED)
         try:
             with os.fdopen(handle, "wb") as file:
-                file.write(_head(key, content) + content)
-            os.replace(temporary, where / (key + SUFFIX))
+                file.write(_head(name, content) + content)
+            os.replace(temporary, where / (name + SUFFIX))
         except BaseException:
             Path(temporary).unlink(missing_ok=True)
             raise
@@ -187,15 +217,15 @@ def save(key: str, value: Any) -> None:
 
 
 def code(program: jax.stages.Compiled) -> Any:
-    """What `executable` needs to load this program in another process; None for one that has to be compiled there."""
+    """What `executable` needs to load this program in another process; None if there is no such thing."""
     try:
         return serialize_executable.serialize(program)
     except Exception:  # such as a program that calls Python
         return None
 
 
-def executable(key: str, code: Any) -> jax.stages.Compiled | None:
-    """The program of an entry, or None if it cannot be loaded."""
+def executable(code: Any) -> jax.stages.Compiled | None:
+    """The program with this code, or None if it cannot be loaded."""
     chosen, (serialized, arguments, results) = device(), code
     try:
         if b"lapack" in serialized:
@@ -204,7 +234,8 @@ def executable(key: str, code: Any) -> jax.stages.Compiled | None:
         with _silent():
             return serialize_executable.deserialize_and_load(serialized, arguments, results, chosen.client, [chosen])
     except Exception as error:  # whatever is wrong, the program can still be compiled
-        _ignored(key, error)
+        text = f"A cached program in {folder()} is ignored and compiled again ({error})."
+        warnings.warn(text, stacklevel=2)
         return None
 
 
@@ -228,8 +259,18 @@ def _silent() -> Iterator[None]:
             absl_set_min_log_level(int(os.environ.get("TF_CPP_MIN_LOG_LEVEL", "1")))  # the default of jax
 
 
+def compiled(lowered: jax.stages.Lowered, options: dict[str, Any]) -> tuple[jax.stages.Compiled, Any]:
+    """Compile a program; return it with its code, or None for what has to be compiled in every process."""
+    with _complete() as is_complete:
+        program = lowered.compile(options)
+    if not is_complete():
+        with _complete() as is_complete:
+            program = lowered.compile(options | AGAIN)
+    return program, code(program) if is_complete() else None
+
+
 @contextmanager
-def complete() -> Iterator[Callable[[], bool]]:
+def _complete() -> Iterator[Callable[[], bool]]:
     """Find out whether this thread really compiles a program, or gets it from jax's own cache.
 
     The code of a program from that cache lacks its kernels when it is stored once more.

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.types import NamedInt
+from jaxwhisker._base.types import NamedInt, Scalar
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.point import Contacts, Point
 
@@ -103,3 +103,25 @@ def first_case(*cases, otherwise):
     # A switch: XLA would compute all conditions again for every leaf that is selected by them.
     selected = dict(zip(chosen, jax.lax.switch(first, [case(own) for own in leaves]), strict=True))
     return jax.tree.unflatten(structure[-1], [selected.get(k, leaf) for k, leaf in enumerate(leaves[-1])])
+
+
+def event_room(whiskers: int) -> int:
+    """Number of events that a scan has room for; a path has more nodes."""
+    return 32 + 16 * whiskers
+
+
+def cut(path: Path, place: Scalar, status: Int[Array, ""]) -> Path:
+    """The path up to a place, with this status; the whole path if it is ok."""
+    nodes, bad = path.nodes, status != Status.ok
+    index = jnp.clip(jnp.floor(place).astype(int), 0, path.count - 1)
+    after = jnp.minimum(index + 1, path.count - 1)
+    here, there = nodes.travel[index], nodes.travel[after]
+    travel = here + (place - index) * (there - here)
+    # The node after the place stays, because states before it are interpolated, but nothing happens there.
+    stays = bad & (travel > here)
+    kind = nodes.kind.at[after].set(jnp.where(stays, NO_EVENT, nodes.kind[after]))
+    nodes = nodes._replace(kind=kind, travel=nodes.travel.at[after].set(jnp.where(stays, travel, there)))
+    if nodes.corner is not None:
+        nodes = nodes._replace(corner=nodes.corner.at[after].set(jnp.where(stays, False, nodes.corner[after])))
+    count = jnp.where(place < 0, 0, index + 1 + stays)
+    return Path(nodes, jnp.where(bad, count, path.count), jnp.where(bad, status, path.status))

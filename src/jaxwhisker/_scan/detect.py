@@ -3,8 +3,6 @@
 The path, which chooses its steps itself, is searched for the first such state, and ends there. What is found therefore
 depends on the caller's control no more than stability and snaps do. Later states are unknown even if the shafts come
 apart again: the missing force decides what they are.
-
-With friction, a path also ends at a snap to a state of higher energy, which no motion reaches.
 """
 
 from functools import partial
@@ -17,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact, newton
-from jaxwhisker._equilibrium.contact import FORCE, SLACK, of_each
+from jaxwhisker._equilibrium.contact import FORCE, of_each
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.crossing import cross
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
@@ -26,14 +24,11 @@ from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.second_contact import meets, meets_again, passes
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._path.path import NO_EVENT, Path, Status, is_snap
-from jaxwhisker._scan.signals import event_room
+from jaxwhisker._path.path import Path, Status, cut
 from jaxwhisker._scan.steps import interpolate
 
 SHARES = 2  # states examined from one node of the path to the next; a contact that lasts less than that is overlooked
 BATCH = 32  # states examined at once
-GAIN = 1e-6  # relative gain of energy in a snap that is no rounding
-JUST_BEFORE = 1e-9  # distance from the end of a path to the snap that ends it, in nodes
 REFINEMENTS = 3  # each divides the distance to the first contact on the path by the size of a batch
 
 
@@ -62,7 +57,7 @@ def detect(problem: Problem, path: Path, kinds: Kinds) -> Path:
     """The path up to the first state in which a contact of these kinds begins; without derivatives."""
     problem, path = jax.lax.stop_gradient((problem, path))
     found = _search(problem, path, kinds)
-    return _cut(path, found.place, found.status)
+    return cut(path, found.place, found.status)
 
 
 def _shafts(problem: Problem, point: Point, state: ContactState, kinds: Kinds) -> Shaft:
@@ -171,51 +166,3 @@ def _control_at(path: Path, place: Scalar) -> tuple[Int[Array, ""], Scalar]:
     controls = jnp.asarray(path.nodes.point.u)
     u, there = controls[index], controls[jnp.minimum(index + 1, path.count - 1)]
     return index, u + (place - index) * (there - u)
-
-
-def without_gains(problem: Problem, path: Path) -> Path:
-    """The path up to the first snap with friction that gains energy; whiskers that are not uniform are not checked."""
-    if problem.friction_angle is None or problem.section is not None or problem.attached is not None:
-        return path
-    nodes = path.nodes
-    room, n = nodes.whiskers.shape
-    snaps = is_snap(nodes.kind) & (jnp.arange(room) < path.count)
-    index = jnp.nonzero(snaps, size=event_room(n), fill_value=room - 1)[0]
-    node = jax.tree.map(lambda leaf: leaf[index], nodes)
-    energy = jax.vmap(partial(_energy, problem))
-    before = energy(Point(node.z_before, node.point.u), jax.vmap(lambda at: at.before)(node))
-    after = energy(node.point, jax.vmap(lambda at: at.state)(node))
-    gains = snaps[index] & (after - before > GAIN * (after + before))
-    place = index[jnp.argmax(gains)] - JUST_BEFORE
-    return _cut(path, place, jnp.where(jnp.any(gains), Status.unsettled, Status.ok))
-
-
-def _energy(problem: Problem, point: Point, state: ContactState) -> Scalar:
-    """Elastic energy of uniform whiskers and of springs (see energy.py), dimensionless."""
-    touching = state.touches
-    z, phase = with_dummy_contacts(problem, point.z, state.phase)
-    bodies = problem.bodies(point.u, z, state.piece)
-    base = of_each(bodies, contact.base, z, phase, state.side, state.friction)
-    s = of_each(bodies, contact.arc, z[:, SLACK], phase)
-    density = base.bend**2 / (2 * problem.bending_stiffness) + base.force_x * base.cos + base.force_y * base.sin
-    way = base.force_x * (base.contact_x - base.x) + base.force_y * (base.contact_y - base.y)
-    load = newton.load_of(of_each(bodies, contact.in_base_frame, base), problem.axes)
-    load = jnp.where(touching[:, None], load, 0.0)
-    return jnp.sum(jnp.where(touching, density * s - way, 0.0)) + jnp.sum(load * problem.displacement(load)) / 2
-
-
-def _cut(path: Path, place: Scalar, status: Int[Array, ""]) -> Path:
-    """The path up to a place, with this status; the whole path if it is ok."""
-    nodes, bad = path.nodes, status != Status.ok
-    index = jnp.clip(jnp.floor(place).astype(int), 0, path.count - 1)
-    after = jnp.minimum(index + 1, path.count - 1)
-    here, there = nodes.travel[index], nodes.travel[after]
-    travel = here + (place - index) * (there - here)
-    # The node after the place stays, because states before it are interpolated, but nothing happens there.
-    stays = bad & (travel > here)
-    kind = nodes.kind.at[after].set(jnp.where(stays, NO_EVENT, nodes.kind[after]))
-    nodes = nodes._replace(kind=kind, travel=nodes.travel.at[after].set(jnp.where(stays, travel, there)))
-    if nodes.corner is not None:
-        nodes = nodes._replace(corner=nodes.corner.at[after].set(jnp.where(stays, False, nodes.corner[after])))
-    count = jnp.where(place < 0, 0, index + 1 + stays)
-    return Path(nodes, jnp.where(bad, count, path.count), jnp.where(bad, status, path.status))

@@ -17,8 +17,8 @@ from jaxwhisker._equilibrium.contact_state import Places
 from jaxwhisker._equilibrium.implicit import Sides, event_points
 from jaxwhisker._equilibrium.newton import contact_parameters
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._path.path import STOP, Node, Path
-from jaxwhisker._scan.signals import event_point, event_room
+from jaxwhisker._path.path import STOP, Node, Path, event_room
+from jaxwhisker._scan.signals import event_point
 from jaxwhisker._scan.steps import Solutions
 
 LINKS = 16  # changes of slips and turning points of the drive, besides the events that a scan has room for

@@ -18,9 +18,8 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._path.path import NO_EVENT, STOP, Path, is_snap
+from jaxwhisker._path.path import NO_EVENT, STOP, Path, event_room, is_snap
 from jaxwhisker._scan.result import Events
-from jaxwhisker._scan.signals import event_room
 from jaxwhisker._scan.steps import TRAVEL_NOISE
 
 POINTS = 16  # in each panel

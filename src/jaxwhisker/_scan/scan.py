@@ -26,10 +26,11 @@ from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.approach import approach_of
+from jaxwhisker._path.gains import without_gains
 from jaxwhisker._path.march import capacity_of, march
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
-from jaxwhisker._scan.detect import Kinds, detect, kinds_of, without_gains
+from jaxwhisker._scan.detect import Kinds, detect, kinds_of
 from jaxwhisker._scan.memory import remembered, with_places
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result

@@ -21,7 +21,7 @@ from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_con
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker, Poses, ScenePose
 from jaxwhisker._path.events import condition_of, events_of, facts_of, limit_of, number_of
-from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, is_snap, select
+from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, event_room, is_snap, select
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.state import State
 
@@ -210,11 +210,6 @@ def _placeholder(node: Node) -> Node:
     slipping = None if node.state.friction is None else slipping_from(side)
     state = blank.state._replace(side=side, friction=slipping)
     return blank._replace(arriving=along, state=state, before=state, kind=jnp.asarray(NO_EVENT))
-
-
-def event_room(whiskers: int) -> int:
-    """Number of events that a scan has room for; a path has more nodes."""
-    return 32 + 16 * whiskers
 
 
 class EventNodes(NamedTuple):

@@ -13,7 +13,6 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control
-from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.support import Support
 from jaxwhisker._path.path import Status
@@ -31,13 +30,13 @@ from jaxwhisker._scan.route import (
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_signals import events
 from jaxwhisker._scan.space_slopes import event_tangents, linked_tangents, state_tangents
-from jaxwhisker._scan.space_steps import BATCH, solve_steps, states
+from jaxwhisker._scan.space_steps import solve_steps, states
 from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.history import linked
 from jaxwhisker._space.march import march
 from jaxwhisker._space.march_state import SpacePath
 from jaxwhisker._space.problem import SpaceProblem, problem_in_space
-from jaxwhisker._space.shape import touches_twice
+from jaxwhisker._space.shape import until_second_contact
 
 BLOCK = 256  # steps computed by one call; each takes longer than in the plane
 LANES = 16  # of a batch that run together: a block takes as long as its slowest lane
@@ -136,31 +135,8 @@ def follow_path(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops)
     path = march(problem, limits.start, stops, jnp.asarray(last))
     path, start, stop = crop(problem, path, limits, whole)
-    path = _until_second_contact(problem, path)
+    path = until_second_contact(problem, path)
     return SpaceScanPath(path, start * problem.unit.control, stop * problem.unit.control)
-
-
-def _until_second_contact(problem: SpaceProblem, path: SpacePath) -> SpacePath:
-    """The path to the last node before a whisker meets the object in a second place."""
-    if not problem.may_touch_twice:
-        return path
-    nodes = path.nodes
-    exists = jnp.arange(nodes.kind.size) < path.count
-    phase = jnp.where(exists[:, None], nodes.phase, int(Phase.free))
-
-    def touch_twice(some):
-        z, phase = some
-        search = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))
-        found = jnp.zeros(BATCH, dtype=bool)
-        return jax.lax.cond(jnp.any(phase != Phase.free), lambda: search(z, phase), lambda: found)
-
-    batches = (leaf.reshape(-1, BATCH, *leaf.shape[1:]) for leaf in (nodes.point.z, phase))
-    twice = jnp.ravel(jax.lax.map(touch_twice, tuple(batches)))
-    some, first = jnp.any(twice), jnp.argmax(twice)
-    return path._replace(
-        count=jnp.where(some, first, path.count),
-        status=jnp.where(some, int(Status.second_contact), path.status),
-    )
 
 
 problem_now = Program(problem_in_space, tangent=by_slopes(problem_in_space))

@@ -22,7 +22,7 @@ from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.shape import touches_twice
 from jaxwhisker._space.slip import Mode, following
 
-BATCH = 32  # steps solved for at once, and nodes searched for second contacts at once
+BATCH = 32  # steps solved for at once
 RESIDUAL = 1e-8  # largest residual of a step marked ok
 JUMP = 0.05  # a solution this far from the path's interpolation belongs to another branch
 WIND_UP = 300.0  # turn of a base by the roll at the contact: a rod that magnifies errors more is `inexact`

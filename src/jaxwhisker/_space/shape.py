@@ -9,15 +9,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._path.path import Status
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
 from jaxwhisker._rod.space_end import contact_rotation
 from jaxwhisker._space.contact import POINT, Body, Contact, Traction, loaded
+from jaxwhisker._space.march_state import SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
 
 LOADED, UNLOADED = 16, 8  # intervals between base and contact, and between contact and tip
 DEPTH = 1e-6  # lengths: shafts that are deeper inside the object touch it in a second place
+BATCH = 32  # nodes of a path searched at once
 
 
 def shape(problem: SpaceProblem, body: Body, z: Contact, phase: Int[Array, ""]) -> Float[Array, "points 3"]:
@@ -50,3 +53,26 @@ def touches_twice(problem: SpaceProblem, z: Contacts, phase: Phases) -> Bool[Arr
         return jnp.max(-jax.vmap(problem.surface.off)(shape(problem, body, z, phase)))
 
     return jnp.any((of_each(problem, deepest, z, phase) > DEPTH) & (phase != Phase.free))
+
+
+def until_second_contact(problem: SpaceProblem, path: SpacePath) -> SpacePath:
+    """The path to the last node before a whisker meets the object in a second place."""
+    if not problem.may_touch_twice:
+        return path
+    nodes = path.nodes
+    exists = jnp.arange(nodes.kind.size) < path.count
+    phase = jnp.where(exists[:, None], nodes.phase, int(Phase.free))
+
+    def touch_twice(some):
+        z, phase = some
+        search = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))
+        found = jnp.zeros(BATCH, dtype=bool)
+        return jax.lax.cond(jnp.any(phase != Phase.free), lambda: search(z, phase), lambda: found)
+
+    batches = (leaf.reshape(-1, BATCH, *leaf.shape[1:]) for leaf in (nodes.point.z, phase))
+    twice = jnp.ravel(jax.lax.map(touch_twice, tuple(batches)))
+    some, first = jnp.any(twice), jnp.argmax(twice)
+    return path._replace(
+        count=jnp.where(some, first, path.count),
+        status=jnp.where(some, int(Status.second_contact), path.status),
+    )

@@ -14,11 +14,10 @@ from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import AbstractScene
-from jaxwhisker._path.path import Status
+from jaxwhisker._path.path import Status, event_room
 from jaxwhisker._scan.dataset import VARIABLES, SceneLayout, omitted_events, points_in_words
 from jaxwhisker._scan.quantities import Quantity
 from jaxwhisker._scan.result import AbstractResult
-from jaxwhisker._scan.signals import event_room
 from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster
 from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, chosen, variables_of
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, blocks_of, parameters_of

@@ -1,0 +1,127 @@
+"""The sources that programs depend on: a list for each kind, and whether tracing runs any others."""
+
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from jaxwhisker._base import checks, program, sources, store
+from jaxwhisker._base.program import Program
+from jaxwhisker._equilibrium.dimensionless import problem_of
+from jaxwhisker._scan import scan, space_scan
+from jaxwhisker._scan.route import across
+from jaxwhisker._space.problem import problem_in_space
+
+SOURCE = Path(scan.__file__).parents[1]
+ENDS = tuple(map(np.asarray, across()))
+FB = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0, 0.2))
+SPACE = jw.Scene(jw.Whisker(), jw.Sphere(0.5, (0.0, 0.8, 0.1)), jw.Support.fb(70.0, 0.2))
+
+
+def floats(scene):
+    return jax.tree.map(checks.as_float, scene)
+
+
+def described(one: Program, *args):
+    """The description of a program for these arguments."""
+    shape, arrays = program._split(args)
+    text = store.describe([one.function, shape.arguments([...] * len(arrays))])
+    assert text is not None
+    return text
+
+
+def packages(modules):
+    return {name.split(".")[1] for name in modules if "." in name}
+
+
+# Change these lists together with the code, but think twice: every program of users is compiled again after a change
+# of any module that it depends on.
+PATHS = {"_base", "_rod", "_model", "_equilibrium", "_path"}
+
+
+def test_a_path_in_the_plane_depends_on_neither_results_nor_space_nor_figures():
+    found = sources.modules(described(scan.follow_path_now, problem_of(floats(FB)), *ENDS))
+    scans = {name for name in found if name.startswith("jaxwhisker._scan.")}
+    assert packages(found) == {*PATHS, "_scan"} and scans == {"jaxwhisker._scan.scan"}
+    assert {"jaxwhisker._path.march", "jaxwhisker._rod.rod", "jaxwhisker._model.conic"} <= found
+    assert len(found) <= 70
+
+
+def test_a_path_in_space_depends_on_neither_results_nor_figures():
+    found = sources.modules(described(space_scan.follow_path_now, problem_in_space(floats(SPACE)), *ENDS))
+    scans = {name for name in found if name.startswith("jaxwhisker._scan.")}
+    assert packages(found) == {*PATHS, "_space", "_scan"} and scans == {"jaxwhisker._scan.space_scan"}
+    assert "jaxwhisker._model.surface" in found
+    assert len(found) <= 76
+
+
+def test_classes_of_arguments_count():
+    plain, polygon = (
+        sources.modules(described(scan.problem_now, floats(jw.Scene(jw.Whisker(), profile, jw.Support.fb(70.0)))))
+        for profile in (jw.Parabola(0.2), jw.Box(0.2, 0.5, 0.4))
+    )
+    assert polygon - plain == {"jaxwhisker._model.polygon"}
+
+
+def files_run(function, *args):
+    """Modules of this package whose code runs while a function is traced."""
+    found = set()
+
+    def note(frame, event, _):
+        if event == "call":
+            found.add(frame.f_code.co_filename)
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        jax.make_jaxpr(lambda *args: function(*args))(*args)  # a new function, which JAX has not cached
+    finally:
+        sys.setprofile(before)
+    paths = [Path(name) for name in found if Path(name).is_relative_to(SOURCE)]
+    return {".".join(("jaxwhisker", *path.relative_to(SOURCE).with_suffix("").parts)) for path in paths}
+
+
+@pytest.mark.parametrize("scene", [FB, SPACE], ids=["plane", "space"])
+def test_tracing_runs_no_code_of_other_modules(scene):
+    space = scene is SPACE
+    build = problem_in_space if space else problem_of
+    module = space_scan if space else scan
+    problem = jax.jit(build)(floats(scene))
+    for one, args in ((module.problem_now, [floats(scene)]), (module.follow_path_now, [problem, *ENDS])):
+        run = files_run(one.function, *args)
+        assert len(run) > 10
+        assert run - sources.modules(described(one, *args)) == set()
+
+
+def test_a_digest_changes_with_any_of_its_sources(monkeypatch):
+    description = described(scan.problem_now, floats(FB))
+    before = sources.digest.__wrapped__(description)
+    original = sources._source
+
+    def digest(changed):
+        monkeypatch.setattr(sources, "_source", lambda name: original(name) + "#" * (name == changed))
+        sources._digest.cache_clear()
+        return sources.digest.__wrapped__(description)
+
+    for module in ("jaxwhisker._model.conic", "jaxwhisker._equilibrium.touch", "jaxwhisker._base.leaves"):
+        assert digest(module) != before, module
+    for module in ("jaxwhisker.plot.states", "jaxwhisker._path.march", ""):
+        assert digest(module) == before, module
+    sources._digest.cache_clear()
+
+
+def test_only_imports_that_a_named_definition_uses_count():
+    whole = sources._imports("jaxwhisker._scan.scan")
+    used = sources._used_by("jaxwhisker._scan.scan", "follow_path")
+    assert "jaxwhisker._scan.space_scan" in whole - used
+    assert "jaxwhisker._path.march" in used
+    # Through another definition of the same module, and through an import within a function.
+    assert "jaxwhisker._equilibrium.dimensionless" in sources._used_by("jaxwhisker._scan.scan", "scan_across")
+    assert "jaxwhisker._scan.space_scan" in sources._used_by("jaxwhisker._scan.scan", "scan")
+
+
+def test_imports_for_types_only_do_not_count():
+    assert "jaxwhisker._scan.space_result" not in sources._imports("jaxwhisker._scan.scan")
