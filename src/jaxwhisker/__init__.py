@@ -166,7 +166,7 @@ __all__ = [
     "to_dataframe",
 ]
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 # Names that are loaded on first use, and their modules.
 _LATER = {

@@ -97,7 +97,9 @@ def test_modules_that_the_page_names_exist():
     assert [name for name in sorted(named) if not (PACKAGE / name).exists()] == []
 
 
-@pytest.mark.parametrize("page", ["README.md", *(f"docs/{p.name}" for p in sorted((ROOT / "docs").glob("*.md")))])
+@pytest.mark.parametrize(
+    "page", ["README.md", "CONTRIBUTING.md", *(f"docs/{p.name}" for p in sorted((ROOT / "docs").glob("*.md")))]
+)
 def test_files_of_the_repository_that_a_page_names_exist(page):
     text = (ROOT / page).read_text("utf-8")
     for name in set(

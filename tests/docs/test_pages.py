@@ -1,4 +1,4 @@
-"""The Python code of README and docs runs, page by page, and prints the output that the page shows below it.
+"""The Python code of README, CONTRIBUTING and docs runs, and prints the output that the page shows below it.
 
 The tables of these pages agree with the stored results.
 """
@@ -19,7 +19,7 @@ sys.path.append(str(ROOT / "benchmarks"))
 
 import report  # noqa: E402
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BY_HAND = re.compile(r"^<!-- run by hand: (.+) -->\n(?=```python\n)", re.MULTILINE)
 SKIPPED = Skipper("run by hand")
 OUTPUT = re.compile(r"\n*```text\n(.*?)^```", re.MULTILINE | re.DOTALL)  # the output of the code block right above it

@@ -1,7 +1,11 @@
-"""The site: the reference describes every public name once, and all names and files that pages mention exist."""
+"""The site: the reference describes every public name once, and all names and files that pages mention exist.
+
+The Makefile has the targets that pages and the workflow of the hosted runners call.
+"""
 
 import importlib
 import re
+import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -14,11 +18,16 @@ from jaxwhisker._scan.quantities import QUANTITIES
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 DESCRIBED = re.compile(r"^::: (\S+)$", re.MULTILINE)
 MENTIONED = re.compile(r"\bjw((?:\.[A-Za-z]\w*)+)")
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+SHELL = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
+CALLED = re.compile(r"^make ([a-z-]+)", re.MULTILINE)  # a line of a shell script
+QUOTED = re.compile(r"`make ([a-z-]+)")
+MAKEFILE = (ROOT / "Makefile").read_text("utf-8")
+WORKFLOW = yaml.safe_load((ROOT / ".github" / "workflows" / "checks.yml").read_text("utf-8"))["jobs"]["checks"]
 
 
 def name_of(page):
@@ -92,3 +101,40 @@ def test_the_table_of_quantities_has_every_field_of_a_result():
         name for name in jw.Result.__dataclass_fields__ if name not in ("deferred_events", "scene", "shaft_loads")
     }
     assert fields <= QUANTITIES.keys()
+
+
+def targets():
+    """Targets that `make help` lists."""
+    return set(re.findall(r"^([a-z-]+):.*## ", MAKEFILE, re.MULTILINE))
+
+
+def called_on(page):
+    """Targets of the Makefile that a page names, in shell blocks and in prose."""
+    text = page.read_text("utf-8")
+    return {*CALLED.findall("".join(SHELL.findall(text))), *QUOTED.findall(text)}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_targets_on_pages_exist(page):
+    assert called_on(page) <= targets()
+
+
+def test_contributing_describes_the_checks():
+    assert {"quick", "test", "lint", "types", "docs"} <= called_on(ROOT / "CONTRIBUTING.md")
+
+
+def test_the_workflow_calls_the_checks_of_the_makefile():
+    scripts = [step["run"] for step in WORKFLOW["steps"] if "run" in step]
+    called = [CALLED.match(script) for script in scripts]
+    assert all(called), "calls something else than make"
+    assert {match[1] for match in called if match} == {"lint", "types", "docs", "test"} <= targets()
+
+
+def test_the_workflow_has_the_python_versions_of_the_makefile():
+    """The oldest one is that of pyproject.toml."""
+    versions = WORKFLOW["strategy"]["matrix"]["python"]
+    [candidates] = re.findall(r"^CANDIDATES := \$\(or \$\(PYTHON\),(.*)\)$", MAKEFILE, re.MULTILINE)
+    assert sorted(versions) == sorted(re.findall(r"python(3\.\d+)", candidates))
+    oldest = min(versions, key=lambda version: int(version.partition(".")[2]))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project["requires-python"] == f">={oldest}"
