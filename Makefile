@@ -11,7 +11,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-long test-all quick lint types docs notebooks figures bench bench-more bench-inverse extremes soak clean distclean
+.PHONY: help demo test test-long test-all test-times quick lint types docs notebooks figures bench bench-more bench-inverse extremes soak clean distclean
 
 help: ## list all targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -20,13 +20,17 @@ demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out
 	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
 
 test: $(VENV)/installed-dev ## run the tests of every feature and module
-	@$(BIN)/python -m pytest -m "not long"
+	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m "not long" --check-types $(TYPED)
+	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m "not long" $(addprefix --ignore=,$(TYPED))
 
 test-long: $(VENV)/installed-dev ## run the longest tests, which tests/long.txt lists
 	@$(BIN)/python -m pytest -m long -rs --no-loadscope-reorder $$(sed 's/::.*//' tests/long.txt | sort -u)
 
-test-all: $(VENV)/installed-dev ## run all tests
-	@$(BIN)/python -m pytest
+test-all: $(VENV)/installed-dev ## run all tests, and enforce types and shapes of all arguments
+	@$(BIN)/python -m pytest --check-types
+
+test-times: $(VENV)/installed-dev ## run the tests with empty caches, and list those that take longest in docs/developing.md
+	@$(BIN)/python benchmarks/time_of_tests.py && $(BIN)/python benchmarks/report.py
 
 quick: $(VENV)/installed-dev ## run the tests of equilibria, paths, exact scans and models, after an edit (a minute and a half)
 	@$(BIN)/python -m pytest --quiet $(CORE_TESTS)
@@ -65,6 +69,9 @@ extremes: $(VENV)/installed-dev ## scan scenes at the limits of every parameter'
 
 soak: $(VENV)/installed-dev ## check 140,000 random scenes (two hours on two cores)
 	@$(call run,soak soak_supports soak_friction soak_shafts soak_space report)
+
+# Packages whose tests enforce types and shapes of all arguments, which costs time.
+TYPED := tests/base tests/model tests/rod
 
 # Everything that a scan rests on, without the tests that need further programs.
 CORE_TESTS := tests/equilibrium tests/path tests/physics/test_reference_scans.py \

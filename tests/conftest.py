@@ -1,9 +1,14 @@
-"""Float64, caches of compiled code shared by workers and runs, reproducible random scenes, limited compiled code."""
+"""Float64, caches of compiled code shared by workers and runs, reproducible random scenes, limited compiled code.
+
+`--check-types` enforces types and shapes of all arguments and results. The package then takes five times as long to
+import and ten percent longer to trace, so `make test` does this for the tests of the lowest packages only.
+"""
 
 import contextlib
 import ctypes
 import gc
 import hashlib
+import json
 import os
 import platform
 import subprocess
@@ -42,8 +47,13 @@ os.environ.setdefault("MALLOC_ARENA_MAX", "2")  # of workers, so that memory tha
 # Not in the user's home. JAXWHISKER_CACHE=off runs the tests without stored programs.
 os.environ.setdefault("JAXWHISKER_CACHE", str(Path(__file__).parents[1] / ".cache" / "programs"))
 
-# Types and shapes of all functions are checked while tests run; an int is accepted as a float.
-jaxtyping.install_import_hook("jaxwhisker", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+
+BEARTYPE = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"  # an int is accepted as a float
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--check-types", action="store_true", help="enforce types and shapes of all arguments")
+    parser.addoption("--times", metavar="FILE", help="append the processor time of every test to this file")
 
 
 # Tests that compile for the longest time for features that other tests cover as well; `make test` leaves them out.
@@ -72,14 +82,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 WORKER = 3e9  # bytes that a worker may need
 
 
+def _memory() -> float:
+    """Bytes of this machine."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # on other systems
+        return 16e9
+
+
 def pytest_xdist_auto_num_workers() -> int:
     """One worker per core, as far as the memory allows."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    try:
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # on other systems
-        memory = cores * WORKER
-    return max(1, min(cores, int(memory / WORKER)))
+    return max(1, min(cores, int(_memory() / WORKER)))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -118,18 +132,47 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("check_types"):
+        jaxtyping.install_import_hook("jaxwhisker", BEARTYPE)
     cache = getattr(config, "cache", None)
     shared = cache.mkdir("jax") if cache else Path(tempfile.gettempdir()) / "jaxwhisker-tests"
     directory = shared / _machine()
     # Also in the environment, for processes that tests start.
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(directory)
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"  # even a tiny program takes 10 ms to compile
     jax.config.update("jax_compilation_cache_dir", str(directory))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
-MAPPINGS = 20_000  # of memory; Linux allows 65,530 per process, beyond which the compiler crashes
-MEMORY = 1.2e9  # bytes that a worker may use when the next module begins
+def _processor_time() -> float:
+    """Seconds of this process, with its compiler threads, and of the processes that it has started."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> None:
+    """Attach the processor time since the last test to the last report of this one."""
+    if call.when == "teardown":
+        now = _processor_time()
+        item.user_properties.append(("processor time", now - _LAST.get(0, 0.0)))
+        _LAST[0] = now
+
+
+_LAST: dict[int, float] = {}
+
+
+def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
+    """Write processor times, of all workers, to the file of `--times`."""
+    if not config.getoption("times"):
+        return
+    reports = [one for every in terminalreporter.stats.values() for one in every if hasattr(one, "user_properties")]
+    times = {one.nodeid: dict(one.user_properties)["processor time"] for one in reports if one.when == "teardown"}
+    with Path(config.getoption("times")).open("a", encoding="utf-8") as file:
+        file.writelines(json.dumps([name, seconds]) + "\n" for name, seconds in times.items())
+
+
+MAPPINGS = 40_000  # of memory; Linux allows 65,530 per process, beyond which the compiler crashes
+SHARE = 0.2  # of the machine's memory that a worker may use when the next module begins
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -141,7 +184,7 @@ def _release_compiled_code():
         memory = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
         return
-    if mappings > MAPPINGS or memory > MEMORY:
+    if mappings > MAPPINGS or memory > max(WORKER / 2, SHARE * _memory()):
         from jaxwhisker._base import program  # after the import hook
 
         jax.clear_caches()
