@@ -148,6 +148,28 @@ def test_sources_that_lead_to_the_same_code_are_traced_but_not_compiled(folder, 
             solved(2)
 
 
+def first_of(x, y):
+    return 2 * x
+
+
+def second_of(x, y):
+    return 2 * y
+
+
+def only(x):
+    return 2 * x
+
+
+def test_programs_that_use_other_arguments_do_not_share_code(folder, monkeypatch):
+    functions = first_of, second_of, only
+    monkeypatch.setattr(store, "describe", lambda value: value[0].__qualname__)
+    for function in functions:
+        one = Program(function)
+        one.__name__ = "same"  # also in the code
+        assert one(*np.array([1.0, 3.0])[: 1 + (function is not only)]) == (6.0 if function is second_of else 2.0)
+    assert len(list(folder.iterdir())) == len(functions)
+
+
 def test_a_program_that_calls_python_is_not_stored(folder, monkeypatch):
     def shout(x):
         return jax.pure_callback(lambda x: 2 * np.asarray(x), x, x)

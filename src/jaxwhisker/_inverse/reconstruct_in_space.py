@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.linear_algebra import inverse
@@ -31,8 +31,8 @@ from jaxwhisker._inverse.points_in_space import SpaceReconstruction, SpaceStep, 
 from jaxwhisker._model.drives import Placement, placement_of
 from jaxwhisker._model.scene import Units, units_of
 from jaxwhisker._model.space_scene import SpaceScene
+from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE
-from jaxwhisker._scan.scan import BLOCK
 
 UNTWISTED = ("f1", "f2", "f3", "m1", "m2")
 TRIPLET = ("f3", "m1", "m2")
@@ -197,7 +197,7 @@ def _prepared(sensor: SpaceSensor, kinds: tuple[str, ...], readings: Readings) -
     return _Prepared(space_instrument(sensor, unit, kinds != REACTIONS_IN_SPACE), unit, drive, reaction, root)
 
 
-def _located(prepared: _Prepared, kinds: tuple[str, ...], noisy: bool) -> SpaceStep:
+def _located(prepared: _Prepared, kinds: tuple[str, ...], noisy: Bool[Array, ""]) -> SpaceStep:
     known, unit, *each = prepared
     return jax.vmap(lambda *at: _step(known, unit, kinds, noisy, *at))(*each)
 
@@ -221,14 +221,20 @@ def _contacts_of_parameters(build, names, values, covariance, kinds, readings) -
 
 
 def _contacts(sensor: SpaceSensor, kinds: tuple[str, ...], readings: Readings) -> SpaceStep:
-    return _located_now(_prepared_now(sensor, kinds, readings), kinds, readings[2] is not None)
+    known, unit, *each = _prepared_now(sensor, kinds, readings)
+    noisy = np.asarray(readings[2] is not None)
+
+    def block(*some):
+        return _located_now(_Prepared(known, unit, *some), kinds, noisy)
+
+    return in_blocks(block, tuple(each), BLOCK)
 
 
 def _step(
     known: SpaceInstrument,
     unit: Units,
     kinds: tuple[str, ...],
-    noisy: bool,
+    noisy: Bool[Array, ""],
     drive: Placement,
     reaction: Float[Array, "whiskers channels"],
     root: Float[Array, "whiskers channels channels"],
@@ -249,11 +255,11 @@ def _step(
 
     measured = jnp.where(missing[:, None], 0.0, reaction)
     significance = jnp.sum(white(measured) ** 2, axis=-1)
-    touching = ~missing & ~(significance < (FREE[len(kinds)] if noisy else EXACTLY_FREE))
+    touching = ~missing & ~(significance < jnp.where(noisy, FREE[len(kinds)], EXACTLY_FREE))
     fitted = jnp.where(touching[:, None], measured, bent[:, places])
     six = jnp.zeros((missing.size, len(kinds), 6)).at[:, :, places].set(whiten)
     complete = jax.vmap(lambda values, length: _complete(kinds, values, length))
-    handicap = jnp.full(missing.size, HANDICAP if noisy else EXACT_HANDICAP)
+    handicap = jnp.full(missing.size, jnp.where(noisy, HANDICAP, EXACT_HANDICAP))
     found = known.locate(drive, (white(fitted), six, complete(fitted, known.length), handicap))
     ok, values = touching & found.ok, found.values
     force = jnp.where(ok[:, None], values[:, 4:7], 0.0)
@@ -266,7 +272,7 @@ def _step(
     at_base = jnp.where(missing[:, None], jnp.nan, base * unit.length).T
     covariance = known.covariance(drive, found, ok) * sizes[:, None] * sizes
     cosine, score = perpendicular(measured, root, missing) if len(kinds) == 6 else [jnp.full(missing.size, jnp.nan)] * 2
-    if_noisy = 1.0 if noisy else jnp.nan
+    if_noisy = jnp.where(noisy, 1.0, jnp.nan)
     codes = [PointStatus.missing, PointStatus.free, PointStatus.failed]
     return SpaceStep(
         *contact,

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, text_unless
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.quadrature import gauss
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import STEEPEST, AbstractProfile, ContactPoint, FirstTouch, bisect
@@ -85,8 +86,8 @@ class Contour(_AbstractContour):
             ValueError: as for a Contour.
         """
         x, y = profile.vertex()
-        radius = jax.vmap(lambda slope: _radius(profile, slope))(jnp.asarray(slopes, dtype=float))
-        return cls(y, jnp.log(radius), slopes, x)
+        slopes = check_slopes("slopes", slopes)
+        return cls(y, _log_radii_now(jax.tree.map(checks.as_float, profile), np.asarray(slopes)), slopes, x)
 
     def radius(self, slope: Scalar) -> Float[Array, ""]:
         """Radius of curvature at a slope angle (rad), a length."""
@@ -186,6 +187,13 @@ def _radius(profile: AbstractProfile, slope: Scalar) -> Float[Array, ""]:
     parameter = parameter - (angle(parameter) - slope) / rate(angle, parameter)
     x, y = rate(lambda p: jnp.stack(profile.point(p)[:2]), parameter)
     return jnp.hypot(x, y) / rate(angle, parameter)
+
+
+def _log_radii(profile: AbstractProfile, slopes: Float[Array, " knots"]) -> Float[Array, " knots"]:
+    return jnp.log(jax.vmap(lambda slope: _radius(profile, slope))(slopes))
+
+
+_log_radii_now = Program(_log_radii)
 
 
 class Spline(NamedTuple):

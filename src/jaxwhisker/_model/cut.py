@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch, bisect
 
@@ -52,7 +53,9 @@ class Cut(AbstractProfile):
         if len(ends) == 2 and not float(ends["left"]) < float(ends["right"]):
             checks.fail("right", f"greater than `left` ({float(ends['left']):g})", float(ends["right"]))
         for name, value in ends.items():
-            if not bool(_has_point(self.profile, value)):
+            with jax.ensure_compile_time_eval():
+                has_point = _has_point_now(*jax.tree.map(checks.as_float, (self.profile, value)))
+            if not bool(has_point):
                 checks.fail(name, f"an x at which the profile ({self.profile}) has a point", float(value))
 
     @property
@@ -202,3 +205,6 @@ def _parameter_at(profile: AbstractProfile, x: Scalar) -> Float[Array, ""]:
 def _has_point(profile: AbstractProfile, x: Scalar):
     at = profile.point(_parameter_at(profile, x))
     return (jnp.abs(at.x - x) < ON_PROFILE * (1 + jnp.abs(x))) & jnp.isfinite(at.y) & (at.cos > 0)
+
+
+_has_point_now = Program(_has_point)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, text_unless
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch
 
@@ -98,7 +99,7 @@ class Polygon(_AbstractPolygon):
 
     def __check_init__(self):
         checks.rows("vertices", self.vertices, columns=2, least=2)
-        if not checks.is_traced(self.vertices) and not bool(_is_convex(jnp.asarray(self.vertices))):
+        if not checks.is_traced(self.vertices) and not bool(_is_convex_now(np.asarray(self.vertices))):
             allowed = "the corners of a convex polygon, counter-clockwise, no three of them in line"
             checks.fail("vertices", allowed, np.asarray(self.vertices).tolist())
 
@@ -261,6 +262,9 @@ def _positive(corners: Corners) -> list[Scalar]:
 
 def _is_convex(corners: Corners) -> Bool[Array, ""]:
     return jnp.all(jnp.stack(_positive(corners)[1:]) > 0)
+
+
+_is_convex_now = Program(_is_convex)
 
 
 def chain(corners: Corners) -> Chain:

@@ -1,12 +1,16 @@
 """Whiskers with circular cross-sections, from materials and diameters, and the whiskers of rats."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.along import (
     CHECKED_POINTS,
@@ -189,13 +193,20 @@ def _torsion_ratio(poisson_ratio: Scalar | None) -> Scalar | None:
     return 1 / (1 + poisson_ratio)
 
 
+def _largest(value: Callable[[Scalar], Scalar], length: Scalar) -> Float[Array, ""]:
+    return jnp.max(jax.vmap(value)(np.linspace(0.0, 1.0, CHECKED_POINTS) * length))
+
+
+_largest_now = Program(_largest)
+
+
 def _check_slender(name: str, diameter: AlongWhisker, length: Scalar) -> None:
     """Check that a concrete diameter is that of a slender rod, and not in another unit than the length."""
     if checks.is_traced((diameter, length)):
         return
     with jax.ensure_compile_time_eval():
-        places = jnp.linspace(0.0, 1.0, CHECKED_POINTS) * length
-        thickest = float(jnp.max(jax.vmap(diameter)(places)) if callable(diameter) else diameter)
+        given = jax.tree.map(checks.as_float, (diameter, length))
+        thickest = float(_largest_now(*given) if callable(diameter) else diameter)
     if thickest > float(length) / SLENDER:
         allowed = f"at most 1/{SLENDER} of the length {float(length):g}, in the same unit: rods are slender"
         raise ValueError(f"`{name}` must be {allowed}; got {thickest:g}.")

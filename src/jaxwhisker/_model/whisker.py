@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, number_or_function
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.suggest import Suggesting
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.along import CHECKED_POINTS, AlongWhisker, Breaks, as_breaks
@@ -101,7 +102,7 @@ class Whisker(Round, metaclass=Suggesting):
             return
         self._check_along("bending_stiffness", self.bending_stiffness)
         with jax.ensure_compile_time_eval():
-            turn = float(self._largest_turn())
+            turn = float(_largest_turn_now(jax.tree.map(checks.as_float, self.without_masses())))
         if not turn < np.pi / 2:
             given = [f"`{name}`" for name in CURVATURES if getattr(self, name) is not None]
             raise ValueError(
@@ -238,10 +239,17 @@ class Whisker(Round, metaclass=Suggesting):
 
     def _samples(self, value: AlongWhisker) -> tuple[Float[Array, " points"], Bool[Array, " points"]]:
         """A quantity at points along the whisker, and whether it is positive, or zero at the tip, and finite."""
-        s = jnp.linspace(0.0, 1.0, CHECKED_POINTS if callable(value) else 2) * self.length
-        values = jax.vmap(lambda s: at_arc(value, s))(s)
-        positive = (values > 0).at[-1].set(values[-1] >= 0)
-        return values, positive & jnp.isfinite(values)
+        return _samples_now(*jax.tree.map(checks.as_float, (value, self.length)))
+
+
+def _samples(value: AlongWhisker, length: Scalar) -> tuple[Float[Array, " points"], Bool[Array, " points"]]:
+    s = np.linspace(0.0, 1.0, CHECKED_POINTS if callable(value) else 2) * length
+    values = jax.vmap(lambda s: at_arc(value, s))(s)
+    positive = (values > 0).at[-1].set(values[-1] >= 0)
+    return values, positive & jnp.isfinite(values)
+
+
+_samples_now, _largest_turn_now = Program(_samples), Program(Whisker._largest_turn)
 
 
 def _masses(whisker: Whisker) -> tuple:
