@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from functions import Stiffening
 from handmade import SI
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.attach import _unbent, _weakened, attached, with_unloaded
-from jaxwhisker._equilibrium.dimensionless import problem_of, sections
+from jaxwhisker._equilibrium.dimensionless import sections
 from jaxwhisker._equilibrium.shaft_springs import AXIAL
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.scene import units_of
@@ -138,7 +139,7 @@ unloaded = Program(with_unloaded)
 @pytest.fixture(scope="module")
 def problem():
     """A whisker whose base has springs along x and in angle; L = EI = 1."""
-    return Program(problem_of)(jw.Scene(jw.Whisker(), jw.Parabola(0.2), follicle(x=BASE, phi=TORSION, mount=MOUNT)))
+    return dimensionless(jw.Scene(jw.Whisker(), jw.Parabola(0.2), follicle(x=BASE, phi=TORSION, mount=MOUNT)))
 
 
 def on_one(stiffness, rest_length, axis, at):
@@ -186,6 +187,6 @@ def test_the_tips_of_unbent_whiskers_turn_with_the_drive():
     scene = jw.Scene(
         jw.Whisker(), jw.Parabola(0.2), follicle(phi=TORSION, mount=MOUNT), motion=jw.Rotation((0.3, -0.5))
     )
-    turning = Program(problem_of)(scene)
+    turning = dimensionless(scene)
     for u in (-1.2, 0.4):
         np.testing.assert_allclose(_unbent(turning, jnp.asarray(u))[0], straight(*MOUNT), atol=ROUNDING)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.dimensionless import _turned, outlines, problem_of, sections
@@ -17,8 +18,6 @@ from scenes import cone
 
 ROUNDING = 1e-13  # the same numbers by other operations
 TABLE = 1e-9  # position of a circular arc in an outline
-
-problem_now = Program(problem_of)
 
 
 def spring(first, second, stiffness=70.0, rest_length=0.2):
@@ -72,7 +71,7 @@ def test_a_scene_in_si_units_is_the_same_problem():
     plain = jw.Scene(
         (jw.Whisker(), jw.Whisker(0.9, 2.0)), jw.Parabola(0.2, 1.0, 0.3), jw.Support.fbfb([70.0, 30.0], [0.2, 0.1])
     )
-    one, other = problem_now(metres), problem_now(plain)
+    one, other = dimensionless(metres), dimensionless(plain)
     np.testing.assert_allclose(one.unit, (length, force, force * length, length), rtol=ROUNDING)
     np.testing.assert_allclose(other.unit, 1.0, rtol=ROUNDING)
     leaves = [jax.tree.leaves(eqx.tree_at(lambda p: p.unit, problem, other.unit)) for problem in (one, other)]
@@ -83,8 +82,8 @@ def test_a_scene_in_si_units_is_the_same_problem():
 def test_an_invalid_scene_has_finite_numbers():
     good = scene(jw.Support.fb(70.0))
     bad = eqx.tree_at(lambda s: (s.profile.distance, s.support.springs[0].stiffness), good, (-0.2, jnp.nan))
-    assert bool(problem_now(good).valid)
-    problem = problem_now(bad)
+    assert bool(dimensionless(good).valid)
+    problem = dimensionless(bad)
     assert not bool(problem.valid)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(problem))
 
@@ -92,7 +91,7 @@ def test_an_invalid_scene_has_finite_numbers():
 @pytest.mark.parametrize(("friction", "valid"), [(0.3, True), (0.0, True), (-0.1, False), (np.nan, False)])
 def test_the_friction_angle_is_that_of_the_coefficient(friction, valid):
     rough = scene(jw.Support.fb(70.0), friction=0.2)
-    problem = problem_now(eqx.tree_at(lambda s: s.friction, rough, jnp.asarray(friction)))
+    problem = dimensionless(eqx.tree_at(lambda s: s.friction, rough, jnp.asarray(friction)))
     assert bool(problem.valid) == valid
     if valid:
         np.testing.assert_allclose(problem.friction_angle, np.arctan(friction), rtol=ROUNDING)

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from engine import dimensionless
 from exact_contacts import contacts, fbfb_at
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium import newton
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import Apart, newton_step, with_dummy_contacts
 from jaxwhisker._equilibrium.point import Point, at_arc_length, at_control, scale_of
 from jaxwhisker._equilibrium.solver import solve_point
@@ -22,8 +22,6 @@ DIFFERENCE = 1e-6  # relative, of central differences of solved contacts
 STIFFNESS = (70.0, 40.0)
 # Parameters of both whiskers on the clamped branch: just after touch, every phase, both sides of the vertex.
 PAIRS: list[tuple[float, float]] = [(0.3, 1e-7), (0.6, 0.1), (1.3, 0.9), (2.6, 0.4), (2.5, 1.0)]
-
-problem_now = Program(problem_of)
 
 
 def state_of(at):
@@ -52,14 +50,14 @@ def step_at_control(problem, state, z, u):
 def typical():
     """Problem, exact contacts and mode of an equilibrium at control 0."""
     at = contacts(1.3, 0.4)
-    return problem_now(fbfb_at(1.3, 0.4, STIFFNESS)), at, state_of(at)
+    return dimensionless(fbfb_at(1.3, 0.4, STIFFNESS)), at, state_of(at)
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids=str)
 def test_exact_equilibria_are_found(pair):
     at = contacts(*pair)
     state, z = state_of(at), jnp.asarray(at.z)
-    problem = problem_now(fbfb_at(pair[0], pair[1], STIFFNESS))
+    problem = dimensionless(fbfb_at(pair[0], pair[1], STIFFNESS))
     off = 1e-3 * scale_of(z) * np.random.default_rng(0).uniform(-1, 1, z.shape)
     solution = solved_at_control(problem, state, z + off, jnp.asarray(0.0))
     assert solution.converged and solution.iterations <= 5
@@ -121,7 +119,7 @@ def test_an_arc_length_ahead(typical):
 
 def test_the_base_of_a_free_whisker_follows_the_others():
     alone = contacts(1.3)
-    problem = problem_now(fbfb_at(1.3, 0.4, STIFFNESS))
+    problem = dimensionless(fbfb_at(1.3, 0.4, STIFFNESS))
     state = ContactState(jnp.array([int(alone.phase[0]), int(Phase.free)]), jnp.ones(2))
     z = jnp.asarray(np.concatenate([alone.z, np.zeros((1, 3))]))
     first, second = np.ravel(problem.offset)

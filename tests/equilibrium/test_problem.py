@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._equilibrium.problem import AlongX, InPlane
@@ -22,12 +22,11 @@ TOUCHED = 1e-9  # first touches in the plane are searched, and exact to 1e-10 of
 CLOSED_FORM = 1e-10  # the same equilibrium by other coordinates
 
 FOLLICLE = scene(jw.Support.follicle(x=70.0, mount=jw.Mount(0.1, -0.05, 0.2)))
-problem_now = Program(problem_of)
 
 
 @pytest.fixture(scope="module")
 def in_plane():
-    return problem_now(FOLLICLE)
+    return dimensionless(FOLLICLE)
 
 
 def test_unloaded_bases_rest_on_their_mounts_and_rest_lengths(in_plane):
@@ -36,7 +35,7 @@ def test_unloaded_bases_rest_on_their_mounts_and_rest_lengths(in_plane):
     np.testing.assert_allclose(np.ravel(at), [0.7 + 0.1, -0.05, 0.2], atol=ROUNDING)
     rest_length = 0.3
     softly = eqx.tree_at(lambda s: s.support.springs[0].rest_length, FOLLICLE, rest_length)
-    problem = problem_now(softly)
+    problem = dimensionless(softly)
     # The spring acts along the drive's x axis, the coordinates along the axes of the mount.
     np.testing.assert_allclose(problem.rest(0.7)[0], rest_length * np.array([np.cos(0.2), -np.sin(0.2), 0]), atol=1e-13)
     at = problem.in_scene(0.7, problem.rest(0.7))
@@ -45,7 +44,7 @@ def test_unloaded_bases_rest_on_their_mounts_and_rest_lengths(in_plane):
 
 def test_a_shift_moves_bases_along_the_scenes_x_axis():
     motion = jw.Rotation((0.3, -0.5), 0.4)
-    problem = problem_now(scene(jw.Support.follicle(phi=5.0, mount=jw.Mount(0.1, -0.05, 0.2)), motion=motion))
+    problem = dimensionless(scene(jw.Support.follicle(phi=5.0, mount=jw.Mount(0.1, -0.05, 0.2)), motion=motion))
     u, pose, distance = 0.6, jnp.array([[0.02, -0.03, 0.1]]), jnp.array([0.25])
     before = problem.in_scene(u, pose)
     after = problem.in_scene(u, pose + problem.shift(u, distance))
@@ -64,7 +63,7 @@ def test_a_shift_moves_bases_along_the_scenes_x_axis():
 
 def test_a_base_in_the_plane_that_yields_along_x_only_has_the_equations_of_a_base_along_x():
     alone, plane = (
-        problem_now(scene(jw.Support.follicle(x=70.0, mount=mount)))
+        dimensionless(scene(jw.Support.follicle(x=70.0, mount=mount)))
         for mount in (None, jw.Mount())
     )  # fmt: skip
     assert isinstance(alone, AlongX) and isinstance(plane, InPlane)
@@ -101,10 +100,10 @@ def test_only_free_whiskers_out_of_reach_change_their_side(in_plane):
 
 
 def test_displacements_are_flexibility_times_load():
-    stiff = problem_now(scene(jw.Support.fbfb([50.0, 20.0], 0.2)))
+    stiff = dimensionless(scene(jw.Support.fbfb([50.0, 20.0], 0.2)))
     # Spring 1 carries both loads, spring 2 that of base 2.
     moved = stiff.displacement(jnp.array([[3.0], [-1.0]]))
     np.testing.assert_allclose(moved[:, 0], [2 / 50, 2 / 50 - 1 / 20], atol=ROUNDING)
-    clamped = problem_now(scene(jw.Support.clamped()))
+    clamped = dimensionless(scene(jw.Support.clamped()))
     assert clamped.displacement(jnp.array([[3.0]])).tolist() == [[0.0]]
     assert clamped.rest(0.4).tolist() == [[0.4]]

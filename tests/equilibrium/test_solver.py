@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from engine import dimensionless
 from exact_contacts import contacts, fbfb_at
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import FORCE, LEAN
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._equilibrium.solver import FINER, SMALL, SMALLEST, _of_sticking, solve_points
@@ -21,7 +21,7 @@ PAIR = 1.3, 0.4  # parameters of exact contacts of two whiskers, in equilibrium 
 @pytest.fixture(scope="module")
 def solved():
     """Solutions from a near guess, beyond every equilibrium, from the solution itself, and at no control."""
-    at, problem = contacts(*PAIR), Program(problem_of)(fbfb_at(*PAIR))
+    at, problem = contacts(*PAIR), dimensionless(fbfb_at(*PAIR))
     z, size = jnp.asarray(at.z), np.array([1.0, 1.0, 0.0, 1.0])
     off = 1e-3 * scale_of(z) * np.random.default_rng(0).uniform(-1, 1, z.shape)
     guesses = Point(z + size[:, None, None] * off, jnp.array([0.0, 0.0, 0.0, jnp.nan]))

@@ -9,11 +9,11 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import branch, contacts, fb_control, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._equilibrium.stability import is_stable, load_slopes, network_is_stable, on_stable_branch
@@ -23,7 +23,6 @@ SYMMETRIC = 1e-10  # relative to the largest slope
 UNDECIDED = 1e-6  # eigenvalues this near to zero are neither
 
 BETWEEN = ((0, 1), (1, 2), (2, 3), (0, 2), (0, 3))
-problem_now = Program(problem_of)
 
 
 @Program
@@ -39,7 +38,7 @@ def fb(p, stiffness=70.0, side=1.0):
     at = contacts(p)
     z = jnp.asarray(at.z * [1.0, side, 1.0])
     return linearised(
-        problem_now(scene(jw.Support.fb(stiffness))), z, jnp.asarray(at.phase), jnp.full(1, side), jnp.asarray(0.0)
+        dimensionless(scene(jw.Support.fb(stiffness))), z, jnp.asarray(at.phase), jnp.full(1, side), jnp.asarray(0.0)
     )
 
 
@@ -50,7 +49,7 @@ def test_a_network_is_stable_where_its_stiffness_exceeds_the_slopes(rigid):
     stiffness[:, rigid] = np.inf
     slopes = rng.uniform(-20.0, 60.0, (40, 3))
     rest_length = [0.2, 0.2, 0.2, 0.4, 0.6]
-    problem = problem_now(scene(jw.Support.fbfbfbr(70.0, rest_length)))
+    problem = dimensionless(scene(jw.Support.fbfbfbr(70.0, rest_length)))
 
     @Program
     @jax.vmap
@@ -72,7 +71,7 @@ def test_a_network_is_stable_where_its_stiffness_exceeds_the_slopes(rigid):
 
 
 def test_without_springs_nothing_but_the_whisker_can_lose_stability():
-    clamped = problem_now(scene(jw.Support.clamped()))
+    clamped = dimensionless(scene(jw.Support.clamped()))
     assert network_is_stable(clamped, jnp.full((1, 1, 1), 1e9))
 
 
@@ -111,14 +110,14 @@ def test_a_spring_loses_stability_where_it_is_no_stiffer_than_the_clamped_force(
 
 
 def test_free_whiskers_are_stable():
-    problem, none = problem_now(scene(jw.Support.fb(70.0))), jnp.zeros((1, 3))
+    problem, none = dimensionless(scene(jw.Support.fb(70.0))), jnp.zeros((1, 3))
     _, slope, _, stable = linearised(problem, none, jnp.zeros(1, int), jnp.ones(1), jnp.asarray(2.0))
     assert Phase.free == 0 and stable
     assert np.all(slope == 0)
 
 
 def test_slopes_in_the_plane_are_symmetric():
-    problem = problem_now(scene(jw.Support.follicle(x=70.0, y=500.0, phi=20.0, mount=jw.Mount(0.1, 0.0, 0.2))))
+    problem = dimensionless(scene(jw.Support.follicle(x=70.0, y=500.0, phi=20.0, mount=jw.Mount(0.1, 0.0, 0.2))))
     for force, slope, slack in ((3.0, 0.4, 0.2), (1.2, -0.7, -0.3)):
         phase = Phase.tangential if slack > 0 else Phase.tip
         z = jnp.array([[force, slope, slack]])
@@ -132,6 +131,7 @@ def test_the_stability_of_coupled_shafts_is_judged_without_lapack():
     # Two batches in LAPACK at the same time would wait for each other forever.
     bases = jw.Spring((0, 1), 70.0, 0.2), jw.Spring((1, 2), 70.0, 0.2)
     support = jw.Support((*bases, jw.Spring((1, 2), 10.0, 0.2, axis="axial", at=(0.3, 0.3))))
-    problem, z = problem_now(jw.Scene(jw.Whisker(), jw.Parabola(0.2), support)), jnp.ones((2, 3 + support.shaft_loads))
+    problem = dimensionless(jw.Scene(jw.Whisker(), jw.Parabola(0.2), support))
+    z = jnp.ones((2, 3 + support.shaft_loads))
     lowered = jax.jit(linearised.function).lower(problem, z, jnp.ones(2, int), jnp.ones(2), jnp.asarray(0.0))
     assert "lapack" not in lowered.as_text()

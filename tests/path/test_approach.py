@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import DISTANCE, scene
-from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.approach import FAR, FIRST_STEP, GLANCES, HIGHEST_FORCE, MARGIN, Bounded, FromAfar, approach_of
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, Status
@@ -19,14 +18,12 @@ ROUNDING = 1e-14
 TOUCH = np.sqrt(1 - DISTANCE)  # of an upright whisker of length 1 before y = x^2 + DISTANCE
 REST = (0.2, 0.15)
 
-problem_now = Program(problem_of)
-
 
 def afar(direction=-1, distance=DISTANCE, stiffness=70.0):
     """FBFB before an object, from one side."""
     support = jw.Support.fbfb(stiffness, list(REST))
     motion = jw.Translation(direction)
-    problem = problem_now(jw.Scene(jw.Whisker(), jw.Parabola(distance), support, jw.ClosedForm(), motion))
+    problem = dimensionless(jw.Scene(jw.Whisker(), jw.Parabola(distance), support, jw.ClosedForm(), motion))
     approach = approach_of(problem)
     assert isinstance(approach, FromAfar)
     return approach
@@ -34,7 +31,7 @@ def afar(direction=-1, distance=DISTANCE, stiffness=70.0):
 
 def turning():
     """A clamped whisker on a turning drive."""
-    approach = approach_of(problem_now(scene(jw.Support.clamped(), motion=jw.Rotation((0.0, -0.5), 0.5))))
+    approach = approach_of(dimensionless(scene(jw.Support.clamped(), motion=jw.Rotation((0.0, -0.5), 0.5))))
     assert isinstance(approach, Bounded)
     return approach
 
@@ -109,7 +106,7 @@ def test_a_bounded_motion_lies_between_its_ends():
 
 def test_ends_are_in_units_of_the_control():
     motion = jw.Motion(lambda u: (1 - u / 5, 0.0, 0.0), start=-2.0, stop=8.0)
-    approach = approach_of(problem_now(scene(jw.Support.clamped(), motion=motion)))
+    approach = approach_of(dimensionless(scene(jw.Support.clamped(), motion=motion)))
     assert float(approach.problem.unit.control) == 10.0
     np.testing.assert_allclose(np.array(approach.limits()), [-0.2, 0.8, 0.8], rtol=ROUNDING)
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import LIGHT
 from jaxwhisker._equilibrium.point import Point
@@ -28,7 +28,7 @@ TIP, FREE = int(Phase.tip), int(Phase.free)
 
 def begun(made):
     """The law of a scene, and a march that has just begun; its drive moves towards -x."""
-    problem = Program(problem_of)(made)
+    problem = dimensionless(made)
     return contact_law(problem), Program(_start)(problem, jnp.array([1.0, -1.0]))
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import Q, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._path.march import march, no_path
@@ -27,7 +27,6 @@ CAPACITY = 192
 STOPS = 24  # of a path, padded
 STIFF, SOFT = 70.0, 10.0
 
-problem_now = Program(problem_of)
 marching = Program(partial(march, capacity=CAPACITY))
 
 
@@ -47,7 +46,7 @@ def events(nodes):
 
 @pytest.fixture(scope="module")
 def problem():
-    return problem_now(scene(jw.Support.fb(STIFF)))
+    return dimensionless(scene(jw.Support.fb(STIFF)))
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +61,7 @@ def exactly(stiffness):
 
 @pytest.mark.parametrize("stiffness", [STIFF, SOFT])
 def test_events_are_the_exact_ones(stiffness):
-    nodes, status = followed(problem_now(scene(jw.Support.fb(stiffness))), 0.8, -2.0)
+    nodes, status = followed(dimensionless(scene(jw.Support.fb(stiffness))), 0.8, -2.0)
     assert status == Status.ok
     kinds, controls = events(nodes)
     expected = exactly(stiffness)

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.path import Status
@@ -16,7 +16,7 @@ ROUNDING = 1e-12
 
 
 def test_a_march_starts_free_ahead_of_the_object():
-    march = Program(_start)(Program(problem_of)(scene(jw.Support.fb(70.0))), jnp.array([0.3, -1.0]))
+    march = Program(_start)(dimensionless(scene(jw.Support.fb(70.0))), jnp.array([0.3, -1.0]))
     assert march.task == Task.arrive and march.status == Status.ok and march.count == 0
     assert march.state.phase.tolist() == [Phase.free] and march.state.side.tolist() == [1.0]
     np.testing.assert_allclose(march.pose[0, 0], march.point.u + 0.2, rtol=ROUNDING)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, Moving, Seen, margin_rates, margins
 from jaxwhisker._path.path import EventKind, Status, first_case, select
@@ -51,7 +51,7 @@ def test_numbers_of_status_and_kinds_are_those_that_files_hold():
 
 @pytest.fixture(scope="module")
 def problem():
-    return Program(problem_of)(scene(jw.Support.fbfbfbr(70.0)))
+    return dimensionless(scene(jw.Support.fbfbfbr(70.0)))
 
 
 @pytest.fixture(scope="module")

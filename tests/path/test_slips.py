@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import LIGHT
 from jaxwhisker._equilibrium.point import Point
@@ -32,9 +32,7 @@ STATE = ContactState(jnp.array([TIP, TANGENTIAL, TIP]), jnp.array([1.0, 1.0, -1.
 @pytest.fixture(scope="module")
 def problem():
     circle = jw.Circle(0.2, RADIUS)
-    return Program(problem_of)(
-        jw.Scene(jw.Whisker(), circle, jw.Support.fbfbfbr(70.0), jw.ClosedForm(), friction=FRICTION)
-    )
+    return dimensionless(jw.Scene(jw.Whisker(), circle, jw.Support.fbfbfbr(70.0), jw.ClosedForm(), friction=FRICTION))
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +144,7 @@ def test_steps_that_are_repeated_are_shorter(flow):
 def rough():
     circle = jw.Circle(0.2, RADIUS)
     made = jw.Scene(jw.Whisker(), circle, jw.Support.fbfb(70.0), jw.ClosedForm(), friction=FRICTION)
-    return Program(problem_of)(made)
+    return dimensionless(made)
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import Q, branch, contacts, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import Apart
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._equilibrium.solver import solve_point
@@ -27,8 +27,6 @@ REST = 1e-8  # position of the bases where a flow is followed to its end
 NEAR = 1e-10  # ... to which these flows are followed; a march stops them earlier, and solves
 AHEAD = 1e-4  # along the clamped branch: a direction
 SOFT = 10.0  # below the critical stiffness: snaps through the vertex, slips, lands on the far side
-
-problem_now = Program(problem_of)
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +128,7 @@ def parameter_of(state):
 @pytest.mark.parametrize("number", [0, 1], ids=["through the vertex", "to the far side"])
 def test_a_flow_comes_to_rest_at_the_exact_equilibrium(number):
     snap = exact_snaps()[number]
-    problem = problem_now(scene(jw.Support.fb(SOFT)))
+    problem = dimensionless(scene(jw.Support.fb(SOFT)))
     flow, state, point = follow(problem, parameter_of(snap.before), snap.control)
     after = snap.after
     np.testing.assert_allclose(flow.pose[:, 0], after.base_x, atol=REST)
@@ -144,7 +142,7 @@ def test_a_flow_comes_to_rest_at_the_exact_equilibrium(number):
 
 def test_a_stiff_base_comes_free():
     stiffness = 1e4
-    problem, fold = problem_now(scene(jw.Support.fb(stiffness))), branch().fold - 1e-9
+    problem, fold = dimensionless(scene(jw.Support.fb(stiffness))), branch().fold - 1e-9
     at = contacts(fold)
     u = float(at.base_x[0] - 0.2 - at.force_x[0] / stiffness)
     flow, state, point = follow(problem, fold, u)

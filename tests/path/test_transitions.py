@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import Condensed, NewtonStep
 from jaxwhisker._equilibrium.point import Point, along
@@ -36,7 +36,7 @@ AT = Point(jnp.array([[2.0, 0.6, -0.4]]), jnp.asarray(0.1))
 ONWARDS = Point(jnp.array([[0.0, 0.8, 0.0]]), jnp.asarray(-0.6))  # of unit length; the drive moves towards -x
 BACK = Point(jnp.array([[0.0, 0.98, 0.0]]), jnp.asarray(np.sqrt(1 - 0.98**2)))  # the drive moves back
 
-problem_now, started = Program(problem_of), Program(_start)
+started = Program(_start)
 advanced, arrived = Program(after_advance), Program(after_event)
 
 
@@ -44,7 +44,7 @@ class March:
     """A problem of one whisker in contact, and trial steps of a march that is at AT."""
 
     def __init__(self, **options):
-        self.problem = problem_now(scene(jw.Support.fb(70.0), **options))
+        self.problem = dimensionless(scene(jw.Support.fb(70.0), **options))
         begun = started(self.problem, jnp.array([1.0, -1.0]))
         self.pose = jnp.full((1, self.problem.axes), 0.3)
         touching = begun.state._replace(phase=jnp.array([int(Phase.tip)]))

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.newton import newton_step, slope_sines
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._equilibrium.solver import Solution
@@ -24,7 +24,6 @@ from jaxwhisker._path.trial import _direction_of_parabola, dip, evaluate_trial, 
 ROUNDING = 1e-12
 FB = scene(jw.Support.fb(70.0))
 FBFB = scene(jw.Support.fbfb(70.0))
-problem_now = Program(problem_of)
 started = Program(_start)
 
 STANCE = Stance(jnp.zeros(2), None, None)  # pyright: ignore[reportArgumentType]
@@ -33,7 +32,7 @@ STANCE = Stance(jnp.zeros(2), None, None)  # pyright: ignore[reportArgumentType]
 @pytest.fixture(scope="module")
 def two():
     """Problem and state of two whiskers: the first in tip contact, the second free."""
-    problem = problem_now(FBFB)
+    problem = dimensionless(FBFB)
     march = started(problem, jnp.array([1.0, -1.0]))
     state = march.state._replace(phase=jnp.array([int(Phase.tip), int(Phase.free)]))
     return problem, march._replace(state=state, step=jnp.asarray(0.1))
@@ -122,7 +121,7 @@ def test_the_direction_at_the_end_of_a_parabola(two):
 
 def test_a_trial_is_judged_by_its_solution():
     stiffness, p = 70.0, 0.6
-    at, problem = contacts(p), problem_now(FB)
+    at, problem = contacts(p), dimensionless(FB)
     z, u = jnp.asarray(at.z), jnp.asarray(at.base_x[0] - 0.2 - at.force_x[0] / stiffness)
     state = ContactState(jnp.asarray(at.phase), jnp.ones(1))
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import scene
 from jaxwhisker._base.program import Program
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._path.march import _start
@@ -21,7 +21,7 @@ SCENE = scene(jw.Support.fb(70.0))
 @pytest.fixture(scope="module")
 def state():
     """A state ahead of the object, whose drive moves towards -x."""
-    return Program(_start)(Program(problem_of)(SCENE), jnp.array([1.0, -1.0]))
+    return Program(_start)(dimensionless(SCENE), jnp.array([1.0, -1.0]))
 
 
 def trial(end, tangent, stable=True, rates=()):

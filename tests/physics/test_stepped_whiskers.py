@@ -13,8 +13,8 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxwhisker as jw
+from engine import dimensionless
 from functions import Step
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._rod import rod
 from scenes import all_ok, check_derivatives
 
@@ -270,7 +270,7 @@ def test_breaks_outside_an_arc_do_not_matter():
 def test_whiskers_with_different_numbers_of_breaks_share_a_scene():
     whiskers = stepped(), jw.Whisker(0.9, Step(0.3, 1.0, 1.0), Step(0.3, 0.1, 0.2))
     both = jw.Scene(whiskers, jw.Parabola(0.2), jw.Support.fbfb(70.0), detect=("second_contact", "crossing"))
-    own = problem_of(both).section
+    own = dimensionless(both).section
     assert isinstance(own, rod.Section) and own.breaks.shape == (2, 1)
     np.testing.assert_array_equal(own.breaks, [[0.37], [0.0]])
     jax.eval_shape(lambda scene: jw.scan(scene, jnp.linspace(0.7, -0.9, 4)), both)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._base.program import compilations
 from jaxwhisker._equilibrium.clearance import DEPTH
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._scan import detect
 from jaxwhisker._scan.detect import kinds_of
@@ -200,7 +200,7 @@ def test_whiskers_with_one_base_cross_from_the_start():
 
 def test_bases_that_have_changed_places_are_a_crossing():
     # A snap may lead there without a state in which shafts cross.
-    problem = problem_of(detecting(model("FBFBR"), "crossing"))
+    problem = dimensionless(detecting(model("FBFBR"), "crossing"))
     upright = ContactState(jnp.zeros(2, int), jnp.ones(2))
     point = Point(jnp.zeros((2, 3)), jnp.asarray(0.9))
     shafts = detect._shafts(problem, point, upright, ("crossing",))

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import contacts, fbfb_at
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.state import OPTIONAL
 
@@ -18,7 +18,7 @@ PAIR = (1.3, 0.1)  # a tangential contact behind the vertex, a tip contact befor
 LENGTH, BENDING_STIFFNESS = 0.05, 2.4e-5
 FORCE = BENDING_STIFFNESS / LENGTH**2
 
-problem_now, of_contacts = Program(problem_of), Program(signals)
+of_contacts = Program(signals)
 
 
 def in_si(scene):
@@ -39,7 +39,7 @@ def at():
 @pytest.fixture(scope="module")
 def judge(at):
     """State and residual of these contacts, some of them changed."""
-    problem = problem_now(fbfb_at(*PAIR))
+    problem = dimensionless(fbfb_at(*PAIR))
 
     def judge(z=at.z, u=0.0, phase=at.phase):
         state = ContactState(jnp.asarray(phase), jnp.ones(2))
@@ -75,7 +75,7 @@ def test_signals_of_exact_contacts(at, judge):
 def test_signals_have_the_units_of_the_scene(at, judge):
     plain, _ = judge()
     state = ContactState(jnp.asarray(at.phase), jnp.ones(2))
-    state, residual = of_contacts(problem_now(in_si(fbfb_at(*PAIR))), jnp.asarray(at.z), jnp.asarray(0.0), state)
+    state, residual = of_contacts(dimensionless(in_si(fbfb_at(*PAIR))), jnp.asarray(at.z), jnp.asarray(0.0), state)
     assert residual < EXACT
     lengths = ("base_x", "base_y", "contact_arc", "contact_x", "contact_y")
     sizes = {
@@ -121,7 +121,7 @@ def test_what_is_no_equilibrium_has_a_residual(judge, change, residual):
 def test_the_object_only_pushes():
     # A contact that has just begun: a small force either way bends the whisker by less than the force itself.
     pair, force = (1.3, 1e-9), 1e-3
-    at, problem = contacts(*pair), problem_now(fbfb_at(*pair))
+    at, problem = contacts(*pair), dimensionless(fbfb_at(*pair))
     state = ContactState(jnp.asarray(at.phase), jnp.ones(2))
     pushing, pulling = (
         of_contacts(problem, jnp.asarray(at.z).at[1, 0].set(sign * force), jnp.asarray(0.0), state)[1]

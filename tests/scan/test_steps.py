@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import Point, scale_of
 from jaxwhisker._path.path import NO_EVENT, Node, Path
 from jaxwhisker._scan.steps import interpolate, solve_steps, states
@@ -21,7 +21,7 @@ STIFFNESS, REST = 70.0, 0.2
 ROOM = 6  # nodes of a path
 FIRST = 0.5  # control at which travel begins
 
-PROBLEM = Program(problem_of)(scene(jw.Support.fb(STIFFNESS, REST)))
+PROBLEM = dimensionless(scene(jw.Support.fb(STIFFNESS, REST)))
 interpolated = Program(interpolate)
 
 
@@ -142,7 +142,7 @@ def test_a_solution_far_from_the_interpolation_is_inexact():
 def test_an_equilibrium_between_two_folds_is_unstable():
     # Before the vertex, a soft spring is weaker than the slope of the contact force: there the drive moves back.
     soft = 15.0
-    problem = Program(problem_of)(scene(jw.Support.fb(soft, REST)))
+    problem = dimensionless(scene(jw.Support.fb(soft, REST)))
     path, at = path_through((0.8, 0.83, 0.86, 0.89), stiffness=soft), contacts(0.81, 0.82, 0.84, 0.85, 0.88)
     u, nodes = jnp.asarray(controls_of(at, soft)), jnp.asarray(path.nodes.point.u)
     first = nodes[0]

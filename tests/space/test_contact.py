@@ -9,9 +9,9 @@ import pytest
 import rod_in_space
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._space.contact import GRAZING, LIGHT, Body, Traction, base_of, frame_of, on_surface, spread
-from jaxwhisker._space.problem import problem_in_space
 
 EXACT = 1e-10  # of the rod, which is integrated to 1e-12
 CENTRE, RADIUS = np.array([0.0, 1.3, 0.2]), 1.0
@@ -21,7 +21,7 @@ FORCES = Traction(None, jnp.asarray(True))  # tractions are forces
 
 def problem(**whisker):
     scene = jw.SpaceScene(jw.Whisker(**whisker), jw.Sphere(RADIUS, tuple(map(float, CENTRE))))
-    return problem_in_space(scene)
+    return dimensionless(scene)
 
 
 def body(of):

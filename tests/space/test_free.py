@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.drives import Placement
 from jaxwhisker._space.contact import POINT, SLACK
 from jaxwhisker._space.free import in_scene, nearest
-from jaxwhisker._space.problem import problem_in_space
 from jaxwhisker._space.stance import clearance
 
 POSITION = 1e-6  # along the whisker, of the nearest point
-PROBLEM = problem_in_space(jw.SpaceScene(jw.Whisker(), jw.Sphere(0.4, (0.0, 0.7, 0.1))))
+PROBLEM = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(0.4, (0.0, 0.7, 0.1))))
 
 
 def at(problem, x, z=0.0):
@@ -38,7 +38,7 @@ def test_a_straight_whisker_is_nearest_beside_the_centre(x):
 
 
 def test_a_whisker_below_the_object_is_nearest_with_its_tip():
-    high = problem_in_space(jw.SpaceScene(jw.Whisker(), jw.Sphere(0.4, (0.0, 1.3, 0.0))))
+    high = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(0.4, (0.0, 1.3, 0.0))))
     found = at(high, 0.2, 0.1)
     reach = np.sqrt(0.2**2 + 0.3**2 + 0.1**2)
     np.testing.assert_allclose(found.distance, first_order(reach, 0.4), atol=1e-9)
@@ -49,7 +49,7 @@ def test_a_whisker_below_the_object_is_nearest_with_its_tip():
 
 
 def test_a_curved_whisker_is_nearest_where_a_fine_search_finds_it():
-    curved = problem_in_space(jw.SpaceScene(jw.Whisker(intrinsic_curvature=1.0), jw.Sphere(0.3, (0.1, 0.6, 0.2))))
+    curved = dimensionless(jw.SpaceScene(jw.Whisker(intrinsic_curvature=1.0), jw.Sphere(0.3, (0.1, 0.6, 0.2))))
     found = at(curved, 0.6)
     s = np.linspace(0.0, 1.0, 200001)
     sign = np.sign(np.asarray(curved.mount.rotation[0] @ curved.outline.position[0, -1])[0])

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.space_scan import follow_path
 from jaxwhisker._space.history import interpolated, linked, measure_of, stages_before
-from jaxwhisker._space.problem import problem_in_space
 from jaxwhisker._space.slip import radau
 
 ROUNDING = 1e-12
@@ -58,7 +58,7 @@ def test_a_measure_is_the_way_along_the_tangent():
 
 def test_nodes_keep_their_values_and_those_of_the_drive_its_derivatives():
     scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, -0.5)), friction=0.3)
-    problem, stops = problem_in_space(scene), jnp.array([1.0, 0.3, 0.6])
+    problem, stops = dimensionless(scene), jnp.array([1.0, 0.3, 0.6])
     path = Program(follow_path)(problem, stops, jnp.asarray(2)).path
     count, nodes = int(path.count), path.nodes
     links = Program(linked)(problem, path, stops)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._space.contact import Traction, base_of, frame_of, in_drive
 from jaxwhisker._space.linear import linearise
-from jaxwhisker._space.problem import of_each, problem_in_space
+from jaxwhisker._space.problem import of_each
 
 SLOPE = 1e-7  # central differences with a step of 1e-5
 TRACTIONS = [None, Traction(None, jnp.asarray(True)), Traction(jnp.asarray(0.3), jnp.asarray(False))]
@@ -19,7 +20,7 @@ TRACTIONS = [None, Traction(None, jnp.asarray(True)), Traction(jnp.asarray(0.3),
 @pytest.mark.parametrize("whisker", [jw.Whisker(), jw.Whisker(lateral_curvature=0.4)], ids=["straight", "curved"])
 def test_steps_change_the_base_as_differences_do(whisker, traction):
     friction = None if traction is None else traction.friction
-    problem = problem_in_space(jw.SpaceScene(whisker, jw.Sphere(1.0, (0.0, 0.0, 0.0)), friction=friction))
+    problem = dimensionless(jw.SpaceScene(whisker, jw.Sphere(1.0, (0.0, 0.0, 0.0)), friction=friction))
     out = np.array([0.3, -0.9, 0.2]) / np.linalg.norm([0.3, -0.9, 0.2])
     ahead = np.cross(out, [0.1, 0.2, 0.9])
     z = jnp.array([[0.8, 0.2 * problem.rolls, -0.2, *out, *ahead / np.linalg.norm(ahead), 0.3, -0.2]])

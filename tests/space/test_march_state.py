@@ -4,17 +4,17 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import NO_EVENT
 from jaxwhisker._space.march import _start
 from jaxwhisker._space.march_state import Task, node_at
-from jaxwhisker._space.problem import problem_in_space
 
 SCENE = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
 
 
 def started():
-    return _start(problem_in_space(SCENE), jnp.asarray(-2.0), jnp.array([-1.0, 1.0]))
+    return _start(dimensionless(SCENE), jnp.asarray(-2.0), jnp.array([-1.0, 1.0]))
 
 
 def test_a_march_stops_with_its_status():

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, at_arc_length, at_control, unit
 from jaxwhisker._space.newton import newton_step, phase_by_slack, plain, solve_points
-from jaxwhisker._space.problem import problem_in_space
 
 REFERENCE = 1e-8  # the reference gives ten digits
 PHASE = jnp.array([int(Phase.tip)])
@@ -18,7 +18,7 @@ U = jnp.asarray(-0.803317)
 
 @pytest.fixture(scope="module")
 def problem():
-    return problem_in_space(
+    return dimensionless(
         jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), motion=jw.LinearDrive((-1, 0, 0)))
     )
 

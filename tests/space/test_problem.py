@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._space.problem import problem_in_space
+from engine import dimensionless
 
 SPHERE = jw.Sphere(30.0, (0.0, 40.0, 5.0))
 DRIVE = jw.LinearDrive((-1.0, 0.0, 0.0))
@@ -17,7 +17,7 @@ DRIVE = jw.LinearDrive((-1.0, 0.0, 0.0))
 def test_lengths_are_in_the_length_and_forces_in_the_stiffness_of_the_whisker():
     whisker = jw.Whisker(length=20.0, bending_stiffness=8.0)
     support = jw.Support.follicle(x=0.5, y=3.0, z=0.1, mount=jw.Mount(x=10.0))
-    problem = problem_in_space(jw.SpaceScene(whisker, SPHERE, support, motion=DRIVE))
+    problem = dimensionless(jw.SpaceScene(whisker, SPHERE, support, motion=DRIVE))
     force = 8.0 / 20.0**2
     np.testing.assert_allclose(problem.length, [1.0])
     np.testing.assert_allclose(problem.bending_stiffness, [1.0])
@@ -39,20 +39,20 @@ def test_lengths_are_in_the_length_and_forces_in_the_stiffness_of_the_whisker():
     ],
 )
 def test_only_whiskers_that_can_twist_have_a_roll(whisker, support, rows):
-    problem = problem_in_space(jw.SpaceScene(whisker, SPHERE, support, motion=DRIVE))
+    problem = dimensionless(jw.SpaceScene(whisker, SPHERE, support, motion=DRIVE))
     assert problem.rows == rows
     assert (problem.springs is None) == (not support.springs)
 
 
 def test_parameters_outside_their_domain_make_a_problem_invalid():
     def valid(radius):
-        return problem_in_space(jw.SpaceScene(jw.Whisker(), jw.Sphere(radius, (0.0, 1.0, 0.0)), motion=DRIVE)).valid
+        return dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(radius, (0.0, 1.0, 0.0)), motion=DRIVE)).valid
 
     assert np.array_equal(jax.vmap(valid)(jnp.array([1.0, -1.0, jnp.nan])), [True, False, False])
 
 
 def test_the_outline_of_a_curved_whisker_is_an_arc():
-    problem = problem_in_space(jw.SpaceScene(jw.Whisker(intrinsic_curvature=0.8), SPHERE, motion=DRIVE))
+    problem = dimensionless(jw.SpaceScene(jw.Whisker(intrinsic_curvature=0.8), SPHERE, motion=DRIVE))
     s = np.linspace(0.0, 1.0, problem.outline.position.shape[1])
     position = problem.outline.position[0]
     np.testing.assert_allclose(position[:, 2], np.sin(0.8 * s) / 0.8, atol=1e-9)

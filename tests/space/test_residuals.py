@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._space.contact import TRACTION
 from jaxwhisker._space.newton import plain, solve_points
-from jaxwhisker._space.problem import problem_in_space
 from jaxwhisker._space.residuals import residuals
 
 SOLVED = 1e-9
@@ -19,7 +19,7 @@ GUESS = jnp.array([[0.45, 0.0, -0.3, 0.95, 0.987, 0.0, 0.313, 0.9497, 0.0, 0.0, 
 
 def test_they_vanish_in_equilibrium():
     scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), motion=jw.LinearDrive((-1, 0, 0)))
-    problem = problem_in_space(scene)
+    problem = dimensionless(scene)
     found = solve_points(problem, plain(TIP, at_control(U, GUESS)), Point(GUESS[None], U[None]))
     assert bool(found.converged)
     own, pose, base = residuals(problem, found.end.z, U, TIP, GUESS)
@@ -32,7 +32,7 @@ def test_they_vanish_in_equilibrium():
 
 def test_free_whiskers_have_given_values_and_tractions_are_the_last_residuals():
     scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), friction=0.2)
-    problem = problem_in_space(scene)
+    problem = dimensionless(scene)
     own, _, _ = residuals(problem, GUESS + 0.25, U, FREE, GUESS)
     np.testing.assert_allclose(own, 0.25)
     own, _, _ = residuals(problem, GUESS.at[0, TRACTION].set(jnp.array([0.6, -0.8])), U, TIP, GUESS)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._space.contact import LIGHT, Traction
 from jaxwhisker._space.linear import linearise
-from jaxwhisker._space.problem import of_each, problem_in_space
+from jaxwhisker._space.problem import of_each
 from jaxwhisker._space.sliding import sliding_stiffness
 
 TIP = jnp.array([int(Phase.tip)])
@@ -30,7 +31,7 @@ def stiffness(force, support, angle=0.5):
     out = np.array([np.cos(angle), -np.sin(angle), 0.0])  # t.n = -sin(angle)
     tip = np.array([0.0, 1.0, 0.0])
     scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, tuple(map(float, tip - out))), support)
-    problem = problem_in_space(scene)
+    problem = dimensionless(scene)
     ahead = np.array([np.sin(angle), np.cos(angle), 0.0])
     return stiffness_of(problem, jnp.array([[force, 0.0, -angle, *tip, *ahead, 0.0, 0.0]]), TIP)
 
@@ -67,7 +68,7 @@ def test_contacts_without_force_count_as_held():
 
 def test_stability_is_lost_where_the_plane_model_says():
     """A sphere in the plane of the scan: exactly above its centre, in a state of the reference (S1, offset 0)."""
-    problem = problem_in_space(
+    problem = dimensionless(
         jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.0)), motion=jw.LinearDrive((-1, 0, 0)))
     )
     point = np.array([0.372582132, 0.3720007786, 0.0])

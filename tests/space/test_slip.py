@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, Traction
-from jaxwhisker._space.problem import problem_in_space
 from jaxwhisker._space.slip import (
     Mode,
     Motion,
@@ -67,8 +67,8 @@ def test_polynomials_have_their_rates_at_all_places():
 
 def test_a_scene_without_friction_needs_one_stage():
     scene = jw.SpaceScene(jw.Whisker(), BALL)
-    assert stages_of(problem_in_space(scene)) == 1
-    assert stages_of(problem_in_space(jw.SpaceScene(jw.Whisker(), BALL, friction=0.2))) > 1
+    assert stages_of(dimensionless(scene)) == 1
+    assert stages_of(dimensionless(jw.SpaceScene(jw.Whisker(), BALL, friction=0.2))) > 1
 
 
 def flowing(friction, moves, traction, force=2.0, time=0.5):
@@ -121,7 +121,7 @@ def test_speeds_are_those_of_the_material():
 
 
 def test_grip_is_the_speed_of_slip_or_what_friction_holds_besides():
-    problem = problem_in_space(jw.SpaceScene(jw.Whisker(), BALL, friction=0.2))
+    problem = dimensionless(jw.SpaceScene(jw.Whisker(), BALL, friction=0.2))
     z = contact(traction=(-0.6, 0.0))
     ahead = Point(jnp.zeros((1, 11)).at[0, POINT].set(jnp.array([0.5, 0.0, 0.0])), jnp.asarray(1.0))
     here = Point(z, jnp.asarray(0.0))
@@ -167,7 +167,7 @@ def test_where_the_drive_turns_all_stick_and_a_new_contact_slips():
 
 
 def test_at_a_corner_contacts_do_not_slip_with_their_traction():
-    problem = problem_in_space(jw.SpaceScene(jw.Whisker(), BALL, friction=0.2))
+    problem = dimensionless(jw.SpaceScene(jw.Whisker(), BALL, friction=0.2))
     here = Point(contact(traction=(1.0, 0.0)), jnp.asarray(0.0))
     rate = jnp.zeros((1, 11)).at[0, POINT].set(jnp.array([0.5, 0.0, 0.0])).at[0, TRACTION].set(jnp.array([0.4, 0.0]))
     for sign, mode, after in ((1, SLIPS, Mode.sticks), (-1, SLIPS, Mode.slips)):

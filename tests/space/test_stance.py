@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._space.contact import SLACK, UNKNOWNS, Traction
 from jaxwhisker._space.linear import linearise
-from jaxwhisker._space.problem import of_each, problem_in_space
+from jaxwhisker._space.problem import of_each
 from jaxwhisker._space.stance import bases_at_rest, stance_of
 
 FREE = jnp.array([int(Phase.free)])
@@ -19,7 +20,7 @@ FORCES = Traction(None, jnp.asarray(True))  # tractions are forces
 
 def free_stance(motion, u, length=1.0):
     """The stance of a free whisker, and its problem."""
-    problem = problem_in_space(jw.SpaceScene(jw.Whisker(length=length), jw.Sphere(0.3, (0.0, 0.7, 0.0)), motion=motion))
+    problem = dimensionless(jw.SpaceScene(jw.Whisker(length=length), jw.Sphere(0.3, (0.0, 0.7, 0.0)), motion=motion))
     point = Point(jnp.zeros((1, UNKNOWNS)).at[:, 6].set(1.0), jnp.asarray(u))
     drives = jax.jvp(problem.drive, (point.u,), (jnp.ones_like(point.u),))
     at = linear(problem, drives, point.z, FREE)
@@ -47,7 +48,7 @@ def test_a_free_whisker_is_stable_and_as_far_from_the_object_as_it_is():
 def test_bases_at_rest_are_on_their_mounts_and_at_the_rest_lengths():
     drive = jw.LinearDrive((3.0, 0.0, 4.0), origin=(0.0, 0.1, 0.0))
     ball = jw.Sphere(0.3, (0.0, 0.7, 0.0))
-    problem = problem_in_space(jw.SpaceScene(jw.Whisker(), ball, jw.Support.fbfb(9.0, 0.2), motion=drive))
+    problem = dimensionless(jw.SpaceScene(jw.Whisker(), ball, jw.Support.fbfb(9.0, 0.2), motion=drive))
     expected = [[0.3 + 0.2, 0.1, 0.4], [0.3 + 0.4, 0.1, 0.4]]
     np.testing.assert_allclose(bases_at_rest(problem, jnp.asarray(0.5)).position, expected, atol=1e-12)
 

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._space.contact import FORCE, SLACK, UNKNOWNS
 from jaxwhisker._space.free import Nearest
-from jaxwhisker._space.problem import problem_in_space
 from jaxwhisker._space.stance import Stance
 from jaxwhisker._space.transitions import (
     AT_STOP,
@@ -66,6 +66,6 @@ def test_paths_have_room_for_every_whisker_and_every_leg_of_the_drive():
     """Two coupled whiskers that go there and back need more than twice the nodes of one whisker."""
     springs = tuple(jw.Spring(ends, 70.0, 0.1) for ends in ((0, 1), (1, 2)))
     support = jw.Support((*springs, jw.Spring((0, 1), 40.0, axis="z"), jw.Spring((1, 2), 30.0, axis="z")))
-    two = problem_in_space(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), support))
-    one = problem_in_space(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2))))
+    two = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), support))
+    one = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2))))
     assert capacity_of(two, 3) > 2 * capacity_of(one, 2)
