@@ -37,7 +37,8 @@ def test_points_satisfy_the_equation_and_slopes_are_those_of_the_curve(shape):
 def test_derivatives_of_points_are_those_of_the_formulas(shape):
     def derivatives(formula):
         def point(numbers):
-            return jnp.stack(formula(conic(*numbers[:2], shape * numbers[2], numbers[3]), numbers[4]))
+            distance, radius, factor, position, parameter = numbers
+            return jnp.stack(formula(conic(distance, radius, shape * factor, position), parameter))
 
         return jax.jacfwd(point), jax.jacrev(point), jax.jacfwd(jax.jacrev(point)), jax.jacrev(jax.jacfwd(point))
 

@@ -231,7 +231,7 @@ class Program:
         function, ahead = self.flat(shape), (lanes,) if lanes else ()
         arguments = [jax.ShapeDtypeStruct((*ahead, *size), kind) for size, kind in shape.arrays]
         with _without_garbage_collection():
-            lowered = jax.jit(jax.vmap(function) if lanes else function).lower(*arguments)
+            lowered = jax.jit(jax.vmap(function) if lanes else function, keep_unused=True).lower(*arguments)
         results = self._results[shape]
 
         def compiled():

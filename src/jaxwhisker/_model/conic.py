@@ -39,7 +39,7 @@ class Conic(AbstractProfile):
     def point(self, parameter):
         return _point(self, parameter)
 
-    def _sizes(self, parameter: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    def _sizes(self, parameter: Scalar) -> tuple[Array, Array, Array, Array]:
         """cos(p), c sin(p), the root of the sum of their squares, and D times this root."""
         cos, sin = jnp.cos(parameter), jnp.exp2(self.stretch) * jnp.sin(parameter)
         cos2, sin2 = cos * cos, sin * sin
@@ -122,13 +122,16 @@ def _point(conic: Conic, parameter: Scalar) -> ContactPoint:
 def _(primals, tangents):
     # All Newton steps take the derivative by the parameter. In closed form, it compiles much faster.
     (conic, parameter), (conic_dot, parameter_dot) = primals, tangents
-    dot = ContactPoint(None, None, None, None)
-    if jax.tree.leaves(conic_dot):
-        _, dot = eqx.filter_jvp(lambda conic: conic._point(parameter), (conic,), (conic_dot,))
+    here, parts = _point(conic, parameter), []
     if parameter_dot is not None:
-        along = jax.tree.map(lambda rate: rate * parameter_dot, conic._rate(parameter))
-        dot = ContactPoint(*(b if a is None else a + b for a, b in zip(dot, along, strict=True)))
-    return _point(conic, parameter), dot
+        parts.append(jax.tree.map(lambda rate: rate * parameter_dot, conic._rate(parameter)))
+    if jax.tree.leaves(conic_dot):
+        parts.append(eqx.filter_jvp(lambda conic: conic._point(parameter), (conic,), (conic_dot,))[1])
+
+    def total(leaf, *dots):
+        return sum((dot for dot in dots if dot is not None), jnp.zeros_like(leaf))
+
+    return here, jax.tree.map(total, here, *parts)
 
 
 def conic(distance: Scalar, radius: Scalar, shape: Scalar, position: Scalar) -> Conic:
