@@ -4,23 +4,11 @@ from typing import TYPE_CHECKING
 
 from jaxwhisker._base.suggest import no_attribute
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._explore import explore
-from jaxwhisker._inverse.bending import BendingFit
-from jaxwhisker._inverse.design import design
-from jaxwhisker._inverse.fit import Fit
-from jaxwhisker._inverse.fit_contour import ContourFit, fit_contour
-from jaxwhisker._inverse.fit_profile import ProfileFit, fit_profile
-from jaxwhisker._inverse.identify import identify
-from jaxwhisker._inverse.information import Information, information
-from jaxwhisker._inverse.points import PointStatus, Reconstruction
-from jaxwhisker._inverse.reconstruct import reconstruct
-from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.along import ParabolicShape, Polynomial, Table
 from jaxwhisker._model.conic import Circle, Ellipse, Parabola
 from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.cut import Cut
 from jaxwhisker._model.foundation import Foundation
-from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce
 from jaxwhisker._model.motion import AbstractMotion, Motion, Mount, Rotation, Translation
 from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
@@ -32,37 +20,49 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker._rod.rod import Splitting
-from jaxwhisker._scan.balance import EnergyBalance, energy_balance
-from jaxwhisker._scan.deflect import Deflection, deflect
 from jaxwhisker._scan.energy import stored_energy
-from jaxwhisker._scan.export import to_csv, to_dataframe
-from jaxwhisker._scan.lateral import LateralStability, lateral_loss, lateral_stability
 from jaxwhisker._scan.result import Event, Events, Result
 from jaxwhisker._scan.scan import scan
-from jaxwhisker._scan.shapes import Shapes, shapes
 from jaxwhisker._scan.state import State
-from jaxwhisker._study.critical import critical_stiffness
-from jaxwhisker._study.study import study
-from jaxwhisker._study.summary import summary
-from jaxwhisker.film.animate import animate
 
 if TYPE_CHECKING:
     from jaxwhisker._dynamics.drive import Sweep, Whisking
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
+    from jaxwhisker._explore import explore
+    from jaxwhisker._inverse.bending import BendingFit
+    from jaxwhisker._inverse.design import design
+    from jaxwhisker._inverse.fit import Fit
+    from jaxwhisker._inverse.fit_contour import ContourFit, fit_contour
+    from jaxwhisker._inverse.fit_profile import ProfileFit, fit_profile
     from jaxwhisker._inverse.fit_surface import SurfaceFit
+    from jaxwhisker._inverse.identify import identify
+    from jaxwhisker._inverse.information import Information, information
     from jaxwhisker._inverse.measurement import Measurement, MeasurementModel
+    from jaxwhisker._inverse.points import PointStatus, Reconstruction
     from jaxwhisker._inverse.points_in_space import SpaceReconstruction
+    from jaxwhisker._inverse.reconstruct import reconstruct
+    from jaxwhisker._inverse.statistics import FitStatus
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
+    from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
     from jaxwhisker._model.solids import Extruded, Revolved, Surface
     from jaxwhisker._model.space_scene import SpaceScene
     from jaxwhisker._scan.array import Array
+    from jaxwhisker._scan.balance import EnergyBalance, energy_balance
+    from jaxwhisker._scan.deflect import Deflection, deflect
+    from jaxwhisker._scan.export import to_csv, to_dataframe
+    from jaxwhisker._scan.lateral import LateralStability, lateral_loss, lateral_stability
+    from jaxwhisker._scan.shapes import Shapes, shapes
     from jaxwhisker._scan.space_result import SpaceResult, SpaceState
     from jaxwhisker._scan.space_shapes import SpaceShapes
     from jaxwhisker._space.deflect import SpaceDeflection
+    from jaxwhisker._study.critical import critical_stiffness
+    from jaxwhisker._study.study import study
+    from jaxwhisker._study.summary import summary
     from jaxwhisker._study.tactile_image import tactile_image
+    from jaxwhisker.film.animate import animate
 
 __all__ = [
     "AbstractMotion",
@@ -174,18 +174,39 @@ _LATER = {
     "_dynamics.modes": ("Modes", "modes"),
     "_dynamics.simulate": ("simulate",),
     "_dynamics.simulation": ("Simulation",),
+    "_explore": ("explore",),
+    "_inverse.bending": ("BendingFit",),
+    "_inverse.design": ("design",),
+    "_inverse.fit": ("Fit",),
+    "_inverse.fit_contour": ("ContourFit", "fit_contour"),
+    "_inverse.fit_profile": ("ProfileFit", "fit_profile"),
     "_inverse.fit_surface": ("SurfaceFit",),
+    "_inverse.identify": ("identify",),
+    "_inverse.information": ("Information", "information"),
     "_inverse.measurement": ("Measurement", "MeasurementModel"),
+    "_inverse.points": ("PointStatus", "Reconstruction"),
     "_inverse.points_in_space": ("SpaceReconstruction",),
+    "_inverse.reconstruct": ("reconstruct",),
+    "_inverse.statistics": ("FitStatus",),
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
+    "_model.loads": ("LineLoad", "PointForce", "PointMoment", "SpaceForce"),
+    "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),
     "_model.space_scene": ("SpaceScene",),
-    "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
     "_scan.array": ("Array",),
+    "_scan.balance": ("EnergyBalance", "energy_balance"),
+    "_scan.deflect": ("Deflection", "deflect"),
+    "_scan.export": ("to_csv", "to_dataframe"),
+    "_scan.lateral": ("LateralStability", "lateral_loss", "lateral_stability"),
+    "_scan.shapes": ("Shapes", "shapes"),
     "_scan.space_result": ("SpaceResult", "SpaceState"),
     "_scan.space_shapes": ("SpaceShapes",),
     "_space.deflect": ("SpaceDeflection",),
+    "_study.critical": ("critical_stiffness",),
+    "_study.study": ("study",),
+    "_study.summary": ("summary",),
     "_study.tactile_image": ("tactile_image",),
+    "film.animate": ("animate",),
 }
 _MODULE_OF = {name: module for module, names in _LATER.items() for name in names}
 
@@ -193,9 +214,9 @@ _MODULE_OF = {name: module for module, names in _LATER.items() for name in names
 def __getattr__(name: str):
     import importlib
 
-    # matplotlib is loaded when the first figure is asked for, and what most scans do not need on first use.
-    if name == "plot":
-        return importlib.import_module("jaxwhisker.plot")
+    # matplotlib is loaded when the first figure is asked for, and what scans do not need on first use.
+    if name in ("film", "plot"):
+        return importlib.import_module(f"jaxwhisker.{name}")
     if name in _MODULE_OF:
         return getattr(importlib.import_module(f"jaxwhisker.{_MODULE_OF[name]}"), name)
     raise no_attribute(f"module {__name__!r}", name, __dir__())

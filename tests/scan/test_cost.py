@@ -126,6 +126,13 @@ def test_import_loads_only_the_numerical_packages():
     assert run.stdout.split() == []
 
 
+def test_import_loads_what_scans_need():
+    # What is done with many scans, and with scenes in space, is loaded on first use.
+    code = "import sys, jaxwhisker; print(*{name.split('.')[1] for name in sys.modules if 'jaxwhisker.' in name})"
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert set(run.stdout.split()) == {"_base", "_rod", "_model", "_equilibrium", "_path", "_scan"}
+
+
 def test_programs_are_compiled_once_and_when_they_are_first_needed():
     # The march and the steps are compiled side by side, before the path between them is known. If the assumed type
     # differed from that of the march's path, even by a weak integer, they would be compiled again without notice.
