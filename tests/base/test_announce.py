@@ -136,3 +136,12 @@ def test_a_short_search_shows_nothing(terminal, monkeypatch):
     with announce.progress("fitting") as report:
         report(1.0)
     assert terminal.getvalue() == ""
+
+
+def test_the_line_says_what_programs_are_for(terminal):
+    with announce.compiling_for("figure 5.14"):
+        compile_slowly()
+    assert "compiling for figure 5.14, once" in terminal.getvalue()
+    terminal.truncate(0)
+    compile_slowly()
+    assert "compiling for scenes of this kind, once" in terminal.getvalue()

@@ -18,7 +18,7 @@ class Peaks(Scans):
     """Stands for scans whose summaries follow simple rules: maxima fall with the distance, positions with c."""
 
     def __init__(self):
-        super().__init__([])
+        super().__init__()
 
     def summary(self, case, whisker, *names):
         return [self._variable(case, name) for name in names]
@@ -29,7 +29,7 @@ class Peaks(Scans):
             return sign / case.distance
         return 1 / case.stiffness - case.distance if name == "last_contact" else -1 / case.stiffness
 
-    def __call__(self, case) -> Any:
+    def events(self, case) -> Any:
         return case
 
 

@@ -18,6 +18,17 @@ class _Notice:
     lock = threading.Lock()
     running = 0
     timer: threading.Timer | None = None
+    purpose = "scenes of this kind"
+
+
+@contextmanager
+def compiling_for(purpose: str) -> Iterator[None]:
+    """Say what the programs that are compiled meanwhile are for, instead of scenes of one kind."""
+    before, _Notice.purpose = _Notice.purpose, purpose
+    try:
+        yield
+    finally:
+        _Notice.purpose = before
 
 
 @contextmanager
@@ -79,7 +90,7 @@ def progress(doing: str) -> Iterator[Callable[[float], None]]:
 
 
 def _announce(kept: bool) -> None:
-    say(f"compiling for scenes of this kind, once{', kept for later' if kept else ''} ...")
+    say(f"compiling for {_Notice.purpose}, once{', kept for later' if kept else ''} ...")
 
 
 def say(text: str) -> None:

@@ -9,6 +9,7 @@ import ast
 import functools
 import hashlib
 import re
+import threading
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -18,6 +19,10 @@ NAME = re.compile(rf"\b{PACKAGE}(?:\.\w+)+")
 ONLY_FOR_TYPES = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.MULTILINE)
 # Functions import modules, too, and names in parentheses may stand on several lines.
 IMPORT = re.compile(rf"^[ \t]*from ({PACKAGE}[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
+
+# In Python 3.11, ast.parse fails in two threads at once if one gives way to the other, which a collection of garbage may
+# cause (python/cpython#106905).
+_PARSING = threading.Lock()
 
 
 @functools.lru_cache(maxsize=1024)
@@ -112,7 +117,8 @@ def _used_by(module: str, definition: str) -> set[str]:
 
 @functools.cache
 def _tree(module: str) -> ast.Module:
-    return ast.parse(_source(module))
+    with _PARSING:
+        return ast.parse(_source(module))
 
 
 def _origin_of(statement: ast.ImportFrom) -> dict[str, set[str]]:

@@ -8,6 +8,7 @@ interpolation.
 Both parts are programs of the dimensionless problem, compiled once per problem shape.
 """
 
+from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import jax
@@ -323,15 +324,23 @@ spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
 
 def prepare(problem: Problem, stops: int, kinds: Kinds = (), events: bool = False) -> None:
     """Compile the programs of a scan for a problem shape at the same time; one compiler alone leaves a core idle."""
-    ends = np.zeros(stops), np.asarray(0)
-    if follow_path_now.is_ready(problem, *ends):
-        return
+    if not follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0)):
+        with Compilers() as pool:
+            _prepare(pool, problem, stops, kinds, events)
+
+
+def prepare_scan(pool: Executor, scene: Scene, control: Control) -> None:
+    """Trace the programs of a scan and its events, and compile them in the pool while the caller goes on."""
+    scene, (route, _) = jax.tree.map(checks.as_float, scene), route_through(control)
+    _prepare(pool, problem_now(scene.in_equilibrium()), route.stops.shape[0], kinds_of(scene), events=True)
+
+
+def _prepare(pool: Executor, problem: Problem, stops: int, kinds: Kinds, events: bool) -> None:
     block = np.zeros(BLOCK)
-    with Compilers() as pool:
-        path = follow_path_now.prepare(pool, problem, *ends).path
-        if kinds:
-            detect_now.prepare(pool, problem, path, kinds)
-        solutions = solve_steps_now.prepare(pool, problem, path, block, block)
-        states_now.prepare(pool, problem, block, solutions)
-        if events:
-            events_now.prepare(pool, problem, path)
+    path = follow_path_now.prepare(pool, problem, np.zeros(stops), np.asarray(0)).path
+    if kinds:
+        detect_now.prepare(pool, problem, path, kinds)
+    solutions = solve_steps_now.prepare(pool, problem, path, block, block)
+    states_now.prepare(pool, problem, block, solutions)
+    if events:
+        events_now.prepare(pool, problem, path)

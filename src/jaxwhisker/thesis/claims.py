@@ -13,11 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxwhisker._model.support import Support
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.report import fixed
 from jaxwhisker._scan.result import Result
-from jaxwhisker._study.critical import softest
 from jaxwhisker.thesis.scans import (
     BRACKET,
     VALUES,
@@ -28,6 +26,7 @@ from jaxwhisker.thesis.scans import (
     critical_cases,
     first_event,
     snap_through,
+    softness,
     steepest_slope,
     vary,
 )
@@ -93,9 +92,8 @@ def _claim(figures: str, holds: str = "yes") -> Callable[[Callable[[Scans], Find
 
 
 def needed() -> list[Case]:
-    """The cases of all claims."""
+    """The cases of all claims, apart from those around critical stiffnesses."""
     groups = [family.values() for field in VALUES for family in families(field).values()]
-    groups += [critical_cases(model, q) for model, q in CRITICAL]
     return [case for group in (*groups, CLAMPED_CASES["clamped"].values(), [Case("FBFBFBR")]) for case in group]
 
 
@@ -152,7 +150,7 @@ def jump(result: Result, whisker: int, other: int) -> tuple[float, float]:
 
 def _snap_control(scans: Scans, case: Case) -> float:
     """Drive position at which a scan snaps through the vertex; NaN if it does not."""
-    snap = snap_through(scans(case))
+    snap = snap_through(scans.events(case))
     return math.nan if snap is None else snap.control
 
 
@@ -176,7 +174,7 @@ def critical_stiffness(scans: Scans) -> Findings:
         checks.append(brackets["FB"][0] <= slope <= brackets["FB"][1])
         middles = [sum(brackets.get(model, (math.nan, math.nan))) / 2 for model in WHISKERS]
         rows.append([f"{q:g}", cell(slope, 3), cell(base_x), *(cell(c, 2) for c in middles)])
-    rows.append(["compliance", "-", "-", *(f"{softest(Support.named(model, 1.0)):.3f}" for model in WHISKERS)])
+    rows.append(["compliance", "-", "-", *(f"{softness(model):.3f}" for model in WHISKERS)])
     result = f"""One whisker snaps through if and only if its spring is softer than the steepest slope of the clamped
     whisker's force. The scans determine the critical stiffness within {BRACKET / 2:.2%}."""
     return Findings(checks, result, rows)

@@ -2,17 +2,18 @@
 
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from tqdm import tqdm
 
+from jaxwhisker._base.announce import compiling_for
 from jaxwhisker._scan.report import write_rows
 from jaxwhisker.thesis.catalogue import FIGURES
-from jaxwhisker.thesis.claims import CLAIMS, needed
+from jaxwhisker.thesis.claims import CLAIMS, CRITICAL, needed
 from jaxwhisker.thesis.figures import draw, draw_table
 from jaxwhisker.thesis.page import claim_sections, claims_table, figure, html_page, markdown_table, paragraph
-from jaxwhisker.thesis.scans import Case, Scans
+from jaxwhisker.thesis.scans import Scans, critical_cases
 from jaxwhisker.thesis.tables import TABLES, table_rows
 
 CLAIMS_NAME = "claims"
@@ -79,21 +80,25 @@ def reproduce(out: Path, only: Sequence[str] | None = None) -> None:
     html_page(TITLE)  # reports a missing package before anything is computed
     parts = [TITLE, paragraph(INTRODUCTION), paragraph(PARAMETERS)]
 
-    def cases() -> Iterator[Case]:
-        yield from (case for name in wanted if name in FIGURES for case in FIGURES[name].cases)
-        yield from needed() if CLAIMS_NAME in wanted else []
-
-    with Scans(cases()) as scans, tqdm(total=len(wanted), unit="result", disable=not sys.stderr.isatty()) as bar:
+    cases = [case for name in wanted if name in FIGURES for case in FIGURES[name].cases]
+    claimed = CLAIMS_NAME in wanted
+    # A generator, because the choice of these cases compiles programs.
+    around = (case for critical in CRITICAL * claimed for case in critical_cases(*critical))
+    with (
+        Scans(cases + needed() * claimed, around) as scans,
+        tqdm(total=len(wanted), unit="result", disable=not sys.stderr.isatty()) as bar,
+    ):
+        scans.start()
         for heading, write, group in SECTIONS:
             chosen = [name for name in group if name in wanted]
             parts += [f"## {heading}"] * bool(chosen)
             for name in chosen:
                 bar.set_description(name)
-                file, text = write(name, scans, out)
+                with compiling_for("table " * (name in TABLES) + "figure " * (name in FIGURES) + name):
+                    file, text = write(name, scans, out)
                 parts.append(text)
                 bar.write(str(out / file))
                 bar.update()
-                scans.start()  # not before, because compiling the studies would delay the first result
     page = "\n\n".join(parts) + "\n"
     (out / "README.md").write_text(page, encoding="utf-8")
     (out / "index.html").write_text(html_page(page), encoding="utf-8")
