@@ -41,7 +41,7 @@ def calls(folder: Path) -> dict:
         return [str(event) for event in found["scan"].events], str(found["scan"])
 
     def study():
-        found["study"] = jw.study(fb, control=CONTROL, c=[55.0, 70.0], q=0.27)
+        found["study"] = jw.study(fb, control=CONTROL, c=[55.0, 70.0], q=[0.27])
 
     return {
         "scan": scan,
@@ -56,7 +56,7 @@ def calls(folder: Path) -> dict:
         "reconstruct": lambda: str(jw.reconstruct(found["scan"], FB)),
         "identify": lambda: str(jw.identify(fb, TRUTH, found["scan"], near=True, starts=0)),
         "information": lambda: str(jw.information(fb, TRUTH, sigma=0.01, control=CONTROL)),
-        "design": lambda: str(jw.design(fb, TRUTH, sigma=0.01, control=CONTROL)),
+        "design": lambda: str(jw.design(fb, TRUTH, sigma=0.01, control=CONTROL, q=[0.25, 0.27])),
         "study": study,
         "summary": lambda: jw.summary(found["study"]),
         "critical_stiffness": lambda: jw.critical_stiffness(jw.Whisker(), jw.Parabola(0.27)),

@@ -194,7 +194,7 @@ def in_contact(base_x, reaction, arc, contact, forces, spring, cells, rests=Fals
     def lagrangian(z):
         return energy(z) - forces @ kept(z)
 
-    stiffness, slope = np.asarray(jax.jit(jax.hessian(lagrangian))(z)), jax.grad(lagrangian)(z)
+    stiffness, slope = np.asarray(jax.jit(jax.hessian(lagrangian))(z)), jax.jit(jax.grad(lagrangian))(z)
 
     def kinetic(rate):
         shift, _, _ = changed(rate)
@@ -212,6 +212,6 @@ def in_contact(base_x, reaction, arc, contact, forces, spring, cells, rests=Fals
         return total / 2
 
     mass = np.asarray(jax.jit(jax.hessian(kinetic))(z))
-    across = np.asarray(jax.jacfwd(kept)(z))
+    across = np.asarray(jax.jit(jax.jacfwd(kept))(z))
     free = np.linalg.svd(across)[2][len(across) :].T
     return frequencies(free.T @ stiffness @ free, free.T @ mass @ free), np.asarray(kept(z)), np.asarray(slope)
