@@ -1,10 +1,11 @@
-"""Calls of all public functions in a new process: python compilations_child.py.
+"""First calls of public functions in a new process: python compilations_child.py NAME...
 
-Print, for the import and for the first call of each function, how many operations were compiled outside programs.
-Programs come from the store if an earlier run has left them there.
+Print, for the import and for the first call of each function, which operations were compiled outside programs. Programs
+come from the store if an earlier run has left them there.
 """
 
 import json
+import sys
 import tempfile
 from pathlib import Path
 
@@ -56,7 +57,7 @@ def calls(folder: Path) -> dict:
         "reconstruct": lambda: str(jw.reconstruct(found["scan"], FB)),
         "identify": lambda: str(jw.identify(fb, TRUTH, found["scan"], near=True, starts=0)),
         "information": lambda: str(jw.information(fb, TRUTH, sigma=0.01, control=CONTROL)),
-        "design": lambda: str(jw.design(fb, TRUTH, sigma=0.01, control=CONTROL, q=[0.25, 0.27])),
+        "design": lambda: str(jw.design(fb, {"c": 55.0}, sigma=0.01, control=CONTROL, q=[0.25, 0.27])),
         "study": study,
         "summary": lambda: jw.summary(found["study"]),
         "critical_stiffness": lambda: jw.critical_stiffness(jw.Whisker(), jw.Parabola(0.27)),
@@ -70,18 +71,19 @@ def calls(folder: Path) -> dict:
     }
 
 
-def main() -> None:
-    """Print the counts as JSON."""
-    counts, every = {"import": len(compiled)}, {}
+def main(names: list[str]) -> None:
+    """Print the operations as JSON."""
+    found = {"import": list(compiled)}
     with tempfile.TemporaryDirectory() as folder:
-        for name, call in calls(Path(folder)).items():
+        every = calls(Path(folder))
+        for name in names:
             compiled.clear()
-            call()
+            every[name]()
             own = {f"jit({getattr(one, '__name__', 'program')})" for one in program._PROGRAMS}
-            every[name] = [one for one in compiled if one not in own]
-    print(json.dumps(counts | {name: len(names) for name, names in every.items()} | {"names": every}))
+            found[name] = [one for one in compiled if one not in own]
+    print(json.dumps(found))
 
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    main()
+    main(sys.argv[1:])
