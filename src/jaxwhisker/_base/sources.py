@@ -20,7 +20,7 @@ ONLY_FOR_TYPES = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.MULTIL
 # Functions import modules, too, and names in parentheses may stand on several lines.
 IMPORT = re.compile(rf"^[ \t]*from ({PACKAGE}[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 
-# In Python 3.11, ast.parse fails in two threads at once if one gives way to the other, which a collection of garbage may
+# In Python 3.11, ast.parse fails in two threads at once if one gives way to the other, which collecting garbage may
 # cause (python/cpython#106905).
 _PARSING = threading.Lock()
 
