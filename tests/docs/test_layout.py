@@ -136,7 +136,8 @@ def test_a_feature_stands_in_few_files(example, names):
 
 def test_the_march_leaves_friction_to_its_law():
     asking = {file.name for file in (PACKAGE / "_path").glob("*.py") if ASKS.search(file.read_text("utf-8"))}
-    assert asking == {"events.py", "law.py", "snap_flow.py"}  # which compose laws, and choose the steps of a flow
+    # Compose laws, choose the steps of a flow, and check the energies of snaps, which only friction raises.
+    assert asking == {"events.py", "law.py", "snap_flow.py", "gains.py"}
 
 
 def test_every_module_with_functions_has_a_test_file():
