@@ -163,11 +163,12 @@ _LAST: dict[int, float] = {}
 
 def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
     """Write processor times, of all workers, to the file of `--times`."""
-    if not config.getoption("times"):
+    path = config.getoption("times")
+    if path is None:
         return
     reports = [one for every in terminalreporter.stats.values() for one in every if hasattr(one, "user_properties")]
     times = {one.nodeid: dict(one.user_properties)["processor time"] for one in reports if one.when == "teardown"}
-    with Path(config.getoption("times")).open("a", encoding="utf-8") as file:
+    with Path(path).open("a", encoding="utf-8") as file:
         file.writelines(json.dumps([name, seconds]) + "\n" for name, seconds in times.items())
 
 

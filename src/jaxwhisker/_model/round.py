@@ -5,7 +5,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
@@ -194,7 +193,7 @@ def _torsion_ratio(poisson_ratio: Scalar | None) -> Scalar | None:
 
 
 def _largest(value: Callable[[Scalar], Scalar], length: Scalar) -> Float[Array, ""]:
-    return jnp.max(jax.vmap(value)(np.linspace(0.0, 1.0, CHECKED_POINTS) * length))
+    return jnp.max(jax.vmap(value)(jnp.linspace(0.0, 1.0, CHECKED_POINTS) * length))
 
 
 _largest_now = Program(_largest)
