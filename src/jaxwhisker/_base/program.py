@@ -231,7 +231,7 @@ class Program:
         function, ahead = self.flat(shape), (lanes,) if lanes else ()
         arguments = [jax.ShapeDtypeStruct((*ahead, *size), kind) for size, kind in shape.arrays]
         with _without_garbage_collection():
-            # Code that keeps its unused arguments tells which ones it uses.
+            # Without unused arguments, programs that use different arguments could have the same code.
             lowered = jax.jit(jax.vmap(function) if lanes else function, keep_unused=True).lower(*arguments)
         results = self._results[shape]
 

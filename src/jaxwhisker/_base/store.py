@@ -3,7 +3,7 @@
 The name of an entry has two parts. The key stands for what the program is traced from: a description of its function
 and arguments, the sources that these depend on (sources.py), versions, and the kind of processor. A process that finds
 an entry with its key loads it without tracing anything. The other part stands for the code that tracing leads to: after
-a change of the sources that leaves this as it was, the program is traced again but not compiled.
+a change of the sources that does not change the code, the program is traced again but not compiled.
 
 Entries with other keys disappear when the store is full. A damaged entry is ignored with a warning and compiled again.
 Entries are written to a temporary file and renamed, so processes may share the store.
@@ -50,7 +50,7 @@ SUFFIX = ".program"
 UNFINISHED = SUFFIX + ".part"
 # Settings of jax that change the program of a function.
 SETTINGS = ("jax_enable_x64", "jax_numpy_dtype_promotion", "jax_default_matmul_precision", "jax_debug_nans")
-AGAIN = {"xla_llvm_disable_expensive_passes": False}  # the default, but jax's own cache tells programs apart by it
+AGAIN = {"xla_llvm_disable_expensive_passes": False}  # the default, but given, it changes the key in jax's own cache
 
 
 def folder() -> Path | None:
@@ -217,7 +217,7 @@ def save(name: str, value: Any) -> None:
 
 
 def code(program: jax.stages.Compiled) -> Any:
-    """What `executable` needs to load this program in another process; None if there is no such thing."""
+    """What `executable` needs to load this program in another process; None if it has to be compiled there."""
     try:
         return serialize_executable.serialize(program)
     except Exception:  # such as a program that calls Python
