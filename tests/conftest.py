@@ -63,8 +63,15 @@ DAY = 86_400  # seconds
 STRIDE = 37  # long tests; about a quarter of them
 
 
+class _Missing(pytest.Item):
+    """Fails, because `long.txt` names a test that does not exist. Of an error in a hook, xdist shows no message."""
+
+    def runtest(self) -> None:
+        raise AssertionError(f"{LONG} names a test that does not exist: {self.name}")
+
+
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(session: pytest.Session, config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark long tests."""
     names = set(LONG.read_text("utf-8").splitlines())
     long = [item for item in items if item.nodeid in names]
@@ -72,8 +79,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         item.add_marker(pytest.mark.long)
     if config.getoption("markexpr") != "long":
         return
-    if unknown := names - {item.nodeid for item in long}:
-        raise pytest.UsageError(f"{LONG} names tests that do not exist: {', '.join(sorted(unknown))}")
+    for name in sorted(names - {item.nodeid for item in long}):
+        items.append(_Missing.from_parent(session, name=name))
+        items[-1].add_marker(pytest.mark.long)
     if float("inf") > LAST_START:  # begin with others every day, so that those left out are not always the same
         first = items.index(long[int(LAST_START / DAY) * STRIDE % len(long)])
         items[:] = items[first:] + items[:first]

@@ -284,6 +284,7 @@ LOW = jw.Box(0.3, 0.8, 0.5)
         (TALL, -LEAN, 0.4 - 0.3 * np.tan(LEAN), jw.Phase.tangential),
         (TALL, 0.0, 0.4, jw.Phase.tangential),
     ],
+    ids=["leaning forwards at a tall box", "leaning forwards at a low box", "leaning backwards", "upright"],
 )
 def test_first_touches_of_leaning_whiskers(profile, angle, x, phase):
     result = jw.scan(scene(profile, follicle(x=70.0, mount=(0.0, 0.0, angle))), np.linspace(1.0, -0.2, 13))
