@@ -29,7 +29,7 @@ def measured() -> tuple[dict[str, float], float]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "times"
         start = time.monotonic()
-        command = ["make", "--no-print-directory", "test", f"PYTEST_OPTIONS=--times {path}"]
+        command = ["make", "--no-print-directory", "test", f"PYTEST_OPTIONS=--times={path}"]
         subprocess.run(command, cwd=ROOT, check=True)
         wall = time.monotonic() - start
         return dict(map(json.loads, path.read_text("utf-8").splitlines())), wall

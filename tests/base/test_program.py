@@ -175,10 +175,11 @@ def test_a_frozen_program_has_no_derivatives():
 def test_a_tangent_rule_replaces_the_derivative():
     given = []
 
-    def tangent(args, dots):
+    def tangent(args, dots, results):
         given.append(dots)
-        (x, _, name), (x_dot, y_dot, _) = args, dots
+        (x, y, name), (x_dot, y_dot, _) = args, dots
         assert name == "static" and y_dot is None
+        np.testing.assert_allclose(results["value"], jnp.sin(x) * y)
         return {"value": 10 * jnp.cos(x) * x_dot, "kind": None, "name": None}
 
     run = Program(lambda x, y, name: {"value": jnp.sin(x) * y, "kind": jnp.asarray(3), "name": name}, tangent=tangent)
@@ -193,6 +194,13 @@ def test_a_tangent_rule_replaces_the_derivative():
     np.testing.assert_allclose(jax.vmap(jax.grad(value))(X), 10 * jnp.cos(X))
     np.testing.assert_allclose(jax.vmap(jax.hessian(value))(X), -10 * jnp.sin(X))
     assert {name for _, _, name in given} == {None}
+
+
+def test_tangents_by_jax_for_the_rule_of_another_program():
+    other = Program(lambda x, y, name: (jnp.sin(x) * y, jnp.asarray(3), name))
+    value, kind, name = other.along((X[0], Y[0], "static"), (jnp.asarray(2.0), None, None))
+    np.testing.assert_allclose(value, 2 * jnp.cos(X[0]) * Y[0])
+    assert kind is None and name is None and not other.compilations
 
 
 def test_integers_have_no_derivative():
