@@ -167,8 +167,7 @@ def test_programs_are_compiled_once_and_when_they_are_first_needed():
 SIZES = {
     "problem_of": (371, 20, 24),
     "follow_path": (4828, 266, 381),
-    "solve_steps": (2111, 120, 155),
-    "states": (601, 69, 91),
+    "solved_states": (2662, 177, 230),
     "events": (1322, 92, 123),
     "state_slopes": (2971, 193, 282),
     "event_slopes": (7885, 652, 902),

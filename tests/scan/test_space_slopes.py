@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._scan import space_slopes
 from jaxwhisker._scan.route import route_through
 from jaxwhisker._scan.space_scan import follow_path_now, linked_now, problem_now, solved_states_now
 from jaxwhisker._scan.space_signals import events
@@ -30,7 +31,7 @@ def solved(scene):
     problem, (route, _) = problem_now(scene), route_through(CONTROL)
     path = follow_path_now(problem, route.stops, np.asarray(route.last)).path
     links = None if problem.friction is None else linked_now(problem, path, route.stops)
-    found = solved_states_now(problem, path, np.asarray(route.control), np.asarray(route.travel), links)
+    *_, found = solved_states_now(problem, path, np.asarray(route.control), np.asarray(route.travel), links)
     return problem, path, links, found, jnp.asarray(route.stops)
 
 
