@@ -60,27 +60,24 @@ def chain_slopes(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " s
     return jacobian(function, (problem.numbers(), stops))
 
 
-states_now = Program(states)  # differentiated in single directions
 state_slopes_now, chain_slopes_now = Program(state_slopes), Program(chain_slopes)
 event_slopes_now = Program(event_slopes, quick=True)
 
 
-def state_tangents(args, args_dot, results):
-    """The tangent rule of `solved_states`."""
-    (problem, path, control, _, links), (problem_dot, _, control_dot, _, links_dot) = args, args_dot
-    numbers, own, (*_, solutions) = problem.numbers(), direction_of([control], [control_dot]), results
-    none, used = jax.tree.map(lambda _: None, solutions), None if links is None else path
+def state_tangents(args, args_dot):
+    """The tangent rule of `states`."""
+    (problem, control, solutions, path, links), (problem_dot, control_dot, _, _, links_dot) = args, args_dot
+    numbers, own = problem.numbers(), direction_of([control], [control_dot])
     if not are_few(numbers, MOST_NUMBERS):
-        dots = problem_dot, control_dot, none, jax.tree.map(lambda _: None, used), links_dot
-        return *states_now.along((problem, control, solutions, used, links), dots), none
-    slopes = state_slopes_now(problem, control, solutions, used, links)
+        return NotImplemented
+    slopes = state_slopes_now(problem, control, solutions, path, links)
     if links is not None:
         node = solutions.node
         own += _at(links, links_dot, node, jnp.minimum(node + 1, path.count - 1))
-    return *along_each(slopes, direction_of(numbers, problem_dot.numbers()), own), none
+    return along_each(slopes, direction_of(numbers, problem_dot.numbers()), own)
 
 
-def event_tangents(args, args_dot, _):
+def event_tangents(args, args_dot):
     """The tangent rule of `events`."""
     (problem, path, links), (problem_dot, _, links_dot) = args, args_dot
     numbers = problem.numbers()
@@ -93,7 +90,7 @@ def event_tangents(args, args_dot, _):
     return along_each(slopes, direction, _at(links, links_dot, at, at))
 
 
-def linked_tangents(args, args_dot, _):
+def linked_tangents(args, args_dot):
     """The tangent rule of `linked`."""
     (problem, path, stops), (problem_dot, _, stops_dot) = args, args_dot
     numbers = problem.numbers()
