@@ -66,7 +66,7 @@ def test_the_last_block_of_a_batch_is_filled_with_its_last_lane():
 def test_a_result_without_a_tangent_has_a_zero_one():
     given = []
 
-    def tangent(args, dots):
+    def tangent(args, dots, _):
         given.append([dot is None for dot in dots])
         (_, y), (x_dot, _) = args, dots
         return {"a": None if x_dot is None else 7.0 * y * x_dot, "b": None}

@@ -175,7 +175,7 @@ def test_a_frozen_program_has_no_derivatives():
 def test_a_tangent_rule_replaces_the_derivative():
     given = []
 
-    def tangent(args, dots):
+    def tangent(args, dots, _):
         given.append(dots)
         (x, _, name), (x_dot, y_dot, _) = args, dots
         assert name == "static" and y_dot is None
@@ -193,6 +193,28 @@ def test_a_tangent_rule_replaces_the_derivative():
     np.testing.assert_allclose(jax.vmap(jax.grad(value))(X), 10 * jnp.cos(X))
     np.testing.assert_allclose(jax.vmap(jax.hessian(value))(X), -10 * jnp.sin(X))
     assert {name for _, _, name in given} == {None}
+
+
+def test_a_tangent_rule_knows_the_results():
+    run = Program(
+        lambda x: {"n": jnp.asarray(1), "e": jnp.exp(x)},
+        tangent=lambda _, x_dot, at: {"n": None, "e": at["e"] * x_dot[0]},
+    )
+
+    def exponential(x):
+        return run(x)["e"]
+
+    for derivative in (jax.grad(exponential), jax.jacfwd(exponential), jax.hessian(exponential)):
+        np.testing.assert_allclose(derivative(X[0]), jnp.exp(X[0]))
+        both = jnp.stack([X, 2 * X])
+        np.testing.assert_allclose(jax.vmap(jax.vmap(derivative), in_axes=1)(both), jnp.exp(both.T))
+
+
+def test_tangents_by_jax_for_the_rule_of_another_program():
+    other = Program(lambda x, y, name: (jnp.sin(x) * y, jnp.asarray(3), name))
+    value, kind, name = other.along((X[0], Y[0], "static"), (jnp.asarray(2.0), None, None))
+    np.testing.assert_allclose(value, 2 * jnp.cos(X[0]) * Y[0])
+    assert kind is None and name is None and not other.compilations
 
 
 def test_integers_have_no_derivative():

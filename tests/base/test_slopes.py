@@ -61,7 +61,7 @@ def test_functions_of_many_numbers_are_left_to_jax(size):
     tangent = by_slopes(lambda x, n: n * x)
     x, n = jnp.zeros(size), jnp.asarray(2)
     assert are_few({"x": x}) == (size <= MOST_NUMBERS)
-    found = tangent((x, n), (jnp.ones(size), None))
+    found = tangent((x, n), (jnp.ones(size), None), None)
     if size > MOST_NUMBERS:
         assert found is NotImplemented
     else:

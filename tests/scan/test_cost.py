@@ -18,7 +18,7 @@ from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._scan.route import across
-from jaxwhisker._scan.scan import BLOCK, events_now, follow_path_now, problem_now, solve_steps_now, states_now
+from jaxwhisker._scan.scan import BLOCK, events_now, follow_path_now, problem_now, solved_states_now
 from jaxwhisker._scan.slopes import event_slopes_now, state_slopes_now
 from operations import operations, rods, traced
 from scenes import model
@@ -152,7 +152,7 @@ def test_programs_are_compiled_once_and_when_they_are_first_needed():
     def event(scene):
         return jw.scan(scene, CONTROL).events.control[0]
 
-    assert compiled(mz) == 5  # problem, path, solutions, states, spring lengths
+    assert compiled(mz) == 4  # problem, path, states, spring lengths
     assert compiled(event) == 1
     assert compiled(jax.jacfwd(mz)) == 3  # slopes of the problem, the states and the spring lengths
     assert compiled(jax.grad(event)) == 1
@@ -167,8 +167,7 @@ def test_programs_are_compiled_once_and_when_they_are_first_needed():
 SIZES = {
     "problem_of": (371, 20, 24),
     "follow_path": (4828, 266, 381),
-    "solve_steps": (2111, 120, 155),
-    "states": (601, 69, 91),
+    "solved_states": (2662, 177, 230),
     "events": (1322, 92, 123),
     "state_slopes": (2971, 193, 282),
     "event_slopes": (7885, 652, 902),
@@ -181,12 +180,11 @@ def test_programs_of_a_scan_have_a_limited_size():
     problem = problem_now(scene)
     step = np.zeros(BLOCK)
     path = follow_path_now(problem, *map(np.asarray, across())).path
-    solutions = solve_steps_now(problem, path, step, step)
+    *_, solutions = solved_states_now(problem, path, step, step)
     calls = {
         problem_now: (scene,),
         follow_path_now: (problem, *map(np.asarray, across())),
-        solve_steps_now: (problem, path, step, step),
-        states_now: (problem, step, solutions),
+        solved_states_now: (problem, path, step, step),
         events_now: (problem, path),
         state_slopes_now: (problem, step, solutions),
         event_slopes_now: (problem, path),

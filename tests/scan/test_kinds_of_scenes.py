@@ -110,7 +110,7 @@ def programs(one, control=None):
 
     problem = shape_of(eqx.filter_eval_shape(traced, one))
     path = problem, capacity[0]
-    found = {"problem": shape_of(one), "path": (problem, stops), "steps": path, "states": problem, "events": path}
+    found = {"problem": shape_of(one), "path": (problem, stops), "states": path, "events": path}
     if kinds:
         found["detection"] = path, kinds
     if one.support.springs:
@@ -133,7 +133,7 @@ def test_scenes_that_differ_in_numbers_share_all_programs_but_the_first(found):
     ]
     for first, *others in groups:
         for other in others:
-            for name in ("path", "steps", "states", "events"):
+            for name in ("path", "states", "events"):
                 assert found[first][name] == found[other][name], (first, other, name)
 
 
@@ -144,8 +144,7 @@ def test_the_number_of_programs_of_all_features(found):
     assert dict(counted) == {
         "problem": 40,
         "path": 27,
-        "steps": 27,
-        "states": 24,
+        "states": 27,
         "events": 27,
         "detection": 9,
         "spring lengths": 10,

@@ -10,8 +10,8 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import Node, Path
-from jaxwhisker._scan.memory import with_memory, with_places
-from jaxwhisker._scan.steps import Solutions
+from jaxwhisker._scan.memory import with_memory
+from jaxwhisker._scan.steps import Solutions, with_places
 
 
 def state(steps, places=None):

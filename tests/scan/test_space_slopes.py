@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._scan import space_slopes
 from jaxwhisker._scan.route import route_through
-from jaxwhisker._scan.space_scan import follow_path_now, linked_now, problem_now, solve_steps_now
+from jaxwhisker._scan.space_scan import follow_path_now, linked_now, problem_now, solved_states_now
 from jaxwhisker._scan.space_signals import events
 from jaxwhisker._scan.space_slopes import event_tangents, linked_tangents, state_tangents
 from jaxwhisker._scan.space_steps import states
@@ -30,7 +31,7 @@ def solved(scene):
     problem, (route, _) = problem_now(scene), route_through(CONTROL)
     path = follow_path_now(problem, route.stops, np.asarray(route.last)).path
     links = None if problem.friction is None else linked_now(problem, path, route.stops)
-    found = solve_steps_now(problem, path, np.asarray(route.control), np.asarray(route.travel))
+    *_, found = solved_states_now(problem, path, np.asarray(route.control), np.asarray(route.travel), links)
     return problem, path, links, found, jnp.asarray(route.stops)
 
 
@@ -56,7 +57,7 @@ def agree(found, expected):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_tangents_are_those_of_jax(kind):
+def test_tangents_are_those_of_jax(kind, monkeypatch):
     problem, path, links, solutions, stops = solved(KINDS[kind])
     numbers, control, rng = problem.numbers(), jnp.asarray(CONTROL), np.random.default_rng(0)
     dots, links_dot, control_dot, stops_dot = random_like((numbers, links, control, stops), rng)
@@ -75,20 +76,25 @@ def test_tangents_are_those_of_jax(kind):
         numbers, stops = everything
         return linked(eqx.combine(numbers, problem), path, stops)
 
-    found = state_tangents(
-        (problem, control, solutions, path, links), (problem_dot, control_dot, None, None, links_dot)
-    )
-    agree(found, by_jax(of_states, (numbers, control, links), (dots, control_dot, links_dot)))
-    found = event_tangents((problem, path, links), (problem_dot, None, links_dot))
+    args, args_dot = (problem, path, control, None, links), (problem_dot, None, control_dot, None, links_dot)
+    *found, none = state_tangents(args, args_dot, (solutions,))
+    assert not jax.tree.leaves(none)
+    expected = by_jax(of_states, (numbers, control, links), (dots, control_dot, links_dot))
+    agree(tuple(found), expected)
+    monkeypatch.setattr(space_slopes, "MOST_NUMBERS", 0)
+    *found, none = state_tangents(args, args_dot, (solutions,))
+    assert not jax.tree.leaves(none)
+    agree(tuple(found), expected)
+    monkeypatch.undo()
+    found = event_tangents((problem, path, links), (problem_dot, None, links_dot), None)
     agree(found, by_jax(of_events, (numbers, links), (dots, links_dot)))
     if links is not None:
-        found = linked_tangents((problem, path, stops), (problem_dot, None, stops_dot))
+        found = linked_tangents((problem, path, stops), (problem_dot, None, stops_dot), None)
         agree(found, by_jax(of_nodes, (numbers, stops), (dots, stops_dot)))
 
 
 def test_scenes_of_many_numbers_are_left_to_jax():
     mounts = tuple(jw.Mount(x=0.2 * k) for k in range(8))
     many = problem_now(jw.Scene(jw.Whisker(), SURFACE, jw.Support(mount=mounts)))
-    assert state_tangents((many, None, None, None, None), (many, None, None, None, None)) is NotImplemented
-    assert event_tangents((many, None, None), (many, None, None)) is NotImplemented
-    assert linked_tangents((many, None, None), (many, None, None)) is NotImplemented
+    assert event_tangents((many, None, None), (many, None, None), None) is NotImplemented
+    assert linked_tangents((many, None, None), (many, None, None), None) is NotImplemented

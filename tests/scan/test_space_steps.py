@@ -8,7 +8,7 @@ import jaxwhisker as jw
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.route import route_through
-from jaxwhisker._scan.space_scan import follow_path_now, problem_now, solve_steps_now
+from jaxwhisker._scan.space_scan import follow_path_now, problem_now, solved_states_now
 from jaxwhisker._scan.space_steps import interpolate
 
 PREDICTED = 1e-3  # by the path between its nodes
@@ -24,7 +24,7 @@ def problem_and_path():
 
 def solve(problem, path, control):
     control = np.asarray(control, dtype=float)
-    return solve_steps_now(problem, path, control, STOPS[0] - control)
+    return solved_states_now(problem, path, control, STOPS[0] - control, None)[-1]
 
 
 def test_the_path_predicts_the_contacts_between_its_nodes():

@@ -9,7 +9,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._base.aside import Compilers
-from jaxwhisker._scan.scan import events_now, follow_path_now, prepare_scan, solve_steps_now, states_now
+from jaxwhisker._scan.scan import events_now, follow_path_now, prepare_scan, solved_states_now
 from jaxwhisker.thesis import scans as module
 from jaxwhisker.thesis.catalogue import FIGURES
 from jaxwhisker.thesis.claims import CLAMPED_CASE, PEAKS, deviation_from_clamped, needed
@@ -59,7 +59,7 @@ def test_prepared_scans_compile_nothing_more():
     case = Case("FBFB")
     with Compilers() as pool:
         prepare_scan(pool, case.scene, case.control())
-    programs = [follow_path_now, solve_steps_now, states_now, events_now]
+    programs = [follow_path_now, solved_states_now, events_now]
     before = [program.compilations for program in programs]
     assert len(jw.scan(case.scene, case.control()).events) > 0
     assert [program.compilations for program in programs] == before and 0 not in before

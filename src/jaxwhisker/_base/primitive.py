@@ -90,17 +90,18 @@ def _jvp(arrays, dots, *, program: Any, shape: Any, levels):
     some = [not isinstance(dot, ad.Zero) for dot in dots]
     kept: list[int] = []
 
-    def tangents(arrays, given):
+    def tangents(arrays, given, found):
         rest = iter(given)
-        every = program.tangents(shape, arrays, [next(rest) if one else None for one in some])
+        every = program.tangents(shape, arrays, [next(rest) if one else None for one in some], found)
         kept[:] = [k for k, dot in enumerate(every) if dot is not None]
         return [every[k] for k in kept]
 
     for level in reversed(levels):
         axes = [0 if mapped else None for mapped in level]
-        tangents = jax.vmap(tangents, in_axes=(axes, [axis for axis, one in zip(axes, some, strict=True) if one]))
+        given_axes = [axis for axis, one in zip(axes, some, strict=True) if one]
+        tangents = jax.vmap(tangents, in_axes=(axes, given_axes, 0))
     given = [ad.instantiate_zeros(dot) for dot, one in zip(dots, some, strict=True) if one]
-    found = tangents(list(arrays), given)
+    found = tangents(list(arrays), given, results)
     out: list = [ad.Zero(jax.typeof(result).to_tangent_aval()) for result in results]
     for k, dot in zip(kept, found, strict=True):
         out[k] = dot

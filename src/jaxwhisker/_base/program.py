@@ -72,8 +72,8 @@ class Program:
     Args:
         function: takes and returns trees of arrays; what else it returns must depend on its static arguments only.
         frozen: whether the function has no derivatives.
-        tangent: a function of the arguments and their tangents (None where they are zero) that returns the tangents of
-            the results (None where they are zero or do not exist), or NotImplemented to leave them to JAX.
+        tangent: a function of the arguments, their tangents (None where they are zero) and the results that returns the
+            tangents of the results (None where they are zero or do not exist), or NotImplemented to leave them to JAX.
         quick: whether to compile in half the time; programs of many small kernels run no slower.
         together: number of lanes of a large batch that run together; 0 if lanes run one by one.
     """
@@ -173,18 +173,32 @@ class Program:
         function.__name__ = getattr(self, "__name__", "program")  # in the logs and profiles of JAX
         return function
 
-    def tangents(self, shape: Shape, arrays: Sequence, dots: Sequence) -> list:
-        """Tangents of the results' arrays for tangents of the arguments' arrays; None where they are zero."""
+    def tangents(self, shape: Shape, arrays: Sequence, dots: Sequence, found: Sequence) -> list:
+        """Tangents of the arrays of the results `found`, for those of the arguments' arrays; None where zero."""
         results = self.results(shape)
         if self._frozen:
             return [None] * len(results.arrays)
         args, _ = shape.arguments(arrays)
         args_dot, _ = _tree(shape.structure, [_if_array(leaf) for leaf in shape.leaves], dots)
-        tree = NotImplemented if self._tangent is None else self._tangent(args, args_dot)
+        tree = NotImplemented if self._tangent is None else self._tangent(args, args_dot, results.tree(found))
         if tree is NotImplemented:
             return _differentiated(self._jitted(shape), arrays, dots)
         every = results.structure.flatten_up_to(tree)
         return [dot for dot, leaf in zip(every, results.leaves, strict=True) if leaf is ...]
+
+    def along(self, args: tuple, args_dot: tuple) -> Any:
+        """Tangents of the results by JAX, for a rule of another program that computes the same; the program is not run.
+
+        Tangents are None where they are zero or do not exist.
+        """
+        shape, arrays = _split(args)
+        every = shape.structure.flatten_up_to((args_dot, {}))
+        dots = [dot for dot, leaf in zip(every, shape.leaves, strict=True) if leaf is ...]
+        found = iter(_differentiated(self._jitted(shape), arrays, dots))
+        results = self._results[shape]
+        return jax.tree.unflatten(
+            results.structure, [next(found, None) if leaf is ... else None for leaf in results.leaves]
+        )
 
     @functools.lru_cache(maxsize=64)  # noqa: B019, programs live as long as the process
     def _jitted(self, shape: Shape) -> Callable[..., list]:

@@ -66,7 +66,7 @@ def by_slopes(function: Callable) -> Callable:
     """A tangent rule for a program of this function."""
     slopes = Program(partial(_slopes, function))
 
-    def tangent(args, args_dot):
+    def tangent(args, args_dot, _):
         numbers = eqx.filter(args, eqx.is_inexact_array)
         return along(slopes(*args), direction_of(numbers, args_dot)) if are_few(numbers) else NotImplemented
 

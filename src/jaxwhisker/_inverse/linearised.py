@@ -29,10 +29,10 @@ from jaxwhisker._inverse.parameters import hashable
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._path.path import EventKind, Path
 from jaxwhisker._scan.detect import kinds_of
-from jaxwhisker._scan.memory import Places, chained, with_places
-from jaxwhisker._scan.scan import BLOCK, detect_now, follow_path_now, path_through, solve_steps_now
+from jaxwhisker._scan.memory import Places, chained
+from jaxwhisker._scan.scan import BLOCK, detect_now, follow_path_now, path_through, solved_states_now
 from jaxwhisker._scan.signals import control_at_event, event_nodes
-from jaxwhisker._scan.steps import Solutions, states
+from jaxwhisker._scan.steps import Solutions, states, with_places
 
 REACTION_CHANNELS = Channels()
 LEAST_STEPS = 64  # for which a function of the result is compiled
@@ -284,7 +284,7 @@ class LinearisedScan(AbstractLinearisedScan):
         self.events, self.event_slopes = found
 
     def _states(self, control, travel, slopes):
-        solutions = solve_steps_now(self.problem, self._path, control, travel)
+        *_, solutions = solved_states_now(self.problem, self._path, control, travel)
         fields, memory = self._channels.fields, self._memory
         return states_and_slopes_now(fields, self.problem, control, solutions, memory, self._directions, slopes)
 
@@ -326,7 +326,7 @@ def _prepare(scene: Any, slopes: Any, stops: int, fields: tuple[str, ...] | None
         path = follow_path_now.prepare(pool, problem, *ends).path
         if kinds := kinds_of(scene):
             detect_now.prepare(pool, problem, path, kinds)
-        solutions = solve_steps_now.prepare(pool, problem, path, block, block)
+        *_, solutions = solved_states_now.prepare(pool, problem, path, block, block)
         along, at_stops = (np.zeros((size, directions.shape[1])) for size in (BLOCK, stops))
         memory = memory_now.prepare(pool, problem, path, ends[0], directions, at_stops)
         states_and_slopes_now.prepare(pool, fields, problem, block, solutions, memory, directions, along)

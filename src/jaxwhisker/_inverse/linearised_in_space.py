@@ -16,7 +16,7 @@ from jaxwhisker._inverse.channels import Channels
 from jaxwhisker._inverse.linearised import AbstractLinearisedScan, EventTable, scene_with_slopes
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.space_scan import follow_path_now, solve_steps_now
+from jaxwhisker._scan.space_scan import follow_path_now, solved_states_now
 from jaxwhisker._scan.space_signals import events
 from jaxwhisker._scan.space_steps import SpaceSolutions, states
 from jaxwhisker._space.march_state import SpacePath
@@ -108,6 +108,6 @@ class LinearisedSpaceScan(AbstractLinearisedScan):
         self.events, self.event_slopes = events_and_slopes_now(self.problem, self._path, self._directions)
 
     def _states(self, control, travel, slopes):
-        solutions = solve_steps_now(self.problem, self._path, control, travel)
+        *_, solutions = solved_states_now(self.problem, self._path, control, travel, None)
         fields = self._channels.fields
         return states_and_slopes_now(fields, self.problem, control, solutions, self._directions, slopes)

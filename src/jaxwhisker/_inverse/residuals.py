@@ -32,10 +32,10 @@ from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._path.path import EventKind, is_snap
 from jaxwhisker._scan.channels import result_of
 from jaxwhisker._scan.detect import kinds_of
-from jaxwhisker._scan.memory import remembered, with_places
+from jaxwhisker._scan.memory import remembered
 from jaxwhisker._scan.route import Route
 from jaxwhisker._scan.scan import BLOCK, path_through
-from jaxwhisker._scan.steps import solve_steps, states
+from jaxwhisker._scan.steps import solved_states
 
 OVERLAID_SIGMA = 0.1  # of the peak: standard deviation of overlaid signals
 OVERLAID_EVENT = 0.03  # lengths: standard deviation of touches, releases and jumps of overlaid scans
@@ -217,9 +217,7 @@ def _misfit(build, unknowns: Unknowns, x: Float[Array, " own"], data: Samples) -
     if problem.friction_angle is not None:
         path = remembered(path, problem, data.stops + shift)
     placed = place(shift, start, event_table(problem, path), data)
-    solutions = solve_steps(problem, path, placed.control, placed.travel)
-    solutions = with_places(solutions, path.nodes.state.places)
-    state, _ = states(problem, placed.control, solutions)
+    state, *_ = solved_states(problem, path, placed.control, placed.travel)
     values = dict(zip(unknowns.channels.parameters, parts.channels, strict=True))
     signals = unknowns.channels.of_result(result_of(scene, state, placed.control), values)
     signals = unknowns.gains.applied(signals, parts.gains, jnp)

@@ -29,10 +29,9 @@ from jaxwhisker._path.path import Status, is_snap
 from jaxwhisker._scan import panels
 from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.energy import stored_energy
-from jaxwhisker._scan.memory import with_places
 from jaxwhisker._scan.panels import POINTS, Ends, Panel
 from jaxwhisker._scan.result import Events, Result
-from jaxwhisker._scan.scan import BLOCK, in_blocks, path_along, problem_now, route_through, solve_steps_now, states_now
+from jaxwhisker._scan.scan import BLOCK, in_blocks, path_along, problem_now, route_through, solved_states_now
 from jaxwhisker._scan.springs import held, holds, load_beyond
 from jaxwhisker._scan.state import State, base_of, state_of
 
@@ -113,8 +112,7 @@ def _balance(result: Result) -> EnergyBalance:
     def integrals(*panel):
         panel = Panel(*panel)
         at, travel = points_now(panel)
-        solutions = with_places(solve_steps_now(problem, path, at, travel), path.nodes.state.places)
-        state, step_status = states_now(problem, at, solutions)
+        state, step_status, solutions = solved_states_now(problem, path, at, travel)
         return integrals_now(scene, panel, at, state, solutions.state.side, step_status)
 
     table, good = in_blocks(integrals, tuple(every), size)

@@ -19,7 +19,6 @@ from jaxwhisker._equilibrium.newton import contact_parameters
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.path import STOP, Node, Path, event_room
 from jaxwhisker._scan.signals import event_point
-from jaxwhisker._scan.steps import Solutions
 
 LINKS = 16  # changes of slips and turning points of the drive, besides the events that a scan has room for
 
@@ -129,11 +128,3 @@ def _after(
     stop = stops[node.stop] / jnp.asarray(problem.unit.control)
     u = jnp.where(node.kind == STOP, node.point.u + stop - jax.lax.stop_gradient(stop), point.u)
     return u, jax.tree.map(moved, new, here, places)
-
-
-def with_places(solutions: Solutions, places: Places | None) -> Solutions:
-    """The solutions, with derivatives of the places where contacts stick after each node; None without friction."""
-    if places is None:
-        return solutions
-    parameter, arc_beyond = (leaf[solutions.node] for leaf in places)
-    return solutions._replace(state=solutions.state.stuck_at((parameter, arc_beyond)))

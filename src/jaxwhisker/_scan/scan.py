@@ -32,7 +32,7 @@ from jaxwhisker._path.march import capacity_of, march
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.detect import Kinds, detect, kinds_of
-from jaxwhisker._scan.memory import remembered, with_places
+from jaxwhisker._scan.memory import remembered
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import (
@@ -50,7 +50,7 @@ from jaxwhisker._scan.signals import events
 from jaxwhisker._scan.slopes import event_tangents, remembered_tangents, spring_tangents, state_tangents
 from jaxwhisker._scan.springs import bases_of, spring_lengths, suspension
 from jaxwhisker._scan.state import State
-from jaxwhisker._scan.steps import solve_steps, states
+from jaxwhisker._scan.steps import solved_states
 
 if TYPE_CHECKING:
     from jaxwhisker._model.space_scene import SpaceScene
@@ -148,8 +148,7 @@ def _in_blocks(
     """States, status and spring lengths of all steps."""
 
     def block(control, travel):
-        solutions = with_places(solve_steps_now(problem, path, control, travel), path.nodes.state.places)
-        state, status = states_now(problem, control, solutions)
+        state, status, _ = solved_states_now(problem, path, control, travel)
         return state, status, spring_lengths_now(suspension(scene), bases_of(scene, state), control)
 
     return in_blocks(block, (route.control, route.travel), BLOCK)
@@ -266,8 +265,7 @@ def _staged_result(
     path, control, travel = _if_ok(path, status), jnp.asarray(route.control), jnp.asarray(route.travel)
     if problem.friction_angle is not None:
         path = remembered(path, problem, jnp.asarray(route.stops))
-    solutions = with_places(solve_steps(problem, path, control, travel), path.nodes.state.places)
-    state, step_status = states(problem, control, solutions)
+    state, step_status, _ = solved_states(problem, path, control, travel)
     lengths = spring_lengths(scene, bases_of(scene, state), control)
     return _result(scene, problem, path, control, state, step_status, lengths)
 
@@ -316,8 +314,7 @@ problem_now = Program(problem_of, tangent=by_slopes(problem_of))
 follow_path_now = Program(follow_path, frozen=True, together=LANES)
 detect_now = Program(detect, frozen=True, together=LANES)
 remembered_now = Program(remembered, tangent=remembered_tangents)
-solve_steps_now = Program(solve_steps, frozen=True)
-states_now = Program(states, tangent=state_tangents)
+solved_states_now = Program(solved_states, tangent=state_tangents)
 events_now = Program(events, tangent=event_tangents)
 spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
 
@@ -340,7 +337,6 @@ def _prepare(pool: Executor, problem: Problem, stops: int, kinds: Kinds, events:
     path = follow_path_now.prepare(pool, problem, np.zeros(stops), np.asarray(0)).path
     if kinds:
         detect_now.prepare(pool, problem, path, kinds)
-    solutions = solve_steps_now.prepare(pool, problem, path, block, block)
-    states_now.prepare(pool, problem, block, solutions)
+    solved_states_now.prepare(pool, problem, path, block, block)
     if events:
         events_now.prepare(pool, problem, path)

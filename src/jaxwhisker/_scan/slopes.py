@@ -18,7 +18,7 @@ from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.signals import events
 from jaxwhisker._scan.springs import Bases, Suspension, spring_length
 from jaxwhisker._scan.state import State
-from jaxwhisker._scan.steps import Solutions, states
+from jaxwhisker._scan.steps import Solutions, states, with_places
 
 
 def state_slopes(problem: Problem, control: Float[Array, " steps"], solutions: Solutions) -> State:
@@ -70,25 +70,27 @@ def spring_slopes(
     return jax.vmap(at)(bases, control)
 
 
+states_now = Program(states)  # differentiated in single directions
 state_slopes_now, spring_slopes_now = Program(state_slopes), Program(spring_slopes)
 event_slopes_now, chain_slopes_now = Program(event_slopes, quick=True), Program(chain_slopes, quick=True)
 
 
-def state_tangents(args, args_dot):
-    """The tangent rule of `states`."""
-    problem, control, solutions = args
-    problem_dot, control_dot, solutions_dot = args_dot
-    numbers = problem.numbers()
+def state_tangents(args, args_dot, results):
+    """The tangent rule of `solved_states`."""
+    (problem, path, control, _), (problem_dot, path_dot, control_dot, _) = args, args_dot
+    numbers, (*_, solutions) = problem.numbers(), results
+    none, at = jax.tree.map(lambda _: None, solutions), solutions.node
+    solutions = with_places(solutions, path.nodes.state.places)
+    places, dots = solutions.state.places or (), path_dot.nodes.state.places or ()
+    dots = [None if dot is None else dot[at] for dot in dots]
     if not are_few(numbers):
-        return NotImplemented
-    slopes = state_slopes_now(problem, control, solutions)
-    direction = direction_of(numbers, problem_dot.numbers())
-    places, dots = solutions.state.places or (), None if solutions_dot is None else solutions_dot.state.places
-    dots = [None] * len(places) if dots is None else dots
-    return along_each(slopes, direction, direction_of([control, *places], [control_dot, *dots])), None
+        solutions_dot = none._replace(state=none.state.stuck_at(tuple(dots) if places else None))
+        return *states_now.along((problem, control, solutions), (problem_dot, control_dot, solutions_dot)), none
+    slopes, direction = state_slopes_now(problem, control, solutions), direction_of(numbers, problem_dot.numbers())
+    return along_each(slopes, direction, direction_of([control, *places], [control_dot, *dots])), None, none
 
 
-def remembered_tangents(args, args_dot):
+def remembered_tangents(args, args_dot, _):
     """The tangent rule of `remembered`."""
     path, problem, stops = args
     _, problem_dot, stops_dot = args_dot
@@ -100,7 +102,7 @@ def remembered_tangents(args, args_dot):
     return with_memory(none, *along(chain_slopes_now(path, problem, stops), direction))
 
 
-def spring_tangents(args, args_dot):
+def spring_tangents(args, args_dot, _):
     """The tangent rule of `spring_lengths`."""
     scene, bases, control = args
     scene_dot, bases_dot, control_dot = args_dot
@@ -111,7 +113,7 @@ def spring_tangents(args, args_dot):
     return along_each(spring_slopes_now(scene, bases, control), direction_of(numbers, scene_dot), own)
 
 
-def event_tangents(args, args_dot):
+def event_tangents(args, args_dot, _):
     """The tangent rule of `events`."""
     problem, path = args
     numbers = problem.numbers()

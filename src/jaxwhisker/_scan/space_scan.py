@@ -30,7 +30,7 @@ from jaxwhisker._scan.route import (
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_signals import events
 from jaxwhisker._scan.space_slopes import event_tangents, linked_tangents, state_tangents
-from jaxwhisker._scan.space_steps import solve_steps, states
+from jaxwhisker._scan.space_steps import solved_states
 from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.history import linked
 from jaxwhisker._space.march import march
@@ -75,11 +75,9 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None, steps: int 
         route = route_of(default_positions(float(start), float(stop), problem.unit))
 
     links = None if problem.friction is None else linked_now(problem, path, stops)
-    linked_path = None if links is None else path
 
     def block(control, travel):
-        solutions = solve_steps_now(problem, path, control, travel)
-        state, status, displacement = states_now(problem, control, solutions, linked_path, links)
+        state, status, displacement, _ = solved_states_now(problem, path, control, travel, links)
         return state, status, None if displacement is None else spring_lengths_now(scene.support, displacement)
 
     states = in_blocks(block, (route.control, route.travel), BLOCK)
@@ -97,9 +95,8 @@ def _staged(scene: SpaceScene, control: Control | None) -> SpaceResult:
     path, start, stop = follow_path(problem, jnp.asarray(stops), jnp.asarray(last))
     route = evenly(start, stop, TRACED_STEPS) if control is None else route
     path, positions = _if_ok(path, status), jnp.asarray(route.control)
-    solutions = solve_steps(problem, path, positions, jnp.asarray(route.travel))
     links = None if problem.friction is None else linked(problem, path, jnp.asarray(stops))
-    state, status, displacement = states(problem, positions, solutions, path, links)
+    state, status, displacement, _ = solved_states(problem, path, positions, jnp.asarray(route.travel), links)
     lengths = None if displacement is None else scene.support.spring_length(displacement)
     return _result(scene, problem, path, links, positions, state, status, lengths)
 
@@ -141,8 +138,7 @@ def follow_path(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[
 
 problem_now = Program(problem_in_space, tangent=by_slopes(problem_in_space))
 follow_path_now = Program(follow_path, frozen=True, together=LANES)
-solve_steps_now = Program(solve_steps, frozen=True)
-states_now = Program(states, tangent=state_tangents)
+solved_states_now = Program(solved_states, tangent=state_tangents)
 linked_now = Program(linked, tangent=linked_tangents)
 events_now = Program(events, tangent=event_tangents)
 spring_lengths_now = Program(Support.spring_length)
@@ -156,8 +152,7 @@ def prepare(problem: SpaceProblem, stops: int, events: bool = False) -> None:
     block = np.zeros(BLOCK)
     with Compilers() as pool:
         path = follow_path_now.prepare(pool, problem, *ends).path
-        solutions = solve_steps_now.prepare(pool, problem, path, block, block)
         links = None if problem.friction is None else linked_now.prepare(pool, problem, path, ends[0])
-        states_now.prepare(pool, problem, block, solutions, None if links is None else path, links)
+        solved_states_now.prepare(pool, problem, path, block, block, links)
         if events:
             events_now.prepare(pool, problem, path, links)

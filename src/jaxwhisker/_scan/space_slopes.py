@@ -60,24 +60,27 @@ def chain_slopes(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " s
     return jacobian(function, (problem.numbers(), stops))
 
 
+states_now = Program(states)  # differentiated in single directions
 state_slopes_now, chain_slopes_now = Program(state_slopes), Program(chain_slopes)
 event_slopes_now = Program(event_slopes, quick=True)
 
 
-def state_tangents(args, args_dot):
-    """The tangent rule of `states`."""
-    (problem, control, solutions, path, links), (problem_dot, control_dot, _, _, links_dot) = args, args_dot
-    numbers, own = problem.numbers(), direction_of([control], [control_dot])
+def state_tangents(args, args_dot, results):
+    """The tangent rule of `solved_states`."""
+    (problem, path, control, _, links), (problem_dot, _, control_dot, _, links_dot) = args, args_dot
+    numbers, own, (*_, solutions) = problem.numbers(), direction_of([control], [control_dot]), results
+    none, used = jax.tree.map(lambda _: None, solutions), None if links is None else path
     if not are_few(numbers, MOST_NUMBERS):
-        return NotImplemented
-    slopes = state_slopes_now(problem, control, solutions, path, links)
+        dots = problem_dot, control_dot, none, jax.tree.map(lambda _: None, used), links_dot
+        return *states_now.along((problem, control, solutions, used, links), dots), none
+    slopes = state_slopes_now(problem, control, solutions, used, links)
     if links is not None:
         node = solutions.node
         own += _at(links, links_dot, node, jnp.minimum(node + 1, path.count - 1))
-    return along_each(slopes, direction_of(numbers, problem_dot.numbers()), own)
+    return *along_each(slopes, direction_of(numbers, problem_dot.numbers()), own), none
 
 
-def event_tangents(args, args_dot):
+def event_tangents(args, args_dot, _):
     """The tangent rule of `events`."""
     (problem, path, links), (problem_dot, _, links_dot) = args, args_dot
     numbers = problem.numbers()
@@ -90,7 +93,7 @@ def event_tangents(args, args_dot):
     return along_each(slopes, direction, _at(links, links_dot, at, at))
 
 
-def linked_tangents(args, args_dot):
+def linked_tangents(args, args_dot, _):
     """The tangent rule of `linked`."""
     (problem, path, stops), (problem_dot, _, stops_dot) = args, args_dot
     numbers = problem.numbers()

@@ -151,6 +151,18 @@ def solve_steps(
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], solutions)
 
 
+def solved_states(
+    problem: SpaceProblem,
+    path: SpacePath,
+    control: Float[Array, " steps"],
+    travel: Float[Array, " steps"],
+    links: Linked | None = None,
+) -> tuple[SpaceState, Int[Array, " steps"], Float[Array, "steps whiskers 6"] | None, SpaceSolutions]:
+    """What `states` returns at control positions, and the solutions, which have no derivatives."""
+    solutions = solve_steps(problem, path, control, travel)
+    return *states(problem, control, solutions, path, links), solutions
+
+
 def states(
     problem: SpaceProblem,
     control: Float[Array, " steps"],

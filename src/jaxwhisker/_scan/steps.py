@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact_state import ContactState
+from jaxwhisker._equilibrium.contact_state import ContactState, Places
 from jaxwhisker._equilibrium.implicit import solved
 from jaxwhisker._equilibrium.point import Contacts, Point, at_control, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
@@ -104,6 +104,22 @@ def solve_steps(
     padded = [jnp.pad(values, (0, -count % batch), mode="edge").reshape(-1, batch) for values in (index, u, known)]
     solutions = jax.lax.map(lambda some: _solve(problem, path, *some), padded)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], solutions)
+
+
+def solved_states(
+    problem: Problem, path: Path, control: Float[Array, " steps"], travel: Float[Array, " steps"]
+) -> tuple[State, Int[Array, " steps"], Solutions]:
+    """States and status at control positions, with derivatives, and the solutions that they follow from, without."""
+    solutions = solve_steps(problem, path, control, travel)
+    return *states(problem, control, with_places(solutions, path.nodes.state.places)), solutions
+
+
+def with_places(solutions: Solutions, places: Places | None) -> Solutions:
+    """The solutions, with derivatives of the places where contacts stick after each node; None without friction."""
+    if places is None:
+        return solutions
+    parameter, arc_beyond = (leaf[solutions.node] for leaf in places)
+    return solutions._replace(state=solutions.state.stuck_at((parameter, arc_beyond)))
 
 
 def states(
