@@ -12,6 +12,8 @@ import jaxwhisker as jw
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import _split
 from jaxwhisker._equilibrium.dimensionless import problem_of
+from jaxwhisker._model.canonical import canonical
+from jaxwhisker._model.scene import moves_along_x
 from jaxwhisker._path.march import capacity_of
 from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.route import route_of
@@ -101,7 +103,7 @@ def shape_of(*args):
 def programs(one, control=None):
     """The programs of a scan, its events and its detection: their names and the shapes of their arguments."""
     stops, kinds = 2 if control is None else route_of(control).stops.shape[0], kinds_of(one)
-    one, capacity = jax.tree.map(checks.as_float, one.in_equilibrium()), []
+    one, capacity = jax.tree.map(checks.as_float, one), []
 
     def traced(one):
         problem = problem_of(one)
@@ -110,10 +112,10 @@ def programs(one, control=None):
 
     problem = shape_of(eqx.filter_eval_shape(traced, one))
     path = problem, capacity[0]
-    found = {"problem": shape_of(one), "path": (problem, stops), "states": path, "events": path}
+    found = {"problem": shape_of(canonical(one)), "path": (problem, stops), "states": path, "events": path}
     if kinds:
         found["detection"] = path, kinds
-    if one.support.springs:
+    if not moves_along_x(one):  # otherwise they are differences, which only derivatives need a program for
         found["spring lengths"] = shape_of(suspension(one))
     return found
 
@@ -142,12 +144,12 @@ def test_the_number_of_programs_of_all_features(found):
     counted = Counter(name for name, _ in {(name, shape) for each in found.values() for name, shape in each.items()})
     assert len(found) == 44
     assert dict(counted) == {
-        "problem": 40,
-        "path": 27,
-        "states": 27,
-        "events": 27,
+        "problem": 23,
+        "path": 24,
+        "states": 24,
+        "events": 24,
         "detection": 9,
-        "spring lengths": 10,
+        "spring lengths": 5,
     }
 
 

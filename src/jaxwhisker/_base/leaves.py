@@ -65,7 +65,7 @@ def safe_placeholder(tree: Tree, valid: Bool[Array, ""]) -> Tree:
     """
 
     def placeholder(leaf):
-        if not checks.is_numeric(leaf):
+        if not (checks.is_numeric(leaf) and jnp.issubdtype(jnp.result_type(leaf), jnp.floating)):
             return leaf
         safe = jnp.where(jnp.isfinite(leaf) & (leaf > 0), jnp.minimum(leaf, 1.0), 1.0)
         return jnp.where(valid, leaf, jax.lax.stop_gradient(safe))

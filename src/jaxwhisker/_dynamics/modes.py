@@ -173,8 +173,7 @@ def _prepared(scene: Scene) -> tuple[Problem, tuple[Whisker, ...]]:
         checks.fail("at", "one without springs between the shafts of two whiskers", str(scene))
     warn_of_steps(scene, masses=True)
     scene = jax.tree.map(checks.as_float, scene)
-    still = scene.in_equilibrium()
-    return (problem_of if checks.is_staged(scene) else problem_now)(still), scene.whiskers
+    return (problem_of if checks.is_staged(scene) else problem_now)(scene), scene.whiskers
 
 
 def _of_scene(scene: Scene, count: int, damping: _Damping, points: int) -> Modes:

@@ -15,40 +15,43 @@ from jaxwhisker._equilibrium.attach import attached, with_unloaded
 from jaxwhisker._equilibrium.problem import AlongX, InPlane, Problem
 from jaxwhisker._equilibrium.stance import PerWhisker
 from jaxwhisker._equilibrium.touch import Outline, Touch
+from jaxwhisker._model.canonical import CanonicalScene, canonical
 from jaxwhisker._model.motion import Pose, Translation
 from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._model.scene import Scene, moves_along_x, units
+from jaxwhisker._model.scene import Scene, units_of
+from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker, with_equal_breaks
 from jaxwhisker._rod.rod import Section
 
 
-def problem_of(scene: Scene) -> Problem:
+def problem_of(scene: Scene | CanonicalScene) -> Problem:
     """The dimensionless problem of a scene, differentiable with respect to all numbers of the scene."""
+    if isinstance(scene, Scene):
+        scene = canonical(scene)
     valid = _valid(scene)
     scene = safe_placeholder(scene, valid)
-    unit = jax.tree.map(checks.as_float, units(scene))
+    unit = jax.tree.map(checks.as_float, units_of(scene.whiskers[0], scene.motion))
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])
     section = sections(scene.whiskers, unit.length, unit.moment * unit.length)
     spring, torsion = unit.force / unit.length, unit.moment
-    hold = scene.support.hold(spring, torsion) if scene.support.on_shafts else None
+    hold = scene.support.hold(spring, torsion) if isinstance(scene.support, Support) else None
     flexibility = scene.support.flexibility(hold)
     valid &= flexibility.consistent
-    ends = scene.motion.ends
     common: dict[str, Any] = {
         "length": length,
         "bending_stiffness": stiffness / (unit.moment * unit.length),
         "section": section,
         "profile": scene.profile.in_unit(unit.length),
         "rod": scene.rod,
-        "motion": scene.motion.undirected(),
-        "onwards": jnp.asarray(scene.motion.onwards),
-        "ends": None if ends is None else tuple(jnp.asarray(end, dtype=float) / unit.control for end in ends),
+        "motion": scene.motion,
+        "onwards": jnp.asarray(scene.onwards),
+        "ends": jax.tree.map(lambda end: jnp.asarray(end, dtype=float) / unit.control, scene.ends),
         "unit": unit,
         "friction_angle": None if scene.friction is None else jnp.arctan(jnp.asarray(scene.friction, dtype=float)),
     }
     curved = any(whisker.intrinsic_curvature is not None for whisker in scene.whiskers)
-    if moves_along_x(scene):
+    if scene.along_x:
         flexibility = flexibility.in_unit(unit.length, unit.force)
         if curved:
             upright = jnp.zeros_like(length)
@@ -75,8 +78,8 @@ def problem_of(scene: Scene) -> Problem:
     right, left = touch.of_objects(common["profile"], somewhere)
     common |= {"flexibility": flexibility, "valid": valid, "touch_right": right, "touch_left": left}
     problem = InPlane(**common, mount=mount, outline=outline)
-    springs = attached(scene.support, section, unit)
-    if springs is not None and hold is not None:
+    if hold is not None:
+        springs = attached(scene.support, section, unit)
         held = jax.vmap(_turned)(angle, hold / jnp.stack([spring, spring, torsion]))
         problem, found = with_unloaded(problem, springs, held)
         problem = eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)
@@ -156,7 +159,7 @@ def stacked_or_each(each: list[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 
-def _valid(scene: Scene) -> Bool[Array, ""]:
+def _valid(scene: CanonicalScene) -> Bool[Array, ""]:
     """Whether traced parameters are in the domains that the constructors check for concrete ones."""
     whiskers = jnp.all(jnp.stack([whisker.valid() for whisker in scene.whiskers]))
     valid = scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers

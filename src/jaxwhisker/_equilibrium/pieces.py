@@ -80,6 +80,9 @@ def first_corner(
     """
     edges = 2 * jnp.arange((profile.breaks().size + 2) // 2)
     low, high = ends_of(profile, edges)
+    # Repetitions of a polygon's last corner have infinite parameters.
+    edges = jnp.where(jnp.isfinite(low) | jnp.isfinite(high), edges, 0)
+    low, high = ends_of(profile, edges)
     end = jnp.where(jnp.isfinite(high), high, low)
     corner = jax.vmap(profile.point_on)(edges, end)
     rise = heights[1:] - heights[:-1]

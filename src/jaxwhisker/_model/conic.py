@@ -9,7 +9,8 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, text_unless
@@ -145,13 +146,9 @@ def conic(distance: Scalar, radius: Scalar, shape: Scalar, position: Scalar) -> 
 
 
 class _AbstractConic(AbstractProfile):
-    """A conic section that is given by the position of its vertex and by positive numbers."""
+    """A conic section that is given by the position of its vertex and by further numbers."""
 
     # Its subclasses declare `distance` and `position`, because the order of the fields is that of their arguments.
-
-    def __check_init__(self):
-        for name in self.__dataclass_fields__:
-            checks.number(name, getattr(self, name), positive=name != "position")
 
     @abc.abstractmethod
     def conic(self) -> Conic:
@@ -181,11 +178,40 @@ class _AbstractConic(AbstractProfile):
     def in_unit(self, length):
         return self.conic().in_unit(length)
 
+
+class _ByAxes(_AbstractConic):
+    """A parabola, circle or ellipse, told apart by a number."""
+
+    distance: Scalar
+    first: Scalar  # half the curvature of a parabola, the half axis of an ellipse along x
+    second: Scalar  # its half axis along y
+    position: Scalar
+    is_open: Bool[np.ndarray, ""]  # a parabola
+
+    def conic(self):
+        ratio = self.first / self.second
+        radius = jnp.where(self.is_open, 1 / (2 * self.first), self.first * ratio)
+        return conic(self.distance, radius, jnp.where(self.is_open, 0.0, ratio * ratio), self.position)
+
+    def _positive(self):
+        return [self.distance, self.first, self.second]
+
+    def __str__(self):
+        return str(self.conic())
+
+
+class _AbstractKind(_AbstractConic):
+    """A conic section of one kind, whose numbers are positive but for its position."""
+
+    def __check_init__(self):
+        for name in self.__dataclass_fields__:
+            checks.number(name, getattr(self, name), positive=name != "position")
+
     def _positive(self):
         return [getattr(self, name) for name in self.__dataclass_fields__ if name != "position"]
 
 
-class _AbstractClosedConic(_AbstractConic):
+class _AbstractClosedConic(_AbstractKind):
     @property
     def closed(self):
         return True
@@ -194,7 +220,7 @@ class _AbstractClosedConic(_AbstractConic):
         return -jnp.pi, jnp.pi
 
 
-class Parabola(_AbstractConic):
+class Parabola(_AbstractKind):
     """Parabola y = distance + a (x - position)^2.
 
     Its parameter is the slope angle alpha: x - position = tan(alpha) / (2 a).
@@ -220,6 +246,9 @@ class Parabola(_AbstractConic):
 
     def conic(self):
         return conic(self.distance, 1 / (2 * self.a), 0.0, self.position)
+
+    def canonical(self):
+        return _ByAxes(self.distance, self.a, np.ones(()), self.position, np.asarray(True))
 
     def __str__(self):
         a, position = text_unless(1.0, ", a = ", self.a), text_unless(0.0, ", x = ", self.position)
@@ -250,6 +279,9 @@ class Circle(_AbstractClosedConic):
 
     def conic(self):
         return conic(self.distance, self.radius, 1.0, self.position)
+
+    def canonical(self):
+        return _ByAxes(self.distance, self.radius, self.radius, self.position, np.asarray(False))
 
     def __str__(self):
         position = text_unless(0.0, ", x = ", self.position)
@@ -283,6 +315,9 @@ class Ellipse(_AbstractClosedConic):
 
     def conic(self):
         return conic(self.distance, self.a**2 / self.b, (self.a / self.b) ** 2, self.position)
+
+    def canonical(self):
+        return _ByAxes(self.distance, self.a, self.b, self.position, np.asarray(False))
 
     def __str__(self):
         axes = f"a = {as_text(self.a)}, b = {as_text(self.b)}"

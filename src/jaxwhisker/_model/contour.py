@@ -1,5 +1,6 @@
 """A contour of any strictly convex shape: its radius of curvature as a function of the slope angle."""
 
+import math
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -118,6 +119,7 @@ class Tabulated(_AbstractContour):
     distance: Scalar
     position: Scalar
     knots: Float[Array, " knots"]
+    # The last knot may be repeated, so that contours of different numbers of knots share programs.
     cells: Float[Array, "cells 2 6"]  # coefficients of x and of y in powers of the fraction of the cell
     ends_at: Float[Array, "2 3"]  # x, y, radius at the first and at the last knot
 
@@ -248,10 +250,17 @@ def tabulate(spline: Spline, distance: Scalar, position: Scalar, log_radius: Flo
     ends = jnp.stack([jnp.append(start[:, k], radius[k]) for k in (0, -1)])
     # The integrals start at the first knot; shift the curve to its vertex.
     distance, position = jnp.asarray(distance, dtype=float), jnp.asarray(position, dtype=float)
-    table = Tabulated(distance, position, jnp.asarray(spline.knots), cells, ends)
+    more = _as_many(spline.knots.size) - spline.knots.size
+    knots, cells = np.pad(spline.knots, (0, more), mode="edge"), jnp.pad(cells, ((0, more * CELLS), (0, 0), (0, 0)))
+    table = Tabulated(distance, position, jnp.asarray(knots), cells, ends)
     lowest = table.point(jnp.zeros(()))
     shift = jnp.stack([position - lowest.x, distance - lowest.y])
     return Tabulated(distance, position, table.knots, cells.at[:, :, 0].add(shift), ends + jnp.append(shift, 0.0))
+
+
+def _as_many(knots: int) -> int:
+    """Number of knots of a table for this many: 4, 16, 64, ..."""
+    return 4 ** math.ceil(math.log(max(knots, 4), 4) - 1e-9)
 
 
 def _between_knots(
@@ -260,7 +269,7 @@ def _between_knots(
     """x and y of the polynomials at a slope angle, which is clipped to the outermost knots."""
     inside = jnp.clip(slope, knots[0], knots[-1])
     still = jax.lax.stop_gradient(inside)
-    interval = jnp.sum(still >= knots[1:-1])
+    interval = jnp.sum((still >= knots[1:-1]) & (knots[1:-1] < knots[-1]))
     way = (inside - knots[interval]) / (knots[interval + 1] - knots[interval]) * CELLS
     cell = jnp.clip(jnp.floor(jax.lax.stop_gradient(way)).astype(int), 0, CELLS - 1)
     t, c = way - cell, cells[interval * CELLS + cell].T

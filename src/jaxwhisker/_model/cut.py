@@ -1,5 +1,6 @@
 """A smooth profile that is cut off, and whose ends are edges."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -57,6 +58,9 @@ class Cut(AbstractProfile):
                 has_point = _has_point_now(*jax.tree.map(checks.as_float, (self.profile, value)))
             if not bool(has_point):
                 checks.fail(name, f"an x at which the profile ({self.profile}) has a point", float(value))
+
+    def canonical(self):
+        return eqx.tree_at(lambda own: own.profile, self, self.profile.canonical())
 
     @property
     def has_edges(self):

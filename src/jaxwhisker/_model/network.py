@@ -1,10 +1,15 @@
 """Flexibility of a network: bases that springs along one axis connect to the drive."""
 
+import copy
+import itertools
+from functools import lru_cache
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.spring import AXES, Spring
@@ -60,12 +65,6 @@ class Flexibility(NamedTuple):
         )
 
 
-def rigid(whiskers: int) -> Flexibility:
-    """The flexibility of clamped bases: none."""
-    none = jnp.zeros((whiskers, whiskers))
-    return Flexibility(none, none, jnp.zeros(whiskers), jnp.asarray(True))
-
-
 def along_all_axes(parts: dict[str, Flexibility], axes: tuple[str, ...] = AXES) -> Flexibility:
     """The flexibility along all axes (x, y and angle) of every base, from those along each axis that has springs."""
     n, k = next(iter(parts.values())).offset.size, len(axes)
@@ -78,6 +77,12 @@ def along_all_axes(parts: dict[str, Flexibility], axes: tuple[str, ...] = AXES) 
     return Flexibility(matrix.reshape(n * k, n * k), root.reshape(n * k, n * k), offset.reshape(-1), consistent)
 
 
+def along_axes(parts: dict[str, "Linked"]) -> Flexibility:
+    """The flexibility of networks along these axes: with one row per base if it is x alone, otherwise with three."""
+    each = {axis: network.flexibility() for axis, network in parts.items()}
+    return each["x"] if tuple(each) == ("x",) else along_all_axes(each)
+
+
 def connected(springs: tuple[Spring, ...]) -> set[int]:
     """The drive (0) and all bases that springs connect to it."""
     ends = {0}
@@ -86,43 +91,89 @@ def connected(springs: tuple[Spring, ...]) -> set[int]:
     return ends
 
 
-def flexibility(springs: tuple[Spring, ...], whiskers: int) -> Flexibility:
-    """Flexibility of a connected network; bases without a spring are rigidly connected to the drive.
+class Linked(eqx.Module):
+    """Springs along one axis, with their connections as numbers: networks of as many springs share programs.
 
-    A spring acts like a measurement of the distance between its ends with variance 1/stiffness. The variances of the
-    springs in a spanning tree add up along their paths; every other spring is a rank-one update. No step divides by a
-    difference of stiffnesses, and rigid springs (variance 0) need no special treatment.
+    Springs without effect make up for a smaller number in the tree or of loops.
     """
-    paths, loops = _spanning_tree(springs, whiskers)
-    softness = [s.softness for s in springs]
-    # A default rest length is unknown without a whisker; then the offset is, but not the matrix.
-    rest = [jnp.asarray(jnp.nan if s.rest_length is None else s.rest_length, dtype=float) for s in springs]
+
+    springs: tuple[Spring, ...]  # of a spanning tree, one for each whisker, then those that close loops
+    signs: Int[np.ndarray, "whiskers whiskers"]  # of the tree's springs on the way from the drive to each base
+    across: Int[np.ndarray, "loops whiskers"]  # -1 and 1 at the first and the second end of the others
+
+    def flexibility(self) -> Flexibility:
+        """Flexibility of the network; bases without a spring are rigidly connected to the drive.
+
+        A spring acts like a measurement of the distance between its ends with variance 1/stiffness. The variances of
+        the springs in a spanning tree add up along their paths; every other spring is a rank-one update. No step
+        divides by a difference of stiffnesses, and rigid springs (variance 0) need no special treatment.
+        """
+        count, signs = self.signs.shape[0], jnp.asarray(self.signs, dtype=float)
+        softness = [spring.softness for spring in self.springs]
+        # A default rest length is unknown without a whisker; then the offset is, but not the matrix.
+        rest = [jnp.asarray(jnp.nan if s.rest_length is None else s.rest_length, dtype=float) for s in self.springs]
+        soft = jnp.stack(softness[:count])
+        matrix = jnp.sum(signs[:, None, :] * signs[None, :, :] * soft, axis=-1)
+        # The root is only used for decisions; it has no derivative, because its slope at 0 is infinite.
+        root = signs * jnp.sqrt(jax.lax.stop_gradient(soft))
+        offset = jnp.sum(signs * jnp.stack(rest[:count]), axis=-1)
+        network = Flexibility(matrix, root, offset, jnp.asarray(True))
+        for k in range(len(self.springs) - count):
+            across = jnp.asarray(self.across[k], dtype=float)
+            network = _with_spring(network, across, softness[count + k], rest[count + k])
+        return network
+
+
+def linked(springs: tuple[Spring, ...], whiskers: int) -> Linked:
+    """A network of springs, connected or without springs at some bases."""
+    order, signs, across = _arranged(tuple(spring.between for spring in springs), whiskers)
+    return Linked(tuple(_NONE if k is None else _between_any(springs[k]) for k in order), signs, across)
+
+
+_NONE = Spring((0, 1), np.ones(()), np.zeros(()))
+Signs = Int[np.ndarray, "rows whiskers"]
+
+
+@lru_cache(maxsize=256)
+def _arranged(
+    ends: tuple[tuple[int, int], ...], whiskers: int
+) -> tuple[tuple[int | None, ...], np.ndarray, np.ndarray]:
+    """Numbers of the springs with these ends in the order of `Linked`, or None, its signs, and across what they are."""
+    paths, loops = _spanning_tree(ends, whiskers)
     tree = sorted(set().union(*paths.values()))
-    signs = jnp.array([[paths[base].get(k, 0.0) for k in tree] for base in range(1, whiskers + 1)])
-    soft = jnp.stack([softness[k] for k in tree])
-    matrix = jnp.sum(signs[:, None, :] * signs[None, :, :] * soft, axis=-1)
-    # The root is only used for decisions; it has no derivative, because its slope at 0 is infinite.
-    root = signs * jnp.sqrt(jax.lax.stop_gradient(soft))
-    root = jnp.pad(root, ((0, 0), (0, whiskers - len(tree))))
-    offset = jnp.sum(signs * jnp.stack([rest[k] for k in tree]), axis=-1)
-    network = Flexibility(matrix, root, offset, jnp.asarray(True))
-    for k in loops:
-        first, second = (jnp.arange(1, whiskers + 1) == end for end in springs[k].between)
-        network = _with_spring(network, second.astype(float) - first, softness[k], rest[k])
-    return network
+    # Loops fill a multiple of what one spring from the drive to each further base would add.
+    row = max(whiskers - 1, 1)
+    closing = max(len(loops) + -len(loops) % row, whiskers - 1)
+    signs, across = np.zeros((whiskers, whiskers), dtype=int), np.zeros((closing, whiskers), dtype=int)
+    for base, column in itertools.product(range(whiskers), range(len(tree))):
+        signs[base, column] = paths[base + 1].get(tree[column], 0)
+    for row, k in enumerate(loops):
+        for end, sign in zip(ends[k], (-1, 1), strict=True):
+            if end > 0:
+                across[row, end - 1] = sign
+    order = (*tree, *[None] * (whiskers - len(tree)), *loops, *[None] * (closing - len(loops)))
+    return order, signs, across
 
 
-def _spanning_tree(springs: tuple[Spring, ...], whiskers: int) -> tuple[dict[int, dict[int, float]], list[int]]:
+def _between_any(spring: Spring) -> Spring:
+    """The spring without its ends and its axis, which the network knows."""
+    plain = copy.copy(spring)
+    for name, value in (("between", (0, 1)), ("axis", "x")):
+        object.__setattr__(plain, name, value)
+    return plain
+
+
+def _spanning_tree(ends: tuple[tuple[int, int], ...], whiskers: int) -> tuple[dict[int, dict[int, int]], list[int]]:
     """The path from the drive to each base as {spring: sign}, and the springs that are on no path."""
-    sprung = {end for spring in springs for end in spring.between}
+    sprung = {end for both in ends for end in both}
     # Bases without a spring move with the drive.
-    paths: dict[int, dict[int, float]] = {end: {} for end in range(whiskers + 1) if end == 0 or end not in sprung}
-    loops = list(range(len(springs)))
+    paths: dict[int, dict[int, int]] = {end: {} for end in range(whiskers + 1) if end == 0 or end not in sprung}
+    loops = list(range(len(ends)))
     while len(paths) <= whiskers:
         for k in loops:
-            first, second = springs[k].between
+            first, second = ends[k]
             if (first in paths) != (second in paths):
-                known, new, sign = (first, second, 1.0) if first in paths else (second, first, -1.0)
+                known, new, sign = (first, second, 1) if first in paths else (second, first, -1)
                 paths[new] = {**paths[known], k: sign}
                 loops.remove(k)
                 break

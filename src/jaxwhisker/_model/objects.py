@@ -22,6 +22,9 @@ class Objects(AbstractProfile):
     # A parameter of each object, at which it is evaluated for contacts on another; None in the scene's own units.
     placeholder_parameter: tuple[Scalar, ...] | None = None
 
+    def canonical(self):
+        return Objects(tuple(one.canonical() for one in self.each), self.placeholder_parameter)
+
     @property
     def objects(self):
         return self.each

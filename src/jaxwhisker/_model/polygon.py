@@ -1,12 +1,13 @@
 """Polygons: objects with straight faces and corners, at which whiskers touch edges."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, text_unless
@@ -18,6 +19,7 @@ FLATTEST = 1e-9  # rad: smallest angle by which the outline must turn at a corne
 SAME_PLACE = 1e-12  # dimensionless: corners this close in x are touched at the same time by an upright whisker
 
 Corners = Float[Array, "corners 2"]
+Count = Int[Array, ""] | Int[np.ndarray, ""]  # of corners that are not repetitions of the last one
 
 
 class _AbstractPolygon(AbstractProfile):
@@ -35,7 +37,8 @@ class _AbstractPolygon(AbstractProfile):
 
     def chain(self) -> "Chain":
         """The polygon as a chain of corners and faces."""
-        return chain(self.corners())
+        corners = self.corners()
+        return chain(corners, np.asarray(corners.shape[0]))
 
     def point(self, parameter):
         return self.chain().point(parameter)
@@ -65,7 +68,7 @@ class _AbstractPolygon(AbstractProfile):
         return self.chain().vertex()
 
     def in_unit(self, length):
-        return chain(self.corners() / length)
+        return _filled(self.corners()).in_unit(length)
 
     def _positive(self):
         return _positive(self.corners())
@@ -106,8 +109,33 @@ class Polygon(_AbstractPolygon):
     def corners(self):
         return self.vertices
 
+    def canonical(self):
+        return _filled(self.vertices if checks.is_traced(self.vertices) else np.asarray(self.vertices))
+
     def __str__(self):
         return f"polygon of {len(self.vertices)} corners"
+
+
+class _Filled(_AbstractPolygon):
+    """A polygon whose last corner may be repeated, so that polygons of different numbers of corners share programs."""
+
+    vertices: Corners
+    count: Int[np.ndarray, ""]
+
+    def corners(self):
+        return self.vertices
+
+    def chain(self):
+        return chain(self.vertices, self.count)
+
+    def in_unit(self, length):
+        return chain(self.vertices / length, self.count)
+
+    def _positive(self):
+        return _positive(self.vertices, self.count)
+
+    def __str__(self):
+        return f"polygon of {self.count} corners"
 
 
 class Box(_AbstractPolygon):
@@ -155,12 +183,14 @@ class Box(_AbstractPolygon):
 class Chain(AbstractProfile):
     """The corners and faces of a convex polygon in order, from the left end of its top to the right end.
 
-    Corner k is piece 2k, the face to the next corner is piece 2k + 1.
+    Corner k is piece 2k, the face to the next corner is piece 2k + 1. Of fewer corners than there is room for, the last
+    one is repeated, and its repetitions begin at infinite parameters.
     """
 
     xy: Corners
     slopes: Float[Array, " slopes"]  # before and after each corner, rad; increasing by a full turn
     start: Float[Array, " pieces"]  # parameter at which each piece begins
+    count: Int[Array, ""]  # of corners
 
     @property
     def has_edges(self):
@@ -170,7 +200,8 @@ class Chain(AbstractProfile):
         return self.start[1:]
 
     def ends(self):
-        return self.start[0], self.start[-1] + self.slopes[-1] - self.slopes[-2]
+        last = self.count - 1
+        return self.start[0], self.start[2 * last] + self.slopes[last + 1] - self.slopes[last]
 
     def faces(self):
         (x, y), slopes = self.xy.T, self.slopes[1:]  # after each corner; the last one is that of the top
@@ -181,6 +212,7 @@ class Chain(AbstractProfile):
 
     def point_on(self, piece, parameter):
         assert piece is not None
+        piece = jnp.minimum(piece, 2 * self.count - 2)
         corner, is_face = piece // 2, piece % 2
         (x, y), slope, way = self.xy[corner], self.slopes[corner + is_face], parameter - self.start[piece]
         turned = slope + jnp.where(is_face, 0.0, way)
@@ -188,7 +220,7 @@ class Chain(AbstractProfile):
         return ContactPoint(x + along * cos, y + along * sin, cos, sin)
 
     def at_slope(self, slope):
-        corner = jnp.clip(jnp.sum(slope > self.slopes) - 1, 0, self.xy.shape[0] - 1)
+        corner = jnp.clip(jnp.sum(slope > self.slopes) - 1, 0, self.count - 1)
         return jax.lax.stop_gradient(self.start[2 * corner] + slope - self.slopes[corner])
 
     def first_touch(self, height, side):
@@ -222,10 +254,10 @@ class Chain(AbstractProfile):
         at = x + share * across
         k = jnp.argmax(jnp.where(crosses, side * at, -jnp.inf))
         # The top is no piece: it counts as an end of its corners.
-        is_face, (first, last) = k < x.size - 1, self.ends()
+        is_face, (first, last) = k < self.count - 1, self.ends()
         on_face = self.start[jnp.minimum(2 * k + 1, self.start.size - 1)] + share[k] * jnp.hypot(across[k], rise[k])
         parameter = jnp.where(is_face, on_face, jnp.where(side > 0, last, first))
-        piece = jnp.where(is_face, 2 * k + 1, jnp.where(side > 0, 2 * x.size - 2, 0))
+        piece = jnp.where(is_face, 2 * k + 1, jnp.where(side > 0, 2 * self.count - 2, 0))
         return FirstTouch(parameter, at[k], jnp.where(crosses[k], height, jnp.min(y)), piece)
 
     def vertex(self):
@@ -233,58 +265,82 @@ class Chain(AbstractProfile):
         return x, y
 
     def in_unit(self, length):
-        return chain(self.xy / length)
+        return chain(self.xy / length, self.count)
 
     def _positive(self):
-        return _positive(self.xy)
+        return _positive(self.xy, self.count)
 
     def __str__(self):
-        return f"polygon of {self.xy.shape[0]} corners"
+        return f"polygon of {self.count} corners"
 
 
-def _sides(corners: Corners) -> Corners:
-    """Vectors from each corner to the next one."""
-    return jnp.roll(corners, -1, axis=0) - corners
+def _filled(corners: Any) -> _Filled:
+    """A polygon of 8, 16, 32, ... corners, of which the last one is repeated."""
+    count = corners.shape[0]
+    last = np.minimum(np.arange(max(8, 1 << (count - 1).bit_length())), count - 1)
+    return _Filled(corners[last], np.asarray(count))
 
 
-def _turns(sides: Corners) -> Float[Array, " corners"]:
-    """Angles by which the outline turns at the end of each side, from 0 to a full turn."""
-    (x, y), (next_x, next_y) = sides.T, jnp.roll(sides, -1, axis=0).T
-    return jnp.mod(jnp.arctan2(x * next_y - y * next_x, x * next_x + y * next_y), 4 * checks.RIGHT_ANGLE)
+def _sides(corners: Corners, count: Count) -> Corners:
+    """Vectors from each corner to the next one, from the last one to the first, and zero for its repetitions."""
+    k = np.arange(corners.shape[0])
+    following = jnp.where(k + 1 < count, np.minimum(k + 1, k[-1]), 0)
+    return jnp.where((k < count)[:, None], corners[following] - corners, 0.0)
 
 
-def _positive(corners: Corners) -> list[Scalar]:
+def _turns(sides: Corners, count: Count) -> Float[Array, " corners"]:
+    """Angles by which the outline turns at each corner, from 0 to a full turn; 0 for repetitions of the last one."""
+    k = np.arange(sides.shape[0])
+    (x, y), (next_x, next_y) = sides[jnp.where(k > 0, np.maximum(k - 1, 0), count - 1)].T, sides.T
+    real = k < count
+    along = jnp.where(real, x * next_x + y * next_y, 1.0)
+    turns = jnp.mod(jnp.arctan2(x * next_y - y * next_x, along), 4 * checks.RIGHT_ANGLE)
+    return jnp.where(real, turns, 0.0)
+
+
+def _lengths(sides: Corners, count: Count) -> Float[Array, " corners"]:
+    """Lengths of the sides; 1 for those of repetitions, which have none."""
+    real = jnp.arange(sides.shape[0]) < count
+    return jnp.hypot(*jnp.where(real[:, None], sides, np.array([1.0, 0.0])).T)
+
+
+def _positive(corners: Corners, count: Count | None = None) -> list[Scalar]:
     """Values that are positive for a convex polygon above the bases."""
-    turns = _turns(_sides(corners))
+    count = np.asarray(corners.shape[0]) if count is None else count
+    turns = _turns(_sides(corners, count), count)
     half, once = 2 * checks.RIGHT_ANGLE + FLATTEST, 4 * checks.RIGHT_ANGLE + FLATTEST
-    return [jnp.min(corners[:, 1]), jnp.min(turns) - FLATTEST, half - jnp.max(turns), once - jnp.sum(turns)]
+    least = jnp.min(jnp.where(np.arange(turns.size) < count, turns, jnp.inf))
+    return [jnp.min(corners[:, 1]), least - FLATTEST, half - jnp.max(turns), once - jnp.sum(turns)]
 
 
-def _is_convex(corners: Corners) -> Bool[Array, ""]:
-    return jnp.all(jnp.stack(_positive(corners)[1:]) > 0)
+def _is_convex(corners: Corners, count: Count | None = None) -> Bool[Array, ""]:
+    return jnp.all(jnp.stack(_positive(corners, count)[1:]) > 0)
 
 
 _is_convex_now = Program(_is_convex)
 
 
-def chain(corners: Corners) -> Chain:
-    """The chain of a polygon with these corners."""
-    corners = jnp.asarray(corners, dtype=float)
-    n = corners.shape[0]
+def chain(corners: Corners, count: Count) -> Chain:
+    """The chain of a polygon of `count` corners; further ones repeat the last one."""
+    corners, count = jnp.asarray(corners, dtype=float), jnp.asarray(count)
+    k = np.arange(corners.shape[0])
+    last = jnp.minimum(k, count - 1)
     # Placeholder for an invalid polygon, whose derivatives must be finite (see `safe_placeholder`).
-    angles = 4 * checks.RIGHT_ANGLE * np.arange(n) / n
-    regular = np.stack([np.cos(angles), np.sin(angles) + 2], axis=1)
-    corners = jnp.where(_is_convex(jax.lax.stop_gradient(corners)), corners, regular)
-    sides = _sides(corners)
-    up = jax.lax.stop_gradient(-sides[:, 0] / jnp.hypot(*sides.T))
+    angles = 4 * checks.RIGHT_ANGLE * last / count
+    regular = jnp.stack([jnp.cos(angles), jnp.sin(angles) + 2], axis=1)
+    corners = jnp.where(_is_convex(jax.lax.stop_gradient(corners), count), corners, regular)
+    sides = jax.lax.stop_gradient(_sides(corners, count))
+    up = jnp.where(k < count, -sides[:, 0] / _lengths(sides, count), -jnp.inf)
     # The last side is the top.
-    corners = jnp.roll(corners, -1 - jnp.argmax(up), axis=0)
-    sides = _sides(corners)
-    turns = jnp.roll(_turns(sides), 1)  # at each corner
-    top = jnp.mod(jnp.arctan2(sides[-1, 1], sides[-1, 0]), 4 * checks.RIGHT_ANGLE) - 4 * checks.RIGHT_ANGLE
+    corners = corners[jnp.mod(last + 1 + jnp.argmax(up), count)]
+    sides = _sides(corners, count)
+    turns, (top_x, top_y) = _turns(sides, count), sides[count - 1]
+    top = jnp.mod(jnp.arctan2(top_y, top_x), 4 * checks.RIGHT_ANGLE) - 4 * checks.RIGHT_ANGLE
     slopes = top + jnp.concatenate([jnp.zeros(1), jnp.cumsum(turns)])
-    extents = jnp.reshape(jnp.stack([turns, jnp.hypot(*sides.T)], axis=1), -1)[:-1]
-    return Chain(corners, slopes, jnp.concatenate([jnp.zeros(1), jnp.cumsum(extents)[:-1]]))
+    extents = jnp.reshape(jnp.stack([turns, _lengths(sides, count)], axis=1), -1)[:-1]
+    start = jnp.concatenate([jnp.zeros(1), jnp.cumsum(extents)[:-1]])
+    start = jnp.where(np.arange(start.size) < 2 * count - 1, start, jnp.inf)
+    return Chain(corners, slopes, start, count)
 
 
 def _as_rows(values):

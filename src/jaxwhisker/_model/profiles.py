@@ -130,6 +130,9 @@ class Tilted(AbstractProfile):
         checks.acute_angle("angle", self.angle)
         checks.pair("about", self.about)
 
+    def canonical(self):
+        return eqx.tree_at(lambda own: own.profile, self, self.profile.canonical())
+
     def point(self, parameter):
         return self._turned(self.profile.point(parameter))
 

@@ -18,7 +18,6 @@ EI/L^2, moments in EI/L, spring stiffnesses in EI/L^3.
 Where the drive turns (motion.py), springs act along the axes of its frame; all results refer to the scene's frame.
 """
 
-import copy
 import dataclasses
 from typing import Any, NamedTuple, dataclass_transform
 
@@ -133,14 +132,6 @@ class Scene(AbstractScene, metaclass=_OfObject):
         if self.detect is not None and not known:
             allowed = f"{' or '.join(map(repr, DETECTABLE))}, or a tuple of these"
             checks.fail("detect", allowed, repr(self.detect))
-
-    def in_equilibrium(self) -> "Scene":
-        """The scene without masses and `detect`: scenes that differ in these share the programs of equilibria."""
-        whisker = self.whisker
-        still = tuple(w.without_masses() for w in whisker) if isinstance(whisker, tuple) else whisker.without_masses()
-        scene = copy.copy(eqx.tree_at(lambda scene: scene.whisker, self, still))
-        object.__setattr__(scene, "detect", None)  # the constructor would reject values that only have a status
-        return scene
 
     @property
     def detects(self) -> tuple[str, ...]:

@@ -2,19 +2,19 @@
 
 import dataclasses
 from collections import Counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import PerSpring, Scalar
 from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.motion import Mount
-from jaxwhisker._model.network import Flexibility, along_all_axes, connected, flexibility, rigid
+from jaxwhisker._model.network import Flexibility, Linked, along_all_axes, along_axes, connected, linked
 from jaxwhisker._model.published import Published
 from jaxwhisker._model.spring import AXES, AXES_IN_SPACE, Spring
 
@@ -101,7 +101,7 @@ class Support(Published):
         if any(s.rest_length is None for s in self.springs):  # checked when a scene sets it
             return
         with jax.ensure_compile_time_eval():  # concrete values are checked inside jit, too
-            if not all(flexibility(self._network(a, self.hold(1.0, 1.0)), self.whiskers).consistent for a in self.axes):
+            if not all(part.flexibility().consistent for part in self.linked(self.axes, self.hold(1.0, 1.0)).values()):
                 lengths = [float(s.rest_length) for s in self.springs]
                 checks.fail("rest_length", "the same along all paths of infinitely stiff springs", lengths)
 
@@ -139,7 +139,12 @@ class Support(Published):
     @property
     def axes(self) -> tuple[str, ...]:
         """The axes along which bases are free, at least some."""
-        return tuple(axis for axis in AXES_IN_SPACE if self.freed(axis))
+        acting = {"x" if spring.axis == "axial" else spring.axis for spring in self.springs}
+        if any(one is not None for one in self.foundations):
+            acting.add("x")
+        if self.free and self._attached:
+            acting.update(self.free)
+        return tuple(axis for axis in AXES_IN_SPACE if axis in acting)
 
     def freed(self, axis: str) -> set[int]:
         """The bases that are free along an axis."""
@@ -330,14 +335,9 @@ class Support(Published):
             ValueError: if there are springs on shafts and `hold` is not given, or springs only for space.
         """
         self.check_in_plane()
-        if not self.axes:
-            return rigid(self.whiskers)
-        if hold is None:
-            if self.on_shafts:
-                checks.fail("support", "without springs or foundations on shafts for this function", f"{self.name}")
-            hold = jnp.zeros((self.whiskers, len(AXES)))
-        parts = {axis: flexibility(self._network(axis, hold), self.whiskers) for axis in self.axes}
-        return parts["x"] if self.axes == ("x",) else along_all_axes(parts)
+        if hold is None and self.on_shafts:
+            checks.fail("support", "without springs or foundations on shafts for this function", f"{self.name}")
+        return along_axes(self.linked(self.axes or ("x",), hold))
 
     def flexibility_in_space(self) -> Flexibility:
         """Flexibility of the bases along all axes of the drive's frame, with six rows per base; zero without springs.
@@ -349,9 +349,13 @@ class Support(Published):
             ValueError: as `check_in_space`.
         """
         self.check_in_space()
-        none = jnp.zeros((self.whiskers, len(AXES)))
-        parts = {axis: flexibility(self._network(axis, none), self.whiskers) for axis in self.axes}
-        return along_all_axes(parts or {"x": rigid(self.whiskers)}, AXES_IN_SPACE)
+        parts = self.linked(self.axes or ("x",))
+        return along_all_axes({axis: one.flexibility() for axis, one in parts.items()}, AXES_IN_SPACE)
+
+    def linked(self, axes: tuple[str, ...], hold: Float[Array, "whiskers axes"] | None = None) -> dict[str, Linked]:
+        """The network of the bases along each of these axes; `hold` as for `flexibility`."""
+        networks = ((axis, self.along(axis) if hold is None else self._network(axis, hold)) for axis in axes)
+        return {axis: linked(springs, self.whiskers) for axis, springs in networks}
 
     def check_in_plane(self) -> None:
         """Raise a ValueError if a spring or a mount needs an object in space."""
@@ -365,24 +369,38 @@ class Support(Published):
         for spring in self.springs:
             spring.check_in_space()
 
+    def spring_ends(self, axes: tuple[str, ...]) -> "SpringEnds":
+        """The ends of all linear springs, for positions along these axes."""
+        linear = [spring for spring in self.springs if spring.linear]
+        first, second = np.reshape([spring.between for spring in linear], (-1, 2)).astype(int).T
+        return SpringEnds(first, second, np.array([axes.index(spring.axis) for spring in linear], dtype=int))
+
     def spring_length(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
         """Length of every linear spring, or angle of a torsion spring, from the bases' positions relative to the drive.
 
         Positions have one axis (x) or three, as in `flexibility`, or six, as in `flexibility_in_space`.
         """
-        linear = [spring for spring in self.springs if spring.linear]
-        still = jnp.zeros_like(displacement[..., :1, :])
-        nodes = jnp.concatenate([still, displacement], axis=-2)
-        first, second = np.reshape([spring.between for spring in linear], (-1, 2)).astype(int).T
         axes = AXES_IN_SPACE if displacement.shape[-1] == len(AXES_IN_SPACE) else AXES
-        axis = np.array([axes.index(spring.axis) for spring in linear], dtype=int)
-        return nodes[..., second, axis] - nodes[..., first, axis]
+        return self.spring_ends(axes).lengths(displacement)
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructors check."""
         tissue = (one for one in self.foundations if one is not None)
         parts = (*self.springs, *(() if self.mount is None else self.mounts), *tissue)
         return jnp.all(jnp.array([part.valid() for part in parts], dtype=bool))
+
+
+class SpringEnds(NamedTuple):
+    """The ends of springs (0 is the drive, then the bases) and the axes along which these act, as indices."""
+
+    first: Int[np.ndarray, " springs"]
+    second: Int[np.ndarray, " springs"]
+    axis: Int[np.ndarray, " springs"]
+
+    def lengths(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
+        """Lengths of the springs, from the positions of the bases relative to the drive."""
+        nodes = jnp.concatenate([jnp.zeros_like(displacement[..., :1, :]), displacement], axis=-2)
+        return nodes[..., self.second, self.axis] - nodes[..., self.first, self.axis]
 
 
 def _acting(axis: str) -> tuple[str, ...]:

@@ -97,7 +97,7 @@ def energy_balance(result: Result) -> EnergyBalance:
 def _balance(result: Result) -> EnergyBalance:
     scene = jax.tree.map(checks.as_float, result.scene)
     control = result.control if checks.is_traced(result.control) else np.asarray(result.control)
-    problem = problem_now(scene.in_equilibrium())
+    problem = problem_now(scene)
     route, status = route_through(control)
     path = path_along(problem, kinds_of(scene), route, status).path
     ends = panels.ends_now(problem, path)

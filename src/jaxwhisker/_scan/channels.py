@@ -13,7 +13,7 @@ from jaxwhisker._base.leaves import Deferred, name_of
 from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.result import AbstractResult, Result
-from jaxwhisker._scan.springs import bases_of, spring_lengths
+from jaxwhisker._scan.springs import bases_of, spring_lengths, suspension
 from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, OBJECTS, State
 
 EXAMPLE_STEPS = 2  # with which a function is tried before it is compiled
@@ -111,7 +111,9 @@ def result_of(scene: Scene, state: State, control: Float[Array, " steps"]) -> Re
     return Result(
         **{name: getattr(state, name) for name in State.__dataclass_fields__},
         control=control,
-        spring_length=spring_lengths(scene, bases_of(scene, state), control),
+        spring_length=spring_lengths(suspension(scene), bases_of(scene, state), control)[
+            :, : len(scene.support.springs)
+        ],
         status=jnp.where(jnp.isfinite(state.base_x[:, 0]), Status.ok, Status.lost),
         deferred_events=_WithoutEvents(tuple),
         scene=scene,

@@ -29,7 +29,7 @@ from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.spring import POINTS, WEIGHTS
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.springs import at_arcs, bases_of, held, holds, shaft_energy, spring_length
+from jaxwhisker._scan.springs import at_arcs, bases_of, held, holds, shaft_energy, spring_length, suspension
 from jaxwhisker._scan.state import State, base_of, state_of
 
 INTERVALS = 4  # of Gaussian quadrature along a whisker that is not uniform; breaks are further ends
@@ -93,8 +93,8 @@ def _held_energy(scene: Scene, state: State, control: Scalar) -> Float[Array, ""
         at = jax.tree.map(lambda leaf, k=k: leaf[k], state)
         arc = jnp.where(at.phase == Phase.free, whisker.length, at.contact_arc)
         energy += shaft_energy(whisker, base_of(at), (at.fx, at.fy, at.mz), arc, own)
-    lengths = spring_length(scene, bases_of(scene, state), control)
-    return energy + sum(spring.energy(length) for spring, length in zip(scene.support.springs, lengths, strict=True))
+    lengths = spring_length(suspension(scene), bases_of(scene, state), control)
+    return energy + sum(spring.energy(lengths[k]) for k, spring in enumerate(scene.support.springs))
 
 
 def _loads(scene: Scene, state: State, flexibility: Flexibility) -> Float[Array, "*steps rows"]:

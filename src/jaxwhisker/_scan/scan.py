@@ -25,7 +25,8 @@ from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._model.scene import AbstractScene, Scene
+from jaxwhisker._model.canonical import canonical
+from jaxwhisker._model.scene import AbstractScene, Scene, moves_along_x
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.gains import without_gains
 from jaxwhisker._path.march import capacity_of, march
@@ -48,7 +49,7 @@ from jaxwhisker._scan.route import (
 )
 from jaxwhisker._scan.signals import events
 from jaxwhisker._scan.slopes import event_tangents, remembered_tangents, spring_tangents, state_tangents
-from jaxwhisker._scan.springs import bases_of, spring_lengths, suspension
+from jaxwhisker._scan.springs import bases_of, lengths_along_x, spring_lengths, suspension
 from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import solved_states
 
@@ -126,8 +127,7 @@ def scan_across(scene: Scene, steps: int) -> Result:
 
 def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
     """A scan outside any jit; without a control, its positions are `steps` equidistant ones or those of the default."""
-    whole, kinds, scene = scene, kinds_of(scene), scene.in_equilibrium()
-    problem = problem_now(scene)
+    kinds, problem = kinds_of(scene), problem_now(scene)
     if not checks.is_traced((scene, control)):
         check_valid(scene, problem)
         warn_of_steps(scene)
@@ -138,20 +138,25 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
         route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
     elif route is None:
         route = route_of(default_positions(float(start), float(stop), problem.unit))
-    state, step_status, lengths = _in_blocks(scene, problem, path, route)
-    return _result(whole, problem, path, jnp.asarray(route.control), state, step_status, lengths)
+    state, step_status, lengths = _states(scene, problem, path, route)
+    return _result(scene, problem, path, jnp.asarray(route.control), state, step_status, lengths)
 
 
-def _in_blocks(
+def _states(
     scene: Scene, problem: Problem, path: Path, route: Route
 ) -> tuple[State, Int[Array, " steps"], Float[Array, "steps springs"]]:
     """States, status and spring lengths of all steps."""
+    known = moves_along_x(scene) and not checks.is_traced((scene, path, route.control))
 
     def block(control, travel):
         state, status, _ = solved_states_now(problem, path, control, travel)
-        return state, status, spring_lengths_now(suspension(scene), bases_of(scene, state), control)
+        by_program = None if known else spring_lengths_now(suspension(scene), bases_of(scene, state), control)
+        return state, status, by_program
 
-    return in_blocks(block, (route.control, route.travel), BLOCK)
+    state, status, lengths = in_blocks(block, (route.control, route.travel), BLOCK)
+    if known:
+        lengths = jax.device_put(lengths_along_x(scene.support, np.asarray(state.base_x), np.asarray(route.control)))
+    return state, status, lengths
 
 
 def path_along(problem: Problem, kinds: Kinds, route: Route | None, status: Int[Array, ""] | None = None) -> "ScanPath":
@@ -177,7 +182,7 @@ def default_control(scene: AbstractScene) -> np.ndarray:
         raise ValueError("`scene` must be concrete, got a traced one: the number of positions depends on its values.")
     ends = tuple(map(np.asarray, across()))
     if isinstance(scene, Scene):
-        problem = problem_now(jax.tree.map(checks.as_float, scene.in_equilibrium()))
+        problem = problem_now(jax.tree.map(checks.as_float, scene))
         path = follow_path_now(problem, *ends)
     else:
         from jaxwhisker._scan import space_scan
@@ -200,7 +205,7 @@ def range_of(scene: AbstractScene) -> Range:
     """The range of the default control; prepares the programs of the scans that follow."""
     scene, (stops, last) = jax.tree.map(checks.as_float, scene), across()
     if isinstance(scene, Scene):
-        problem, follow = problem_now(scene.in_equilibrium()), follow_path_now
+        problem, follow = problem_now(scene), follow_path_now
         prepare(problem, stops.size, kinds_of(scene), events=True)
     else:
         from jaxwhisker._scan import space_scan
@@ -266,7 +271,7 @@ def _staged_result(
     if problem.friction_angle is not None:
         path = remembered(path, problem, jnp.asarray(route.stops))
     state, step_status, _ = solved_states(problem, path, control, travel)
-    lengths = spring_lengths(scene, bases_of(scene, state), control)
+    lengths = spring_lengths(suspension(scene), bases_of(scene, state), control)
     return _result(scene, problem, path, control, state, step_status, lengths)
 
 
@@ -303,20 +308,33 @@ def _result(
     return Result(
         **fields,
         control=control,
-        spring_length=lengths,
+        spring_length=_of_springs(scene, lengths),
         status=status,
         deferred_events=lambda: events_now(problem, path),
         scene=scene,
     )
 
 
-problem_now = Program(problem_of, tangent=by_slopes(problem_of))
+def _of_springs(scene: Scene, lengths: Float[Array, "steps columns"]) -> Float[Array, "steps springs"]:
+    """The lengths of the springs that the scene has."""
+    count = len(scene.support.springs)
+    if lengths.shape[1] == count or checks.is_traced(lengths):
+        return lengths[:, :count]
+    return jax.device_put(np.asarray(lengths)[:, :count])  # compiles nothing
+
+
+canonical_problem_now = Program(problem_of, tangent=by_slopes(problem_of))
 follow_path_now = Program(follow_path, frozen=True, together=LANES)
 detect_now = Program(detect, frozen=True, together=LANES)
 remembered_now = Program(remembered, tangent=remembered_tangents)
 solved_states_now = Program(solved_states, tangent=state_tangents)
 events_now = Program(events, tangent=event_tangents)
 spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
+
+
+def problem_now(scene: Scene) -> Problem:
+    """The dimensionless problem of a scene, by a program that all scenes of one canonical form share."""
+    return canonical_problem_now(canonical(scene))
 
 
 def prepare(problem: Problem, stops: int, kinds: Kinds = (), events: bool = False) -> None:
@@ -329,7 +347,7 @@ def prepare(problem: Problem, stops: int, kinds: Kinds = (), events: bool = Fals
 def prepare_scan(pool: Executor, scene: Scene, control: Control) -> None:
     """Trace the programs of a scan and its events, and compile them in the pool while the caller goes on."""
     scene, (route, _) = jax.tree.map(checks.as_float, scene), route_through(control)
-    _prepare(pool, problem_now(scene.in_equilibrium()), route.stops.shape[0], kinds_of(scene), events=True)
+    _prepare(pool, problem_now(scene), route.stops.shape[0], kinds_of(scene), events=True)
 
 
 def _prepare(pool: Executor, problem: Problem, stops: int, kinds: Kinds, events: bool) -> None:

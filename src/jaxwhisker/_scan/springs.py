@@ -6,8 +6,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.attach import OnShafts, attached
 from jaxwhisker._equilibrium.couplings import given_by, length_between
@@ -22,10 +24,10 @@ from jaxwhisker._equilibrium.shaft_springs import (
     stretched,
     walk,
 )
-from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, mounted
+from jaxwhisker._model.motion import AbstractMotion, Frame, Mount, Pose, mounted
 from jaxwhisker._model.scene import Scene, Sensor, Units, moves_along_x
-from jaxwhisker._model.spring import POINTS, WEIGHTS
-from jaxwhisker._model.support import Support
+from jaxwhisker._model.spring import AXES, POINTS, WEIGHTS
+from jaxwhisker._model.support import SpringEnds, Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.state import State, material
@@ -49,9 +51,11 @@ class Holds(eqx.Module):
 class Suspension(NamedTuple):
     """The parts of a scene that the lengths of its springs depend on: scenes that share these share a program."""
 
-    support: Support
+    linear: SpringEnds  # and as many springs without ends as make up a common number
     motion: AbstractMotion
-    whiskers: tuple[Whisker, ...] | None  # None without springs on shafts
+    mounts: tuple[Mount, ...] | None  # None if bases move along x only
+    support: Support | None  # None without springs on shafts, as the whiskers
+    whiskers: tuple[Whisker, ...] | None
 
 
 class Held(NamedTuple):
@@ -62,14 +66,24 @@ class Held(NamedTuple):
     drive: Frame
 
 
-def holds(scene: Scene | Sensor | Suspension) -> Holds | None:
+def holds(scene: Scene | Sensor) -> Holds | None:
     """What holds the whiskers of a scene or sensor by springs on their shafts; None without such springs."""
     return Holds(scene.support, scene.motion) if scene.support.on_shafts else None
 
 
 def suspension(scene: Scene) -> Suspension:
     """The parts of a scene that the lengths of its springs depend on."""
-    return Suspension(scene.support, scene.motion.undirected(), scene.whiskers if scene.support.attached else None)
+    support, along_x = scene.support, moves_along_x(scene)
+    ends = support.spring_ends(AXES[:1] if along_x else AXES)
+    # As many springs as hold a row with feedback to all of its whiskers.
+    row = (2 * support.whiskers - 1) * (1 if along_x else len(AXES))
+    missing = -len(ends.first) % row if len(ends.first) else row
+    ends = SpringEnds(*(np.pad(values, (0, missing)) for values in ends))
+    mounts = None if along_x else jax.tree.map(checks.as_float, support.mounts)
+    if not support.attached:
+        return Suspension(ends, scene.motion.undirected(), mounts, None, None)
+    whiskers = tuple(whisker.without_masses() for whisker in scene.whiskers)
+    return Suspension(ends, scene.motion.undirected(), mounts, support, whiskers)
 
 
 def held(
@@ -233,33 +247,36 @@ def loads_of(state: State) -> tuple[Float[Array, "*steps whiskers"], ...]:
     return state.fx, state.fy, state.mz, *(state.shaft_loads or ())
 
 
-def spring_lengths(
-    scene: Scene | Suspension, bases: Bases, control: Float[Array, " steps"]
-) -> Float[Array, "steps springs"]:
-    """Lengths of the springs, or angles of torsion springs, at all steps."""
-    if not scene.support.springs:
-        return jnp.zeros((*control.shape, 0))
-    return jax.vmap(partial(spring_length, scene))(bases, control)
+def spring_lengths(by: Suspension, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
+    """Lengths of the springs, or angles of torsion springs, at all steps, and zeros for springs without ends."""
+    return jax.vmap(partial(spring_length, by))(bases, control)
 
 
-def spring_length(scene: Scene | Suspension, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
-    """Length of each spring, in the drive's frame, in one state."""
-    linear, by = _linear_lengths(scene, base[:3], u), holds(scene)
-    if by is None or scene.whiskers is None or not scene.support.attached:
+def lengths_along_x(support: Support, x: np.ndarray, control: np.ndarray) -> np.ndarray:
+    """Lengths of the springs at all steps, (steps, springs), if bases move along x only; nothing is compiled."""
+    first, second, _ = support.spring_ends(AXES[:1])
+    nodes = np.concatenate([control[:, None], x], axis=1)
+    return nodes[:, second] - nodes[:, first]
+
+
+def spring_length(by: Suspension, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
+    """Length of each spring, in the drive's frame, in one state, and zeros for springs without ends."""
+    linear = _linear_lengths(by, base[:3], u)
+    if by.support is None or by.whiskers is None:
         return linear
-    attached = (one.length for one in on_shafts(by, scene.whiskers, Pose(*base[:3]), base[3:], u))
-    network = iter(linear)
-    return jnp.stack([next(network if spring.linear else attached) for spring in scene.support.springs])
+    on = on_shafts(Holds(by.support, by.motion), by.whiskers, Pose(*base[:3]), base[3:], u)
+    attached, network = (one.length for one in on), iter(linear)
+    return jnp.stack([next(network if spring.linear else attached) for spring in by.support.springs])
 
 
-def _linear_lengths(scene: Scene | Suspension, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
+def _linear_lengths(by: Suspension, base: tuple[PerWhisker, ...], u: Scalar) -> Float[Array, " springs"]:
     """Lengths of the springs that form the network of the bases."""
     x, y, angle = base
-    if moves_along_x(scene):
-        return scene.support.spring_length((x - u)[:, None])
-    drive_x, drive_y, drive_angle = scene.motion.pose(u)
+    if by.mounts is None:
+        return by.linear.lengths((x - u)[:, None])
+    drive_x, drive_y, drive_angle = by.motion.pose(u)
     cos, sin = jnp.cos(drive_angle), jnp.sin(drive_angle)
     right, up = x - drive_x, y - drive_y
     in_frame = jnp.stack([right * cos + up * sin, up * cos - right * sin, angle - drive_angle], axis=-1)
-    mounts = [[jnp.asarray(v, dtype=float) for v in (m.x, m.y, m.angle)] for m in scene.support.mounts]
-    return scene.support.spring_length(in_frame - jnp.stack([jnp.stack(mount) for mount in mounts]))
+    mounts = [[jnp.asarray(v, dtype=float) for v in (m.x, m.y, m.angle)] for m in by.mounts]
+    return by.linear.lengths(in_frame - jnp.stack([jnp.stack(mount) for mount in mounts]))

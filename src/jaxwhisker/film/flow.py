@@ -63,7 +63,7 @@ def flows(result: Result, numbers: Sequence[int]) -> list[State]:
     if not numbers:
         return []
     scene = jax.tree.map(checks.as_float, result.scene)
-    route, problem = route_of(np.asarray(result.control)), problem_now(scene.in_equilibrium())
+    route, problem = route_of(np.asarray(result.control)), problem_now(scene)
     path = path_through(problem, kinds_of(scene), jnp.asarray(route.stops), jnp.asarray(route.last)).path
     kind, travel = np.asarray(path.nodes.kind), np.asarray(path.nodes.travel)
     passed = np.arange(kind.size) < int(path.count)

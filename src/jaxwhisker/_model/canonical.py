@@ -1,0 +1,79 @@
+"""The canonical form of a scene: numbers in place of classes and structure, where numbers can tell the same.
+
+Scenes that differ in these numbers only share the program that makes their problem. Arrays and constants are arranged
+here, and nothing is computed.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Int
+
+from jaxwhisker._base import checks
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._model.motion import AbstractMotion, Mount
+from jaxwhisker._model.network import Flexibility, Linked, along_axes
+from jaxwhisker._model.profile import AbstractProfile
+from jaxwhisker._model.scene import Scene, moves_along_x
+from jaxwhisker._model.spring import AXES
+from jaxwhisker._model.support import Support
+from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod.elastica import AbstractRod
+
+
+class Networks(eqx.Module):
+    """A support without springs on shafts: its network along each axis, and its mounts."""
+
+    along: dict[str, Linked]  # x alone if bases move along x only, otherwise all axes
+    mounts: tuple[Mount, ...]
+    on_shafts = False
+
+    def flexibility(self, hold: None) -> Flexibility:
+        """As that of the Support."""
+        del hold
+        return along_axes(self.along)
+
+    def attachments(self) -> list:
+        """Nothing is attached to a shaft."""
+        return []
+
+    def valid(self) -> Bool[Any, ""]:
+        """As that of the Support."""
+        parts = [*self.mounts, *(spring for one in self.along.values() for spring in one.springs)]
+        return jnp.all(jnp.stack([jnp.asarray(part.valid()) for part in parts]))
+
+
+class CanonicalScene(eqx.Module):
+    """A scene in its canonical form, without masses and without what it detects."""
+
+    whiskers: tuple[Whisker, ...]
+    profile: AbstractProfile
+    support: Support | Networks  # a Support if springs are attached to shafts
+    rod: AbstractRod
+    motion: AbstractMotion  # its poses only
+    onwards: Int[np.ndarray, ""]
+    ends: tuple[Scalar, Scalar] | None
+    friction: Scalar | None
+    along_x: bool = eqx.field(static=True)  # whether bases move along x only
+
+
+def canonical(scene: Scene) -> CanonicalScene:
+    """The canonical form of a scene."""
+    support, along_x = scene.support, moves_along_x(scene)
+    if not support.on_shafts:
+        mounts = () if along_x else jax.tree.map(checks.as_float, support.mounts)
+        support = Networks(support.linked(("x",) if along_x else AXES), mounts)
+    return CanonicalScene(
+        tuple(whisker.without_masses() for whisker in scene.whiskers),
+        scene.profile.canonical(),
+        support,
+        scene.rod,
+        scene.motion.undirected(),
+        np.asarray(scene.motion.onwards),
+        jax.tree.map(checks.as_float, scene.motion.ends),
+        scene.friction,
+        along_x,
+    )
