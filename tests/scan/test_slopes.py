@@ -61,11 +61,11 @@ def test_tangents_of_spring_lengths_are_those_of_jax():
 
         return jax.jvp(lengths, (numbers, bases, control), dots)[1]
 
-    np.testing.assert_allclose(spring_tangents((some, bases, control), dots), by_jax(*dots), atol=EXACT)
+    np.testing.assert_allclose(spring_tangents((some, bases, control), dots, None), by_jax(*dots), atol=EXACT)
     # What has no tangent stays where it is.
     none, (_, y, _) = jax.tree.map(lambda _: None, numbers), dots[1]
     still, zero, _ = jax.tree.map(jnp.zeros_like, (numbers, y, control))
-    found = spring_tangents((some, bases, control), (none, (None, y, None), None))
+    found = spring_tangents((some, bases, control), (none, (None, y, None), None), None)
     np.testing.assert_allclose(found, by_jax(still, (zero, y, zero), zero[:, 0]), atol=EXACT)
     assert np.any(found != 0)
 
@@ -74,4 +74,4 @@ def test_scenes_of_many_numbers_are_left_to_jax():
     many = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float) if isinstance(leaf, float) else leaf, scene(40))
     bases = (jnp.zeros((STEPS, 40)),) * 3
     none = jax.tree.map(lambda _: None, eqx.filter(many, eqx.is_inexact_array))
-    assert spring_tangents((many, bases, jnp.zeros(STEPS)), (none, (None,) * 3, None)) is NotImplemented
+    assert spring_tangents((many, bases, jnp.zeros(STEPS)), (none, (None,) * 3, None), None) is NotImplemented
