@@ -15,6 +15,7 @@ import jaxwhisker as jw
 from jaxwhisker._base import checks, program, sources, store
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.dimensionless import problem_of
+from jaxwhisker._model.canonical import canonical
 from jaxwhisker._scan import scan, space_scan
 from jaxwhisker._scan.route import across
 from jaxwhisker._space.problem import problem_in_space
@@ -62,9 +63,15 @@ def test_a_path_in_space_depends_on_neither_results_nor_figures():
     assert len(found) <= 76
 
 
+def problem_program(scene):
+    """The program that makes the problem of a scene, and its argument."""
+    plane = isinstance(scene, jw.Scene)
+    return (scan.canonical_problem_now, canonical(floats(scene))) if plane else (space_scan.problem_now, floats(scene))
+
+
 def test_classes_of_arguments_count():
     plain, polygon = (
-        sources.modules(described(scan.problem_now, floats(jw.Scene(jw.Whisker(), profile, jw.Support.fb(70.0)))))
+        sources.modules(described(*problem_program(jw.Scene(jw.Whisker(), profile, jw.Support.fb(70.0)))))
         for profile in (jw.Parabola(0.2), jw.Box(0.2, 0.5, 0.4))
     )
     assert polygon - plain == {"jaxwhisker._model.polygon"}
@@ -94,14 +101,14 @@ def test_tracing_runs_no_code_of_other_modules(scene):
     build = problem_in_space if space else problem_of
     module = space_scan if space else scan
     problem = jax.jit(build)(floats(scene))
-    for one, args in ((module.problem_now, [floats(scene)]), (module.follow_path_now, [problem, *ENDS])):
+    for one, *args in (problem_program(scene), (module.follow_path_now, problem, *ENDS)):
         run = files_run(one.function, *args)
         assert len(run) > 10
         assert run - sources.modules(described(one, *args)) == set()
 
 
 def test_a_digest_changes_with_any_of_its_sources(monkeypatch):
-    description = described(scan.problem_now, floats(FB))
+    description = described(*problem_program(FB))
     before = sources.digest.__wrapped__(description)
     original = sources._source
 

@@ -43,7 +43,7 @@ def alone(parameter):
     one, box, circle = (each.in_unit(1.0) for each in EACH)
     return (
         jnp.stack(one.point(parameter)),
-        [jnp.stack(box.point_on(jnp.asarray(piece), parameter)) for piece in range(BREAKS + 1)],
+        [jnp.stack(box.point_on(jnp.asarray(piece), parameter)) for piece in range(box.breaks().size + 1)],
         jnp.stack(circle.point(parameter)),
     )
 

@@ -17,8 +17,16 @@ from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control
+from jaxwhisker._model.canonical import canonical
 from jaxwhisker._scan.route import across
-from jaxwhisker._scan.scan import BLOCK, events_now, follow_path_now, problem_now, solved_states_now
+from jaxwhisker._scan.scan import (
+    BLOCK,
+    canonical_problem_now,
+    events_now,
+    follow_path_now,
+    problem_now,
+    solved_states_now,
+)
 from jaxwhisker._scan.slopes import event_slopes_now, state_slopes_now
 from operations import operations, rods, traced
 from scenes import model
@@ -182,7 +190,7 @@ def test_programs_of_a_scan_have_a_limited_size():
     path = follow_path_now(problem, *map(np.asarray, across())).path
     *_, solutions = solved_states_now(problem, path, step, step)
     calls = {
-        problem_now: (scene,),
+        canonical_problem_now: (canonical(scene),),
         follow_path_now: (problem, *map(np.asarray, across())),
         solved_states_now: (problem, path, step, step),
         events_now: (problem, path),

@@ -4,13 +4,11 @@ Scenes that differ in these numbers only share the program that makes their prob
 here, and nothing is computed.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar
@@ -40,7 +38,7 @@ class Networks(eqx.Module):
         """Nothing is attached to a shaft."""
         return []
 
-    def valid(self) -> Bool[Any, ""]:
+    def valid(self) -> Bool[Array, ""]:
         """As that of the Support."""
         parts = [*self.mounts, *(spring for one in self.along.values() for spring in one.springs)]
         return jnp.all(jnp.stack([jnp.asarray(part.valid()) for part in parts]))
@@ -54,7 +52,7 @@ class CanonicalScene(eqx.Module):
     support: Support | Networks  # a Support if springs are attached to shafts
     rod: AbstractRod
     motion: AbstractMotion  # its poses only
-    onwards: Int[np.ndarray, ""]
+    onwards: Int[Array, ""] | Int[np.ndarray, ""]
     ends: tuple[Scalar, Scalar] | None
     friction: Scalar | None
     along_x: bool = eqx.field(static=True)  # whether bases move along x only

@@ -186,7 +186,7 @@ class _ByAxes(_AbstractConic):
     first: Scalar  # half the curvature of a parabola, the half axis of an ellipse along x
     second: Scalar  # its half axis along y
     position: Scalar
-    is_open: Bool[np.ndarray, ""]  # a parabola
+    is_open: Bool[Array, ""] | Bool[np.ndarray, ""]  # a parabola
 
     def conic(self):
         ratio = self.first / self.second
@@ -248,7 +248,7 @@ class Parabola(_AbstractKind):
         return conic(self.distance, 1 / (2 * self.a), 0.0, self.position)
 
     def canonical(self):
-        return _ByAxes(self.distance, self.a, np.ones(()), self.position, np.asarray(True))
+        return _ByAxes(self.distance, self.a, np.float64(1.0), self.position, np.asarray(True))
 
     def __str__(self):
         a, position = text_unless(1.0, ", a = ", self.a), text_unless(0.0, ", x = ", self.position)

@@ -14,6 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.spring import AXES, Spring
 
+Signs = Int[Array, "_ whiskers"] | Int[np.ndarray, "_ whiskers"]
+
 
 class Flexibility(NamedTuple):
     """Displacement of the bases under loads on them: displacement = offset + matrix @ load.
@@ -98,8 +100,8 @@ class Linked(eqx.Module):
     """
 
     springs: tuple[Spring, ...]  # of a spanning tree, one for each whisker, then those that close loops
-    signs: Int[np.ndarray, "whiskers whiskers"]  # of the tree's springs on the way from the drive to each base
-    across: Int[np.ndarray, "loops whiskers"]  # -1 and 1 at the first and the second end of the others
+    signs: Signs  # of the tree's springs on the way from the drive to each base
+    across: Signs  # -1 and 1 at the first and the second end of the others
 
     def flexibility(self) -> Flexibility:
         """Flexibility of the network; bases without a spring are rigidly connected to the drive.
@@ -130,8 +132,7 @@ def linked(springs: tuple[Spring, ...], whiskers: int) -> Linked:
     return Linked(tuple(_NONE if k is None else _between_any(springs[k]) for k in order), signs, across)
 
 
-_NONE = Spring((0, 1), np.ones(()), np.zeros(()))
-Signs = Int[np.ndarray, "rows whiskers"]
+_NONE = Spring((0, 1), np.float64(1.0), np.float64(0.0))
 
 
 @lru_cache(maxsize=256)

@@ -110,7 +110,10 @@ class Polygon(_AbstractPolygon):
         return self.vertices
 
     def canonical(self):
-        return _filled(self.vertices if checks.is_traced(self.vertices) else np.asarray(self.vertices))
+        if checks.is_traced(self.vertices):
+            return _filled(self.vertices)
+        filled = _filled(np.asarray(self.vertices))  # compiles nothing
+        return eqx.tree_at(lambda own: own.vertices, filled, jax.device_put(filled.vertices))
 
     def __str__(self):
         return f"polygon of {len(self.vertices)} corners"
@@ -119,8 +122,8 @@ class Polygon(_AbstractPolygon):
 class _Filled(_AbstractPolygon):
     """A polygon whose last corner may be repeated, so that polygons of different numbers of corners share programs."""
 
-    vertices: Corners
-    count: Int[np.ndarray, ""]
+    vertices: Corners | Float[np.ndarray, "corners 2"]
+    count: Count
 
     def corners(self):
         return self.vertices

@@ -390,12 +390,15 @@ class Support(Published):
         return jnp.all(jnp.array([part.valid() for part in parts], dtype=bool))
 
 
+Index = Int[Array, " springs"] | Int[np.ndarray, " springs"]
+
+
 class SpringEnds(NamedTuple):
     """The ends of springs (0 is the drive, then the bases) and the axes along which these act, as indices."""
 
-    first: Int[np.ndarray, " springs"]
-    second: Int[np.ndarray, " springs"]
-    axis: Int[np.ndarray, " springs"]
+    first: Index
+    second: Index
+    axis: Index
 
     def lengths(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
         """Lengths of the springs, from the positions of the bases relative to the drive."""
