@@ -251,8 +251,9 @@ def tabulate(spline: Spline, distance: Scalar, position: Scalar, log_radius: Flo
     # The integrals start at the first knot; shift the curve to its vertex.
     distance, position = jnp.asarray(distance, dtype=float), jnp.asarray(position, dtype=float)
     more = _as_many(spline.knots.size) - spline.knots.size
-    knots, cells = np.pad(spline.knots, (0, more), mode="edge"), jnp.pad(cells, ((0, more * CELLS), (0, 0), (0, 0)))
-    table = Tabulated(distance, position, jnp.asarray(knots), cells, ends)
+    knots = jnp.pad(jnp.asarray(spline.knots), (0, more), mode="edge")
+    cells = jnp.pad(cells, ((0, more * CELLS), (0, 0), (0, 0)))
+    table = Tabulated(distance, position, knots, cells, ends)
     lowest = table.point(jnp.zeros(()))
     shift = jnp.stack([position - lowest.x, distance - lowest.y])
     return Tabulated(distance, position, table.knots, cells.at[:, :, 0].add(shift), ends + jnp.append(shift, 0.0))

@@ -2,6 +2,7 @@
 
 import copy
 import itertools
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -65,6 +66,28 @@ class Flexibility(NamedTuple):
             jnp.sum(turn / lengths * offset.reshape(n, 1, 3), axis=-1).reshape(-1),
             consistent,
         )
+
+
+Index = Int[Array, " springs"] | Int[np.ndarray, " springs"]
+
+
+class SpringEnds(NamedTuple):
+    """The ends of springs (0 is the drive, then the bases) and the axes along which these act, as indices."""
+
+    first: Index
+    second: Index
+    axis: Index
+
+    @classmethod
+    def of(cls, springs: Sequence[Spring], axes: tuple[str, ...]) -> "SpringEnds":
+        """The ends of these springs, for positions along these axes."""
+        first, second = np.reshape([spring.between for spring in springs], (-1, 2)).astype(int).T
+        return cls(first, second, np.array([axes.index(spring.axis) for spring in springs], dtype=int))
+
+    def lengths(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
+        """Lengths of the springs, from the positions of the bases relative to the drive."""
+        nodes = jnp.concatenate([jnp.zeros_like(displacement[..., :1, :]), displacement], axis=-2)
+        return nodes[..., self.second, self.axis] - nodes[..., self.first, self.axis]
 
 
 def along_all_axes(parts: dict[str, Flexibility], axes: tuple[str, ...] = AXES) -> Flexibility:

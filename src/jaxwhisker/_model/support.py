@@ -2,19 +2,18 @@
 
 import dataclasses
 from collections import Counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import PerSpring, Scalar
 from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.motion import Mount
-from jaxwhisker._model.network import Flexibility, Linked, along_all_axes, along_axes, connected, linked
+from jaxwhisker._model.network import Flexibility, Linked, SpringEnds, along_all_axes, along_axes, connected, linked
 from jaxwhisker._model.published import Published
 from jaxwhisker._model.spring import AXES, AXES_IN_SPACE, Spring
 
@@ -140,10 +139,7 @@ class Support(Published):
     def axes(self) -> tuple[str, ...]:
         """The axes along which bases are free, at least some."""
         acting = {"x" if spring.axis == "axial" else spring.axis for spring in self.springs}
-        if any(one is not None for one in self.foundations):
-            acting.add("x")
-        if self.free and self._attached:
-            acting.update(self.free)
+        acting |= {"x" for one in self.foundations if one is not None} | set(self.free if self._attached else ())
         return tuple(axis for axis in AXES_IN_SPACE if axis in acting)
 
     def freed(self, axis: str) -> set[int]:
@@ -369,11 +365,9 @@ class Support(Published):
         for spring in self.springs:
             spring.check_in_space()
 
-    def spring_ends(self, axes: tuple[str, ...]) -> "SpringEnds":
+    def spring_ends(self, axes: tuple[str, ...]) -> SpringEnds:
         """The ends of all linear springs, for positions along these axes."""
-        linear = [spring for spring in self.springs if spring.linear]
-        first, second = np.reshape([spring.between for spring in linear], (-1, 2)).astype(int).T
-        return SpringEnds(first, second, np.array([axes.index(spring.axis) for spring in linear], dtype=int))
+        return SpringEnds.of([spring for spring in self.springs if spring.linear], axes)
 
     def spring_length(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
         """Length of every linear spring, or angle of a torsion spring, from the bases' positions relative to the drive.
@@ -388,22 +382,6 @@ class Support(Published):
         tissue = (one for one in self.foundations if one is not None)
         parts = (*self.springs, *(() if self.mount is None else self.mounts), *tissue)
         return jnp.all(jnp.array([part.valid() for part in parts], dtype=bool))
-
-
-Index = Int[Array, " springs"] | Int[np.ndarray, " springs"]
-
-
-class SpringEnds(NamedTuple):
-    """The ends of springs (0 is the drive, then the bases) and the axes along which these act, as indices."""
-
-    first: Index
-    second: Index
-    axis: Index
-
-    def lengths(self, displacement: Float[Array, "*steps whiskers axes"]) -> Float[Array, "*steps springs"]:
-        """Lengths of the springs, from the positions of the bases relative to the drive."""
-        nodes = jnp.concatenate([jnp.zeros_like(displacement[..., :1, :]), displacement], axis=-2)
-        return nodes[..., self.second, self.axis] - nodes[..., self.first, self.axis]
 
 
 def _acting(axis: str) -> tuple[str, ...]:

@@ -25,9 +25,10 @@ from jaxwhisker._equilibrium.shaft_springs import (
     walk,
 )
 from jaxwhisker._model.motion import AbstractMotion, Frame, Mount, Pose, mounted
+from jaxwhisker._model.network import SpringEnds
 from jaxwhisker._model.scene import Scene, Sensor, Units, moves_along_x
 from jaxwhisker._model.spring import AXES, POINTS, WEIGHTS
-from jaxwhisker._model.support import SpringEnds, Support
+from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.state import State, material
