@@ -35,9 +35,8 @@ def measured() -> tuple[dict[str, float], float]:
         return dict(map(json.loads, path.read_text("utf-8").splitlines())), wall
 
 
-def main() -> None:
-    """Measure, and write one table of tests and one of packages."""
-    times, wall = measured()
+def tables(times: dict[str, float], wall: float) -> None:
+    """Write one table of tests and one of packages."""
     ordered = sorted(times.items(), key=lambda entry: -entry[1])
     write("test_times", [{"test": name, "CPU, s": seconds} for name, seconds in ordered if seconds > LONG])
     packages: dict[str, list[float]] = defaultdict(list)
@@ -50,4 +49,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tables(*measured())

@@ -2,6 +2,7 @@
 
 # pyright: reportArgumentType=false, reportCallIssue=false
 
+import jax
 import numpy as np
 
 import jaxwhisker as jw
@@ -20,6 +21,16 @@ def test_functions_of_arc_length_keep_their_units():
     bow = jw.Polynomial((0.1, 0.2), 2.0)
     section = space_section(jw.Whisker(length=2.0, intrinsic_curvature=bow, torsion_ratio=0.7), 2.0, 1.0)
     first, second, third = section.intrinsic(0.5)
-    assert first is None and third is None
+    assert first == 0 and third == 0
     np.testing.assert_allclose(second, -2.0 * bow(1.0))
     np.testing.assert_allclose(section.torsion_ratio, 0.7)
+
+
+def test_straight_whiskers_have_no_curvature_and_all_curved_ones_have_all():
+    assert space_section(jw.Whisker(), 1.0, 1.0).curvature == (None, None, None)
+    kinds = {"intrinsic_curvature": 0.4, "lateral_curvature": 0.3, "twist": 0.2}
+    sections = [space_section(jw.Whisker(**{name: value}), 1.0, 1.0) for name, value in kinds.items()]
+    assert len({jax.tree.structure(section) for section in sections}) == 1
+    np.testing.assert_array_equal(
+        [section.intrinsic(0.5) for section in sections], [[0, -0.4, 0], [0.3, 0, 0], [0, 0, 0.2]]
+    )
