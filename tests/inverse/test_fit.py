@@ -18,6 +18,11 @@ def fit():
     return jw.identify(fb, TRUTH, noisy(exact(fb(**TRUTH)), 1), sigma=NOISE)
 
 
+def test_degrees_of_freedom_are_the_compared_values_less_those_fitted(fit):
+    compared = np.isfinite(fit.residuals).sum()
+    assert 0 < compared <= fit.residuals.size and fit.degrees == compared - len(fit.names)
+
+
 def test_profile_gives_the_interval_where_the_misfit_is_a_parabola(fit):
     profile = fit.profile("q", points=9)
     np.testing.assert_allclose(profile.interval, fit.interval["q"], rtol=SHARE * fit.standard_error["q"] * 10)
