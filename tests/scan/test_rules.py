@@ -31,8 +31,8 @@ class Law(NamedTuple):
     scene: Callable[[Any], Any]
     at: tuple[float, float, float]
     control: Any
-    phases: set[int]
-    events: set[int] | None = None  # None if derivatives of events are left to other tests
+    phases: set[jw.Phase]
+    events: set[Kind] | None = None  # None if derivatives of events are left to other tests
 
 
 def past_a_polygon(p):

@@ -78,8 +78,8 @@ def problem_of(scene: Scene | CanonicalScene) -> Problem:
     right, left = touch.of_objects(common["profile"], somewhere)
     common |= {"flexibility": flexibility, "valid": valid, "touch_right": right, "touch_left": left}
     problem = InPlane(**common, mount=mount, outline=outline)
-    if hold is not None:
-        springs = attached(scene.support, section, unit)
+    springs = attached(scene.support, section, unit) if isinstance(scene.support, Support) else None
+    if springs is not None and hold is not None:
         held = jax.vmap(_turned)(angle, hold / jnp.stack([spring, spring, torsion]))
         problem, found = with_unloaded(problem, springs, held)
         problem = eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar
@@ -29,9 +29,9 @@ class Networks(eqx.Module):
     mounts: tuple[Mount, ...]
     on_shafts = False
 
-    def flexibility(self, hold: None) -> Flexibility:
-        """As that of the Support."""
-        del hold
+    def flexibility(self, hold: Float[Array, "whiskers axes"] | None) -> Flexibility:
+        """As that of the Support; nothing else holds the bases."""
+        assert hold is None
         return along_axes(self.along)
 
     def attachments(self) -> list:

@@ -126,16 +126,16 @@ class _Filled(_AbstractPolygon):
     count: Count
 
     def corners(self):
-        return self.vertices
+        return jnp.asarray(self.vertices)
 
     def chain(self):
-        return chain(self.vertices, self.count)
+        return chain(self.corners(), self.count)
 
     def in_unit(self, length):
-        return chain(self.vertices / length, self.count)
+        return chain(self.corners() / length, self.count)
 
     def _positive(self):
-        return _positive(self.vertices, self.count)
+        return _positive(self.corners(), self.count)
 
     def __str__(self):
         return f"polygon of {self.count} corners"

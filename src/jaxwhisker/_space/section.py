@@ -27,7 +27,8 @@ def space_section(whisker: Whisker, length_unit: Scalar, stiffness_unit: Scalar)
     curvatures = whisker.lateral_curvature, second, whisker.twist
     if any(curvature is not None for curvature in curvatures):
         # One kind of curved whiskers instead of seven costs a whisker curved in one way two percent of the operations.
-        curvatures = tuple(jnp.zeros(()) if curvature is None else curvature for curvature in curvatures)
+        first, second, third = (jnp.zeros(()) if curvature is None else curvature for curvature in curvatures)
+        curvatures = first, second, third
     return SpaceSection(
         whisker.bending_stiffness,
         jnp.asarray(whisker.torsion, dtype=float),
