@@ -166,8 +166,11 @@ class _Handler(RequestHandler):
             return
         try:
             values = json.loads(self.request.body)
-        except (ValueError, RecursionError):  # deeply nested JSON raises a RecursionError
+        except (ValueError, RecursionError):  # deeply nested JSON raises a RecursionError, before Python 3.13
             self.send_error(400, message="A request must be JSON.")
+            return
+        if isinstance(values, dict) and any(isinstance(value, dict) for value in values.values()):
+            self.send_error(400, message="The values of a request must be numbers.")
             return
         loop = asyncio.get_running_loop()
         picture = await loop.run_in_executor(self.settings["worker"], self.settings["session"].answer, values)
