@@ -166,8 +166,7 @@ def _arranged(
     paths, loops = _spanning_tree(ends, whiskers)
     tree = sorted(set().union(*paths.values()))
     # Loops fill a multiple of what one spring from the drive to each further base would add.
-    row = max(whiskers - 1, 1)
-    closing = max(len(loops) + -len(loops) % row, whiskers - 1)
+    closing = max(len(loops) + -len(loops) % max(whiskers - 1, 1), whiskers - 1)
     signs, across = np.zeros((whiskers, whiskers), dtype=int), np.zeros((closing, whiskers), dtype=int)
     for base, column in itertools.product(range(whiskers), range(len(tree))):
         signs[base, column] = paths[base + 1].get(tree[column], 0)
