@@ -154,6 +154,7 @@ __all__ = [
     "lateral_loss",
     "lateral_stability",
     "modes",
+    "read_columns",
     "reconstruct",
     "scan",
     "shapes",
@@ -170,6 +171,7 @@ __version__ = "0.2.0.dev0"
 
 # Names that are loaded on first use, and their modules.
 _LATER = {
+    "_base.columns": ("read_columns",),
     "_dynamics.drive": ("Sweep", "Whisking"),
     "_dynamics.modes": ("Modes", "modes"),
     "_dynamics.simulate": ("simulate",),

@@ -10,7 +10,7 @@ from jaxwhisker._base.interpolation import between
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium import clearance
 from jaxwhisker._equilibrium.clearance import DEPTH, NEAREST_ERROR
-from jaxwhisker._equilibrium.second_contact import meets_again
+from jaxwhisker._equilibrium.second_contact import meets
 from jaxwhisker._equilibrium.shaft import cells_of
 from shafts import shaft
 
@@ -48,7 +48,9 @@ def test_the_nearest_points_of_a_parabola_are_roots_of_a_cubic():
 
 @Program
 def least_gap(profile, own):
-    return clearance.least_gap(profile, cells_of(own), own.parameter), meets_again(profile, own)
+    return clearance.least_gap(profile, cells_of(own), own.parameter), meets(
+        profile, own, jnp.asarray(True), own.parameter
+    )
 
 
 def on_circle(angle, curvature, to_base, to_tip):

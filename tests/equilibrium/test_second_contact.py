@@ -23,7 +23,9 @@ def arc(curvature):
 
 @Program
 def meets_circles(own, distance, radius, position):
-    return jax.vmap(lambda *numbers: second_contact.meets(jw.Circle(*numbers), own))(distance, radius, position)
+    return jax.vmap(lambda *numbers: second_contact.meets(jw.Circle(*numbers), own, jnp.asarray(True)))(
+        distance, radius, position
+    )
 
 
 def circles_meet(curvature, s, side, gap, radius):
@@ -50,7 +52,7 @@ def test_a_shaft_meets_a_circle_that_it_dips_into(curvature):
 
 @Program
 def meets_wedges(own, vertices):
-    return jax.vmap(lambda one: second_contact.meets(jw.Polygon(one), own))(vertices)
+    return jax.vmap(lambda one: second_contact.meets(jw.Polygon(one), own, jnp.asarray(True)))(vertices)
 
 
 @pytest.mark.parametrize("curvature", [0.0, -1.3])

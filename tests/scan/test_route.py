@@ -53,7 +53,7 @@ def test_traced_positions_have_the_same_route(control):
 
 
 @pytest.mark.parametrize(
-    ("turns", "room"), [(0, 2), (1, STOPS), (STOPS - 2, STOPS), (STOPS - 1, 2 * STOPS), (20, 3 * STOPS)]
+    ("turns", "room"), [(0, 2), (1, STOPS), (STOPS - 2, STOPS), (STOPS - 1, 2 * STOPS), (20, 4 * STOPS)]
 )
 def test_stops_are_padded_so_that_few_programs_serve_all_routes(turns, room):
     zigzag = np.arange(turns + 2) % 2 * 1.0

@@ -1,9 +1,11 @@
-"""One line on a terminal or in a notebook that says why a call takes long."""
+"""What users are told: a line on a terminal or in a notebook that says why a call takes long, and warnings."""
 
+import inspect
 import os
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -97,3 +99,11 @@ def say(text: str) -> None:
     """Print a line on a terminal or in a notebook."""
     if _interactive():
         print(f"jaxwhisker: {text}", file=sys.stderr, flush=True)
+
+
+def warn(text: str) -> None:
+    """Warn at the first line outside the package."""
+    level, frame = 1, inspect.currentframe()
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("jaxwhisker."):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, stacklevel=level)

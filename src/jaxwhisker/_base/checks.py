@@ -92,10 +92,16 @@ def instance(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str
     raise ValueError(f"`{name}` must {verb} {allowed}, got {got}.")
 
 
+def unmasked(value: Any) -> Any:
+    """The value with NaN where NumPy's mask says that a number is missing; others stay as they are."""
+    masked = isinstance(value, np.ma.MaskedArray) and value.dtype.kind in "iufb"
+    return np.ma.filled(value.astype(float), np.nan) if masked else value
+
+
 def _numbers(value: Any) -> Any:
     """The value as an array of real numbers, or None if it is none; a traced value stays as it is."""
     try:
-        array = value if isinstance(value, Tracer) else np.asarray(value)
+        array = value if isinstance(value, Tracer) else np.asarray(unmasked(value))
     except (TypeError, ValueError):
         return None
     return array if array.dtype.kind in "iuf" else None
@@ -129,11 +135,18 @@ def triple(name: str, value: Any, *, positive: bool = False) -> None:
     _tuple(name, value, 3, "a tuple of three numbers", positive=positive)
 
 
+def as_tuple(value: Any) -> Any:
+    """A list or a one-dimensional array of numbers as a tuple; others stay as they are."""
+    if isinstance(value, list) or (isinstance(value, np.ndarray | jax.Array) and value.ndim == 1):
+        return tuple(value.tolist() if isinstance(value, np.ndarray) else value)
+    return value
+
+
 def _tuple(name: str, value: Any, size: int, allowed: str, *, positive: bool = False) -> None:
     if not (isinstance(value, tuple) and len(value) == size):
         fail(name, allowed, repr(value))
-    for part in value:
-        number(name, part, positive=positive)
+    for k, part in enumerate(value):
+        number(f"{name}[{k}]", part, positive=positive)
 
 
 def acute_angle(name: str, value: Any) -> None:

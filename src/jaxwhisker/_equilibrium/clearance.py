@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.profile import AbstractProfile
+from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.rod import Along
 
 DEPTH = 2e-5  # least depth of a second contact, in lengths of the first whisker: twice the error of the cubics
@@ -25,6 +25,9 @@ CERTAIN = 1e-8  # largest difference between the least gap that was computed and
 MOST_CUTS = 60  # few are needed, except by a shaft that touches an object along many cells
 NEAREST_ERROR = 1e-5  # distance along the profile from the nearest point; the gap is off by its square
 NEAREST_STEPS = 50  # as many as bisection needs; Newton's method needs six
+TANGENT_STEPS = 2  # along the profile, which come close to the nearest point where a shaft is close to the object
+PARTS = 2  # of each cell, in which gaps from turning tangents are cubics
+LARGEST_TURN = 0.3  # sine of the angle between the tangents at both ends of a part; its cubic is off by less than 1e-6
 TANGENTS = 16  # of a closed object, from one of which Newton's method starts
 
 
@@ -58,23 +61,70 @@ class _Section(NamedTuple):
         return jnp.min(jnp.minimum(self.start.gap, self.end.gap))
 
 
-def least_gap(profile: AbstractProfile, cells: Cubic, parameter: Scalar | None = None) -> Float[Array, ""]:
+def clear_of_tangent(profile: AbstractProfile, cells: Cubic, parameter: Scalar) -> Bool[Array, " cells"]:
+    """Whether cells of a shaft do not dip below the object's tangent at a parameter by more than `DEPTH`."""
+    at = profile.point(parameter)
+    off = at.off(*_points(cells).T)
+    leaving, arriving = (x * at.sin - y * at.cos for x, y in (cells.leaving.T, cells.arriving.T))
+    return Cubic(off[:-1], off[1:], leaving, arriving).least() >= -DEPTH
+
+
+def clear_of_tangents(profile: AbstractProfile, cells: Cubic, parameter: Scalar) -> Bool[Array, ""]:
+    """Whether a shaft stays outside of tangents that turn with it, which proves that it is clear of the object.
+
+    The object is on the inner side of each of its tangents. A shaft that touches it at this parameter, and curves
+    towards it there, is compared with the tangents near the nearest points. It may be clear even if this is false.
+    """
+    points = _points(cells)
+
+    def off(parameter: Scalar, x: Scalar, y: Scalar) -> tuple[Scalar, ContactPoint]:
+        at = profile.point(parameter)
+        return at.off(x, y), at
+
+    def closer(_, p: Float[Array, " points"]) -> Float[Array, " points"]:
+        at, rates = jax.jvp(jax.vmap(profile.point), (p,), (jnp.ones_like(p),))
+        turn = at.cos * rates.sin - at.sin * rates.cos
+        radius = (rates.x * at.cos + rates.y * at.sin) / turn
+        return p + jnp.arctan2(at.along(*points.T), radius + at.off(*points.T)) / turn  # exact for a circle
+
+    near = jnp.clip(jax.lax.fori_loop(0, TANGENT_STEPS, closer, jnp.full(points.shape[0], parameter)), *profile.span())
+    t = jnp.arange(PARTS + 1)[:, None] / PARTS
+    change = near[1:] - near[:-1]
+    place, rate = cells.value(t[..., None]), cells.rate(t[..., None])
+    gap, slope, at = jax.vmap(jax.vmap(lambda *own: jax.jvp(off, own[:3], own[3:], has_aux=True)))(
+        near[:-1] + t * change,
+        *jnp.moveaxis(place, -1, 0),
+        jnp.broadcast_to(change, t.shape[:1] + change.shape),
+        *jnp.moveaxis(rate, -1, 0),
+    )
+    least = Cubic(gap[:-1], gap[1:], slope[:-1] / PARTS, slope[1:] / PARTS).least()
+    turn = jnp.abs(at.sin[1:] * at.cos[:-1] - at.cos[1:] * at.sin[:-1])
+    smooth = (turn < LARGEST_TURN) & (at.cos[1:] * at.cos[:-1] + at.sin[1:] * at.sin[:-1] > 0)
+    far = jnp.maximum(gap[:-1], gap[1:]) > jnp.linalg.norm(cells.leaving, axis=1) / PARTS
+    return jnp.all(far | (smooth & (least >= -DEPTH)))
+
+
+def _points(cells: Cubic) -> Float[Array, "points 2"]:
+    return jnp.append(cells.start, cells.end[-1:], axis=0)
+
+
+def least_gap(
+    profile: AbstractProfile, cells: Cubic, parameter: Scalar | None = None, *, enough: float = -jnp.inf
+) -> Float[Array, ""]:
     """The least gap of a shaft whose cells follow one another, exact only if it is below `-DEPTH`; no derivatives.
+
+    A gap below `enough` ends the search.
 
     The shaft touches the object at this parameter, or is closest to it there. Without a parameter it does not touch it.
     """
     profile, cells, parameter = jax.lax.stop_gradient((profile, cells, parameter))
-    points = jnp.append(cells.start, cells.end[-1:], axis=0)
+    points = _points(cells)
     if parameter is None:
         near = jnp.asarray(profile.lowest(), dtype=float)
         above = points[:, 1] > profile.vertex()[1]
         searched = above[:-1] | above[1:]
     else:
-        near = parameter
-        at = profile.point(parameter)
-        off = at.off(*points.T)
-        leaving, arriving = (x * at.sin - y * at.cos for x, y in (cells.leaving.T, cells.arriving.T))
-        searched = Cubic(off[:-1], off[1:], leaving, arriving).least() < -DEPTH
+        near, searched = parameter, ~clear_of_tangent(profile, cells, parameter)
     gap, normal = _gaps(profile, points, near, jnp.append(searched, False) | jnp.append(False, searched))
     zero, bend = jnp.zeros(gap.size - 1), jnp.linalg.norm(cells.arriving - cells.leaving, axis=1) / 2
     start = _Place(zero, jnp.where(searched, gap[:-1], jnp.inf), jnp.sum(cells.leaving * normal[:-1], axis=1))
@@ -83,7 +133,8 @@ def least_gap(profile: AbstractProfile, cells: Cubic, parameter: Scalar | None =
     def goes_on(carry) -> Bool[Array, ""]:
         section, cuts = carry
         bound = jnp.min(section.lowest()[1])
-        return (bound < -DEPTH) & (bound < section.least() - CERTAIN) & (cuts < MOST_CUTS)
+        least = section.least()
+        return (bound < -DEPTH) & (bound < least - CERTAIN) & (least >= enough) & (cuts < MOST_CUTS)
 
     def cut(carry):
         section, cuts = carry

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.interpolation import Cubic
-from jaxwhisker._equilibrium.clearance import DEPTH, least_gap
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.clearance import DEPTH, clear_of_tangent, clear_of_tangents, least_gap
 from jaxwhisker._equilibrium.shaft import Shaft, cells_of
 from jaxwhisker._model.profile import AbstractProfile
 
@@ -16,14 +17,33 @@ PARTS = 4  # of each cell of a shaft, which are almost straight
 CHORD = 0.01  # more than the distance between a shaft and its chords
 
 
-def meets_again(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
-    """Whether a shaft dips into the object that it touches by more than `DEPTH`."""
-    return least_gap(profile, _divided(cells_of(own)), own.parameter) < -DEPTH
+def meets(
+    profile: AbstractProfile, own: Shaft, touches: Bool[Array, ""], parameter: Scalar | None = None
+) -> Bool[Array, ""]:
+    """Whether a shaft dips into an object by more than `DEPTH`, without derivatives; false unless it `touches` any.
+
+    The shaft touches this object at this parameter, or does not touch it.
+    """
+    return touches & (least_gap(profile, _divided(cells_of(own)), parameter, enough=-DEPTH) < -DEPTH)
 
 
-def meets(profile: AbstractProfile, own: Shaft) -> Bool[Array, ""]:
-    """Whether a shaft dips into an object that it does not touch by more than `DEPTH`."""
-    return least_gap(profile, _divided(cells_of(own))) < -DEPTH
+def dips(
+    profile: AbstractProfile, own: Shaft, touches: Bool[Array, ""], parameter: Scalar | None = None
+) -> Bool[Array, ""]:
+    """Whether a shaft crosses the tangent at its contact, which it does if it `meets` the object."""
+    if parameter is None:
+        return touches
+    return touches & ~jnp.all(clear_of_tangent(profile, cells_of(own), parameter))
+
+
+def may_meet(
+    profile: AbstractProfile, own: Shaft, touches: Bool[Array, ""], parameter: Scalar | None = None
+) -> Bool[Array, ""]:
+    """Whether a shaft crosses tangents near its nearest points, which it does if it `meets` the object."""
+    if profile.faces() is not None:
+        return touches
+    near = jnp.asarray(profile.lowest(), dtype=float) if parameter is None else parameter
+    return touches & ~clear_of_tangents(profile, cells_of(own), near)
 
 
 def _divided(cells: Cubic) -> Cubic:

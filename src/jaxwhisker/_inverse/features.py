@@ -21,6 +21,7 @@ LEAST_SAMPLES = 6  # least number of samples from which a touch is estimated
 
 ALTERNATING = 0.5  # share of pairs of neighbouring differences of opposite sign: 0.77 of white noise, 0 if smooth
 LEAST_DIFFERENCES = 12  # from which this share is known; a jump causes three
+LARGEST_GROWTH = 3.0  # of the differences of noise without every second sample: 1 to 2; of smooth signals, 8
 TINY_NOISE = 1e-9  # of the peaks
 ZERO_DIFFERENCE = 1e-14  # of the peak: smaller differences are zero
 MAD_TO_SIGMA = 1.4826  # ratio of a normal distribution's standard deviation to its median absolute deviation
@@ -42,7 +43,7 @@ class Scatter(NamedTuple):
 
     sigma: Float[np.ndarray, " kinds"]  # standard deviation of each kind of signal; 0 if nothing is known
     count: int  # number of differences in the estimate of the kind with the fewest
-    alternates: Bool[np.ndarray, " kinds"]  # whether neighbouring differences alternate in sign, as those of noise do
+    noisy: Bool[np.ndarray, " kinds"]  # whether it is noise, and not the curvature of signals between few samples
 
 
 def features(observations: Observations, *, snaps: bool = True) -> Features:
@@ -68,22 +69,25 @@ def neighbour_scatter(*recordings: Observations) -> Scatter:
 
     For smooth signals these differences nearly vanish. Divided differences allow for gaps and unequal steps; each is
     divided by the standard deviation that noise of size one gives it. Jumps and corners hardly affect their median.
-    Signals that are still curved on the scale of four samples make the estimate too large, never too small. Noise that
-    is correlated between samples (by a low-pass filter) makes it too small.
+    Signals that are still curved on the scale of four samples make the estimate too large, never too small. Their
+    differences grow if every second sample is left out, and keep their signs, while those of noise do neither. Noise
+    that is correlated between samples (by a low-pass filter) makes the estimate too small. Exact signals have none.
     """
     sigma, counts = np.zeros(recordings[0].values.shape[2]), []
-    alternates = np.zeros(sigma.size, dtype=bool)
+    noisy = np.zeros(sigma.size, dtype=bool)
     peaks = np.max([observations.peaks for observations in recordings], axis=0)
     for c in range(sigma.size):
-        signals = [(one.control, signal) for one in recordings for signal in one.values[:, :, c].T]
-        rough = np.concatenate([_third_differences(*pair) for pair in signals])
-        rough = rough[np.abs(rough) > ZERO_DIFFERENCE * peaks[c]]  # omits exact zeros of free whiskers
+        signals = [(one.control, signal) for one in recordings if not one.exact for signal in one.values[:, :, c].T]
+        rough = _differences(signals, ZERO_DIFFERENCE * peaks[c])
         if rough.size:
             sigma[c] = MAD_TO_SIGMA * np.median(np.abs(rough))
             counts.append(rough.size)
-            if rough.size >= LEAST_DIFFERENCES:
-                alternates[c] = np.mean(rough[1:] * rough[:-1] < 0) > ALTERNATING
-    return Scatter(sigma, min(counts, default=0), alternates)
+            thinned = [(u[k::2], signal[k::2]) for u, signal in signals for k in range(2)]
+            thinned = _differences(thinned, ZERO_DIFFERENCE * peaks[c])
+            if min(rough.size, thinned.size) >= LEAST_DIFFERENCES:
+                alternates = np.mean(rough[1:] * rough[:-1] < 0) > ALTERNATING
+                noisy[c] = alternates & (MAD_TO_SIGMA * np.median(np.abs(thinned)) < LARGEST_GROWTH * sigma[c])
+    return Scatter(sigma, min(counts, default=0), noisy)
 
 
 def least_scatter(observations: Observations) -> Float[np.ndarray, " kinds"]:
@@ -93,7 +97,13 @@ def least_scatter(observations: Observations) -> Float[np.ndarray, " kinds"]:
 
 def noise_of(observations: Observations) -> Float[np.ndarray, " kinds"] | None:
     """Standard deviation of the noise of each kind of signal from its scatter; None for exact signals."""
-    return least_scatter(observations) if neighbour_scatter(observations).alternates.any() else None
+    return least_scatter(observations) if neighbour_scatter(observations).noisy.any() else None
+
+
+def _differences(signals: list[tuple[np.ndarray, np.ndarray]], zero: float) -> np.ndarray:
+    """Third differences of signals over their controls, without exact zeros, as those of free whiskers."""
+    rough = np.concatenate([_third_differences(*pair) for pair in signals]) if signals else np.zeros(0)
+    return rough[np.abs(rough) > zero]
 
 
 def _third_differences(control: np.ndarray, signal: np.ndarray) -> np.ndarray:

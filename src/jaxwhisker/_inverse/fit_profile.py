@@ -194,7 +194,8 @@ def _points_table(points: Any, significance: float) -> dict[str, Any]:
         table: dict[str, Any] = {n: np.where(weak, np.nan, getattr(points, n)).ravel() for n in ("x", "y", "slope")}
         return table | {"covariance": noise if np.isfinite(noise).all(axis=(1, 2)).any() else None}
     if isinstance(points, Mapping) and {"x", "y"} <= set(points) <= {"x", "y", "slope", "covariance", "sigma"}:
-        return {name: np.asarray(value, dtype=float) for name, value in points.items() if value is not None}
+        given = {name: checks.unmasked(value) for name, value in points.items() if value is not None}
+        return {name: np.asarray(value, dtype=float) for name, value in given.items()}
     allowed = "a Reconstruction or a mapping with x, y and optionally slope, covariance or sigma"
     checks.instance("points", points, Mapping, allowed)
     checks.fail("points", allowed, sorted(points))

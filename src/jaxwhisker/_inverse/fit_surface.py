@@ -63,7 +63,7 @@ class SurfaceFit(eqx.Module):
             ValueError: if `normals` is not an array of this shape.
         """
         checks.rows("normals", normals, columns=3)
-        directions = np.asarray(normals, dtype=float)
+        directions = np.asarray(checks.unmasked(normals), dtype=float)
         kind = Sphere if len(self.estimates) == len(FAMILIES[Sphere]) else Ellipsoid
         estimates = jnp.asarray(list(self.estimates.values()))
         _, by, points = map(np.asarray, _support(kind, estimates, jnp.asarray(directions)))

@@ -21,7 +21,7 @@ from jaxwhisker._inverse.gains import gains_from
 from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum
 from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.observations import Observations, read_observations
-from jaxwhisker._inverse.recording import check_recording
+from jaxwhisker._inverse.recording import check_recording, check_units_of_guess, without_jitter
 from jaxwhisker._inverse.statistics import noise_of_residuals
 from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.assembly import AbstractScene
@@ -172,7 +172,8 @@ def identify(
     parameters.check_traceable(build, values)
     check_used(build, values)
     scale = gains_from(gains, measures, len(scene.whiskers))
-    observations = _read(measured, sigma, measures, scale.names, len(scene.whiskers))
+    recorded = _read(measured, sigma, measures, scale.names, len(scene.whiskers))
+    observations = [dataclasses.replace(one, control=without_jitter(one.control)) for one in recorded]
 
     present = tuple(dict.fromkeys((c.whisker, c.kind) for one in observations for c in one.channels))
     scale, moved = scale.of_measured(present), present if offsets else ()
@@ -192,6 +193,9 @@ def identify(
     with announce.progress("fitting") as report:
         solve = LeastSquares(build, unknowns, transforms, report)
         solve, start = _ready(solve, [*values.values(), *further.values()], baselines, recordings)
+        if in_units:
+            for one in centred:
+                check_units_of_guess(one, scene)
         problem = FitProblem(build, solve, recordings, None)
         search = _search(problem, start, starts, near)
         if scatter is not None:

@@ -1,7 +1,5 @@
 """Observations: measured signals read from experiments, tables, files and scans, with the noise they contain."""
 
-import csv
-import gzip
 import re
 import warnings
 from collections.abc import Mapping
@@ -13,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.columns import cells_of, floats
 from jaxwhisker._scan.quantities import MOTION, QUANTITIES, REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.result import AbstractResult, Result
 
@@ -21,10 +20,8 @@ _IGNORED = re.compile(
     rf"(?:{'|'.join((*QUANTITIES, *MOTION))}|spring|event_.*|n_events)(?:_\d+)?(?:_[xyz]_d[123])?|(?:Unnamed: \d+)?"
 )
 VANISHING = 1e-9  # of the largest signal
-MISSING = "", "-", "NA", "N/A", "#N/A", "null", "None"  # cells without a value; NaN is a number
 OWN_REACTIONS = ("f1", "f2", "f3", "m1", "m2", "m3")  # along the directors of the displaced base
 OF_WHISKERS = (REACTIONS, REACTIONS_IN_SPACE, OWN_REACTIONS)  # channels of which every whisker has its own
-GZIP, UTF_16 = b"\x1f\x8b", (b"\xff\xfe", b"\xfe\xff")  # first bytes of such files
 
 
 class Observations(eqx.Module):
@@ -38,6 +35,7 @@ class Observations(eqx.Module):
     values: Float[np.ndarray, "steps whiskers kinds"]
     sigma: Float[np.ndarray, "steps whiskers kinds"]  # standard deviation of their noise; NaN if unknown
     kinds: tuple[str, ...] = eqx.field(default=REACTIONS, static=True)  # names along the last axis
+    exact: bool = eqx.field(default=False, static=True)  # the signals of a computed scan, which have no noise
 
     @property
     def known(self) -> Bool[np.ndarray, "steps whiskers kinds"]:
@@ -67,7 +65,7 @@ class Observations(eqx.Module):
 
     def at(self, steps: Any) -> "Observations":
         """The observations at some steps, which a slice or indices select."""
-        return Observations(self.control[steps], self.values[steps], self.sigma[steps], self.kinds)
+        return Observations(self.control[steps], self.values[steps], self.sigma[steps], self.kinds, self.exact)
 
     def with_sigma(self, sigma: Any) -> "Observations":
         """The same observations with another standard deviation of the noise, broadcast to (steps, whiskers, 3)."""
@@ -99,9 +97,8 @@ def read_observations(
 
     Args:
         data: holds `control` and any of fx, fy, mz: (steps,) for one whisker, (steps, whiskers) or columns fx_1, fx_2,
-            ... for several. Other columns are ignored with a warning that names them. Files may be compressed
-            (gzip), are separated by commas, semicolons or tabs, and have decimal points or commas; lines that begin
-            with # are skipped.
+            ... for several. Other columns are ignored with a warning that names them. Files are read as by
+            `read_columns`.
         sigma: standard deviation of the noise: a number for all channels, or a mapping from channels to numbers or
             arrays; None if unknown.
         whiskers: number of whiskers; the data may omit whiskers that were not measured.
@@ -114,7 +111,7 @@ def read_observations(
     table = named_values(data, kinds)
     if "control" not in table:
         raise ValueError(f"`measured` must hold `control`, got {', '.join(table) or 'nothing'}.")
-    control = as_numbers("measured", "control", table["control"])
+    control = _as_column(as_numbers("measured", "control", table["control"]))
     if control.ndim != 1 or control.size == 0 or not np.isfinite(control).all():
         raise ValueError(
             "`measured` must hold a non-empty one-dimensional `control` of finite numbers, got shape "
@@ -133,7 +130,8 @@ def read_observations(
     for (whisker, kind), column in columns.items():
         values[:, whisker, kind] = column
     values[~np.isfinite(values)] = np.nan
-    return Observations(control, values, _sigma_of(sigma, values, kinds), kinds)
+    exact = data.exact if isinstance(data, Observations) else isinstance(data, AbstractResult)
+    return Observations(control, values, _sigma_of(sigma, values, kinds), kinds, exact)
 
 
 def channel_pattern(kinds: tuple[str, ...]) -> re.Pattern:
@@ -152,6 +150,7 @@ def _columns_of(table: Mapping[str, Any], steps: int, kinds: tuple[str, ...]) ->
             ignored += [name] * (not _IGNORED.fullmatch(name))
             continue
         values = as_numbers("measured", name, values)
+        values = values if values.shape[:1] == (steps,) else _as_column(values)
         if values.shape[:1] != (steps,) or values.ndim > 2:
             raise ValueError(
                 f"`measured` must hold a value of {name} for each of the {steps} controls, got shape {values.shape}."
@@ -173,24 +172,29 @@ def named_values(data: Any, kinds: tuple[str, ...]) -> dict[str, Any]:
     if isinstance(data, Observations):
         return {"control": data.control} | {name: data.values[:, :, c] for c, name in enumerate(data.kinds)}
     if isinstance(data, (str, Path)):
-        return _read_csv(Path(data), kinds)
+        return _read_file(Path(data), kinds)
     if isinstance(data, AbstractResult if kinds == REACTIONS_IN_SPACE else Result):
         reactions = REACTIONS if isinstance(data, Result) else REACTIONS_IN_SPACE
         return {name: getattr(data, name) for name in ("control", *reactions)}
     if hasattr(data, "data_vars"):  # an xarray.Dataset
         return _table_of_dataset(data)
     if hasattr(data, "columns"):  # a DataFrame
-        data = data.reset_index() if data.index.name in ("control", *kinds) else data
+        index = getattr(data, "index", None)  # frames of polars have none
+        data = data.reset_index() if index is not None and index.name in ("control", *kinds) else data
+        names = [str(name) for name in data.columns]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"`measured` must hold each column once, got several of {', '.join(twice)}.")
         return {str(name): data[name] for name in data.columns}
     allowed = "a mapping of arrays, a Result, a Dataset, a DataFrame or the path of a CSV file"
     checks.instance("measured", data, Mapping, allowed)
-    return {str(name): values for name, values in data.items()}
+    return {str(name): values for name, values in data.items() if not str(name).startswith("__")}  # of MATLAB's files
 
 
 def _table_of_dataset(data: Any) -> dict[str, Any]:
+    along = data["control"].dims if "control" in data.variables else ("control",)  # or time, say
     table = {}
     for name in (name for name in (*REACTIONS_IN_SPACE, "control") if name in data.variables):
-        others = [dim for dim in data[name].dims if dim not in ("control", "whisker")]
+        others = [dim for dim in data[name].dims if dim not in (*along, "whisker")]
         several = [dim for dim in others if data.sizes[dim] > 1]
         if several:
             raise ValueError(
@@ -198,43 +202,18 @@ def _table_of_dataset(data: Any) -> dict[str, Any]:
                 "one with .isel or .sel."
             )
         array = data[name].squeeze(others, drop=True)
-        table[name] = array.transpose(*(dim for dim in ("control", "whisker") if dim in array.dims)).values
+        table[name] = array.transpose(*(dim for dim in (*along, "whisker") if dim in array.dims)).values
     return table
 
 
-def _read_csv(path: Path, kinds: tuple[str, ...]) -> dict[str, Any]:
-    if not path.is_file():
-        raise ValueError(f"`measured` must be the path of a CSV file, got {path}, which does not exist.")
-    lines = [line for line in re.split(r"\r\n?|\n", _text_of(path)) if line.strip() and line[0] != "#"]
-    separator = max(",;\t", key=lines[0].count) if lines else ","
-    names, *rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True)) or [[]]
-    if not rows or any(len(row) != len(names) for row in rows):
-        raise ValueError(f"`measured` must be columns of equal length below a line of names, got {path}.")
-    table: dict[str, Any] = {name.strip(): column for name, column in zip(names, zip(*rows, strict=True), strict=True)}
-    for name in table:
-        if name == "control" or channel_pattern(kinds).fullmatch(name):
-            try:
-                table[name] = np.array([_number_in(cell) for cell in table[name]])
-            except ValueError as error:
-                raise ValueError(
-                    f"`measured` must be columns of numbers below a line of names, got {path}: {error} ({name})."
-                ) from None
-    return table
+def _read_file(path: Path, kinds: tuple[str, ...]) -> dict[str, Any]:
+    """The columns of a file; those that are neither control nor channels stay text."""
 
+    def wanted(name: str) -> bool:
+        return name == "control" or channel_pattern(kinds).fullmatch(name) is not None
 
-def _number_in(cell: str) -> float:
-    """The number in a cell, with a decimal point or comma; NaN if there is none."""
-    cell = cell.strip()
-    return np.nan if cell in MISSING else float(cell.replace(",", "."))
-
-
-def _text_of(path: Path) -> str:
-    content = path.read_bytes()
-    content = gzip.decompress(content) if content.startswith(GZIP) else content
-    try:
-        return content.decode("utf-16" if content[:2] in UTF_16 else "utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode("latin-1")  # every byte is a character
+    cells = cells_of("measured", path, wanted)
+    return {name: floats("measured", path, name, own) if wanted(name) else own for name, own in cells.items()}
 
 
 def as_numbers(argument: str, name: str, values: Any) -> np.ndarray:
@@ -242,9 +221,14 @@ def as_numbers(argument: str, name: str, values: Any) -> np.ndarray:
     try:
         if np.iscomplexobj(values):  # NumPy would drop the imaginary part
             raise TypeError
-        return np.asarray(values, dtype=float)
+        return np.asarray(checks.unmasked(values), dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"`{argument}` must hold numbers, got {values!r} for {name}.") from None
+
+
+def _as_column(values: np.ndarray) -> np.ndarray:
+    """A row or column of a matrix, as in MATLAB's files, as a vector; other arrays stay as they are."""
+    return values.ravel() if values.ndim == 2 and 1 in values.shape else values
 
 
 def _sigma_of(sigma: Any, values: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:

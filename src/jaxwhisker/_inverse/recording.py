@@ -1,14 +1,18 @@
 """Checks of a recording that need no compilation: information, units, signs and the direction of time."""
 
+import jax
 import numpy as np
+from jaxtyping import Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._inverse.features import ABOVE_NOISE, in_contact, neighbour_scatter
-from jaxwhisker._inverse.observations import Channel, Observations
+from jaxwhisker._inverse.observations import Channel, Observations, read_observations
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.motion import Translation
-from jaxwhisker._model.scene import Sensor, units_of
+from jaxwhisker._model.scene import Scene, Sensor, units_of
 from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
-from jaxwhisker._scan.route import turns_of
+from jaxwhisker._scan.route import across, turns_of
+from jaxwhisker._scan.scan import follow_path_now, problem_now, scan
 
 LEAST_POSITIONS = 5  # drive positions from which a scan is recognised
 ENOUGH_DIFFERENCES = 30  # between neighbours, whose scatter then distinguishes contact from noise
@@ -16,6 +20,13 @@ CONTROL_RATIO = 1e-2, 1e3  # plausible ranges, in the units of the scene
 REACTION_RATIO = 1e-3, 1e4
 NEGATIVE_WORK = 0.1  # of the sum of |work|: negative work beyond it is significant; reversed scans reach 0.4 to 0.8
 OPPOSITE = -0.5  # of the sum of |values|: a sum below it has the wrong sign; negated signals reach -0.9
+PREFIX, CLOSE = 3.0, 1.4  # how close a ratio must be to a factor between units
+# Of prefixes, of inches to millimetres, and of kilograms to newtons.
+UNIT_FACTORS = {1e3: PREFIX, 1e-3: PREFIX, 25.4: CLOSE, 1 / 25.4: CLOSE, 9.81: CLOSE, 1 / 9.81: CLOSE}
+SAMPLES = 64  # of the signals of a guess
+FEW_MOVES = 3  # of the drive between two turns that may be noise
+LARGEST_JITTER = 0.01  # of the range, which noise of the control does not exceed
+LEAST_WAY = 1.5  # times the noise: the drive has turned back
 CONSTANT = 1e-12  # relative change of a constant signal
 
 
@@ -86,6 +97,80 @@ def _check_units(observations: Observations, sensor: AbstractScene | Sensor, rea
             )
 
 
+def without_jitter(control: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
+    """A measured control without turns that are noise: where the drive stands still, or moves less than its noise.
+
+    Turns are noise if only a few samples lie between them, and next to nothing of the range. On each way of the drive,
+    a control that turns back is replaced by the middle of the highest position before and the lowest one after it.
+    """
+    ends = np.concatenate([[0], turns_of(control), [control.size - 1]])
+    size = np.abs(np.diff(control[ends]))
+    moves = np.add.reduceat(np.append(np.diff(control) != 0, False), ends[:-1]) if control.size > 1 else np.zeros(1)
+    short = (moves <= FEW_MOVES) & (size <= LARGEST_JITTER * np.ptp(control))
+    if ends.size < 3 or not short.any():
+        return control
+    noise, clean = LEAST_WAY * size[short].max(), control.copy()
+    start, sign = 0, 0.0  # of the present way
+    extreme = 0
+    for k in range(1, control.size + 1):
+        turned = k < control.size and sign * (control[extreme] - control[k]) > noise
+        if k == control.size or turned:
+            way = control[start : (extreme if turned else k - 1) + 1] * (sign or 1.0)
+            highest, lowest = np.maximum.accumulate(way), np.minimum.accumulate(way[::-1])[::-1]
+            clean[start : start + way.size] = (highest + lowest) / 2 * (sign or 1.0)
+            start, sign = (extreme, -sign) if turned else (start, sign)
+            extreme = k
+        elif sign == 0.0 and abs(control[k] - control[0]) > noise:
+            sign, extreme = float(np.sign(control[k] - control[0])), k
+        elif sign * (control[k] - control[extreme]) >= 0:
+            extreme = k
+    return clean
+
+
+def check_units_of_guess(observations: Observations, scene: AbstractScene) -> None:
+    """Check that control, forces and moments are not in other units than those of the scene that was guessed.
+
+    Compared are the range of the control in which whiskers touch, and the largest force and moment. A wrong guess makes
+    them several times larger or smaller, but hardly ever two of them by nearly the same factor between units. Forces
+    and moments alone may be ten times larger because a stiffness was guessed; a thousand times are a unit.
+
+    Raises:
+        ValueError: if two of them differ by such a factor; the message names it and them.
+    """
+    measured, model = _sizes_of(observations), _sizes_of(_at_guess(scene))
+    ratio = {name: measured[name] / size for name, size in model.items() if measured[name] > 0 and size > 0}
+    for factor, near in UNIT_FACTORS.items():
+        off = [name for name, value in ratio.items() if factor / near < value < factor * near]
+        if len(off) > 1 and ("control" in off or near == PREFIX):
+            raise ValueError(
+                f"`measured` must be in the same units as the scene, got {' and '.join(off)} that are "
+                f"{' and '.join(f'{ratio[name]:.3g}' for name in off)} times as large as at the guess, near "
+                f"{factor:.4g}, a ratio of two units."
+            )
+
+
+def _at_guess(scene: AbstractScene) -> Observations:
+    """A few signals of a scene on the way right across its object, by the programs that a fit needs anyway."""
+    if isinstance(scene, Scene):
+        path = follow_path_now(problem_now(jax.tree.map(checks.as_float, scene)), *map(np.asarray, across()))
+    else:
+        from jaxwhisker._scan import space_scan
+
+        problem = space_scan.problem_now(jax.tree.map(checks.as_float, scene))
+        path = space_scan.follow_path_now(problem, *map(np.asarray, across()))
+    return read_observations(scan(scene, np.linspace(float(path.start), float(path.stop), SAMPLES)))
+
+
+def _sizes_of(observations: Observations) -> dict[str, float]:
+    """Range of the control in which whiskers touch, and the largest force and moment; zero if unknown."""
+    touching = observations.control[in_contact(observations).any(axis=(1, 2))]
+    peaks = {"control": float(np.ptp(touching)) if touching.size else 0.0, "forces": 0.0, "moments": 0.0}
+    for name, values in zip(observations.kinds, np.moveaxis(observations.values, 2, 0), strict=True):
+        kind = {"f": "forces", "m": "moments"}[name[0]]
+        peaks[kind] = max(peaks[kind], float(np.max(np.abs(np.nan_to_num(values)), initial=0.0)))
+    return peaks
+
+
 def check_signs(observations: Observations, sensor: AbstractScene | Sensor) -> None:
     """Check that signals are reactions on the whiskers, in the order in which the drive moved.
 
@@ -142,7 +227,8 @@ def _leans_ahead(observations: Observations) -> bool:
 
     The moment mz on a base that moves towards -x is positive: the object holds the whisker back.
     """
-    control, mz = observations.control, observations.values[:, :, 2]
+    control, mz = without_jitter(observations.control), observations.values[:, :, 2]
+    mz = np.where(in_contact(observations)[:, :, 2], mz, 0.0)
     leg = slice(0, min([*turns_of(control), control.size - 1]) + 1)
     return _is_opposite(mz[leg][1:] * -np.diff(control[leg])[:, None])
 

@@ -1,20 +1,24 @@
 """Functions of the arc length along a whisker, with differentiable parameters."""
 
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import number_or_function
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._rod.rod import AlongRod
 
 AlongWhisker: TypeAlias = AlongRod  # a number, or a function of the arc length from the base
 Breaks: TypeAlias = Float[Array, " breaks"] | Float[np.ndarray, " breaks"]
 CHECKED_POINTS = 65  # points at which a function of arc length is checked
+SLENDER = 5  # least ratio of length and diameter; real whiskers and wires have 50 and more
 HALLEY_STEPS = 3  # for the arc length of a parabola: exact to rounding for slopes up to 3
 
 
@@ -149,6 +153,14 @@ class RoundSection(eqx.Module):
     youngs_modulus: AlongWhisker = eqx.field(converter=number_or_function("youngs_modulus"))
     diameter: AlongWhisker = eqx.field(converter=number_or_function("diameter"))
 
+    @property
+    def tapers(self) -> bool:
+        """Whether the diameter is known to decrease linearly, and the modulus is a number."""
+        taper = self.diameter
+        if callable(self.youngs_modulus) or not isinstance(taper, LinearTaper):
+            return False
+        return not checks.is_traced((taper.base, taper.tip)) and float(taper.tip) <= float(taper.base)
+
     def __call__(self, s: Scalar) -> Scalar:
         modulus, diameter = (value(s) if callable(value) else value for value in (self.youngs_modulus, self.diameter))
         return modulus * (np.pi / 64) * diameter**4
@@ -163,3 +175,22 @@ class RoundMass(eqx.Module):
     def __call__(self, s: Scalar) -> Scalar:
         density, diameter = (value(s) if callable(value) else value for value in (self.density, self.diameter))
         return density * (np.pi / 4) * diameter**2
+
+
+def _largest(value: Callable[[Scalar], Scalar], length: Scalar) -> Float[Array, ""]:
+    return jnp.max(jax.vmap(value)(jnp.linspace(0.0, 1.0, CHECKED_POINTS) * length))
+
+
+_largest_now = Program(_largest)
+
+
+def check_slender(name: str, diameter: AlongWhisker, length: Scalar) -> None:
+    """Check that a concrete diameter is that of a slender rod, and not in another unit than the length."""
+    if checks.is_traced((diameter, length)):
+        return
+    with jax.ensure_compile_time_eval():
+        given = jax.tree.map(checks.as_float, (diameter, length))
+        thickest = float(_largest_now(*given) if callable(diameter) else diameter)
+    if thickest > float(length) / SLENDER:
+        allowed = f"at most 1/{SLENDER} of the length {float(length):g}, in the same unit: rods are slender"
+        raise ValueError(f"`{name}` must be {allowed}; got {thickest:g}.")

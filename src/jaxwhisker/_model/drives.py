@@ -72,7 +72,7 @@ class LinearDrive(SpaceMotion):
         origin: (x, y, z) of the drive at the control 0, lengths.
 
     Raises:
-        ValueError: if an argument is not a tuple of three finite numbers, or the direction is zero.
+        ValueError: if an argument is not three finite numbers, or the direction is zero.
 
     Examples:
         >>> oblique = jw.LinearDrive(direction=(-3.0, 0.0, 4.0), origin=(0.0, 0.1, 0.0))
@@ -80,8 +80,8 @@ class LinearDrive(SpaceMotion):
         [-0.3  0.1  0.4]
     """
 
-    direction: Triple
-    origin: Triple = NOWHERE
+    direction: Triple = eqx.field(converter=checks.as_tuple)
+    origin: Triple = eqx.field(default=NOWHERE, converter=checks.as_tuple)
     control_kind = "length"
 
     def __check_init__(self):
@@ -143,7 +143,7 @@ class RotaryDrive(_Between):
         stop: the last control of the default scan, rad. Default: a right angle after 0.
 
     Raises:
-        ValueError: if `axis` or `pivot` is not a tuple of three finite numbers, the axis is zero, or `start` and `stop`
+        ValueError: if `axis` or `pivot` is not three finite numbers, the axis is zero, or `start` and `stop`
             are not two different finite numbers.
 
     Examples:
@@ -152,8 +152,8 @@ class RotaryDrive(_Between):
         [ 0.     -0.0025  0.0499]
     """
 
-    axis: Triple
-    pivot: Triple = NOWHERE
+    axis: Triple = eqx.field(converter=checks.as_tuple)
+    pivot: Triple = eqx.field(default=NOWHERE, converter=checks.as_tuple)
     start: Scalar = -np.pi / 2
     stop: Scalar = np.pi / 2
     direction: int = eqx.field(static=True, init=False)
@@ -213,7 +213,7 @@ class WhiskDrive(_Between):
     roll: Scalar = 0.0
     elevation_rate: Scalar = 0.0
     roll_rate: Scalar = 0.0
-    pivot: Triple = NOWHERE
+    pivot: Triple = eqx.field(default=NOWHERE, converter=checks.as_tuple)
     start: Scalar = -np.pi / 2
     stop: Scalar = np.pi / 2
     protraction: Scalar = eqx.field(default=0.0, kw_only=True)

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxwhisker._base import checks
-from jaxwhisker._model.along import AlongWhisker, Polynomial, RoundMass, RoundSection, Table
+from jaxwhisker._model.along import AlongWhisker, Polynomial, RoundMass, RoundSection, Table, check_slender
 
 FIT_STEPS = 12  # of Levenberg-Marquardt, each with derivatives by differences
 MOST_DEGREE = 5  # of the curvature of a digitised shape
@@ -50,7 +50,8 @@ class Measured(eqx.Module):
 
         Raises:
             ValueError: if the arc lengths do not begin at 0 or do not ascend, a column has the wrong number of rows or
-                is not positive, or if neither a bending stiffness nor a modulus with a diameter is given, or both.
+                is not positive, a diameter is more than a fifth of the length, or if neither a bending stiffness nor a
+                modulus with a diameter is given, or both.
 
         Examples:
             >>> whisker = jw.Whisker.from_table([0.0, 0.01, 0.02], youngs_modulus=3e9, diameter=[2e-4, 1.5e-4, 5e-5])
@@ -76,6 +77,8 @@ class Measured(eqx.Module):
         mass = (
             RoundMass(column["density"], column["diameter"]) if "density" in column else column.get("mass_per_length")
         )
+        if "diameter" in column:
+            check_slender("diameter", column["diameter"], rows[-1])
         curvature = column.get("intrinsic_curvature")
         functions = any(isinstance(value, Table) for value in column.values())
         breaks = rows[1:-1] if functions and rows.shape[0] > 2 else None

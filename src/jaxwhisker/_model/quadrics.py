@@ -1,5 +1,6 @@
 """Spheres, ellipsoids, cylinders and paraboloids."""
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -28,7 +29,7 @@ class Sphere(AbstractDescribed):
     """
 
     radius: Scalar
-    centre: Triple
+    centre: Triple = eqx.field(converter=checks.as_tuple)
 
     def __check_init__(self):
         checks.number("radius", self.radius, positive=True)
@@ -60,8 +61,8 @@ class Ellipsoid(AbstractDescribed):
         ellipsoid a = 1.2, b = 0.7, c = 0.5, centre (0, 1.1, 0), turned by (0, 0, 0.3)
     """
 
-    half_axes: Triple
-    centre: Triple
+    half_axes: Triple = eqx.field(converter=checks.as_tuple)
+    centre: Triple = eqx.field(converter=checks.as_tuple)
 
     def __check_init__(self):
         checks.triple("half_axes", self.half_axes, positive=True)
@@ -97,8 +98,8 @@ class Cylinder(AbstractDescribed):
     """
 
     radius: Scalar
-    point: Triple
-    axis: Triple = (0.0, 0.0, 1.0)
+    point: Triple = eqx.field(converter=checks.as_tuple)
+    axis: Triple = eqx.field(default=(0.0, 0.0, 1.0), converter=checks.as_tuple)
 
     def __check_init__(self):
         checks.number("radius", self.radius, positive=True)

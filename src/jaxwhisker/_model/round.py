@@ -1,27 +1,22 @@
 """Whiskers with circular cross-sections, from materials and diameters, and the whiskers of rats."""
 
-from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text
-from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.along import (
-    CHECKED_POINTS,
     AlongWhisker,
     LinearTaper,
     ParabolicShape,
     RoundMass,
     RoundSection,
+    check_slender,
 )
 from jaxwhisker._model.measured import Measured
 
-SLENDER = 5  # least ratio of length and diameter; real whiskers and wires have 50 and more
 LAST_COLUMN = {"A": 4, "B": 4, "C": 5, "D": 5, "E": 5}  # of each row for which the regression gives a length
 LEAST_TIP_RADIUS = 0.0015  # mm
 
@@ -36,6 +31,7 @@ class Round(Measured):
         youngs_modulus: AlongWhisker,
         diameter: AlongWhisker,
         *,
+        intrinsic_curvature: AlongWhisker | None = None,
         density: AlongWhisker | None = None,
         poisson_ratio: Scalar | None = None,
     ) -> Any:
@@ -45,6 +41,7 @@ class Round(Measured):
             length: L, m; positive.
             youngs_modulus: E, Pa; a positive number, or a function of the arc length from the base.
             diameter: d, m; a positive number, or a function of the arc length from the base.
+            intrinsic_curvature: 1/m, a number or a function, as for any whisker. Default: straight.
             density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
             poisson_ratio: nu, above -1 and at most 0.5, of which the `torsion_ratio` is 1 / (1 + nu). Only needed in
                 space. Default: that of a Whisker.
@@ -65,10 +62,11 @@ class Round(Measured):
         whisker = cls(
             length,
             section if callable(youngs_modulus) or callable(diameter) else section(0.0),
+            intrinsic_curvature,
             mass_per_length=mass if mass is None or callable(density) or callable(diameter) else mass(0.0),
             torsion_ratio=_torsion_ratio(poisson_ratio),
         )
-        _check_slender("diameter", diameter, length)
+        check_slender("diameter", diameter, length)
         return whisker
 
     @classmethod
@@ -79,6 +77,7 @@ class Round(Measured):
         base_diameter: Scalar,
         tip_diameter: Scalar,
         *,
+        intrinsic_curvature: AlongWhisker | None = None,
         density: AlongWhisker | None = None,
         poisson_ratio: Scalar | None = None,
     ) -> Any:
@@ -90,6 +89,7 @@ class Round(Measured):
             base_diameter: d at the base, m; positive.
             tip_diameter: d at the tip, m; not negative. A pointed tip (0) carries no force: it bends away, and the
                 contact is tangential from the start.
+            intrinsic_curvature: 1/m, a number or a function, as for any whisker. Default: straight.
             density: rho, kg/m^3; a positive number, or a function of the arc length from the base. Default: unknown.
             poisson_ratio: nu, above -1 and at most 0.5, of which the `torsion_ratio` is 1 / (1 + nu). Only needed in
                 space. Default: that of a Whisker.
@@ -105,10 +105,11 @@ class Round(Measured):
         checks.number("base_diameter", base_diameter, positive=True)
         checks.number("tip_diameter", tip_diameter, non_negative=True)
         checks.number("length", length, positive=True)
-        _check_slender("base_diameter", base_diameter, length)
-        _check_slender("tip_diameter", tip_diameter, length)
+        check_slender("base_diameter", base_diameter, length)
+        check_slender("tip_diameter", tip_diameter, length)
         taper = LinearTaper(base_diameter, tip_diameter, length)
-        return cls.from_material(length, youngs_modulus, taper, density=density, poisson_ratio=poisson_ratio)
+        further = {"intrinsic_curvature": intrinsic_curvature, "density": density, "poisson_ratio": poisson_ratio}
+        return cls.from_material(length, youngs_modulus, taper, **further)
 
     @classmethod
     def rat(
@@ -170,16 +171,8 @@ class Round(Measured):
             if intrinsic_curvature is not None:
                 checks.fail("parabola", "None with an `intrinsic_curvature`", as_text(parabola))
             intrinsic_curvature = ParabolicShape(parabola)
-        cone = cls.conical(
-            arc * 1e-3, youngs_modulus, base * 1e-3, tip * 1e-3, density=density, poisson_ratio=poisson_ratio
-        )
-        return cls(
-            cone.length,
-            cone.bending_stiffness,
-            intrinsic_curvature,
-            mass_per_length=cone.mass_per_length,
-            torsion_ratio=cone.torsion_ratio,
-        )
+        further = {"intrinsic_curvature": intrinsic_curvature, "density": density, "poisson_ratio": poisson_ratio}
+        return cls.conical(arc * 1e-3, youngs_modulus, base * 1e-3, tip * 1e-3, **further)
 
 
 def _torsion_ratio(poisson_ratio: Scalar | None) -> Scalar | None:
@@ -190,22 +183,3 @@ def _torsion_ratio(poisson_ratio: Scalar | None) -> Scalar | None:
     if not checks.is_traced(poisson_ratio) and not -1 < float(poisson_ratio) <= 0.5:
         checks.fail("poisson_ratio", "above -1 and at most 0.5", as_text(poisson_ratio))
     return 1 / (1 + poisson_ratio)
-
-
-def _largest(value: Callable[[Scalar], Scalar], length: Scalar) -> Float[Array, ""]:
-    return jnp.max(jax.vmap(value)(jnp.linspace(0.0, 1.0, CHECKED_POINTS) * length))
-
-
-_largest_now = Program(_largest)
-
-
-def _check_slender(name: str, diameter: AlongWhisker, length: Scalar) -> None:
-    """Check that a concrete diameter is that of a slender rod, and not in another unit than the length."""
-    if checks.is_traced((diameter, length)):
-        return
-    with jax.ensure_compile_time_eval():
-        given = jax.tree.map(checks.as_float, (diameter, length))
-        thickest = float(_largest_now(*given) if callable(diameter) else diameter)
-    if thickest > float(length) / SLENDER:
-        allowed = f"at most 1/{SLENDER} of the length {float(length):g}, in the same unit: rods are slender"
-        raise ValueError(f"`{name}` must be {allowed}; got {thickest:g}.")

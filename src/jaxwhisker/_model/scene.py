@@ -90,8 +90,8 @@ class Scene(AbstractScene, metaclass=_OfObject):
         friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
         detect: contacts that are not modelled, at which a scan ends with the status of this name: "second_contact" (a
             whisker meets an object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
-            tuple of these; () detects nothing. Default: "second_contact" with friction, edges, several objects, or
-            springs on shafts, otherwise nothing.
+            tuple of these; () detects nothing. Default: "second_contact". A scene in which no contact of this kind
+            can occur, such as that of a straight whisker before one object, needs no search.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
@@ -136,12 +136,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
     @property
     def detects(self) -> tuple[str, ...]:
         """The contacts that are not modelled, at which a scan ends."""
-        # A whisker that sticks to the object may be wound around it, a curved one may touch two corners, and springs on
-        # the shaft may bend one so far that it meets the object from above. It may also meet another object.
-        several = len(self.profile.objects) > 1
-        possible = self.friction is not None or self.profile.has_edges or several or self.support.on_shafts
-        default = ("second_contact",) if possible else ()
-        return default if self.detect is None else tuple(self.detect)
+        return ("second_contact",) if self.detect is None else tuple(self.detect)
 
     def __str__(self) -> str:
         rods = "" if self.rod == Shooting() else f", {self.rod}"

@@ -214,6 +214,10 @@ class Rotational(_AbstractSwept):
         return f"{self.profile}, revolved about its axis"
 
 
+RIDDERS_STEPS = 8  # by which the foot of a plane is known; its error has no effect to first order
+FARTHEST = 1e3  # of a point inside from the point `inside`, the surface may be so many times farther away
+
+
 class Surface(AbstractSurface):
     """User-defined surface G(x) = 0 of a strictly convex object.
 
@@ -225,7 +229,7 @@ class Surface(AbstractSurface):
 
     Raises:
         ValueError: if `function` is not a function of one array that JAX can trace, does not return one number, or is
-            not negative at `inside`, or `inside` is not a tuple of three finite numbers.
+            not negative at `inside`, or `inside` is not three finite numbers.
 
     Examples:
         >>> import jax.numpy as jnp
@@ -239,6 +243,7 @@ class Surface(AbstractSurface):
     _unit: Scalar  # of points; `function` stays in the user's unit
 
     def __init__(self, function: Callable, inside: Triple):
+        inside = checks.as_tuple(inside)
         checks.function("function", function, shape=(3,))
         checks.triple("inside", inside)
         self.function, self.inside, self._unit = as_field(function), inside, 1.0
@@ -248,6 +253,15 @@ class Surface(AbstractSurface):
 
     def level(self, x):
         return jnp.asarray(self.function(x * self._unit), dtype=float)
+
+    def plane_before(self, x):
+        # The level may be anything far from the surface. The tangent plane in the direction of the point will do.
+        inside = self.interior_point()
+        out = x - inside
+        out = jnp.where(jnp.all(out == 0), jnp.array([1e-9, 0.0, 0.0]), out)
+        foot = inside + _crossing(lambda share: self.level(inside + share * out)) * out
+        normal = self.normal(foot)
+        return jnp.sum(normal * (x - foot)) + self.off(foot), normal
 
     def in_unit(self, length):
         inside = tuple(part / length for part in self.inside)
@@ -261,6 +275,36 @@ class Surface(AbstractSurface):
 
     def __str__(self):
         return f"surface {name_of(self.function)}(x) = 0"
+
+
+def _crossing(level: Callable) -> Float[Array, ""]:
+    """Where a function, negative at 0, becomes positive, at most at `FARTHEST`; by Ridders' method."""
+    middle = jnp.asarray(0.5)
+
+    def at(place):  # from 0 to 1, so that distances of any size are within reach
+        return level(place / (1 - place))
+
+    here = at(middle)
+    outside = here > 0
+    low, high = jnp.where(outside, 0.0, middle), jnp.where(outside, middle, FARTHEST / (1 + FARTHEST))
+    below, above = jnp.where(outside, at(jnp.zeros(())), here), jnp.where(outside, here, at(high))
+
+    def improve(_, state):
+        low, high, below, above = state
+        middle = (low + high) / 2
+        between = at(middle)
+        root = jnp.sqrt(between**2 - below * above)
+        new = jnp.clip(middle - (middle - low) * between / jnp.where(root > 0, root, 1.0), low, high)
+        value = at(new)
+        for place, own in ((middle, between), (new, value)):
+            inner, inside = (place >= low) & (place <= high), own < 0
+            low, below = jnp.where(inner & inside, place, low), jnp.where(inner & inside, own, below)
+            high, above = jnp.where(inner & ~inside, place, high), jnp.where(inner & ~inside, own, above)
+        return low, high, below, above
+
+    low, high, below, above = jax.lax.fori_loop(0, RIDDERS_STEPS, improve, (low, high, below, above))
+    place = jnp.where(-below < above, low, high)
+    return place / (1 - place)
 
 
 def _check_without_edges(profile: AbstractProfile) -> None:
@@ -346,7 +390,7 @@ def _steepness(unknowns: Float[Array, "1"], known: PyTree) -> Float[Array, "1"]:
 
 @eqx.filter_jit
 def _is_symmetric(profile: AbstractProfile) -> Bool[Array, ""]:
-    """Whether points of equal slope on both sides are equally high, where the profile is steep enough."""
+    """Whether both sides have points of the same slopes, and these are equally high."""
     profile = profile.in_unit(1.0)
 
     def at_slope(slope):
@@ -355,7 +399,7 @@ def _is_symmetric(profile: AbstractProfile) -> Bool[Array, ""]:
 
     at, is_there = jax.vmap(jax.vmap(at_slope))(jnp.asarray([SLOPES, [-slope for slope in SLOPES]]))
     same = jnp.abs(at.y[0] - at.y[1]) < SYMMETRIC * (at.x[0] - at.x[1])
-    return jnp.all(same | ~jnp.all(is_there, axis=0))
+    return jnp.all(same | ~jnp.any(is_there, axis=0))
 
 
 def _constant(tree: PyTree) -> PyTree:

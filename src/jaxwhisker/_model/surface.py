@@ -60,6 +60,16 @@ class AbstractSurface(eqx.Module):
         """Distance from the surface to first order, a length, positive outside."""
         return self.level(x) / _norm(self.gradient(x))
 
+    def plane_before(self, x: Point) -> tuple[Float[Array, ""], Point]:
+        """A plane between a point and the object: its distance from the point, and its normal, towards the point.
+
+        The object is convex. If the level is a convex function, its linear part at the point is positive where the
+        object is not; a level of another kind needs a plane of its own. Inside, the distance is negative.
+        """
+        gradient = self.gradient(x)
+        size = _norm(gradient)
+        return self.level(x) / size, gradient / size
+
     @abc.abstractmethod
     def in_unit(self, length: Scalar) -> "AbstractSurface":
         """The same surface with lengths measured in `length`."""
@@ -75,7 +85,7 @@ class AbstractSurface(eqx.Module):
             by: (x, y, z) of the shift, lengths.
 
         Raises:
-            ValueError: if `by` is not a tuple of three finite numbers.
+            ValueError: if `by` is not three finite numbers.
         """
         return Placed(self, by=by)
 
@@ -88,9 +98,13 @@ class AbstractSurface(eqx.Module):
                 sphere or ellipsoid, and the given point of a cylinder.
 
         Raises:
-            ValueError: if an argument is not a tuple of three finite numbers.
+            ValueError: if an argument is not three finite numbers.
         """
         return Placed(self, rotation=rotation, about=about)
+
+    def thickness(self) -> Float[Array, ""]:
+        """Roughly the least half thickness of the object, a length; infinite if unknown."""
+        return jnp.asarray(jnp.inf)
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructor checks."""
@@ -108,9 +122,9 @@ class Placed(AbstractSurface):
     """A surface after a rotation and a shift; `AbstractSurface.rotated` and `moved` make it."""
 
     surface: AbstractSurface
-    by: Triple = NOWHERE
-    rotation: Triple = NOWHERE
-    about: Triple | None = None
+    by: Triple = eqx.field(default=NOWHERE, converter=checks.as_tuple)
+    rotation: Triple = eqx.field(default=NOWHERE, converter=checks.as_tuple)
+    about: Triple | None = eqx.field(default=None, converter=checks.as_tuple)
 
     def __check_init__(self):
         checks.triple("by", self.by)
@@ -138,6 +152,14 @@ class Placed(AbstractSurface):
     def hessian(self, x):
         turn, x = self._before(x)
         return _turned(turn, self.surface.hessian(x))
+
+    def plane_before(self, x):
+        turn, x = self._before(x)
+        distance, normal = self.surface.plane_before(x)
+        return distance, _times(turn, normal)
+
+    def thickness(self):
+        return self.surface.thickness()
 
     def in_unit(self, length):
         about = None if self.about is None else _over(self.about, length)
@@ -187,6 +209,9 @@ class Quadric(AbstractSurface):
     def interior_point(self):
         return self.inside
 
+    def thickness(self):
+        return jnp.sqrt(2 * self.depth / jnp.sqrt(jnp.sum(self.matrix**2)))
+
     def _positive(self):
         return [self.depth]
 
@@ -209,6 +234,12 @@ class AbstractDescribed(AbstractSurface):
 
     def hessian(self, x):
         return self.form().hessian(x)
+
+    def plane_before(self, x):
+        return self.form().plane_before(x)
+
+    def thickness(self):
+        return self.form().thickness()
 
     def in_unit(self, length):
         return self.form().in_unit(length)

@@ -149,6 +149,12 @@ class Whisker(Round, metaclass=Suggesting):
         return not callable(self.bending_stiffness) and not curved
 
     @property
+    def tapers(self) -> bool:
+        """Whether the whisker is straight, and its bending stiffness is known not to increase towards the tip."""
+        curved = self.intrinsic_curvature is not None or self.needs_space
+        return not curved and getattr(self.bending_stiffness, "tapers", not callable(self.bending_stiffness))
+
+    @property
     def needs_space(self) -> bool:
         """Whether the unloaded whisker has a lateral curvature or a twist, which the plane has no room for."""
         return self.lateral_curvature is not None or self.twist is not None
@@ -240,6 +246,12 @@ class Whisker(Round, metaclass=Suggesting):
     def _samples(self, value: AlongWhisker) -> tuple[Float[Array, " points"], Bool[Array, " points"]]:
         """A quantity at points along the whisker, and whether it is positive, or zero at the tip, and finite."""
         return _samples_now(*jax.tree.map(checks.as_float, (value, self.length)))
+
+
+for _base in Whisker.__mro__[1:3]:  # Round and Measured: errors of Python name functions as users call them
+    for _name, _value in vars(_base).items():
+        if isinstance(_value, classmethod):
+            _value.__func__.__qualname__ = f"Whisker.{_name}"
 
 
 def _samples(value: AlongWhisker, length: Scalar) -> tuple[Float[Array, " points"], Bool[Array, " points"]]:

@@ -36,7 +36,7 @@ from jaxwhisker._path.path import NO_EVENT, Node, Path, Status, select
 from jaxwhisker._path.transitions import after_advance, after_arrive, after_event, after_flow
 from jaxwhisker._path.trial import evaluate_trial
 
-STOPS = 8  # stops of a route that turns are padded to a multiple of this
+STOPS = 8  # stops of a route with turns: so many, or twice as many, or four times ... after padding
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
 

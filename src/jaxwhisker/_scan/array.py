@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.columns import cells_of, floats
 from jaxwhisker._base.suggest import Suggesting
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._model.along import ParabolicShape
@@ -302,13 +303,11 @@ class Array(eqx.Module, metaclass=Suggesting):
 def _columns(table: Any) -> dict[str, Any]:
     """The columns of a table as arrays of floats; names as they are."""
     if isinstance(table, str | Path):
-        if not Path(table).is_file():
-            checks.fail("table", "a mapping of columns, a DataFrame or the path of a CSV file", repr(str(table)))
-        read = np.genfromtxt(table, delimiter=",", names=True, dtype=None, encoding="utf-8")
-        table = {name: np.atleast_1d(read[name]) for name in read.dtype.names or ()}
+        cells = cells_of("table", table)
+        table = {name: own if name == "name" else floats("table", table, name, own) for name, own in cells.items()}
     if not isinstance(table, Mapping) and not hasattr(table, "columns"):
         checks.fail("table", "a mapping of columns, a DataFrame or the path of a CSV file", type(table).__name__)
-    columns = {str(name): list(table[name]) for name in table}
+    columns = {str(name): list(checks.unmasked(table[name])) for name in table}
     for name in columns:
         if name not in COLUMNS:
             checks.fail("table", f"columns {ALLOWED}", repr(name))

@@ -5,6 +5,7 @@ depends on the caller's control no more than stability and snaps do. Later state
 apart again: the missing force decides what they are.
 """
 
+from collections.abc import Callable
 from functools import partial
 from itertools import combinations
 from typing import NamedTuple
@@ -21,15 +22,16 @@ from jaxwhisker._equilibrium.crossing import cross
 from jaxwhisker._equilibrium.newton import with_dummy_contacts
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._equilibrium.second_contact import meets, meets_again, passes
+from jaxwhisker._equilibrium.second_contact import dips, may_meet, meets, passes
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Path, Status, cut
 from jaxwhisker._scan.steps import interpolate
 
 SHARES = 2  # states examined from one node of the path to the next; a contact that lasts less than that is overlooked
-BATCH = 32  # states examined at once
-REFINEMENTS = 3  # each divides the distance to the first contact on the path by the size of a batch
+BATCH = 256  # states examined at once
+CLOSER = 32  # of them at once that need a closer look
+REFINEMENTS = 3  # each divides the distance to the first contact on the path by as many
 
 
 Kinds = tuple[str, ...]  # of contacts that are not modelled: names of statuses
@@ -38,16 +40,17 @@ Kinds = tuple[str, ...]  # of contacts that are not modelled: names of statuses
 def kinds_of(scene: Scene) -> Kinds:
     """What a scene is to detect, without what cannot happen.
 
-    Without friction, and before a single object, a uniform straight whisker stays on the outer side of the object's
-    tangent at its contact, which a convex object does not cross. Let theta be the angle from the tangent to the
-    whisker, theta1 its value at the contact: EI theta'^2 / 2 = f (sin theta - sin theta1), therefore sin theta >=
-    sin theta1 >= 0 along the shaft.
+    Without friction, and before a single object, a straight whisker whose bending stiffness EI does not increase
+    towards the tip stays on the outer side of the object's tangent at its contact, which a convex object does not
+    cross. Let theta be the angle from the tangent to the whisker, theta1 its value at the contact, and M = EI theta',
+    M' = f cos theta along the shaft, towards the base. Then M^2 / 2 EI - f (sin theta - sin theta1) is zero at the
+    contact, and its derivative is -(M / EI)^2 EI' / 2, not positive, therefore sin theta >= sin theta1 >= 0.
     """
     possible = {
         "second_contact": scene.friction is not None
         or scene.support.on_shafts
         or len(scene.profile.objects) > 1
-        or not all(whisker.uniform for whisker in scene.whiskers),
+        or not all(whisker.tapers for whisker in scene.whiskers),
         "crossing": len(scene.whiskers) > 1,
     }
     return tuple(name for name in scene.detects if possible[name])
@@ -82,32 +85,31 @@ def _shafts(problem: Problem, point: Point, state: ContactState, kinds: Kinds) -
     return shafts._replace(base=shafts.base._replace(x=at.x, y=at.y))
 
 
-def _status(problem: Problem, point: Point, state: ContactState, kinds: Kinds) -> Int[Array, ""]:
-    """Status of a state: what is detected in it."""
+def _status(meets: Callable, problem: Problem, point: Point, state: ContactState, kinds: Kinds) -> Int[Array, ""]:
+    """Status of a state: what is detected in it, if `meets` tells whether a shaft dips into an object."""
     shafts, status = _shafts(problem, point, state, kinds), jnp.asarray(int(Status.ok))
     if "crossing" in kinds:
         status = jnp.where(_any_cross(problem, point, shafts), Status.crossing, status)
     if "second_contact" in kinds:
-        again = _meets_again(problem, state, shafts)
-        status = jnp.where(jnp.any(again & state.touches), Status.second_contact, status)
+        again = _at_objects(meets, problem, state, shafts)
+        status = jnp.where(jnp.any(again), Status.second_contact, status)
     return status
 
 
-def _meets_again(problem: Problem, state: ContactState, shafts: Shaft) -> Bool[Array, " whiskers"]:
-    """Whether touching whiskers meet their object in a second place, or another object."""
-    number = problem.profile.object_of(state.piece)
+def _at_objects(meets: Callable, problem: Problem, state: ContactState, shafts: Shaft) -> Bool[Array, " whiskers"]:
+    """Whether touching whiskers meet their object in a second place, or another object, according to `meets`."""
+    number, touches = problem.profile.object_of(state.piece), state.touches
     if number is None or state.sides is None:
-        return jax.vmap(lambda own: meets_again(problem.profile, own))(shafts)
+        return jax.vmap(lambda own, touches: meets(problem.profile, own, touches, own.parameter))(shafts, touches)
     found = jnp.zeros_like(number, bool)
     for k, one in enumerate(problem.profile.objects):
         # The parameter of another object's contact may mean nothing on this one.
         own, lowest = number == k, jnp.asarray(one.lowest(), dtype=float)
-        touching = shafts._replace(parameter=jnp.where(own, shafts.parameter, lowest))
-        again, other, side = (
-            jax.vmap(partial(function, one))(at)
-            for function, at in ((meets_again, touching), (meets, shafts), (passes, shafts))
-        )
-        found |= jnp.where(own, again, other | (side * state.sides[k] < 0))
+        parameter = jnp.where(own, shafts.parameter, lowest)
+        again = jax.vmap(partial(meets, one))(shafts, touches & own, parameter)
+        other = jax.vmap(partial(meets, one))(shafts, touches & ~own)
+        side = jax.vmap(partial(passes, one))(shafts)
+        found |= again | other | (touches & ~own & (side * state.sides[k] < 0))
     return found
 
 
@@ -128,36 +130,56 @@ class _Found(NamedTuple):
 
     place: Float[Array, ""]  # on the path, counted in nodes
     stride: Float[Array, ""]  # from one examined place to the next
-    status: Int[Array, ""]  # of the first bad place so far
+    end: Float[Array, ""]  # the first bad place so far, or the last one
+    status: Int[Array, ""]  # there; of the end of the path if nothing is bad so far
 
 
 def _search(problem: Problem, path: Path, kinds: Kinds) -> _Found:
-    last = path.count - 1.0
+    ok = jnp.asarray(int(Status.ok))
 
-    def status_at(place: Scalar) -> Int[Array, ""]:
+    def status_at(meets: Callable, place: Scalar) -> Int[Array, ""]:
         index, u = _control_at(path, place)
         state = jax.tree.map(lambda leaf: leaf[index], path.nodes.state)
-        return _status(problem, interpolate(path, index, u), state, kinds)
+        return _status(meets, problem, interpolate(path, index, u), state, kinds)
 
     def searching(found: _Found) -> Bool[Array, ""]:
-        return (found.place < last) & ((found.status == Status.ok) | (found.stride > finest))
+        return (found.place < found.end) & ((found.status == ok) | (found.stride > finest))
 
     def examine(found: _Found) -> _Found:
-        places = jnp.minimum(found.place + found.stride * jnp.arange(1, BATCH + 1), last)
-        status = jax.vmap(status_at)(places)
-        bad = status != Status.ok
-        first = jnp.argmax(bad)
+        places = jnp.minimum(found.place + found.stride * jnp.arange(1, BATCH + 1), found.end)
+        new = jnp.append(True, places[:-1] < found.end)
+
+        def sift(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+            todo, status = carry
+            (chosen,) = jnp.nonzero(todo, size=CLOSER, fill_value=BATCH)
+            sifted = jax.vmap(partial(status_at, may_meet))(places[chosen])
+            return todo.at[chosen].set(False), status.at[chosen].set(sifted)
+
+        def look(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+            status, _ = carry
+            first = jnp.argmax(status != ok)
+            there = status_at(meets, places[first])
+            return status.at[first].set(there), there
+
+        status = jnp.where(new, jax.vmap(partial(status_at, dips))(places), ok)
+        _, status = jax.lax.while_loop(lambda carry: jnp.any(carry[0]), sift, (status != ok, status))
+        status, first_status = jax.lax.while_loop(
+            lambda carry: jnp.any(carry[0] != ok) & (carry[1] == ok), look, (status, ok)
+        )
+        bad, first = first_status != ok, jnp.argmax(status != ok)
         before = jnp.where(first == 0, found.place, places[first - 1])
         return _Found(
-            jnp.where(jnp.any(bad), before, places[-1]),
-            jnp.where(jnp.any(bad), found.stride / BATCH, found.stride),
-            jnp.where(jnp.any(bad), status[first], found.status),
+            jnp.where(bad, before, places[-1]),
+            jnp.where(bad, found.stride / CLOSER, found.stride),
+            jnp.where(bad, places[first], found.end),
+            jnp.where(bad, first_status, found.status),
         )
 
-    finest = 1 / SHARES / BATCH**REFINEMENTS / 2
+    finest = 1 / SHARES / CLOSER**REFINEMENTS / 2
     # The first place examined is that of the first node.
-    start = _Found(jnp.asarray(-1.0 / SHARES), jnp.asarray(1.0 / SHARES), jnp.asarray(int(Status.ok)))
-    return jax.lax.while_loop(searching, examine, start)
+    return jax.lax.while_loop(
+        searching, examine, _Found(jnp.asarray(-1.0 / SHARES), jnp.asarray(1.0 / SHARES), path.count - 1.0, ok)
+    )
 
 
 def _control_at(path: Path, place: Scalar) -> tuple[Int[Array, ""], Scalar]:

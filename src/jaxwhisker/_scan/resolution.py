@@ -1,13 +1,11 @@
 """A warning about whiskers whose functions of arc length change within the steps of an integration."""
 
-import inspect
-import warnings
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.announce import warn
 from jaxwhisker._base.program import Program
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
@@ -36,20 +34,11 @@ def warn_of_whisker(whisker: Whisker, steps: int, *, masses: bool = False) -> No
         return
     error = float(_error(jax.tree.map(checks.as_float, whisker if masses else whisker.without_masses()), steps))
     if error > RESOLVED:
-        warnings.warn(
+        warn(
             f"Integration steps do not resolve {' and '.join(f'`{name}`' for name in names)}: the estimated error is "
             f"{error:.0e} rad or lengths. Pass the arc lengths of jumps and kinks as `Whisker(breaks=...)`. Where "
-            "functions are steep but smooth, breaks help too, and so do more steps: `Scene(rod=Shooting(steps=...))`.",
-            stacklevel=_outside(),
+            "functions are steep but smooth, breaks help too, and so do more steps: `Scene(rod=Shooting(steps=...))`."
         )
-
-
-def _outside() -> int:
-    """Level of the first caller outside the package, counted from the caller of this function."""
-    level, frame = 0, inspect.currentframe()
-    while frame is not None and frame.f_globals.get("__name__", "").startswith("jaxwhisker."):
-        level, frame = level + 1, frame.f_back
-    return level
 
 
 @Program

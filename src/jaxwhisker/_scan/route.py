@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.announce import warn
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import Units
@@ -39,7 +40,8 @@ def route_of(control: Float[np.ndarray, " steps"]) -> Route:
 def stops_of(control: Float[np.ndarray, " steps"]) -> Int[np.ndarray, " stops"]:
     """Indices of the first position, the turning points and the last position, which is repeated as padding."""
     turns, end = turns_of(control), control.size - 1
-    room = 2 if turns.size == 0 else STOPS * int(np.ceil((turns.size + 2) / STOPS))
+    # Programs depend on the room: powers of two keep their number small.
+    room = 2 if turns.size == 0 else STOPS * 2 ** math.ceil(math.log2(max((turns.size + 2) / STOPS, 1)))
     return np.concatenate([[0], turns, np.full(room - 1 - turns.size, end)])
 
 
@@ -103,6 +105,12 @@ def default_positions(start: float, stop: float, unit: Units) -> np.ndarray:
             f"{count:,} steps, and at most {MOST_STEPS:,} are allowed."
         )
     return start + math.copysign(step, stop - start) * np.arange(count)
+
+
+def warn_of_no_touch(phases: Array, status: Array, thing: object) -> None:
+    """Warn if no whisker touches the object at any node of a path right across it; `phases` has shape (nodes, ...)."""
+    if not checks.is_traced((phases, status)) and int(status) == Status.ok and not np.any(np.asarray(phases)):
+        warn(f"The scan touches nothing: right across the object, no whisker meets it ({thing}).")
 
 
 def evenly(start: Float[Array, ""], stop: Float[Array, ""], steps: int) -> Route:

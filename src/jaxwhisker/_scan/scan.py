@@ -46,6 +46,7 @@ from jaxwhisker._scan.route import (
     route_of,
     route_through,
     traced_route,
+    warn_of_no_touch,
 )
 from jaxwhisker._scan.signals import events
 from jaxwhisker._scan.slopes import event_tangents, remembered_tangents, spring_tangents, state_tangents
@@ -133,6 +134,8 @@ def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
         warn_of_steps(scene)
     route, status = (None, None) if control is None else route_through(control)
     path, start, stop = path_along(problem, kinds, route, status)
+    if route is None:
+        warn_of_no_touch(path.nodes.state.phase, path.status, scene.profile)
     if route is None and steps is not None:
         route = evenly_now(start, stop, steps)
         route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)

@@ -26,6 +26,7 @@ from jaxwhisker._scan.route import (
     route_of,
     route_through,
     traced_route,
+    warn_of_no_touch,
 )
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_signals import events
@@ -35,7 +36,7 @@ from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.history import linked
 from jaxwhisker._space.march import march
 from jaxwhisker._space.march_state import SpacePath
-from jaxwhisker._space.problem import SpaceProblem, problem_in_space
+from jaxwhisker._space.problem import THINNEST, SpaceProblem, problem_in_space
 from jaxwhisker._space.shape import until_second_contact
 
 BLOCK = 256  # steps computed by one call; each takes longer than in the plane
@@ -60,6 +61,7 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None, steps: int 
         return _staged(scene, control)
     problem = problem_now(scene)
     if not checks.is_traced(scene) and not bool(problem.valid):
+        check_thickness(scene)
         raise ValueError(f"`scene` must have parameters that its constructors accept, got {scene}.")
     route, status = (None, None) if control is None else route_through(control)
     stops, last = across() if route is None else (route.stops, route.last)
@@ -67,6 +69,8 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None, steps: int 
         prepare(problem, stops.shape[0])
     path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
     path = _if_ok(path, status)
+    if route is None:
+        warn_of_no_touch(path.nodes.phase, path.status, scene.surface)
     traced = checks.is_traced((problem, start))
     if route is None and (traced or steps is not None):
         route = evenly_now(start, stop, TRACED_STEPS if steps is None else steps)
@@ -82,6 +86,16 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None, steps: int 
 
     states = in_blocks(block, (route.control, route.travel), BLOCK)
     return _result(scene, problem, path, links, jnp.asarray(route.control), *states)
+
+
+def check_thickness(scene: SpaceScene) -> None:
+    """Raise an error if the object is too thin for the whiskers of a scene."""
+    length = float(scene.whiskers[0].length)
+    if float(scene.surface.thickness()) <= THINNEST * length:
+        raise ValueError(
+            f"`surface` must be thicker than about {2 * THINNEST:.0e} of a whisker's length ({length:g}), got "
+            f"{scene.surface}."
+        )
 
 
 def _staged(scene: SpaceScene, control: Control | None) -> SpaceResult:

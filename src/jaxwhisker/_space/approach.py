@@ -1,7 +1,7 @@
 """Approach in space: where a scan begins, and where it ends if nothing happens.
 
-A drive that moves along a line comes from afar: it starts so far from the object that all whiskers are free and recede
-from it if the drive moves back. Other motions have a first and a last control.
+A drive that moves along a line comes from afar. It starts where all whiskers are free, and where planes between them
+and the object show that they stay free if it moves back any further. Other motions have a first and a last control.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._space.march_state import SpacePath
 from jaxwhisker._space.problem import SpaceProblem
-from jaxwhisker._space.stance import clearance
+from jaxwhisker._space.stance import clearance, leaves
 
 MARGIN = 0.01  # of the default control before the first touch and after the last release, dimensionless
 REACH = 2.0  # lengths of the longest whisker
@@ -60,10 +60,13 @@ def _beside(problem: SpaceProblem) -> Float[Array, ""]:
 
 
 def _clear_of(problem: SpaceProblem, u: Float[Array, ""], way: Array, least: Array) -> Float[Array, ""]:
-    """The first of some controls, ever further in one direction, where whiskers are so far away and move away."""
+    """The first of some controls, ever further in one direction, from which on whiskers are so far away."""
     places = u + way * jnp.array([0.0, *DISTANCES])
-    distance = jax.vmap(lambda u: clearance(problem, u))(places)
-    clear = (distance[:-1] > least) & (distance[1:] > distance[:-1])
+
+    def is_clear(u):
+        return (clearance(problem, u) > least) & leaves(problem, u, way)
+
+    clear = jax.vmap(is_clear)(places)
     return jnp.where(jnp.any(clear), places[jnp.argmax(clear)], places[-1])
 
 

@@ -1,7 +1,7 @@
 """Free whiskers: their unloaded shape, their distance from the surface, and the contact that begins where they touch.
 
-Distances are measured to first order, as G / |grad G|. For a convex function G this never exceeds the distance itself,
-and a drive that moves the whisker by less cannot miss the object.
+Distances are those of planes between a point and the object. They never exceed the distance from the object itself, and
+a drive that moves the whisker by less cannot miss it.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._space.contact import Contact
 
 INTERVALS = 32  # of a whisker, at whose ends the distance is computed
-FINER, ROUNDS = 8, 3  # the interval around the least distance is divided so often; positions along it to 1e-6
+FINER, ROUNDS = 16, 5  # the interval around the least distance is divided so often; positions along it to 1e-7
 
 
 class Outline(NamedTuple):
@@ -60,10 +60,10 @@ def nearest(surface: AbstractSurface, outline: Outline, length: Scalar, *, rolls
 
     def off(place):
         cubic, t = at(place)
-        return surface.off(cubic.value(t))
+        return surface.plane_before(cubic.value(t))[0]
 
     places, width = jnp.arange(INTERVALS + 1.0), 1.0
-    distances = jax.vmap(surface.off)(outline.position)
+    distances = jax.vmap(surface.plane_before)(outline.position)[0]
     for _ in range(ROUNDS):
         middle = places[jnp.argmin(distances)]
         places = jnp.clip(middle + width * np.linspace(-1.0, 1.0, FINER + 1), 0.0, INTERVALS)
@@ -79,7 +79,7 @@ def nearest(surface: AbstractSurface, outline: Outline, length: Scalar, *, rolls
     point, tangent = cubic.value(t), cubic.rate(t)
     tangent = tangent / jnp.sqrt(jnp.sum(tangent**2))
     tip = place >= INTERVALS - TIP
-    distance, out = surface.off(point), surface.normal(point)
+    distance, out = surface.plane_before(point)
     beyond = jnp.where(tip, 0.0, (INTERVALS - place) * spacing)
     side = outline.rotation[jnp.round(place).astype(int), :, 0]
     return Nearest(

@@ -157,6 +157,7 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
     stance = Stance(
         free=phase == Phase.free,
         nearest=Nearest(unknown, z, phase),
+        advance=unknown,
         speed=jnp.asarray(1.0),
         stable=jnp.asarray(True),
         stiffness=jnp.asarray(1.0),

@@ -32,6 +32,8 @@ from jaxwhisker._space.contact import Body
 from jaxwhisker._space.free import INTERVALS, Outline
 from jaxwhisker._space.section import space_section
 
+THINNEST = 5e-7  # half thickness of an object, in lengths: of thinner ones, a touch is not resolved
+
 PerWhisker = Float[Array, " whiskers"]
 Contacts = Float[Array, "whiskers 11"]
 
@@ -149,13 +151,15 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
         keep = np.arange(6 * n).reshape(n, 6)[:, : 6 if scene.rolls else 5].ravel()
         springs = Springs(whole.matrix[np.ix_(keep, keep)], whole.offset[keep].reshape(n, -1))
         valid &= whole.consistent
+    surface = scene.surface.in_unit(unit.length)
+    valid &= surface.thickness() > THINNEST
     ends = scene.motion.ends
     outline = outlines_in_space(length, section)
     return SpaceProblem(
         length=length,
         bending_stiffness=stiffness / stiffness_unit,
         section=section,
-        surface=scene.surface.in_unit(unit.length),
+        surface=surface,
         rod=scene.rod,
         motion=scene.motion,
         mount=Placement(position / unit.length, rotation),

@@ -12,12 +12,16 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._model.drives import Placement
-from jaxwhisker._space.contact import spread
+from jaxwhisker._space.contact import POINT, spread
 from jaxwhisker._space.free import Nearest, in_scene, nearest
 from jaxwhisker._space.linear import Linear
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import SpaceProblem, of_each
 from jaxwhisker._space.sliding import sliding_stiffness
+
+SHALLOW = 5e-8  # lengths: dips of free whiskers of this depth may be missed
+LONGEST_ADVANCE = 2e-4  # lengths by which whiskers may move before a flat object, although they might dip into it
+STILL = 1e-12  # speeds that are rounding errors
 
 
 class Stance(NamedTuple):
@@ -25,6 +29,7 @@ class Stance(NamedTuple):
 
     free: Bool[Array, " whiskers"]
     nearest: Nearest  # of free whiskers
+    advance: Float[Array, " whiskers"]  # lengths by which a free whisker may move without missing the object
     speed: Scalar  # largest speed of any point of a whisker whose base does not yield, per control
     stable: Bool[Array, ""]  # not known with friction, where stability is lost if the drive turns
     stiffness: Scalar  # the determinant of the sliding stiffness: vanishes where stability is lost
@@ -54,13 +59,18 @@ def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear, gr
 
     def near(body, placement, rate, outline):
         found = nearest(problem.surface, in_scene(outline, placement), body.length, rolls=problem.rolls)
-        return found, jnp.max(jnp.sum(in_scene(outline, rate).position ** 2, axis=-1))
+        # A chord of this length through the object is no deeper.
+        bend = jnp.sqrt(jnp.sum(problem.surface.curvature(found.contact[POINT]) ** 2))
+        chord = jnp.minimum(jnp.sqrt(8 * SHALLOW / jnp.maximum(bend, SHALLOW)), LONGEST_ADVANCE)
+        advance = jnp.maximum(found.distance, 0.0) + chord
+        return found, advance, jnp.max(jnp.sum(in_scene(outline, rate).position ** 2, axis=-1))
 
-    found, speeds = of_each(problem, near, placed, rate, problem.outline)
+    found, advance, speeds = of_each(problem, near, placed, rate, problem.outline)
     opens = of_each(problem, lambda body, z, phase: spread(body, problem.surface, z, phase), z, phase)
     return Stance(
         free=free,
         nearest=found,
+        advance=advance,
         speed=jnp.sqrt(jnp.max(speeds)),
         stable=stable,
         stiffness=stiffness,
@@ -86,6 +96,26 @@ def clearance(problem: SpaceProblem, u: Scalar) -> Float[Array, ""]:
         return nearest(problem.surface, in_scene(outline, placement), body.length, rolls=problem.rolls).distance
 
     return jnp.min(of_each(problem, distance, bases_at_rest(problem, u), problem.outline))
+
+
+def leaves(problem: SpaceProblem, u: Scalar, way: Scalar) -> Bool[Array, ""]:
+    """Whether every point of the unloaded whiskers moves away from the object if the drive moves along a line.
+
+    A plane between a point and the object from which the point moves away, or along which it moves, shows that it will
+    not meet the object. `way` is the sign of the control's change.
+    """
+
+    def placements(u):
+        return bases_at_rest(problem, u)
+
+    placed, rate = jax.jvp(placements, (u,), (jnp.asarray(way, dtype=float),))
+
+    def slowest(body, placement, rate, outline):
+        del body
+        position, velocity = in_scene(outline, placement).position, rate.position
+        return jnp.min(jnp.sum(jax.vmap(problem.surface.plane_before)(position)[1] * velocity, axis=-1))
+
+    return jnp.all(of_each(problem, slowest, placed, rate, problem.outline) > -STILL)
 
 
 def base_placement(problem: SpaceProblem, drive: Placement, mount: Placement, pose: Float[Array, "6"]) -> Placement:

@@ -49,7 +49,6 @@ SHORTEST_STEP = 1e-10
 PREDICTION_ERROR = 2e-3  # at which steps keep their length
 SLIP_DEFECT = 1e-6  # the same for the rate at the start of a step with friction, times its length
 LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
-LEAST_ADVANCE = 2e-4  # lengths by which free whiskers move at least in a step; shallower dips are missed
 INSIDE = 1e-6  # depth of free whiskers that must not be inside the object
 TOUCHING = 1e-9  # depth of a free whisker that counts as a touch: one that has just been released is at 0
 PASSED = 0.25  # lengths from the object at which a scan right across it ends
@@ -238,7 +237,7 @@ def _next_step(march: March, factor: Scalar, step: Scalar) -> Scalar:
 def _clear(stance: Stance, tangent: Point) -> Scalar:
     """Length of a step in which free whiskers cannot pass through the object unnoticed."""
     speed = jnp.maximum(stance.speed * jnp.abs(tangent.u), 1e-12)
-    return jnp.min(jnp.where(stance.free, (jnp.maximum(stance.nearest.distance, 0.0) + LEAST_ADVANCE) / speed, jnp.inf))
+    return jnp.min(jnp.where(stance.free, stance.advance / speed, jnp.inf))
 
 
 def _is_over(problem: SpaceProblem, march: March, trial: Trial) -> Bool[Array, ""]:

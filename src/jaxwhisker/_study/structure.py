@@ -34,14 +34,14 @@ def layout_of_scenes(build: Callable, parameters: Parameters) -> SceneLayout:
             numbers.
     """
     samples = _samples(build, parameters)
-    traced = _traced(build, parameters, bool(samples))
+    traced, layout = _traced(build, parameters, bool(samples))
     for one, other in pairwise([*samples, traced]):
         for path in _differences(one, other, "scene"):
             raise ValueError(
                 f"`build` must return scenes of the same structure at all points, got scenes whose `{path}` differs."
             )
     # The parameters of a traced scene have no size.
-    return layout_of(traced)._replace(sizes=layout_of(samples[0]).sizes if samples else {})
+    return layout._replace(sizes=layout_of(samples[0]).sizes if samples else {})
 
 
 def _checked(scene: Any) -> AbstractScene:
@@ -65,8 +65,11 @@ def _samples(build: Callable, parameters: Parameters) -> list[AbstractScene]:
     return [_checked(scene) for scene in found]
 
 
-def _traced(build: Callable, parameters: Parameters, built: bool) -> AbstractScene:
-    """The scene of traced parameters; `built` says whether `build` succeeded at a concrete point."""
+def _traced(build: Callable, parameters: Parameters, built: bool) -> tuple[AbstractScene, SceneLayout]:
+    """The scene of traced parameters, of which only the structure is used, and its layout.
+
+    `built` says whether `build` succeeded at a concrete point.
+    """
     try:
         return _trace(build, tuple(parameters.values), {})
     except _NoSceneError:
@@ -85,15 +88,16 @@ def _traced(build: Callable, parameters: Parameters, built: bool) -> AbstractSce
         raise ValueError(f"`build` must return a Scene, got {failed} at every point that was tried.") from error
 
 
-def _trace(build: Callable, names: tuple[str, ...], fixed: dict) -> AbstractScene:
-    scenes: list[Any] = []
+def _trace(build: Callable, names: tuple[str, ...], fixed: dict) -> tuple[AbstractScene, SceneLayout]:
+    found: list[Any] = []
 
     def probe(values):
-        scenes.append(build(**values, **fixed))
+        scene = _checked(build(**values, **fixed))
+        found.append((scene, layout_of(scene)))  # a layout may compute numbers, which are known only here
         return ()
 
     jax.eval_shape(probe, {name: jax.ShapeDtypeStruct((), float) for name in names})
-    return _checked(scenes[0])
+    return found[0]
 
 
 def _blamed(build: Callable, parameters: Parameters) -> str:
